@@ -1,0 +1,1 @@
+"""Telemetry in: bytes from links and recordings -> messages -> (u, y) samples on a fixed-rate grid."""

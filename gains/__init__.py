@@ -1,0 +1,1 @@
+"""Offline synthesis: a plant model in, certified observer gains out."""

@@ -1,0 +1,1 @@
+"""The running monitor: observer -> estimates -> alarms -> Zenoh, MCAP, Rerun."""
