@@ -1,0 +1,181 @@
+"""Channel mapping: which field of which message is which input or output, in which unit, on which clock."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, Literal
+
+from adapters.errors import TelemetryError
+
+Interpolation = Literal["linear", "previous"]
+
+_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+_KEYS = {"message", "field", "where", "scale", "offset", "clock", "clock_unit_ns", "interpolation"}
+_CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
+# The difference of two values up to here is finite, so interpolation cannot overflow.
+_MAX_VALUE = 1e300
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One scalar signal taken from telemetry: ``value = scale * field + offset``.
+
+    Parameters
+    ----------
+    name : str
+        The user's name of the channel, the same as in the plant model.
+    message : str
+        MAVLink message name or Zenoh key the field is taken from.
+    path : tuple[str | int, ...]
+        Steps into the message's fields, ``"data[3]"`` being ``("data", 3)``.
+    scale, offset : float
+        From the field's unit to the channel's.
+    where : tuple[tuple[str, int | str], ...]
+        Fields and the values they must have, where several senders share a message name: SERVO_OUTPUT_RAW
+        with ``port`` 0 and 1, DEBUG_FLOAT_ARRAY with different ``name``.
+    clock : str | None
+        Field with the measurement's time on the vehicle's clock; None takes ``time_boot_ms``, ``time_usec``
+        or ``time_ns``, whichever the message has, and the newest vehicle time where it has none.
+    clock_unit_ns : int | None
+        Nanoseconds per count of that field; None: known from the usual names.
+    interpolation : {"linear", "previous"}
+        How the value between two measurements is found.
+    """
+
+    name: str
+    message: str
+    path: tuple[str | int, ...]
+    scale: float = 1.0
+    offset: float = 0.0
+    where: tuple[tuple[str, int | str], ...] = ()
+    clock: str | None = None
+    clock_unit_ns: int | None = None
+    interpolation: Interpolation = "linear"
+
+    def selects(self, fields: Mapping[str, Any]) -> bool:
+        """Return whether the message is one of those the channel is taken from."""
+        return all(fields.get(name) == value for name, value in self.where)
+
+    def value(self, fields: Mapping[str, Any]) -> float | None:
+        """Return the channel's value, None where the message does not hold a finite number there."""
+        path = self.path
+        # Most paths are one name; they are read some thousand times a second.
+        found = fields.get(path[0]) if len(path) == 1 else follow(fields, path)  # type: ignore[arg-type]
+        if not isinstance(found, float) and (not isinstance(found, int) or isinstance(found, bool)):
+            return None
+        try:
+            value = self.scale * found + self.offset
+        except OverflowError:
+            return None
+        return value if -_MAX_VALUE <= value <= _MAX_VALUE else None
+
+    def stamp_ns(self, fields: Mapping[str, Any]) -> int | None:
+        """Return the measurement's time on the vehicle's clock in nanoseconds, None where it has none."""
+        if self.clock is not None:
+            return _stamp(fields.get(self.clock), self.clock_unit_ns or _CLOCK_UNITS_NS.get(self.clock, 1))
+        for name, unit_ns in _CLOCK_UNITS_NS.items():
+            stamp = _stamp(fields.get(name), self.clock_unit_ns or unit_ns)
+            if stamp is not None:
+                return stamp
+        return None
+
+
+def _stamp(count: Any, unit_ns: int) -> int | None:
+    if isinstance(count, float) and isfinite(count):
+        return round(count * unit_ns)
+    return count * unit_ns if isinstance(count, int) and not isinstance(count, bool) else None
+
+
+def follow(fields: Mapping[str, Any], path: tuple[str | int, ...]) -> Any:
+    """Return what stands at ``path`` inside decoded fields, None where there is nothing."""
+    here: Any = fields
+    for step in path:
+        if isinstance(step, str) and isinstance(here, (dict, Mapping)):
+            here = here.get(step)
+        elif isinstance(step, int) and isinstance(here, list | tuple) and step < len(here):
+            here = here[step]
+        else:
+            return None
+    return here
+
+
+def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
+    """Read one channel from its TOML table.
+
+    Parameters
+    ----------
+    name : str
+        The channel's name.
+    table : Mapping[str, Any]
+        Keys ``message`` and ``field`` (required), ``where``, ``scale``, ``offset``, ``clock``,
+        ``clock_unit_ns``, ``interpolation``.
+    where : str
+        File and key of the table, for errors.
+
+    Raises
+    ------
+    TelemetryError
+        A key is missing, unknown or of the wrong type.
+    """
+    unknown = sorted(set(table) - _KEYS)
+    if unknown:
+        raise TelemetryError(f"{where}: unknown key '{unknown[0]}'; known are {', '.join(sorted(_KEYS))}")
+    for key in ("message", "field"):
+        if not isinstance(table.get(key), str) or not table[key]:
+            raise TelemetryError(f"{where}: '{key}' is missing or not text")
+    for key in ("scale", "offset"):
+        if key in table and (isinstance(table[key], bool) or not isinstance(table[key], int | float)):
+            raise TelemetryError(f"{where}: '{key}' is not a number")
+    where_table = table.get("where", {})
+    if not isinstance(where_table, Mapping) or not all(
+        isinstance(v, (int, str)) for v in where_table.values()
+    ):
+        raise TelemetryError(
+            f"{where}: 'where' is not a table of fields and their values, like {{ port = 0 }}"
+        )
+    interpolation = table.get("interpolation", "linear")
+    if interpolation not in ("linear", "previous"):
+        raise TelemetryError(f"{where}: 'interpolation' is '{interpolation}'; use 'linear' or 'previous'")
+    clock = table.get("clock")
+    if clock is not None and not isinstance(clock, str):
+        raise TelemetryError(f"{where}: 'clock' is not the name of a field")
+    unit = table.get("clock_unit_ns")
+    if unit is not None and (isinstance(unit, bool) or not isinstance(unit, int) or unit <= 0):
+        raise TelemetryError(f"{where}: 'clock_unit_ns' is not a positive whole number of nanoseconds")
+    field = str(table["field"])
+    path = tuple(int(index) if index else step for step, index in _STEP.findall(field))
+    if not path:
+        raise TelemetryError(f"{where}: 'field' is '{field}'; write it like 'rollspeed' or 'data[3]'")
+    return Channel(
+        name=name,
+        message=str(table["message"]),
+        path=path,
+        scale=float(table.get("scale", 1.0)),
+        offset=float(table.get("offset", 0.0)),
+        where=tuple(where_table.items()),
+        clock=clock,
+        clock_unit_ns=unit,
+        interpolation=interpolation,
+    )
+
+
+def channel_table(channel: Channel) -> dict[str, Any]:
+    """Return the TOML table that :func:`parse_channel` reads back as the same channel."""
+    field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in channel.path)
+    table: dict[str, Any] = {"message": channel.message, "field": field.lstrip(".")}
+    if channel.where:
+        table["where"] = dict(channel.where)
+    if channel.scale != 1.0:
+        table["scale"] = channel.scale
+    if channel.offset != 0.0:
+        table["offset"] = channel.offset
+    if channel.clock is not None:
+        table["clock"] = channel.clock
+    if channel.clock_unit_ns is not None:
+        table["clock_unit_ns"] = channel.clock_unit_ns
+    if channel.interpolation != "linear":
+        table["interpolation"] = channel.interpolation
+    return table

@@ -1,0 +1,33 @@
+"""One decoded telemetry message, whatever link or recording it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A decoded message with its time of arrival.
+
+    Parameters
+    ----------
+    source : str
+        Link family: ``"mavlink"`` or ``"zenoh"``. Recordings keep the family they recorded.
+    name : str
+        MAVLink message name (``"ATTITUDE"``) or Zenoh key expression (``"arm/telemetry"``).
+    received_ns : int
+        Unix time of arrival, nanoseconds.
+    fields : Mapping[str, Any]
+        Decoded fields: numbers, strings, lists and (JSON only) nested mappings.
+    system, component : int
+        MAVLink ids of the sender; 0 where the link has none.
+    """
+
+    source: str
+    name: str
+    received_ns: int
+    fields: Mapping[str, Any]
+    system: int = 0
+    component: int = 0

@@ -1,0 +1,15 @@
+"""Errors of models and designs; ``exit_status`` is what the command line returns for them."""
+
+from __future__ import annotations
+
+
+class ModelError(ValueError):
+    """A plant model or gains file that cannot be used; the message names the file, the key and the mend."""
+
+    exit_status = 2
+
+
+class InfeasibleError(ValueError):
+    """No design of the asked kind exists (or the solver could not prove one); the message says why."""
+
+    exit_status = 3

@@ -1,0 +1,66 @@
+"""What the observer says at one tick, and the names of its entries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.sample import Sample
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Names and units of one observer's vectors, in order.
+
+    Parameters
+    ----------
+    observer : str
+        The observer's name in the profile (``"motors"``).
+    rate_hz : float
+        Samples per second of the vehicle's clock.
+    inputs, outputs, states, faults : tuple[str, ...]
+        Channel names of u, y, x and of the faults (actuator faults f_a first, then sensor faults f_s).
+    fault_units : tuple[str, ...]
+        Unit of each fault estimate.
+    """
+
+    observer: str
+    rate_hz: float
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    states: tuple[str, ...]
+    faults: tuple[str, ...]
+    fault_units: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Estimates at one sample.
+
+    Parameters
+    ----------
+    observer : str
+        The observer's name.
+    sample : Sample
+        The sample it was computed from.
+    x : NDArray[np.float64]
+        State estimate x^ (n,).
+    fault : NDArray[np.float64]
+        Joint fault estimate [f_a^; f_s^] (a1 + a2,) in the channels' units.
+    isolated : NDArray[np.float64]
+        For each fault channel, the size that fits best if that channel alone were at fault (a1 + a2,).
+    residual : NDArray[np.float64]
+        Output error yt = y - Cb zeta^ (p,).
+    armed : bool
+        Whether alarms could be raised from this sample (in flight, observer settled, sample complete).
+    """
+
+    observer: str
+    sample: Sample
+    x: NDArray[np.float64]
+    fault: NDArray[np.float64]
+    isolated: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    armed: bool

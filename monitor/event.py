@@ -1,0 +1,99 @@
+"""Alarm events: the JSON object that subscribers, journals and files carry, one per change of state."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+Kind = Literal["actuator", "sensor", "residual", "stale"]
+State = Literal["raised", "updated", "acknowledged", "shelved", "cleared"]
+Severity = Literal["warning", "critical"]
+
+_CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmEvent:
+    """One change of state of one alarm.
+
+    Parameters
+    ----------
+    id : str
+        ULID, the same from raised to cleared.
+    vehicle, observer, channel : str
+        What the alarm is about.
+    kind : {"actuator", "sensor", "residual", "stale"}
+        What sort of trouble.
+    state : {"raised", "updated", "acknowledged", "shelved", "cleared"}
+        The state entered by this event.
+    severity : {"warning", "critical"}
+        How bad.
+    estimate : float | None
+        Size of the fault now, in ``unit``; None for a stale alarm.
+    relative : float | None
+        Estimate over command where that makes sense (loss of effectiveness), else None.
+    unit : str
+        Unit of ``estimate``, ``threshold`` and ``peak``.
+    threshold : float
+        What the estimate has to exceed to raise the alarm.
+    time_ns : int
+        Unix time of the sample that caused the event, nanoseconds.
+    vehicle_time_ms : int
+        The same on the vehicle's own clock, milliseconds.
+    since_ns : int
+        Unix time of the sample that raised the alarm.
+    peak : float | None
+        Largest estimate (by size) since it was raised.
+    message : str
+        One sentence for a person.
+    seq : int
+        Counts the vehicle's events from 1.
+    """
+
+    id: str
+    vehicle: str
+    observer: str
+    channel: str
+    kind: Kind
+    state: State
+    severity: Severity
+    estimate: float | None
+    relative: float | None
+    unit: str
+    threshold: float
+    time_ns: int
+    vehicle_time_ms: int
+    since_ns: int
+    peak: float | None
+    message: str
+    seq: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the event as the JSON object of the contract."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def event_from_json(data: Mapping[str, Any]) -> AlarmEvent:
+    """Return the event a JSON object describes.
+
+    Raises
+    ------
+    ValueError
+        A field is missing.
+    """
+    missing = [field.name for field in fields(AlarmEvent) if field.name not in data]
+    if missing:
+        raise ValueError(f"alarm event lacks '{missing[0]}'")
+    return AlarmEvent(**{field.name: data[field.name] for field in fields(AlarmEvent)})
+
+
+def alarm_id(vehicle: str, observer: str, channel: str, since_ns: int) -> str:
+    """Return the ULID of an alarm: its time in milliseconds and 80 bits that depend on nothing but the alarm.
+
+    A replay of the same samples therefore gives the same ids.
+    """
+    digest = hashlib.blake2b(f"{vehicle}/{observer}/{channel}@{since_ns}".encode(), digest_size=10).digest()
+    number = (since_ns // 1_000_000 & (1 << 48) - 1) << 80 | int.from_bytes(digest)
+    return "".join(_CROCKFORD[number >> shift & 31] for shift in range(125, -1, -5))
