@@ -1,0 +1,272 @@
+"""Byte links that MAVLink comes over: UDP, TCP (either side) and serial, opened by URL. They never send.
+
+pymavlink's own connections are not used: they print to standard output, block while they reconnect, remember
+every address that ever sent, and a TCP server of theirs serves one client for good.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import time
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any, Protocol
+
+from adapters.errors import TelemetryError
+
+_READ_BYTES = 1 << 16
+_UDP_BUFFER_BYTES = 1 << 22
+_RETRY_S = 0.5
+_CONNECT_S = 1.0
+_BAUD = 57_600
+_HELP = "use udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD"
+
+
+class ByteLink(Protocol):
+    """What all links have in common.
+
+    Attributes
+    ----------
+    connections : int
+        How often a connection was made, the first time included.
+    """
+
+    connections: int
+
+    def read(self, timeout_s: float) -> tuple[Hashable, bytes] | None:
+        """Return the next bytes and who sent them; None where nothing came in time."""
+
+    def close(self) -> None:
+        """Close the link."""
+
+
+def open_byte_link(url: str) -> ByteLink:
+    """Open the link that a URL names.
+
+    Parameters
+    ----------
+    url : str
+        ``udpin:HOST:PORT`` (binds to that address; ``udp:`` is the same), ``tcp:HOST:PORT`` (connects, again
+        and again if need be), ``tcpin:HOST:PORT`` (listens) or ``serial:DEVICE[:BAUD]``.
+
+    Raises
+    ------
+    TelemetryError
+        The URL is not understood, the address cannot be bound or resolved, or the device cannot be opened.
+    """
+    kind, _, rest = url.partition(":")
+    if kind == "serial" and rest:
+        return _Serial(url, rest)
+    if kind == "udpout":
+        raise TelemetryError(
+            f"{url}: a monitor that only listens is never heard by the other side; let it send to us and use "
+            "udpin:HOST:PORT"
+        )
+    if kind not in ("udp", "udpin", "tcp", "tcpin"):
+        raise TelemetryError(f"{url}: unknown kind of link; {_HELP}")
+    address = resolve(url, rest)
+    if kind == "tcp":
+        return _TcpClient(address)
+    return _Udp(url, address) if kind.startswith("udp") else _TcpServer(url, address)
+
+
+Address = tuple[socket.AddressFamily, Any]
+
+
+def resolve(url: str, host_port: str) -> Address:
+    """Return family and address of ``HOST:PORT``, ``[IPv6]:PORT`` included.
+
+    Raises
+    ------
+    TelemetryError
+        It is not of this form, or the host is not known; the message starts with ``url``.
+    """
+    host, colon, port = host_port.rpartition(":")
+    if not colon or not host or not port.isdecimal() or int(port) > 0xFFFF:
+        raise TelemetryError(f"{url}: no HOST:PORT in it; {_HELP}")
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), int(port))[0]
+    except OSError as error:
+        raise TelemetryError(f"{url}: host '{host}' cannot be resolved: {error.strerror}") from error
+    return family, address
+
+
+def _bound(url: str, address: Address, kind: socket.SocketKind) -> socket.socket:
+    listener = socket.socket(address[0], kind)
+    try:
+        if kind == socket.SOCK_STREAM:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address[1])
+    except OSError as error:
+        listener.close()
+        raise TelemetryError(f"{url}: cannot listen there: {error.strerror}") from error
+    listener.setblocking(False)
+    return listener
+
+
+def _readable(*sources: Any, timeout_s: float) -> list[Any]:
+    return select.select(sources, (), (), max(0.0, timeout_s))[0]
+
+
+class _Udp:
+    """Datagrams to one address, whoever sends them."""
+
+    def __init__(self, url: str, address: Address) -> None:
+        self.connections = 1
+        self._socket = _bound(url, address, socket.SOCK_DGRAM)
+        # A burst has to fit while the reader is busy; the kernel cuts this down to what it allows.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _UDP_BUFFER_BYTES)
+
+    def read(self, timeout_s: float) -> tuple[Hashable, bytes] | None:
+        for wait_s in (0.0, timeout_s):
+            if wait_s <= 0.0 or _readable(self._socket, timeout_s=wait_s):
+                with contextlib.suppress(OSError):
+                    data, sender = self._socket.recvfrom(_READ_BYTES)
+                    return sender, data
+        return None
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _TcpClient:
+    """A connection to a TCP server, made anew whenever it is lost."""
+
+    def __init__(self, address: Address) -> None:
+        self.connections = 0
+        self._address = address
+        self._socket: socket.socket | None = None
+        self._retry_at = 0.0
+
+    def read(self, timeout_s: float) -> tuple[Hashable, bytes] | None:
+        until = time.monotonic() + timeout_s
+        if self._socket is None and not self._connect(until):
+            return None
+        assert self._socket is not None  # noqa: S101 - tells the type checker what _connect has done
+        if not _readable(self._socket, timeout_s=until - time.monotonic()):
+            return None
+        try:
+            data = self._socket.recv(_READ_BYTES)
+        except BlockingIOError:
+            return None
+        except OSError:
+            data = b""
+        if data:
+            return self.connections, data
+        self.close()
+        return None
+
+    def _connect(self, until: float) -> bool:
+        wait_s = self._retry_at - time.monotonic()
+        if wait_s > 0.0:
+            time.sleep(max(0.0, min(wait_s, until - time.monotonic())))
+            if time.monotonic() < self._retry_at:
+                return False
+        attempt = socket.socket(self._address[0], socket.SOCK_STREAM)
+        attempt.settimeout(_CONNECT_S)
+        try:
+            attempt.connect(self._address[1])
+        except OSError:
+            attempt.close()
+            self._retry_at = time.monotonic() + _RETRY_S
+            return False
+        attempt.setblocking(False)
+        # A peer that vanished without a word is noticed by the kernel, not by silence.
+        attempt.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        self._socket = attempt
+        self.connections += 1
+        return True
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+        self._retry_at = time.monotonic() + _RETRY_S
+
+
+class _TcpServer:
+    """A listening TCP socket; the newest client is the one that is heard."""
+
+    def __init__(self, url: str, address: Address) -> None:
+        self.connections = 0
+        self._listener = _bound(url, address, socket.SOCK_STREAM)
+        self._listener.listen(1)
+        self._client: socket.socket | None = None
+
+    def read(self, timeout_s: float) -> tuple[Hashable, bytes] | None:
+        sources = [self._listener] if self._client is None else [self._client, self._listener]
+        ready = _readable(*sources, timeout_s=timeout_s)
+        if self._client in ready and self._client is not None:
+            with contextlib.suppress(OSError):
+                if data := self._client.recv(_READ_BYTES):
+                    return self.connections, data
+            self._client.close()
+            self._client = None
+        if self._listener in ready:
+            with contextlib.suppress(OSError):
+                client, _ = self._listener.accept()
+                client.setblocking(False)
+                if self._client is not None:
+                    self._client.close()
+                self._client = client
+                self.connections += 1
+        return None
+
+    def close(self) -> None:
+        if self._client is not None:
+            self._client.close()
+        self._listener.close()
+
+
+class _Serial:
+    """A serial port, opened anew when the device comes back."""
+
+    def __init__(self, url: str, device: str) -> None:
+        path, _, baud = device.rpartition(":")
+        named_whole = not path or not baud.isdecimal() or Path(device).exists()
+        self._device, self._baud = (device, _BAUD) if named_whole else (path, int(baud))
+        self.connections = 0
+        self._retry_at = 0.0
+        self._port: Any = None
+        try:
+            self._open()
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or str(error).split("\n", 1)[0]
+            raise TelemetryError(
+                f"{url}: cannot be opened: {reason}; is it plugged in, and is the user in the dialout group?"
+            ) from error
+
+    def _open(self) -> None:
+        import serial
+
+        self._port = serial.Serial(self._device, self._baud, timeout=0)
+        self.connections += 1
+
+    def read(self, timeout_s: float) -> tuple[Hashable, bytes] | None:
+        if self._port is None:
+            time.sleep(max(0.0, min(timeout_s, self._retry_at - time.monotonic())))
+            if time.monotonic() < self._retry_at:
+                return None
+            self._retry_at = time.monotonic() + _RETRY_S
+            with contextlib.suppress(OSError, ValueError):
+                self._open()
+            return None
+        try:
+            if not _readable(self._port, timeout_s=timeout_s):
+                return None
+            # Readable without bytes is how a device says that it has gone.
+            if data := self._port.read(_READ_BYTES):
+                return self.connections, bytes(data)
+        except (OSError, ValueError):
+            pass
+        self.close()
+        self._port = None
+        self._retry_at = time.monotonic() + _RETRY_S
+        return None
+
+    def close(self) -> None:
+        if self._port is not None:
+            with contextlib.suppress(OSError):
+                self._port.close()

@@ -1,0 +1,84 @@
+"""Reads files plain or compressed (.xz, .gz), piece by piece, up to the last byte before any damage."""
+
+from __future__ import annotations
+
+import lzma
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from adapters.errors import TelemetryError
+
+_PIECE_BYTES = 1 << 16
+# What a decompressor has put out of a piece is lost when it finds damage in it: pieces are kept small.
+_COMPRESSED_BYTES = 128
+_AUTO_GZIP = 31
+
+
+class CompressedFile:
+    """The bytes of a file, decompressed by its suffix.
+
+    Iterate over it once. Concatenated streams are read as one; damage ends the file.
+
+    Parameters
+    ----------
+    path : Path
+        The file; ``.xz`` and ``.gz`` are decompressed.
+
+    Attributes
+    ----------
+    damaged : bool
+        Whether the compressed data broke off or was broken.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.damaged = False
+
+    def __iter__(self) -> Iterator[bytes]:
+        """Return the file's bytes in pieces.
+
+        Raises
+        ------
+        TelemetryError
+            The file cannot be opened.
+        """
+        try:
+            file = self._path.open("rb")
+        except OSError as error:
+            raise TelemetryError(f"{self._path}: cannot be opened: {error.strerror}") from error
+        with file:
+            if self._path.suffix.lower() not in (".xz", ".gz"):
+                while piece := file.read(_PIECE_BYTES):
+                    yield piece
+                return
+            piece = b""
+            for data in self._decompressed(file):
+                piece += data
+                if len(piece) >= _PIECE_BYTES:
+                    yield piece
+                    piece = b""
+            if piece:
+                yield piece
+
+    def _decompressed(self, file: BinaryIO) -> Iterator[bytes]:
+        stream: Any = None
+        try:
+            while piece := file.read(_COMPRESSED_BYTES):
+                while piece:
+                    stream = stream or self._decompressor()
+                    yield stream.decompress(piece)
+                    piece = b""
+                    if stream.eof:
+                        # Streams may be padded with zeros to a multiple of four bytes.
+                        piece, stream = stream.unused_data.lstrip(b"\0"), None
+        except (lzma.LZMAError, zlib.error):
+            self.damaged = True
+        else:
+            self.damaged = stream is not None
+
+    def _decompressor(self) -> Any:
+        return (
+            lzma.LZMADecompressor() if self._path.suffix.lower() == ".xz" else zlib.decompressobj(_AUTO_GZIP)
+        )

@@ -1,0 +1,98 @@
+"""One telemetry message as a record of a log: its topic, its bytes, and the way back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+from adapters.mavlink_schema import MavlinkProtobuf, mavlink_protobuf
+from adapters.message import Message
+from adapters.protobuf_types import class_from_descriptor_set
+
+Decode = Callable[[bytes, int], Message]
+
+
+def encode(message: Message) -> tuple[str, Any, bytes]:
+    """Return a message's topic, the protobuf class of its record (None: JSON) and the record's bytes.
+
+    MAVLink messages are protobuf, as JSON only where the fields are not those of pymavlink's definition.
+    NaN and infinity stay literals in JSON, which JSON proper lacks: a replay has to see what the monitor saw.
+
+    Raises
+    ------
+    ValueError
+        No record can hold the message's name or fields.
+    """
+    topic = f"/{message.source}/{message.name}"
+    topic.encode()
+    if message.source != "mavlink":
+        return topic, None, _to_json(message.fields)
+    kind = mavlink_protobuf(message.name)
+    if kind is not None:
+        try:
+            return topic, kind.pb_class, kind.to_bytes(message)
+        except ValueError:
+            kind = None
+    ids = {"system_id": message.system, "component_id": message.component}
+    return topic, None, _to_json({**ids, "fields": message.fields})
+
+
+def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Decode | None:
+    """Return what turns a topic's records into messages, None where the topic is no telemetry.
+
+    Parameters
+    ----------
+    topic, encoding : str
+        Topic and message encoding of the log's channel.
+    schema : tuple[str, bytes] | None
+        Name and data of the channel's schema.
+
+    Raises
+    ------
+    ValueError
+        The schema cannot be used.
+    """
+    if topic.startswith("/mavlink/"):
+        name = topic.removeprefix("/mavlink/")
+        if encoding == "protobuf" and schema is not None:
+            kind = MavlinkProtobuf(class_from_descriptor_set(schema[1], schema[0]))
+            return lambda data, time_ns: kind.from_bytes(data, name, time_ns)
+        if encoding == "json":
+            return lambda data, time_ns: _mavlink_from_json(data, name, time_ns)
+    if topic.startswith("/zenoh/") and encoding == "json":
+        name = topic.removeprefix("/zenoh/")
+        return lambda data, time_ns: Message("zenoh", name, time_ns, _from_json(data))
+    return None
+
+
+def _mavlink_from_json(data: bytes, name: str, time_ns: int) -> Message:
+    record = _from_json(data)
+    try:
+        return Message(
+            source="mavlink",
+            name=name,
+            received_ns=time_ns,
+            fields=record["fields"],
+            system=record["system_id"],
+            component=record["component_id"],
+        )
+    except KeyError as error:
+        raise ValueError(f"record of {name} lacks {error}") from error
+
+
+def _to_json(fields: Any) -> bytes:
+    try:
+        return json.dumps(dict(fields), separators=(",", ":")).encode()
+    except (TypeError, RecursionError) as error:
+        raise ValueError(f"no JSON can hold this: {error}") from error
+
+
+def _from_json(data: bytes) -> dict[str, Any]:
+    try:
+        found = json.loads(data)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+    if not isinstance(found, dict):
+        raise ValueError("not a JSON object")
+    return found

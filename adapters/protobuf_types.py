@@ -1,0 +1,123 @@
+"""Protobuf message classes built at run time from lists of fields: typed records without a compiler."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory, timestamp_pb2
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto
+
+Scalar = Literal["bool", "double", "float", "int32", "uint32", "int64", "uint64", "string"]
+TIMESTAMP: Final = "google.protobuf.Timestamp"
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of a message class to build.
+
+    Parameters
+    ----------
+    name : str
+        Field name, a protobuf identifier (:func:`identifiers` makes some).
+    kind : str | tuple[Field, ...]
+        Scalar type, :data:`TIMESTAMP`, or the fields of a nested message.
+    repeated : bool
+        A list of values.
+    optional : bool
+        Absent is told from zero.
+    """
+
+    name: str
+    kind: Scalar | Literal["google.protobuf.Timestamp"] | tuple[Field, ...]
+    repeated: bool = False
+    optional: bool = False
+
+
+def message_class(package: str, name: str, fields: Sequence[Field]) -> Any:
+    """Return the protobuf class of a message with these fields, numbered from 1 in their order.
+
+    Each class lives in a descriptor pool of its own, so that classes of equal names never collide.
+    """
+    file = descriptor_pb2.FileDescriptorProto(
+        name=f"{package.replace('.', '/')}/{name}.proto", package=package, syntax="proto3"
+    )
+    pool = descriptor_pool.DescriptorPool()
+    if any(field.kind == TIMESTAMP for field in fields):
+        pool.AddSerializedFile(timestamp_pb2.DESCRIPTOR.serialized_pb)
+        file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
+    _describe(file.message_type.add(name=name), f".{package}.{name}", fields)
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"{package}.{name}"))
+
+
+def _describe(proto: Any, full_name: str, fields: Sequence[Field]) -> None:
+    """Write the fields into a DescriptorProto, nested messages as types of their own inside it."""
+    for number, field in enumerate(fields, start=1):
+        entry = proto.field.add(name=field.name, number=number)
+        entry.label = FieldDescriptorProto.LABEL_REPEATED if field.repeated else FieldDescriptorProto.LABEL_OPTIONAL
+        if isinstance(field.kind, tuple):
+            nested = "".join(word.capitalize() for word in field.name.split("_"))
+            entry.type = FieldDescriptorProto.TYPE_MESSAGE
+            entry.type_name = f"{full_name}.{nested}"
+            _describe(proto.nested_type.add(name=nested), entry.type_name, field.kind)
+        elif field.kind == TIMESTAMP:
+            entry.type = FieldDescriptorProto.TYPE_MESSAGE
+            entry.type_name = f".{TIMESTAMP}"
+        else:
+            entry.type = FieldDescriptorProto.Type.Value(f"TYPE_{field.kind.upper()}")
+        if field.optional:
+            # proto3 spells presence as a union of one, named with a leading underscore
+            proto.oneof_decl.add(name=f"_{field.name}")
+            entry.oneof_index = len(proto.oneof_decl) - 1
+            entry.proto3_optional = True
+
+
+def descriptor_set(pb_class: Any) -> bytes:
+    """Return the class's FileDescriptorSet with all it depends on: the schema of an MCAP channel."""
+    found = descriptor_pb2.FileDescriptorSet()
+    for file in (*pb_class.DESCRIPTOR.file.dependencies, pb_class.DESCRIPTOR.file):
+        file.CopyToProto(found.file.add())
+    return bytes(found.SerializeToString(deterministic=True))
+
+
+def class_from_descriptor_set(data: bytes, full_name: str) -> Any:
+    """Return the protobuf class that a recording's schema describes.
+
+    Raises
+    ------
+    ValueError
+        The schema is no FileDescriptorSet or lacks the message.
+    """
+    pool = descriptor_pool.DescriptorPool()
+    try:
+        for file in descriptor_pb2.FileDescriptorSet.FromString(data).file:
+            pool.Add(file)
+        return message_factory.GetMessageClass(pool.FindMessageTypeByName(full_name))
+    except (KeyError, TypeError, message.Error) as error:
+        raise ValueError(f"schema of {full_name} cannot be used: {error}") from error
+
+
+def identifiers(names: Sequence[str]) -> tuple[str, ...]:
+    """Return a distinct protobuf identifier for each name, the name itself where it is one.
+
+    Other characters become underscores; two names that would fall together, also in the lower camel case
+    that protobuf derives for JSON, are told apart by trailing numbers.
+    """
+    taken: set[str] = set()
+    found = []
+    for name in names:
+        plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in name) or "_"
+        plain = f"_{plain}" if plain[0].isdigit() else plain
+        candidate, number = plain, 2
+        while _json_name(candidate) in taken:
+            candidate, number = f"{plain}_v{number}", number + 1
+        taken.add(_json_name(candidate))
+        found.append(candidate)
+    return tuple(found)
+
+
+def _json_name(name: str) -> str:
+    first, *others = name.split("_")
+    return first + "".join(word[:1].upper() + word[1:] for word in others)

@@ -1,0 +1,136 @@
+"""Live telemetry over Zenoh: JSON objects under a key expression -> messages.
+
+A callback takes each sample off the network thread at once, notes its time of arrival and queues it; a full
+queue drops its oldest sample. So neither a slow reader nor a flood of telemetry can stall the session, and
+both show in the counts.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from adapters.errors import TelemetryError
+from adapters.message import Message
+
+if TYPE_CHECKING:
+    import zenoh
+
+MAX_PAYLOAD_BYTES = 1 << 20
+
+_QUEUE = 4096
+_QUEUE_BYTES = 1 << 24
+
+
+@dataclass(frozen=True, slots=True)
+class ZenohLinkStatistics:
+    """What came over a link so far.
+
+    Parameters
+    ----------
+    messages : int
+        Messages received.
+    dropped : int
+        Samples dropped because the queue was full.
+    oversized : int
+        Samples of more than :data:`MAX_PAYLOAD_BYTES`.
+    malformed : int
+        Samples that are no JSON object.
+    """
+
+    messages: int
+    dropped: int
+    oversized: int
+    malformed: int
+
+
+class ZenohLink:
+    """A subscription to telemetry.
+
+    Parameters
+    ----------
+    session : zenoh.Session
+        An open session; it stays the caller's to close.
+    keyexpr : str
+        Key expression to subscribe to.
+
+    Raises
+    ------
+    TelemetryError
+        The key expression is not valid.
+    """
+
+    def __init__(self, session: zenoh.Session, keyexpr: str) -> None:
+        import zenoh
+
+        self._queue: deque[tuple[str, bytes, int]] = deque()
+        self._queued_bytes = 0
+        self._arrived = threading.Condition()
+        self._messages = self._dropped = self._oversized = self._malformed = 0
+        try:
+            self._subscriber: Any = session.declare_subscriber(keyexpr, self._take)
+        except zenoh.ZError as error:
+            raise TelemetryError(f"'{keyexpr}' is not a Zenoh key expression") from error
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        received_ns = time.time_ns()
+        size = len(sample.payload)
+        with self._arrived:
+            if size > MAX_PAYLOAD_BYTES:
+                self._oversized += 1
+                return
+            self._queue.append((str(sample.key_expr), sample.payload.to_bytes(), received_ns))
+            self._queued_bytes += size
+            while len(self._queue) > _QUEUE or self._queued_bytes > _QUEUE_BYTES:
+                self._queued_bytes -= len(self._queue.popleft()[1])
+                self._dropped += 1
+            self._arrived.notify()
+
+    def receive(self, timeout_s: float) -> list[Message]:
+        """Return all messages that are there; wait for the first one at most ``timeout_s`` seconds."""
+        with self._arrived:
+            if not self._queue:
+                self._arrived.wait(timeout_s)
+            arrived = tuple(self._queue)
+            self._queue.clear()
+            self._queued_bytes = 0
+        messages = []
+        for key, payload, received_ns in arrived:
+            fields = _json_object(payload)
+            if fields is None:
+                self._malformed += 1
+            else:
+                messages.append(Message("zenoh", key, received_ns, fields))
+        self._messages += len(messages)
+        return messages
+
+    def statistics(self) -> ZenohLinkStatistics:
+        """Return the counts so far."""
+        return ZenohLinkStatistics(
+            messages=self._messages,
+            dropped=self._dropped,
+            oversized=self._oversized,
+            malformed=self._malformed,
+        )
+
+    def close(self) -> None:
+        """End the subscription."""
+        self._subscriber.undeclare()
+
+    def __enter__(self) -> ZenohLink:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _json_object(payload: bytes) -> dict[str, object] | None:
+    try:
+        fields = json.loads(payload)
+    except (ValueError, RecursionError):
+        return None
+    return fields if isinstance(fields, dict) else None

@@ -1,0 +1,124 @@
+"""Channels: how they are written in TOML, and what they take from a message."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adapters.channels import Channel, channel_table, parse_channel
+from adapters.errors import TelemetryError
+
+NAMES = st.text("abcdefgh_0123", min_size=1, max_size=8).filter(lambda name: not name[0].isdigit())
+
+
+@given(
+    message=NAMES,
+    path=st.lists(st.one_of(NAMES, st.integers(0, 99)), max_size=3),
+    head=NAMES,
+    scale=st.floats(-1e6, 1e6),
+    offset=st.floats(-1e6, 1e6),
+    where=st.dictionaries(NAMES, st.one_of(st.integers(), NAMES), max_size=2),
+    clock=st.none() | NAMES,
+    unit=st.none() | st.integers(1, 10**9),
+    interpolation=st.sampled_from(["linear", "previous"]),
+)
+def test_a_channel_survives_the_way_through_its_table(
+    message: str, path: list[Any], head: str, **rest: Any
+) -> None:
+    channel = Channel(
+        name="c",
+        message=message,
+        path=(head, *path),
+        scale=rest["scale"],
+        offset=rest["offset"],
+        where=tuple(rest["where"].items()),
+        clock=rest["clock"],
+        clock_unit_ns=rest["unit"],
+        interpolation=rest["interpolation"],
+    )
+    assert parse_channel("c", channel_table(channel), "here") == channel
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"field": "a"}, "'message' is missing"),
+        ({"message": "A", "field": ""}, "'field' is missing"),
+        ({"message": "A", "field": "..."}, "write it like"),
+        ({"message": "A", "field": "a", "unit": "m"}, "unknown key 'unit'"),
+        ({"message": "A", "field": "a", "scale": "2"}, "'scale' is not a number"),
+        ({"message": "A", "field": "a", "where": [1]}, "'where' is not a table"),
+        ({"message": "A", "field": "a", "where": {"port": 1.5}}, "'where' is not a table"),
+        ({"message": "A", "field": "a", "clock": 1}, "'clock' is not the name"),
+        ({"message": "A", "field": "a", "clock_unit_ns": 0}, "'clock_unit_ns' is not"),
+        ({"message": "A", "field": "a", "interpolation": "cubic"}, "use 'linear' or 'previous'"),
+    ],
+)
+def test_a_wrong_table_is_reported_in_one_line_that_names_it(table: dict[str, Any], said: str) -> None:
+    with pytest.raises(TelemetryError, match=r"profile\.toml: channels\.a") as caught:
+        parse_channel("a", table, "profile.toml: channels.a")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_value_is_scaled_and_found_inside_lists_and_tables() -> None:
+    fields = {"data": [1.0, 2.0], "pose": {"x": [3, 4]}}
+    assert Channel("c", "M", ("data", 1), scale=2.0, offset=1.0).value(fields) == 5.0
+    assert Channel("c", "M", ("pose", "x", 0)).value(fields) == 3.0
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {},
+        {"a": "1"},
+        {"a": None},
+        {"a": True},
+        {"a": [1]},
+        {"a": math.nan},
+        {"a": -math.inf},
+        {"a": 10**400},
+        {"a": 1e301},
+    ],
+)
+def test_what_is_no_finite_number_is_no_value(fields: dict[str, Any]) -> None:
+    assert Channel("c", "M", ("a",)).value(fields) is None
+
+
+@pytest.mark.parametrize("path", [("a", 7), ("a", "b"), ("a", 0, 0), ("b", 0)])
+def test_a_path_that_leads_nowhere_gives_no_value(path: tuple[str | int, ...]) -> None:
+    assert Channel("c", "M", path).value({"a": [1.0]}) is None
+
+
+@pytest.mark.parametrize(
+    ("fields", "stamp"),
+    [
+        ({"time_boot_ms": 5}, 5_000_000),
+        ({"time_usec": 5}, 5_000),
+        ({"time_ns": 5}, 5),
+        ({"time_boot_ms": 1, "time_usec": 5}, 1_000_000),
+        ({"time_boot_ms": "x", "time_usec": 5}, 5_000),
+        ({"time_boot_ms": True}, None),
+        ({"time_usec": math.nan}, None),
+        ({}, None),
+    ],
+)
+def test_the_usual_clocks_are_known(fields: dict[str, Any], stamp: int | None) -> None:
+    assert Channel("c", "M", ("a",)).stamp_ns(fields) == stamp
+
+
+def test_a_clock_of_ones_own_may_count_fractions() -> None:
+    channel = Channel("c", "M", ("a",), clock="t", clock_unit_ns=1_000_000_000)
+    assert channel.stamp_ns({"t": 1.25, "time_boot_ms": 7}) == 1_250_000_000
+    assert channel.stamp_ns({"time_boot_ms": 7}) is None
+
+
+def test_where_selects_among_messages_of_one_name() -> None:
+    channel = Channel("c", "SERVO_OUTPUT_RAW", ("servo1_raw",), where=(("port", 0),))
+    assert channel.selects({"port": 0})
+    assert not channel.selects({"port": 1})
+    assert not channel.selects({})

@@ -1,0 +1,459 @@
+"""The sampler's rules, one by one, and against shuffled, repeated and lost messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adapters.channels import Channel
+from adapters.clock import VehicleClock
+from adapters.message import Message
+from adapters.sample import Sample
+from adapters.sampler import Sampler
+
+MS = 1_000_000
+UNIX = 1_795_251_917_000 * MS
+SPEED = Channel("speed", "A", ("speed",))
+COMMAND = Channel("command", "B", ("command",))
+
+
+def sampler(inputs: list[Channel] | None = None, outputs: list[Channel] | None = None, rate: float = 100.0) -> Sampler:
+    return Sampler([COMMAND] if inputs is None else inputs, outputs or [SPEED], rate, VehicleClock())
+
+
+def message(name: str, time_us: int, **fields: Any) -> Message:
+    return Message("mavlink", name, UNIX + time_us * 1_000, {"time_usec": time_us, **fields}, 1, 1)
+
+
+def line(time_us: int) -> float:
+    return 3.0 + 0.25 * time_us / 1e6
+
+
+def telemetry(start_us: int, stop_us: int, step_a: int = 10_000, step_b: int = 10_000) -> list[Message]:
+    """Return two messages on their own schedules, both linear in time, in order of time."""
+    both = [message("A", t, speed=line(t)) for t in range(start_us + 1_700, stop_us, step_a)]
+    both += [message("B", t, command=-line(t)) for t in range(start_us + 400, stop_us, step_b)]
+    return sorted(both, key=lambda m: m.received_ns)
+
+
+def feed(to: Sampler, messages: Iterable[Message]) -> list[Sample]:
+    return [sample for one in messages for sample in to.feed(one)]
+
+
+def values(samples: list[Sample]) -> list[tuple[int, float, float]]:
+    return [(sample.index, float(sample.u[0]), float(sample.y[0])) for sample in samples]
+
+
+def test_ticks_lie_at_whole_multiples_of_the_period_on_the_vehicles_clock() -> None:
+    samples = feed(sampler(), telemetry(1_000_000, 2_000_000))
+    assert [sample.index for sample in samples] == list(range(101, 199 + 1))
+    assert all(sample.vehicle_time_ns == sample.index * 10 * MS for sample in samples)
+    assert [sample.restart for sample in samples] == [True] + [False] * (len(samples) - 1)
+    assert all(sample.complete for sample in samples)
+
+
+@pytest.mark.parametrize("rate", [3.0, 29.97, 33.3, 60.0, 400.0])
+def test_periods_that_are_no_whole_nanoseconds_do_not_drift(rate: float) -> None:
+    samples = feed(sampler(rate=rate), telemetry(0, 3_000_000))
+    assert [sample.index for sample in samples] == list(range(samples[0].index, samples[0].index + len(samples)))
+    for sample in samples:
+        assert abs(sample.vehicle_time_ns - sample.index * 1e9 / rate) < 1
+
+
+def test_linear_signals_are_interpolated_exactly() -> None:
+    for sample in feed(sampler(), telemetry(500_000, 1_500_000, 7_000, 13_000)):
+        truth = line(sample.vehicle_time_ns // 1_000)
+        assert sample.y[0] == pytest.approx(truth, abs=1e-12)
+        assert sample.u[0] == pytest.approx(-truth, abs=1e-12)
+
+
+def test_a_held_channel_keeps_its_newest_value() -> None:
+    held = Channel("command", "B", ("command",), interpolation="previous")
+    messages = sorted(
+        [message("A", t, speed=1.0) for t in range(10_000, 400_000, 10_000)]
+        + [message("B", t, command=float(t // 50_000)) for t in range(13_000, 400_000, 50_000)],
+        key=lambda m: m.received_ns,
+    )
+    samples = feed(sampler([held]), messages)
+    assert len(samples) > 30
+    for sample in samples:
+        newest = (sample.vehicle_time_ns // 1_000 - 13_000) // 50_000 * 50_000 + 13_000
+        assert sample.u[0] == newest // 50_000
+
+
+def test_a_sample_comes_as_soon_as_every_channel_has_reached_its_tick() -> None:
+    to = sampler()
+    feed(to, telemetry(0, 200_000))
+    assert to.feed(message("A", 210_000, speed=0.0)) == []
+    assert [sample.index for sample in to.feed(message("B", 210_000, command=0.0))] == [20, 21]
+
+
+def test_channels_of_one_message_keep_their_places_in_u_and_y() -> None:
+    inputs = [Channel("b", "M", ("b",)), Channel("a", "M", ("a",))]
+    outputs = [Channel("c", "N", ("c",)), Channel("d", "M", ("d",), scale=2.0)]
+    messages = []
+    for t in range(10_000, 100_000, 10_000):
+        messages += [message("M", t, a=1.0, b=2.0, d=4.0), message("N", t, c=3.0)]
+    samples = feed(Sampler(inputs, outputs, 100.0, VehicleClock()), messages)
+    assert samples
+    for sample in samples:
+        assert sample.u.tolist() == [2.0, 1.0]
+        assert sample.y.tolist() == [3.0, 8.0]
+
+
+def test_a_sampler_may_be_without_inputs() -> None:
+    samples = feed(sampler([]), telemetry(0, 100_000))
+    assert samples
+    assert samples[0].u.shape == (0,)
+
+
+@given(
+    st.integers(0, 2**32),
+    st.lists(st.integers(0, 4), min_size=300, max_size=300),
+    st.integers(0, 30),
+    st.integers(3, 12),
+)
+@settings(max_examples=60, deadline=None)
+def test_loss_repetition_and_reordering_never_break_the_grid(
+    seed: int, copies: list[int], loss: int, reach: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    arriving = []
+    for place, one in enumerate(telemetry(2_000_000, 3_500_000)):
+        if rng.random() * 100 < loss:
+            continue
+        repeats = 2 if copies[place % len(copies)] == 0 else 1
+        arriving += [(place + rng.integers(0, reach), one) for _ in range(repeats)]
+    arriving.sort(key=lambda pair: pair[0])
+    to = sampler()
+    samples = feed(to, [one for _, one in arriving])
+    indices = [sample.index for sample in samples]
+    assert indices == sorted(set(indices))
+    assert [sample.time_ns for sample in samples] == sorted({sample.time_ns for sample in samples})
+    for before, sample in zip([None, *samples], samples, strict=False):
+        truth = line(sample.vehicle_time_ns // 1_000)
+        assert sample.y[0] == pytest.approx(truth, abs=1e-12)
+        assert sample.u[0] == pytest.approx(-truth, abs=1e-12)
+        assert sample.restart == (before is None or sample.index != before.index + 1)
+    counts = to.statistics()
+    assert counts.samples == len(samples)
+    assert counts.incomplete == sum(not sample.complete for sample in samples)
+    assert counts.restarts == sum(sample.restart for sample in samples)
+    if samples:
+        assert counts.skipped == indices[-1] - indices[0] + 1 - len(samples)
+
+
+@given(st.integers(0, 2**32), st.integers(2, 6))
+@settings(max_examples=40, deadline=None)
+def test_reordering_and_repetition_within_the_time_to_wait_lose_nothing(seed: int, reach: int) -> None:
+    rng = np.random.default_rng(seed)
+    slow = [message("C", t, slow=0.0) for t in range(2_000_000, 3_000_000, 100_000)]
+    fast = telemetry(2_000_000, 3_000_000)
+    outputs = [SPEED, Channel("slow", "C", ("slow",))]
+    ordered = sorted([*fast, *slow], key=lambda m: m.received_ns)
+    places = np.arange(len(ordered)) + rng.integers(0, reach, len(ordered))
+    shuffled = [ordered[i] for i in np.argsort(places, kind="stable")]
+    expected = {index: (u, y) for index, u, y in values(feed(sampler(outputs=outputs), ordered))}
+    got = {index: (u, y) for index, u, y in values(feed(sampler(outputs=outputs), [*shuffled, *shuffled[-5:]]))}
+    # A fast message may be overtaken by the slow one that releases its ticks: that tick's value may come from
+    # wider neighbours, which on a straight line is the same value.
+    assert sorted(got) == sorted(expected)
+    for index, pair in expected.items():
+        assert got[index] == pytest.approx(pair, abs=1e-12)
+
+
+@given(st.integers(1, 400), st.integers(0, 2**32))
+@settings(max_examples=40, deadline=None)
+def test_a_late_start_gives_the_same_samples(cut: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    messages = telemetry(1_000_000, 6_000_000, 10_000, 20_000)
+    messages = [
+        message(one.name, one.fields["time_usec"], speed=rng.normal(), command=rng.normal()) for one in messages
+    ]
+    whole = {sample.index: sample for sample in feed(sampler(), messages)}
+    part = feed(sampler(), messages[cut:])
+    assert len(part) > 200
+    for sample in part:
+        twin = whole[sample.index]
+        assert np.array_equal(sample.u, twin.u)
+        assert np.array_equal(sample.y, twin.y)
+        assert (sample.vehicle_time_ns, sample.complete) == (twin.vehicle_time_ns, twin.complete)
+
+
+def test_a_repeated_message_with_unchanged_sensor_time_is_one_measurement() -> None:
+    fix = Channel("fix", "GPS_RAW_INT", ("lat",))
+    messages = []
+    for t in range(100_000, 3_000_000, 100_000):
+        measured = t // 200_000 * 200_000
+        messages.append(
+            Message("mavlink", "GPS_RAW_INT", UNIX + t * 1000, {"time_usec": measured, "lat": line(measured)})
+        )
+    to = sampler([], [fix], rate=20.0)
+    samples = feed(to, messages)
+    assert to.statistics().duplicates == 14
+    assert to.statistics().untimed == 1
+    assert len(samples) > 40
+    assert all(sample.complete for sample in samples)
+    for sample in samples:
+        assert sample.y[0] == pytest.approx(line(sample.vehicle_time_ns // 1_000), abs=1e-12)
+
+
+def test_a_stamp_of_zero_is_no_time_on_mavlink_and_the_start_on_zenoh() -> None:
+    channel = Channel("c", "A", ("speed",))
+    to = sampler([], [channel])
+    assert to.feed(message("A", 0, speed=1.0)) == []
+    assert to.statistics().untimed == 1
+    json = Sampler([], [Channel("c", "arm", ("v",))], 100.0, VehicleClock())
+    samples = feed(
+        json,
+        [Message("zenoh", "arm", UNIX + t, {"time_ns": t, "v": 1.0}) for t in range(0, 50 * MS, 10 * MS)],
+    )
+    assert [sample.index for sample in samples] == [0, 1, 2, 3, 4]
+
+
+def test_a_channel_without_a_clock_of_its_own_takes_the_newest_time() -> None:
+    wind = Channel("wind", "WIND", ("speed",))
+    to = sampler([wind], [SPEED])
+    assert to.feed(Message("mavlink", "WIND", UNIX, {"speed": 5.0})) == []
+    assert to.statistics().untimed == 1
+    messages = []
+    for t in range(10_000, 300_000, 10_000):
+        messages += [message("A", t, speed=1.0), Message("mavlink", "WIND", UNIX, {"speed": 5.0})]
+    samples = feed(to, messages)
+    assert len(samples) == 29
+    assert all(sample.u[0] == 5.0 for sample in samples)
+
+
+def test_messages_of_one_name_are_told_apart_by_their_fields() -> None:
+    inputs = [
+        Channel("motor1", "SERVO", ("servo1",), where=(("port", 0),)),
+        Channel("gimbal", "SERVO", ("servo1",), where=(("port", 1),)),
+    ]
+    messages = []
+    for t in range(10_000, 200_000, 10_000):
+        messages += [message("SERVO", t, port=port, servo1=100.0 + port) for port in (0, 1, 2)]
+        messages.append(message("A", t, speed=0.0))
+    samples = feed(sampler(inputs), messages)
+    assert len(samples) == 19
+    assert all(sample.u.tolist() == [100.0, 101.0] for sample in samples)
+
+
+def test_one_lost_message_is_bridged_and_marked() -> None:
+    messages = [m for m in telemetry(0, 1_000_000) if m.fields["time_usec"] != 501_700]
+    samples = feed(sampler(), messages)
+    assert [sample.index for sample in samples if not sample.complete] == [50, 51]
+    assert sum(sample.restart for sample in samples) == 1
+
+
+def test_jitter_of_a_fifth_of_the_period_is_no_loss() -> None:
+    messages = [message("A", t + (2_000 if t % 20_000 else 0), speed=0.0) for t in range(10_000, 2_000_000, 10_000)]
+    samples = feed(sampler([]), messages)
+    assert len(samples) > 190
+    assert all(sample.complete for sample in samples)
+
+
+def test_a_gap_is_skipped_and_its_end_is_a_restart() -> None:
+    messages = [
+        m for m in telemetry(0, 3_000_000) if not (m.name == "A" and 1_000_000 < m.fields["time_usec"] < 1_150_000)
+    ]
+    to = sampler()
+    samples = feed(to, messages)
+    restarts = [sample.index for sample in samples if sample.restart]
+    assert restarts == [1, 116]
+    assert [sample.index for sample in samples if 95 < sample.index < 120] == [
+        96,
+        97,
+        98,
+        99,
+        116,
+        117,
+        118,
+        119,
+    ]
+    assert to.statistics().skipped == 16
+
+
+def test_a_slow_channel_is_bridged_over_ten_of_its_periods() -> None:
+    slow = Channel("slow", "C", ("slow",))
+    lost = range(2_000_000, 3_300_000)
+    messages = telemetry(0, 6_000_000) + [
+        message("C", t, slow=line(t)) for t in range(10_000, 6_000_000, 200_000) if t not in lost
+    ]
+    messages.sort(key=lambda m: m.received_ns)
+    samples = feed(sampler(outputs=[SPEED, slow]), messages)
+    assert sum(sample.restart for sample in samples) == 1
+    assert {sample.index for sample in samples if not sample.complete} == set(range(182, 341))
+
+
+def test_a_channel_that_stops_holds_up_neither_memory_nor_the_restart() -> None:
+    to = sampler()
+    feed(to, telemetry(0, 1_000_000))
+    longest = 0
+    for t in range(1_000_000, 8_000_000, 1_000):
+        assert [s for s in to.feed(message("A", t, speed=0.0)) if s.index > 100] == []
+        longest = max(longest, *(len(lane.stamps) for lane in to._lanes))
+    assert longest <= 510
+    samples = feed(to, telemetry(8_000_000, 9_000_000))
+    assert [sample.index for sample in samples if sample.restart] == [801]
+    assert samples[-1].index == 899
+
+
+def test_a_channel_that_never_comes_costs_bounded_memory() -> None:
+    to = sampler()
+    for t in range(1_000, 20_000_000, 1_000):
+        assert to.feed(message("A", t, speed=0.0)) == []
+    assert max(len(lane.stamps) for lane in to._lanes) <= 510
+
+
+def test_a_flood_of_stamps_costs_bounded_memory() -> None:
+    to = sampler()
+    for t in range(1, 60_000):
+        to.feed(Message("zenoh", "A", UNIX, {"time_ns": t, "speed": 0.0}))
+    for t in range(1, 60_000):
+        to.feed(Message("zenoh", "A", UNIX, {"time_ns": 1_000_000 - 10 * t, "speed": 0.0}))
+    assert max(len(lane.stamps) for lane in to._lanes) <= 1 << 14
+
+
+def test_a_reboot_starts_all_buffers_anew_without_losing_a_message() -> None:
+    to = sampler()
+    feed(to, telemetry(50_000_000, 51_000_000))
+    samples = feed(
+        to,
+        [Message(m.source, m.name, m.received_ns + 60_000 * MS, m.fields) for m in telemetry(2_000_000, 3_000_000)],
+    )
+    assert samples[0].index == 201
+    assert samples[0].restart
+    assert [sample.index for sample in samples] == list(range(201, 300))
+    assert to.statistics().clock_restarts == 1
+
+
+def test_single_damaged_stamps_cost_only_their_own_message() -> None:
+    messages = telemetry(20_000_000, 21_000_000)
+    clean = values(feed(sampler(), messages))
+    for damaged in (1_000, 15_000_000, 28_000_000, 4_000_000_000_000):
+        to = sampler()
+        spoiled = messages.copy()
+        spoiled.insert(100, message("A", damaged, speed=1e6))
+        assert values(feed(to, spoiled)) == clean
+        counts = to.statistics()
+        assert (counts.doubted, counts.clock_restarts) == (1, 0)
+
+
+def test_two_samplers_may_share_a_clock() -> None:
+    clock = VehicleClock()
+    first, second = Sampler([COMMAND], [SPEED], 100.0, clock), Sampler([], [SPEED], 50.0, clock)
+    messages = telemetry(50_000_000, 51_000_000) + telemetry(2_000_000, 3_000_000)
+    messages.insert(120, message("A", 7_000_000, speed=1e6))
+    got: tuple[list[Sample], list[Sample]] = ([], [])
+    for one in messages:
+        got[0].extend(first.feed(one))
+        got[1].extend(second.feed(one))
+    assert clock.boot == 1
+    assert [s.index for s in got[0] if s.restart] == [5001, 201]
+    assert [s.index for s in got[1] if s.restart] == [2501, 101]
+    assert all(abs(s.y[0]) < 100 for s in (*got[0], *got[1]))
+
+
+def test_a_32_bit_clock_that_turns_over_does_not_interrupt() -> None:
+    turn_us = 1 << 32
+    messages = telemetry(turn_us - 500_000, turn_us + 500_000)
+    wrapped = [
+        Message(m.source, m.name, m.received_ns, {**m.fields, "time_usec": m.fields["time_usec"] % turn_us})
+        if m.name == "B"
+        else m
+        for m in messages
+    ]
+    assert values(feed(sampler(), wrapped)) == values(feed(sampler(), messages))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, None, "1.0", True, [1.0], 10**400])
+def test_a_value_that_is_no_number_is_ignored_and_counted(bad: Any) -> None:
+    to = sampler()
+    messages = telemetry(0, 1_000_000)
+    spoiled = [
+        Message(m.source, m.name, m.received_ns, {**m.fields, "speed": bad}) if m.fields["time_usec"] == 501_700 else m
+        for m in messages
+    ]
+    samples = feed(to, spoiled)
+    assert to.statistics().invalid == 1
+    assert [sample.index for sample in samples if not sample.complete] == [50, 51]
+    assert all(np.isfinite(sample.y).all() for sample in samples)
+
+
+def test_one_bad_value_does_not_take_the_rest_of_its_message_along() -> None:
+    outputs = [Channel("p", "A", ("p",)), Channel("q", "A", ("q",))]
+    to = sampler([], outputs)
+    messages = [
+        message("A", t, p=line(t), q=-line(t) if t != 500_000 else math.nan) for t in range(10_000, 1_000_000, 10_000)
+    ]
+    samples = feed(to, messages)
+    assert [sample.index for sample in samples] == list(range(1, 100))
+    assert [sample.index for sample in samples if not sample.complete] == [50]
+    assert to.statistics().invalid == 1
+    for sample in samples:
+        truth = line(sample.vehicle_time_ns // 1_000)
+        assert sample.y == pytest.approx([truth, -truth], abs=1e-12)
+
+
+def test_channels_that_come_in_turns_under_one_name_are_all_taken() -> None:
+    outputs = [Channel("p", "A", ("p",)), Channel("q", "A", ("q",))]
+    messages = [
+        message("A", t, **({"p": line(t)} if t % 20_000 else {"q": -line(t)})) for t in range(10_000, 1_000_000, 10_000)
+    ]
+    samples = feed(sampler([], outputs), messages)
+    assert [sample.index for sample in samples] == list(range(2, 99))
+    assert all(sample.complete for sample in samples)
+
+
+def test_unix_time_goes_on_while_the_offset_is_being_learned() -> None:
+    to = sampler([])
+    delays = [80, 80, 80, 60, 20, 1, 1, 1, 1, 1] + [1] * 90
+    messages = [
+        Message("mavlink", "A", UNIX + (t + delay) * MS, {"time_boot_ms": t, "speed": 0.0})
+        for t, delay in zip(range(10, 1010, 10), delays, strict=True)
+    ]
+    samples = feed(to, messages)
+    steps = np.diff([sample.time_ns for sample in samples])
+    assert (steps >= 5 * MS).all()
+    assert samples[-1].time_ns == UNIX + samples[-1].vehicle_time_ns + 1 * MS
+
+
+def test_the_same_messages_give_the_same_samples() -> None:
+    messages = telemetry(0, 2_000_000, 7_000, 11_000)
+    first, second = (feed(sampler(), messages) for _ in range(2))
+    assert values(first) == values(second)
+    assert [s.time_ns for s in first] == [s.time_ns for s in second]
+
+
+def test_messages_of_no_interest_are_passed_over() -> None:
+    to = sampler()
+    assert to.interests == {"A", "B"}
+    assert to.feed(message("C", 1_000)) == []
+    assert to.statistics().messages == 0
+
+
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.sampled_from(["speed", "x"]), inner, max_size=2),
+    max_leaves=4,
+)
+FIELDS = st.dictionaries(
+    st.sampled_from(["time_usec", "time_boot_ms", "time_ns", "speed", "command"]), ANYTHING | st.integers(0, 10**6)
+)
+
+
+@given(st.lists(st.tuples(st.sampled_from("AB"), FIELDS, st.integers(-(10**18), 10**19)), max_size=60))
+@settings(deadline=None)
+def test_no_message_makes_the_sampler_fail(messages: list[tuple[str, dict[str, Any], int]]) -> None:
+    to = sampler(rate=1000.0)
+    for name, fields, received_ns in messages:
+        for sample in to.feed(Message("zenoh", name, received_ns, fields)):
+            assert np.isfinite(sample.u).all()
+            assert np.isfinite(sample.y).all()
+    assert len(feed(to, telemetry(10_000_000_000, 10_001_000_000))) > 800

@@ -1,0 +1,97 @@
+"""Sending a recorded flight: the very packets, over a real socket, from the command line as well."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from adapters.errors import TelemetryError
+from adapters.mavlink_link import MavlinkLink
+from adapters.message import Message
+from adapters.tlog import read_tlog
+from adapters.tlog_sender import main, send_tlog
+
+ROOT = Path(__file__).parent.parent
+FLIGHT = ROOT / "tests" / "data" / "copter_5s.tlog.xz"
+
+
+@pytest.fixture
+def port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def contents(messages: list[Message]) -> list[tuple[str, int, str]]:
+    return [(message.name, message.system, repr(dict(message.fields))) for message in messages]
+
+
+def test_a_link_receives_what_the_log_holds(port: int) -> None:
+    expected = contents(list(read_tlog(FLIGHT)))
+    with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
+        sender = threading.Thread(target=send_tlog, args=(FLIGHT, "127.0.0.1", port, 10.0))
+        sender.start()
+        received: list[Message] = []
+        while len(received) < len(expected):
+            received += link.receive(0.2)
+        sender.join()
+    assert contents(received) == expected
+
+
+def test_a_part_of_the_log_is_sent(port: int) -> None:
+    first = next(iter(read_tlog(FLIGHT))).received_ns
+    part = [m for m in read_tlog(FLIGHT) if 1.0 <= (m.received_ns - first) / 1e9 < 1.5]
+    with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
+        assert send_tlog(FLIGHT, "127.0.0.1", port, 50.0, start_s=1.0, stop_s=1.5) == len(part)
+        received: list[Message] = []
+        while len(received) < len(part):
+            received += link.receive(0.2)
+    assert contents(received) == contents(part)
+
+
+def test_another_process_sends_from_the_command_line(port: int) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "adapters.tlog_sender",
+        str(FLIGHT),
+        f"udp:127.0.0.1:{port}",
+        "--speed",
+        "20",
+    ]
+    with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
+        sender = subprocess.Popen([*command, "--stop", "2"], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+        received: list[Message] = []
+        while len(received) < 1_000:
+            received += link.receive(0.2)
+        _, said = sender.communicate()
+    assert sender.returncode == 0
+    assert said.endswith(" packets sent\n")
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["none.tlog", "udp:127.0.0.1:9"],
+        [str(FLIGHT), "127.0.0.1:9"],
+        [str(FLIGHT), "udp:here"],
+        [str(FLIGHT), "tcp:127.0.0.1:9"],
+    ],
+)
+def test_what_cannot_be_sent_is_reported_in_one_line(
+    args: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(args) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("tlog_sender: ")
+    assert said.count("\n") == 1
+
+
+def test_an_unknown_host_is_reported() -> None:
+    with pytest.raises(TelemetryError, match="cannot be resolved"):
+        send_tlog(FLIGHT, "no-such-host.invalid", 9)
