@@ -50,7 +50,7 @@ class Estimate:
     fault : NDArray[np.float64]
         Joint fault estimate [f_a^; f_s^] (a1 + a2,) in the channels' units.
     isolated : NDArray[np.float64]
-        For each fault channel, the size that fits best if that channel alone were at fault (a1 + a2,).
+        What each fault channel is held responsible for after isolation (a1 + a2,), zero for the others.
     residual : NDArray[np.float64]
         Output error yt = y - Cb zeta^ (p,).
     armed : bool

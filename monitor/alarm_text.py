@@ -1,0 +1,36 @@
+"""One readable line per alarm event, for people at a terminal."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+from monitor.event import AlarmEvent
+
+
+def alarm_line(event: AlarmEvent) -> str:
+    """Return time, vehicle, channel, state, size and message of an event in one line.
+
+    What came over a network is printed without control characters: it shall not drive the terminal.
+    """
+    size = "" if event.estimate is None else f"{event.estimate:+.4g} {event.unit}"
+    share = "" if event.relative is None else f"({100 * event.relative:+.1f} %)"
+    parts = (
+        utc(event.time_ns),
+        event.vehicle,
+        f"{event.observer}/{event.channel}",
+        f"{event.state:<7}",
+        f"{event.severity:<8}",
+        size,
+        share,
+        event.message,
+    )
+    return "".join(c if c.isprintable() else "?" for c in "  ".join(part for part in parts if part))
+
+
+def utc(time_ns: int) -> str:
+    """Return a Unix time as ISO 8601 in UTC with milliseconds; the number itself where no calendar has it."""
+    try:
+        day = datetime.fromtimestamp(time_ns // 1_000_000_000, UTC)
+    except (OverflowError, OSError, ValueError):
+        return f"{time_ns} ns"
+    return f"{day:%Y-%m-%dT%H:%M:%S}.{time_ns // 1_000_000 % 1000:03d}Z"

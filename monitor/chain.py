@@ -1,0 +1,178 @@
+"""One observer of a vehicle from messages to events: sampler -> gate -> observer -> isolation -> alarms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.clock import VehicleClock
+from adapters.message import Message
+from adapters.phase import FlightPhase
+from adapters.sample import Sample
+from adapters.sampler import Sampler, SamplerStatistics
+from monitor.alarm import Alarm
+from monitor.estimate import Estimate, Layout
+from monitor.event import AlarmEvent
+from monitor.gate import FlightGate, GateRule
+from monitor.input_curve import fault_in_command, relative_loss
+from monitor.isolation import IndependentChannels, SingleFaultIsolator
+from monitor.observer import Observer
+from monitor.profile import ObserverProfile
+
+Output = Estimate | AlarmEvent
+
+
+class ObserverChain:
+    """State of one observer of one vehicle.
+
+    Parameters
+    ----------
+    profile : ObserverProfile
+        The observer's part of the profile.
+    vehicle : str
+        The vehicle's name in events.
+    gate : GateRule
+        When samples count as evidence.
+    clock : VehicleClock
+        The vehicle's clock, shared by its observers.
+    count : Callable[[], int]
+        Gives the next event's sequence number.
+    """
+
+    def __init__(
+        self,
+        profile: ObserverProfile,
+        vehicle: str,
+        gate: GateRule,
+        clock: VehicleClock,
+        count: Callable[[], int],
+    ) -> None:
+        gains = profile.gains
+        self.layout = Layout(
+            observer=profile.name,
+            rate_hz=gains.rate_hz,
+            inputs=gains.inputs,
+            outputs=gains.outputs,
+            states=gains.states,
+            faults=gains.faults,
+            fault_units=gains.fault_units,
+        )
+        self._name = profile.name
+        self._sampler = Sampler(profile.inputs, profile.outputs, gains.rate_hz, clock)
+        self._gate = FlightGate(gate)
+        self._observer = Observer(gains)
+        self._isolator = make_isolator(profile)
+        alarms = {rule.channel: Alarm(rule, vehicle, count) for rule in profile.alarms}
+        self._alarms = [(gains.faults.index(channel), alarm) for channel, alarm in alarms.items()]
+        self._command = CommandUnits(profile)
+
+    @property
+    def interests(self) -> frozenset[str]:
+        """Names of the messages the observer's channels come from."""
+        return self._sampler.interests
+
+    def statistics(self) -> SamplerStatistics:
+        """Return what the sampler counted."""
+        return self._sampler.statistics()
+
+    def feed(self, message: Message, phase: FlightPhase) -> list[Output]:
+        """Take one message; return estimates and events in the order they arise."""
+        outputs: list[Output] = []
+        for sample in self._sampler.feed(message):
+            outputs.extend(self.step(sample, self._gate.admits(phase, sample) and sample.complete))
+        return outputs
+
+    def step(self, sample: Sample, armed: bool) -> list[Output]:
+        """Take one sample, ``armed`` saying whether it is evidence; return its estimate and the events it causes."""
+        if sample.restart:
+            self._observer.restart(sample.u, sample.y)
+            self._isolator.restart()
+            self._command.restart(sample.u)
+        observer = self._observer
+        observer.step(sample.u, sample.y)
+        isolation = self._isolator.update(observer.fault)
+        self._command.follow(sample.u)
+        fault, isolated = self._command.convert(np.stack([observer.fault, isolation.evidence]))
+        outputs: list[Output] = [
+            Estimate(
+                observer=self._name,
+                sample=sample,
+                x=observer.x.copy(),
+                fault=fault,
+                isolated=isolated,
+                residual=observer.residual.copy(),
+                armed=armed,
+            )
+        ]
+        for index, alarm in self._alarms:
+            if not armed:
+                alarm.pause()
+                continue
+            size = float(isolated[index])
+            event = alarm.update(sample, size, self._command.relative(index, size))
+            if event is not None:
+                outputs.append(event)
+        return outputs
+
+
+class CommandUnits:
+    """Takes fault estimates from effect units to command units at the smoothed command.
+
+    Parameters
+    ----------
+    profile : ObserverProfile
+        Gives the input curves, which fault scales which input, and the smoothing of the estimates, which the
+        command has to share for their ratio to mean anything.
+    """
+
+    def __init__(self, profile: ObserverProfile) -> None:
+        gains = profile.gains
+        self._curves = gains.input_curves
+        pairs = [(i, source) for i, source in enumerate(gains.fault_inputs) if source is not None]
+        self._faults = np.array([fault for fault, _ in pairs], dtype=np.intp)
+        self._inputs = np.array([source for _, source in pairs], dtype=np.intp)
+        self._input_of = dict(pairs)
+        smoothing_s = profile.isolation.smoothing_s
+        self._keep = float(np.exp(-1.0 / (smoothing_s * gains.rate_hz))) if smoothing_s > 0 else 0.0
+        self._u = np.zeros(len(gains.inputs))
+
+    def restart(self, u: NDArray[np.float64]) -> None:
+        """Start the smoothed command at ``u`` (s,)."""
+        self._u[:] = u
+
+    def follow(self, u: NDArray[np.float64]) -> None:
+        """Take the command of one sample (s,)."""
+        self._u *= self._keep
+        self._u += (1.0 - self._keep) * u
+
+    def convert(self, faults: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return rows of fault estimates (k, a) in command units where a fault scales an input."""
+        if len(self._faults):
+            faults[:, self._faults] = fault_in_command(
+                faults[:, self._faults], self._u[self._inputs], self._curves[self._inputs]
+            )
+        return faults
+
+    def relative(self, index: int, size: float) -> float | None:
+        """Return a fault's size over the command it scales, None where it scales none."""
+        source = self._input_of.get(index)
+        return None if source is None else relative_loss(size, float(self._u[source]))
+
+
+def make_isolator(profile: ObserverProfile) -> SingleFaultIsolator | IndependentChannels:
+    """Return the isolation stage that a profile asks for."""
+    rule, gains = profile.isolation, profile.gains
+    if rule.method == "independent":
+        return IndependentChannels(len(gains.faults), rule.smoothing_s, gains.rate_hz)
+    losses = np.array([source is not None for source in gains.fault_inputs], dtype=np.bool_)
+    return SingleFaultIsolator(
+        rule.covariance,
+        rule.smoothing_s,
+        gains.rate_hz,
+        rule.tolerance,
+        rule.score_floor,
+        rule.gain_penalty,
+        losses,
+    )

@@ -1,0 +1,48 @@
+"""Zenoh keys of the contract: what the monitor publishes where."""
+
+from __future__ import annotations
+
+import re
+
+from monitor.errors import ProfileError
+
+ANY = "*"
+
+_FORBIDDEN = re.compile(r"[/*$?#\s]")
+
+
+def vehicle_root(prefix: str, vehicle: str) -> str:
+    """Return what a vehicle's keys begin with; :data:`ANY` stands for all vehicles.
+
+    Raises
+    ------
+    ProfileError
+        The prefix or the name cannot be part of a key.
+    """
+    chunks = [("prefix", chunk) for chunk in prefix.split("/")]
+    if vehicle != ANY:
+        chunks.append(("vehicle name", vehicle))
+    for what, chunk in chunks:
+        if not chunk or chunk.startswith("@") or _FORBIDDEN.search(chunk):
+            raise ProfileError(f"{what} '{chunk}' cannot be part of a Zenoh key; use letters, digits, - and _")
+    return f"{prefix}/{vehicle}"
+
+
+def alarm_key(root: str, observer: str, channel: str) -> str:
+    """Return the key of one channel's alarm events."""
+    return f"{root}/alarm/{_chunk(observer)}/{_chunk(channel)}"
+
+
+def estimate_key(root: str, observer: str) -> str:
+    """Return the key of one observer's estimates."""
+    return f"{root}/estimate/{_chunk(observer)}"
+
+
+def vehicle_of(root: str, key: str) -> str:
+    """Return the vehicle's name in a key below a root that may hold :data:`ANY`."""
+    return key.split("/")[root.count("/")]
+
+
+def _chunk(name: str) -> str:
+    """Return a name as one chunk of a key."""
+    return _FORBIDDEN.sub("_", name) or "_"

@@ -1,0 +1,80 @@
+"""JSON payloads of the contract: estimates, alarm events and status as text that any client can parse."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from numpy.typing import NDArray
+
+from monitor.estimate import Estimate, Layout
+
+_TEXT: dict[str, Any] = {"type": "string"}
+_COUNT: dict[str, Any] = {"type": "integer"}
+_NUMBER: dict[str, Any] = {"type": ["number", "null"]}
+
+ALARM_SCHEMA: dict[str, Any] = {
+    "$schema": "https://json-schema.org/draft/2020-12/schema",
+    "title": "fauio.Alarm",
+    "description": "One change of state of one alarm.",
+    "type": "object",
+    "properties": {
+        "id": _TEXT | {"description": "ULID, the same from raised to cleared"},
+        "vehicle": _TEXT,
+        "observer": _TEXT,
+        "channel": _TEXT,
+        "kind": {"enum": ["actuator", "sensor", "residual", "stale"]},
+        "state": {"enum": ["raised", "updated", "acknowledged", "shelved", "cleared"]},
+        "severity": {"enum": ["warning", "critical"]},
+        "estimate": _NUMBER | {"description": "size of the fault now, in unit"},
+        "relative": _NUMBER | {"description": "estimate over command, where that makes sense"},
+        "unit": _TEXT,
+        "threshold": _NUMBER | {"description": "what the estimate has to exceed"},
+        "time_ns": _COUNT | {"description": "Unix time of the sample that caused the event"},
+        "vehicle_time_ms": _COUNT | {"description": "the same on the vehicle's own clock"},
+        "since_ns": _COUNT | {"description": "Unix time of the sample that raised the alarm"},
+        "peak": _NUMBER | {"description": "largest estimate since it was raised"},
+        "message": _TEXT | {"description": "one sentence for a person"},
+        "seq": _COUNT | {"description": "counts the vehicle's events from 1"},
+    },
+}
+ALARM_SCHEMA["required"] = list(ALARM_SCHEMA["properties"])
+
+
+def to_json(payload: Mapping[str, Any] | Sequence[Any]) -> bytes:
+    """Return compact JSON in UTF-8; a number that JSON cannot write (NaN, infinity) becomes null."""
+    try:
+        text = json.dumps(payload, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    except ValueError:
+        text = json.dumps(_finite(payload), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    return text.encode(errors="backslashreplace")
+
+
+def estimate_json(layout: Layout, estimate: Estimate) -> dict[str, Any]:
+    """Return an estimate as the JSON object of the contract, values by channel name."""
+    return {
+        "time_ns": estimate.sample.time_ns,
+        "vehicle_time_ms": estimate.sample.vehicle_time_ns // 1_000_000,
+        "armed": estimate.armed,
+        "x": named(layout.states, estimate.x),
+        "fault": named(layout.faults, estimate.fault),
+        "isolated": named(layout.faults, estimate.isolated),
+        "residual": named(layout.outputs, estimate.residual),
+    }
+
+
+def named(names: Sequence[str], values: NDArray[Any]) -> dict[str, float]:
+    """Return a vector's entries by name."""
+    return dict(zip(names, values.tolist(), strict=True))
+
+
+def _finite(payload: Any) -> Any:
+    if isinstance(payload, Mapping):
+        return {key: _finite(value) for key, value in payload.items()}
+    if isinstance(payload, list | tuple):
+        return [_finite(value) for value in payload]
+    if isinstance(payload, float) and not math.isfinite(payload):
+        return None
+    return payload

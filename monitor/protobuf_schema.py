@@ -1,0 +1,120 @@
+"""Protobuf types of what the monitor records: samples and estimates by channel name, and alarm events."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+from numpy.typing import NDArray
+
+from adapters.protobuf_types import TIMESTAMP, Field, identifiers, message_class
+from adapters.sample import Sample
+from monitor.estimate import Estimate, Layout
+from monitor.event import AlarmEvent
+
+_TIMES = (Field("time", TIMESTAMP), Field("vehicle_time_ns", "int64"), Field("index", "int64"))
+
+
+class SampleType:
+    """``fauio.<observer>.Sample``: the (u, y) one observer was fed.
+
+    Parameters
+    ----------
+    layout : Layout
+        Names of the observer's channels; characters that protobuf does not take become underscores.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self._u = identifiers(layout.inputs)
+        self._y = identifiers(layout.outputs)
+        flags = (Field("restart", "bool"), Field("complete", "bool"))
+        fields = (*_TIMES, Field("u", _numbers(self._u)), Field("y", _numbers(self._y)), *flags)
+        self.pb_class = message_class(_package(layout), "Sample", fields)
+
+    def record(self, sample: Sample) -> Any:
+        """Return the protobuf message of a sample."""
+        return self.pb_class(
+            **_times(sample),
+            u=_values(self._u, sample.u),
+            y=_values(self._y, sample.y),
+            restart=sample.restart,
+            complete=sample.complete,
+        )
+
+
+class EstimateType:
+    """``fauio.<observer>.Estimate``: states, faults and residuals of one observer.
+
+    Parameters
+    ----------
+    layout : Layout
+        Names of the observer's channels; characters that protobuf does not take become underscores.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self._x = identifiers(layout.states)
+        self._fault = identifiers(layout.faults)
+        self._residual = identifiers(layout.outputs)
+        fields = (
+            *_TIMES,
+            Field("x", _numbers(self._x)),
+            Field("fault", _numbers(self._fault)),
+            Field("isolated", _numbers(self._fault)),
+            Field("residual", _numbers(self._residual)),
+            Field("armed", "bool"),
+        )
+        self.pb_class = message_class(_package(layout), "Estimate", fields)
+
+    def record(self, estimate: Estimate) -> Any:
+        """Return the protobuf message of an estimate."""
+        return self.pb_class(
+            **_times(estimate.sample),
+            x=_values(self._x, estimate.x),
+            fault=_values(self._fault, estimate.fault),
+            isolated=_values(self._fault, estimate.isolated),
+            residual=_values(self._residual, estimate.residual),
+            armed=estimate.armed,
+        )
+
+
+def alarm_record(event: AlarmEvent) -> Any:
+    """Return the protobuf message ``fauio.Alarm`` of an event; what is None in the event is absent."""
+    return _alarm_class()(**event.to_json())
+
+
+@functools.cache
+def _alarm_class() -> Any:
+    texts = ("id", "vehicle", "observer", "channel", "kind", "state", "severity")
+    fields = (
+        *(Field(name, "string") for name in texts),
+        Field("estimate", "double", optional=True),
+        Field("relative", "double", optional=True),
+        Field("unit", "string"),
+        Field("threshold", "double"),
+        Field("time_ns", "int64"),
+        Field("vehicle_time_ms", "int64"),
+        Field("since_ns", "int64"),
+        Field("peak", "double", optional=True),
+        Field("message", "string"),
+        Field("seq", "int64"),
+    )
+    return message_class("fauio", "Alarm", fields)
+
+
+def _package(layout: Layout) -> str:
+    return f"fauio.{identifiers((layout.observer,))[0]}"
+
+
+def _numbers(names: Sequence[str]) -> tuple[Field, ...]:
+    return tuple(Field(name, "double") for name in names)
+
+
+def _times(sample: Sample) -> dict[str, Any]:
+    seconds, nanos = divmod(sample.time_ns, 1_000_000_000)
+    time = {"seconds": seconds, "nanos": nanos}
+    return {"time": time, "vehicle_time_ns": sample.vehicle_time_ns, "index": sample.index}
+
+
+def _values(names: Sequence[str], values: NDArray[Any]) -> dict[str, float]:
+    return dict(zip(names, values.tolist(), strict=True))

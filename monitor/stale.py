@@ -1,0 +1,96 @@
+"""Silence of the telemetry as an alarm of its own: stale is never mixed with a fault of the vehicle.
+
+Decided on times of arrival alone. The alarm is raised ``stale_s`` after the last message that carried a channel,
+and cleared by the next one; a replay finds the same two moments in the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from monitor.event import AlarmEvent, State, alarm_id
+
+OBSERVER = "link"
+CHANNEL = "telemetry"
+
+
+class StaleAlarm:
+    """State of the stale alarm of one vehicle.
+
+    Parameters
+    ----------
+    vehicle : str
+        The vehicle's name in events.
+    stale_s : float
+        Silence after which telemetry is stale, seconds.
+    count : Callable[[], int]
+        Gives the next event's sequence number.
+    """
+
+    def __init__(self, vehicle: str, stale_s: float, count: Callable[[], int]) -> None:
+        self._vehicle = vehicle
+        self._limit_ns = round(stale_s * 1e9)
+        self._count = count
+        self._heard_ns: int | None = None
+        self._vehicle_ns = 0
+        self._since_ns: int | None = None
+
+    @property
+    def active(self) -> bool:
+        """Whether telemetry is stale."""
+        return self._since_ns is not None
+
+    def heard(self, received_ns: int, vehicle_ns: int) -> list[AlarmEvent]:
+        """Note a message that carries a channel; return the events that the silence before it and its end cause.
+
+        Parameters
+        ----------
+        received_ns : int
+            Unix time of arrival.
+        vehicle_ns : int
+            Newest known time of the vehicle's clock.
+        """
+        events = self.silence(received_ns)
+        if self._since_ns is not None:
+            silent_s = (received_ns - (self._heard_ns or received_ns)) / 1e9
+            events.append(self._event("cleared", received_ns, vehicle_ns, f"telemetry is back after {silent_s:.1f} s"))
+            self._since_ns = None
+        self._heard_ns = received_ns if self._heard_ns is None else max(received_ns, self._heard_ns)
+        self._vehicle_ns = vehicle_ns
+        return events
+
+    def silence(self, now_ns: int) -> list[AlarmEvent]:
+        """Note that Unix time has come to ``now_ns``; return the event of telemetry going stale, once."""
+        if self._since_ns is not None or self._heard_ns is None or now_ns - self._heard_ns < self._limit_ns:
+            return []
+        self._since_ns = self._heard_ns + self._limit_ns
+        return [
+            self._event(
+                "raised",
+                self._since_ns,
+                self._vehicle_ns + self._limit_ns,
+                f"no telemetry for {self._limit_ns / 1e9:g} s: nothing is being watched",
+            )
+        ]
+
+    def _event(self, state: State, time_ns: int, vehicle_ns: int, message: str) -> AlarmEvent:
+        since_ns = self._since_ns if self._since_ns is not None else time_ns
+        return AlarmEvent(
+            id=alarm_id(self._vehicle, OBSERVER, CHANNEL, since_ns),
+            vehicle=self._vehicle,
+            observer=OBSERVER,
+            channel=CHANNEL,
+            kind="stale",
+            state=state,
+            severity="warning",
+            estimate=None,
+            relative=None,
+            unit="s",
+            threshold=self._limit_ns / 1e9,
+            time_ns=time_ns,
+            vehicle_time_ms=vehicle_ns // 1_000_000,
+            since_ns=since_ns,
+            peak=None,
+            message=message,
+            seq=self._count(),
+        )

@@ -1,0 +1,155 @@
+"""Alarm events of one or all vehicles from Zenoh, the current state first."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import deque
+from typing import Any
+
+import zenoh
+from zenoh import ext
+
+from monitor.event import AlarmEvent, event_from_json
+from monitor.keys import ANY, vehicle_of, vehicle_root
+
+HELD_EVENTS = 10_000
+MAX_PAYLOAD_BYTES = 1 << 24
+HISTORY_TIMEOUT_S = 5.0
+
+_TEXTS = ("id", "vehicle", "observer", "channel", "kind", "state", "severity", "unit", "message")
+_COUNTS = ("time_ns", "vehicle_time_ms", "since_ns", "seq")
+_NUMBERS = ("estimate", "relative", "threshold", "peak")
+
+
+class AlarmSubscriber:
+    """Collects alarm events; the reader takes them one by one.
+
+    Parameters
+    ----------
+    session : zenoh.Session
+        An open session; left open by :meth:`close`.
+    vehicle : str
+        Name of the vehicle, ``"*"`` for all.
+    prefix : str
+        What the keys begin with.
+    history : bool
+        Begin with the past events the monitor still knows, and not only with the latest of each channel.
+
+    Attributes
+    ----------
+    invalid : int
+        Payloads that were no alarm events.
+    lost : int
+        Events dropped because the reader did not take them.
+
+    Raises
+    ------
+    ProfileError
+        The vehicle's name or the prefix cannot be part of a key.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, vehicle: str = ANY, prefix: str = "fauio", history: bool = False
+    ) -> None:
+        self.invalid = 0
+        self.lost = 0
+        self._session = session
+        self._root = vehicle_root(prefix, vehicle)
+        self._history = history
+        self._changed = threading.Condition()
+        self._events: deque[AlarmEvent] = deque()
+        self._seen: dict[tuple[str, str, int], None] = {}
+        self._live: set[str] = set()
+        # with the history asked for, the latest events would come twice and too early
+        latest = None if history else ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+        self._alarms: Any = ext.declare_advanced_subscriber(
+            session,
+            f"{self._root}/alarm/**",
+            self._on_alarm,
+            history=latest,
+            recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
+        )
+        self._tokens: Any = session.liveliness().declare_subscriber(f"{self._root}/live", self._on_token, history=True)
+
+    @property
+    def live(self) -> frozenset[str]:
+        """Names of the vehicles whose monitor is there."""
+        with self._changed:
+            return frozenset(self._live)
+
+    def receive(self, timeout_s: float) -> AlarmEvent | None:
+        """Return the next event, None when none came in time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._events, timeout_s)
+            return self._events.popleft() if self._events else None
+
+    def close(self) -> None:
+        """Stop collecting."""
+        self._tokens.undeclare()
+        self._alarms.undeclare()
+
+    def _on_alarm(self, sample: zenoh.Sample) -> None:
+        self._take(_decode(sample.payload))
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        vehicle = vehicle_of(self._root, str(sample.key_expr))
+        appeared = sample.kind == zenoh.SampleKind.PUT
+        with self._changed:
+            (self._live.add if appeared else self._live.discard)(vehicle)
+            self._changed.notify()
+        if appeared and self._history:
+            key = str(sample.key_expr).removesuffix("/live") + "/alarms?history=true"
+            self._session.get(key, self._on_history, timeout=HISTORY_TIMEOUT_S)
+
+    def _on_history(self, reply: zenoh.Reply) -> None:
+        events = _decode(reply.ok.payload) if reply.ok is not None else None
+        if not isinstance(events, list):
+            self._take(None)
+            return
+        for event in events:
+            self._take(event)
+
+    def _take(self, payload: Any) -> None:
+        event = _valid(payload)
+        with self._changed:
+            if event is None:
+                self.invalid += 1
+                return
+            mark = (event.vehicle, event.id, event.seq)
+            if mark in self._seen:
+                return
+            self._seen[mark] = None
+            if len(self._seen) > HELD_EVENTS:
+                del self._seen[next(iter(self._seen))]
+            if len(self._events) >= HELD_EVENTS:
+                self._events.popleft()
+                self.lost += 1
+            self._events.append(event)
+            self._changed.notify()
+
+
+def _decode(payload: zenoh.ZBytes) -> Any:
+    """Return the JSON of a payload, None where it is none or absurdly long."""
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        return None
+    try:
+        return json.loads(payload.to_bytes())
+    except (ValueError, RecursionError):
+        return None
+
+
+def _valid(payload: Any) -> AlarmEvent | None:
+    """Return the event a decoded payload holds, None where names or types are not those of an event."""
+    if not isinstance(payload, dict):
+        return None
+    try:
+        event = event_from_json(payload)
+    except ValueError:
+        return None
+    right = (
+        all(isinstance(getattr(event, name), str) for name in _TEXTS)
+        and all(type(getattr(event, name)) is int for name in _COUNTS)
+        and all(type(getattr(event, name)) in (int, float, type(None)) for name in _NUMBERS)
+    )
+    return event if right else None

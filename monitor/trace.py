@@ -1,0 +1,183 @@
+"""What a run leaves behind for plots: an observer's series as arrays, and alarms as spans of time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.estimate import Estimate, Layout
+from monitor.event import AlarmEvent, Severity
+
+FIRST_ROWS = 4096
+MAX_ROWS = 4_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """Samples and estimates of one observer over a run of N samples.
+
+    Parameters
+    ----------
+    layout : Layout
+        Names of the columns.
+    vehicle_ns, unix_ns : NDArray[np.int64]
+        Vehicle's clock and Unix time of the samples (N,).
+    u, y, x, fault, isolated, residual : NDArray[np.float64]
+        One row per sample, as in :class:`Sample` and :class:`Estimate`.
+    armed : NDArray[np.bool_]
+        Whether alarms could be raised from the sample (N,).
+    restart : NDArray[np.bool_]
+        Whether the observer started afresh at the sample (N,): what stands before has nothing to do with it.
+    """
+
+    layout: Layout
+    vehicle_ns: NDArray[np.int64]
+    unix_ns: NDArray[np.int64]
+    u: NDArray[np.float64]
+    y: NDArray[np.float64]
+    x: NDArray[np.float64]
+    fault: NDArray[np.float64]
+    isolated: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    armed: NDArray[np.bool_]
+    restart: NDArray[np.bool_]
+
+
+class TraceBuilder:
+    """Collects one observer's estimates in bounded memory.
+
+    Room doubles as it fills. At ``max_rows`` every second sample is dropped and from then on only every
+    second one taken, then every fourth and so on, so that a run of any length is covered from end to end.
+
+    Parameters
+    ----------
+    layout : Layout
+        Names of the observer's vectors.
+    max_rows : int
+        Largest number of samples kept, an even number.
+    """
+
+    def __init__(self, layout: Layout, max_rows: int = MAX_ROWS) -> None:
+        self._layout = layout
+        self._max_rows = max_rows
+        sizes = [len(names) for names in (layout.inputs, layout.outputs, layout.states, layout.faults)]
+        s, p, n, a = sizes
+        self._edges = np.cumsum([s, p, n, a, a])
+        rows = min(FIRST_ROWS, max_rows)
+        self._values = np.empty((rows, s + p + n + 2 * a + p))
+        self._times = np.empty((rows, 2), np.int64)
+        self._flags = np.empty((rows, 2), np.bool_)
+        self._rows = 0
+        self._stride = 1
+        self._skip = 0
+        self._restart = False
+
+    def add(self, estimate: Estimate) -> None:
+        """Take the next estimate."""
+        sample = estimate.sample
+        self._restart |= sample.restart
+        if self._skip:
+            self._skip -= 1
+            return
+        if self._rows == len(self._values):
+            self._make_room()
+        row = self._rows
+        np.concatenate(
+            (sample.u, sample.y, estimate.x, estimate.fault, estimate.isolated, estimate.residual),
+            out=self._values[row],
+        )
+        self._times[row] = sample.vehicle_time_ns, sample.time_ns
+        self._flags[row] = estimate.armed, self._restart
+        self._rows = row + 1
+        self._skip = self._stride - 1
+        self._restart = False
+
+    def build(self) -> Trace:
+        """Return what was collected so far, as a copy."""
+        values = self._values[: self._rows].copy()
+        times, flags = self._times[: self._rows].copy(), self._flags[: self._rows].copy()
+        u, y, x, fault, isolated, residual = np.split(values, self._edges, axis=1)
+        return Trace(
+            layout=self._layout,
+            vehicle_ns=times[:, 0],
+            unix_ns=times[:, 1],
+            u=u,
+            y=y,
+            x=x,
+            fault=fault,
+            isolated=isolated,
+            residual=residual,
+            armed=flags[:, 0],
+            restart=flags[:, 1],
+        )
+
+    def _make_room(self) -> None:
+        rows = self._rows
+        if rows < self._max_rows:
+            more = min(2 * rows, self._max_rows) - rows
+            self._values = np.concatenate((self._values, np.empty((more, self._values.shape[1]))))
+            self._times = np.concatenate((self._times, np.empty((more, 2), np.int64)))
+            self._flags = np.concatenate((self._flags, np.empty((more, 2), np.bool_)))
+            return
+        # a restart at a dropped sample is one at the next kept sample
+        restarts = self._flags[:, 1]
+        restarts[2::2] |= restarts[1:-1:2]
+        self._restart |= bool(restarts[-1])
+        self._rows = rows // 2
+        for kept in (self._values, self._times, self._flags):
+            kept[: self._rows] = kept[::2].copy()
+        self._stride *= 2
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmSpan:
+    """Time an alarm stood.
+
+    Parameters
+    ----------
+    observer, channel : str
+        What the alarm is about.
+    severity : {"warning", "critical"}
+        The worst it had.
+    start_ns, start_vehicle_ns : int
+        Unix time and vehicle's time of the event that raised it.
+    end_ns, end_vehicle_ns : int | None
+        The same of the event that cleared it, None while it stands.
+    """
+
+    observer: str
+    channel: str
+    severity: Severity
+    start_ns: int
+    start_vehicle_ns: int
+    end_ns: int | None
+    end_vehicle_ns: int | None
+
+
+def alarm_spans(events: Iterable[AlarmEvent]) -> list[AlarmSpan]:
+    """Return the span of each alarm in the order of their beginnings.
+
+    An alarm whose raising is not among the events begins with its first one.
+    """
+    histories: dict[str, list[AlarmEvent]] = {}
+    for event in events:
+        histories.setdefault(event.id, []).append(event)
+    spans = []
+    for history in histories.values():
+        first, last = history[0], history[-1]
+        cleared = last.state == "cleared"
+        spans.append(
+            AlarmSpan(
+                observer=first.observer,
+                channel=first.channel,
+                severity="critical" if any(e.severity == "critical" for e in history) else "warning",
+                start_ns=first.time_ns,
+                start_vehicle_ns=first.vehicle_time_ms * 1_000_000,
+                end_ns=last.time_ns if cleared else None,
+                end_vehicle_ns=last.vehicle_time_ms * 1_000_000 if cleared else None,
+            )
+        )
+    return sorted(spans, key=lambda span: span.start_ns)

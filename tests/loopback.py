@@ -1,0 +1,77 @@
+"""What tests of the outputs share: a monitor's session on loopback, its clients, an alarm event."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+from adapters.zenoh_session import open_session
+from monitor.event import AlarmEvent
+
+START_NS = 1_795_251_917_265_689_600
+
+
+def event(seq: int, channel: str = "motor1", **changes: Any) -> AlarmEvent:
+    values: dict[str, Any] = {
+        "id": f"01J-{channel}",
+        "vehicle": "copter-1",
+        "observer": "motors",
+        "channel": channel,
+        "kind": "actuator",
+        "state": "raised",
+        "severity": "warning",
+        "estimate": -0.02,
+        "relative": None,
+        "unit": "m",
+        "threshold": 0.015,
+        "time_ns": START_NS + seq,
+        "vehicle_time_ms": seq,
+        "since_ns": START_NS,
+        "peak": -0.03,
+        "message": "motor1 delivers less",
+        "seq": seq,
+    }
+    return AlarmEvent(**(values | changes))
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait for what other threads and processes will do; the test's own time-out ends it if they do not."""
+    while not condition():
+        time.sleep(0.005)
+
+
+def free_port() -> int:
+    """Return a TCP port of loopback that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Endpoint:
+    """A monitor's session with its publisher, and what clients need to connect."""
+
+    def __init__(self, address: str | None = None) -> None:
+        self.address = address or f"tcp/127.0.0.1:{free_port()}"
+        self.session = open_session(listen=[self.address])
+        self.clients: list[zenoh.Session] = []
+
+    def client(self) -> zenoh.Session:
+        """Return a session that is connected to the monitor's."""
+        self.clients.append(open_session(connect=[self.address]))
+        session = self.clients[-1]
+        until(lambda: bool(list(session.info.peers_zid())))
+        return session
+
+    def close(self) -> None:
+        for session in (*self.clients, self.session):
+            session.close()
+
+
+def matched(endpoint: Endpoint, key: str) -> bool:
+    """Return whether somebody's subscription has reached the monitor's session."""
+    with endpoint.session.declare_publisher(key) as probe:
+        return bool(probe.matching_status.matching)

@@ -1,0 +1,83 @@
+"""A made-up run for the tests of pictures: four motors, a gap, a fault on motor1, and its alarms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from loopback import START_NS
+
+from adapters.sample import Sample
+from monitor.estimate import Estimate, Layout
+from monitor.event import AlarmEvent
+from monitor.trace import Trace, TraceBuilder
+
+RATE_HZ = 100
+LAYOUT = Layout(
+    observer="motors",
+    rate_hz=float(RATE_HZ),
+    inputs=("servo1", "servo2", "servo3", "servo4"),
+    outputs=("rollspeed", "pitchspeed", "yawspeed", "zacc"),
+    states=("p", "q", "r"),
+    faults=("motor1", "motor2", "motor3", "motor 4"),
+    fault_units=("fraction of full command",) * 4,
+)
+THRESHOLDS = {"motor1": 0.015, "motor2": 0.015, "motor3": 0.02}
+
+
+def estimate(tick: int, rng: np.random.Generator) -> Estimate:
+    """Return the estimate at a tick of the grid; motor1 loses 0.03 from tick 1000 on."""
+    sample = Sample(
+        index=tick,
+        vehicle_time_ns=tick * 10_000_000,
+        time_ns=START_NS + tick * 10_000_000,
+        u=rng.uniform(0.4, 0.6, 4),
+        y=rng.normal(size=4),
+        restart=tick in (0, 700),
+        complete=True,
+    )
+    fault = rng.normal(0.0, 0.002, 4)
+    fault[0] -= 0.03 * (tick >= 1000)
+    return Estimate(
+        observer=LAYOUT.observer,
+        sample=sample,
+        x=rng.normal(size=3),
+        fault=fault,
+        isolated=fault * 2,
+        residual=rng.normal(size=4),
+        armed=tick >= 100,
+    )
+
+
+def trace(ticks: int = 1500) -> Trace:
+    """Return a run with a gap from tick 600 to 700."""
+    rng = np.random.default_rng(7)
+    builder = TraceBuilder(LAYOUT)
+    for tick in range(ticks):
+        if not 600 <= tick < 700:
+            builder.add(estimate(tick, rng))
+    return builder.build()
+
+
+def event(tick: int, state: str, **changes: Any) -> AlarmEvent:
+    """Return an event of motor1's alarm at a tick."""
+    values: dict[str, Any] = {
+        "id": "01J",
+        "vehicle": "copter-1",
+        "observer": "motors",
+        "channel": "motor1",
+        "kind": "actuator",
+        "state": state,
+        "severity": "warning",
+        "estimate": -0.03,
+        "relative": -0.06,
+        "unit": "fraction of full command",
+        "threshold": 0.015,
+        "time_ns": START_NS + tick * 10_000_000,
+        "vehicle_time_ms": tick * 10,
+        "since_ns": START_NS + 10_200_000_000,
+        "peak": -0.03,
+        "message": "motor1 delivers 6 % less than commanded",
+        "seq": tick,
+    }
+    return AlarmEvent(**(values | changes))

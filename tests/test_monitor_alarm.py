@@ -1,0 +1,119 @@
+"""The alarm state machine: debounce by time, hysteresis, severity, updates, identity."""
+
+from itertools import count, pairwise
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adapters.sample import Sample
+from monitor.alarm import Alarm, AlarmRule, alarm_message
+from monitor.event import AlarmEvent, event_from_json
+
+STEP_NS = 10_000_000
+RULE = AlarmRule(
+    observer="motors",
+    channel="motor1",
+    kind="actuator",
+    unit="fraction of full command",
+    threshold=0.02,
+    clear=0.01,
+    critical=0.15,
+    raise_s=0.15,
+    clear_s=0.5,
+)
+
+
+def sample(index: int) -> Sample:
+    zero = np.zeros(1)
+    return Sample(index, index * STEP_NS, 10**18 + index * STEP_NS, zero, zero, restart=False, complete=True)
+
+
+def new_alarm(rule: AlarmRule = RULE) -> Alarm:
+    counter = count(1)
+    return Alarm(rule, "copter-1", lambda: next(counter))
+
+
+def run(alarm: Alarm, values: list[float], start: int = 0) -> list[AlarmEvent]:
+    events = []
+    for k, value in enumerate(values, start):
+        event = alarm.update(sample(k), value, value / 0.5)
+        if event is not None:
+            events.append(event)
+    return events
+
+
+def test_evidence_that_stands_shorter_than_the_debounce_raises_nothing() -> None:
+    assert run(new_alarm(), [0.05] * 14 + [0.0] * 100) == []
+
+
+def test_evidence_that_stands_raises_once_and_clears_once_with_the_same_id() -> None:
+    events = run(new_alarm(), [0.0] * 10 + [-0.05] * 100 + [0.0] * 100)
+    assert [event.state for event in events] == ["raised", "cleared"]
+    raised, cleared = events
+    assert raised.id == cleared.id
+    assert len(raised.id) == 26
+    assert raised.vehicle_time_ms == (10 + 14) * 10
+    assert cleared.vehicle_time_ms == (110 + 49) * 10
+    assert raised.since_ns == cleared.since_ns == raised.time_ns
+    assert raised.message == "motor1 delivers 10 % less than commanded"
+    assert cleared.message == "motor1 is back to normal"
+    assert (raised.seq, cleared.seq) == (1, 2)
+
+
+def test_evidence_between_clear_and_threshold_neither_raises_nor_clears() -> None:
+    assert run(new_alarm(), [0.015] * 300) == []
+    events = run(new_alarm(), [0.05] * 20 + [0.015] * 500)
+    assert [event.state for event in events] == ["raised", "updated"]
+
+
+def test_a_dropped_sample_of_evidence_delays_the_alarm_instead_of_losing_it() -> None:
+    values = ([0.05] * 4 + [0.0]) * 10
+    assert run(new_alarm(), values)[0].state == "raised"
+
+
+def test_severity_rises_at_once_and_does_not_fall_back() -> None:
+    events = run(new_alarm(), [-0.05] * 20 + [-0.2] * 5 + [-0.05] * 400)
+    assert [(event.state, event.severity) for event in events][:2] == [
+        ("raised", "warning"),
+        ("updated", "critical"),
+    ]
+    assert all(event.severity == "critical" for event in events[1:])
+    assert events[-1].peak == -0.2
+
+
+def test_updates_come_at_most_once_a_second() -> None:
+    values = [0.05] * 20 + [0.05 + 0.001 * (k % 60) for k in range(1000)]
+    events = run(new_alarm(), values)
+    times = [event.vehicle_time_ms for event in events]
+    assert len(events) > 2
+    assert min(b - a for a, b in pairwise(times)) >= 1000
+
+
+def test_pausing_freezes_the_debounce() -> None:
+    alarm = new_alarm()
+    assert run(alarm, [0.05] * 14) == []
+    alarm.pause()
+    assert run(alarm, [0.05], start=1000) == []
+    assert [event.state for event in run(alarm, [0.05] * 3, start=1001)] == ["raised"]
+
+
+def test_an_event_survives_its_json_form() -> None:
+    event = run(new_alarm(), [0.05] * 30)[0]
+    assert event_from_json(event.to_json()) == event
+
+
+def test_messages_name_size_and_unit_for_sensors() -> None:
+    rule = AlarmRule("arm", "encoder", "sensor", "rad", 0.1, 0.05, 1.0, 0.1, 0.5)
+    assert alarm_message(rule, "raised", 2.0, None) == "encoder reads +2 rad off"
+
+
+@given(st.lists(st.floats(-1, 1, allow_nan=False), max_size=400))
+def test_events_alternate_between_raised_and_cleared_whatever_comes(values: list[float]) -> None:
+    events = run(new_alarm(), values)
+    states = [event.state for event in events if event.state != "updated"]
+    assert states == (["raised", "cleared"] * len(states))[: len(states)]
+    assert [event.seq for event in events] == list(range(1, len(events) + 1))
+    for event in events:
+        if event.state == "raised":
+            assert abs(event.estimate or 0.0) >= RULE.threshold

@@ -1,0 +1,208 @@
+"""The flight recorder: every topic typed inside the file, everything flushed safe from a kill."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from loopback import START_NS, event
+from mcap.reader import NonSeekingReader, make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from adapters.mcap_log import MessageLogReader, read_mcap_messages, read_mcap_metadata
+from adapters.message import Message
+from adapters.sample import Sample
+from monitor.estimate import Estimate, Layout
+from monitor.event import event_from_json
+from monitor.payload import ALARM_SCHEMA
+from monitor.recorder import Recorder
+
+LAYOUT = Layout(
+    observer="motors",
+    rate_hz=100.0,
+    inputs=("servo1", "servo2"),
+    outputs=("rollspeed", "yaw-speed", "yaw_speed"),
+    states=("p",),
+    faults=("motor1", "motor2"),
+    fault_units=("fraction of full command",) * 2,
+)
+
+
+def estimate(index: int, layout: Layout = LAYOUT) -> Estimate:
+    sample = Sample(
+        index=index,
+        vehicle_time_ns=index * 10_000_000,
+        time_ns=START_NS + index * 10_000_000,
+        u=np.array([0.1, 0.2]),
+        y=np.array([1.0, math.nan, -math.inf]),
+        restart=index == 0,
+        complete=True,
+    )
+    return Estimate(
+        observer=layout.observer,
+        sample=sample,
+        x=np.array([0.25]),
+        fault=np.array([-0.021, 0.5]),
+        isolated=np.array([-0.02, 0.4]),
+        residual=np.array([0.0, 1e-3, -1e-3]),
+        armed=True,
+    )
+
+
+def decoded(path: Path, topic: str) -> list[tuple[int, Any]]:
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        return [(m.log_time, d) for _, _, m, d in reader.iter_decoded_messages(topics=[topic])]
+
+
+def test_samples_and_estimates_are_typed_by_channel_name(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    with Recorder(path, [LAYOUT], {}, {}) as recorder:
+        recorder.estimate(estimate(0))
+        recorder.estimate(estimate(1))
+    (_, first), (log_time, sample) = decoded(path, "/fauio/motors/sample")
+    assert log_time == sample.time.ToNanoseconds() == START_NS + 10_000_000
+    assert (sample.index, sample.vehicle_time_ns, sample.restart, sample.complete) == (
+        1,
+        10_000_000,
+        False,
+        True,
+    )
+    assert first.restart
+    assert (sample.u.servo1, sample.u.servo2, sample.y.rollspeed) == (0.1, 0.2, 1.0)
+    assert math.isnan(sample.y.yaw_speed)
+    assert sample.y.yaw_speed_v2 == -math.inf
+    (_, found), _ = decoded(path, "/fauio/motors/estimate")
+    assert (found.x.p, found.fault.motor1, found.fault.motor2) == (0.25, -0.021, 0.5)
+    assert (found.isolated.motor1, found.residual.rollspeed, found.armed) == (-0.02, 0.0, True)
+
+
+def test_alarms_are_recorded_as_protobuf_and_as_json_with_its_schema(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    stale = event(18, kind="stale", estimate=None, relative=None, peak=None)
+    with Recorder(path, [LAYOUT], {}, {}) as recorder:
+        recorder.event(event(17, relative=-0.05))
+        recorder.event(stale)
+    (log_time, alarm), (_, without) = decoded(path, "/fauio/alarm")
+    assert (log_time, alarm.channel, alarm.estimate, alarm.relative) == (
+        START_NS + 17,
+        "motor1",
+        -0.02,
+        -0.05,
+    )
+    assert without.kind == "stale"
+    assert not without.HasField("estimate")
+    assert not without.HasField("relative")
+    with path.open("rb") as stream:
+        (schema, channel, first), (_, _, second) = make_reader(stream).iter_messages("/fauio/alarm_json")
+    assert schema is not None
+    assert (channel.message_encoding, schema.encoding) == ("json", "jsonschema")
+    assert json.loads(schema.data) == ALARM_SCHEMA
+    assert event_from_json(json.loads(first.data)) == event(17, relative=-0.05)
+    assert event_from_json(json.loads(second.data)) == stale
+
+
+def test_the_schema_names_every_field_of_an_event() -> None:
+    assert set(ALARM_SCHEMA["properties"]) == set(event(17).to_json()) == set(ALARM_SCHEMA["required"])
+
+
+def test_numbers_json_cannot_write_become_null(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    with Recorder(path, [LAYOUT], {}, {}) as recorder:
+        recorder.event(event(17, estimate=math.nan, peak=math.inf))
+    with path.open("rb") as stream:
+        [(_, _, message)] = make_reader(stream).iter_messages("/fauio/alarm_json")
+    assert json.loads(message.data)["estimate"] is None
+    assert json.loads(message.data)["peak"] is None
+
+
+def test_telemetry_comes_back_in_the_order_of_recording_and_nothing_of_ours_with_it(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    messages = [Message("zenoh", "arm/telemetry", START_NS, {"n": number}) for number in range(50)]
+    with Recorder(path, [LAYOUT], {}, {}) as recorder:
+        for number, message in enumerate(messages):
+            recorder.message(message)
+            recorder.estimate(estimate(number))
+            recorder.event(event(17))
+    assert list(read_mcap_messages(path)) == messages
+
+
+def test_metadata_and_profile_are_inside(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    files = {"profile.toml": b"x = 1\n", "motors.gains.json": b"{}"}
+    with Recorder(path, [LAYOUT], {"fauio": "0.1.0", "profile": "abc"}, files) as recorder:
+        recorder.add_metadata({"clock_offset_ns": "5"})
+    assert read_mcap_metadata(path)["fauio"] == {"fauio": "0.1.0", "profile": "abc", "clock_offset_ns": "5"}
+    with path.open("rb") as stream:
+        attachments = {found.name: found for found in make_reader(stream).iter_attachments()}
+    assert {name: found.data for name, found in attachments.items()} == {
+        f"profile/{name}": data for name, data in files.items()
+    }
+    assert attachments["profile/profile.toml"].media_type == "application/toml"
+
+
+def test_two_observers_have_their_own_topics(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    other = Layout("in/ertial", 100.0, LAYOUT.inputs, LAYOUT.outputs, ("p",), ("gps north", "gps_north"), ("m", "m"))
+    with Recorder(path, [LAYOUT, other], {}, {}) as recorder:
+        recorder.estimate(estimate(0))
+        recorder.estimate(estimate(0, other))
+    [(_, found)] = decoded(path, "/fauio/in/ertial/estimate")
+    assert (found.fault.gps_north, found.fault.gps_north_v2) == (-0.021, 0.5)
+    assert len(decoded(path, "/fauio/motors/estimate")) == 1
+
+
+@pytest.mark.parametrize("time_ns", [-1, 2**63, 2**64])
+def test_a_clock_gone_mad_costs_its_records_and_not_the_recording(tmp_path: Path, time_ns: int) -> None:
+    path = tmp_path / "flight.mcap"
+    mad = replace(estimate(0), sample=replace(estimate(0).sample, time_ns=time_ns, vehicle_time_ns=2**64))
+    with Recorder(path, [LAYOUT], {}, {}) as recorder:
+        recorder.event(event(17, time_ns=time_ns))
+        recorder.event(event(17))
+        recorder.estimate(mad)
+        recorder.estimate(estimate(1))
+        assert recorder.statistics().unrecordable > 0
+    assert len(decoded(path, "/fauio/alarm")) == 1
+    assert len(decoded(path, "/fauio/motors/estimate")) == 1
+
+
+def test_everything_flushed_survives_sigkill_on_every_topic(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    program = """
+import sys
+sys.path.insert(0, sys.argv[2])
+from test_monitor_recorder import LAYOUT, START_NS, Message, Recorder, estimate, event
+recorder = Recorder(sys.argv[1], [LAYOUT], {"profile": "abc"}, {"profile.toml": b"x = 1"})
+number = 0
+while True:
+    for _ in range(100):
+        recorder.message(Message("zenoh", "k", START_NS + number, {"n": number}))
+        recorder.estimate(estimate(number))
+        recorder.event(event(number))
+        number += 1
+    recorder.flush()
+    print(number, flush=True)
+"""
+    command = [sys.executable, "-c", program, path, Path(__file__).parent]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        flushed = [int(child.stdout.readline()) for _ in range(10)][-1]
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+        flushed = max([flushed, *map(int, child.stdout.read().split())])
+    reader = MessageLogReader(path)
+    messages = list(reader)
+    assert [message.fields["n"] for message in messages] == list(range(len(messages)))
+    assert len(messages) >= flushed
+    assert reader.statistics().other_records >= 4 * flushed
+    assert read_mcap_metadata(path) == {"fauio": {"profile": "abc"}}
+    with path.open("rb") as stream:
+        assert next(NonSeekingReader(stream).iter_attachments()).data == b"x = 1"

@@ -1,0 +1,41 @@
+"""Silence becomes stale after its limit, once, at the same moment live and replayed."""
+
+from itertools import count
+
+from monitor.stale import StaleAlarm
+
+SECOND = 1_000_000_000
+T0 = 1_795_251_917 * SECOND
+
+
+def stale() -> StaleAlarm:
+    counter = count(1)
+    return StaleAlarm("rover", 2.0, lambda: next(counter))
+
+
+def test_nothing_is_stale_before_the_first_message() -> None:
+    assert stale().silence(T0) == []
+
+
+def test_silence_is_reported_once_with_the_time_it_became_stale() -> None:
+    alarm = stale()
+    assert alarm.heard(T0, 5 * SECOND) == []
+    assert alarm.silence(T0 + SECOND) == []
+    (event,) = alarm.silence(T0 + 9 * SECOND)
+    assert (event.kind, event.state, event.channel) == ("stale", "raised", "telemetry")
+    assert event.time_ns == T0 + 2 * SECOND
+    assert event.vehicle_time_ms == 7000
+    assert alarm.silence(T0 + 10 * SECOND) == []
+    assert alarm.active
+
+
+def test_a_replay_that_only_sees_messages_gives_the_same_events_as_a_live_clock() -> None:
+    live, replayed = stale(), stale()
+    live.heard(T0, 0)
+    replayed.heard(T0, 0)
+    live_events = live.silence(T0 + 2 * SECOND + 1) + live.heard(T0 + 5 * SECOND, 5 * SECOND)
+    assert replayed.heard(T0 + 5 * SECOND, 5 * SECOND) == live_events
+    assert [event.state for event in live_events] == ["raised", "cleared"]
+    assert live_events[0].id == live_events[1].id
+    assert live_events[1].message == "telemetry is back after 5.0 s"
+    assert not live.active
