@@ -13,3 +13,7 @@ class InfeasibleError(ValueError):
     """No design of the asked kind exists (or the solver could not prove one); the message says why."""
 
     exit_status = 3
+
+
+class InaccurateError(InfeasibleError):
+    """The solver found gains, or nothing, but no certificate confirms them: they are not for use."""

@@ -1,0 +1,169 @@
+"""The augmented state zeta = [x; f_s] and the error system that the injection gains close.
+
+With T = [I 0], A_z = [A 0], Cb = [C D_f], E = [E_1 0], D = [0 D_1] and L1 T + F Cb = I the observer
+
+    eta+ = N eta + J y + L1 (B v + c + G g(x^) + E_f fa^),   zeta^ = eta + F y,   x^ = T zeta^
+    q+   = q + L_i yt,   fa^ = q + L_p yt,   yt = y - Cb zeta^,   N = L1 A_z - K Cb,   J = N F + K
+
+has the errors zeta~ = zeta - zeta^ and z = f_a - q with, for Kb = K + L1 E_f L_p and slopes Delta of g,
+
+    [zeta~; z]+ = ( [L1 A_z + L1 G Delta H T, L1 E_f; 0, I] - [Kb; L_i] [Cb 0] ) [zeta~; z]
+                  + ( [L1 E, -F D, 0; 0, 0, I] - [Kb; L_i] [D 0 0] ) [w; w+; df_a]
+    e = [zeta~; fa~],   fa~ = z - L_p (Cb zeta~ + D w),   df_a = f_a+ - f_a
+
+Each w is divided by its scale, df_a by rate / rate_hz, and each error by the size that matters.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from gains.errors import InfeasibleError
+from gains.plant import FloatArray, Plant
+
+LARGEST_VERTEX_COUNT = 1 << 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Augmentation:
+    """L1 (nz, n), F (nz, p), A_z (n, nz) and Cb (p, nz) of a plant."""
+
+    L1: FloatArray
+    F: FloatArray
+    A_z: FloatArray
+    C_b: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorModel:
+    """The error system before injection, with weights applied to its inputs.
+
+    Parameters
+    ----------
+    name : str
+        The plant's name, for errors.
+    slopes : FloatArray
+        Slope of each argument of each nonlinearity at each vertex (vertices, arguments).
+    A : FloatArray
+        A_a at each vertex (vertices, na, na), na = nz + a1.
+    B, C, D : FloatArray
+        (na, nw), (p, na) and (p, nw); columns of B and D: [w; w+; df_a], each in units of its scale.
+    weights : FloatArray
+        One over the error that matters, for each entry of e (na,).
+    a1 : int
+        Number of actuator faults: the last entries of [zeta~; z] and of e.
+    """
+
+    name: str
+    slopes: FloatArray
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    weights: FloatArray
+    a1: int
+
+    def output(self, L_p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return (C_e, D_e) of the weighted error e for the direct gain L_p (a1, p)."""
+        na, nz = len(self.weights), len(self.weights) - self.a1
+        C_e, D_e = np.eye(na), np.zeros((na, self.B.shape[1]))
+        C_e[nz:] -= L_p @ self.C
+        D_e[nz:] -= L_p @ self.D
+        return self.weights[:, None] * C_e, self.weights[:, None] * D_e
+
+
+def augment(plant: Plant) -> Augmentation:
+    """Return L1, F, A_z and Cb of a plant.
+
+    [L1 F] is the pseudo-inverse of [T; Cb] with each row in units of the error that matters there, for a state
+    its own and for an output the largest that a state's error makes: the result follows a change of units. Where
+    all of those are one it is the plain pseudo-inverse of the theory.
+    """
+    n, a2 = len(plant.states), len(plant.sensor_faults)
+    T = np.eye(n, n + a2)
+    C_b = np.hstack([plant.C, plant.D_f])
+    largest = np.max(np.abs(plant.C) * plant.state_errors, axis=1)
+    rows = 1.0 / np.concatenate([plant.state_errors, np.where(largest > 0.0, largest, 1.0)])
+    columns = np.concatenate([plant.state_errors, 1.0 / np.max(np.abs(plant.D_f) * rows[n:, None], axis=0)])
+    scaled = rows[:, None] * np.vstack([T, C_b]) * columns
+    inverse = columns[:, None] * np.linalg.pinv(scaled) * rows
+    return Augmentation(inverse[:, :n], inverse[:, n:], plant.A @ T, C_b)
+
+
+def error_model(plant: Plant, augmentation: Augmentation) -> ErrorModel:
+    """Return the error system of a discrete plant at every slope vertex.
+
+    Parameters
+    ----------
+    plant : Plant
+        A discrete plant.
+    augmentation : Augmentation
+        Its L1, F, A_z and Cb.
+
+    Raises
+    ------
+    InfeasibleError
+        More slopes vary than vertices can be enumerated for.
+    """
+    if plant.rate_hz is None:
+        raise TypeError("the error system is that of a discrete plant")
+    L1, F = augmentation.L1, augmentation.F
+    nz, n = L1.shape
+    a1, p = len(plant.actuator_faults), len(plant.outputs)
+    na = nz + a1
+    disturbance = np.array([w.scale for w in plant.disturbances])
+    noise = np.array([w.scale for w in plant.noises])
+    E = np.hstack([plant.E_1 * disturbance, np.zeros((n, len(noise)))])
+    D = np.hstack([np.zeros((p, len(disturbance))), plant.D_1 * noise])
+    q = D.shape[1]
+    A_a = np.eye(na)
+    A_a[:nz] = np.hstack([L1 @ augmentation.A_z, L1 @ plant.E_f])
+    B = np.zeros((na, 2 * q + a1))
+    B[:nz, :q], B[:nz, q : 2 * q] = L1 @ E, -F @ D
+    B[nz:, 2 * q :] = np.diag([fault.rate / plant.rate_hz for fault in plant.actuator_faults])
+    errors = [fault.error for fault in (*plant.sensor_faults, *plant.actuator_faults)]
+    slopes = slope_vertices(plant)
+    A = np.repeat(A_a[None], len(slopes), axis=0)
+    A[:, :nz, :n] += L1 @ plant.G @ _gradients(plant, slopes)
+    return ErrorModel(
+        name=plant.name,
+        slopes=slopes,
+        A=A,
+        B=B,
+        C=np.hstack([augmentation.C_b, np.zeros((p, a1))]),
+        D=np.hstack([D, np.zeros((p, q + a1))]),
+        weights=1.0 / np.concatenate([plant.state_errors, errors]),
+        a1=a1,
+    )
+
+
+def slope_vertices(plant: Plant) -> FloatArray:
+    """Return every combination of slope bounds (vertices, arguments); constant slopes do not multiply them.
+
+    Raises
+    ------
+    InfeasibleError
+        There are more than ``LARGEST_VERTEX_COUNT``.
+    """
+    bounds = [sorted(set(pair)) for g in plant.nonlinearities for pair in g.slopes.tolist()]
+    varying = sum(len(pair) > 1 for pair in bounds)
+    if 1 << varying > LARGEST_VERTEX_COUNT:
+        raise InfeasibleError(
+            f"{plant.name}: {varying} slopes vary, which makes 2^{varying} vertices; at most "
+            f"{LARGEST_VERTEX_COUNT} are handled: hold slopes constant or narrow the nonlinearity"
+        )
+    return np.array(list(itertools.product(*bounds))).reshape(1 << varying, len(bounds))
+
+
+def _gradients(plant: Plant, slopes: FloatArray) -> FloatArray:
+    """Return Delta H at each vertex (vertices, m, n)."""
+    gradients = np.zeros((len(slopes), len(plant.nonlinearities), len(plant.states)))
+    first = 0
+    for i, g in enumerate(plant.nonlinearities):
+        last = first + len(g.arguments)
+        gradients[:, i] = slopes[:, first:last] @ g.rows
+        first = last
+    return gradients

@@ -1,0 +1,116 @@
+"""Compile a design to the one affine map that runs: delays, offset and nonlinearities folded in.
+
+With s = [eta; q; v(k-1); ...; v(k-L)] and vb = h_0 v + h_1 v(k-1) + ... the observer of :mod:`gains.augment` reads
+
+    zeta^ = eta + F y                         yt  = y - Cb zeta^                      fa^ = q + L_p yt
+    eta+  = N eta + J y + L1 (B vb + c + G g + E_f fa^)                               q+  = q + L_i yt
+
+and every line is linear in z = [s; v; y; 1; g]: the rows below are written as products with selections of z.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gains.augment import augment
+from gains.certificate import Certificate, report
+from gains.design import Design
+from gains.discretise import discretise
+from gains.errors import InaccurateError
+from gains.gains_file import Gains, ScalarNonlinearity
+from gains.model_file import model_hash
+from gains.plant import FloatArray, Plant
+
+
+def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gains:
+    """Return the compiled gains of a certified design.
+
+    Parameters
+    ----------
+    plant : Plant
+        The model the design was made for, continuous or discrete.
+    design : Design
+        Its gains.
+    certificate : Certificate
+        What was verified about them; goes into the report.
+
+    Raises
+    ------
+    InaccurateError
+        The certificate does not hold: such gains are not for use.
+    """
+    if not certificate.holds:
+        raise InaccurateError(f"{plant.name}: the gains' certificate does not hold; they are not for use")
+    discrete = discretise(plant, design.rate_hz)
+    C_b = augment(discrete).C_b
+    n, s, p = len(plant.states), len(plant.inputs), len(plant.outputs)
+    a1, m = len(plant.actuator_faults), len(plant.nonlinearities)
+    nz, delays = n + len(plant.sensor_faults), len(discrete.taps) - 1
+    ns = nz + a1 + s * delays
+    select = np.eye(ns + s + p + 1 + m)
+    eta, q = select[:nz], select[nz : nz + a1]
+    past = [select[nz + a1 + d * s : nz + a1 + (d + 1) * s] for d in range(delays)]
+    v, y = select[ns : ns + s], select[ns + s : ns + s + p]
+    one, g = select[ns + s + p], select[ns + s + p + 1 :]
+    zeta = eta + design.F @ y
+    yt = y - C_b @ zeta
+    fa = q + design.L_p @ yt
+    effect = sum((h * v_d for h, v_d in zip(discrete.taps, [v, *past], strict=True)), start=np.zeros_like(v))
+    force = discrete.B @ effect + np.outer(discrete.c, one) + discrete.G @ g + discrete.E_f @ fa
+    step = [
+        design.N @ eta + design.J @ y + design.L1 @ force,
+        q + design.L_i @ yt,
+        *[v, *past][:delays],
+        zeta,
+        fa,
+        yt,
+    ]
+    rows = [nonlinearity.rows for nonlinearity in plant.nonlinearities]
+    arguments = np.vstack([*rows, np.zeros((0, n))]) @ zeta[:n, : ns + s + p + 1]
+    return Gains(
+        model=plant.name,
+        model_hash=model_hash(plant),
+        method=design.method,
+        domain="discrete",
+        rate_hz=design.rate_hz,
+        states=plant.states,
+        inputs=plant.inputs,
+        outputs=plant.outputs,
+        faults=tuple(fault.name for fault in (*plant.actuator_faults, *plant.sensor_faults)),
+        fault_kinds=("actuator",) * a1 + ("sensor",) * (nz - n),
+        fault_units=tuple(fault.unit for fault in (*plant.actuator_faults, *plant.sensor_faults)),
+        fault_inputs=tuple(
+            None if fault.input is None else plant.inputs.index(fault.input)
+            for fault in (*plant.actuator_faults, *plant.sensor_faults)
+        ),
+        input_taps=discrete.taps,
+        input_curves=_curves(discrete),
+        nonlinearities=tuple(ScalarNonlinearity(g.expression, g.arguments) for g in plant.nonlinearities),
+        step_matrix=np.vstack(step),
+        argument_matrix=arguments,
+        initial_matrix=_initial_matrix(discrete, design, a1, delays),
+        K=design.K,
+        L_i=design.L_i,
+        L_p=design.L_p,
+        L1=design.L1,
+        F=design.F,
+        N=design.N,
+        J=design.J,
+        report=report(plant, design, certificate),
+    )
+
+
+def _initial_matrix(plant: Plant, design: Design, a1: int, delays: int) -> FloatArray:
+    """Return the state of a restart: x = C^+ y without faults, hence eta = L1 x (zeta~ = L1 x - eta = 0)."""
+    s, p = len(plant.inputs), len(plant.outputs)
+    select = np.eye(s + p + 1)
+    v, y = select[:s], select[s : s + p]
+    return np.vstack([design.L1 @ np.linalg.pinv(plant.C) @ y, np.zeros((a1, s + p + 1)), *[v] * delays])
+
+
+def _curves(plant: Plant) -> FloatArray:
+    degree = max((len(curve) for curve in plant.curves), default=1)
+    curves = np.zeros((len(plant.inputs), degree))
+    for i, curve in enumerate(plant.curves):
+        curves[i, : len(curve)] = curve
+    return curves

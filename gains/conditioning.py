@@ -1,0 +1,98 @@
+"""Coordinates in which the synthesis is well scaled: those of a Kalman filter's own errors.
+
+For the error system of :mod:`gains.augment` at the mean of its slope vertices, driven by white noise of the
+size of its weights, the stationary covariance of the one-step errors is S S', that of the innovations Y Y'.
+In the coordinates S^-1 [zeta~; z] and Y^-1 yt every error and every innovation is of size one, whatever the
+units. The norm of that filter says how large mu is going to be.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gains.augment import ErrorModel
+from gains.certificate import hinf_norm
+from gains.errors import InfeasibleError
+from gains.plant import FloatArray
+
+FLOOR = 1e-2
+_SMALLEST_SHARE = 1e-6
+_FLOOR_SWEEPS = 6
+_DOUBLINGS = 60
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coordinates:
+    """Triangular S (na, na) and Y (p, p), and the squared norm of the filter they come from."""
+
+    S: FloatArray
+    Y: FloatArray
+    mu: float
+
+
+def kalman_coordinates(model: ErrorModel) -> Coordinates:
+    """Return the coordinates of a model.
+
+    States and outputs get a floor of fictitious noise, ``FLOOR`` of their own stationary error, because a
+    direction without any noise would be known exactly and have no scale.
+
+    Raises
+    ------
+    InfeasibleError
+        The Riccati equation has no solution that numbers can represent.
+    """
+    A, C = model.A.mean(axis=0), model.C
+    Q, S, R = model.B @ model.B.T, model.B @ model.D.T, model.D @ model.D.T
+    smallest = (_SMALLEST_SHARE / model.weights) ** 2
+    variance = np.maximum(np.diag(Q), smallest)
+    try:
+        for _ in range(_FLOOR_SWEEPS):
+            floor = FLOOR**2 * (np.diag(C @ np.diag(variance) @ C.T) + np.diag(R))
+            Sigma = _riccati(A, C, Q + FLOOR**2 * np.diag(variance), S, R + np.diag(floor))
+            previous, variance = variance, np.maximum(np.diag(Sigma), smallest)
+            if np.allclose(variance, previous, rtol=0.2, atol=0.0):
+                break
+        innovation = C @ Sigma @ C.T + R + np.diag(floor)
+        gain = np.linalg.solve(innovation, (A @ Sigma @ C.T + S).T).T
+        direct = np.asarray(np.linalg.solve(innovation, C @ Sigma).T, dtype=np.float64)
+        S_factor = np.asarray(np.linalg.cholesky(Sigma), dtype=np.float64)
+        Y_factor = np.asarray(np.linalg.cholesky(innovation), dtype=np.float64)
+    except np.linalg.LinAlgError as error:
+        raise InfeasibleError(
+            f"{model.name}: its numbers are too far apart: check units, scales of disturbance and noise"
+        ) from error
+    floored = with_floor(model, S_factor, Y_factor)
+    C_e, D_e = floored.output(direct[len(A) - model.a1 :])
+    norm = hinf_norm(A - gain @ C, floored.B - gain @ floored.D, C_e, D_e)
+    return Coordinates(S_factor, Y_factor, norm.value**2)
+
+
+def with_floor(model: ErrorModel, S: FloatArray, Y: FloatArray) -> ErrorModel:
+    """Return the model with fictitious noise of ``FLOOR`` on every error and every innovation."""
+    na, p = len(S), len(Y)
+    return replace(
+        model,
+        B=np.hstack([model.B, FLOOR * S, np.zeros((na, p))]),
+        D=np.hstack([model.D, np.zeros((p, na)), FLOOR * Y]),
+    )
+
+
+def _riccati(A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: FloatArray) -> FloatArray:
+    """Return the stationary covariance of the one-step prediction by the structured doubling algorithm.
+
+    Q (na, na), R (p, p) and S (na, p) are the covariances of process and measurement noise and between them.
+    """
+    inverse = np.linalg.inv(R)
+    X, G, H = (A - S @ inverse @ C).T, C.T @ inverse @ C, Q - S @ inverse @ S.T
+    for _ in range(_DOUBLINGS):
+        W = np.linalg.inv(np.eye(len(A)) + G @ H)
+        step = X.T @ H @ W @ X
+        G, H, X = G + X @ W @ G @ X.T, H + step, X @ W @ X
+        G, H = 0.5 * (G + G.T), 0.5 * (H + H.T)
+        if not np.all(np.isfinite(H)):
+            raise np.linalg.LinAlgError
+        if np.max(np.abs(step)) <= 1e-10 * np.max(np.abs(H)):
+            break
+    return H

@@ -1,0 +1,66 @@
+"""A designed observer: gains in the user's units, the matrix that proves them and the bound it proves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from gains.plant import FloatArray
+
+Method = Literal["convex"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design:
+    """Gains of one observer, symbols as in :mod:`gains.augment`.
+
+    Parameters
+    ----------
+    method : {"convex"}
+        The synthesis.
+    rate_hz : float
+        Samples per second.
+    K, L_i, L_p : FloatArray
+        (nz, p), (a1, p) and (a1, p).
+    L1, F, N, J : FloatArray
+        (nz, n), (nz, p), (nz, nz) and (nz, p).
+    P : FloatArray
+        Matrix of the bounded-real inequality (na, na).
+    mu : float
+        The bound: |e|^2 summed over time is at most mu times that of the scaled [w; w+; df_a].
+    status : {"optimal"}
+        A design exists only where its certificate holds; failures are errors.
+    solve_s, total_s : float
+        Time in the solver and in all, seconds.
+    notes : tuple[str, ...]
+        What a person should know about the faults of this model.
+    """
+
+    method: Method
+    rate_hz: float
+    K: FloatArray
+    L_i: FloatArray
+    L_p: FloatArray
+    L1: FloatArray
+    F: FloatArray
+    N: FloatArray
+    J: FloatArray
+    P: FloatArray
+    mu: float
+    status: Literal["optimal"] = "optimal"
+    solve_s: float = 0.0
+    total_s: float = 0.0
+    notes: tuple[str, ...] = ()
+
+    @property
+    def sqrt_mu(self) -> float:
+        """Bound of the H-infinity norm from the scaled disturbances to the scaled errors."""
+        return math.sqrt(self.mu)
+
+    @property
+    def gain_max_abs(self) -> float:
+        """Largest entry of K, L_i and L_p by size."""
+        return float(max(np.max(np.abs(gain), initial=0.0) for gain in (self.K, self.L_i, self.L_p)))

@@ -1,0 +1,1 @@
+"""Built-in plant models, addressed by name: ``fauio design arm``."""

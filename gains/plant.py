@@ -1,0 +1,379 @@
+"""The plant an observer is designed for: matrices, names, faults, disturbances and their scales.
+
+In continuous time (``domain == "continuous"``; x' becomes x+ in a discrete model of fixed rate):
+
+    x'  = A x + B v + c + G g(x) + E_f f_a + E_1 w_1        x (n,), v (s,), f_a (a1,), w_1 (q1,)
+    y   = C x + D_f f_s + D_1 w_2                           y (p,), f_s (a2,), w_2 (q2,)
+    v_i = sum_d taps[d] curve_i(u_i(k - d)),   curve_i(u) = c1 u + c2 u^2 + ...      known input nonlinearity
+    g_i = g_i(H_i x),   a_ij <= dg_i/dnu_j <= b_ij                                    G is (n, m)
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gains.errors import ModelError
+
+FloatArray = NDArray[np.float64]
+Domain = Literal["continuous", "discrete"]
+FaultKind = Literal["actuator", "sensor"]
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
+_RANK_TOLERANCE = 1e-9
+
+
+def _nothing() -> FloatArray:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fault:
+    """One fault or attack channel.
+
+    Parameters
+    ----------
+    name : str
+        Channel name in estimates and alarms.
+    kind : {"actuator", "sensor"}
+        Whether it enters the states (a column of E_f) or the outputs (a column of D_f).
+    column : FloatArray
+        That column: (n,) or (p,). Empty with ``input``: the input's column of B.
+    rate : float
+        How fast an actuator fault may move, units per second: the bandwidth knob. A sensor fault needs no
+        such assumption and ignores it.
+    error : float
+        Error of the estimate that matters, in ``unit``.
+    unit : str
+        Unit of the estimate, for people.
+    input : str | None
+        The input whose effect v the fault changes: estimate over command is then a relative loss.
+    """
+
+    name: str
+    kind: FaultKind
+    column: FloatArray = field(default_factory=_nothing)
+    rate: float = 1.0
+    error: float = 1.0
+    unit: str = ""
+    input: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Disturbance:
+    """One unknown input of the states: column of E_1 (n,) and how large it is."""
+
+    name: str
+    column: FloatArray
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """One unknown input of the outputs: column of D_1 (p,) and how large it is."""
+
+    name: str
+    column: FloatArray
+    scale: float = 1.0
+
+
+Signal = TypeVar("Signal", Disturbance, Noise)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nonlinearity:
+    """One scalar nonlinearity g_i(H_i x); it enters the states through column i of the plant's G.
+
+    Parameters
+    ----------
+    expression : str
+        Text of g_i, for example ``"sin(v)"``.
+    arguments : tuple[str, ...]
+        Names of its arguments nu_j.
+    rows : FloatArray
+        H_i (number of arguments, n): nu = rows x.
+    slopes : FloatArray
+        Bounds a_ij <= dg_i/dnu_j <= b_ij (number of arguments, 2).
+    ranges : FloatArray
+        Box of the arguments on which the bounds hold (number of arguments, 2).
+    """
+
+    expression: str
+    arguments: tuple[str, ...]
+    rows: FloatArray
+    slopes: FloatArray
+    ranges: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plant:
+    """A plant with its faults; every array is checked, copied and made read-only.
+
+    Parameters
+    ----------
+    name : str
+        The model's name.
+    states, inputs, outputs : tuple[str, ...]
+        Names of x, u and y.
+    A, B, C : FloatArray
+        (n, n), (n, s), (p, n).
+    domain : {"continuous", "discrete"}
+        Whether x' or x+ stands on the left.
+    rate_hz : float | None
+        Samples per second of a discrete model, None in continuous time.
+    c : FloatArray
+        Constant offset (n,); empty stands for zero.
+    G : FloatArray
+        (n, m), a column for each nonlinearity; empty with none.
+    nonlinearities : tuple[Nonlinearity, ...]
+        The m scalar nonlinearities.
+    faults : tuple[Fault, ...]
+        Actuator and sensor faults in any order.
+    disturbances : tuple[Disturbance, ...]
+        w_1.
+    noises : tuple[Noise, ...]
+        w_2.
+    state_errors : FloatArray
+        Error of each state estimate that matters (n,); empty stands for ones.
+    taps : tuple[float, ...]
+        Delays of the inputs, newest first, sum 1; more than one in discrete models only.
+    curves : tuple[tuple[float, ...], ...]
+        Coefficients c1, c2, ... of each input's static curve; empty stands for v = u.
+    description : str
+        A sentence for people; no part of the model's hash.
+
+    Raises
+    ------
+    ModelError
+        Shapes, names or numbers that cannot be: the message names the key.
+    """
+
+    name: str
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    domain: Domain = "continuous"
+    rate_hz: float | None = None
+    c: FloatArray = field(default_factory=_nothing)
+    G: FloatArray = field(default_factory=_nothing)
+    nonlinearities: tuple[Nonlinearity, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    disturbances: tuple[Disturbance, ...] = ()
+    noises: tuple[Noise, ...] = ()
+    state_errors: FloatArray = field(default_factory=_nothing)
+    taps: tuple[float, ...] = (1.0,)
+    curves: tuple[tuple[float, ...], ...] = ()
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        n, s, p, m = len(self.states), len(self.inputs), len(self.outputs), len(self.nonlinearities)
+        _check_names(self)
+        _check_domain(self)
+
+        def put(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
+        put("A", checked_array(self.A, (n, n), "A"))
+        put("B", checked_array(self.B if np.size(self.B) else np.zeros((n, s)), (n, s), "B"))
+        put("C", checked_array(self.C, (p, n), "C"))
+        put("c", checked_array(self.c if np.size(self.c) else np.zeros(n), (n,), "c"))
+        put("G", checked_array(self.G if np.size(self.G) else np.zeros((n, m)), (n, m), "G"))
+        errors = self.state_errors if np.size(self.state_errors) else np.ones(n)
+        put("state_errors", checked_array(errors, (n,), "error"))
+        if np.any(self.state_errors <= 0.0):
+            bad = self.states[int(np.argmax(self.state_errors <= 0.0))]
+            raise ModelError(f"error.{bad} is not positive; it is the size of error that matters")
+        put("taps", _checked_taps(self.taps))
+        put("curves", _checked_curves(self.curves, self.inputs))
+        put("nonlinearities", tuple(_checked_nonlinearity(g, n) for g in self.nonlinearities))
+        put("faults", tuple(_checked_fault(fault, self) for fault in self.faults))
+        put("disturbances", tuple(_checked_signal(w, n, "disturbance") for w in self.disturbances))
+        put("noises", tuple(_checked_signal(w, p, "noise") for w in self.noises))
+        _check_rank(self.E_f, self.actuator_faults, "E_f")
+        _check_rank(self.D_f, self.sensor_faults, "D_f")
+
+    @property
+    def actuator_faults(self) -> tuple[Fault, ...]:
+        """Faults f_a in the order of E_f."""
+        return tuple(fault for fault in self.faults if fault.kind == "actuator")
+
+    @property
+    def sensor_faults(self) -> tuple[Fault, ...]:
+        """Faults f_s in the order of D_f."""
+        return tuple(fault for fault in self.faults if fault.kind == "sensor")
+
+    @property
+    def E_f(self) -> FloatArray:
+        """Directions of the actuator faults (n, a1)."""
+        return _stacked((fault.column for fault in self.actuator_faults), len(self.states))
+
+    @property
+    def D_f(self) -> FloatArray:
+        """Directions of the sensor faults (p, a2)."""
+        return _stacked((fault.column for fault in self.sensor_faults), len(self.outputs))
+
+    @property
+    def E_1(self) -> FloatArray:
+        """Directions of the disturbances (n, q1), not scaled."""
+        return _stacked((w.column for w in self.disturbances), len(self.states))
+
+    @property
+    def D_1(self) -> FloatArray:
+        """Directions of the noises (p, q2), not scaled."""
+        return _stacked((w.column for w in self.noises), len(self.outputs))
+
+
+def checked_array(value: ArrayLike, shape: tuple[int, ...], key: str) -> FloatArray:
+    """Return a read-only copy of ``value`` as floats of the given shape.
+
+    Raises
+    ------
+    ModelError
+        It is no array of numbers, has another shape or holds NaN or infinity.
+    """
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"'{key}' is not a rectangular array of numbers") from error
+    if array.shape != shape:
+        raise ModelError(f"'{key}' is {_size(array.shape)} but the names make it {_size(shape)}")
+    if not np.all(np.isfinite(array)):
+        raise ModelError(f"'{key}' holds a number that is not finite")
+    array += 0.0  # turns -0.0 into 0.0, so that equal models hash equally
+    array.setflags(write=False)
+    return array
+
+
+def _check_names(plant: Plant) -> None:
+    if not _NAME.fullmatch(plant.name):
+        raise ModelError(f"'name' is '{plant.name}'; use a letter, then letters, digits, _ and -")
+    groups = {
+        "states": plant.states,
+        "inputs": plant.inputs,
+        "outputs": plant.outputs,
+        "fault": tuple(fault.name for fault in plant.faults),
+        "disturbance": tuple(w.name for w in plant.disturbances),
+        "noise": tuple(w.name for w in plant.noises),
+    }
+    for key, names in groups.items():
+        for name in names:
+            if not isinstance(name, str) or not _NAME.fullmatch(name):
+                raise ModelError(f"'{key}' has the name '{name}'; use a letter, then letters, digits, _ and -")
+            if names.count(name) > 1:
+                raise ModelError(f"'{key}' has the name '{name}' twice")
+    if "default" in plant.states:
+        raise ModelError("'states' has the name 'default', which stands for all states in 'error'")
+    for key in ("states", "outputs"):
+        if not groups[key]:
+            raise ModelError(f"'{key}' is empty; a plant needs at least one")
+
+
+def _check_domain(plant: Plant) -> None:
+    if plant.domain not in ("continuous", "discrete"):
+        raise ModelError(f"'domain' is '{plant.domain}'; use 'continuous' or 'discrete'")
+    if plant.domain == "continuous":
+        if plant.rate_hz is not None:
+            raise ModelError("'rate_hz' belongs to a discrete model; leave it out or set domain = \"discrete\"")
+        if len(plant.taps) > 1:
+            raise ModelError("'taps' are delays in samples and need a discrete model")
+    elif plant.rate_hz is None or not (np.isfinite(plant.rate_hz) and plant.rate_hz > 0.0):
+        raise ModelError("'rate_hz' is missing or not positive; a discrete model has a fixed rate")
+
+
+def _checked_taps(taps: Iterable[float]) -> tuple[float, ...]:
+    values = tuple(float(tap) for tap in taps)
+    if not values or not np.all(np.isfinite(values)):
+        raise ModelError("'taps' is empty or holds a number that is not finite")
+    if abs(sum(values) - 1.0) > 1e-6:
+        raise ModelError(f"'taps' add up to {sum(values):g}; they must add up to 1 (put the gain into B)")
+    return values
+
+
+def _checked_curves(curves: tuple[tuple[float, ...], ...], inputs: tuple[str, ...]) -> tuple[tuple[float, ...], ...]:
+    if not curves:
+        return ((1.0,),) * len(inputs)
+    if len(curves) != len(inputs):
+        raise ModelError(f"'curves' has {len(curves)} entries for {len(inputs)} inputs")
+    values = tuple(tuple(float(x) + 0.0 for x in curve) for curve in curves)
+    for name, curve in zip(inputs, values, strict=True):
+        if not curve or not np.all(np.isfinite(curve)) or not any(curve):
+            raise ModelError(f"'curves.{name}' needs finite coefficients of u, u^2, ... and one that is not zero")
+    return values
+
+
+def _checked_nonlinearity(g: Nonlinearity, n: int) -> Nonlinearity:
+    key, count = f"nonlinearity '{g.expression}'", len(g.arguments)
+    if not count:
+        raise ModelError(f"{key} has no arguments")
+    slopes = checked_array(g.slopes, (count, 2), f"{key}: slope")
+    ranges = np.array(g.ranges, dtype=np.float64)
+    if ranges.shape != (count, 2) or np.isnan(ranges).any() or np.any(ranges[:, 0] >= ranges[:, 1]):
+        raise ModelError(f"{key}: 'range' needs a lower and a higher bound for each argument")
+    ranges.setflags(write=False)
+    if np.any(slopes[:, 0] > slopes[:, 1]):
+        raise ModelError(f"{key}: 'slope' needs the lower bound before the upper one")
+    return replace(g, rows=checked_array(g.rows, (count, n), f"{key}: arguments"), slopes=slopes, ranges=ranges)
+
+
+def _checked_fault(fault: Fault, plant: Plant) -> Fault:
+    key = f"fault '{fault.name}'"
+    if fault.kind not in ("actuator", "sensor"):
+        raise ModelError(f"{key}: 'kind' is '{fault.kind}'; use 'actuator' or 'sensor'")
+    column = fault.column
+    if fault.input is not None:
+        if fault.kind != "actuator":
+            raise ModelError(f"{key}: 'input' belongs to an actuator fault")
+        if fault.input not in plant.inputs:
+            raise ModelError(f"{key}: there is no input '{fault.input}'; there are {', '.join(plant.inputs)}")
+        own = plant.B[:, plant.inputs.index(fault.input)]
+        if np.size(column) and not np.array_equal(column, own):
+            raise ModelError(f"{key}: its column is not that of the input '{fault.input}' in B")
+        column = own
+    size = len(plant.states) if fault.kind == "actuator" else len(plant.outputs)
+    column = checked_array(column, (size,), f"{key}: into")
+    for name, value in (("rate", fault.rate), ("error", fault.error)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise ModelError(f"{key}: '{name}' is {value}; it must be positive")
+    return replace(fault, column=column, rate=float(fault.rate), error=float(fault.error))
+
+
+def _checked_signal(signal: Signal, size: int, key: str) -> Signal:
+    where = f"{key} '{signal.name}'"
+    if not (np.isfinite(signal.scale) and signal.scale >= 0.0):
+        raise ModelError(f"{where}: 'scale' is {signal.scale}; it cannot be negative")
+    column = checked_array(signal.column, (size,), f"{where}: into")
+    if not column.any():
+        raise ModelError(f"{where}: 'into' is zero: it touches nothing")
+    return replace(signal, column=column, scale=float(signal.scale))
+
+
+def _check_rank(columns: FloatArray, faults: tuple[Fault, ...], symbol: str) -> None:
+    """Refuse faults whose directions depend on each other: they could never be told apart."""
+    norms = np.linalg.norm(columns, axis=0)
+    for i, fault in enumerate(faults):
+        if norms[i] == 0.0:
+            raise ModelError(f"fault '{fault.name}': its direction ({symbol}) is zero: it touches nothing")
+        unit = columns[:, : i + 1] / norms[: i + 1]
+        if np.linalg.svd(unit, compute_uv=False)[-1] < _RANK_TOLERANCE or i >= len(columns):
+            others = ", ".join(f"'{other.name}'" for other in faults[:i])
+            raise ModelError(
+                f"fault '{fault.name}': its direction ({symbol}) is a combination of those of {others}: "
+                "they cannot be told apart; leave one out"
+            )
+
+
+def _stacked(columns: Iterable[FloatArray], rows: int) -> FloatArray:
+    stacked = list(columns)
+    return np.column_stack(stacked) if stacked else np.zeros((rows, 0))
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(str(length) for length in shape) or "one number"
