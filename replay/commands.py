@@ -1,0 +1,197 @@
+"""Commands of this package: demo, fit, replay, convert."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from adapters.message import Message
+    from monitor.event import AlarmEvent
+
+ALARMS_RAISED = 4
+_LOG_HELP = "recording: .tlog or .mcap, plain or with .xz / .gz behind"
+
+
+def add_parsers(subparsers: Any) -> None:
+    """Add the commands to the command line."""
+    _add_demo(subparsers)
+    _add_fit(subparsers)
+    _add_replay(subparsers)
+    _add_convert(subparsers)
+
+
+def _add_demo(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "demo",
+        help="the whole path on an embedded default: simulator or flight, MAVLink, monitor, alarms on Zenoh",
+        description="Run a monitor, feed it over real MAVLink UDP, subscribe to its alarms over real Zenoh, and "
+        "leave a recording, a Rerun file and a plot.",
+        epilog="example: fauio demo copter --out /tmp/demo",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("vehicle", nargs="?", choices=["arm", "copter"], default="arm", help="default: arm")
+    parser.add_argument("--out", type=Path, default=Path("demo-out"), help="folder for the results (demo-out)")
+    parser.add_argument("--speed", type=float, help="times real time (default: 2 for the arm, 4 for the copter)")
+    parser.set_defaults(handler=run_demo)
+
+
+def _add_fit(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "fit",
+        help="learn a vehicle from healthy recordings: model, certified gains, thresholds",
+        description="Identify a vehicle from healthy flights, design its observer, and calibrate its alarms.",
+        epilog="example: fauio fit --vehicle multirotor monday.tlog tuesday.tlog.xz -o quad/",
+    )
+    parser.add_argument("--vehicle", required=True, choices=["multirotor"], help="kind of vehicle")
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=_LOG_HELP)
+    parser.add_argument("-o", "--out", required=True, type=Path, metavar="PROFILE", help="profile folder to write")
+    parser.add_argument("--name", help="name of the vehicle in topics (default: the folder's name)")
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    parser.set_defaults(handler=run_fit)
+
+
+def _add_replay(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "replay",
+        help="run recordings through a profile's monitor",
+        description="Run recordings through the very pipeline that runs live, and list the alarms.",
+        epilog="example: fauio replay quad/ flight.tlog --alarms alarms.jsonl --plot flight.png",
+    )
+    parser.add_argument("profile", type=Path, metavar="PROFILE", help="profile folder")
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=_LOG_HELP)
+    parser.add_argument("-o", "--out", type=Path, metavar="OUT.mcap", help="record telemetry, estimates and alarms")
+    parser.add_argument("--alarms", type=Path, metavar="OUT.jsonl", help="write the alarm events as JSON lines")
+    parser.add_argument("--plot", type=Path, metavar="OUT.png", help="plot estimates, thresholds and alarms")
+    parser.add_argument("--rrd", type=Path, metavar="OUT.rrd", help="write a Rerun recording")
+    parser.add_argument("--vehicle", metavar="NAME", help="name in events (default: the profile's)")
+    parser.add_argument("--fail-on-alarm", action="store_true", help="exit with 4 where an alarm was raised")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per log")
+    parser.set_defaults(handler=run_replay)
+
+
+def _add_convert(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "convert",
+        help="convert a recording to MCAP",
+        description="Convert a recording to MCAP with typed messages, for Foxglove, Rerun and any MCAP tool.",
+        epilog="example: fauio convert flight.tlog.xz -o flight.mcap",
+    )
+    parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP)
+    parser.add_argument("-o", "--out", required=True, type=Path, metavar="OUT.mcap", help="file to write")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.set_defaults(handler=run_convert)
+
+
+def run_demo(args: argparse.Namespace) -> int:
+    """Run ``fauio demo``."""
+    from replay.demo import demo
+
+    return demo(args.vehicle, args.out, args.speed)
+
+
+def run_fit(args: argparse.Namespace) -> int:
+    """Run ``fauio fit``."""
+    from adapters.recordings import read_recording, recording_kind
+    from replay.fit import fit_multirotor, report_json
+    from replay.progress import track
+    from replay.survey import FIT_MESSAGES
+
+    for path in args.logs:
+        recording_kind(path)
+    name = args.name or args.out.resolve().name
+
+    def log(path: Path) -> Iterator[Message]:
+        return track(read_recording(path, FIT_MESSAGES), f"reading {path.name}")
+
+    report = fit_multirotor([lambda path=path: log(path) for path in args.logs], args.out, name)  # type: ignore[misc]
+    found = report_json(report)
+    if args.json:
+        _say(json.dumps(found))
+        return 0
+    _say(f"{args.out}: profile of '{name}' from {report.flight_s:.0f} s of healthy flight in {len(args.logs)} logs")
+    explained = ", ".join(f"{axis} {100 * share:.1f} %" for axis, share in _items(found["explained"]))
+    _say(f"  model       {report.model.rate_hz:g} Hz, explains {explained} of each rate's changes")
+    _say(f"  design      certified sqrt(mu) {report.sqrt_mu:.4g}")
+    for motor, hover, threshold in zip(report.motors, report.hover, report.thresholds, strict=True):
+        _say(
+            f"  {motor:<11} alarm from {100 * threshold / hover:.1f} % loss at hover (command {hover:.2f}, "
+            f"threshold {threshold:.4f} of full command)"
+        )
+    _say("Thresholds stand in profile.toml and may be edited.")
+    return 0
+
+
+def run_replay(args: argparse.Namespace) -> int:
+    """Run ``fauio replay``."""
+    from adapters.errors import TelemetryError
+    from adapters.recordings import read_recording, recording_kind
+    from monitor.alarm_text import alarm_line
+    from monitor.profile import read_profile
+    from replay.player import interests, play, write_events
+    from replay.progress import track
+
+    profile = read_profile(args.profile)
+    for path in args.logs:
+        recording_kind(path)
+    if len(args.logs) > 1 and (args.out or args.plot or args.rrd):
+        raise TelemetryError("-o, --plot and --rrd take one log at a time; give the logs one by one")
+    only = None if args.out else interests(profile)
+    events: list[AlarmEvent] = []
+    for path in args.logs:
+        found = play(
+            profile,
+            track(read_recording(path, only), path.name),
+            vehicle=args.vehicle,
+            record=args.out,
+            keep_traces=bool(args.plot or args.rrd),
+            on_event=None if args.json else lambda event: _say(alarm_line(event)),
+        )
+        events.extend(found.events)
+        raised = [event for event in found.events if event.state == "raised"]
+        if args.json:
+            summary = {"log": str(path), "samples": found.samples, "evidence": found.evidence}
+            _say(json.dumps(summary | {"alarms": [event.to_json() for event in found.events]}))
+        elif not found.samples:
+            needed = ", ".join(sorted(interests(profile)))
+            _say(f"{path.name}: no samples; the log lacks channels of the profile (needed: {needed})")
+        else:
+            seconds = found.evidence / profile.observers[0].gains.rate_hz
+            _say(f"{path.name}: {len(raised)} alarms in {seconds:.0f} s of watched flight")
+        if args.plot:
+            from replay.plot import plot_png
+
+            plot_png(args.plot, found.traces, found.events, found.thresholds, title=path.name)
+        if args.rrd:
+            from monitor.rerun_view import write_rrd
+
+            write_rrd(args.rrd, found.traces, found.events, found.thresholds)
+    if args.alarms:
+        write_events(events, args.alarms)
+    return ALARMS_RAISED if args.fail_on_alarm and any(event.state == "raised" for event in events) else 0
+
+
+def run_convert(args: argparse.Namespace) -> int:
+    """Run ``fauio convert``."""
+    from adapters.recordings import read_recording
+    from replay.convert import convert
+    from replay.progress import track
+
+    count = convert(track(read_recording(args.log), args.log.name), args.log.name, args.out)
+    if args.json:
+        _say(json.dumps({"log": str(args.log), "out": str(args.out), "messages": count}))
+    else:
+        _say(f"{args.out}: {count} messages")
+    return 0
+
+
+def _items(table: object) -> Iterable[tuple[str, float]]:
+    return table.items() if isinstance(table, dict) else ()
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")

@@ -1,0 +1,120 @@
+"""Play a recording through a vehicle's pipeline and hand what comes out to whoever wants it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from adapters.message import Message
+from monitor.estimate import Estimate
+from monitor.event import AlarmEvent
+from monitor.pipeline import Pipeline
+from monitor.profile import Profile
+from monitor.recorder import Recorder
+from monitor.trace import Trace, TraceBuilder
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """What a replay found.
+
+    Parameters
+    ----------
+    events : tuple[AlarmEvent, ...]
+        Alarm events in order.
+    traces : tuple[Trace, ...]
+        Estimates by observer; empty where they were not asked for.
+    samples : int
+        Samples the observers took.
+    evidence : int
+        Samples among them from which alarms could be raised.
+    messages : int
+        Messages of the recording that mattered.
+    thresholds : Mapping[str, float]
+        Alarm thresholds by channel.
+    """
+
+    events: tuple[AlarmEvent, ...]
+    traces: tuple[Trace, ...]
+    samples: int
+    evidence: int
+    messages: int
+    thresholds: Mapping[str, float]
+
+
+def play(
+    profile: Profile,
+    messages: Iterable[Message],
+    *,
+    vehicle: str | None = None,
+    record: Path | None = None,
+    keep_traces: bool = False,
+    on_event: Callable[[AlarmEvent], None] | None = None,
+) -> Replay:
+    """Run recorded messages through the pipeline.
+
+    Parameters
+    ----------
+    profile : Profile
+        The vehicle's profile.
+    messages : Iterable[Message]
+        The recording.
+    vehicle : str | None
+        Name in events; None takes the profile's.
+    record : Path | None
+        MCAP file for telemetry, samples, estimates and alarms.
+    keep_traces : bool
+        Whether to keep the estimates for plots.
+    on_event : Callable[[AlarmEvent], None] | None
+        Called with each event as it arises.
+    """
+    pipeline = Pipeline(profile, vehicle)
+    builders = {layout.observer: TraceBuilder(layout) for layout in pipeline.layouts} if keep_traces else {}
+    events: list[AlarmEvent] = []
+    samples = evidence = count = 0
+    with ExitStack() as stack:
+        recorder = (
+            stack.enter_context(Recorder(record, pipeline.layouts, pipeline.metadata(), profile.files))
+            if record is not None
+            else None
+        )
+        for message in messages:
+            count += 1
+            outputs = pipeline.feed(message)
+            if recorder is not None and pipeline.accepts(message):
+                recorder.message(message)
+            for output in outputs:
+                if isinstance(output, Estimate):
+                    samples += 1
+                    evidence += output.armed
+                    if recorder is not None:
+                        recorder.estimate(output)
+                    if keep_traces:
+                        builders[output.observer].add(output)
+                    continue
+                events.append(output)
+                if recorder is not None:
+                    recorder.event(output)
+                if on_event is not None:
+                    on_event(output)
+    return Replay(
+        events=tuple(events),
+        traces=tuple(builder.build() for builder in builders.values()),
+        samples=samples,
+        evidence=evidence,
+        messages=count,
+        thresholds=pipeline.thresholds,
+    )
+
+
+def interests(profile: Profile) -> frozenset[str]:
+    """Return the names of the messages a profile's pipeline reads; skipping all others changes no result."""
+    return Pipeline(profile).interests
+
+
+def write_events(events: Sequence[AlarmEvent], path: Path) -> None:
+    """Write alarm events as JSON lines."""
+    path.write_text("".join(json.dumps(event.to_json()) + "\n" for event in events))

@@ -1,0 +1,39 @@
+"""Profiles that several test modules share, made once per session."""
+
+from pathlib import Path
+
+import pytest
+
+from monitor.profile import Profile, read_profile
+from replay.arm_profile import write_arm_profile
+
+DATA = Path(__file__).parent / "data"
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """Return the folder of the flight excerpts."""
+    return DATA
+
+
+@pytest.fixture(scope="session")
+def arm_profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
+    """Write the profile of the reference arm."""
+    return write_arm_profile(tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(scope="session")
+def quad_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Fit a profile on the two healthy excerpts with the command a user types."""
+    import fauio
+
+    folder = tmp_path_factory.mktemp("fit") / "quad"
+    healthy = [str(DATA / f"copter_healthy_{name}.tlog.xz") for name in ("square", "vel_gusty")]
+    assert fauio.main(["fit", "--vehicle", "multirotor", *healthy, "-o", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def quad_profile(quad_folder: Path) -> Profile:
+    """Read the fitted profile back."""
+    return read_profile(quad_folder)

@@ -1,0 +1,105 @@
+"""Recorded autopilot flights: fitted on healthy ones, the monitor names the right motor and how much it lost.
+
+The faults' times and sizes are those that the simulator injected; see tests/data/README.md.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fauio
+from adapters.recordings import read_recording
+from monitor.profile import Profile
+from replay.player import Replay, play
+
+ONSET_S = 112.704
+FLIGHTS = {"copter_motor3_090": ("motor3", 0.10), "copter_motor2_080": ("motor2", 0.20)}
+
+
+def replayed(profile: Profile, path: Path) -> Replay:
+    return play(profile, read_recording(path), keep_traces=True)
+
+
+@pytest.mark.parametrize("name", FLIGHTS)
+def test_the_right_motor_and_only_it_is_named_within_half_a_second(
+    name: str, quad_profile: Profile, data: Path
+) -> None:
+    motor, _ = FLIGHTS[name]
+    events = replayed(quad_profile, data / f"{name}.tlog.xz").events
+    assert {event.channel for event in events} == {motor}
+    raised = [event for event in events if event.state == "raised"]
+    assert len(raised) == 1
+    assert 0.0 < raised[0].vehicle_time_ms / 1000 - ONSET_S < 0.5
+    assert raised[0].message.startswith(f"{motor} delivers ")
+
+
+@pytest.mark.parametrize("name", FLIGHTS)
+def test_the_loss_is_within_two_points_of_the_truth(name: str, quad_profile: Profile, data: Path) -> None:
+    motor, loss = FLIGHTS[name]
+    (trace,) = replayed(quad_profile, data / f"{name}.tlog.xz").traces
+    index = trace.layout.faults.index(motor)
+    during = trace.vehicle_ns / 1e9 > ONSET_S + 0.5
+    relative = trace.isolated[during, index] / trace.u[during, index]
+    assert np.mean(relative) == pytest.approx(-loss, abs=0.02)
+
+
+def test_a_step_of_wind_is_no_fault(quad_profile: Profile, data: Path) -> None:
+    found = replayed(quad_profile, data / "copter_wind_step.tlog.xz")
+    assert found.events == ()
+    assert found.evidence > 1000
+
+
+def test_the_fit_reports_what_it_learned(quad_folder: Path) -> None:
+    report = json.loads((quad_folder / "fit.json").read_text())
+    assert report["motors"] == ["motor1", "motor2", "motor3", "motor4"]
+    assert report["rate_hz"] == 100.0
+    assert min(report["explained"].values()) > 0.9
+    assert max(report["threshold_relative"].values()) < 0.05
+
+
+def test_a_log_without_motor_commands_is_refused_with_what_is_missing(
+    tmp_path: Path, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from adapters.mcap_log import MessageLogWriter
+
+    path = tmp_path / "poor.mcap"
+    with MessageLogWriter(path) as writer:
+        for message in read_recording(data / "copter_wind_step.tlog.xz", {"ATTITUDE", "HIGHRES_IMU"}):
+            writer.write(message)
+    assert fauio.main(["fit", "--vehicle", "multirotor", str(path), "-o", str(tmp_path / "p")]) == 2
+    said = capsys.readouterr().err
+    assert "SERVO_OUTPUT_RAW" in said
+    assert said.count("\n") == 1
+
+
+def test_too_short_a_flight_is_refused(tmp_path: Path, data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = str(data / "copter_wind_step.tlog.xz")
+    assert fauio.main(["fit", "--vehicle", "multirotor", log, "-o", str(tmp_path / "p")]) == 2
+    assert "healthy flight" in capsys.readouterr().err
+
+
+def test_replay_writes_alarms_that_a_program_can_read(quad_folder: Path, tmp_path: Path, data: Path) -> None:
+    out = tmp_path / "alarms.jsonl"
+    log = str(data / "copter_motor3_090.tlog.xz")
+    assert fauio.main(["replay", str(quad_folder), log, "--alarms", str(out), "--fail-on-alarm"]) == 4
+    events = [json.loads(line) for line in out.read_text().splitlines()]
+    assert events[0]["state"] == "raised"
+    assert events[0]["channel"] == "motor3"
+    assert events[0]["relative"] == pytest.approx(-0.10, abs=0.03)
+
+
+def test_a_converted_log_replays_to_the_same_events(quad_profile: Profile, tmp_path: Path, data: Path) -> None:
+    source, target = data / "copter_motor2_080.tlog.xz", tmp_path / "flight.mcap"
+    assert fauio.main(["convert", str(source), "-o", str(target)]) == 0
+    assert replayed(quad_profile, target).events == replayed(quad_profile, source).events
+
+
+def test_a_recorded_replay_replays_to_the_same_bits(quad_profile: Profile, tmp_path: Path, data: Path) -> None:
+    record = tmp_path / "out.mcap"
+    first = play(quad_profile, read_recording(data / "copter_motor3_090.tlog.xz"), record=record, keep_traces=True)
+    second = replayed(quad_profile, record)
+    assert second.events == first.events
+    for name in ("vehicle_ns", "unix_ns", "u", "y", "x", "fault", "isolated", "residual", "armed"):
+        assert np.array_equal(getattr(first.traces[0], name), getattr(second.traces[0], name)), name

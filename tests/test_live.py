@@ -1,0 +1,189 @@
+"""The daemon beside a real sender, with subscribers in other processes: what comes live equals the replay."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from adapters.recordings import read_recording
+from adapters.zenoh_session import open_session
+from monitor.event import AlarmEvent, event_from_json
+from monitor.profile import Profile
+from monitor.subscriber import AlarmSubscriber
+from replay.player import play
+
+FAUIO = (sys.executable, "-m", "fauio")
+START_S = 30.0
+
+
+class Live(NamedTuple):
+    """A running daemon."""
+
+    process: subprocess.Popen[str]
+    udp: str
+    endpoint: str
+    record: Path
+
+
+def free_port(kind: socket.SocketKind) -> int:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def live(quad_folder: Path, tmp_path: Path) -> Iterator[Live]:
+    udp = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
+    endpoint = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    record = tmp_path / "live.mcap"
+    command = [*FAUIO, "run", str(quad_folder), "--mavlink", f"udpin:{udp}", "--listen", endpoint]
+    process = subprocess.Popen(
+        [*command, "--record", str(record)], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        yield Live(process, udp, endpoint, record)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def wait_for_monitor(subscriber: AlarmSubscriber) -> None:
+    deadline = time.monotonic() + START_S
+    while not subscriber.live and time.monotonic() < deadline:
+        subscriber.receive(0.05)
+    assert subscriber.live
+
+
+def send(live: Live, log: Path, speed: float) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "adapters.tlog_sender",
+        str(log),
+        f"udp:{live.udp}",
+        "--speed",
+        str(speed),
+    ]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+
+
+def collect(subscriber: AlarmSubscriber, quiet_s: float) -> list[AlarmEvent]:
+    events = []
+    while (event := subscriber.receive(quiet_s)) is not None:
+        events.append(event)
+    return [event for event in events if event.kind != "stale"]
+
+
+def essence(events: list[AlarmEvent]) -> list[tuple[object, ...]]:
+    """All of an event that does not depend on when its packets happened to arrive."""
+    return [(e.channel, e.state, e.severity, e.vehicle_time_ms, e.estimate, e.relative, e.message) for e in events]
+
+
+def test_subscribers_now_and_later_see_what_the_replay_says_and_the_recording_has_it(
+    live: Live, quad_profile: Profile, data: Path
+) -> None:
+    log = data / "copter_motor2_080.tlog.xz"
+    expected = list(play(quad_profile, read_recording(log)).events)
+    assert expected
+    session = open_session(connect=[live.endpoint])
+    late_session = open_session(connect=[live.endpoint])
+    try:
+        subscriber = AlarmSubscriber(session)
+        wait_for_monitor(subscriber)
+        send(live, log, speed=4.0)
+        events = collect(subscriber, quiet_s=1.0)
+        assert essence(events) == essence(expected)
+        late = AlarmSubscriber(late_session, history=True)
+        wait_for_monitor(late)
+        assert collect(late, quiet_s=1.0) == events
+        replies = [reply.ok for reply in late_session.get(f"fauio/{quad_profile.name}/alarms")]
+        active = [event_from_json(item) for reply in replies if reply for item in json.loads(bytes(reply.payload))]
+        assert [event.channel for event in active if event.kind != "stale"] == ["motor2"]
+    finally:
+        session.close()
+        late_session.close()
+    live.process.send_signal(signal.SIGTERM)
+    assert live.process.wait(10) == 0
+    recorded = play(quad_profile, read_recording(live.record))
+    assert [event for event in recorded.events if event.kind != "stale"] == events
+
+
+def test_a_killed_daemon_leaves_a_recording_that_lacks_at_most_a_second(
+    live: Live, quad_profile: Profile, data: Path
+) -> None:
+    session = open_session(connect=[live.endpoint])
+    try:
+        subscriber = AlarmSubscriber(session)
+        wait_for_monitor(subscriber)
+        send(live, data / "copter_motor3_090.tlog.xz", speed=4.0)
+        events = collect(subscriber, quiet_s=1.5)
+    finally:
+        session.close()
+    live.process.kill()
+    live.process.wait(10)
+    recorded = play(quad_profile, read_recording(live.record))
+    assert [event for event in recorded.events if event.kind != "stale"] == events
+
+
+def test_the_alarms_command_prints_json_lines_and_ends_on_interrupt(live: Live, data: Path) -> None:
+    command = [*FAUIO, "alarms", "--json", "--connect", live.endpoint]
+    printer = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        session = open_session(connect=[live.endpoint])
+        try:
+            wait_for_monitor(AlarmSubscriber(session))
+        finally:
+            session.close()
+        send(live, data / "copter_motor3_090.tlog.xz", speed=4.0)
+        assert printer.stdout is not None
+        first = json.loads(printer.stdout.readline())
+        assert (first["channel"], first["state"]) == ("motor3", "raised")
+        printer.send_signal(signal.SIGINT)
+        assert printer.wait(5) == 130
+    finally:
+        printer.kill()
+        printer.communicate()
+
+
+def test_garbage_on_the_port_is_ignored(live: Live, quad_profile: Profile, data: Path) -> None:
+    session = open_session(connect=[live.endpoint])
+    try:
+        subscriber = AlarmSubscriber(session)
+        wait_for_monitor(subscriber)
+        host, port = live.udp.split(":")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as noise:
+            for k in range(200):
+                noise.sendto(bytes((k * j) % 256 for j in range(k)), (host, int(port)))
+        send(live, data / "copter_motor3_090.tlog.xz", speed=4.0)
+        assert [event.channel for event in collect(subscriber, quiet_s=1.0)][:1] == ["motor3"]
+    finally:
+        session.close()
+    assert live.process.poll() is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["run", "nowhere", "--mavlink", "udpin:127.0.0.1:0"], "nowhere"),
+        (["run", "{quad}"], "no telemetry to listen to"),
+        (["run", "{quad}", "--mavlink", "carrier-pigeon:1"], "carrier-pigeon"),
+        (["replay", "{quad}", "no-such.tlog"], "no-such.tlog"),
+        (["replay", "{quad}", "{quad}/profile.toml"], "unknown kind of recording"),
+    ],
+)
+def test_a_wrong_argument_gets_one_line_and_status_2(
+    arguments: list[str], complaint: str, quad_folder: Path, tmp_path: Path
+) -> None:
+    command = [*FAUIO, *(argument.replace("{quad}", str(quad_folder)) for argument in arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30, cwd=tmp_path, check=False)
+    assert done.returncode == 2
+    assert complaint in done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
