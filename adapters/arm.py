@@ -126,9 +126,7 @@ SCENARIOS: dict[str, ArmScenario] = {
             ArmFault("f_s", 30.0, 30.1, lambda t: 0.1 * (t - 10.0)),
         )
     ),
-    "case2": ArmScenario(
-        (ArmFault("f_a", 10.0, 20.0, lambda _: 2.0), ArmFault("f_s", 30.0, 35.0, lambda _: 2.0))
-    ),
+    "case2": ArmScenario((ArmFault("f_a", 10.0, 20.0, lambda _: 2.0), ArmFault("f_s", 30.0, 35.0, lambda _: 2.0))),
     "case3": ArmScenario((ArmFault("f_a", 15.0, 40.0, _wave), ArmFault("f_s", 15.0, 35.0, _wave))),
 }
 
@@ -173,9 +171,7 @@ def parse_fault(text: str) -> ArmFault:
         raise TelemetryError(form)
     channel = next((name for name in FAULT_CHANNELS if name == parts[0]), None)
     if channel is None:
-        raise TelemetryError(
-            f"fault '{text}': unknown channel '{parts[0]}'; use {' or '.join(FAULT_CHANNELS)}"
-        )
+        raise TelemetryError(f"fault '{text}': unknown channel '{parts[0]}'; use {' or '.join(FAULT_CHANNELS)}")
     kind = next((name for name in FAULT_KINDS if name == parts[1]), None)
     if kind is None:
         raise TelemetryError(f"fault '{text}': unknown kind '{parts[1]}'; use {', '.join(FAULT_KINDS)}")
@@ -226,9 +222,7 @@ def simulate_arm(
         end_s = (k + 1) / rate_hz
         borders = [time_s, *(edge for edge in edges if time_s < edge < end_s), end_s]
         for first, last in pairwise(borders):
-            acting = [
-                f.signal for f in scenario.faults if f.channel == "f_a" and f.start_s <= first < f.stop_s
-            ]
+            acting = [f.signal for f in scenario.faults if f.channel == "f_a" and f.start_s <= first < f.stop_s]
             state = _integrate(state, first, last, u=held, f_a=acting, disturbance=disturbance)
     f_a, f_s = (
         np.array([[sum(f.at(s) for f in scenario.faults if f.channel == channel)] for s in t.tolist()])

@@ -84,7 +84,7 @@ class Channel:
 
 
 def _stamp(count: Any, unit_ns: int) -> int | None:
-    if isinstance(count, float) and isfinite(count):
+    if isinstance(count, float) and isfinite(count * unit_ns):
         return round(count * unit_ns)
     return count * unit_ns if isinstance(count, int) and not isinstance(count, bool) else None
 
@@ -130,12 +130,8 @@ def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
         if key in table and (isinstance(table[key], bool) or not isinstance(table[key], int | float)):
             raise TelemetryError(f"{where}: '{key}' is not a number")
     where_table = table.get("where", {})
-    if not isinstance(where_table, Mapping) or not all(
-        isinstance(v, (int, str)) for v in where_table.values()
-    ):
-        raise TelemetryError(
-            f"{where}: 'where' is not a table of fields and their values, like {{ port = 0 }}"
-        )
+    if not isinstance(where_table, Mapping) or not all(isinstance(v, (int, str)) for v in where_table.values()):
+        raise TelemetryError(f"{where}: 'where' is not a table of fields and their values, like {{ port = 0 }}")
     interpolation = table.get("interpolation", "linear")
     if interpolation not in ("linear", "previous"):
         raise TelemetryError(f"{where}: 'interpolation' is '{interpolation}'; use 'linear' or 'previous'")

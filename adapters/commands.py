@@ -44,15 +44,9 @@ def add_parsers(subparsers: Any) -> None:
         metavar="CHANNEL:KIND:START:STOP:SIZE[:HZ]",
         help="add a fault: channel f_a or f_s; kind step, ramp or sine; times in seconds; may be repeated",
     )
-    arm.add_argument(
-        "--torque", choices=("zero", "tracking"), default="zero", help="none, or one that swings the link"
-    )
-    arm.add_argument(
-        "--duration", type=float, default=50.0, metavar="S", help="simulated seconds (default 50)"
-    )
-    arm.add_argument(
-        "--rate", type=float, default=100.0, metavar="HZ", help="samples per second (default 100)"
-    )
+    arm.add_argument("--torque", choices=("zero", "tracking"), default="zero", help="none, or one that swings the link")
+    arm.add_argument("--duration", type=float, default=50.0, metavar="S", help="simulated seconds (default 50)")
+    arm.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="samples per second (default 100)")
     arm.add_argument("--speed", type=float, default=1.0, metavar="X", help="times real time (default 1)")
     arm.add_argument("--json", action="store_true", help="print one JSON object that says what was done")
     arm.set_defaults(handler=_simulate_arm)

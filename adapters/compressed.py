@@ -79,6 +79,4 @@ class CompressedFile:
             self.damaged = stream is not None
 
     def _decompressor(self) -> Any:
-        return (
-            lzma.LZMADecompressor() if self._path.suffix.lower() == ".xz" else zlib.decompressobj(_AUTO_GZIP)
-        )
+        return lzma.LZMADecompressor() if self._path.suffix.lower() == ".xz" else zlib.decompressobj(_AUTO_GZIP)

@@ -73,8 +73,7 @@ class MavlinkType:
             fields = dict(zip(self._names, self._pick(values), strict=True))
         else:
             fields = {
-                name: _field(values[first:end])
-                for name, (first, end) in zip(self._names, self._places, strict=True)
+                name: _field(values[first:end]) for name, (first, end) in zip(self._names, self._places, strict=True)
             }
         return Message("mavlink", self.name, received_ns, fields, *packet_sender(packet))
 

@@ -46,9 +46,5 @@ class FlightPhase:
             self.landed = _LANDED.get(state) if isinstance(state, int) else None
             return
         mode = fields.get("base_mode")
-        if (
-            fields.get("type") != _GROUND_STATION
-            and fields.get("autopilot") != _NO_AUTOPILOT
-            and isinstance(mode, int)
-        ):
+        if fields.get("type") != _GROUND_STATION and fields.get("autopilot") != _NO_AUTOPILOT and isinstance(mode, int):
             self.armed = bool(mode & _ARMED)

@@ -26,9 +26,7 @@ def recording_kind(path: str | os.PathLike[str]) -> RecordingKind:
     plain = file.with_suffix("") if file.suffix.lower() in (".xz", ".gz") else file
     kind = plain.suffix.lower()
     if kind not in (".tlog", ".mcap"):
-        raise TelemetryError(
-            f"{path}: unknown kind of recording; use .tlog or .mcap, plain or with .xz or .gz behind"
-        )
+        raise TelemetryError(f"{path}: unknown kind of recording; use .tlog or .mcap, plain or with .xz or .gz behind")
     if not file.is_file():
         raise TelemetryError(f"{path}: no such file")
     return "tlog" if kind == ".tlog" else "mcap"

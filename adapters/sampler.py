@@ -128,9 +128,7 @@ class Sampler:
             channel = group[0].channel
             stream = Stream(channel, Lane(group, round(max_gap_s * _SECOND_NS)))
             self._streams.setdefault(channel.message, []).append(stream)
-        self._lanes = [
-            lane for streams in self._streams.values() for stream in streams for lane in stream.lanes
-        ]
+        self._lanes = [lane for streams in self._streams.values() for stream in streams for lane in stream.lanes]
         self._waiting: Lane | None = None
         self._held: tuple[Stream, Message, int] | None = None
         self._next: int | None = None

@@ -26,9 +26,7 @@ def reference(run: ArmRun, scenario: ArmScenario, k: int) -> NDArray[np.float64]
     """Integrate from sample k to k + 1 with DOP853 and the matrices, in pieces between the jumps of f_a."""
     faults = [fault for fault in scenario.faults if fault.channel == "f_a"]
     first, last = float(run.t[k]), float(run.t[k + 1])
-    edges = sorted(
-        {edge for fault in faults for edge in (fault.start_s, fault.stop_s) if first < edge < last}
-    )
+    edges = sorted({edge for fault in faults for edge in (fault.start_s, fault.stop_s) if first < edge < last})
     x = run.x[k]
     for start, stop in zip([first, *edges], [*edges, last], strict=True):
         acting = [fault.signal for fault in faults if fault.start_s <= start < fault.stop_s]
@@ -114,9 +112,7 @@ def test_samples_lie_before_the_end(duration: float, rate: float, samples: int) 
 
 
 def test_faults_of_simple_kinds_are_composed() -> None:
-    step, ramp, sine = (
-        parse_fault(text) for text in ("f_a:step:1:2:0.5", "f_s:ramp:1:3:-4", "f_a:sine:1:9:2:0.25")
-    )
+    step, ramp, sine = (parse_fault(text) for text in ("f_a:step:1:2:0.5", "f_s:ramp:1:3:-4", "f_a:sine:1:9:2:0.25"))
     assert [step.at(t) for t in (0.9, 1.0, 1.9, 2.0)] == [0.0, 0.5, 0.5, 0.0]
     assert [ramp.at(t) for t in (0.9, 1.0, 2.0, 3.0)] == [0.0, 0.0, -2.0, 0.0]
     assert [sine.at(t) for t in (1.0, 2.0)] == [0.0, 2.0]

@@ -32,9 +32,7 @@ ARRAY = "DEBUG_FLOAT_ARRAY"
 
 @pytest.fixture(scope="module")
 def run() -> ArmRun:
-    scenario = ArmScenario(
-        (make_fault("f_a", "step", 0.5, 1.0, 2.0), make_fault("f_s", "step", 1.2, 1.5, 1.0))
-    )
+    scenario = ArmScenario((make_fault("f_a", "step", 0.5, 1.0, 2.0), make_fault("f_s", "step", 1.2, 1.5, 1.0)))
     return simulate_arm(scenario, 2.0, torque="tracking")
 
 
@@ -170,9 +168,7 @@ def test_the_command_records_the_arm(tmp_path: Path, capsys: pytest.CaptureFixtu
     )
     assert [fault["channel"] for fault in said["faults"]] == ["f_a", "f_s"]
     recorded = list(read_recording(out, {ARRAY}))
-    scenario = ArmScenario(
-        (make_fault("f_a", "step", 0.5, 1.0, 2.0), make_fault("f_s", "ramp", 1.0, 2.0, 1.0))
-    )
+    scenario = ArmScenario((make_fault("f_a", "step", 0.5, 1.0, 2.0), make_fault("f_s", "ramp", 1.0, 2.0, 1.0)))
     expected = [m for m in arm_messages(simulate_arm(scenario, 2.0), UNIX) if m.name == ARRAY]
     assert [dict(message.fields) for message in recorded] == [dict(message.fields) for message in expected]
 

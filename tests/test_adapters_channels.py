@@ -26,9 +26,7 @@ NAMES = st.text("abcdefgh_0123", min_size=1, max_size=8).filter(lambda name: not
     unit=st.none() | st.integers(1, 10**9),
     interpolation=st.sampled_from(["linear", "previous"]),
 )
-def test_a_channel_survives_the_way_through_its_table(
-    message: str, path: list[Any], head: str, **rest: Any
-) -> None:
+def test_a_channel_survives_the_way_through_its_table(message: str, path: list[Any], head: str, **rest: Any) -> None:
     channel = Channel(
         name="c",
         message=message,

@@ -48,9 +48,7 @@ def same(ours: Any, theirs: Any) -> bool:
 
 @given(payload=st.binary(min_size=255, max_size=255), version_1=st.booleans())
 @settings(max_examples=8, deadline=None)
-def test_every_message_of_the_dialect_decodes_as_pymavlink_decodes_it(
-    payload: bytes, version_1: bool
-) -> None:
+def test_every_message_of_the_dialect_decodes_as_pymavlink_decodes_it(payload: bytes, version_1: bool) -> None:
     for number in ardupilotmega.mavlink_map:
         if version_1 and number > 255:
             continue

@@ -93,9 +93,7 @@ def test_times_are_nanoseconds_since_1970() -> None:
 
 @given(st.integers(1, len(RAW) - 1))
 @settings(max_examples=40, deadline=None)
-def test_a_truncated_log_gives_every_message_before_its_end(
-    tmp_path_factory: pytest.TempPathFactory, cut: int
-) -> None:
+def test_a_truncated_log_gives_every_message_before_its_end(tmp_path_factory: pytest.TempPathFactory, cut: int) -> None:
     messages, found = read_or_nothing(tmp_path_factory.mktemp("cut"), RAW[:cut])
     whole, size = 0, 0
     while size + len(RECORDS[whole]) <= cut:
@@ -152,9 +150,7 @@ def test_a_message_of_another_dialect_is_counted_and_passed_over(tmp_path: Path)
     assert found == TlogStatistics(21, 1, 0, 0, broken_off=False)
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"\x00", b"not a log at all, just text" * 100, bytes(5000), b"\xfd" * 5000]
-)
+@pytest.mark.parametrize("content", [b"", b"\x00", b"not a log at all, just text" * 100, bytes(5000), b"\xfd" * 5000])
 def test_a_file_without_any_packet_is_reported_by_name(tmp_path: Path, content: bytes) -> None:
     with pytest.raises(TelemetryError, match=r"a.tlog: holds no MAVLink packet; is it a telemetry log\?"):
         read(tmp_path, content)

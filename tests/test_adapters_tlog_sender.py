@@ -83,9 +83,7 @@ def test_another_process_sends_from_the_command_line(port: int) -> None:
         [str(FLIGHT), "tcp:127.0.0.1:9"],
     ],
 )
-def test_what_cannot_be_sent_is_reported_in_one_line(
-    args: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_sent_is_reported_in_one_line(args: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(args) == 2
     said = capsys.readouterr().err
     assert said.startswith("tlog_sender: ")

@@ -64,9 +64,7 @@ def collect(link: ZenohLink, count: int) -> list[Message]:
     return messages
 
 
-def test_json_objects_become_messages_named_by_their_key(
-    listener: zenoh.Session, sender: zenoh.Session
-) -> None:
+def test_json_objects_become_messages_named_by_their_key(listener: zenoh.Session, sender: zenoh.Session) -> None:
     with ZenohLink(listener, "arm/**") as link:
         out = publisher(sender, "arm/telemetry")
         before = time.time_ns()
@@ -77,9 +75,7 @@ def test_json_objects_become_messages_named_by_their_key(
         assert before <= message.received_ns <= time.time_ns()
 
 
-def test_what_is_no_json_object_is_counted_and_passed_over(
-    listener: zenoh.Session, sender: zenoh.Session
-) -> None:
+def test_what_is_no_json_object_is_counted_and_passed_over(listener: zenoh.Session, sender: zenoh.Session) -> None:
     with ZenohLink(listener, "t") as link:
         out = publisher(sender, "t")
         for payload in (b"", b"\xff\xfe", b"[1]", b"3", b"{", b"[" * 100_000, b'{"a":' * 50_000, b'"text"'):
@@ -116,9 +112,7 @@ def test_a_reader_that_stalls_loses_the_oldest_and_knows_how_many(
         assert [message.fields["k"] for message in messages] == list(range(6_000 - 4_096, 6_000))
 
 
-def test_a_flood_of_large_payloads_is_bounded_in_bytes(
-    listener: zenoh.Session, sender: zenoh.Session
-) -> None:
+def test_a_flood_of_large_payloads_is_bounded_in_bytes(listener: zenoh.Session, sender: zenoh.Session) -> None:
     with ZenohLink(listener, "t") as link:
         out = publisher(sender, "t")
         payload = b'{"a": "' + b"x" * 900_000 + b'"}'
@@ -193,9 +187,7 @@ def test_sessions_listen_nowhere_but_where_told(endpoint: str) -> None:
         ),
     ],
 )
-def test_an_endpoint_that_cannot_be_used_is_reported_in_one_line(
-    where: dict[str, list[str]], said: str
-) -> None:
+def test_an_endpoint_that_cannot_be_used_is_reported_in_one_line(where: dict[str, list[str]], said: str) -> None:
     with pytest.raises(TelemetryError) as caught:
         open_session(**where)
     assert str(caught.value).startswith(said)

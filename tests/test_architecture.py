@@ -14,7 +14,19 @@ ALLOWED = {
     "monitor": {"adapters", "gains"},
     "replay": {"adapters", "gains", "monitor"},
 }
-HEAVY = {"numpy", "scipy", "cvxpy", "clarabel", "rerun", "zenoh", "pymavlink", "matplotlib", "mcap", "google", "rich"}
+HEAVY = {
+    "numpy",
+    "scipy",
+    "cvxpy",
+    "clarabel",
+    "rerun",
+    "zenoh",
+    "pymavlink",
+    "matplotlib",
+    "mcap",
+    "google",
+    "rich",
+}
 LONGEST_MODULE = 400
 
 

@@ -1,0 +1,97 @@
+"""Plants for the tests of gains: the paper's arm by its printed numbers, random ones, and a multirotor."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from gains.plant import Disturbance, Fault, FloatArray, Noise, Nonlinearity, Plant
+
+PRINTED = {
+    "A": [[0, 1, 0, 0], [-48.6, -1.25, 48.6, 0], [0, 0, 0, 1], [19.5, 0, -19.5, 0]],
+    "B": [[0], [21.6], [0], [0]],
+    "G": [[0], [0], [0], [-3.33]],
+    "C": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1]],
+    "D_f": [[1], [0], [0]],
+    "E_1": [[0], [0], [0], [1]],
+    "D_1": [[0.1], [-0.02], [0]],
+}
+
+
+def sine(row: FloatArray, slopes: tuple[float, float] = (-1.0, 1.0)) -> Nonlinearity:
+    """Return sin(row x)."""
+    return Nonlinearity("sin(v)", ("v",), np.atleast_2d(row), np.array([slopes]), np.array([[-np.inf, np.inf]]))
+
+
+def random_plant(seed: int, actuators: int, sensors: int, nonlinear: int = 0, decades: float = 0.0) -> Plant:
+    """Return a stable discrete plant with random matrices; its units spread over 10^+-decades."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(max(1, actuators), 5))
+    p = int(rng.integers(actuators + sensors, 5)) if actuators + sensors < 5 else 5
+    s = int(rng.integers(0, 3))
+    x, y = 10.0 ** rng.uniform(-decades, decades, n), 10.0 ** rng.uniform(-decades, decades, p)
+    A = rng.normal(size=(n, n))
+    A *= rng.uniform(0.3, 0.97) / np.max(np.abs(np.linalg.eigvals(A)))
+
+    def sizes(count: int, low: float = -1.0, high: float = 1.0) -> list[float]:
+        return list(10.0 ** rng.uniform(low, high, count))
+
+    faults = [
+        Fault(f"actuator{i}", "actuator", x * rng.normal(size=n), rate=rate, error=error)
+        for i, (rate, error) in enumerate(zip(sizes(actuators), sizes(actuators), strict=True))
+    ]
+    faults += [Fault(f"sensor{i}", "sensor", y * np.eye(p)[i], error=sizes(1)[0]) for i in range(sensors)]
+    return Plant(
+        name="random",
+        domain="discrete",
+        rate_hz=10.0,
+        states=tuple(f"x{i}" for i in range(n)),
+        inputs=tuple(f"u{i}" for i in range(s)),
+        outputs=tuple(f"y{i}" for i in range(p)),
+        A=x[:, None] * A / x,
+        B=x[:, None] * rng.normal(size=(n, s)),
+        C=y[:, None] * rng.normal(size=(p, n)) / x,
+        c=x * rng.normal(size=n),
+        G=x[:, None] * rng.normal(size=(n, nonlinear)) * 0.1,
+        nonlinearities=tuple(sine(rng.normal(size=n) / n / x) for _ in range(nonlinear)),
+        faults=tuple(faults),
+        disturbances=tuple(
+            Disturbance(f"d{i}", x * rng.normal(size=n), scale) for i, scale in enumerate(sizes(2, -2.0, 0.0))
+        ),
+        noises=tuple(Noise(f"w{i}", y * rng.normal(size=p), scale) for i, scale in enumerate(sizes(2, -2.0, 0.0))),
+        state_errors=x * sizes(n),
+        taps=(0.25, 0.5, 0.25) if s else (1.0,),
+        curves=tuple((1.0, 0.2 * i) for i in range(s)),
+    )
+
+
+def multirotor() -> Plant:
+    """Return a multirotor as identified from flights, in very different units (rad/s per step, m/s^2)."""
+    names, motors = ("roll_rate", "pitch_rate", "yaw_rate", "acceleration"), ("motor1", "motor2", "motor3", "motor4")
+    B = np.array(
+        [
+            [-1.55107001, 1.55093125, 0.00465484, -0.00483601],
+            [-0.00860194, 0.00898542, 1.52739956, -1.52801827],
+            [0.05034375, 0.0237968, -0.03074904, -0.0433478],
+            [-2.35599291, -2.35599291, -2.35599291, -2.35599291],
+        ]
+    )
+    size = np.array([1e-3, 1e-3, 1e-3, 0.5])
+    return Plant(
+        name="multirotor",
+        domain="discrete",
+        rate_hz=100.0,
+        states=names,
+        inputs=motors,
+        outputs=names,
+        A=np.diag([0.9766, 0.9771, 0.9805, 0.0]),
+        B=B,
+        C=np.eye(4),
+        faults=tuple(Fault(motor, "actuator", rate=0.5, error=0.01, input=motor) for motor in motors),
+        disturbances=tuple(Disturbance(f"d_{name}", np.eye(4)[i], size[i]) for i, name in enumerate(names)),
+        noises=tuple(Noise(f"n_{name}", np.eye(4)[i], size[i]) for i, name in enumerate(names)),
+    )
+
+
+def with_rates(plant: Plant, rate: float) -> Plant:
+    """Return the plant with another rate of every actuator fault."""
+    return replace(plant, faults=tuple(replace(fault, rate=rate) for fault in plant.faults))

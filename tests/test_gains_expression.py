@@ -1,0 +1,133 @@
+"""Expressions are parsed against a whitelist, compiled to safe scalar functions and differentiated."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gains.errors import ModelError
+from gains.expression import (
+    FUNCTIONS,
+    Apply,
+    Argument,
+    Node,
+    Number,
+    binary,
+    compile_expression,
+    compile_node,
+    derivative,
+    parse_expression,
+)
+
+ARGUMENTS = ("a", "b")
+
+
+def trees() -> st.SearchStrategy[Node]:
+    numbers = st.floats(-3, 3).map(lambda x: Number(round(x, 2)))
+    leaves = st.one_of(numbers, st.integers(0, 1).map(Argument))
+
+    def grow(children: st.SearchStrategy[Node]) -> st.SearchStrategy[Node]:
+        powers = st.builds(lambda base, n: binary("**", base, Number(float(n))), children, st.integers(1, 3))
+        sums = st.builds(binary, st.sampled_from("+-*/"), children, children)
+        calls = st.builds(Apply, st.sampled_from(["sin", "cos", "tanh", "atan", "exp", "sqrt", "log"]), children)
+        return st.one_of(sums, powers, calls)
+
+    return st.recursive(leaves, grow, max_leaves=6)
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("sin(a)", math.sin(0.5)),
+        ("a*b", 1.0),
+        ("-a + +b", 1.5),
+        ("a/sqrt(1 + a**2)", 0.5 / math.sqrt(1.25)),
+        ("2*pi", 2 * math.pi),
+        ("(a - b)**3", -3.375),
+        ("abs(-a)", 0.5),
+        ("1e-3*exp(b)", 1e-3 * math.exp(2)),
+    ],
+)
+def test_an_expression_has_the_value_of_its_text(text: str, value: float) -> None:
+    assert compile_expression(text, ARGUMENTS)(0.5, 2.0) == pytest.approx(value, rel=1e-15)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_function_of_the_whitelist_can_be_differentiated(name: str) -> None:
+    node = parse_expression(f"{name}(a)", ("a",))
+    g, slope, at, h = compile_node(node), compile_node(derivative(node, 0)), 0.7, 1e-6
+    assert slope(at) == pytest.approx((g(at + h) - g(at - h)) / (2 * h), rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "__import__('os')",
+        "a.real",
+        "lambda: a",
+        "a if b else a",
+        "[a for a in b]",
+        "a**b",
+        "sin(a, b)",
+        "sin(v=a)",
+        "open(a)",
+        "'a'",
+        "1e999",
+        "10**400",
+        "a[0]",
+        "a and b",
+        "a < b",
+        "1j",
+        "True",
+        "a @ b",
+        "a // b",
+        "c",
+        "sin",
+        "sign(a)",
+        "exp(1000)",
+        "",
+        "a +",
+        "a\n+ b",
+        "-" * 250 + "a",
+        "abs(" * 50 + "a" + ")" * 50,
+        "a + " * 100 + "a",
+    ],
+)
+def test_what_is_no_expression_is_refused_in_one_line(text: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        compile_expression(text, ARGUMENTS)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["sin", "pi", "1a", "a b", ""])
+def test_an_argument_needs_a_name_of_its_own(name: str) -> None:
+    with pytest.raises(ModelError, match="cannot be the name"):
+        compile_expression("1", (name,))
+
+
+@pytest.mark.parametrize(
+    ("text", "at"), [("sqrt(a)", -1.0), ("log(a)", 0.0), ("1/a", 0.0), ("exp(a)", 1e4), ("a**0.5", -1.0)]
+)
+def test_outside_its_domain_an_expression_is_nan_and_never_raises(text: str, at: float) -> None:
+    assert math.isnan(compile_expression(text, ("a",))(at))
+
+
+def test_constant_slopes_are_folded_to_numbers() -> None:
+    assert derivative(parse_expression("2*a + b/4 - 3", ARGUMENTS), 0) == Number(2.0)
+    assert derivative(parse_expression("2*a + b/4 - 3", ARGUMENTS), 1) == Number(0.25)
+    assert derivative(parse_expression("sin(b)", ARGUMENTS), 0) == Number(0.0)
+
+
+@settings(deadline=None)
+@given(trees(), st.floats(-2, 2), st.floats(-2, 2), st.integers(0, 1))
+def test_derivatives_agree_with_differences(node: Node, a: float, b: float, index: int) -> None:
+    g, slope = compile_node(node), compile_node(derivative(node, index))
+    h = 1e-5
+    point, shift = (a, b), ((h, 0.0), (0.0, h))[index]
+    plus, minus, mean = (g(point[0] + t * shift[0], point[1] + t * shift[1]) for t in (1, -1, 0))
+    wide = [g(point[0] + t * shift[0], point[1] + t * shift[1]) for t in (2, -2)]
+    expected, found = (plus - minus) / (2 * h), slope(a, b)
+    curved = abs((wide[0] - wide[1]) / (4 * h) - expected)
+    if math.isfinite(expected) and math.isfinite(curved) and curved < 1e-4 and abs(mean) < 1e4:
+        assert found == pytest.approx(expected, rel=1e-3, abs=1e-3)
