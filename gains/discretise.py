@@ -44,7 +44,8 @@ def discretise(plant: Plant, rate_hz: float) -> Plant:
     held = np.hstack(blocks)
     exponent = np.zeros((n + held.shape[1],) * 2)
     exponent[:n] = np.hstack([plant.A, held])
-    transition = expm(exponent / rate_hz)[:n]
+    with np.errstate(all="ignore"):  # overflow is reported below
+        transition = expm(exponent / rate_hz)[:n]
     if not np.all(np.isfinite(transition)):
         raise ModelError(f"{plant.name}: the model grows without bound within a sample of {1.0 / rate_hz:g} s")
     B, G, E_f, E_1, c = np.split(transition[:, n:], np.cumsum([block.shape[1] for block in blocks])[:-1], axis=1)

@@ -21,6 +21,7 @@ from gains.plant import FloatArray, Plant
 
 _RANK_TOLERANCE = 1e-10
 _STABILITY_TOLERANCE = 1e-8
+_SEEN_TOLERANCE = 1e-6
 _SHARE = 0.05
 
 
@@ -63,29 +64,22 @@ def check_existence(plant: Plant, augmentation: Augmentation, model: ErrorModel)
             "(condition II needs at least as many outputs as faults)"
         )
     n, nz = len(plant.states), len(augmentation.L1)
-    names = (
-        *plant.states,
-        *(fault.name for fault in plant.sensor_faults),
-        *(fault.name for fault in plant.actuator_faults),
-    )
     scales = _scales(plant)
     for A, slopes in _vertices_and_mean(model):
         plain = np.linalg.pinv(augmentation.L1) @ A[:nz, :n]
         at = f" at slopes {', '.join(f'{slope:g}' for slope in slopes)}" if len(slopes) else ""
-        for size, matrix in ((n, plain), (nz, A[:nz, :nz]), (len(names), A)):
+        for size, matrix in ((n, plain), (nz, A[:nz, :nz]), (len(A), A)):
             mode = _hidden_mode(matrix, model.C[:, :size], scales[:size])
             if mode is None:
                 continue
-            moving = _moving(mode, names[:size], model.weights[:size])
+            moving = _moving(plant, mode.direction * model.weights[:size])
             where = f"mode at z = {_complex_text(mode.eigenvalue)}{at}"
             if size == n:
-                raise ModelError(
-                    f"{plant.name}: hidden mode: {moving} can move without any output showing it ({where})"
-                )
+                raise ModelError(f"{plant.name}: hidden mode: {moving} shows in no output ({where})")
             condition = "detectability of (L1 A_z, Cb)" if size == nz else "condition II"
             raise InfeasibleError(
-                f"{plant.name}: {condition} fails: {moving} can move together without any output showing "
-                f"it ({where}); add a sensor, a leak or leave a fault out"
+                f"{plant.name}: {condition} fails: {moving} shows in no output ({where}); "
+                "add a sensor, a leak or leave a fault out"
             )
     return _notes(plant, augmentation)
 
@@ -94,9 +88,10 @@ def _notes(plant: Plant, augmentation: Augmentation) -> tuple[str, ...]:
     """Name the condition that decides whether f_a is seen in the first sample after it acts."""
     if not plant.actuator_faults:
         return ()
-    seen = augmentation.C_b @ augmentation.L1 @ plant.E_f
-    scale = np.linalg.norm(augmentation.C_b @ augmentation.L1, 2) * np.linalg.norm(plant.E_f, axis=0)
-    rank = int(np.linalg.matrix_rank(seen / scale, tol=1e-6))
+    size = plant.state_errors
+    through, into = augmentation.C_b @ augmentation.L1 * size, plant.E_f / size[:, None]
+    seen = through @ into / _row_norms(through)[:, None] / np.linalg.norm(into, axis=0)
+    rank = int(np.linalg.matrix_rank(seen, tol=_SEEN_TOLERANCE))
     if rank == len(plant.actuator_faults):
         return ()
     return (
@@ -160,11 +155,17 @@ def _kernel(matrix: FloatArray) -> FloatArray:
     return right[int(np.sum(singular > _RANK_TOLERANCE)) :].T
 
 
-def _moving(mode: _HiddenMode, names: Sequence[str], weights: FloatArray) -> str:
-    """Return the names that take part in a mode, the largest first."""
-    size = mode.direction * weights
-    order = np.argsort(-size, kind="stable")
-    return " and ".join(f"'{names[i]}'" for i in order if size[i] >= _SHARE * size[order[0]])
+def _moving(plant: Plant, direction: FloatArray) -> str:
+    """Return the signals that take part in a mode, faults before states, each group the largest first."""
+    n = len(plant.states)
+    faults = [fault.name for fault in (*plant.sensor_faults, *plant.actuator_faults)]
+    groups = [_largest(faults, direction[n:]), _largest(plant.states, direction[:n])]
+    return " moving with ".join(group for group in groups if group)
+
+
+def _largest(names: Sequence[str], sizes: FloatArray) -> str:
+    order = [i for i in np.argsort(-sizes, kind="stable") if sizes[i] >= _SHARE * np.max(sizes) > 0.0]
+    return " and ".join(f"'{names[i]}'" for i in order)
 
 
 def _complex_text(value: complex) -> str:

@@ -134,30 +134,39 @@ def _read_text(path: Path) -> str:
 
 def _plant(root: Table) -> Plant:
     states, inputs, outputs = root.names("states"), root.names("inputs"), root.names("outputs")
+    name, description = root.text("name"), root.text("description", "")
+    domain = _DOMAINS[_choice(root, "domain", _DOMAINS, "continuous")]
+    rate_hz = root.number("rate_hz", math.nan) if root.has("rate_hz") else None
+    A, B = root.matrix("A", states, states), root.matrix("B", states, inputs)
+    C, c = root.matrix("C", outputs, states), root.vector("offset", states)
+    taps, curves = root.numbers("taps", [1.0]), root.by_name("curves", inputs, [1.0])
     nonlinearities = [_nonlinearity(table, states) for table in root.tables("nonlinearity")]
-    plant = Plant(
-        name=root.text("name"),
-        description=root.text("description", ""),
-        domain=_DOMAINS[_choice(root, "domain", _DOMAINS, "continuous")],
-        rate_hz=root.number("rate_hz", math.nan) if root.has("rate_hz") else None,
+    faults = [_fault(table, states, outputs) for table in root.tables("fault")]
+    disturbances = [Disturbance(*_signal(table, states)) for table in root.tables("disturbance")]
+    noises = [Noise(*_signal(table, outputs)) for table in root.tables("noise")]
+    errors = _errors(root.table("error"), states)
+    root.done()
+    return Plant(
+        name=name,
+        description=description,
+        domain=domain,
+        rate_hz=rate_hz,
         states=states,
         inputs=inputs,
         outputs=outputs,
-        A=root.matrix("A", states, states),
-        B=root.matrix("B", states, inputs),
-        C=root.matrix("C", outputs, states),
-        c=root.vector("offset", states),
+        A=A,
+        B=B,
+        C=C,
+        c=c,
         G=np.column_stack([into for _, into in nonlinearities]) if nonlinearities else np.zeros(0),
         nonlinearities=tuple(g for g, _ in nonlinearities),
-        faults=tuple(_fault(table, states, outputs) for table in root.tables("fault")),
-        disturbances=tuple(Disturbance(*_signal(table, states)) for table in root.tables("disturbance")),
-        noises=tuple(Noise(*_signal(table, outputs)) for table in root.tables("noise")),
-        state_errors=_errors(root.table("error"), states),
-        taps=root.numbers("taps", [1.0]),
-        curves=tuple(root.by_name("curves", inputs, [1.0])),
+        faults=tuple(faults),
+        disturbances=tuple(disturbances),
+        noises=tuple(noises),
+        state_errors=errors,
+        taps=taps,
+        curves=tuple(curves),
     )
-    root.done()
-    return plant
 
 
 def _nonlinearity(table: Table, states: Sequence[str]) -> tuple[Nonlinearity, FloatArray]:

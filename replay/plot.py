@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.event import AlarmEvent
-from monitor.palette import BLACK, BLUE, GREY, PALE, SEVERITY, series_colour
+from monitor.palette import BLACK, BLUE, GREY, SEVERITY, series_colour
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 
 if TYPE_CHECKING:
@@ -140,7 +140,6 @@ def _draw_faults(
             for level in (-threshold, threshold):
                 panel.axhline(level, color=BLACK, linestyle=":", linewidth=0.8)
             limits[unit].include(np.array([-threshold, threshold]))
-        panel.plot(*envelope(times, trace.fault[:, index], trace.restart), color=PALE, linewidth=0.6)
         panel.plot(*envelope(times, trace.isolated[:, index], trace.restart), color=BLUE)
         limits[unit].include(_evidence(trace, trace.isolated[:, index]))
         if channel in truth:
@@ -186,10 +185,7 @@ def _draw_legend(figure: Figure, title: str, thresholds: bool, truth: bool, span
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    marks: list[Any] = [
-        Line2D([], [], color=BLUE, label="fault, isolated"),
-        Line2D([], [], color=PALE, linewidth=1.0, label="joint estimate"),
-    ]
+    marks: list[Any] = [Line2D([], [], color=BLUE, label="fault estimate")]
     if truth:
         marks.append(Line2D([], [], color=BLACK, linestyle=TRUTH_DASHES, label="truth"))
     if thresholds:

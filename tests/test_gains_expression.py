@@ -3,17 +3,15 @@
 import math
 
 import pytest
+from gains_samples import trees
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gains.errors import ModelError
 from gains.expression import (
     FUNCTIONS,
-    Apply,
-    Argument,
     Node,
     Number,
-    binary,
     compile_expression,
     compile_node,
     derivative,
@@ -21,19 +19,6 @@ from gains.expression import (
 )
 
 ARGUMENTS = ("a", "b")
-
-
-def trees() -> st.SearchStrategy[Node]:
-    numbers = st.floats(-3, 3).map(lambda x: Number(round(x, 2)))
-    leaves = st.one_of(numbers, st.integers(0, 1).map(Argument))
-
-    def grow(children: st.SearchStrategy[Node]) -> st.SearchStrategy[Node]:
-        powers = st.builds(lambda base, n: binary("**", base, Number(float(n))), children, st.integers(1, 3))
-        sums = st.builds(binary, st.sampled_from("+-*/"), children, children)
-        calls = st.builds(Apply, st.sampled_from(["sin", "cos", "tanh", "atan", "exp", "sqrt", "log"]), children)
-        return st.one_of(sums, powers, calls)
-
-    return st.recursive(leaves, grow, max_leaves=6)
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,9 @@
 import math
 
 import pytest
+from gains_samples import trees
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_gains_expression import trees
 
 from gains.errors import ModelError
 from gains.expression import Node, compile_node

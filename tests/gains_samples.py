@@ -1,9 +1,11 @@
-"""Plants for the tests of gains: the paper's arm by its printed numbers, random ones, and a multirotor."""
+"""What the tests of gains share: plants (printed, random, multirotor) and random expressions."""
 
 from dataclasses import replace
 
 import numpy as np
+from hypothesis import strategies as st
 
+from gains.expression import Apply, Argument, Node, Number, binary
 from gains.plant import Disturbance, Fault, FloatArray, Noise, Nonlinearity, Plant
 
 PRINTED = {
@@ -95,3 +97,35 @@ def multirotor() -> Plant:
 def with_rates(plant: Plant, rate: float) -> Plant:
     """Return the plant with another rate of every actuator fault."""
     return replace(plant, faults=tuple(replace(fault, rate=rate) for fault in plant.faults))
+
+
+def trees() -> st.SearchStrategy[Node]:
+    """Return random expressions of two arguments."""
+    numbers = st.floats(-3, 3).map(lambda x: Number(round(x, 2)))
+    leaves = st.one_of(numbers, st.integers(0, 1).map(Argument))
+
+    def grow(children: st.SearchStrategy[Node]) -> st.SearchStrategy[Node]:
+        powers = st.builds(lambda base, n: binary("**", base, Number(float(n))), children, st.integers(1, 3))
+        sums = st.builds(binary, st.sampled_from("+-*/"), children, children)
+        calls = st.builds(Apply, st.sampled_from(["sin", "cos", "tanh", "atan", "exp", "sqrt", "log"]), children)
+        return st.one_of(sums, powers, calls)
+
+    return st.recursive(leaves, grow, max_leaves=6)
+
+
+def integrator_with_drift() -> Plant:
+    """Return a position that integrates a velocity, its only sensor attacked: the attack looks like drift."""
+    return Plant(
+        name="drift",
+        domain="discrete",
+        rate_hz=10.0,
+        states=("position", "velocity"),
+        inputs=(),
+        outputs=("gps", "speedometer"),
+        A=np.array([[1.0, 0.1], [0.0, 0.9]]),
+        B=np.zeros((2, 0)),
+        C=np.eye(2),
+        faults=(Fault("gps_offset", "sensor", np.array([1.0, 0.0])),),
+        disturbances=(Disturbance("push", np.array([0.0, 1.0]), 0.1),),
+        noises=(Noise("jitter", np.array([1.0, 1.0]), 0.1),),
+    )

@@ -1,0 +1,110 @@
+"""The augmentation and the error system agree with a plant and a textbook observer simulated side by side."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gains_samples import random_plant, sine
+
+from gains.augment import LARGEST_VERTEX_COUNT, augment, error_model, slope_vertices
+from gains.discretise import discretise
+from gains.errors import InfeasibleError
+from gains.model_file import builtin_model
+
+
+def test_L1_T_plus_F_Cb_is_the_identity() -> None:
+    for seed in range(20):
+        plant = random_plant(seed, 1, 1, decades=3)
+        found = augment(plant)
+        nz = len(found.L1)
+        identity = found.L1 @ np.eye(len(plant.states), nz) + found.F @ found.C_b
+        size = np.concatenate([plant.state_errors, [1.0 / np.abs(plant.D_f).max()]])
+        np.testing.assert_allclose(identity * size / size[:, None], np.eye(nz), atol=1e-10)
+
+
+def test_with_unit_errors_and_outputs_it_is_the_plain_pseudo_inverse() -> None:
+    plant = builtin_model("arm")
+    stacked = np.vstack([np.eye(4, 5), np.hstack([plant.C, plant.D_f])])
+    found = augment(plant)
+    np.testing.assert_allclose(np.hstack([found.L1, found.F]), np.linalg.pinv(stacked), atol=1e-14)
+
+
+def test_the_augmentation_follows_a_change_of_units() -> None:
+    plant = random_plant(5, 1, 1)
+    x, y = 10.0 ** np.arange(len(plant.states)), 10.0 ** -np.arange(len(plant.outputs), dtype=float)
+    faults = tuple(replace(f, column=f.column * (x if f.kind == "actuator" else y)) for f in plant.faults)
+    other = replace(
+        plant,
+        A=x[:, None] * plant.A / x,
+        C=y[:, None] * plant.C / x,
+        state_errors=x * plant.state_errors,
+        faults=faults,
+    )
+    found, expected = augment(other), augment(plant)
+    z = np.append(x, 1.0)
+    np.testing.assert_allclose(found.L1, z[:, None] * expected.L1 / x, rtol=1e-9)
+    np.testing.assert_allclose(found.F, z[:, None] * expected.F / y, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_error_system_is_what_plant_and_textbook_observer_do(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    plant = random_plant(seed, 1, 1)
+    found = augment(plant)
+    model = error_model(plant, found)
+    n, p, nz = len(plant.states), len(plant.outputs), len(found.L1)
+    K, L_i, L_p = rng.normal(size=(nz, p)), rng.normal(size=(1, p)), rng.normal(size=(1, p))
+    N = found.L1 @ found.A_z - K @ found.C_b
+    J = N @ found.F + K
+    steps = 12
+    f_a, f_s, v = rng.normal(size=(steps, 1)), rng.normal(size=(steps, 1)), rng.normal(size=(steps, len(plant.inputs)))
+    w1, w2 = rng.normal(size=(steps, 2)), rng.normal(size=(steps, 2))
+    scale1 = np.array([d.scale for d in plant.disturbances])
+    scale2 = np.array([d.scale for d in plant.noises])
+    x, eta, q = rng.normal(size=n), rng.normal(size=nz), rng.normal(size=1)
+    errors, inputs, outputs = [], [], []
+    for k in range(steps):
+        y = plant.C @ x + plant.D_f @ f_s[k] + plant.D_1 @ (scale2 * w2[k])
+        zeta = eta + found.F @ y
+        yt = y - found.C_b @ zeta
+        fa = q + L_p @ yt
+        errors.append(np.concatenate([np.append(x, f_s[k]) - zeta, f_a[k] - q]))
+        outputs.append(np.concatenate([np.append(x, f_s[k]) - zeta, f_a[k] - fa]) * model.weights)
+        eta = N @ eta + J @ y + found.L1 @ (plant.B @ v[k] + plant.c + plant.E_f @ fa)
+        q = q + L_i @ yt
+        x = plant.A @ x + plant.B @ v[k] + plant.c + plant.E_f @ f_a[k] + plant.E_1 @ (scale1 * w1[k])
+        if k + 1 < steps:
+            step = (f_a[k + 1] - f_a[k]) * plant.rate_hz / plant.actuator_faults[0].rate
+            inputs.append(np.concatenate([w1[k], w2[k], w1[k + 1], w2[k + 1], step]))
+    injection = np.vstack([K + found.L1 @ plant.E_f @ L_p, L_i])
+    C_e, D_e = model.output(L_p)
+    for k in range(steps - 1):
+        after = (model.A[0] - injection @ model.C) @ errors[k] + (model.B - injection @ model.D) @ inputs[k]
+        np.testing.assert_allclose(after, errors[k + 1], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(C_e @ errors[k] + D_e @ inputs[k], outputs[k], rtol=1e-9, atol=1e-9)
+
+
+def test_a_vertex_is_the_plant_with_its_nonlinearity_replaced_by_the_slope() -> None:
+    plant = discretise(builtin_model("arm"), 100.0)
+    found = augment(plant)
+    model = error_model(plant, found)
+    assert model.slopes.tolist() == [[-1.0], [1.0]]
+    for A, slope in zip(model.A, (-1.0, 1.0), strict=True):
+        linear = replace(
+            plant, A=plant.A + slope * plant.G @ np.array([[0, 0, 1.0, 0]]), nonlinearities=(), G=np.zeros(0)
+        )
+        np.testing.assert_allclose(A, error_model(linear, augment(linear)).A[0], atol=1e-15)
+
+
+def test_constant_slopes_do_not_multiply_vertices() -> None:
+    plant = random_plant(2, 1, 0, nonlinear=3)
+    slopes = [(-1.0, 1.0), (0.5, 0.5), (0.0, 2.0)]
+    rows = [g.rows[0] for g in plant.nonlinearities]
+    plant = replace(plant, nonlinearities=tuple(sine(row, pair) for row, pair in zip(rows, slopes, strict=True)))
+    assert slope_vertices(plant).tolist() == [[-1, 0.5, 0], [-1, 0.5, 2], [1, 0.5, 0], [1, 0.5, 2]]
+
+
+def test_too_many_vertices_are_refused() -> None:
+    plant = random_plant(2, 1, 0, nonlinear=11)
+    with pytest.raises(InfeasibleError, match=rf"11 slopes vary, .* at most {LARGEST_VERTEX_COUNT}"):
+        slope_vertices(plant)

@@ -1,0 +1,112 @@
+"""A certificate holds for what was designed and for nothing that was tampered with."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gains_samples import random_plant
+
+from gains.certificate import certify, hinf_norm, report
+from gains.design import Design
+from gains.model_file import builtin_model
+from gains.plant import Plant
+from gains.synthesis import design_convex
+
+
+@pytest.fixture(scope="module")
+def arm() -> Plant:
+    return builtin_model("arm-disturbed")
+
+
+@pytest.fixture(scope="module")
+def design(arm: Plant) -> Design:
+    return design_convex(arm, 100.0)
+
+
+def one(x: float) -> np.ndarray:
+    return np.array([[x]])
+
+
+def test_the_norm_of_a_lag_is_its_steady_gain() -> None:
+    peak = hinf_norm(one(0.9), one(1.0), one(2.0), one(0.5))
+    assert peak.value == pytest.approx(20.5, rel=1e-12)
+    assert peak.angle == 0.0
+
+
+def test_the_norm_of_a_high_pass_is_at_half_the_rate() -> None:
+    peak = hinf_norm(one(-0.5), one(1.0), one(1.0), one(0.0))
+    assert peak.value == pytest.approx(2.0, rel=1e-12)
+    assert peak.angle == pytest.approx(math.pi)
+
+
+@pytest.mark.parametrize(("radius", "angle"), [(0.9, 1.0), (0.999, 0.3), (0.99999, 2.0), (0.99, 0.001)])
+def test_a_sharp_resonance_is_not_missed(radius: float, angle: float) -> None:
+    pole = radius * np.exp(1j * angle)
+    A = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
+    peak = hinf_norm(A, np.eye(2), np.eye(2), np.zeros((2, 2)))
+    assert peak.value == pytest.approx(1.0 / (1.0 - radius), rel=1e-6)
+
+
+def test_the_norm_of_random_systems_is_that_of_a_dense_grid() -> None:
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        A = rng.normal(size=(4, 4))
+        A *= 0.9 / np.max(np.abs(np.linalg.eigvals(A)))
+        B, C, D = rng.normal(size=(4, 2)), rng.normal(size=(3, 4)), rng.normal(size=(3, 2))
+        z = np.exp(1j * np.linspace(0, math.pi, 20_001))
+        grid = C @ np.linalg.solve(z[:, None, None] * np.eye(4) - A, np.broadcast_to(B, (len(z), 4, 2))) + D
+        dense = np.max(np.linalg.norm(grid, 2, axis=(1, 2)))
+        assert dense * (1 - 1e-9) <= hinf_norm(A, B, C, D).value <= dense * (1 + 1e-4)
+
+
+def test_a_design_is_certified_with_a_margin_and_its_norm_within_the_bound(arm: Plant, design: Design) -> None:
+    certificate = certify(arm, design)
+    assert certificate.holds
+    assert certificate.margin > 1e-9
+    assert 0.99 * design.sqrt_mu < certificate.norm <= design.sqrt_mu
+    assert certificate.poles_max_abs < 1.0
+    assert certificate.norm_slopes in ((-1.0,), (1.0,))
+
+
+def test_a_smaller_bound_than_the_norm_is_never_certified(arm: Plant, design: Design) -> None:
+    norm = certify(arm, design).norm
+    assert not certify(arm, replace(design, mu=(0.999 * norm) ** 2)).holds
+
+
+@pytest.mark.parametrize("name", ["K", "L_i", "L_p", "N", "J", "L1", "F"])
+def test_tampered_gains_are_not_certified(arm: Plant, design: Design, name: str) -> None:
+    assert not certify(arm, replace(design, **{name: 1.1 * getattr(design, name)})).holds
+
+
+def test_gains_of_another_model_are_not_certified(arm: Plant, design: Design) -> None:
+    assert not certify(replace(arm, A=1.05 * arm.A), design).holds
+    faster = tuple(replace(fault, rate=2.0) for fault in arm.faults)
+    assert not certify(replace(arm, faults=faster), design).holds
+
+
+def test_an_unstable_error_system_has_no_norm(arm: Plant, design: Design) -> None:
+    certificate = certify(arm, replace(design, L_i=-design.L_i))
+    assert certificate.norm == math.inf
+    assert certificate.poles_max_abs > 1.0
+    assert not certificate.holds
+
+
+def test_a_matrix_that_is_no_storage_function_is_no_certificate(arm: Plant, design: Design) -> None:
+    assert certify(arm, replace(design, P=-design.P)).margin == -math.inf
+    assert not certify(arm, replace(design, P=np.eye(6))).holds
+
+
+def test_rounding_is_counted_against_the_margin() -> None:
+    plant = random_plant(3, 1, 1)
+    design = design_convex(plant)
+    stretched = np.ones(len(design.P))
+    stretched[0] = 1e9
+    assert certify(plant, replace(design, P=design.P * stretched * stretched[:, None])).margin < 0.0
+
+
+def test_the_report_has_the_keys_of_the_contract(arm: Plant, design: Design) -> None:
+    found = report(arm, design, certify(arm, design))
+    keys = "model method domain rate_hz status sqrt_mu norm poles_max_abs gain_max_abs certificate solve_s total_s"
+    assert set(keys.split()) <= set(found)
+    assert found["certificate"].keys() == {"holds", "margin"}

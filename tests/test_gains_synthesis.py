@@ -1,0 +1,271 @@
+"""The convex synthesis reaches the known optima, in any units, and what it returns is proven."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from gains_samples import integrator_with_drift, multirotor, random_plant, sine
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import gains.synthesis
+from gains.certificate import Certificate, certify
+from gains.compilation import compile_gains
+from gains.design import Design
+from gains.discretise import discretise
+from gains.errors import InaccurateError, InfeasibleError, ModelError
+from gains.model_file import builtin_model
+from gains.plant import Fault, FloatArray, Plant
+from gains.synthesis import design_convex
+
+# Least sqrt(mu) of any observer on the disturbed arm: disturbances that hide in the fault channels.
+FLOOR = 0.13628
+
+
+def assert_proven(plant: Plant, design: Design) -> Certificate:
+    certificate = certify(plant, design)
+    assert design.status == "optimal"
+    assert certificate.holds
+    assert certificate.margin > 0.0
+    assert certificate.norm <= design.sqrt_mu
+    assert certificate.poles_max_abs < 1.0
+    return certificate
+
+
+def test_the_disturbed_arm_at_100_hz_is_certified_at_its_optimum_with_moderate_gains() -> None:
+    plant = builtin_model("arm-disturbed")
+    design = design_convex(plant, 100.0)
+    certificate = assert_proven(plant, design)
+    assert FLOOR < certificate.norm <= design.sqrt_mu <= 0.1425
+    assert design.gain_max_abs < 30.0
+    assert design.notes == ()
+
+
+@pytest.mark.parametrize("rate", [10.0, 50.0, 200.0, 1000.0])
+@pytest.mark.parametrize("name", ["arm", "arm-disturbed"])
+def test_the_arm_is_certified_from_10_hz_to_1_khz(name: str, rate: float) -> None:
+    plant = builtin_model(name)
+    assert_proven(plant, design_convex(plant, rate))
+
+
+@pytest.mark.parametrize(
+    ("period", "known"), [(0.001, 0.155), (0.01, 0.141), (0.02, 0.141), (0.05, 0.141), (0.1, 0.150)]
+)
+def test_the_known_optima_of_the_disturbed_arm_are_reached_and_no_floor_undercut(period: float, known: float) -> None:
+    plant = builtin_model("arm-disturbed")
+    design = design_convex(plant, 1.0 / period, gain_weight=1e-5)
+    assert assert_proven(plant, design).norm > FLOOR
+    assert design.sqrt_mu < known + 0.0006  # the figures are rounded to three digits
+
+
+def test_a_multirotor_in_very_different_units_is_certified() -> None:
+    plant = multirotor()
+    design = design_convex(plant)
+    certificate = assert_proven(plant, design)
+    assert design.sqrt_mu <= 1.001 * certificate.norm
+
+
+def test_the_bound_does_not_depend_on_the_units_of_states_and_outputs() -> None:
+    plant = random_plant(8, 1, 1)
+    x, y = 10.0 ** np.arange(-2.0, -2.0 + len(plant.states)), 10.0 ** np.arange(2.0, 2.0 - len(plant.outputs), -1.0)
+    sides = {"actuator": x, "sensor": y}
+    other = replace(
+        plant,
+        A=x[:, None] * plant.A / x,
+        B=x[:, None] * plant.B,
+        C=y[:, None] * plant.C / x,
+        state_errors=x * plant.state_errors,
+        faults=tuple(replace(f, column=f.column * sides[f.kind]) for f in plant.faults),
+        disturbances=tuple(replace(w, column=w.column * x) for w in plant.disturbances),
+        noises=tuple(replace(w, column=w.column * y) for w in plant.noises),
+    )
+    assert design_convex(other).sqrt_mu == pytest.approx(design_convex(plant).sqrt_mu, rel=1e-4)
+
+
+def test_scales_mean_what_they_say() -> None:
+    plant = random_plant(9, 1, 1)
+    tenfold = replace(
+        plant,
+        state_errors=10.0 * plant.state_errors,
+        faults=tuple(replace(f, error=10.0 * f.error) for f in plant.faults),
+    )
+    assert design_convex(tenfold).sqrt_mu == pytest.approx(0.1 * design_convex(plant).sqrt_mu, rel=1e-4)
+
+
+@settings(deadline=None, derandomize=True, max_examples=25)
+@given(
+    st.integers(0, 10_000),
+    st.sampled_from([(1, 0), (0, 1), (1, 1), (2, 1)]),
+    st.integers(0, 2),
+    st.sampled_from([0.0, 3.0]),
+)
+def test_random_plants_that_meet_the_conditions_get_proven_gains(
+    seed: int, faults: tuple[int, int], nonlinear: int, decades: float
+) -> None:
+    plant = random_plant(seed, *faults, nonlinear=nonlinear, decades=decades)
+    assert_proven(plant, design_convex(plant))
+
+
+def energies(plant: Plant, design: Design, w: FloatArray, df: FloatArray) -> tuple[float, float]:
+    """Simulate plant and compiled observer; return the energies of the scaled errors and of [w; w+; df_a]."""
+    discrete = discretise(plant, design.rate_hz)
+    gains = compile_gains(plant, design, certify(plant, design))
+    n, p, s, nz, a1 = *discrete.C.shape[::-1], len(discrete.inputs), len(design.L1), len(design.L_p)
+    g = [np.sin for _ in discrete.nonlinearities]
+    scale = np.array([signal.scale for signal in (*discrete.disturbances, *discrete.noises)])
+    rates = np.array([fault.rate for fault in discrete.actuator_faults]) / design.rate_hz
+    errors = np.concatenate(
+        [discrete.state_errors, [fault.error for fault in (*discrete.sensor_faults, *discrete.actuator_faults)]]
+    )
+    q1 = len(discrete.disturbances)
+    x, f_a, state = np.zeros(n), np.zeros(a1), np.zeros(len(gains.initial_matrix))
+    error_energy, input_energy = 0.0, 0.0
+    for k in range(len(w) - 1):
+        w1, w2 = np.split(w[k] * scale, [q1])
+        y = discrete.C @ x + discrete.D_1 @ w2
+        known = np.concatenate([state, np.zeros(s), y, [1.0]])
+        if k == 0:
+            state[:nz] = discrete_start(design, y)
+            known[: len(state)] = state
+        nu = gains.argument_matrix @ known
+        out = gains.step_matrix @ np.concatenate([known, [g_i(nu_i) for g_i, nu_i in zip(g, nu, strict=True)]])
+        zeta, fa = out[len(state) : len(state) + nz], out[len(state) + nz : len(state) + nz + a1]
+        truth = np.concatenate([x, np.zeros(nz - n), f_a])
+        error_energy += float(np.sum(((truth - np.concatenate([zeta, fa])) / errors) ** 2))
+        input_energy += float(np.sum(w[k] ** 2) + np.sum(w[k + 1] ** 2) + np.sum(df[k] ** 2))
+        rows = np.vstack([np.zeros((0, n)), *(nonlinearity.rows for nonlinearity in discrete.nonlinearities)])
+        x = discrete.A @ x + discrete.c + discrete.G @ np.sin(rows @ x) + discrete.E_f @ f_a + discrete.E_1 @ w1
+        f_a = f_a + df[k] * rates
+        state = out[: len(state)]
+    return error_energy, input_energy
+
+
+def discrete_start(design: Design, y: FloatArray) -> FloatArray:
+    """Return the eta that estimates zeta = 0 exactly at the first sample: no initial error."""
+    return -design.F @ y
+
+
+@pytest.mark.parametrize("name", ["arm", "random", "nonlinear"])
+@pytest.mark.parametrize("kind", ["noise", "steady", "late"])
+def test_the_simulated_energy_of_the_error_obeys_the_bound(name: str, kind: str) -> None:
+    plants = {
+        "arm": discretise(builtin_model("arm-disturbed"), 50.0),
+        "random": random_plant(11, 1, 1),
+        "nonlinear": random_plant(12, 2, 1, nonlinear=2),
+    }
+    plant, rng = plants[name], np.random.default_rng(5)
+    design = design_convex(plant)
+    steps, q, a1 = 3000, len(plant.disturbances) + len(plant.noises), len(plant.actuator_faults)
+    if kind == "noise":
+        w, df = rng.normal(size=(steps, q)), rng.normal(size=(steps, a1))
+    elif kind == "steady":
+        w, df = np.tile(rng.normal(size=q), (steps, 1)), np.zeros((steps, a1))
+    else:
+        w, df = np.zeros((steps, q)), np.zeros((steps, a1))
+        w[20:60], df[40:50] = rng.normal(size=(40, q)), rng.normal(size=(10, a1))
+    error, into = energies(plant, design, w, df)
+    assert 0.0 < error <= design.mu * into
+
+
+def test_the_bound_is_nearly_attained_by_the_worst_steady_disturbance_of_the_arm() -> None:
+    plant = discretise(builtin_model("arm-disturbed"), 50.0)
+    design = design_convex(plant)
+    # A force on the link that a motor torque and an encoder offset imitate: no observer sees it at rest.
+    error, into = energies(plant, design, np.tile([1.0, 0.0], (20_000, 1)), np.zeros((20_000, 1)))
+    assert 2.0 * error / into > 0.9 * FLOOR**2
+    assert error <= design.mu * into
+
+
+@pytest.mark.parametrize("radius", [0.98, 0.9])
+def test_a_pole_radius_is_kept_at_every_vertex(radius: float) -> None:
+    plant = builtin_model("arm-disturbed")
+    design = design_convex(plant, 100.0, pole_radius=radius)
+    assert assert_proven(plant, design).poles_max_abs <= radius * (1.0 + 1e-6)
+
+
+def test_faster_faults_are_followed_faster() -> None:
+    plant = multirotor()
+    fast = replace(plant, faults=tuple(replace(fault, rate=10.0) for fault in plant.faults))
+    slow_poles, fast_poles = (
+        np.sort(np.abs(np.linalg.eigvals(design.N))) for design in (design_convex(plant), design_convex(fast))
+    )
+    assert np.max(fast_poles) < np.max(slow_poles)
+    assert np.max(np.abs(design_convex(fast).L_i)) > np.max(np.abs(design_convex(plant).L_i))
+
+
+def two_hidden_states(size: float) -> Plant:
+    """Return a plant whose two unseen states decay for every constant slope; switching slopes may excite them."""
+    return Plant(
+        name="switching",
+        domain="discrete",
+        rate_hz=10.0,
+        states=("seen", "a", "b"),
+        inputs=(),
+        outputs=("y",),
+        A=np.array([[0.5, 0, 0], [0, 0.5, size / 2], [0, -size / 2, 0.5]]),
+        B=np.zeros((3, 0)),
+        C=np.array([[1.0, 0, 0]]),
+        G=np.array([[0.0], [1.0], [1.0]]),
+        nonlinearities=(replace(sine(np.zeros(3)), rows=np.array([[0.0, 0.0, size / 2]])),),
+        faults=(Fault("motor", "actuator", np.array([1.0, 0, 0])),),
+    )
+
+
+def test_an_infeasible_inequality_is_said_to_be_infeasible() -> None:
+    plant = two_hidden_states(1.4)
+    nonlinearities = (sine(np.array([0, 0, 0.7])), sine(np.array([0, 0.7, 0])))
+    # The slopes of both are one and the same s: [[.5, .7 (1 + s)], [-.7 (1 - s), .5]], written with a vertex each.
+    plant = replace(plant, G=np.array([[0, 0], [1.0, 0], [0, 1.0]]), nonlinearities=nonlinearities)
+    with pytest.raises((InfeasibleError, ModelError)):
+        design_convex(plant)
+
+
+def test_failed_conditions_are_named_before_anything_is_solved() -> None:
+    with pytest.raises(InfeasibleError, match=r"detectability of \(L1 A_z, Cb\) fails: 'gps_offset'"):
+        design_convex(integrator_with_drift())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "a continuous model needs a rate"),
+        ({"rate_hz": 0.0}, "a rate of 0.0 Hz is not positive"),
+        ({"rate_hz": 100.0, "pole_radius": 0.0}, "a pole radius of 0.0 does not lie in"),
+        ({"rate_hz": 100.0, "pole_radius": 1.5}, "a pole radius of 1.5 does not lie in"),
+        ({"rate_hz": 100.0, "pole_radius": float("nan")}, "a pole radius of nan"),
+        ({"rate_hz": 100.0, "gain_weight": 0.0}, "a gain weight of 0.0 is not positive"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        design_convex(builtin_model("arm"), **arguments)
+
+
+def rejecting(times: int) -> Any:
+    """Return a certifier that rejects the first few designs whatever they are."""
+    count = 0
+
+    def certifier(plant: Plant, design: Design) -> Certificate:
+        nonlocal count
+        count += 1
+        certificate = certify(plant, design)
+        return replace(certificate, holds=certificate.holds and count > times)
+
+    return certifier
+
+
+def test_a_rejected_optimum_is_solved_again_a_little_inside(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = builtin_model("arm-disturbed")
+    optimum = design_convex(plant, 100.0)
+    monkeypatch.setattr(gains.synthesis, "certify", rejecting(1))
+    design = design_convex(plant, 100.0)
+    assert_proven(plant, design)
+    assert optimum.mu < design.mu < 1.01 * optimum.mu
+
+
+def test_gains_that_no_certificate_confirms_are_never_returned(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gains.synthesis, "certify", rejecting(100))
+    with pytest.raises(InaccurateError, match="no gains it found could be certified") as caught:
+        design_convex(builtin_model("arm-disturbed"), 100.0)
+    assert caught.value.exit_status == 3
