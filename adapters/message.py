@@ -14,7 +14,7 @@ class Message:
     Parameters
     ----------
     source : str
-        Link family: ``"mavlink"`` or ``"zenoh"``. Recordings keep the family they recorded.
+        Link family: ``"mavlink"`` or ``"zenoh"``; ``"clock"`` for :func:`silence`. Recordings keep it.
     name : str
         MAVLink message name (``"ATTITUDE"``) or Zenoh key expression (``"arm/telemetry"``).
     received_ns : int
@@ -31,3 +31,14 @@ class Message:
     fields: Mapping[str, Any]
     system: int = 0
     component: int = 0
+
+
+SILENCE = "silence"
+
+
+def silence(now_ns: int) -> Message:
+    """Return the message that says that Unix time has come to ``now_ns`` without telemetry.
+
+    Time that passes is an input like any other: recorded, it replays like any other.
+    """
+    return Message(source="clock", name=SILENCE, received_ns=now_ns, fields={})

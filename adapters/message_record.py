@@ -60,9 +60,9 @@ def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Deco
             return lambda data, time_ns: kind.from_bytes(data, name, time_ns)
         if encoding == "json":
             return lambda data, time_ns: _mavlink_from_json(data, name, time_ns)
-    if topic.startswith("/zenoh/") and encoding == "json":
-        name = topic.removeprefix("/zenoh/")
-        return lambda data, time_ns: Message("zenoh", name, time_ns, _from_json(data))
+    source, _, name = topic.removeprefix("/").partition("/")
+    if source in ("zenoh", "clock") and name and encoding == "json":
+        return lambda data, time_ns: Message(source, name, time_ns, _from_json(data))
     return None
 
 

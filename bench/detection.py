@@ -2,8 +2,8 @@
 
     python bench/detection.py FLIGHTS
 
-FLIGHTS holds NAME.tlog.xz and NAME.json, the JSON giving ``vehicle``, ``model``, ``healthy``, ``faults`` with ``on`` and
-``off`` on the autopilot's clock, and ``statustext``. A profile is fitted on the healthy flights of each model and noise
+FLIGHTS holds NAME.tlog.xz and NAME.json; the JSON gives ``model``, ``healthy``, ``faults`` with ``on`` and ``off`` on
+the autopilot's clock, and ``statustext``. A profile is fitted on the healthy flights of each model and noise
 level, never on a faulty one; flights the motors observer does not speak about are listed for their false alarms only.
 Prints a Markdown table.
 """

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gains.errors import InaccurateError, InfeasibleError
+from gains.errors import InaccurateError, InfeasibleError, ModelError
 
 if TYPE_CHECKING:
     from gains.plant import Plant
@@ -52,10 +53,10 @@ def run_design(args: argparse.Namespace) -> int:
     model = load_model(args.model)
     plant = model
     if args.fault_rate is not None:
-        faults = tuple(
-            replace(fault, rate=args.fault_rate) if fault.kind == "actuator" else fault for fault in model.faults
-        )
-        plant = replace(model, faults=faults)
+        if not 0.0 < args.fault_rate < math.inf:
+            raise ModelError(f"{model.name}: a fault rate of {args.fault_rate} per second is not positive")
+        rated = (replace(fault, rate=args.fault_rate) for fault in model.faults)
+        plant = replace(model, faults=tuple(rated))
     try:
         found = _design(plant, args, model_hash(model))
     except InfeasibleError as error:

@@ -32,8 +32,11 @@ class Coordinates:
     mu: float
 
 
-def kalman_coordinates(model: ErrorModel) -> Coordinates:
+def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0) -> Coordinates:
     """Return the coordinates of a model.
+
+    With a pole radius below one they are those of the filter whose poles lie within it: the Kalman filter of the
+    model with A divided by the radius (prescribed degree of stability).
 
     States and outputs get a floor of fictitious noise, ``FLOOR`` of their own stationary error, because a
     direction without any noise would be known exactly and have no scale.
@@ -43,7 +46,7 @@ def kalman_coordinates(model: ErrorModel) -> Coordinates:
     InfeasibleError
         The Riccati equation has no solution that numbers can represent.
     """
-    A, C = model.A.mean(axis=0), model.C
+    A, C = model.A.mean(axis=0) / pole_radius, model.C
     Q, S, R = model.B @ model.B.T, model.B @ model.D.T, model.D @ model.D.T
     smallest = (_SMALLEST_SHARE / model.weights) ** 2
     variance = np.maximum(np.diag(Q), smallest)

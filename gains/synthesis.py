@@ -130,10 +130,11 @@ def design_convex(
     augmentation = augment(discrete)
     model = error_model(discrete, augmentation)
     notes = check_existence(discrete, augmentation, model)
-    coordinates = kalman_coordinates(model)
+    coordinates = kalman_coordinates(model, pole_radius)
     for solution, solve_s in _solutions(_problem(model, coordinates, pole_radius, gain_weight)):
         design = _design(discrete, augmentation, coordinates, model, solution)
-        if certify(discrete, design).holds:
+        certificate = certify(discrete, design)
+        if certificate.holds and certificate.poles_max_abs <= pole_radius:
             return replace(design, solve_s=solve_s, total_s=time.perf_counter() - started, notes=notes)
     raise InaccurateError(
         f"{plant.name}: the solver stopped short and no gains it found could be certified; "
@@ -215,7 +216,8 @@ def _solve(problem: _Problem, mu_fixed: float | None = None) -> tuple[_Solution 
         inequality = _bordered(rows, [np.zeros((a1, na)), C_f, D_f], a1)
         constraints.append(inequality >> slack * np.eye(2 * na + nw + a1))
         if problem.pole_radius < 1.0:
-            constraints.append(cp.bmat([[P, PA], [PA.T, problem.pole_radius**2 * P]]) >> 0)
+            decay = cp.bmat([[P, PA], [PA.T, problem.pole_radius**2 * P]])
+            constraints.append(decay >> slack * np.eye(2 * na))
     if mu_fixed is None:
         constraints.append(_bordered([[Z, R.T], [R, P]], [L_p, np.zeros((a1, na))], a1) >> 0)
         objective = cp.Minimize(mu + problem.gain_weight * cp.trace(Z))

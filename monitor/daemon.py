@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from typing import Any, Protocol
 
-from adapters.message import Message
+from adapters.message import Message, silence
 from monitor.chain import Output
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
@@ -93,13 +93,15 @@ class Daemon:
                 self._take(message)
             now = time.time_ns()
             if not messages:
-                self._emit(self._pipeline.tick(now), now)
+                self._note_silence(now)
             if self._recorder is not None and now - self._flushed_ns >= _FLUSH_NS:
                 self._recorder.flush()
                 self._flushed_ns = now
             if now - self._second.started_ns >= _STATUS_NS:
                 self._publisher.status(self.status(now))
                 self._second = _Second(started_ns=now)
+        if self._recorder is not None:
+            self._recorder.add_metadata(self._pipeline.metadata())
 
     def status(self, now_ns: int) -> dict[str, Any]:
         """Return the status object: state, rates, losses, latency, versions."""
@@ -125,6 +127,14 @@ class Daemon:
             "profile": self._pipeline.profile.digest,
             "versions": {"fauio": version("fauio")},
         }
+
+    def _note_silence(self, now_ns: int) -> None:
+        """Let the pipeline know that time passes; record it where that changed something."""
+        message = silence(now_ns)
+        outputs = self._pipeline.feed(message)
+        if outputs and self._recorder is not None:
+            self._recorder.message(message)
+        self._emit(outputs, now_ns)
 
     def _take(self, message: Message) -> None:
         self._messages += 1

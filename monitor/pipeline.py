@@ -11,12 +11,11 @@ from importlib.metadata import version
 from itertools import count
 
 from adapters.clock import VehicleClock
-from adapters.message import Message
+from adapters.message import SILENCE, Message
 from adapters.phase import FlightPhase
 from adapters.sampler import SamplerStatistics
 from monitor.chain import ObserverChain, Output
 from monitor.estimate import Layout
-from monitor.event import AlarmEvent
 from monitor.profile import Profile
 from monitor.stale import StaleAlarm
 
@@ -51,7 +50,7 @@ class Pipeline:
     @property
     def interests(self) -> frozenset[str]:
         """Names of the messages that matter; all others may be skipped without changing a result."""
-        return self._wanted | FlightPhase.interests
+        return self._wanted | FlightPhase.interests | {SILENCE}
 
     @property
     def layouts(self) -> tuple[Layout, ...]:
@@ -74,7 +73,10 @@ class Pipeline:
 
     def metadata(self) -> dict[str, str]:
         """Return what a recording says about how it was made."""
-        return {"fauio": version("fauio"), "vehicle": self.vehicle, "profile": self.profile.digest}
+        found = {"fauio": version("fauio"), "vehicle": self.vehicle, "profile": self.profile.digest}
+        if self._clock.newest_ns:
+            found["unix_minus_vehicle_ns"] = str(self._clock.to_unix(0))
+        return found
 
     def accepts(self, message: Message) -> bool:
         """Return whether a message comes from the monitored vehicle; the first one to send a channel is it."""
@@ -89,6 +91,8 @@ class Pipeline:
         if not self.accepts(message):
             self.foreign += 1
             return []
+        if message.source == "clock":
+            return [*self._stale.silence(message.received_ns)]
         outputs: list[Output] = []
         self._phase.feed(message)
         if message.name in self._wanted:
@@ -97,7 +101,3 @@ class Pipeline:
                 if message.name in chain.interests:
                     outputs.extend(chain.feed(message, self._phase))
         return outputs
-
-    def tick(self, now_ns: int) -> list[AlarmEvent]:
-        """Note that Unix time has come to ``now_ns`` without a message: silence may have become stale."""
-        return self._stale.silence(now_ns)

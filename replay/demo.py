@@ -187,8 +187,8 @@ def _announce(scene: Scene, event: AlarmEvent) -> str:
 
 
 def _report(scene: Scene, events: Sequence[AlarmEvent], replayed: Replay, out: Path, vehicle: str) -> int:
-    live = [event for event in replayed.events if event.kind != "stale"]
-    _say(f"replaying the recording gives the same {len(events)} events: {'yes' if live == list(events) else 'NO'}")
+    same = [event for event in replayed.events if event.kind != "stale"] == list(events)
+    _say(f"replaying the recording gives the same {len(events)} events: {'yes' if same else 'NO'}")
     missing = [
         truth.channel
         for truth in scene.truth
@@ -200,7 +200,7 @@ def _report(scene: Scene, events: Sequence[AlarmEvent], replayed: Replay, out: P
     for channel in wrong:
         _say(f"FALSE: {channel}")
     _say(f"left in {out}/: {vehicle}.mcap (recording), {vehicle}.rrd (open with 'rerun'), {vehicle}.png (plot)")
-    return 1 if missing or wrong or live != list(events) else 0
+    return 0 if same and not missing and not wrong else 1
 
 
 def _true_course(truth: Truth, trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

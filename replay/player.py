@@ -100,6 +100,8 @@ def play(
                     recorder.event(output)
                 if on_event is not None:
                     on_event(output)
+        if recorder is not None:
+            recorder.add_metadata(pipeline.metadata())
     return Replay(
         events=tuple(events),
         traces=tuple(builder.build() for builder in builders.values()),

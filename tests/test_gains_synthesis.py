@@ -177,11 +177,11 @@ def test_the_bound_is_nearly_attained_by_the_worst_steady_disturbance_of_the_arm
     assert error <= design.mu * into
 
 
-@pytest.mark.parametrize("radius", [0.98, 0.9])
+@pytest.mark.parametrize("radius", [0.98, 0.9, 0.8])
 def test_a_pole_radius_is_kept_at_every_vertex(radius: float) -> None:
     plant = builtin_model("arm-disturbed")
     design = design_convex(plant, 100.0, pole_radius=radius)
-    assert assert_proven(plant, design).poles_max_abs <= radius * (1.0 + 1e-6)
+    assert assert_proven(plant, design).poles_max_abs <= radius
 
 
 def test_faster_faults_are_followed_faster() -> None:
@@ -194,30 +194,23 @@ def test_faster_faults_are_followed_faster() -> None:
     assert np.max(np.abs(design_convex(fast).L_i)) > np.max(np.abs(design_convex(plant).L_i))
 
 
-def two_hidden_states(size: float) -> Plant:
-    """Return a plant whose two unseen states decay for every constant slope; switching slopes may excite them."""
-    return Plant(
+def test_an_infeasible_inequality_is_said_to_be_infeasible() -> None:
+    # The unseen pair decays for every constant slope in [-1, 1] but grows when the slope switches.
+    plant = Plant(
         name="switching",
         domain="discrete",
         rate_hz=10.0,
         states=("seen", "a", "b"),
         inputs=(),
         outputs=("y",),
-        A=np.array([[0.5, 0, 0], [0, 0.5, size / 2], [0, -size / 2, 0.5]]),
+        A=np.array([[0.5, 0, 0], [0, -0.2, -1.3], [0, 0.5, 0]]),
         B=np.zeros((3, 0)),
         C=np.array([[1.0, 0, 0]]),
-        G=np.array([[0.0], [1.0], [1.0]]),
-        nonlinearities=(replace(sine(np.zeros(3)), rows=np.array([[0.0, 0.0, size / 2]])),),
+        G=np.array([[0.0], [1.5], [-0.1]]),
+        nonlinearities=(sine(np.array([0, 1.0, 0])),),
         faults=(Fault("motor", "actuator", np.array([1.0, 0, 0])),),
     )
-
-
-def test_an_infeasible_inequality_is_said_to_be_infeasible() -> None:
-    plant = two_hidden_states(1.4)
-    nonlinearities = (sine(np.array([0, 0, 0.7])), sine(np.array([0, 0.7, 0])))
-    # The slopes of both are one and the same s: [[.5, .7 (1 + s)], [-.7 (1 - s), .5]], written with a vertex each.
-    plant = replace(plant, G=np.array([[0, 0], [1.0, 0], [0, 1.0]]), nonlinearities=nonlinearities)
-    with pytest.raises((InfeasibleError, ModelError)):
+    with pytest.raises(InfeasibleError, match="switching: no gains make the error decay for every slope: narrow"):
         design_convex(plant)
 
 

@@ -1,0 +1,94 @@
+"""``fauio design`` prints what the contract says and returns its exit statuses."""
+
+import json
+from pathlib import Path
+
+import pytest
+from gains_samples import integrator_with_drift
+
+import fauio
+from gains.gains_file import read_gains
+from gains.model_file import builtin_model, model_hash, write_model
+
+
+def test_design_prints_the_json_of_the_contract(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fauio.main(["design", "arm-disturbed", "--rate", "100", "--json"]) == 0
+    output = capsys.readouterr().out
+    found = json.loads(output)
+    assert output.count("\n") == 1
+    assert (found["model"], found["method"], found["domain"], found["rate_hz"]) == (
+        "arm-disturbed",
+        "convex",
+        "discrete",
+        100.0,
+    )
+    assert found["status"] == "optimal"
+    assert found["norm"] <= found["sqrt_mu"] <= 0.1425
+    assert found["gain_max_abs"] < 30.0
+    assert found["poles_max_abs"] < 1.0
+    assert found["certificate"]["holds"] is True
+    assert found["certificate"]["margin"] > 0.0
+    assert 0.0 < found["solve_s"] <= found["total_s"]
+
+
+def test_design_prints_a_report_for_people_and_writes_the_gains(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "arm.json"
+    assert fauio.main(["design", "arm", "--rate", "50", "-o", str(out)]) == 0
+    output = capsys.readouterr().out
+    assert output.startswith("arm: convex design at 50 Hz\n")
+    assert "certificate         holds with margin" in output
+    assert str(out) in output
+    assert read_gains(out).model_hash == model_hash(builtin_model("arm"))
+
+
+def test_a_faster_fault_rate_gives_faster_gains_for_the_same_model_file(tmp_path: Path) -> None:
+    arguments = ["design", "arm-disturbed", "--rate", "100"]
+    assert fauio.main([*arguments, "-o", str(tmp_path / "slow.json")]) == 0
+    assert fauio.main([*arguments, "--fault-rate", "50", "-o", str(tmp_path / "fast.json")]) == 0
+    slow, fast = read_gains(tmp_path / "slow.json"), read_gains(tmp_path / "fast.json")
+    assert abs(fast.L_i).max() > abs(slow.L_i).max()
+    assert fast.model_hash == slow.model_hash
+    assert fast.report["fault_rate"] == {"motor": 50.0}
+
+
+def test_the_pole_radius_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fauio.main(["design", "arm-disturbed", "--rate", "100", "--pole-radius", "0.97", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["poles_max_abs"] <= 0.97
+
+
+def test_a_model_without_an_observer_is_reported_with_exit_status_3(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_model(integrator_with_drift(), tmp_path / "drift.toml")
+    assert fauio.main(["design", str(tmp_path / "drift.toml"), "--json"]) == 3
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)
+    assert found["status"] == "infeasible"
+    assert found["sqrt_mu"] is None
+    assert found["certificate"] == {"holds": False, "margin": None}
+    assert captured.err.startswith("fauio: drift: detectability of (L1 A_z, Cb) fails: 'gps_offset'")
+    assert captured.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["missing.toml"], "fauio: missing.toml: no such file"),
+        (["leg"], "fauio: leg: neither a file nor a built-in model"),
+        (["arm"], "fauio: arm: a continuous model needs a rate"),
+        (["arm", "--rate", "-5"], "fauio: arm: a rate of -5.0 Hz is not positive"),
+        (["arm", "--rate", "10", "--pole-radius", "2"], "fauio: arm: a pole radius of 2.0"),
+        (["arm", "--rate", "10", "--fault-rate", "0"], "fauio: arm: a fault rate of 0.0 per second"),
+        (["arm", "--rate", "10", "-o", "/nowhere/gains.json"], "fauio: [Errno 2] No such file or directory"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_status_2(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fauio.main(["design", *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith(message)
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""

@@ -1,0 +1,126 @@
+"""The compiled map does what the observer's equations say, delays and nonlinearities included."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gains_samples import multirotor, random_plant
+
+from gains.certificate import certify
+from gains.compilation import compile_gains
+from gains.design import Design
+from gains.discretise import discretise
+from gains.errors import InaccurateError
+from gains.gains_file import Gains
+from gains.model_file import builtin_model, model_hash
+from gains.plant import FloatArray, Plant
+from gains.synthesis import design_convex
+
+PLANTS = {
+    "arm": replace(builtin_model("arm-disturbed"), c=np.array([0.1, -0.2, 0.3, -0.4])),
+    "delays": replace(random_plant(21, 1, 1, nonlinear=2), taps=(0.2, 0.5, -0.1, 0.4)),
+    "actuators": random_plant(22, 2, 0, nonlinear=1),
+    "sensors": random_plant(23, 0, 2),
+    "multirotor": multirotor(),
+}
+
+
+@pytest.fixture(scope="module", params=PLANTS)
+def compiled(request: pytest.FixtureRequest) -> tuple[Plant, Design, Gains]:
+    plant = PLANTS[request.param]
+    design = design_convex(plant, plant.rate_hz or 100.0)
+    return plant, design, compile_gains(plant, design, certify(plant, design))
+
+
+def effect(plant: Plant, u: FloatArray) -> FloatArray:
+    """Return v = c1 u + c2 u^2 + ... of each input."""
+    return np.array(
+        [sum(c * x ** (d + 1) for d, c in enumerate(curve)) for x, curve in zip(u, plant.curves, strict=True)]
+    )
+
+
+def run_map(plant: Plant, gains: Gains, u: FloatArray, y: FloatArray) -> FloatArray:
+    """Return [zeta^; fa^; yt] over time from the compiled matrices."""
+    ns, outputs = len(gains.initial_matrix), []
+    state = gains.initial_matrix @ np.concatenate([effect(plant, u[0]), y[0], [1.0]])
+    for u_k, y_k in zip(u, y, strict=True):
+        known = np.concatenate([state, effect(plant, u_k), y_k, [1.0]])
+        out = gains.step_matrix @ np.concatenate([known, np.sin(gains.argument_matrix @ known)])
+        state = out[:ns]
+        outputs.append(out[ns:])
+    return np.array(outputs)
+
+
+def run_textbook(plant: Plant, design: Design, u: FloatArray, y: FloatArray) -> FloatArray:
+    """Return [zeta^; fa^; yt] over time from the equations of the theory."""
+    n, a2 = len(plant.states), len(plant.sensor_faults)
+    T, C_b = np.eye(n, n + a2), np.hstack([plant.C, plant.D_f])
+    v = np.array([effect(plant, u_k) for u_k in u]).reshape(len(u), len(plant.inputs))
+    eta, q, outputs = design.L1 @ np.linalg.pinv(plant.C) @ y[0], np.zeros(len(design.L_i)), []
+    for k, y_k in enumerate(y):
+        filtered = sum((h * v[max(k - d, 0)] for d, h in enumerate(plant.taps)), start=np.zeros(len(plant.inputs)))
+        zeta = eta + design.F @ y_k
+        yt = y_k - C_b @ zeta
+        fa = q + design.L_p @ yt
+        g = np.array([np.sin(item.rows @ T @ zeta)[0] for item in plant.nonlinearities]).reshape(-1)
+        drive = plant.B @ filtered + plant.c + plant.G @ g + plant.E_f @ fa
+        eta = design.N @ eta + design.J @ y_k + design.L1 @ drive
+        q = q + design.L_i @ yt
+        outputs.append(np.concatenate([zeta, fa, yt]))
+    return np.array(outputs)
+
+
+def test_the_compiled_map_equals_the_textbook_observer(compiled: tuple[Plant, Design, Gains]) -> None:
+    plant, design, gains = compiled
+    discrete = discretise(plant, design.rate_hz)
+    rng = np.random.default_rng(3)
+    u, y = rng.normal(size=(60, len(plant.inputs))), rng.normal(size=(60, len(plant.outputs)))
+    expected = run_textbook(discrete, design, u, y)
+    scale = np.max(np.abs(expected), axis=0)
+    np.testing.assert_allclose(run_map(discrete, gains, u, y) / scale, expected / scale, atol=1e-10)
+
+
+def test_names_kinds_and_inputs_follow_the_plant(compiled: tuple[Plant, Design, Gains]) -> None:
+    plant, design, gains = compiled
+    faults = (*plant.actuator_faults, *plant.sensor_faults)
+    assert gains.faults == tuple(fault.name for fault in faults)
+    assert gains.fault_kinds == tuple(fault.kind for fault in faults)
+    assert gains.fault_units == tuple(fault.unit for fault in faults)
+    assert [None if i is None else plant.inputs[i] for i in gains.fault_inputs] == [fault.input for fault in faults]
+    assert gains.model_hash == model_hash(plant)
+    assert gains.rate_hz == design.rate_hz
+    assert gains.input_curves.shape[0] == len(plant.inputs)
+    assert gains.report["certificate"]["holds"]
+
+
+def test_a_restart_explains_a_consistent_output_without_a_fault() -> None:
+    plant = multirotor()
+    design = design_convex(plant)
+    gains = compile_gains(plant, design, certify(plant, design))
+    y = np.array([[0.1, -0.2, 0.05, -9.8]])
+    zeta, fa, yt = np.split(run_map(plant, gains, np.full((1, 4), 0.5), y)[0], [4, 8])
+    np.testing.assert_allclose(zeta, y[0], atol=1e-12)
+    np.testing.assert_allclose(fa, 0.0, atol=1e-12)
+    np.testing.assert_allclose(yt, 0.0, atol=1e-12)
+
+
+def test_the_estimates_of_the_arm_settle_on_constant_faults() -> None:
+    plant = builtin_model("arm-disturbed")
+    design = design_convex(plant, 100.0)
+    gains = compile_gains(plant, design, certify(plant, design))
+    discrete = discretise(plant, 100.0)
+    x, outputs, f_a, f_s = np.array([0.1, 0.0, -0.1, 0.0]), [], np.array([0.3]), np.array([-0.2])
+    for _ in range(2000):
+        outputs.append(discrete.C @ x + discrete.D_f @ f_s)
+        x = discrete.A @ x + discrete.G[:, 0] * np.sin(x[2]) + discrete.E_f @ f_a
+    estimate = run_map(discrete, gains, np.zeros((2000, 1)), np.array(outputs))[-1]
+    assert estimate[4] == pytest.approx(f_s[0], abs=1e-6)
+    assert estimate[5] == pytest.approx(f_a[0], abs=1e-6)
+    np.testing.assert_allclose(estimate[6:], 0.0, atol=1e-6)
+
+
+def test_gains_whose_certificate_does_not_hold_are_not_compiled() -> None:
+    plant = multirotor()
+    design = design_convex(plant)
+    with pytest.raises(InaccurateError, match="certificate does not hold"):
+        compile_gains(plant, design, replace(certify(plant, design), holds=False))
