@@ -99,14 +99,14 @@ def run_fit(args: argparse.Namespace) -> int:
     from adapters.recordings import read_recording, recording_kind
     from replay.fit import fit_multirotor, report_json
     from replay.progress import track
-    from replay.survey import FIT_MESSAGES
+    from replay.survey import FIT_MESSAGES, of_one_vehicle
 
     for path in args.logs:
         recording_kind(path)
     name = args.name or args.out.resolve().name
 
     def log(path: Path) -> Iterator[Message]:
-        return track(read_recording(path, FIT_MESSAGES), f"reading {path.name}")
+        return track(of_one_vehicle(read_recording(path, FIT_MESSAGES)), f"reading {path.name}")
 
     report = fit_multirotor([lambda path=path: log(path) for path in args.logs], args.out, name)  # type: ignore[misc]
     found = report_json(report)
@@ -161,7 +161,8 @@ def run_replay(args: argparse.Namespace) -> int:
             _say(f"{path.name}: no samples; the log lacks channels of the profile (needed: {needed})")
         else:
             seconds = found.evidence / profile.observers[0].gains.rate_hz
-            _say(f"{path.name}: {len(raised)} alarms in {seconds:.0f} s of watched flight")
+            alarms = "1 alarm" if len(raised) == 1 else f"{len(raised)} alarms"
+            _say(f"{path.name}: {alarms} in {seconds:.0f} s of watched flight")
         if args.plot:
             from replay.plot import plot_png
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from adapters.channels import Channel
@@ -79,6 +79,16 @@ def survey(messages: Iterable[Message]) -> Survey:
         for number, (count, total, square) in sorted(sums.items())
     }
     return Survey(dict(counts), rates, outputs)
+
+
+def of_one_vehicle(messages: Iterable[Message]) -> Iterator[Message]:
+    """Yield the messages of the first system that sends motor commands, from then on."""
+    system: int | None = None
+    for message in messages:
+        if system is None and message.name == MOTOR_MESSAGE:
+            system = message.system
+        if message.system == system:
+            yield message
 
 
 def multirotor_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:

@@ -103,3 +103,11 @@ def test_a_recorded_replay_replays_to_the_same_bits(quad_profile: Profile, tmp_p
     assert second.events == first.events
     for name in ("vehicle_ns", "unix_ns", "u", "y", "x", "fault", "isolated", "residual", "armed"):
         assert np.array_equal(getattr(first.traces[0], name), getattr(second.traces[0], name)), name
+
+
+def test_other_vehicles_in_a_log_do_not_enter_the_fit(data: Path) -> None:
+    from replay.survey import of_one_vehicle
+
+    flight = list(read_recording(data / "copter_5s.tlog.xz"))
+    assert {message.system for message in flight} > {1}
+    assert {message.system for message in of_one_vehicle(flight)} == {1}

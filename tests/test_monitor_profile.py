@@ -1,0 +1,108 @@
+"""Profiles read back as written; every mistake in one is one line that names file and key."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+import fauio
+from monitor.config import Config, read_config
+from monitor.errors import ProfileError
+from monitor.profile import read_profile
+
+
+@pytest.fixture
+def folder(quad_folder: Path, tmp_path: Path) -> Path:
+    copy = tmp_path / "quad"
+    shutil.copytree(quad_folder, copy)
+    return copy
+
+
+def edit(path: Path, pattern: str, replacement: str) -> None:
+    text = path.read_text()
+    changed = re.sub(pattern, replacement, text, count=1, flags=re.MULTILINE)
+    assert changed != text
+    path.write_text(changed)
+
+
+def test_a_profile_holds_what_the_fit_wrote(folder: Path) -> None:
+    profile = read_profile(folder)
+    (observer,) = profile.observers
+    assert (profile.name, profile.vehicle, observer.name) == ("quad", "multirotor", "motors")
+    assert [channel.name for channel in observer.inputs] == ["motor1", "motor2", "motor3", "motor4"]
+    assert [rule.channel for rule in observer.alarms] == list(observer.gains.faults)
+    assert observer.isolation.covariance.shape == (4, 4)
+    assert set(profile.files) == {"profile.toml", "motors.model.toml", "motors.gains.json"}
+
+
+def test_the_digest_follows_every_edit(folder: Path) -> None:
+    before = read_profile(folder).digest
+    edit(folder / "profile.toml", r"^threshold = .*", "threshold = 0.5")
+    profile = read_profile(folder)
+    assert profile.digest != before
+    assert profile.observers[0].alarms[0].threshold == 0.5
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "complaint"),
+    [
+        (r"^format = 1", "format = 7", "'format' is not 1"),
+        (r"^format = 1", "format = 1\ncolour = 3", "'colour' is not a key"),
+        (r"^name = .*", 'name = "a/b"', "'name' is 'a/b'"),
+        (r"^system = 0", 'system = "one"', "'system' is not a whole number"),
+        (r"^settle_s = .*", "settle_s = -1.0", "'phase.settle_s' is -1"),
+        (r"^require_armed = true", "require_armed = 1", "'phase.require_armed' is neither"),
+        (r"^threshold = .*", "threshold = nan", "threshold' is not a finite number"),
+        (r"^clear = .*", "clear = 9.0", "is above 'threshold'"),
+        (r"^method = .*", 'method = "guess"', "'guess'; use 'single' or 'independent'"),
+        (r"^message = .*", "message = 3", "'message' is missing or not text"),
+        (r"alarms\.motor1\]", "alarms.motor9]", "no such fault; the model has motor1"),
+        (r"^format = 1", "format = = 1", "not valid TOML"),
+    ],
+)
+def test_a_mistake_is_named_with_file_and_key(folder: Path, pattern: str, replacement: str, complaint: str) -> None:
+    edit(folder / "profile.toml", pattern, replacement)
+    with pytest.raises(ValueError, match=re.escape(complaint)) as caught:
+        read_profile(folder)
+    assert "profile.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert getattr(caught.value, "exit_status", None) == 2
+
+
+def test_gains_of_another_model_are_refused_with_the_command_that_mends_it(folder: Path) -> None:
+    edit(folder / "motors.model.toml", r"^rate_hz = .*", "rate_hz = 50.0")
+    with pytest.raises(ProfileError, match=r"another version of motors.model.toml; run 'fauio design "):
+        read_profile(folder)
+
+
+def test_designing_the_edited_model_again_mends_the_profile(folder: Path) -> None:
+    edit(folder / "motors.model.toml", r"^name = .*", 'name = "quad-b"')
+    gains = folder / "motors.gains.json"
+    assert fauio.main(["design", str(folder / "motors.model.toml"), "-o", str(gains)]) == 0
+    assert read_profile(folder).observers[0].gains.model == "quad-b"
+
+
+def test_a_missing_file_is_named(folder: Path) -> None:
+    (folder / "motors.gains.json").unlink()
+    with pytest.raises(ProfileError, match=r"motors\.gains\.json: file is missing"):
+        read_profile(folder)
+    with pytest.raises(ProfileError, match=r"no profile\.toml in this folder"):
+        read_profile(folder.parent)
+
+
+def test_a_configuration_overrides_the_defaults_key_by_key(tmp_path: Path) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text('mavlink = "udpin:127.0.0.1:14551"\nlisten = []\n')
+    assert read_config(path) == Config(mavlink="udpin:127.0.0.1:14551", listen=())
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [("listen = 3", "'listen' is not a list"), ("speed = 1", "'speed' is not a key"), ("prefix = ", "not valid TOML")],
+)
+def test_a_mistake_in_the_configuration_is_named(tmp_path: Path, text: str, complaint: str) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text(text)
+    with pytest.raises(ProfileError, match=re.escape(complaint)):
+        read_config(path)
