@@ -117,13 +117,14 @@ def read_gains(path: str | Path) -> Gains:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise ModelError(f"{path}: larger than {_LARGEST_FILE >> 20} MiB; this is no gains file")
-        document = json.loads(path.read_text(encoding="utf-8"))
+        too_large = path.stat().st_size > _LARGEST_FILE
+        document = None if too_large else json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
         raise ModelError(f"{path}: not JSON; make gains with 'fauio design'") from error
+    if too_large:
+        raise ModelError(f"{path}: larger than {_LARGEST_FILE >> 20} MiB; this is no gains file")
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise ModelError(f"{path}: 'format' is not {FORMAT}; make the file again with 'fauio design'")
     missing = [field.name for field in fields(Gains) if field.name not in document]

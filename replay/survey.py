@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.message import Message
+from adapters.phase import FlightPhase
 
 MOTOR_MESSAGE = "SERVO_OUTPUT_RAW"
 _OUTPUTS_PER_MESSAGE = 16
@@ -26,9 +27,8 @@ _VERTICAL = (
     ("SCALED_IMU", "zacc", _GRAVITY / 1000.0),
     ("RAW_IMU", "zacc", _GRAVITY / 1000.0),
 )
-FIT_MESSAGES = frozenset(
-    {MOTOR_MESSAGE, "HEARTBEAT", "EXTENDED_SYS_STATE"} | {name for name, *_ in (*_RATES, *_VERTICAL)}
-)
+_CHANNEL_MESSAGES = frozenset({MOTOR_MESSAGE} | {name for name, *_ in (*_RATES, *_VERTICAL)})
+FIT_MESSAGES = _CHANNEL_MESSAGES | FlightPhase.interests
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +82,10 @@ def survey(messages: Iterable[Message]) -> Survey:
 
 
 def of_one_vehicle(messages: Iterable[Message]) -> Iterator[Message]:
-    """Yield the messages of the first system that sends motor commands, from then on."""
+    """Yield the messages of the first system that sends motor commands, rates or accelerations, from then on."""
     system: int | None = None
     for message in messages:
-        if system is None and message.name == MOTOR_MESSAGE:
+        if system is None and message.name in _CHANNEL_MESSAGES:
             system = message.system
         if message.system == system:
             yield message

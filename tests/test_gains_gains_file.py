@@ -80,9 +80,9 @@ def rows(key: str, edit: Callable[[list[list[Any]]], None]) -> Callable[[dict[st
         (change("K", {"shape": [2], "rows": [[1.0]]}), "'K' is not a matrix"),
         (
             rows("step_matrix", lambda rows: rows[0].__setitem__(0, float("inf"))),
-            "'step_matrix' is not a finite number",
+            "'step_matrix' is not a matrix of finite numbers",
         ),
-        (rows("step_matrix", lambda rows: rows[0].__setitem__(0, "1")), "'step_matrix' is not a finite number"),
+        (rows("step_matrix", lambda rows: rows[0].__setitem__(0, "1")), "'step_matrix' is not a matrix of finite"),
         (rows("step_matrix", lambda rows: rows[0].pop()), "'step_matrix' is not a matrix"),
         (rows("initial_matrix", lambda rows: rows.pop()), "'initial_matrix' is not a matrix"),
         (

@@ -228,8 +228,8 @@ def test_discrete_models_survive_the_file_to_the_last_bit(plant: Plant, tmp_path
         ("rate_hz = 50", "rate_hz = true", "'rate_hz' is not a number"),
         ('"discrete"', '"sampled"', "'domain' is 'sampled'; use one of continuous, discrete"),
         ('states = ["angle", "rate"]', 'states = "angle"', "'states' is not a list of names"),
-        ('states = ["angle", "rate"]', 'states = ["angle", "angle"]', "'C.encoder'|'states' has the name|there is no 'rate'"),
-        ("angle = { angle = 1.0, rate = 0.02 }", "angle = { angle = 1.0, speed = 0.02 }", "'A.angle.speed': there is no 'speed'; there are angle, rate"),
+        ('states = ["angle", "rate"]', 'states = ["angle", "angle"]', "'C.encoder'|'states' has the name|there is no 'rate'"),  # noqa: E501 - a table of mistakes reads best with one to a line
+        ("angle = { angle = 1.0, rate = 0.02 }", "angle = { angle = 1.0, speed = 0.02 }", "'A.angle.speed': there is no 'speed'; there are angle, rate"),  # noqa: E501 - a table of mistakes reads best with one to a line
         ("angle = { angle = 1.0, rate = 0.02 }", "angle = { angle = inf }", "'A.angle.angle' is not a finite number"),
         ("angle = { angle = 1.0, rate = 0.02 }", "angle = [1.0]", "'A.angle' has 1 numbers for angle, rate"),
         ("rate = { torque = 0.1, brake = -0.2 }", "speed = { torque = 0.1 }", "'B.speed': there is no 'speed'"),
@@ -244,11 +244,11 @@ def test_discrete_models_survive_the_file_to_the_last_bit(plant: Plant, tmp_path
         ("range = { v = [-1.0, 1.0] }", "range = { v = [1.0, -1.0] }", r"'nonlinearity\[1\].range.v' is \[1, -1\]"),
         ("range = { v = [-1.0, 1.0] }", "range = { w = [-1.0, 1.0] }", "there is no 'w'"),
         ("range = { v = [-1.0, 1.0] }", "slope = {}", r"'nonlinearity\[1\].slope.v' is missing"),
-        ("arguments = { v = { angle = 2.0 } }", "arguments = { v = { speed = 2.0 } }", r"'nonlinearity\[1\].arguments.v.speed'"),
+        ("arguments = { v = { angle = 2.0 } }", "arguments = { v = { speed = 2.0 } }", r"'nonlinearity\[1\].arguments.v.speed'"),  # noqa: E501 - a table of mistakes reads best with one to a line
         ("arguments = { v = { angle = 2.0 } }", "", r"'nonlinearity\[1\].arguments' is not a table of rows"),
         ("into = { rate = -0.3 }", "", r"'nonlinearity\[1\].into' is missing or zero"),
         ('kind = "actuator"', 'kind = "motor"', r"'fault\[1\].kind' is 'motor'"),
-        ('input = "torque"', 'input = "throttle"', "fault 'motor': there is no input 'throttle'; there are torque, brake"),
+        ('input = "torque"', 'input = "throttle"', "fault 'motor': there is no input 'throttle'; there are torque, brake"),  # noqa: E501 - a table of mistakes reads best with one to a line
         ('input = "torque"', "", r"'fault\[1\].into': give either"),
         ('input = "torque"', 'input = "torque"\ninto = "rate"', r"'fault\[1\].into': give either"),
         ("error = 0.1", "error = -0.1", "fault 'motor': 'error' is -0.1"),

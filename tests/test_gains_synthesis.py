@@ -16,7 +16,7 @@ from gains.design import Design
 from gains.discretise import discretise
 from gains.errors import InaccurateError, InfeasibleError, ModelError
 from gains.model_file import builtin_model
-from gains.plant import Fault, FloatArray, Plant
+from gains.plant import Disturbance, Fault, FloatArray, Plant
 from gains.synthesis import design_convex
 
 # Least sqrt(mu) of any observer on the disturbed arm: disturbances that hide in the fault channels.
@@ -111,7 +111,7 @@ def energies(plant: Plant, design: Design, w: FloatArray, df: FloatArray) -> tup
     """Simulate plant and compiled observer; return the energies of the scaled errors and of [w; w+; df_a]."""
     discrete = discretise(plant, design.rate_hz)
     gains = compile_gains(plant, design, certify(plant, design))
-    n, p, s, nz, a1 = *discrete.C.shape[::-1], len(discrete.inputs), len(design.L1), len(design.L_p)
+    n, s, nz, a1 = len(discrete.states), len(discrete.inputs), len(design.L1), len(design.L_p)
     g = [np.sin for _ in discrete.nonlinearities]
     scale = np.array([signal.scale for signal in (*discrete.disturbances, *discrete.noises)])
     rates = np.array([fault.rate for fault in discrete.actuator_faults]) / design.rate_hz
@@ -209,6 +209,7 @@ def test_an_infeasible_inequality_is_said_to_be_infeasible() -> None:
         G=np.array([[0.0], [1.5], [-0.1]]),
         nonlinearities=(sine(np.array([0, 1.0, 0])),),
         faults=(Fault("motor", "actuator", np.array([1.0, 0, 0])),),
+        disturbances=(Disturbance("push", np.array([0, 1.0, 0])), Disturbance("pull", np.array([0, 0, 1.0]))),
     )
     with pytest.raises(InfeasibleError, match="switching: no gains make the error decay for every slope: narrow"):
         design_convex(plant)
