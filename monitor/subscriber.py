@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
 from collections import deque
@@ -15,7 +16,9 @@ from monitor.keys import ANY, vehicle_of, vehicle_root
 
 HELD_EVENTS = 10_000
 MAX_PAYLOAD_BYTES = 1 << 24
-HISTORY_TIMEOUT_S = 5.0
+HISTORY_TIMEOUT_S = 1.0
+HISTORY_TRIES = 10
+HISTORY_PAUSE_S = 0.2
 
 _TEXTS = ("id", "vehicle", "observer", "channel", "kind", "state", "severity", "unit", "message")
 _COUNTS = ("time_ns", "vehicle_time_ms", "since_ns", "seq")
@@ -55,12 +58,15 @@ class AlarmSubscriber:
         self.invalid = 0
         self.lost = 0
         self._session = session
+        self._closed = False
         self._root = vehicle_root(prefix, vehicle)
         self._history = history
         self._changed = threading.Condition()
         self._events: deque[AlarmEvent] = deque()
         self._seen: dict[tuple[str, str, int], None] = {}
         self._live: set[str] = set()
+        self._told: set[str] = set()
+        self._held: deque[AlarmEvent] = deque(maxlen=HELD_EVENTS)
         # with the history asked for, the latest events would come twice and too early
         latest = None if history else ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
         self._alarms: Any = ext.declare_advanced_subscriber(
@@ -86,11 +92,32 @@ class AlarmSubscriber:
 
     def close(self) -> None:
         """Stop collecting."""
+        self._closed = True
         self._tokens.undeclare()
         self._alarms.undeclare()
 
     def _on_alarm(self, sample: zenoh.Sample) -> None:
-        self._take(_decode(sample.payload))
+        event = _valid(_decode(sample.payload))
+        if event is not None and self._history and self._hold(event):
+            return
+        self._take(event)
+
+    def _hold(self, event: AlarmEvent) -> bool:
+        """Keep an event back while the past of its vehicle is still to come; return whether it was."""
+        with self._changed:
+            if event.vehicle in self._told:
+                return False
+            self._held.append(event)
+            return True
+
+    def _release(self, vehicle: str) -> None:
+        """Let go what was kept back: the past of its vehicle has come, or nobody knows it."""
+        with self._changed:
+            self._told.add(vehicle)
+            held = sorted((event for event in self._held if event.vehicle == vehicle), key=lambda event: event.seq)
+            self._held = deque((event for event in self._held if event.vehicle != vehicle), maxlen=HELD_EVENTS)
+        for event in held:
+            self._take(event)
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         vehicle = vehicle_of(self._root, str(sample.key_expr))
@@ -99,19 +126,37 @@ class AlarmSubscriber:
             (self._live.add if appeared else self._live.discard)(vehicle)
             self._changed.notify()
         if appeared and self._history:
-            key = str(sample.key_expr).removesuffix("/live") + "/alarms?history=true"
-            self._session.get(key, self._on_history, timeout=HISTORY_TIMEOUT_S)
+            self._ask(vehicle, str(sample.key_expr).removesuffix("/live") + "/alarms?history=true", HISTORY_TRIES)
 
-    def _on_history(self, reply: zenoh.Reply) -> None:
-        events = _decode(reply.ok.payload) if reply.ok is not None else None
+    def _ask(self, vehicle: str, key: str, tries: int) -> None:
+        """Ask for the past events, again where nobody answers: a route can be slower than the token it serves."""
+        answers: list[zenoh.Reply] = []
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                answers.append(reply)
+                self._on_history(reply.ok)
+
+        def on_end() -> None:
+            if answers or tries == 1 or self._closed:
+                self._release(vehicle)
+                return
+            again = threading.Timer(HISTORY_PAUSE_S, self._ask, (vehicle, key, tries - 1))
+            again.daemon = True
+            again.start()
+
+        with contextlib.suppress(zenoh.ZError):  # the session was closed meanwhile
+            self._session.get(key, zenoh.handlers.Callback(on_reply, on_end), timeout=HISTORY_TIMEOUT_S)
+
+    def _on_history(self, reply: zenoh.Sample) -> None:
+        events = _decode(reply.payload)
         if not isinstance(events, list):
             self._take(None)
             return
         for event in events:
-            self._take(event)
+            self._take(_valid(event))
 
-    def _take(self, payload: Any) -> None:
-        event = _valid(payload)
+    def _take(self, event: AlarmEvent | None) -> None:
         with self._changed:
             if event is None:
                 self.invalid += 1

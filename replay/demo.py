@@ -148,7 +148,7 @@ def _wait_for_monitor(subscriber: AlarmSubscriber, daemon: subprocess.Popen[str]
             raise ProfileError(f"the monitor did not start: {said.splitlines()[-1] if said else 'no reason given'}")
         if time.monotonic() > deadline:
             raise ProfileError("the monitor did not appear on Zenoh within 30 s; run 'fauio doctor'")
-        subscriber.receive(0.1)
+        time.sleep(0.05)
 
 
 def _watch(scene: Scene, subscriber: AlarmSubscriber, sender_command: Sequence[str]) -> list[AlarmEvent]:
