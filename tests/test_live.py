@@ -101,7 +101,7 @@ def test_subscribers_now_and_later_see_what_the_replay_says_and_the_recording_ha
     try:
         subscriber = AlarmSubscriber(session)
         wait_for_monitor(subscriber)
-        send(live, log, speed=4.0)
+        send(live, log, speed=2.0)
         events = collect(subscriber, quiet_s=3.0)
         assert essence(events) == essence(expected)
         assert (events[-1].channel, events[-1].state) == ("telemetry", "raised")
