@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gains.errors import InfeasibleError
-from gains.plant import FloatArray, Plant
+from gains.plant import FloatArray, Plant, check_independence
 
 LARGEST_VERTEX_COUNT = 1 << 10
 
@@ -81,7 +81,13 @@ def augment(plant: Plant) -> Augmentation:
     [L1 F] is the pseudo-inverse of [T; Cb] with each row in units of the error that matters there, for a state
     its own and for an output the largest that a state's error makes: the result follows a change of units. Where
     all of those are one it is the plain pseudo-inverse of the theory.
+
+    Raises
+    ------
+    ModelError
+        Directions of faults depend on each other.
     """
+    check_independence(plant)
     n, a2 = len(plant.states), len(plant.sensor_faults)
     T = np.eye(n, n + a2)
     C_b = np.hstack([plant.C, plant.D_f])
@@ -94,12 +100,13 @@ def augment(plant: Plant) -> Augmentation:
 
 
 def error_model(plant: Plant, augmentation: Augmentation) -> ErrorModel:
-    """Return the error system of a discrete plant at every slope vertex.
+    """Return the error system of a plant at every slope vertex.
 
     Parameters
     ----------
     plant : Plant
-        A discrete plant.
+        A plant; in continuous time ' stands for + and f_a' for df_a, and z does not keep its value by itself: the
+        identity in A_a becomes zero, and f_a' is divided by the fault's rate alone.
     augmentation : Augmentation
         Its L1, F, A_z and Cb.
 
@@ -108,8 +115,6 @@ def error_model(plant: Plant, augmentation: Augmentation) -> ErrorModel:
     InfeasibleError
         More slopes vary than vertices can be enumerated for.
     """
-    if plant.rate_hz is None:
-        raise TypeError("the error system is that of a discrete plant")
     L1, F = augmentation.L1, augmentation.F
     nz, n = L1.shape
     a1, p = len(plant.actuator_faults), len(plant.outputs)
@@ -119,11 +124,11 @@ def error_model(plant: Plant, augmentation: Augmentation) -> ErrorModel:
     E = np.hstack([plant.E_1 * disturbance, np.zeros((n, len(noise)))])
     D = np.hstack([np.zeros((p, len(disturbance))), plant.D_1 * noise])
     q = D.shape[1]
-    A_a = np.eye(na)
+    A_a = np.eye(na) if plant.domain == "discrete" else np.zeros((na, na))
     A_a[:nz] = np.hstack([L1 @ augmentation.A_z, L1 @ plant.E_f])
     B = np.zeros((na, 2 * q + a1))
     B[:nz, :q], B[:nz, q : 2 * q] = L1 @ E, -F @ D
-    B[nz:, 2 * q :] = np.diag([fault.rate / plant.rate_hz for fault in plant.actuator_faults])
+    B[nz:, 2 * q :] = np.diag([fault.rate / (plant.rate_hz or 1.0) for fault in plant.actuator_faults])
     errors = [fault.error for fault in (*plant.sensor_faults, *plant.actuator_faults)]
     slopes = slope_vertices(plant)
     A = np.repeat(A_a[None], len(slopes), axis=0)
@@ -156,6 +161,20 @@ def slope_vertices(plant: Plant) -> FloatArray:
             f"{LARGEST_VERTEX_COUNT} are handled: hold slopes constant or narrow the nonlinearity"
         )
     return np.array(list(itertools.product(*bounds))).reshape(1 << varying, len(bounds))
+
+
+def sloped_dynamics(plant: Plant) -> tuple[FloatArray, FloatArray]:
+    """Return A + G Delta H (count, n, n) and the slopes (count, arguments), at their mean first, then at every vertex.
+
+    Raises
+    ------
+    InfeasibleError
+        Too many slopes vary.
+    """
+    slopes = slope_vertices(plant)
+    if len(slopes) > 1:
+        slopes = np.vstack([slopes.mean(axis=0), slopes])
+    return np.asarray(plant.A + plant.G @ _gradients(plant, slopes), dtype=np.float64), slopes
 
 
 def _gradients(plant: Plant, slopes: FloatArray) -> FloatArray:

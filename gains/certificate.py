@@ -22,6 +22,7 @@ import numpy as np
 from gains.augment import Augmentation, ErrorModel, augment, error_model
 from gains.design import Design
 from gains.discretise import discretise
+from gains.hinf import hinf_norm as level_set_norm
 from gains.plant import FloatArray, Plant
 
 _GRID = 240
@@ -44,8 +45,8 @@ class Certificate:
         Smallest eigenvalue, over the vertices, of the inequality scaled to unit diagonal, less a bound on the
         rounding errors of forming and decomposing it.
     norm : float
-        H-infinity norm of the scaled error system on a refined frequency grid, worst slope vertex; infinite
-        where it is unstable.
+        H-infinity norm of the scaled error system, worst slope vertex: a gain that it has, exact to nine digits;
+        infinite where it is unstable.
     norm_hz : float
         Frequency of that peak.
     norm_slopes : tuple[float, ...]
@@ -93,17 +94,17 @@ def certify(plant: Plant, design: Design) -> Certificate:
     closed = model.A - injection @ model.C
     margin = min(_margin(model, vertex, injection, design) for vertex in range(len(closed)))
     poles = float(np.max(np.abs(np.linalg.eigvals(closed))))
-    peaks = [hinf_norm(A_e, B_e, C_e, D_e) for A_e in closed]
-    worst = max(range(len(peaks)), key=lambda vertex: peaks[vertex].value)
-    norm = peaks[worst].value if poles < 1.0 else math.inf
+    norms = [level_set_norm(A_e, B_e, C_e, D_e, discrete=True) for A_e in closed]
+    worst = max(range(len(norms)), key=lambda vertex: norms[vertex].lower)
+    upper = max(norm.upper for norm in norms)
     return Certificate(
         holds=margin > 0.0
         and poles < 1.0
-        and norm <= design.sqrt_mu * (1.0 + _CONSISTENCY)
+        and upper <= design.sqrt_mu * (1.0 + _CONSISTENCY)
         and _consistent(design, augmentation),
         margin=margin,
-        norm=norm,
-        norm_hz=peaks[worst].angle * design.rate_hz / (2.0 * math.pi),
+        norm=norms[worst].lower,
+        norm_hz=norms[worst].omega * design.rate_hz / (2.0 * math.pi),
         norm_slopes=tuple(model.slopes[worst].tolist()),
         poles_max_abs=poles,
     )

@@ -1,4 +1,4 @@
-"""Commands of this package: ``fauio design``."""
+"""Commands of this package: ``fauio check`` and ``fauio design``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ from typing import TYPE_CHECKING, Any
 from gains.errors import InaccurateError, InfeasibleError, ModelError
 
 if TYPE_CHECKING:
+    from gains.continuous_design import ContinuousDesign
     from gains.plant import Plant
+
+
+_THEOREMS = ("theorem1", "theorem2")
+_SCALARS = ("beta", "epsilon", "delta")
 
 
 def add_parsers(subparsers: Any) -> None:
@@ -25,8 +30,30 @@ def add_parsers(subparsers: Any) -> None:
     )
     parser.add_argument("model", metavar="MODEL.toml", help="model file, or built in: arm, arm-disturbed")
     parser.add_argument("-o", "--out", type=Path, metavar="GAINS.json", help="write the compiled gains")
-    parser.add_argument("--method", choices=["convex"], default="convex", help="synthesis (convex)")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="samples per second; a continuous model needs it")
+    parser.add_argument(
+        "--method",
+        choices=["convex", *_THEOREMS],
+        default="convex",
+        help="synthesis: convex, or the paper's own inequalities (continuous) for comparison (convex)",
+    )
+    parser.add_argument(
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help="samples per second; a continuous model needs it for a discrete design, a continuous design to run",
+    )
+    parser.add_argument(
+        "--continuous", action="store_true", help="design in continuous time; with a rate it is compiled exactly for it"
+    )
+    parser.add_argument(
+        "--decay-rates",
+        type=float,
+        nargs=2,
+        metavar=("LOW", "HIGH"),
+        help="decay rates of the estimation error of a continuous convex design, rad/s (any)",
+    )
+    for scalar in _SCALARS:
+        parser.add_argument(f"--{scalar}", type=float, metavar="X", help=f"{scalar} of theorem1 and theorem2")
     parser.add_argument(
         "--pole-radius",
         type=float,
@@ -42,6 +69,7 @@ def add_parsers(subparsers: Any) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.set_defaults(handler=run_design)
+    _add_check(subparsers)
 
 
 def run_design(args: argparse.Namespace) -> int:
@@ -63,6 +91,7 @@ def run_design(args: argparse.Namespace) -> int:
         if args.json:
             _print_json(_failure(plant, args, error))
         raise
+    found["floor"] = _floor(plant, found)
     if args.json:
         _print_json(found)
     else:
@@ -70,8 +99,41 @@ def run_design(args: argparse.Namespace) -> int:
     return 0
 
 
+def _add_check(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "check",
+        help="say which faults of a plant model can be estimated with its sensors, and why not the others",
+        description="Say which of the declared faults can be estimated together with the declared sensors, which "
+        "cannot and why, and what would mend it. Exit status: 0 all of them together, 3 not all (the report is "
+        "printed nevertheless), 2 bad input.",
+        epilog="example: fauio check arm",
+    )
+    parser.add_argument("model", metavar="MODEL.toml", help="model file, or built in: arm, arm-disturbed")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="look at a continuous model sampled at this rate")
+    parser.add_argument("--json", action="store_true", help="print the findings as one JSON object")
+    parser.set_defaults(handler=run_check)
+
+
+def run_check(args: argparse.Namespace) -> int:
+    """Run ``fauio check``."""
+    from gains.check import check_plant, report
+    from gains.check_text import text
+    from gains.model_file import load_model
+
+    check = check_plant(load_model(args.model), args.rate)
+    if args.json:
+        _print_json(report(check))
+    else:
+        sys.stdout.write(text(check))
+    return 0 if check.estimable else InfeasibleError.exit_status
+
+
 def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str, Any]:
     """Design, certify, write the file that was asked for and return the report."""
+    if _continuous(args):
+        return _design_continuous(plant, args, model_hash)
+    if stray := [name for name in ("decay_rates", *_SCALARS) if getattr(args, name) is not None]:
+        raise ModelError(f"{plant.name}: --{stray[0].replace('_', '-')} belongs to a continuous design (--continuous)")
     from dataclasses import replace
 
     from gains.certificate import certify, report
@@ -87,32 +149,89 @@ def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str
     return report(plant, design, certificate)
 
 
+def _continuous(args: argparse.Namespace) -> bool:
+    """Return whether a design in continuous time is asked for: the theorems know no other."""
+    return args.continuous or args.method in _THEOREMS
+
+
+def _design_continuous(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str, Any]:
+    """Design in continuous time and compile for the rate, if one is given."""
+    from dataclasses import replace
+
+    from gains.continuous_certificate import certify_continuous, continuous_report
+    from gains.continuous_observer import compile_continuous
+    from gains.gains_file import write_gains
+
+    if args.pole_radius != 1.0:
+        raise ModelError(f"{plant.name}: a pole radius belongs to a discrete design; use --decay-rates")
+    if args.out is not None and args.rate is None:
+        raise ModelError(f"{plant.name}: gains that run need a rate in samples per second (--rate)")
+    design = _continuous_design(plant, args)
+    certificate = certify_continuous(plant, design)
+    found = continuous_report(plant, design, certificate, args.rate)
+    if args.rate is not None:
+        gains = compile_continuous(design.observer(plant), args.rate, found)
+        if args.out is not None:
+            write_gains(replace(gains, model_hash=model_hash), args.out)
+    return found
+
+
+def _continuous_design(plant: Plant, args: argparse.Namespace) -> ContinuousDesign:
+    from gains.continuous_synthesis import design_continuous
+    from gains.theorem import design_theorem
+
+    scalars = {name: value for name in _SCALARS if (value := getattr(args, name)) is not None}
+    if args.method == "convex":
+        if scalars:
+            raise ModelError(f"{plant.name}: --{next(iter(scalars))} belongs to theorem1 and theorem2")
+        low, high = args.decay_rates or (0.0, math.inf)
+        return design_continuous(plant, decay=(low, high))
+    if args.decay_rates is not None:
+        raise ModelError(f"{plant.name}: --decay-rates belongs to the convex synthesis")
+    return design_theorem(plant, args.method, **scalars)
+
+
 def _failure(plant: Plant, args: argparse.Namespace, error: InfeasibleError) -> dict[str, Any]:
     """Return the report of a design that does not exist."""
     return {
         "model": plant.name,
         "method": args.method,
-        "domain": "discrete",
+        "domain": "continuous" if _continuous(args) else "discrete",
         "rate_hz": plant.rate_hz if args.rate is None else args.rate,
         "status": "inaccurate" if isinstance(error, InaccurateError) else "infeasible",
         "sqrt_mu": None,
         "norm": None,
-        "poles_max_abs": None,
+        "poles_max_re" if _continuous(args) else "poles_max_abs": None,
         "gain_max_abs": None,
         "certificate": {"holds": False, "margin": None},
         "solve_s": None,
         "total_s": None,
+        "floor": None,
         "reason": str(error),
     }
 
 
+def _floor(plant: Plant, found: dict[str, Any]) -> float | None:
+    """Return the sqrt(mu) that no observer of the plant can beat; None where it has no bound."""
+    from gains.floor import floor_sqrt_mu
+
+    floor = floor_sqrt_mu(plant, found["rate_hz"] if found["domain"] == "discrete" else None)
+    return floor.value if math.isfinite(floor.value) else None
+
+
 def _text(found: dict[str, Any], out: Path | None) -> str:
+    continuous = found["domain"] == "continuous"
+    at = "" if found["rate_hz"] is None else f" at {found['rate_hz']:g} Hz"
+    where = "infinite frequency" if found["norm_hz"] is None else f"{found['norm_hz']:.3g} Hz"
     lines = [
-        f"{found['model']}: {found['method']} design at {found['rate_hz']:g} Hz",
+        f"{found['model']}: {'continuous ' if continuous else ''}{found['method']} design{at}",
         f"  certified sqrt(mu)  {found['sqrt_mu']:.6g}",
-        f"  H-infinity norm     {found['norm']:.6g} at {found['norm_hz']:.3g} Hz",
+        *([] if found["floor"] is None else [f"  no observer below   {found['floor']:.6g}"]),
+        f"  H-infinity norm     {found['norm']:.6g} at {where}",
         f"  certificate         holds with margin {found['certificate']['margin']:.2g}",
-        f"  largest pole        {found['poles_max_abs']:.6f}",
+        f"  slowest pole        {found['poles_max_re']:.4g} rad/s, fastest {found['poles_min_re']:.4g}"
+        if continuous
+        else f"  largest pole        {found['poles_max_abs']:.6f}",
         f"  largest gain        {found['gain_max_abs']:.4g}",
         f"  time                {found['solve_s']:.2f} s in the solver, {found['total_s']:.2f} s in all",
         *(f"  note                {note}" for note in found["notes"]),

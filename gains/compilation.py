@@ -84,7 +84,7 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
             for fault in (*plant.actuator_faults, *plant.sensor_faults)
         ),
         input_taps=discrete.taps,
-        input_curves=_curves(discrete),
+        input_curves=input_curves(discrete),
         nonlinearities=tuple(ScalarNonlinearity(g.expression, g.arguments) for g in plant.nonlinearities),
         step_matrix=np.vstack(step),
         argument_matrix=arguments,
@@ -108,7 +108,8 @@ def _initial_matrix(plant: Plant, design: Design, a1: int, delays: int) -> Float
     return np.vstack([design.L1 @ np.linalg.pinv(plant.C) @ y, np.zeros((a1, s + p + 1)), *[v] * delays])
 
 
-def _curves(plant: Plant) -> FloatArray:
+def input_curves(plant: Plant) -> FloatArray:
+    """Return the coefficients of the inputs' static curves as one array (s, degree)."""
     degree = max((len(curve) for curve in plant.curves), default=1)
     curves = np.zeros((len(plant.inputs), degree))
     for i, curve in enumerate(plant.curves):

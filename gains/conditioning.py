@@ -88,9 +88,13 @@ def _riccati(A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: Floa
     Q (na, na), R (p, p) and S (na, p) are the covariances of process and measurement noise and between them.
     """
     inverse = np.linalg.inv(R)
-    X, G, H = (A - S @ inverse @ C).T, C.T @ inverse @ C, Q - S @ inverse @ S.T
+    return doubled((A - S @ inverse @ C).T, C.T @ inverse @ C, Q - S @ inverse @ S.T)
+
+
+def doubled(X: FloatArray, G: FloatArray, H: FloatArray) -> FloatArray:
+    """Return the limit of H in the structured doubling algorithm: a Riccati equation's stabilising solution."""
     for _ in range(_DOUBLINGS):
-        W = np.linalg.inv(np.eye(len(A)) + G @ H)
+        W = np.linalg.inv(np.eye(len(X)) + G @ H)
         step = X.T @ H @ W @ X
         G, H, X = G + X @ W @ G @ X.T, H + step, X @ W @ X
         G, H = 0.5 * (G + G.T), 0.5 * (H + H.T)

@@ -6,40 +6,32 @@ runs at every slope vertex and at their mean, in three steps that name what is m
     (A, C)          the plant without faults: a hidden mode is a mistake of the model
     (L1 A_z, Cb)    with sensor faults: no invariant zero of (A, 0; C, D_f) with |z| >= 1
     (A_a, [Cb 0])   with actuator faults too: [L1 A_z - I, L1 E_f; Cb, 0] has full column rank (condition II)
+
+In continuous time |z| >= 1 reads Re s >= 0, and no identity is subtracted from L1 A_z.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from gains.augment import Augmentation, ErrorModel
 from gains.errors import InfeasibleError, ModelError
+from gains.hidden_modes import hidden_modes, row_norms, signal_scales
 from gains.plant import FloatArray, Plant
 
-_RANK_TOLERANCE = 1e-10
-_STABILITY_TOLERANCE = 1e-8
 _SEEN_TOLERANCE = 1e-6
 _SHARE = 0.05
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _HiddenMode:
-    """An eigenvalue that no output shows and its direction."""
-
-    eigenvalue: complex
-    direction: FloatArray
-
-
 def check_existence(plant: Plant, augmentation: Augmentation, model: ErrorModel) -> tuple[str, ...]:
-    """Test the existence conditions of a discrete plant.
+    """Test the existence conditions of a plant.
 
     Parameters
     ----------
     plant : Plant
-        The discrete plant.
+        The plant, discrete or continuous.
     augmentation, model : Augmentation, ErrorModel
         Its augmentation and error system.
 
@@ -64,16 +56,18 @@ def check_existence(plant: Plant, augmentation: Augmentation, model: ErrorModel)
             "(condition II needs at least as many outputs as faults)"
         )
     n, nz = len(plant.states), len(augmentation.L1)
-    scales = _scales(plant)
+    scales = signal_scales(plant)
     for A, slopes in _vertices_and_mean(model):
         plain = np.linalg.pinv(augmentation.L1) @ A[:nz, :n]
         at = f" at slopes {', '.join(f'{slope:g}' for slope in slopes)}" if len(slopes) else ""
         for size, matrix in ((n, plain), (nz, A[:nz, :nz]), (len(A), A)):
-            mode = _hidden_mode(matrix, model.C[:, :size], scales[:size])
-            if mode is None:
+            modes = hidden_modes(matrix, model.C[:, :size], scales[:size], plant.domain)
+            if not modes or not modes[0].stays:
                 continue
+            mode = modes[0]
             moving = _moving(plant, mode.direction * model.weights[:size])
-            where = f"mode at z = {_complex_text(mode.eigenvalue)}{at}"
+            variable = "z" if plant.domain == "discrete" else "s"
+            where = f"mode at {variable} = {_complex_text(mode.eigenvalue)}{at}"
             if size == n:
                 raise ModelError(f"{plant.name}: hidden mode: {moving} shows in no output ({where})")
             condition = "detectability of (L1 A_z, Cb)" if size == nz else "condition II"
@@ -90,7 +84,7 @@ def _notes(plant: Plant, augmentation: Augmentation) -> tuple[str, ...]:
         return ()
     size = plant.state_errors
     through, into = augmentation.C_b @ augmentation.L1 * size, plant.E_f / size[:, None]
-    seen = through @ into / _row_norms(through)[:, None] / np.linalg.norm(into, axis=0)
+    seen = through @ into / row_norms(through)[:, None] / np.linalg.norm(into, axis=0)
     rank = int(np.linalg.matrix_rank(seen, tol=_SEEN_TOLERANCE))
     if rank == len(plant.actuator_faults):
         return ()
@@ -104,55 +98,6 @@ def _vertices_and_mean(model: ErrorModel) -> list[tuple[FloatArray, FloatArray]]
     """Return (A_a, slopes) at the mean and at every vertex: what holds at the vertices holds at the mean."""
     mean = [(model.A.mean(axis=0), model.slopes.mean(axis=0))]
     return mean if len(model.A) == 1 else [*mean, *zip(model.A, model.slopes, strict=True)]
-
-
-def _scales(plant: Plant) -> FloatArray:
-    """Return sizes of [x; f_s; f_a] that make the rank decisions independent of units."""
-    from scipy.linalg import matrix_balance
-
-    step = plant.A - np.eye(len(plant.A))
-    _, (states, _) = matrix_balance(step, permute=False, separate=True)
-    size = np.linalg.norm(step / states[:, None] * states, 2) or 1.0
-    rows = _row_norms(plant.C * states)
-    sensor = 1.0 / np.linalg.norm(plant.D_f / rows[:, None], axis=0)
-    actuator = size / np.linalg.norm(plant.E_f / states[:, None], axis=0)
-    return np.concatenate([states, sensor, actuator])
-
-
-def _row_norms(matrix: FloatArray) -> FloatArray:
-    norms = np.linalg.norm(matrix, axis=1)
-    return np.where(norms > 0.0, norms, 1.0)
-
-
-def _hidden_mode(A: FloatArray, C: FloatArray, scales: FloatArray) -> _HiddenMode | None:
-    """Return a mode of A with |z| >= 1 in the unobservable subspace of (A, C), None where there is none.
-
-    The subspace is the largest one inside the kernel of C that A maps into itself; it is found from A - I,
-    which has the same invariant subspaces and stays well scaled at high rates.
-    """
-    step = (A - np.eye(len(A))) / scales[:, None] * scales
-    step = step / (np.linalg.norm(step, 2) or 1.0)
-    outputs = C * scales
-    basis = _kernel(outputs / _row_norms(outputs)[:, None])
-    while basis.shape[1]:
-        image = step @ basis
-        inside = _kernel(image - basis @ (basis.T @ image))
-        if inside.shape[1] == basis.shape[1]:
-            break
-        basis = basis @ inside
-    if not basis.shape[1]:
-        return None
-    values, vectors = np.linalg.eig(basis.T @ (A / scales[:, None] * scales) @ basis)
-    worst = int(np.argmax(np.abs(values)))
-    if abs(values[worst]) < 1.0 - _STABILITY_TOLERANCE:
-        return None
-    return _HiddenMode(complex(values[worst]), scales * np.abs(basis @ vectors[:, worst]))
-
-
-def _kernel(matrix: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of the kernel as columns."""
-    _, singular, right = np.linalg.svd(matrix)
-    return right[int(np.sum(singular > _RANK_TOLERANCE)) :].T
 
 
 def _moving(plant: Plant, direction: FloatArray) -> str:

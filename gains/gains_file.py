@@ -59,7 +59,7 @@ class Gains:
         [s+; zeta^; fa^; yt] = step_matrix [s; v; y; 1; g], nu = argument_matrix [s; v; y; 1] and
         s = initial_matrix [v; y; 1] at a restart.
     K, L_i, L_p, L1, F, N, J : NDArray[np.float64]
-        The observer's matrices as the theory writes them, for people.
+        The observer's matrices as the theory writes them, for people; empty where it has another structure.
     report : Mapping[str, Any]
         What the design is worth: bound, norm, certificate.
     """
@@ -163,7 +163,9 @@ def _check_shapes(gains: Gains) -> None:
         raise ModelError("'rate_hz' is not positive")
     a1 = kinds.count("actuator")
     nz = n + len(kinds) - a1
-    ns = nz + a1 + s * (len(gains.input_taps) - 1)
+    # A continuous design brings its own states, and matrices for people only where it has the paper's structure.
+    continuous = gains.domain == "continuous"
+    ns = len(gains.initial_matrix) if continuous else nz + a1 + s * (len(gains.input_taps) - 1)
     m = len(gains.nonlinearities)
     arguments = sum(len(g.arguments) for g in gains.nonlinearities)
     expected = {
@@ -180,7 +182,8 @@ def _check_shapes(gains: Gains) -> None:
     }
     for name, shape in expected.items():
         found = getattr(gains, name).shape
-        if found != shape:
+        structural = name not in _COMPILED_KEYS
+        if found != shape and not (continuous and structural and found == (0, 0)):
             raise ModelError(f"'{name}' is {found} where the names make it {shape}")
     if gains.input_curves.shape[0] != s or gains.input_curves.shape[1] < 1:
         raise ModelError("'input_curves' does not have a row for each input")

@@ -197,8 +197,6 @@ class Plant:
         put("faults", tuple(_checked_fault(fault, self) for fault in self.faults))
         put("disturbances", tuple(_checked_signal(w, n, "disturbance") for w in self.disturbances))
         put("noises", tuple(_checked_signal(w, p, "noise") for w in self.noises))
-        _check_rank(self.E_f, self.actuator_faults, "E_f")
-        _check_rank(self.D_f, self.sensor_faults, "D_f")
 
     @property
     def actuator_faults(self) -> tuple[Fault, ...]:
@@ -339,6 +337,9 @@ def _checked_fault(fault: Fault, plant: Plant) -> Fault:
         column = own
     size = len(plant.states) if fault.kind == "actuator" else len(plant.outputs)
     column = checked_array(column, (size,), f"{key}: into")
+    if not column.any():
+        symbol = "E_f" if fault.kind == "actuator" else "D_f"
+        raise ModelError(f"{key}: its direction ({symbol}) is zero: it touches nothing")
     for name, value in (("rate", fault.rate), ("error", fault.error)):
         if not (np.isfinite(value) and value > 0.0):
             raise ModelError(f"{key}: '{name}' is {value}; it must be positive")
@@ -355,19 +356,37 @@ def _checked_signal(signal: Signal, size: int, key: str) -> Signal:
     return replace(signal, column=column, scale=float(signal.scale))
 
 
-def _check_rank(columns: FloatArray, faults: tuple[Fault, ...], symbol: str) -> None:
-    """Refuse faults whose directions depend on each other: they could never be told apart."""
-    norms = np.linalg.norm(columns, axis=0)
-    for i, fault in enumerate(faults):
-        if norms[i] == 0.0:
-            raise ModelError(f"fault '{fault.name}': its direction ({symbol}) is zero: it touches nothing")
-        unit = columns[:, : i + 1] / norms[: i + 1]
-        if np.linalg.svd(unit, compute_uv=False)[-1] < _RANK_TOLERANCE or i >= len(columns):
-            others = ", ".join(f"'{other.name}'" for other in faults[:i])
+def check_independence(plant: Plant) -> None:
+    """Refuse faults whose directions depend on each other: they could never be told apart.
+
+    A plant may hold such faults, so that it can be explained; a design for all of them is impossible.
+
+    Raises
+    ------
+    ModelError
+        The direction of a fault is a combination of those of others; the message names them.
+    """
+    for symbol, columns, faults in (
+        ("E_f", plant.E_f, plant.actuator_faults),
+        ("D_f", plant.D_f, plant.sensor_faults),
+    ):
+        dependent = first_dependent(columns)
+        if dependent is not None:
+            others = ", ".join(f"'{other.name}'" for other in faults[:dependent])
             raise ModelError(
-                f"fault '{fault.name}': its direction ({symbol}) is a combination of those of {others}: "
-                "they cannot be told apart; leave one out"
+                f"{plant.name}: fault '{faults[dependent].name}': its direction ({symbol}) is a combination of those "
+                f"of {others}: they cannot be told apart; leave one out"
             )
+
+
+def first_dependent(columns: FloatArray) -> int | None:
+    """Return the first column that is a combination of those before it, whatever their units."""
+    norms = np.linalg.norm(columns, axis=0)
+    for i in range(columns.shape[1]):
+        unit = columns[:, : i + 1] / norms[: i + 1]
+        if i >= len(columns) or np.linalg.svd(unit, compute_uv=False)[-1] < _RANK_TOLERANCE:
+            return i
+    return None
 
 
 def _stacked(columns: Iterable[FloatArray], rows: int) -> FloatArray:

@@ -140,6 +140,8 @@ def enclosure(node: Node, box: Box) -> Interval:
         if other_low <= 0.0 <= other_high:
             raise _UndefinedError
         other_low, other_high = 1.0 / other_high, 1.0 / other_low
+        if math.isinf(other_low) or math.isinf(other_high):
+            raise _UndefinedError
     ends = [_product(x, y) for x in (low, high) for y in (other_low, other_high)]
     return _tidy(min(ends), max(ends))
 
@@ -255,7 +257,7 @@ def _product(x: float, y: float) -> float:
 def _power(low: float, high: float, exponent: float) -> Interval:
     if exponent < 0.0:
         below, above = _power(low, high, -exponent)
-        if below <= 0.0 <= above:
+        if below <= 0.0 <= above or math.isinf(1.0 / below) or math.isinf(1.0 / above):
             raise _UndefinedError
         return 1.0 / above, 1.0 / below
     if exponent.is_integer():

@@ -42,7 +42,7 @@ _SLACKS = (1e-3, 1e-2, 5e-2)
 
 # With its defaults Clarabel gives up on the nearly singular systems at the end of such problems; a larger
 # static regularisation, repaired by more iterative refinement, takes it to the optimum.
-_SOLVER = {
+SOLVER = {
     "direct_solve_method": "faer",
     "static_regularization_constant": 1e-5,
     "iterative_refinement_max_iter": 100,
@@ -227,7 +227,7 @@ def _solve(problem: _Problem, mu_fixed: float | None = None) -> tuple[_Solution 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # "may be inaccurate": the certificate decides that
-            program.solve(solver=cp.CLARABEL, **_SOLVER)
+            program.solve(solver=cp.CLARABEL, **SOLVER)
     except cp.SolverError:
         return None, 0.0
     seconds = float(program.solver_stats.solve_time or 0.0)

@@ -66,6 +66,25 @@ def random_plant(seed: int, actuators: int, sensors: int, nonlinear: int = 0, de
     )
 
 
+def continuous_plant(
+    seed: int, actuators: int, sensors: int, nonlinear: int = 0, decades: float = 0.0, speed: float = 1.0
+) -> Plant:
+    """Return a stable continuous plant with random matrices whose time constants are about 1 / speed."""
+    plant = random_plant(seed, actuators, sensors, nonlinear, decades)
+    return replace(
+        plant,
+        domain="continuous",
+        rate_hz=None,
+        taps=(1.0,),
+        A=(plant.A - np.eye(len(plant.A))) * speed,
+        B=plant.B * speed,
+        G=plant.G * speed,
+        c=plant.c * speed,
+        faults=tuple(replace(f, column=f.column * speed) if f.kind == "actuator" else f for f in plant.faults),
+        disturbances=tuple(replace(w, column=w.column * speed) for w in plant.disturbances),
+    )
+
+
 def multirotor() -> Plant:
     """Return a multirotor as identified from flights, in very different units (rad/s per step, m/s^2)."""
     names, motors = ("roll_rate", "pitch_rate", "yaw_rate", "acceleration"), ("motor1", "motor2", "motor3", "motor4")
@@ -91,6 +110,20 @@ def multirotor() -> Plant:
         faults=tuple(Fault(motor, "actuator", rate=0.5, error=0.01, input=motor) for motor in motors),
         disturbances=tuple(Disturbance(f"d_{name}", np.eye(4)[i], size[i]) for i, name in enumerate(names)),
         noises=tuple(Noise(f"n_{name}", np.eye(4)[i], size[i]) for i, name in enumerate(names)),
+    )
+
+
+def hexacopter() -> Plant:
+    """Return a regular hexacopter: six motors, three rates and the vertical acceleration."""
+    angles, motors = np.deg2rad([30.0, 90, 150, 210, 270, 330]), tuple(f"motor{i}" for i in range(1, 7))
+    plant = multirotor()
+    return replace(
+        plant,
+        name="hexacopter",
+        inputs=motors,
+        B=np.array([-1.5 * np.sin(angles), 1.5 * np.cos(angles), [0.05, -0.05] * 3, [-2.0] * 6]),
+        faults=tuple(Fault(motor, "actuator", rate=0.5, error=0.01, input=motor) for motor in motors),
+        curves=(),
     )
 
 

@@ -142,11 +142,11 @@ def dual(node: Node, point: tuple[float, ...], index: int) -> tuple[float, float
 
 
 @settings(deadline=None)
-@given(trees(), st.floats(-2, 2), st.floats(-2, 2), st.integers(0, 1))
-def test_derivatives_agree_with_the_chain_rule_on_numbers(node: Node, a: float, b: float, index: int) -> None:
+@given(trees(), st.integers(-200, 200), st.integers(-200, 200), st.integers(0, 1))
+def test_derivatives_agree_with_the_chain_rule_on_numbers(node: Node, a: int, b: int, index: int) -> None:
     try:
-        value, slope = dual(node, (a, b), index)
+        value, slope = dual(node, (a / 100, b / 100), index)
     except (ArithmeticError, ValueError):
         return
-    assert compile_node(node)(a, b) == pytest.approx(value, rel=1e-6, abs=1e-6)
-    assert compile_node(derivative(node, index))(a, b) == pytest.approx(slope, rel=1e-4, abs=1e-4)
+    assert compile_node(node)(a / 100, b / 100) == pytest.approx(value, rel=1e-6, abs=1e-6)
+    assert compile_node(derivative(node, index))(a / 100, b / 100) == pytest.approx(slope, rel=1e-4, abs=1e-4)
