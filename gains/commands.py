@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 
 _THEOREMS = ("theorem1", "theorem2")
+_BASELINES = ("gao2022", "gao2016", "chen2006", "zhang2008", "ekf")
 _SCALARS = ("beta", "epsilon", "delta")
 
 
@@ -32,9 +33,10 @@ def add_parsers(subparsers: Any) -> None:
     parser.add_argument("-o", "--out", type=Path, metavar="GAINS.json", help="write the compiled gains")
     parser.add_argument(
         "--method",
-        choices=["convex", *_THEOREMS],
+        choices=["convex", *_THEOREMS, *_BASELINES, "all"],
         default="convex",
-        help="synthesis: convex, or the paper's own inequalities (continuous) for comparison (convex)",
+        help="synthesis: convex; or, to compare with, the paper's own inequalities, reconstructions of earlier "
+        "observers, a Kalman filter, or all of them on one model (convex)",
     )
     parser.add_argument(
         "--rate",
@@ -86,6 +88,8 @@ def run_design(args: argparse.Namespace) -> int:
         rated = (replace(fault, rate=args.fault_rate) for fault in model.faults)
         plant = replace(model, faults=tuple(rated))
     try:
+        if args.method == "all":
+            return _compare(plant, args, model_hash(model))
         found = _design(plant, args, model_hash(model))
     except InfeasibleError as error:
         if args.json:
@@ -96,6 +100,33 @@ def run_design(args: argparse.Namespace) -> int:
         _print_json(found)
     else:
         sys.stdout.write(_text(found, args.out))
+    return 0
+
+
+def _compare(plant: Plant, args: argparse.Namespace, model_hash: str) -> int:
+    """Design with every method and print a line (or JSON line) for each; what is infeasible says why."""
+    if args.out is not None:
+        raise ModelError(f"{plant.name}: -o takes the gains of one method; leave out --method all")
+    if not args.json:
+        sys.stdout.write(f"{'method':<22}{'sqrt(mu)':>10}{'norm':>10}{'floor':>10}  status\n")
+    runs = [("convex", False), ("convex", True), *((method, True) for method in (*_THEOREMS, *_BASELINES))]
+    for method, continuous in runs:
+        if method == "convex" and not continuous and args.rate is None and plant.rate_hz is None:
+            continue
+        one = argparse.Namespace(**{**vars(args), "method": method, "continuous": continuous})
+        try:
+            found = _design(plant, one, model_hash)
+            found["floor"] = _floor(plant, found)
+        except (InfeasibleError, ModelError) as error:
+            found = _failure(plant, one, error)
+        if args.json:
+            _print_json(found)
+            continue
+        name = f"{method}, {found['domain']}" if method == "convex" else method
+        figures = "".join(
+            f"{'-' if found[key] is None else format(found[key], '.5g'):>10}" for key in ("sqrt_mu", "norm", "floor")
+        )
+        sys.stdout.write(f"{name:<22}{figures}  {found.get('reason') or found['status']}\n")
     return 0
 
 
@@ -130,6 +161,8 @@ def run_check(args: argparse.Namespace) -> int:
 
 def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str, Any]:
     """Design, certify, write the file that was asked for and return the report."""
+    if args.method in _BASELINES:
+        return _design_baseline(plant, args, model_hash)
     if _continuous(args):
         return _design_continuous(plant, args, model_hash)
     if stray := [name for name in ("decay_rates", *_SCALARS) if getattr(args, name) is not None]:
@@ -150,8 +183,23 @@ def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str
 
 
 def _continuous(args: argparse.Namespace) -> bool:
-    """Return whether a design in continuous time is asked for: the theorems know no other."""
-    return args.continuous or args.method in _THEOREMS
+    """Return whether a design in continuous time is asked for: all but convex and the filter know no other."""
+    return args.continuous or args.method not in ("convex", "ekf")
+
+
+def _design_baseline(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str, Any]:
+    """Design a baseline and compile it for the rate, if one is given."""
+    from dataclasses import replace
+
+    from gains.baselines import design_baseline
+    from gains.gains_file import write_gains
+
+    gains, found = design_baseline(plant, args.method, args.rate)
+    if args.out is not None:
+        if gains is None:
+            raise ModelError(f"{plant.name}: gains that run need a rate in samples per second (--rate)")
+        write_gains(replace(gains, model_hash=model_hash), args.out)
+    return found
 
 
 def _design_continuous(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str, Any]:
@@ -191,7 +239,7 @@ def _continuous_design(plant: Plant, args: argparse.Namespace) -> ContinuousDesi
     return design_theorem(plant, args.method, **scalars)
 
 
-def _failure(plant: Plant, args: argparse.Namespace, error: InfeasibleError) -> dict[str, Any]:
+def _failure(plant: Plant, args: argparse.Namespace, error: ValueError) -> dict[str, Any]:
     """Return the report of a design that does not exist."""
     return {
         "model": plant.name,
@@ -225,11 +273,13 @@ def _text(found: dict[str, Any], out: Path | None) -> str:
     where = "infinite frequency" if found["norm_hz"] is None else f"{found['norm_hz']:.3g} Hz"
     lines = [
         f"{found['model']}: {'continuous ' if continuous else ''}{found['method']} design{at}",
-        f"  certified sqrt(mu)  {found['sqrt_mu']:.6g}",
+        *([] if found["sqrt_mu"] is None else [f"  certified sqrt(mu)  {found['sqrt_mu']:.6g}"]),
         *([] if found["floor"] is None else [f"  no observer below   {found['floor']:.6g}"]),
-        f"  H-infinity norm     {found['norm']:.6g} at {where}",
-        f"  certificate         holds with margin {found['certificate']['margin']:.2g}",
-        f"  slowest pole        {found['poles_max_re']:.4g} rad/s, fastest {found['poles_min_re']:.4g}"
+        *([] if found["norm"] is None else [f"  H-infinity norm     {found['norm']:.6g} at {where}"]),
+        f"  certificate         holds with margin {found['certificate']['margin']:.2g}"
+        if found["certificate"]["holds"]
+        else "  certificate         none",
+        f"  slowest pole        {found['poles_max_re']:.4g} rad/s"
         if continuous
         else f"  largest pole        {found['poles_max_abs']:.6f}",
         f"  largest gain        {found['gain_max_abs']:.4g}",
