@@ -159,6 +159,8 @@ def run_replay(args: argparse.Namespace) -> int:
         elif not found.samples:
             needed = ", ".join(sorted(interests(profile)))
             _say(f"{path.name}: no samples; the log lacks channels of the profile (needed: {needed})")
+        elif not found.evidence:
+            _say(f"{path.name}: nothing was watched; the vehicle was never seen in flight (see [phase] in the profile)")
         else:
             seconds = found.evidence / profile.observers[0].gains.rate_hz
             alarms = "1 alarm" if len(raised) == 1 else f"{len(raised)} alarms"
