@@ -147,7 +147,7 @@ def _wait_for_monitor(subscriber: AlarmSubscriber, daemon: subprocess.Popen[str]
             said = daemon.stderr.read().strip() if daemon.stderr is not None else ""
             raise ProfileError(f"the monitor did not start: {said.splitlines()[-1] if said else 'no reason given'}")
         if time.monotonic() > deadline:
-            raise ProfileError(f"the monitor did not appear on Zenoh within {_START_TIMEOUT_S:g} s; is loopback TCP blocked?")
+            raise ProfileError(f"no monitor on Zenoh within {_START_TIMEOUT_S:g} s; is loopback TCP blocked?")
         time.sleep(0.05)
 
 
