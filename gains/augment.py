@@ -11,7 +11,13 @@ has the errors zeta~ = zeta - zeta^ and z = f_a - q with, for Kb = K + L1 E_f L_
                   + ( [L1 E, -F D, 0; 0, 0, I] - [Kb; L_i] [D 0 0] ) [w; w+; df_a]
     e = [zeta~; fa~],   fa~ = z - L_p (Cb zeta~ + D w),   df_a = f_a+ - f_a
 
-Each w is divided by its scale, df_a by rate / rate_hz, and each error by the size that matters.
+For actuator faults that ramp, integrators of order 2 estimate their rate r = (f_a+ - f_a) / T too:
+
+    q1+ = q1 + T q2 + L_i1 yt,   q2+ = q2 + L_i2 yt,   fa^ = q1 + L_p yt,   z = [f_a - q1; r - q2]
+
+so that A_a has [I, T I; 0, I] for its last I, [L1 E_f, 0] for L1 E_f, and r+ - r takes the place of df_a.
+
+Each w is divided by its scale, df_a (or r+ - r) by rate / rate_hz, and each error by the size that matters.
 """
 
 from __future__ import annotations
@@ -48,13 +54,13 @@ class ErrorModel:
     slopes : FloatArray
         Slope of each argument of each nonlinearity at each vertex (vertices, arguments).
     A : FloatArray
-        A_a at each vertex (vertices, na, na), na = nz + a1.
+        A_a at each vertex (vertices, na, na), na = nz + a1, or nz + 2 a1 with integrators of order 2.
     B, C, D : FloatArray
         (na, nw), (p, na) and (p, nw); columns of B and D: [w; w+; df_a], each in units of its scale.
     weights : FloatArray
-        One over the error that matters, for each entry of e (na,).
+        One over the error that matters, for each entry of e (nz + a1,).
     a1 : int
-        Number of actuator faults: the last entries of [zeta~; z] and of e.
+        Number of actuator faults: the last entries of e, and their errors after zeta~ in [zeta~; z].
     """
 
     name: str
@@ -66,10 +72,16 @@ class ErrorModel:
     weights: FloatArray
     a1: int
 
+    @property
+    def sizes(self) -> FloatArray:
+        """Size of each entry of [zeta~; z]: the error that matters, for the rate of a fault that of it a second."""
+        errors = 1.0 / self.weights
+        return np.concatenate([errors, errors[len(errors) - self.a1 :]])[: len(self.B)]
+
     def output(self, L_p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return (C_e, D_e) of the weighted error e for the direct gain L_p (a1, p)."""
-        na, nz = len(self.weights), len(self.weights) - self.a1
-        C_e, D_e = np.eye(na), np.zeros((na, self.B.shape[1]))
+        (ne, nz), (na, nw) = (len(self.weights), len(self.weights) - self.a1), self.B.shape
+        C_e, D_e = np.eye(ne, na), np.zeros((ne, nw))
         C_e[nz:] -= L_p @ self.C
         D_e[nz:] -= L_p @ self.D
         return self.weights[:, None] * C_e, self.weights[:, None] * D_e
@@ -99,7 +111,7 @@ def augment(plant: Plant) -> Augmentation:
     return Augmentation(inverse[:, :n], inverse[:, n:], plant.A @ T, C_b)
 
 
-def error_model(plant: Plant, augmentation: Augmentation) -> ErrorModel:
+def error_model(plant: Plant, augmentation: Augmentation, integrator_order: int = 1) -> ErrorModel:
     """Return the error system of a plant at every slope vertex.
 
     Parameters
@@ -109,6 +121,8 @@ def error_model(plant: Plant, augmentation: Augmentation) -> ErrorModel:
         identity in A_a becomes zero, and f_a' is divided by the fault's rate alone.
     augmentation : Augmentation
         Its L1, F, A_z and Cb.
+    integrator_order : int
+        1, or in discrete time 2.
 
     Raises
     ------
@@ -118,17 +132,19 @@ def error_model(plant: Plant, augmentation: Augmentation) -> ErrorModel:
     L1, F = augmentation.L1, augmentation.F
     nz, n = L1.shape
     a1, p = len(plant.actuator_faults), len(plant.outputs)
-    na = nz + a1
+    na = nz + a1 * integrator_order
     disturbance = np.array([w.scale for w in plant.disturbances])
     noise = np.array([w.scale for w in plant.noises])
     E = np.hstack([plant.E_1 * disturbance, np.zeros((n, len(noise)))])
     D = np.hstack([np.zeros((p, len(disturbance))), plant.D_1 * noise])
     q = D.shape[1]
-    A_a = np.eye(na) if plant.domain == "discrete" else np.zeros((na, na))
-    A_a[:nz] = np.hstack([L1 @ augmentation.A_z, L1 @ plant.E_f])
+    A_a = np.zeros((na, na))
+    A_a[:nz, : nz + a1] = np.hstack([L1 @ augmentation.A_z, L1 @ plant.E_f])
+    if plant.rate_hz is not None:
+        A_a[nz:, nz:] = integrators(a1, integrator_order, plant.rate_hz)
     B = np.zeros((na, 2 * q + a1))
     B[:nz, :q], B[:nz, q : 2 * q] = L1 @ E, -F @ D
-    B[nz:, 2 * q :] = np.diag([fault.rate / (plant.rate_hz or 1.0) for fault in plant.actuator_faults])
+    B[na - a1 :, 2 * q :] = np.diag([fault.rate / (plant.rate_hz or 1.0) for fault in plant.actuator_faults])
     errors = [fault.error for fault in (*plant.sensor_faults, *plant.actuator_faults)]
     slopes = slope_vertices(plant)
     A = np.repeat(A_a[None], len(slopes), axis=0)
@@ -138,11 +154,17 @@ def error_model(plant: Plant, augmentation: Augmentation) -> ErrorModel:
         slopes=slopes,
         A=A,
         B=B,
-        C=np.hstack([augmentation.C_b, np.zeros((p, a1))]),
+        C=np.hstack([augmentation.C_b, np.zeros((p, na - nz))]),
         D=np.hstack([D, np.zeros((p, q + a1))]),
         weights=1.0 / np.concatenate([plant.state_errors, errors]),
         a1=a1,
     )
+
+
+def integrators(a1: int, order: int, rate_hz: float) -> FloatArray:
+    """Return I (order 1) or [I, T I; 0, I] (order 2) with blocks (a1, a1): how q and z go on by themselves."""
+    chain = np.array([[1.0, 1.0 / rate_hz], [0.0, 1.0]])[:order, :order]
+    return np.kron(chain, np.eye(a1))
 
 
 def slope_vertices(plant: Plant) -> FloatArray:

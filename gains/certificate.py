@@ -53,6 +53,9 @@ class Certificate:
         Slopes of that vertex.
     poles_max_abs : float
         Largest pole of the error system over the vertices.
+    h2 : float
+        Bound of the H2 norm of the scaled error system at every vertex, sqrt(trace(B_e^T P B_e + D_e^T D_e)); it is
+        proven where the certificate holds, because P - A_e^T P A_e - C_e^T C_e >= 0 then.
     """
 
     holds: bool
@@ -61,6 +64,7 @@ class Certificate:
     norm_hz: float
     norm_slopes: tuple[float, ...]
     poles_max_abs: float
+    h2: float
 
 
 class Peak(NamedTuple):
@@ -87,7 +91,7 @@ def certify(plant: Plant, design: Design) -> Certificate:
     """
     discrete = discretise(plant, design.rate_hz)
     augmentation = augment(discrete)
-    model = error_model(discrete, augmentation)
+    model = error_model(discrete, augmentation, design.integrator_order)
     injection = np.vstack([design.K + augmentation.L1 @ discrete.E_f @ design.L_p, design.L_i])
     C_e, D_e = model.output(design.L_p)
     B_e = model.B - injection @ model.D
@@ -107,6 +111,7 @@ def certify(plant: Plant, design: Design) -> Certificate:
         norm_hz=norms[worst].omega * design.rate_hz / (2.0 * math.pi),
         norm_slopes=tuple(model.slopes[worst].tolist()),
         poles_max_abs=poles,
+        h2=math.sqrt(max(float(np.sum(B_e * (design.P @ B_e)) + np.sum(D_e**2)), 0.0)) * (1.0 + _CONSISTENCY),
     )
 
 
@@ -117,10 +122,12 @@ def report(plant: Plant, design: Design, certificate: Certificate) -> dict[str, 
         "method": design.method,
         "domain": "discrete",
         "rate_hz": design.rate_hz,
+        "integrator_order": design.integrator_order,
         "status": design.status,
         "sqrt_mu": design.sqrt_mu,
         "norm": certificate.norm,
         "norm_hz": certificate.norm_hz,
+        "h2": certificate.h2,
         "poles_max_abs": certificate.poles_max_abs,
         "gain_max_abs": design.gain_max_abs,
         "certificate": {"holds": certificate.holds, "margin": certificate.margin},
@@ -171,8 +178,8 @@ def _margin(model: ErrorModel, vertex: int, injection: FloatArray, design: Desig
     A, B, P = model.A[vertex], model.B, design.P
     PA, PB = P @ (A - injection @ model.C), P @ (B - injection @ model.D)
     C_e, D_e = model.output(design.L_p)
-    na, nw = PB.shape
-    inequality = _layout(P, PA, PB, C_e, D_e) + np.diag(np.repeat([0.0, design.mu, 1.0], [2 * na, nw, na]))
+    (na, nw), ne = PB.shape, len(C_e)
+    inequality = _layout(P, PA, PB, C_e, D_e) + np.diag(np.repeat([0.0, design.mu, 1.0], [2 * na, nw, ne]))
     diagonal = np.diag(inequality)
     if np.any(diagonal <= 0.0):
         return -math.inf
@@ -182,7 +189,7 @@ def _margin(model: ErrorModel, vertex: int, injection: FloatArray, design: Desig
         np.zeros_like(P),
         np.abs(P) @ (np.abs(A) + gain @ np.abs(model.C)),
         np.abs(P) @ (np.abs(B) + gain @ np.abs(model.D)),
-        direct @ np.abs(model.C) + np.diag(model.weights),
+        direct @ np.abs(model.C) + model.weights[:, None] * np.eye(ne, na),
         direct @ np.abs(model.D),
     )
     scale = 1.0 / np.sqrt(diagonal)
@@ -194,14 +201,14 @@ def _margin(model: ErrorModel, vertex: int, injection: FloatArray, design: Desig
 
 def _layout(P: FloatArray, PA: FloatArray, PB: FloatArray, C_e: FloatArray, D_e: FloatArray) -> FloatArray:
     """Return the blocks of the inequality but for mu I and I on its diagonal."""
-    na, nw = PB.shape
+    (na, nw), ne = PB.shape, len(C_e)
     zero = np.zeros
     return np.block(
         [
-            [P, PA, PB, zero((na, na))],
+            [P, PA, PB, zero((na, ne))],
             [PA.T, P, zero((na, nw)), C_e.T],
             [PB.T, zero((nw, na)), zero((nw, nw)), D_e.T],
-            [zero((na, na)), C_e, D_e, zero((na, na))],
+            [zero((ne, na)), C_e, D_e, zero((ne, ne))],
         ]
     )
 

@@ -69,6 +69,20 @@ def add_parsers(subparsers: Any) -> None:
         metavar="PER_SECOND",
         help="how fast the actuator faults may move: more follows faster (what the model says)",
     )
+    parser.add_argument(
+        "--integrator-order",
+        type=int,
+        choices=[1, 2],
+        default=1,
+        help="2 follows ramping actuator faults without lag; their rates then are per second squared (1)",
+    )
+    parser.add_argument(
+        "--h2",
+        type=float,
+        default=0.0,
+        metavar="ALPHA",
+        help="from 0, the best bound in the worst case, to 1, the least error under white noise (0)",
+    )
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.set_defaults(handler=run_design)
     _add_check(subparsers)
@@ -161,6 +175,10 @@ def run_check(args: argparse.Namespace) -> int:
 
 def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str, Any]:
     """Design, certify, write the file that was asked for and return the report."""
+    if args.method in _BASELINES or _continuous(args):
+        for option, asked in (("integrator-order", args.integrator_order != 1), ("h2", args.h2 != 0.0)):
+            if asked:
+                raise ModelError(f"{plant.name}: --{option} belongs to the discrete convex synthesis")
     if args.method in _BASELINES:
         return _design_baseline(plant, args, model_hash)
     if _continuous(args):
@@ -174,7 +192,9 @@ def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str
     from gains.gains_file import write_gains
     from gains.synthesis import design_convex
 
-    design = design_convex(plant, args.rate, pole_radius=args.pole_radius)
+    design = design_convex(
+        plant, args.rate, pole_radius=args.pole_radius, integrator_order=args.integrator_order, h2=args.h2
+    )
     certificate = certify(plant, design)
     if args.out is not None:
         # Whoever runs the gains checks the hash of the model file, which --fault-rate does not change.
@@ -263,7 +283,8 @@ def _floor(plant: Plant, found: dict[str, Any]) -> float | None:
     """Return the sqrt(mu) that no observer of the plant can beat; None where it has no bound."""
     from gains.floor import floor_sqrt_mu
 
-    floor = floor_sqrt_mu(plant, found["rate_hz"] if found["domain"] == "discrete" else None)
+    rate_hz = found["rate_hz"] if found["domain"] == "discrete" else None
+    floor = floor_sqrt_mu(plant, rate_hz, found.get("integrator_order", 1))
     return floor.value if math.isfinite(floor.value) else None
 
 
@@ -276,6 +297,7 @@ def _text(found: dict[str, Any], out: Path | None) -> str:
         *([] if found["sqrt_mu"] is None else [f"  certified sqrt(mu)  {found['sqrt_mu']:.6g}"]),
         *([] if found["floor"] is None else [f"  no observer below   {found['floor']:.6g}"]),
         *([] if found["norm"] is None else [f"  H-infinity norm     {found['norm']:.6g} at {where}"]),
+        *([] if found.get("h2") is None else [f"  H2 norm at most     {found['h2']:.6g}"]),
         f"  certificate         holds with margin {found['certificate']['margin']:.2g}"
         if found["certificate"]["holds"]
         else "  certificate         none",

@@ -6,13 +6,14 @@ With s = [eta; q; v(k-1); ...; v(k-L)] and vb = h_0 v + h_1 v(k-1) + ... the obs
     eta+  = N eta + J y + L1 (B vb + c + G g + E_f fa^)                               q+  = q + L_i yt
 
 and every line is linear in z = [s; v; y; 1; g]: the rows below are written as products with selections of z.
+Integrators of order 2 have q = [q1; q2], fa^ = q1 + L_p yt and q1+ = q1 + T q2 + ...
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from gains.augment import augment
+from gains.augment import augment, integrators
 from gains.certificate import Certificate, report
 from gains.design import Design
 from gains.discretise import discretise
@@ -46,20 +47,21 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
     n, s, p = len(plant.states), len(plant.inputs), len(plant.outputs)
     a1, m = len(plant.actuator_faults), len(plant.nonlinearities)
     nz, delays = n + len(plant.sensor_faults), len(discrete.taps) - 1
-    ns = nz + a1 + s * delays
+    nq = a1 * design.integrator_order
+    ns = nz + nq + s * delays
     select = np.eye(ns + s + p + 1 + m)
-    eta, q = select[:nz], select[nz : nz + a1]
-    past = [select[nz + a1 + d * s : nz + a1 + (d + 1) * s] for d in range(delays)]
+    eta, q = select[:nz], select[nz : nz + nq]
+    past = [select[nz + nq + d * s : nz + nq + (d + 1) * s] for d in range(delays)]
     v, y = select[ns : ns + s], select[ns + s : ns + s + p]
     one, g = select[ns + s + p], select[ns + s + p + 1 :]
     zeta = eta + design.F @ y
     yt = y - C_b @ zeta
-    fa = q + design.L_p @ yt
+    fa = q[:a1] + design.L_p @ yt
     effect = sum((h * v_d for h, v_d in zip(discrete.taps, [v, *past], strict=True)), start=np.zeros_like(v))
     force = discrete.B @ effect + np.outer(discrete.c, one) + discrete.G @ g + discrete.E_f @ fa
     step = [
         design.N @ eta + design.J @ y + design.L1 @ force,
-        q + design.L_i @ yt,
+        integrators(a1, design.integrator_order, design.rate_hz) @ q + design.L_i @ yt,
         *[v, *past][:delays],
         zeta,
         fa,
@@ -88,7 +90,7 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
         nonlinearities=tuple(ScalarNonlinearity(g.expression, g.arguments) for g in plant.nonlinearities),
         step_matrix=np.vstack(step),
         argument_matrix=arguments,
-        initial_matrix=_initial_matrix(discrete, design, a1, delays),
+        initial_matrix=_initial_matrix(discrete, design, nq, delays),
         K=design.K,
         L_i=design.L_i,
         L_p=design.L_p,
@@ -100,12 +102,12 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
     )
 
 
-def _initial_matrix(plant: Plant, design: Design, a1: int, delays: int) -> FloatArray:
+def _initial_matrix(plant: Plant, design: Design, nq: int, delays: int) -> FloatArray:
     """Return the state of a restart: x = C^+ y without faults, hence eta = L1 x (zeta~ = L1 x - eta = 0)."""
     s, p = len(plant.inputs), len(plant.outputs)
     select = np.eye(s + p + 1)
     v, y = select[:s], select[s : s + p]
-    return np.vstack([design.L1 @ np.linalg.pinv(plant.C) @ y, np.zeros((a1, s + p + 1)), *[v] * delays])
+    return np.vstack([design.L1 @ np.linalg.pinv(plant.C) @ y, np.zeros((nq, s + p + 1)), *[v] * delays])
 
 
 def input_curves(plant: Plant) -> FloatArray:

@@ -48,7 +48,7 @@ def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0) -> Coordinat
     """
     A, C = model.A.mean(axis=0) / pole_radius, model.C
     Q, S, R = model.B @ model.B.T, model.B @ model.D.T, model.D @ model.D.T
-    smallest = (_SMALLEST_SHARE / model.weights) ** 2
+    smallest = (_SMALLEST_SHARE * model.sizes) ** 2
     variance = np.maximum(np.diag(Q), smallest)
     try:
         for _ in range(_FLOOR_SWEEPS):
@@ -67,7 +67,8 @@ def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0) -> Coordinat
             f"{model.name}: its numbers are too far apart: check units, scales of disturbance and noise"
         ) from error
     floored = with_floor(model, S_factor, Y_factor)
-    C_e, D_e = floored.output(direct[len(A) - model.a1 :])
+    nz = len(model.weights) - model.a1
+    C_e, D_e = floored.output(direct[nz : nz + model.a1])
     norm = hinf_norm(A - gain @ C, floored.B - gain @ floored.D, C_e, D_e)
     return Coordinates(S_factor, Y_factor, norm.value**2)
 

@@ -24,11 +24,11 @@ class Design:
     rate_hz : float
         Samples per second.
     K, L_i, L_p : FloatArray
-        (nz, p), (a1, p) and (a1, p).
+        (nz, p), (a1, p) and (a1, p); integrators of order 2 have L_i = [L_i1; L_i2] (2 a1, p).
     L1, F, N, J : FloatArray
         (nz, n), (nz, p), (nz, nz) and (nz, p).
     P : FloatArray
-        Matrix of the bounded-real inequality (na, na).
+        Matrix of the bounded-real inequality (na, na), na = nz + a1 times the order of the integrators.
     mu : float
         The bound: |e|^2 summed over time is at most mu times that of the scaled [w; w+; df_a].
     status : {"optimal"}
@@ -59,6 +59,11 @@ class Design:
     def sqrt_mu(self) -> float:
         """Bound of the H-infinity norm from the scaled disturbances to the scaled errors."""
         return math.sqrt(self.mu)
+
+    @property
+    def integrator_order(self) -> int:
+        """1 where q integrates the actuator faults, 2 where it integrates them and their rates."""
+        return len(self.L_i) // len(self.L_p) if len(self.L_p) else 1
 
     @property
     def gain_max_abs(self) -> float:

@@ -54,7 +54,7 @@ class Floor:
     slopes: tuple[float, ...] = ()
 
 
-def floor_sqrt_mu(plant: Plant, rate_hz: float | None = None) -> Floor:
+def floor_sqrt_mu(plant: Plant, rate_hz: float | None = None, integrator_order: int = 1) -> Floor:
     """Return the floor of sqrt(mu) over frequency and over the vertices of the slopes and their mean.
 
     Every number it looks at is a floor, so leaving out frequencies or slopes (more than 64 of them) makes
@@ -66,6 +66,8 @@ def floor_sqrt_mu(plant: Plant, rate_hz: float | None = None) -> Floor:
         Continuous or discrete model.
     rate_hz : float | None
         Samples per second a continuous model is observed at; None takes the model as it is.
+    integrator_order : int
+        With 2 the rate of an actuator fault bounds f_a'' in place of f_a': s^2 f_a stands for s f_a.
 
     Raises
     ------
@@ -79,13 +81,13 @@ def floor_sqrt_mu(plant: Plant, rate_hz: float | None = None) -> Floor:
     dynamics, slopes = sloped_dynamics(plant)
     best = Floor(0.0, 0.0)
     for A, slope in list(zip(dynamics, slopes, strict=True))[:_MOST_SLOPES]:
-        value, omega = _highest(plant, A)
+        value, omega = _highest(plant, A, integrator_order)
         if value > best.value * (1.0 + _TIE):
             best = Floor(value, omega, tuple(slope.tolist()))
     return best
 
 
-def _highest(plant: Plant, A: FloatArray) -> tuple[float, float]:
+def _highest(plant: Plant, A: FloatArray, order: int) -> tuple[float, float]:
     """Return the floor at the highest point of a frequency grid, refined by golden section."""
     if plant.rate_hz is not None:
         grid = math.pi * plant.rate_hz * np.geomspace(10.0**-_DECADES, 1.0, _GRID)
@@ -94,14 +96,14 @@ def _highest(plant: Plant, A: FloatArray) -> tuple[float, float]:
         fastest = max(float(rates.max(initial=0.0)), 1.0)
         grid = fastest * np.geomspace(10.0**-_DECADES, 1e3, _GRID)
     omega = np.concatenate([[0.0], grid])
-    floors = _floors(plant, A, omega)
+    floors = _floors(plant, A, omega, order)
     top = int(np.argmax(floors >= np.max(floors) * (1.0 - _TIE)))
     best, where = float(floors[top]), float(omega[top])
     low, high = float(omega[max(top - 1, 0)]), float(omega[min(top + 1, len(omega) - 1)])
     ratio = (math.sqrt(5.0) - 1.0) / 2.0
     for _ in range(_REFINEMENTS if 0.0 < best < math.inf else 0):
         inner = np.array([high - ratio * (high - low), low + ratio * (high - low)])
-        found = _floors(plant, A, inner)
+        found = _floors(plant, A, inner, order)
         better = int(np.argmax(found))
         if found[better] > best * (1.0 + _TIE):
             best, where = float(found[better]), float(inner[better])
@@ -109,7 +111,7 @@ def _highest(plant: Plant, A: FloatArray) -> tuple[float, float]:
     return best, where
 
 
-def _floors(plant: Plant, A: FloatArray, omega: FloatArray) -> FloatArray:
+def _floors(plant: Plant, A: FloatArray, omega: FloatArray, order: int) -> FloatArray:
     """Return the floor at each frequency."""
     n, p = plant.C.shape[1], len(plant.C)
     a1, a2 = len(plant.actuator_faults), len(plant.sensor_faults)
@@ -124,7 +126,7 @@ def _floors(plant: Plant, A: FloatArray, omega: FloatArray) -> FloatArray:
     # exp(j omega h) - 1 without the cancellation that would cost the low frequencies their digits
     turn = 1j * omega if plant.rate_hz is None else np.expm1(1j * omega / plant.rate_hz)
     shift = 1j * omega if plant.rate_hz is None else 1.0 + turn
-    rate = np.array([fault.rate / (plant.rate_hz or 1.0) for fault in plant.actuator_faults])
+    rate = np.array([fault.rate / (plant.rate_hz or 1.0) ** order for fault in plant.actuator_faults])
     values = np.zeros(len(omega))
     for i in range(len(omega)):
         pencil = constant.astype(np.complex128)
@@ -137,7 +139,7 @@ def _floors(plant: Plant, A: FloatArray, omega: FloatArray) -> FloatArray:
         if not hidden.shape[1]:
             continue
         w, f_a = hidden[n + a :], hidden[n + a2 : n + a] * (unit[n + a2 : n + a] / rate)[:, None]
-        cause = np.vstack([w, shift[i] * w, turn[i] * f_a])
+        cause = np.vstack([w, shift[i] * w, turn[i] ** order * f_a])
         values[i] = _largest_ratio(hidden[: n + a], cause)
     return values
 

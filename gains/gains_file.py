@@ -165,7 +165,8 @@ def _check_shapes(gains: Gains) -> None:
     nz = n + len(kinds) - a1
     # A continuous design brings its own states, and matrices for people only where it has the paper's structure.
     continuous = gains.domain == "continuous"
-    ns = len(gains.initial_matrix) if continuous else nz + a1 + s * (len(gains.input_taps) - 1)
+    nq = len(gains.L_i) if len(gains.L_i) == 2 * a1 and not continuous else a1
+    ns = len(gains.initial_matrix) if continuous else nz + nq + s * (len(gains.input_taps) - 1)
     m = len(gains.nonlinearities)
     arguments = sum(len(g.arguments) for g in gains.nonlinearities)
     expected = {
@@ -177,7 +178,7 @@ def _check_shapes(gains: Gains) -> None:
         "N": (nz, nz),
         "J": (nz, p),
         "K": (nz, p),
-        "L_i": (a1, p),
+        "L_i": (nq, p),
         "L_p": (a1, p),
     }
     for name, shape in expected.items():

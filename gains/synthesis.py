@@ -14,8 +14,11 @@ coordinates of :mod:`gains.conditioning`.
 
 Minimising mu alone leaves the gains free where they do not matter and drives them to infinity where they
 matter a little. So the objective is mu + rho trace(Z), Z >= [Kb; L_i]^T P [Kb; L_i] + L_p^T W_f^2 L_p: the
-energy that an innovation of size one puts into the error. Every solution has to pass
-:mod:`gains.certificate`, or it is none.
+energy that an innovation of size one puts into the error.
+
+P bounds the observability Gramian of the error too, so that W >= (P B - R D)^T P^-1 (P B - R D) + D_f^T D_f makes
+trace(W) a bound of the squared H2 norm at every vertex, in the same unknowns: it can take a share of the objective.
+Every solution has to pass :mod:`gains.certificate`, or it is none.
 """
 
 from __future__ import annotations
@@ -39,6 +42,7 @@ from gains.plant import FloatArray, Plant
 
 GAIN_WEIGHT = 1e-3
 _SLACKS = (1e-3, 1e-2, 5e-2)
+_LEAST_MU_WEIGHT = 1e-4
 
 # With its defaults Clarabel gives up on the nearly singular systems at the end of such problems; a larger
 # static regularisation, repaired by more iterative refinement, takes it to the optimum.
@@ -63,6 +67,7 @@ class _Problem:
     a1: int
     pole_radius: float
     gain_weight: float
+    h2: float
     A: FloatArray
     B: FloatArray
     C: FloatArray
@@ -79,6 +84,7 @@ class _Solution:
     R: FloatArray
     L_p: FloatArray
     mu: float
+    noise_energy: float
 
 
 def design_convex(
@@ -87,6 +93,8 @@ def design_convex(
     *,
     pole_radius: float = 1.0,
     gain_weight: float = GAIN_WEIGHT,
+    integrator_order: int = 1,
+    h2: float = 0.0,
 ) -> Design:
     """Design an observer for a plant and prove it.
 
@@ -101,6 +109,12 @@ def design_convex(
     gain_weight : float
         rho, the price of the energy that an innovation puts into the error, against mu; positive. Less of it
         follows noise that the scales call harmless more closely.
+    integrator_order : int
+        1 for actuator faults that move at no more than their rate; 2 for those that ramp: their rate then is that
+        of their rate, per second squared, and a steady ramp is followed without lag.
+    h2 : float
+        alpha in [0, 1]: 0 minimises the bound of the largest energy of the error, 1 that of its energy under white
+        noise in every input (the squared H2 norm), and what lies between (1 - alpha) mu + alpha trace(W).
 
     Returns
     -------
@@ -110,7 +124,7 @@ def design_convex(
     Raises
     ------
     ModelError
-        The model cannot be sampled at that rate, has no faults or a hidden mode, or the radius is none.
+        The model cannot be sampled at that rate, has no faults or a hidden mode, or an option is out of range.
     InfeasibleError
         An existence condition fails (named in the message) or the inequality has no solution.
     InaccurateError
@@ -126,12 +140,17 @@ def design_convex(
         raise ModelError(f"{plant.name}: a pole radius of {pole_radius} does not lie in (0, 1]")
     if not gain_weight > 0.0:
         raise ModelError(f"{plant.name}: a gain weight of {gain_weight} is not positive")
+    if integrator_order not in (1, 2):
+        raise ModelError(f"{plant.name}: an integrator order of {integrator_order} is neither 1 nor 2")
+    if not 0.0 <= h2 <= 1.0:
+        raise ModelError(f"{plant.name}: an H2 share of {h2} does not lie in [0, 1]")
     discrete = discretise(plant, rate_hz)
     augmentation = augment(discrete)
-    model = error_model(discrete, augmentation)
-    notes = check_existence(discrete, augmentation, model)
+    # A chain of integrators hides the same modes as one: what exists for order 1 exists for order 2.
+    notes = check_existence(discrete, augmentation, error_model(discrete, augmentation))
+    model = error_model(discrete, augmentation, integrator_order)
     coordinates = kalman_coordinates(model, pole_radius)
-    for solution, solve_s in _solutions(_problem(model, coordinates, pole_radius, gain_weight)):
+    for solution, solve_s in _solutions(_problem(model, coordinates, pole_radius, gain_weight, h2)):
         design = _design(discrete, augmentation, coordinates, model, solution)
         certificate = certify(discrete, design)
         if certificate.holds and certificate.poles_max_abs <= pole_radius:
@@ -142,26 +161,29 @@ def design_convex(
     )
 
 
-def _problem(model: ErrorModel, coordinates: Coordinates, pole_radius: float, gain_weight: float) -> _Problem:
+def _problem(
+    model: ErrorModel, coordinates: Coordinates, pole_radius: float, gain_weight: float, h2: float
+) -> _Problem:
     """Return the model in the solver's coordinates, with the floor of noise and as few columns as matter."""
     S, Y = coordinates.S, coordinates.Y
-    na = len(S)
+    na, nz = len(S), len(model.weights) - model.a1
     floored = with_floor(model, S, Y)
     into = np.vstack([np.linalg.solve(S, floored.B), np.linalg.solve(Y, floored.D)])
     left, singular, _ = np.linalg.svd(into, full_matrices=False)
     columns = left * singular
-    errors = (model.weights[:, None] * S) / np.sqrt(coordinates.mu)
+    errors = (model.weights[:, None] * S[: len(model.weights)]) / np.sqrt(coordinates.mu)
     return _Problem(
         name=model.name,
         a1=model.a1,
         pole_radius=pole_radius,
         gain_weight=gain_weight,
+        h2=h2,
         A=np.asarray(np.linalg.solve(S, model.A @ S), dtype=np.float64),
         B=columns[:na],
         C=np.asarray(np.linalg.solve(Y, model.C @ S), dtype=np.float64),
         D=columns[na:],
-        C_x=errors[: na - model.a1],
-        C_f0=errors[na - model.a1 :],
+        C_x=errors[:nz],
+        C_f0=errors[nz:],
     )
 
 
@@ -176,14 +198,14 @@ def _solutions(problem: _Problem) -> Iterator[tuple[_Solution, float]]:
         return
     yield best, solve_s
     for slack in _SLACKS:
-        solution, seconds = _solve(problem, best.mu * (1.0 + slack))
+        solution, seconds = _solve(problem, (best.mu * (1.0 + slack), best.noise_energy * (1.0 + slack)))
         solve_s += seconds
         if solution is not None:
             yield solution, solve_s
 
 
-def _solve(problem: _Problem, mu_fixed: float | None = None) -> tuple[_Solution | None, float]:
-    """Minimise mu (and the gains), or at a fixed mu find the point farthest inside the inequality.
+def _solve(problem: _Problem, fixed: tuple[float, float] | None = None) -> tuple[_Solution | None, float]:
+    """Minimise mu (and the gains), or at fixed mu and trace(W) find the point farthest inside the inequality.
 
     Returns
     -------
@@ -205,7 +227,7 @@ def _solve(problem: _Problem, mu_fixed: float | None = None) -> tuple[_Solution 
     C_f = None if L_p is None else problem.C_f0 - L_p @ C
     D_f = None if L_p is None else -L_p @ D
     PB = P @ B - R @ D
-    slack, constraints = (0.0, []) if mu_fixed is None else (margin, [mu == mu_fixed])
+    slack, constraints = (0.0, []) if fixed is None else (margin, [mu == fixed[0]])
     for vertex in A:
         PA = P @ vertex - R @ C
         rows = [
@@ -218,9 +240,19 @@ def _solve(problem: _Problem, mu_fixed: float | None = None) -> tuple[_Solution 
         if problem.pole_radius < 1.0:
             decay = cp.bmat([[P, PA], [PA.T, problem.pole_radius**2 * P]])
             constraints.append(decay >> slack * np.eye(2 * na))
-    if mu_fixed is None:
+    share: float = problem.h2
+    energy: Any = 0.0
+    if share > 0.0:
+        W = cp.Variable((nw, nw), symmetric=True)
+        energy = cp.trace(W)
+        constraints.append(_bordered([[W, PB.T], [PB, P]], [D_f, np.zeros((a1, na))], a1) >> 0)
+        if fixed is not None:
+            constraints.append(energy <= fixed[1])
+    if fixed is None:
         constraints.append(_bordered([[Z, R.T], [R, P]], [L_p, np.zeros((a1, na))], a1) >> 0)
-        objective = cp.Minimize(mu + problem.gain_weight * cp.trace(Z))
+        objective = cp.Minimize(
+            max(1.0 - share, _LEAST_MU_WEIGHT) * mu + share * energy + problem.gain_weight * cp.trace(Z)
+        )
     else:
         objective = cp.Maximize(margin)
     program = cp.Problem(objective, constraints)
@@ -244,6 +276,7 @@ def _solve(problem: _Problem, mu_fixed: float | None = None) -> tuple[_Solution 
         R=R.value,
         L_p=np.zeros((0, p)) if L_p is None else L_p.value,
         mu=float(mu.value),
+        noise_energy=float(energy.value) if share > 0.0 else 0.0,
     ), seconds
 
 
@@ -262,7 +295,7 @@ def _design(
 ) -> Design:
     """Return a solution as gains in the user's units, with mu raised by the smallest slack."""
     S, Y, mu = coordinates.S, coordinates.Y, coordinates.mu
-    nz = len(S) - model.a1
+    nz = len(model.weights) - model.a1
     injection = S @ np.linalg.solve(solution.P, solution.R) @ np.linalg.inv(Y)
     L_p = np.sqrt(mu) * solution.L_p @ np.linalg.inv(Y) / model.weights[nz:, None]
     K = injection[:nz] - augmentation.L1 @ plant.E_f @ L_p

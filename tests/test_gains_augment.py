@@ -46,35 +46,41 @@ def test_the_augmentation_follows_a_change_of_units() -> None:
     np.testing.assert_allclose(found.F, z[:, None] * expected.F / y, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("seed", range(5))
-def test_the_error_system_is_what_plant_and_textbook_observer_do(seed: int) -> None:
+def test_the_error_system_is_what_plant_and_textbook_observer_do(seed: int, order: int) -> None:
     rng = np.random.default_rng(seed)
     plant = random_plant(seed, 1, 1)
     found = augment(plant)
-    model = error_model(plant, found)
+    model = error_model(plant, found, order)
     n, p, nz = len(plant.states), len(plant.outputs), len(found.L1)
-    K, L_i, L_p = rng.normal(size=(nz, p)), rng.normal(size=(1, p)), rng.normal(size=(1, p))
+    K, L_i, L_p = rng.normal(size=(nz, p)), rng.normal(size=(order, p)), rng.normal(size=(1, p))
     N = found.L1 @ found.A_z - K @ found.C_b
     J = N @ found.F + K
     steps = 12
-    f_a, f_s, v = rng.normal(size=(steps, 1)), rng.normal(size=(steps, 1)), rng.normal(size=(steps, len(plant.inputs)))
+    f_a, f_s, v = (
+        rng.normal(size=(steps + 2, 1)),
+        rng.normal(size=(steps, 1)),
+        rng.normal(size=(steps, len(plant.inputs))),
+    )
     w1, w2 = rng.normal(size=(steps, 2)), rng.normal(size=(steps, 2))
     scale1 = np.array([d.scale for d in plant.disturbances])
     scale2 = np.array([d.scale for d in plant.noises])
-    x, eta, q = rng.normal(size=n), rng.normal(size=nz), rng.normal(size=1)
+    x, eta, q = rng.normal(size=n), rng.normal(size=nz), rng.normal(size=order)
     errors, inputs, outputs = [], [], []
     for k in range(steps):
         y = plant.C @ x + plant.D_f @ f_s[k] + plant.D_1 @ (scale2 * w2[k])
         zeta = eta + found.F @ y
+        fault = np.append(f_a[k], (f_a[k + 1] - f_a[k]) * plant.rate_hz)
         yt = y - found.C_b @ zeta
-        fa = q + L_p @ yt
-        errors.append(np.concatenate([np.append(x, f_s[k]) - zeta, f_a[k] - q]))
+        fa = q[:1] + L_p @ yt
+        errors.append(np.concatenate([np.append(x, f_s[k]) - zeta, fault[:order] - q]))
         outputs.append(np.concatenate([np.append(x, f_s[k]) - zeta, f_a[k] - fa]) * model.weights)
         eta = N @ eta + J @ y + found.L1 @ (plant.B @ v[k] + plant.c + plant.E_f @ fa)
-        q = q + L_i @ yt
+        q = q + np.append(q[1:] / plant.rate_hz, 0.0) + L_i @ yt
         x = plant.A @ x + plant.B @ v[k] + plant.c + plant.E_f @ f_a[k] + plant.E_1 @ (scale1 * w1[k])
         if k + 1 < steps:
-            step = (f_a[k + 1] - f_a[k]) * plant.rate_hz / plant.actuator_faults[0].rate
+            step = np.diff(f_a[k : k + 1 + order, 0], order) * plant.rate_hz**order / plant.actuator_faults[0].rate
             inputs.append(np.concatenate([w1[k], w2[k], w1[k + 1], w2[k + 1], step]))
     injection = np.vstack([K + found.L1 @ plant.E_f @ L_p, L_i])
     C_e, D_e = model.output(L_p)

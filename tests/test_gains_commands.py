@@ -40,6 +40,7 @@ def test_design_prints_a_report_for_people_and_writes_the_gains(
     output = capsys.readouterr().out
     assert output.startswith("arm: convex design at 50 Hz\n")
     assert "certificate         holds with margin" in output
+    assert "H2 norm at most     " in output
     assert str(out) in output
     assert read_gains(out).model_hash == model_hash(builtin_model("arm"))
 
@@ -53,6 +54,26 @@ def test_another_fault_rate_gives_other_gains_for_the_same_model_file(tmp_path: 
     assert not np.allclose(fast.L_i, slow.L_i, rtol=0.1)
     assert fast.model_hash == slow.model_hash
     assert fast.report["fault_rate"] == {"motor": 50.0}
+
+
+def test_integrators_of_order_2_are_designed_and_read_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["design", "arm-disturbed", "--rate", "100", "--integrator-order", "2", "--json"]
+    assert fauio.main([*arguments, "-o", str(tmp_path / "ramp.json")]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["integrator_order"] == 2
+    assert found["floor"] <= found["norm"] <= found["sqrt_mu"]
+    gains = read_gains(tmp_path / "ramp.json")
+    assert gains.L_i.shape == (2, 3)
+    assert gains.report["integrator_order"] == 2
+
+
+def test_a_share_of_h2_lowers_its_bound_and_raises_the_other(capsys: pytest.CaptureFixture[str]) -> None:
+    found = []
+    for share in ("0", "0.5"):
+        assert fauio.main(["design", "arm-disturbed", "--rate", "100", "--h2", share, "--json"]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    assert found[1]["h2"] < found[0]["h2"]
+    assert found[1]["sqrt_mu"] > found[0]["sqrt_mu"]
 
 
 def test_the_pole_radius_is_kept(capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,13 +22,17 @@ PLANTS = {
     "actuators": random_plant(22, 2, 0, nonlinear=1),
     "sensors": random_plant(23, 0, 2),
     "multirotor": multirotor(),
+    "ramping": replace(random_plant(24, 2, 1, nonlinear=1), taps=(0.5, 0.3, 0.2)),
 }
+ORDERS = {"ramping": 2}
 
 
 @pytest.fixture(scope="module", params=PLANTS)
 def compiled(request: pytest.FixtureRequest) -> tuple[Plant, Design, Gains]:
     plant = PLANTS[request.param]
-    design = design_convex(plant, plant.rate_hz or 100.0)
+    order = ORDERS.get(request.param, 1)
+    design = design_convex(plant, plant.rate_hz or 100.0, integrator_order=order)
+    assert len(design.L_i) == order * len(design.L_p)
     return plant, design, compile_gains(plant, design, certify(plant, design))
 
 
@@ -56,7 +60,8 @@ def run_textbook(plant: Plant, design: Design, u: FloatArray, y: FloatArray) -> 
     n, a2 = len(plant.states), len(plant.sensor_faults)
     T, C_b = np.eye(n, n + a2), np.hstack([plant.C, plant.D_f])
     v = np.array([effect(plant, u_k) for u_k in u]).reshape(len(u), len(plant.inputs))
-    eta, q, outputs = design.L1 @ np.linalg.pinv(plant.C) @ y[0], np.zeros(len(design.L_i)), []
+    eta, q, outputs = design.L1 @ np.linalg.pinv(plant.C) @ y[0], np.zeros(len(design.L_p)), []
+    rate, ramps = np.zeros(len(q)), len(design.L_i) > len(q)
     for k, y_k in enumerate(y):
         filtered = sum((h * v[max(k - d, 0)] for d, h in enumerate(plant.taps)), start=np.zeros(len(plant.inputs)))
         zeta = eta + design.F @ y_k
@@ -65,7 +70,9 @@ def run_textbook(plant: Plant, design: Design, u: FloatArray, y: FloatArray) -> 
         g = np.array([np.sin(item.rows @ T @ zeta)[0] for item in plant.nonlinearities]).reshape(-1)
         drive = plant.B @ filtered + plant.c + plant.G @ g + plant.E_f @ fa
         eta = design.N @ eta + design.J @ y_k + design.L1 @ drive
-        q = q + design.L_i @ yt
+        q = q + rate / design.rate_hz + design.L_i[: len(q)] @ yt
+        if ramps:
+            rate = rate + design.L_i[len(q) :] @ yt
         outputs.append(np.concatenate([zeta, fa, yt]))
     return np.array(outputs)
 
@@ -117,6 +124,24 @@ def test_the_estimates_of_the_arm_settle_on_constant_faults() -> None:
     assert estimate[4] == pytest.approx(f_s[0], abs=1e-6)
     assert estimate[5] == pytest.approx(f_a[0], abs=1e-6)
     np.testing.assert_allclose(estimate[6:], 0.0, atol=1e-6)
+
+
+def test_a_ramping_fault_is_followed_without_the_lag_that_one_integrator_has() -> None:
+    plant = builtin_model("arm-disturbed")
+    discrete = discretise(plant, 100.0)
+    x, outputs, steps, slope = np.zeros(4), [], 3000, 0.5
+    f_a = slope * np.arange(steps) / 100.0
+    for k in range(steps):
+        outputs.append(discrete.C @ x)
+        x = discrete.A @ x + discrete.G[:, 0] * np.sin(x[2]) + discrete.E_f[:, 0] * f_a[k]
+    lags = []
+    for order in (1, 2):
+        design = design_convex(plant, 100.0, integrator_order=order)
+        gains = compile_gains(plant, design, certify(plant, design))
+        estimate = run_map(discrete, gains, np.zeros((steps, 1)), np.array(outputs))
+        lags.append((f_a - estimate[:, 5])[-100:] / slope)
+    assert np.min(lags[0]) > 0.01  # seconds: at least a sample
+    assert np.max(np.abs(lags[1])) < 1e-6
 
 
 def test_gains_whose_certificate_does_not_hold_are_not_compiled() -> None:

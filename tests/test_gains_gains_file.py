@@ -18,8 +18,8 @@ from gains.plant import Plant
 from gains.synthesis import design_convex
 
 
-def compiled(plant: Plant) -> Gains:
-    design = design_convex(plant)
+def compiled(plant: Plant, integrator_order: int = 1) -> Gains:
+    design = design_convex(plant, integrator_order=integrator_order)
     return compile_gains(plant, design, certify(plant, design))
 
 
@@ -28,9 +28,12 @@ def gains() -> Gains:
     return compiled(random_plant(31, 1, 1, nonlinear=1))
 
 
-@pytest.mark.parametrize("plant", [multirotor(), random_plant(32, 0, 1), random_plant(33, 2, 1, nonlinear=2)])
-def test_gains_read_back_to_the_same_bits(plant: Plant, tmp_path: Path) -> None:
-    expected = compiled(plant)
+@pytest.mark.parametrize(
+    ("plant", "order"),
+    [(multirotor(), 1), (multirotor(), 2), (random_plant(32, 0, 1), 1), (random_plant(33, 2, 1, nonlinear=2), 1)],
+)
+def test_gains_read_back_to_the_same_bits(plant: Plant, order: int, tmp_path: Path) -> None:
+    expected = compiled(plant, order)
     write_gains(expected, tmp_path / "gains.json")
     found = read_gains(tmp_path / "gains.json")
     for field in fields(Gains):

@@ -8,13 +8,16 @@ import pytest
 from gains_samples import integrator_with_drift, multirotor, random_plant, sine
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import solve_discrete_lyapunov
 
 import gains.synthesis
+from gains.augment import augment, error_model
 from gains.certificate import Certificate, certify
 from gains.compilation import compile_gains
 from gains.design import Design
 from gains.discretise import discretise
 from gains.errors import InaccurateError, InfeasibleError, ModelError
+from gains.floor import floor_sqrt_mu
 from gains.model_file import builtin_model
 from gains.plant import Disturbance, Fault, FloatArray, Plant
 from gains.synthesis import design_convex
@@ -64,6 +67,29 @@ def test_a_multirotor_in_very_different_units_is_certified() -> None:
     design = design_convex(plant)
     certificate = assert_proven(plant, design)
     assert design.sqrt_mu <= 1.001 * certificate.norm
+
+
+@pytest.mark.parametrize("rate", [10.0, 100.0, 500.0])
+@pytest.mark.parametrize("name", ["arm", "arm-disturbed"])
+def test_integrators_of_order_2_are_certified_on_the_arm(name: str, rate: float) -> None:
+    plant = builtin_model(name)
+    design = design_convex(plant, rate, integrator_order=2)
+    assert design.integrator_order == 2
+    assert len(design.P) == 7
+    assert assert_proven(plant, design).norm >= floor_sqrt_mu(plant, rate, 2).value * (1.0 - 1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_integrators_of_order_2_are_certified_on_random_plants_in_very_different_units(seed: int) -> None:
+    plant = random_plant(seed, 1 + seed % 2, 1, nonlinear=seed % 2, decades=3.0)
+    design = design_convex(plant, integrator_order=2)
+    assert_proven(plant, design)
+    assert floor_sqrt_mu(plant, integrator_order=2).value <= design.sqrt_mu
+
+
+def test_without_actuator_faults_the_order_of_the_integrators_changes_nothing() -> None:
+    plant = random_plant(32, 0, 1)
+    assert design_convex(plant, integrator_order=2).sqrt_mu == design_convex(plant).sqrt_mu
 
 
 def test_the_bound_does_not_depend_on_the_units_of_states_and_outputs() -> None:
@@ -191,6 +217,39 @@ def test_a_pole_radius_is_kept_at_every_vertex(radius: float) -> None:
     assert assert_proven(plant, design).poles_max_abs <= radius
 
 
+def h2_norms(plant: Plant, design: Design) -> list[float]:
+    """Return the H2 norm of the error system at every slope vertex, from its controllability Gramian."""
+    discrete = discretise(plant, design.rate_hz)
+    augmentation = augment(discrete)
+    model = error_model(discrete, augmentation, design.integrator_order)
+    injection = np.vstack([design.K + augmentation.L1 @ discrete.E_f @ design.L_p, design.L_i])
+    C_e, D_e = model.output(design.L_p)
+    size = model.sizes
+    A_e, B_e, C_e = model.A - injection @ model.C, (model.B - injection @ model.D) / size[:, None], C_e * size
+    gramians = [solve_discrete_lyapunov(vertex * size / size[:, None], B_e @ B_e.T) for vertex in A_e]
+    return [float(np.sqrt(np.trace(C_e @ X @ C_e.T) + np.sum(D_e**2))) for X in gramians]
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_the_share_of_h2_trades_the_one_certified_bound_for_the_other(order: int) -> None:
+    plant = builtin_model("arm-disturbed")
+    designs = [design_convex(plant, 100.0, integrator_order=order, h2=share) for share in (0.0, 0.1, 0.5, 0.9, 1.0)]
+    bounds = [assert_proven(plant, design).h2 for design in designs]
+    norms = [max(h2_norms(plant, design)) for design in designs]
+    assert all(norm <= bound for norm, bound in zip(norms, bounds, strict=True))
+    assert bounds[-1] <= 1.01 * norms[-1]
+    assert all(np.diff(bounds) < 0.0)
+    assert all(np.diff([design.mu for design in designs]) > 0.0)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_true_h2_norm_of_random_plants_is_within_its_bound(seed: int, share: float) -> None:
+    plant = random_plant(seed, 1, seed % 2, nonlinear=seed % 3, decades=3.0 * (seed // 2))
+    design = design_convex(plant, h2=share)
+    assert max(h2_norms(plant, design)) <= assert_proven(plant, design).h2
+
+
 def test_faster_faults_are_followed_faster() -> None:
     plant = multirotor()
     fast = replace(plant, faults=tuple(replace(fault, rate=10.0) for fault in plant.faults))
@@ -236,6 +295,9 @@ def test_failed_conditions_are_named_before_anything_is_solved() -> None:
         ({"rate_hz": 100.0, "pole_radius": 1.5}, "a pole radius of 1.5 does not lie in"),
         ({"rate_hz": 100.0, "pole_radius": float("nan")}, "a pole radius of nan"),
         ({"rate_hz": 100.0, "gain_weight": 0.0}, "a gain weight of 0.0 is not positive"),
+        ({"rate_hz": 100.0, "h2": 1.1}, "an H2 share of 1.1 does not lie in"),
+        ({"rate_hz": 100.0, "h2": float("nan")}, "an H2 share of nan"),
+        ({"rate_hz": 100.0, "integrator_order": 3}, "an integrator order of 3 is neither 1 nor 2"),
     ],
 )
 def test_what_cannot_be_asked_is_refused(arguments: dict[str, Any], message: str) -> None:
@@ -263,6 +325,15 @@ def test_a_rejected_optimum_is_solved_again_a_little_inside(monkeypatch: pytest.
     design = design_convex(plant, 100.0)
     assert_proven(plant, design)
     assert optimum.mu < design.mu < 1.01 * optimum.mu
+
+
+def test_a_point_a_little_inside_keeps_its_share_of_h2(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = builtin_model("arm-disturbed")
+    optimum = design_convex(plant, 100.0, h2=0.5)
+    monkeypatch.setattr(gains.synthesis, "certify", rejecting(1))
+    design = design_convex(plant, 100.0, h2=0.5)
+    assert optimum.mu < design.mu < 1.01 * optimum.mu
+    assert assert_proven(plant, design).h2 < 1.01 * certify(plant, optimum).h2
 
 
 def test_gains_that_no_certificate_confirms_are_never_returned(monkeypatch: pytest.MonkeyPatch) -> None:
