@@ -18,7 +18,13 @@ energy that an innovation of size one puts into the error.
 
 P bounds the observability Gramian of the error too, so that W >= (P B - R D)^T P^-1 (P B - R D) + D_f^T D_f makes
 trace(W) a bound of the squared H2 norm at every vertex, in the same unknowns: it can take a share of the objective.
-Every solution has to pass :mod:`gains.certificate`, or it is none.
+
+The solver's time grows with the sixth power of the inequality's size and with the number of vertices. A large
+plant with many of them is first given one inequality in place of them all (S-procedure): with the slopes
+Delta = mean + diag(delta), |delta| <= 1, entering as G delta H, and multipliers Lambda = diag(lambda) >= 0, the
+vertex is the mean, P B gains the columns P G, mu I the diagonal Lambda, and P - C_x^T C_x loses
+H^T Lambda H. It implies the inequality at every vertex; its bound can be a little larger. Every solution has to pass
+:mod:`gains.certificate`, or it is none.
 """
 
 from __future__ import annotations
@@ -43,6 +49,7 @@ from gains.plant import FloatArray, Plant
 GAIN_WEIGHT = 1e-3
 _SLACKS = (1e-3, 1e-2, 5e-2)
 _LEAST_MU_WEIGHT = 1e-4
+_LARGEST_CONE = 5_000
 
 # With its defaults Clarabel gives up on the nearly singular systems at the end of such problems; a larger
 # static regularisation, repaired by more iterative refinement, takes it to the optimum.
@@ -60,7 +67,8 @@ SOLVER = {
 class _Problem:
     """The error system in the coordinates of the solver, and what is asked of it.
 
-    C_x and C_f0 are the rows of W S / sqrt(mu of the coordinates) for zeta~ and for z.
+    C_x and C_f0 are the rows of W S / sqrt(mu of the coordinates) for zeta~ and for z. With multipliers, A is the
+    mean alone, and the last columns of B and D are those of the slopes, whose arguments are H; else H is empty.
     """
 
     name: str
@@ -74,6 +82,8 @@ class _Problem:
     D: FloatArray
     C_x: FloatArray
     C_f0: FloatArray
+    H: FloatArray
+    vertices: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,6 +105,7 @@ def design_convex(
     gain_weight: float = GAIN_WEIGHT,
     integrator_order: int = 1,
     h2: float = 0.0,
+    vertices: bool | None = None,
 ) -> Design:
     """Design an observer for a plant and prove it.
 
@@ -115,6 +126,9 @@ def design_convex(
     h2 : float
         alpha in [0, 1]: 0 minimises the bound of the largest energy of the error, 1 that of its energy under white
         noise in every input (the squared H2 norm), and what lies between (1 - alpha) mu + alpha trace(W).
+    vertices : bool | None
+        One inequality per slope vertex (the least bound), or one with multipliers for all; None takes multipliers
+        where the vertices would take long, and the vertices where multipliers fail.
 
     Returns
     -------
@@ -150,11 +164,14 @@ def design_convex(
     notes = check_existence(discrete, augmentation, error_model(discrete, augmentation))
     model = error_model(discrete, augmentation, integrator_order)
     coordinates = kalman_coordinates(model, pole_radius)
-    for solution, solve_s in _solutions(_problem(model, coordinates, pole_radius, gain_weight, h2)):
-        design = _design(discrete, augmentation, coordinates, model, solution)
-        certificate = certify(discrete, design)
-        if certificate.holds and certificate.poles_max_abs <= pole_radius:
-            return replace(design, solve_s=solve_s, total_s=time.perf_counter() - started, notes=notes)
+    problem = _problem(model, coordinates, pole_radius, gain_weight, h2)
+    for attempt in _attempts(problem, model.slopes, vertices):
+        for solution, solve_s in _solutions(attempt):
+            design = _design(discrete, augmentation, coordinates, model, solution)
+            certificate = certify(discrete, design)
+            if certificate.holds and certificate.poles_max_abs <= pole_radius:
+                total_s = time.perf_counter() - started
+                return replace(design, solve_s=solve_s, total_s=total_s, notes=notes)
     raise InaccurateError(
         f"{plant.name}: the solver stopped short and no gains it found could be certified; "
         "check units and scales, or relax the fault rates or the pole radius"
@@ -172,18 +189,51 @@ def _problem(
     left, singular, _ = np.linalg.svd(into, full_matrices=False)
     columns = left * singular
     errors = (model.weights[:, None] * S[: len(model.weights)]) / np.sqrt(coordinates.mu)
+    A = np.asarray(np.linalg.solve(S, model.A @ S), dtype=np.float64)
     return _Problem(
         name=model.name,
         a1=model.a1,
         pole_radius=pole_radius,
         gain_weight=gain_weight,
         h2=h2,
-        A=np.asarray(np.linalg.solve(S, model.A @ S), dtype=np.float64),
+        A=A,
         B=columns[:na],
         C=np.asarray(np.linalg.solve(Y, model.C @ S), dtype=np.float64),
         D=columns[na:],
         C_x=errors[:nz],
         C_f0=errors[nz:],
+        H=np.zeros((0, na)),
+        vertices=A,
+    )
+
+
+def _attempts(problem: _Problem, slopes: FloatArray, vertices: bool | None) -> Iterator[_Problem]:
+    """Yield the problem with multipliers and the one with vertices, as asked for or as its size demands."""
+    size = 2 * len(problem.B) + problem.B.shape[1] + problem.a1
+    several = len(slopes) > 1
+    large = several and len(slopes) * size * (size + 1) // 2 > _LARGEST_CONE
+    if several and (vertices is False or (vertices is None and large)):
+        yield _with_multipliers(problem, slopes)
+    if vertices is not False or not several:
+        yield problem
+
+
+def _with_multipliers(problem: _Problem, slopes: FloatArray) -> _Problem:
+    """Return the problem with the mean of its vertices and the slopes' deviations from it as G delta H."""
+    G, H = [], []
+    for slope in slopes.T:
+        high = slope > slope.mean()
+        if np.any(high):
+            deviation = 0.5 * (problem.A[high].mean(axis=0) - problem.A[~high].mean(axis=0))
+            left, singular, right = np.linalg.svd(deviation)  # of rank one: a column of G times a row of H
+            G.append(np.sqrt(singular[0]) * left[:, 0])
+            H.append(np.sqrt(singular[0]) * right[0])
+    return replace(
+        problem,
+        A=problem.A.mean(axis=0, keepdims=True),
+        B=np.column_stack([problem.B, *G]),
+        D=np.hstack([problem.D, np.zeros((len(problem.D), len(G)))]),
+        H=np.array(H),
     )
 
 
@@ -193,7 +243,12 @@ def _solutions(problem: _Problem) -> Iterator[tuple[_Solution, float]]:
     An optimum lies on the boundary of the inequality, where rounding decides. If it fails the certificate, a
     point inside, a little above the least mu, can still pass.
     """
-    best, solve_s = _solve(problem)
+    try:
+        best, solve_s = _solve(problem)
+    except InfeasibleError:
+        if not len(problem.H):
+            raise
+        return  # multipliers ask for more than the vertices: without a solution they prove nothing
     if best is None:
         return
     yield best, solve_s
@@ -226,26 +281,40 @@ def _solve(problem: _Problem, fixed: tuple[float, float] | None = None) -> tuple
     mu, margin, Z = cp.Variable(), cp.Variable(), cp.Variable((p, p), symmetric=True)
     C_f = None if L_p is None else problem.C_f0 - L_p @ C
     D_f = None if L_p is None else -L_p @ D
-    PB = P @ B - R @ D
+    PB, H = P @ B - R @ D, problem.H
+    inputs, remainder = mu * np.eye(nw), P - problem.C_x.T @ problem.C_x
+    if len(H):
+        multipliers = cp.Variable(len(H))
+        inputs = cp.diag(cp.hstack([mu * np.ones(nw - len(H)), multipliers]))
+        remainder = remainder - H.T @ cp.diag(multipliers) @ H
     slack, constraints = (0.0, []) if fixed is None else (margin, [mu == fixed[0]])
     for vertex in A:
         PA = P @ vertex - R @ C
         rows = [
             [P, PA, PB],
-            [PA.T, P - problem.C_x.T @ problem.C_x, np.zeros((na, nw))],
-            [PB.T, np.zeros((nw, na)), mu * np.eye(nw)],
+            [PA.T, remainder, np.zeros((na, nw))],
+            [PB.T, np.zeros((nw, na)), inputs],
         ]
         inequality = _bordered(rows, [np.zeros((a1, na)), C_f, D_f], a1)
         constraints.append(inequality >> slack * np.eye(2 * na + nw + a1))
-        if problem.pole_radius < 1.0:
-            decay = cp.bmat([[P, PA], [PA.T, problem.pole_radius**2 * P]])
-            constraints.append(decay >> slack * np.eye(2 * na))
+    for vertex in problem.vertices if problem.pole_radius < 1.0 else ():
+        PA = P @ vertex - R @ C
+        decay = cp.bmat([[P, PA], [PA.T, problem.pole_radius**2 * P]])
+        constraints.append(decay >> slack * np.eye(2 * na))
     share: float = problem.h2
     energy: Any = 0.0
     if share > 0.0:
-        W = cp.Variable((nw, nw), symmetric=True)
+        real = nw - len(H)
+        W = cp.Variable((real, real), symmetric=True)
         energy = cp.trace(W)
-        constraints.append(_bordered([[W, PB.T], [PB, P]], [D_f, np.zeros((a1, na))], a1) >> 0)
+        constraints.append(
+            _bordered(
+                [[W, PB[:, :real].T], [PB[:, :real], P]],
+                [None if D_f is None else D_f[:, :real], np.zeros((a1, na))],
+                a1,
+            )
+            >> 0
+        )
         if fixed is not None:
             constraints.append(energy <= fixed[1])
     if fixed is None:

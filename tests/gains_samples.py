@@ -162,3 +162,44 @@ def integrator_with_drift() -> Plant:
         disturbances=(Disturbance("push", np.array([0.0, 1.0]), 0.1),),
         noises=(Noise("jitter", np.array([1.0, 1.0]), 0.1),),
     )
+
+
+def flying_multirotor(rate_hz: float | None = None) -> Plant:
+    """Return a multirotor's rigid body: 12 states, 4 motors, thrust that tilts with roll and pitch, and drag.
+
+    The slopes are those of sin within 0.7 rad and of quadratic drag within 10 m/s.
+    """
+    position, attitude = ("north", "east", "down"), ("roll", "pitch", "yaw")
+    velocity = ("v_north", "v_east", "v_down")
+    states = (*position, *attitude, *velocity, "p", "q", "r")
+    motors = tuple(f"motor{i}" for i in range(1, 5))
+    A, G, unit = np.zeros((12, 12)), np.zeros((12, 3)), np.eye(12)
+    A[0:3, 6:9] = A[3:6, 9:12] = np.eye(3)
+    A[6:8, 6:8], A[9:12, 9:12] = -0.2 * np.eye(2), np.diag([-2.3, -2.3, -2.0])
+    G[7, 0], G[6, 1], G[8, 2] = 9.81, -9.81, -1.0
+    B = np.zeros((12, 4))
+    B[8] = -5.0
+    B[9:] = [[-40.0, 40.0, 40.0, -40.0], [40.0, -40.0, 40.0, -40.0], [4.0, 4.0, -4.0, -4.0]]
+    tilt, drag = (float(np.cos(0.7)), 1.0), (0.0, 0.4)
+    noise = np.repeat([0.5, 0.01, 0.1, 0.02], 3)
+    return Plant(
+        name="flying_multirotor",
+        domain="continuous",
+        rate_hz=rate_hz,
+        states=states,
+        inputs=motors,
+        outputs=states,
+        A=A,
+        B=B,
+        C=np.eye(12),
+        G=G,
+        nonlinearities=(
+            sine(unit[3], tilt),
+            sine(unit[4], tilt),
+            Nonlinearity("0.02*v*abs(v)", ("v",), unit[8:9], np.array([drag]), np.array([[-np.inf, np.inf]])),
+        ),
+        faults=tuple(Fault(motor, "actuator", rate=0.5, error=0.05, input=motor) for motor in motors),
+        disturbances=tuple(Disturbance(f"d_{states[i]}", unit[i], 0.5 if i < 9 else 1.0) for i in range(6, 12)),
+        noises=tuple(Noise(f"n_{name}", unit[i], noise[i]) for i, name in enumerate(states)),
+        state_errors=np.repeat([0.5, 0.02, 0.2, 0.1], 3),
+    )

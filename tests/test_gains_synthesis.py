@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gains_samples import integrator_with_drift, multirotor, random_plant, sine
+from gains_samples import flying_multirotor, integrator_with_drift, multirotor, random_plant, sine
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_lyapunov
@@ -90,6 +90,25 @@ def test_integrators_of_order_2_are_certified_on_random_plants_in_very_different
 def test_without_actuator_faults_the_order_of_the_integrators_changes_nothing() -> None:
     plant = random_plant(32, 0, 1)
     assert design_convex(plant, integrator_order=2).sqrt_mu == design_convex(plant).sqrt_mu
+
+
+def test_a_multirotor_of_12_states_and_4_motors_with_3_slopes_is_certified_at_each_of_their_8_vertices() -> None:
+    plant = flying_multirotor()
+    design = design_convex(plant, 50.0)
+    certificate = assert_proven(plant, design)
+    assert design.sqrt_mu <= 1.001 * certificate.norm
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_multipliers_give_proven_gains_close_to_those_of_the_vertices(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant = random_plant(seed, 1, 1, nonlinear=2)
+    least = design_convex(plant, vertices=True).sqrt_mu
+    monkeypatch.setattr(gains.synthesis, "_LARGEST_CONE", 0)
+    design = design_convex(plant)
+    assert_proven(plant, design)
+    assert 0.999 * least <= design.sqrt_mu <= 1.1 * least
 
 
 def test_the_bound_does_not_depend_on_the_units_of_states_and_outputs() -> None:
