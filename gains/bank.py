@@ -7,11 +7,15 @@ acts it does not, unless the two are told apart by nothing (structured residuals
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from gains.design import Design
 from gains.errors import InfeasibleError
 from gains.estimability import estimability, problem_of, restricted
+from gains.gains_file import Gains
+from gains.model_file import model_hash
 from gains.plant import Plant
 
 
@@ -70,3 +74,20 @@ def design_bank(plant: Plant, rate_hz: float | None = None, *, largest: bool = F
 
     plants = [(found, restricted(plant, found)) for found in admissible_hypotheses(plant, largest=largest)]
     return tuple(Hypothesis(found, part, design_convex(part, rate_hz)) for found, part in plants)
+
+
+def compile_bank(plant: Plant, bank: Sequence[Hypothesis]) -> tuple[Gains, ...]:
+    """Return the compiled gains of each hypothesis, marked as designed for the whole plant.
+
+    Raises
+    ------
+    InaccurateError
+        A certificate does not hold.
+    """
+    from gains.certificate import certify
+    from gains.compilation import compile_gains
+
+    whole = model_hash(plant)
+    return tuple(
+        replace(compile_gains(part, design, certify(part, design)), model_hash=whole) for _, part, design in bank
+    )

@@ -29,6 +29,7 @@ VERTICAL = "vertical_acceleration"
 _MAX_DELAY_S = 0.1
 _EXCITED_T = 20.0
 _SWEEPS = 12
+_CONTROLS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,15 +249,31 @@ def _alternate(data: _Regression) -> _Alternation:
 def _axes(
     data: _Regression, filtered: NDArray[np.float64], ones: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    mean, V = _control_directions(filtered)
+    z = (filtered - mean) @ V
     theta = np.empty((3, filtered.shape[1] + 2))
     std, t_value = np.empty(3), np.empty(3)
     for o in range(3):
-        X = np.hstack([data.now[:, [o]], filtered, ones])
-        theta[o] = np.linalg.lstsq(X, data.after[:, o], rcond=None)[0]
-        std[o] = (data.after[:, o] - X @ theta[o]).std()
+        X = np.hstack([data.now[:, [o]], z, ones])
+        found = np.linalg.lstsq(X, data.after[:, o], rcond=None)[0]
+        std[o] = (data.after[:, o] - X @ found).std()
         spread = np.sqrt(np.diag(np.linalg.pinv(X.T @ X)))[1:-1]
-        t_value[o] = float(np.max(np.abs(theta[o, 1:-1]) / np.maximum(std[o] * spread, 1e-300)))
+        t_value[o] = float(np.max(np.abs(found[1:-1]) / np.maximum(std[o] * spread, 1e-300)))
+        effect = V @ found[1:-1]
+        theta[o] = np.concatenate([found[:1], effect, found[-1:] - mean @ effect])
     return theta, std, t_value
+
+
+def _control_directions(v: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the mean of the motors' v (s,) and the directions (s, <= 4) in which an autopilot moves them.
+
+    Four controls drive any number of motors, so what more than four motors do is known in four directions only;
+    the others hold rounding. Along them B is taken to be zero: that is the vehicle's own B where its mixer and its
+    geometry agree, as those of a symmetric frame do.
+    """
+    mean = v.mean(axis=0)
+    _, directions = np.linalg.eigh((v - mean).T @ (v - mean))
+    return mean, directions[:, -_CONTROLS:]
 
 
 def _curvature_step(
@@ -269,9 +286,10 @@ def _curvature_step(
 ) -> float:
     """Return the change of kappa that roll and pitch ask for, each weighted by how well it sees the curve."""
     numerator = denominator = 0.0
+    mean, V = _control_directions(filtered)
     for o in range(2):
         sensitivity = squared @ theta[o, 1:-1]
-        X = np.hstack([data.now[:, [o]], filtered, ones, sensitivity[:, None]])
+        X = np.hstack([data.now[:, [o]], (filtered - mean) @ V, ones, sensitivity[:, None]])
         step = np.linalg.lstsq(X, data.after[:, o], rcond=None)[0][-1]
         weight = float(sensitivity.var() / std[o] ** 2)
         numerator += weight * float(step)

@@ -183,6 +183,8 @@ def alarm_message(rule: AlarmRule, state: State, evidence: float, relative: floa
     if rule.kind == "actuator" and relative is not None:
         direction = "less" if relative < 0 else "more"
         return f"{rule.channel} delivers {100 * abs(relative):.0f} % {direction} than commanded"
+    if rule.kind == "residual":
+        return f"{rule.observer}: no known fault explains what is measured ({evidence:.1f} times healthy)"
     if rule.kind == "sensor":
         return f"{rule.channel} reads {_size(evidence, rule.unit)} off"
     return f"{rule.channel} is off by {_size(evidence, rule.unit)}"

@@ -1,4 +1,4 @@
-"""One observer of a vehicle from messages to events: sampler -> gate -> observer -> isolation -> alarms."""
+"""One observer of a vehicle from messages to events: sampler -> gate -> estimator -> alarms."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from adapters.sample import Sample
 from adapters.sampler import Sampler, SamplerStatistics
 from monitor.alarm import Alarm
 from monitor.estimate import Estimate, Layout
+from monitor.estimator import make_estimator
 from monitor.event import AlarmEvent
 from monitor.gate import FlightGate, GateRule
 from monitor.input_curve import fault_in_command, relative_loss
-from monitor.isolation import IndependentChannels, SingleFaultIsolator
-from monitor.observer import Observer
 from monitor.profile import ObserverProfile
 
 Output = Estimate | AlarmEvent
@@ -49,23 +48,24 @@ class ObserverChain:
         clock: VehicleClock,
         count: Callable[[], int],
     ) -> None:
-        gains = profile.gains
+        gains = profile.gains[0]
+        names = tuple(channel.name for channel in profile.faults)
         self.layout = Layout(
             observer=profile.name,
             rate_hz=gains.rate_hz,
             inputs=gains.inputs,
             outputs=gains.outputs,
             states=gains.states,
-            faults=gains.faults,
-            fault_units=gains.fault_units,
+            faults=names,
+            fault_units=tuple(channel.unit for channel in profile.faults),
         )
         self._name = profile.name
         self._sampler = Sampler(profile.inputs, profile.outputs, gains.rate_hz, clock)
         self._gate = FlightGate(gate)
-        self._observer = Observer(gains)
-        self._isolator = make_isolator(profile)
-        alarms = {rule.channel: Alarm(rule, vehicle, count) for rule in profile.alarms}
-        self._alarms = [(gains.faults.index(channel), alarm) for channel, alarm in alarms.items()]
+        self._estimator = make_estimator(profile.gains, profile.isolation, names)
+        alarms = [Alarm(rule, vehicle, count) for rule in profile.alarms]
+        self._alarms = [(names.index(alarm.rule.channel), alarm) for alarm in alarms if alarm.rule.kind != "residual"]
+        self._residual_alarms = [alarm for alarm in alarms if alarm.rule.kind == "residual"]
         self._command = CommandUnits(profile)
 
     @property
@@ -86,32 +86,39 @@ class ObserverChain:
 
     def step(self, sample: Sample, armed: bool) -> list[Output]:
         """Take one sample, ``armed`` saying whether it is evidence; return its estimate and the events it causes."""
+        estimator = self._estimator
         if sample.restart:
-            self._observer.restart(sample.u, sample.y)
-            self._isolator.restart()
+            estimator.restart(sample.u, sample.y)
             self._command.restart(sample.u)
-        observer = self._observer
-        observer.step(sample.u, sample.y)
-        isolation = self._isolator.update(observer.fault)
+        estimator.step(sample.u, sample.y)
         self._command.follow(sample.u)
-        fault, isolated = self._command.convert(np.stack([observer.fault, isolation.evidence]))
+        fault, isolated = self._command.convert(np.stack([estimator.fault, estimator.evidence]))
         outputs: list[Output] = [
             Estimate(
                 observer=self._name,
                 sample=sample,
-                x=observer.x.copy(),
+                x=estimator.x.copy(),
                 fault=fault,
                 isolated=isolated,
-                residual=observer.residual.copy(),
+                residual=estimator.residual.copy(),
                 armed=armed,
             )
         ]
+        unexplained = estimator.unexplained
         for index, alarm in self._alarms:
-            if not armed:
+            # Evidence that no hypothesis explains speaks neither for a fault nor against it.
+            if not armed or unexplained:
                 alarm.pause()
                 continue
             size = float(isolated[index])
             event = alarm.update(sample, size, self._command.relative(index, size))
+            if event is not None:
+                outputs.append(event)
+        for alarm in self._residual_alarms:
+            if not armed:
+                alarm.pause()
+                continue
+            event = alarm.update(sample, unexplained, None)
             if event is not None:
                 outputs.append(event)
         return outputs
@@ -128,9 +135,9 @@ class CommandUnits:
     """
 
     def __init__(self, profile: ObserverProfile) -> None:
-        gains = profile.gains
+        gains = profile.gains[0]
         self._curves = gains.input_curves
-        pairs = [(i, source) for i, source in enumerate(gains.fault_inputs) if source is not None]
+        pairs = [(i, channel.input) for i, channel in enumerate(profile.faults) if channel.input is not None]
         self._faults = np.array([fault for fault, _ in pairs], dtype=np.intp)
         self._inputs = np.array([source for _, source in pairs], dtype=np.intp)
         self._input_of = dict(pairs)
@@ -159,20 +166,3 @@ class CommandUnits:
         """Return a fault's size over the command it scales, None where it scales none."""
         source = self._input_of.get(index)
         return None if source is None else relative_loss(size, float(self._u[source]))
-
-
-def make_isolator(profile: ObserverProfile) -> SingleFaultIsolator | IndependentChannels:
-    """Return the isolation stage that a profile asks for."""
-    rule, gains = profile.isolation, profile.gains
-    if rule.method == "independent":
-        return IndependentChannels(len(gains.faults), rule.smoothing_s, gains.rate_hz)
-    losses = np.array([source is not None for source in gains.fault_inputs], dtype=np.bool_)
-    return SingleFaultIsolator(
-        rule.covariance,
-        rule.smoothing_s,
-        gains.rate_hz,
-        rule.tolerance,
-        rule.score_floor,
-        rule.gain_penalty,
-        losses,
-    )

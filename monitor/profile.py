@@ -2,7 +2,8 @@
 
 PROFILE/profile.toml            vehicle, flight phases, and per observer: channels, isolation, alarm thresholds
 PROFILE/<observer>.model.toml   the plant model the gains were designed for
-PROFILE/<observer>.gains.json   the compiled gains; they know the hash of their model
+PROFILE/<observer>.gains.json   the compiled gains; they know the hash of their model. A bank has a file for each
+                                hypothesis, <observer>.<faults>.gains.json
 """
 
 from __future__ import annotations
@@ -12,10 +13,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, Literal, NamedTuple
 
 from adapters.channels import Channel, channel_table, parse_channel
 from gains.errors import ModelError
@@ -24,46 +22,62 @@ from gains.model_file import model_hash, read_model
 from monitor.alarm import AlarmRule
 from monitor.errors import ProfileError
 from monitor.gate import GateRule
+from monitor.isolation_rule import (
+    IsolationRule,
+    gains_file_name,
+    isolation_table,
+    read_hypotheses,
+    read_isolation,
+)
 from monitor.tables import Table
 
 FORMAT = 1
 PROFILE_FILE = "profile.toml"
+UNEXPLAINED = "unexplained"
+"""Alarm channel of a bank none of whose hypotheses explains the data."""
 
 
-@dataclass(frozen=True, slots=True)
-class IsolationRule:
-    """How joint estimates become evidence against channels.
+class FaultChannel(NamedTuple):
+    """A fault channel: its name, kind and unit, and the index of the input whose effect it scales, if any."""
 
-    Parameters
-    ----------
-    method : str
-        ``"single"`` (one channel responsible at a time) or ``"independent"``.
-    smoothing_s : float
-        Time constant of the smoothing, seconds.
-    tolerance, score_floor, gain_penalty : float
-        See :class:`monitor.isolation.SingleFaultIsolator`.
-    covariance : NDArray[np.float64]
-        Healthy covariance of the smoothed joint estimate (a, a), effect units.
-    """
-
-    method: str
-    smoothing_s: float
-    tolerance: float
-    score_floor: float
-    gain_penalty: float
-    covariance: NDArray[np.float64]
+    name: str
+    kind: Literal["actuator", "sensor"]
+    unit: str
+    input: int | None
 
 
 @dataclass(frozen=True, slots=True)
 class ObserverProfile:
-    """One observer of the profile: gains, where its channels come from, and its alarms."""
+    """One observer of the profile: gains, where its channels come from, and its alarms.
+
+    Parameters
+    ----------
+    name : str
+        The observer's name.
+    gains : tuple[Gains, ...]
+        Its gains; those of each hypothesis where it is a bank. All share inputs, outputs, states and rate.
+    faults : tuple[FaultChannel, ...]
+        All fault channels, actuators first.
+    inputs, outputs : tuple[Channel, ...]
+        Where u and y come from.
+    isolation : IsolationRule
+        How estimates become evidence.
+    alarms : tuple[AlarmRule, ...]
+        What raises alarms.
+    """
 
     name: str
-    gains: Gains
+    gains: tuple[Gains, ...]
+    faults: tuple[FaultChannel, ...]
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
     isolation: IsolationRule
     alarms: tuple[AlarmRule, ...]
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second."""
+        return self.gains[0].rate_hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,10 +177,7 @@ def observer_table(
     table: dict[str, Any] = {
         "inputs": {channel.name: channel_table(channel) for channel in inputs},
         "outputs": {channel.name: channel_table(channel) for channel in outputs},
-        "isolation": {
-            "method": isolation.method,
-            "smoothing_s": isolation.smoothing_s,
-        },
+        "isolation": isolation_table(isolation),
         "alarms": {
             rule.channel: {
                 "threshold": rule.threshold,
@@ -178,13 +189,6 @@ def observer_table(
             for rule in alarms
         },
     }
-    if isolation.method == "single":
-        table["isolation"] |= {
-            "tolerance": isolation.tolerance,
-            "score_floor": isolation.score_floor,
-            "gain_penalty": isolation.gain_penalty,
-            "covariance": isolation.covariance.tolist(),
-        }
     return table
 
 
@@ -204,31 +208,62 @@ def profile_table(
 
 
 def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes]) -> ObserverProfile:
-    model_path, gains_path = folder / f"{name}.model.toml", folder / f"{name}.gains.json"
-    for path in (model_path, gains_path):
-        if not path.is_file():
-            raise ProfileError(f"{path}: file is missing; the observer '{name}' needs it")
-        files[path.name] = path.read_bytes()
-    try:
-        gains = read_gains(gains_path)
-        found = model_hash(read_model(model_path))
-    except ModelError as error:
-        raise ProfileError(str(error)) from error
-    if found != gains.model_hash:
-        raise ProfileError(
-            f"{gains_path}: designed for another version of {model_path.name}; "
-            f"run 'fauio design {model_path} -o {gains_path}'"
-        )
+    isolation = table.table("isolation")
+    hypotheses = read_hypotheses(isolation) or ((),)
+    model = folder / f"{name}.model.toml"
+    paths = [folder / gains_file_name(name, faults) for faults in hypotheses]
+    gains = tuple(_read_gains(path, model, faults, files) for path, faults in zip(paths, hypotheses, strict=True))
+    shared = gains[0]
+    for path, found in zip(paths, gains, strict=True):
+        if _signals(found) != _signals(shared):
+            raise ProfileError(f"{path}: has another rate or other signals than {paths[0].name}")
+    faults = fault_channels(gains)
     observer = ObserverProfile(
         name=name,
         gains=gains,
-        inputs=_channels(table.table("inputs"), gains.inputs),
-        outputs=_channels(table.table("outputs"), gains.outputs),
-        isolation=_isolation(table.table("isolation"), len(gains.faults)),
-        alarms=_alarms(table.table("alarms"), name, gains),
+        faults=faults,
+        inputs=_channels(table.table("inputs"), shared.inputs),
+        outputs=_channels(table.table("outputs"), shared.outputs),
+        isolation=read_isolation(isolation, len(faults), len(shared.outputs)),
+        alarms=_alarms(table.table("alarms"), name, faults),
     )
     table.done()
     return observer
+
+
+def _read_gains(path: Path, model_path: Path, faults: Sequence[str], files: dict[str, bytes]) -> Gains:
+    """Read gains of the model beside them, for these faults where any are named."""
+    for file in (model_path, path):
+        if not file.is_file():
+            raise ProfileError(f"{file}: file is missing; the profile needs it")
+        files[file.name] = file.read_bytes()
+    try:
+        gains = read_gains(path)
+        found = model_hash(read_model(model_path))
+    except ModelError as error:
+        raise ProfileError(str(error)) from error
+    if faults and set(gains.faults) != set(faults):
+        raise ProfileError(f"{path}: estimates {', '.join(gains.faults)}, not {', '.join(faults)}")
+    if found != gains.model_hash:
+        only = f" --faults {','.join(faults)}" if faults else ""
+        mend = f"fauio design {model_path}{only} -o {path}"
+        raise ProfileError(f"{path}: designed for another version of {model_path.name}; run '{mend}'")
+    return gains
+
+
+def _signals(gains: Gains) -> tuple[object, ...]:
+    return gains.rate_hz, gains.inputs, gains.outputs, gains.states
+
+
+def fault_channels(gains: Sequence[Gains]) -> tuple[FaultChannel, ...]:
+    """Return the fault channels of a bank's gains together, actuators first."""
+    found: dict[str, FaultChannel] = {}
+    for one in gains:
+        for name, kind, unit, source in zip(
+            one.faults, one.fault_kinds, one.fault_units, one.fault_inputs, strict=True
+        ):
+            found.setdefault(name, FaultChannel(name, "actuator" if kind == "actuator" else "sensor", unit, source))
+    return tuple(sorted(found.values(), key=lambda channel: channel.kind != "actuator"))
 
 
 def _channels(table: Table, names: Sequence[str]) -> tuple[Channel, ...]:
@@ -237,37 +272,20 @@ def _channels(table: Table, names: Sequence[str]) -> tuple[Channel, ...]:
     return channels
 
 
-def _isolation(table: Table, count: int) -> IsolationRule:
-    method = table.text("method")
-    if method not in ("single", "independent"):
-        raise ProfileError(f"{table.where('method')} is '{method}'; use 'single' or 'independent'")
-    smoothing_s = table.number("smoothing_s", 0.05, at_least=0.0)
-    covariance = np.eye(count)
-    tolerance = score_floor = gain_penalty = 0.0
-    if method == "single":
-        covariance = table.matrix("covariance", count, count)
-        tolerance = table.number("tolerance", 0.2, at_least=0.0)
-        score_floor = table.number("score_floor", at_least=0.0)
-        gain_penalty = table.number("gain_penalty", 25.0, at_least=0.0)
-        if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance).min() <= 0.0:
-            raise ProfileError(f"{table.where('covariance')} is not symmetric and positive definite")
-    table.done()
-    return IsolationRule(method, smoothing_s, tolerance, score_floor, gain_penalty, covariance)
-
-
-def _alarms(table: Table, observer: str, gains: Gains) -> tuple[AlarmRule, ...]:
+def _alarms(table: Table, observer: str, faults: Sequence[FaultChannel]) -> tuple[AlarmRule, ...]:
     rules = []
-    for channel in table.keys():  # noqa: SIM118 - a Table is no dict
-        if channel not in gains.faults:
-            raise ProfileError(f"{table.where(channel)}: no such fault; the model has {', '.join(gains.faults)}")
-        index = gains.faults.index(channel)
-        entry = table.table(channel)
+    known = {channel.name: channel for channel in faults}
+    for name in table.keys():  # noqa: SIM118 - a Table is no dict
+        channel = known.get(name)
+        if channel is None and name != UNEXPLAINED:
+            raise ProfileError(f"{table.where(name)}: no such fault; the model has {', '.join(known)}")
+        entry = table.table(name)
         threshold = entry.number("threshold", at_least=0.0)
         rule = AlarmRule(
             observer=observer,
-            channel=channel,
-            kind="actuator" if gains.fault_kinds[index] == "actuator" else "sensor",
-            unit=gains.fault_units[index],
+            channel=name,
+            kind="residual" if channel is None else channel.kind,
+            unit="times healthy" if channel is None else channel.unit,
             threshold=threshold,
             clear=entry.number("clear", threshold / 2, at_least=0.0),
             critical=entry.number("critical", 5 * threshold, at_least=0.0),

@@ -59,6 +59,13 @@ class Table:
             raise ProfileError(f"{self.where(key)} is not a table")
         return Table(self._file, f"{self._prefix}{key}.", found)
 
+    def tables(self, key: str) -> list[Table]:
+        """Return the tables of the array below ``key``, none where there is no such key."""
+        found = self._get(key, [])
+        if not isinstance(found, list) or not all(isinstance(item, Mapping) for item in found):
+            raise ProfileError(f"{self.where(key)} is not an array of tables")
+        return [Table(self._file, f"{self._prefix}{key}[{i}].", item) for i, item in enumerate(found)]
+
     def text(self, key: str, default: str | None = None) -> str:
         """Return a string."""
         found = self._get(key, default)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import tomli_w
 
 from adapters.arm import SCENARIOS, TORQUES, simulate_arm
@@ -18,15 +17,15 @@ from gains.model_file import builtin_model, write_model
 from gains.synthesis import design_convex
 from monitor.alarm import AlarmRule
 from monitor.gate import GateRule
+from monitor.isolation_rule import IndependentRule
 from monitor.profile import (
     PROFILE_FILE,
-    IsolationRule,
     Profile,
     observer_table,
     profile_table,
     read_profile,
 )
-from replay.fit import flight_samples, healthy_maxima
+from replay.calibrate import flight_samples, healthy_maxima
 
 OBSERVER = "arm"
 MODEL = "arm-disturbed"
@@ -58,7 +57,7 @@ def write_arm_profile(folder: Path) -> Profile:
     outputs = tuple(
         Channel(name, _MESSAGE, ("data", k), where=_ARM) for k, name in enumerate(gains.outputs, len(inputs))
     )
-    isolation = IsolationRule("independent", _SMOOTHING_S, 0.0, 0.0, 0.0, np.eye(len(gains.faults)))
+    isolation = IndependentRule(_SMOOTHING_S)
     folder.mkdir(parents=True, exist_ok=True)
     write_model(plant, folder / f"{OBSERVER}.model.toml")
     write_gains(gains, folder / f"{OBSERVER}.gains.json")

@@ -162,7 +162,7 @@ def run_replay(args: argparse.Namespace) -> int:
         elif not found.evidence:
             _say(f"{path.name}: nothing was watched; the vehicle was never seen in flight (see [phase] in the profile)")
         else:
-            seconds = found.evidence / profile.observers[0].gains.rate_hz
+            seconds = found.evidence / profile.observers[0].rate_hz
             alarms = "1 alarm" if len(raised) == 1 else f"{len(raised)} alarms"
             _say(f"{path.name}: {alarms} in {seconds:.0f} s of watched flight")
         if args.plot:

@@ -15,7 +15,7 @@ SENSOR_NOISE_FLOOR = 0.00707
 
 def estimated(profile: Profile, scenario: str) -> tuple[ArmRun, ObserverRun]:
     run = simulate_arm(SCENARIOS[scenario], 50.0, 100.0)
-    return run, Observer(profile.observers[0].gains).run(run.u, run.y)
+    return run, Observer(profile.observers[0].gains[0]).run(run.u, run.y)
 
 
 def rmse(error: np.ndarray) -> float:
@@ -77,7 +77,7 @@ def test_a_healthy_arm_raises_nothing_whatever_its_torque(arm_profile: Profile) 
 
 def test_single_steps_and_a_run_over_arrays_give_the_same_bits(arm_profile: Profile) -> None:
     run, found = estimated(arm_profile, "case3")
-    observer = Observer(arm_profile.observers[0].gains)
+    observer = Observer(arm_profile.observers[0].gains[0])
     observer.restart(run.u[0], run.y[0])
     for k in range(len(run.t)):
         observer.step(run.u[k], run.y[k])

@@ -31,7 +31,7 @@ def test_a_profile_holds_what_the_fit_wrote(folder: Path) -> None:
     (observer,) = profile.observers
     assert (profile.name, profile.vehicle, observer.name) == ("quad", "multirotor", "motors")
     assert [channel.name for channel in observer.inputs] == ["motor1", "motor2", "motor3", "motor4"]
-    assert [rule.channel for rule in observer.alarms] == list(observer.gains.faults)
+    assert [rule.channel for rule in observer.alarms] == [channel.name for channel in observer.faults]
     assert observer.isolation.covariance.shape == (4, 4)
     assert set(profile.files) == {"profile.toml", "motors.model.toml", "motors.gains.json"}
 
@@ -55,7 +55,7 @@ def test_the_digest_follows_every_edit(folder: Path) -> None:
         (r"^require_armed = true", "require_armed = 1", "'phase.require_armed' is neither"),
         (r"^threshold = .*", "threshold = nan", "threshold' is not a finite number"),
         (r"^clear = .*", "clear = 9.0", "is above 'threshold'"),
-        (r"^method = .*", 'method = "guess"', "'guess'; use 'single' or 'independent'"),
+        (r"^method = .*", 'method = "guess"', "'guess'; use 'single', 'independent' or 'bank'"),
         (r"^message = .*", "message = 3", "'message' is missing or not text"),
         (r"alarms\.motor1\]", "alarms.motor9]", "no such fault; the model has motor1"),
         (r"^format = 1", "format = = 1", "not valid TOML"),
@@ -80,7 +80,7 @@ def test_designing_the_edited_model_again_mends_the_profile(folder: Path) -> Non
     edit(folder / "motors.model.toml", r"^name = .*", 'name = "quad-b"')
     gains = folder / "motors.gains.json"
     assert fauio.main(["design", str(folder / "motors.model.toml"), "-o", str(gains)]) == 0
-    assert read_profile(folder).observers[0].gains.model == "quad-b"
+    assert read_profile(folder).observers[0].gains[0].model == "quad-b"
 
 
 def test_a_missing_file_is_named(folder: Path) -> None:

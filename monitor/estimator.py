@@ -1,0 +1,80 @@
+"""From (u, y) to estimates and evidence: a single observer with its isolation stage, or a bank of observers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gains.gains_file import Gains
+from monitor.bank import Bank
+from monitor.isolation import IndependentChannels, SingleFaultIsolator
+from monitor.isolation_rule import BankRule, IndependentRule, IsolationRule, SingleRule
+from monitor.observer import Observer
+
+
+class JointEstimator:
+    """One observer for all faults together, and who is held responsible for its estimates.
+
+    Parameters
+    ----------
+    gains : Gains
+        Gains of the observer.
+    rule : IndependentRule | SingleRule
+        Isolation part of the profile.
+
+    Attributes
+    ----------
+    x, fault, residual : NDArray[np.float64]
+        As of :class:`monitor.observer.Observer`: views that the next step overwrites.
+    evidence : NDArray[np.float64]
+        What each channel is held responsible for (a,).
+    unexplained : float
+        Always zero: a joint estimate explains whatever comes.
+    """
+
+    unexplained = 0.0
+
+    def __init__(self, gains: Gains, rule: IndependentRule | SingleRule) -> None:
+        self._observer = Observer(gains)
+        self._isolator = _isolator(gains, rule)
+        self.x = self._observer.x
+        self.fault = self._observer.fault
+        self.residual = self._observer.residual
+        self.evidence = np.zeros(len(gains.faults))
+
+    def restart(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+        """Forget the past: start at the state that (u, y) explain without a fault."""
+        self._observer.restart(u, y)
+        self._isolator.restart()
+
+    def step(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+        """Advance by one sample: u (s,) and y (p,)."""
+        self._observer.step(u, y)
+        self.evidence = self._isolator.update(self.fault).evidence
+
+
+Estimator = JointEstimator | Bank
+
+
+def make_estimator(gains: Sequence[Gains], rule: IsolationRule, faults: Sequence[str]) -> Estimator:
+    """Return the estimator that a profile asks for: several gains for a bank, one otherwise."""
+    if isinstance(rule, BankRule):
+        return Bank(gains, rule, faults)
+    return JointEstimator(gains[0], rule)
+
+
+def _isolator(gains: Gains, rule: IndependentRule | SingleRule) -> IndependentChannels | SingleFaultIsolator:
+    if isinstance(rule, IndependentRule):
+        return IndependentChannels(len(gains.faults), rule.smoothing_s, gains.rate_hz)
+    losses = np.array([source is not None for source in gains.fault_inputs], dtype=np.bool_)
+    return SingleFaultIsolator(
+        rule.covariance,
+        rule.smoothing_s,
+        gains.rate_hz,
+        rule.tolerance,
+        rule.score_floor,
+        rule.gain_penalty,
+        losses,
+    )

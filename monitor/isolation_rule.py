@@ -1,0 +1,161 @@
+"""How joint estimates become evidence against channels: the isolation part of a profile, read and written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.errors import ProfileError
+from monitor.tables import Table
+
+METHODS = ("single", "independent", "bank")
+
+
+@dataclass(frozen=True, slots=True)
+class IndependentRule:
+    """Every channel answers for its own estimate, smoothed with a time constant in seconds."""
+
+    smoothing_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SingleRule:
+    """One channel is held responsible at a time: see :class:`monitor.isolation.SingleFaultIsolator`.
+
+    Parameters
+    ----------
+    smoothing_s : float
+        Time constant of the smoothing, seconds.
+    tolerance, score_floor, gain_penalty : float
+        As there.
+    covariance : NDArray[np.float64]
+        Healthy covariance of the smoothed joint estimate (a, a), effect units.
+    """
+
+    smoothing_s: float
+    tolerance: float
+    score_floor: float
+    gain_penalty: float
+    covariance: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BankRule:
+    """One observer for each hypothesis; the one that explains the data names the faults: see :mod:`monitor.bank`.
+
+    Parameters
+    ----------
+    smoothing_s : float
+        Time constant of the smoothing of estimates and residuals, seconds.
+    tolerance, score_floor, gain_penalty : float
+        As there.
+    hypotheses : tuple[tuple[str, ...], ...]
+        The faults of each hypothesis.
+    covariances : tuple[NDArray[np.float64], ...]
+        Healthy covariance of the smoothed residual of each hypothesis (p, p).
+    """
+
+    smoothing_s: float
+    tolerance: float
+    score_floor: float
+    gain_penalty: float
+    hypotheses: tuple[tuple[str, ...], ...]
+    covariances: tuple[NDArray[np.float64], ...]
+
+
+IsolationRule = IndependentRule | SingleRule | BankRule
+
+
+def read_hypotheses(table: Table) -> tuple[tuple[str, ...], ...] | None:
+    """Return the faults of a bank's hypotheses, None where the isolation runs a single observer.
+
+    Raises
+    ------
+    ProfileError
+        The method is unknown, or a bank has no hypotheses or one twice.
+    """
+    method = table.text("method")
+    if method not in METHODS:
+        raise ProfileError(f"{table.where('method')} is '{method}'; use 'single', 'independent' or 'bank'")
+    if method != "bank":
+        return None
+    found = tuple(entry.texts("faults", ()) for entry in table.tables("hypotheses"))
+    if not found or not all(found):
+        raise ProfileError(f"{table.where('hypotheses')} is empty or has an entry without 'faults'")
+    if len({frozenset(faults) for faults in found}) < len(found):
+        raise ProfileError(f"{table.where('hypotheses')} has the same faults twice")
+    return found
+
+
+def read_isolation(table: Table, faults: int, outputs: int) -> IsolationRule:
+    """Return the rule of an isolation table, for a number of fault channels and of outputs.
+
+    Raises
+    ------
+    ProfileError
+        A key is missing, unknown or wrong.
+    """
+    hypotheses = read_hypotheses(table)
+    method = table.text("method")
+    smoothing_s = table.number("smoothing_s", 0.05, at_least=0.0)
+    rule: IsolationRule
+    if hypotheses is not None:
+        entries = table.tables("hypotheses")
+        rule = BankRule(
+            smoothing_s=smoothing_s,
+            tolerance=table.number("tolerance", 0.2, at_least=0.0),
+            score_floor=table.number("score_floor", at_least=0.0),
+            gain_penalty=table.number("gain_penalty", 25.0, at_least=0.0),
+            hypotheses=hypotheses,
+            covariances=tuple(_covariance(entry, outputs) for entry in entries),
+        )
+        for entry in entries:
+            entry.texts("faults", ())
+            entry.done()
+    elif method == "single":
+        rule = SingleRule(
+            smoothing_s=smoothing_s,
+            tolerance=table.number("tolerance", 0.2, at_least=0.0),
+            score_floor=table.number("score_floor", at_least=0.0),
+            gain_penalty=table.number("gain_penalty", 25.0, at_least=0.0),
+            covariance=_covariance(table, faults),
+        )
+    else:
+        rule = IndependentRule(smoothing_s)
+    table.done()
+    return rule
+
+
+def isolation_table(rule: IsolationRule) -> dict[str, Any]:
+    """Return the table that :func:`read_isolation` reads back as the same rule."""
+    if isinstance(rule, IndependentRule):
+        return {"method": "independent", "smoothing_s": rule.smoothing_s}
+    shared = {
+        "smoothing_s": rule.smoothing_s,
+        "tolerance": rule.tolerance,
+        "score_floor": rule.score_floor,
+        "gain_penalty": rule.gain_penalty,
+    }
+    if isinstance(rule, SingleRule):
+        return {"method": "single", **shared, "covariance": rule.covariance.tolist()}
+    hypotheses = [
+        {"faults": list(faults), "covariance": covariance.tolist()}
+        for faults, covariance in zip(rule.hypotheses, rule.covariances, strict=True)
+    ]
+    return {"method": "bank", **shared, "hypotheses": hypotheses}
+
+
+def gains_file_name(observer: str, faults: Sequence[str] = ()) -> str:
+    """Return the name of the file with an observer's gains, those of one hypothesis where it is one of a bank."""
+    return ".".join((observer, *(("+".join(faults),) if faults else ()), "gains.json"))
+
+
+def _covariance(table: Table, size: int) -> NDArray[np.float64]:
+    covariance = table.matrix("covariance", size, size)
+    if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance).min() <= 0.0:
+        raise ProfileError(f"{table.where('covariance')} is not symmetric and positive definite")
+    return covariance

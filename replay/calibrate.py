@@ -1,0 +1,155 @@
+"""Healthy samples of recordings, and what they say about isolation and thresholds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.channels import Channel
+from adapters.clock import VehicleClock
+from adapters.message import Message
+from adapters.phase import FlightPhase
+from adapters.sample import Sample
+from adapters.sampler import Sampler
+from gains.gains_file import Gains
+from gains.multirotor import Segment
+from monitor.chain import ObserverChain
+from monitor.estimate import Estimate
+from monitor.gate import FlightGate, GateRule
+from monitor.isolation import IndependentChannels
+from monitor.isolation_rule import BankRule, SingleRule
+from monitor.observer import Observer
+from monitor.profile import Profile
+
+SETTLE_S = 1.0
+MARGIN = 2.0
+
+_SMOOTHING_S = 0.05
+_TOLERANCE = 0.2
+_GAIN_PENALTY = 25.0
+
+
+class GatedSample(NamedTuple):
+    """A sample and whether it is evidence."""
+
+    sample: Sample
+    armed: bool
+
+
+def flight_samples(
+    messages: Iterable[Message],
+    inputs: Sequence[Channel],
+    outputs: Sequence[Channel],
+    rate_hz: float,
+    gate: GateRule,
+) -> list[GatedSample]:
+    """Return a recording's samples, each with whether it is evidence, as the monitor would take them."""
+    sampler = Sampler(inputs, outputs, rate_hz, VehicleClock())
+    phase, flight = FlightPhase(), FlightGate(gate)
+    found = []
+    for message in messages:
+        phase.feed(message)
+        for sample in sampler.feed(message):
+            found.append(GatedSample(sample, flight.admits(phase, sample) and sample.complete))
+    return found
+
+
+def contiguous(samples: Iterable[GatedSample]) -> list[Segment]:
+    """Return the stretches of evidence without a break."""
+    runs: list[list[Sample]] = [[]]
+    for sample, armed in samples:
+        if runs[-1] and (not armed or sample.restart):
+            runs.append([])
+        if armed:
+            runs[-1].append(sample)
+    return [Segment(np.stack([s.u for s in run]), np.stack([s.y for s in run])) for run in runs if run]
+
+
+def single_rule(gains: Gains, segments: Sequence[Segment]) -> SingleRule:
+    """Return the isolation stage that a joint observer needs, from what it estimates in healthy flight.
+
+    The covariance is taken about zero, so that a constant offset counts as disturbance; the floor of the score
+    is the largest one of healthy flight with a margin.
+    """
+    observer = Observer(gains)
+    smoothed = []
+    for segment in segments:
+        stage = IndependentChannels(len(gains.faults), _SMOOTHING_S, gains.rate_hz)
+        fault = observer.run(segment.u, segment.y).fault
+        smoothed.extend([stage.update(value).single for value in fault][_settled(gains) :])
+    healthy = np.stack(smoothed)
+    covariance = healthy.T @ healthy / len(healthy)
+    projected = healthy @ np.linalg.inv(covariance)
+    score = np.abs(projected) / np.sqrt(np.diag(np.linalg.inv(covariance)))
+    return SingleRule(
+        smoothing_s=_SMOOTHING_S,
+        tolerance=_TOLERANCE,
+        score_floor=MARGIN * float(score.max()),
+        gain_penalty=_GAIN_PENALTY,
+        covariance=covariance,
+    )
+
+
+def bank_rule(bank: Sequence[Gains], segments: Sequence[Segment]) -> BankRule:
+    """Return the isolation stage of a bank, from the residuals of its hypotheses in healthy flight.
+
+    The covariances are taken about zero; the floor of the score is the largest one that the best hypothesis leaves
+    unexplained in healthy flight, with a margin.
+    """
+    residuals: list[list[NDArray[np.float64]]] = [[] for _ in bank]
+    for one, found in zip(bank, residuals, strict=True):
+        observer = Observer(one)
+        for segment in segments:
+            stage = IndependentChannels(len(one.outputs), _SMOOTHING_S, one.rate_hz)
+            residual = observer.run(segment.u, segment.y).residual
+            found.extend([stage.update(value).single for value in residual][_settled(one) :])
+    covariances = tuple(np.stack(found).T @ np.stack(found) / len(found) for found in residuals)
+    J = [
+        np.einsum("ti,ij,tj->t", np.stack(found), np.linalg.inv(covariance), np.stack(found))
+        for found, covariance in zip(residuals, covariances, strict=True)
+    ]
+    return BankRule(
+        smoothing_s=_SMOOTHING_S,
+        tolerance=_TOLERANCE,
+        score_floor=MARGIN * float(np.sqrt(np.min(J, axis=0).max())),
+        gain_penalty=_GAIN_PENALTY,
+        hypotheses=tuple(one.faults for one in bank),
+        covariances=covariances,
+    )
+
+
+def _settled(gains: Gains) -> int:
+    return round(SETTLE_S * gains.rate_hz)
+
+
+def healthy_maxima(
+    profile: Profile, flights: Sequence[Sequence[GatedSample]], raise_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Step the profile's first observer over healthy samples as the monitor does.
+
+    Returns
+    -------
+    worst : NDArray[np.float64]
+        For each fault the largest size that stood for ``raise_s`` (a,).
+    typical : NDArray[np.float64]
+        Median command of each input (s,).
+    """
+    observer = profile.observers[0]
+    width = max(1, round(raise_s * observer.rate_hz))
+    worst = np.zeros(len(observer.faults))
+    for flight in flights:
+        chain = ObserverChain(observer, profile.name, profile.gate, VehicleClock(), lambda: 0)
+        sizes = [
+            np.abs(output.isolated) if output.armed else np.zeros(len(worst))
+            for sample, armed in flight
+            for output in chain.step(sample, armed)
+            if isinstance(output, Estimate)
+        ]
+        if len(sizes) >= width:
+            stood = np.lib.stride_tricks.sliding_window_view(np.stack(sizes), width, axis=0).min(axis=-1)
+            worst = np.maximum(worst, stood.max(axis=0))
+    commands = [sample.u for flight in flights for sample, armed in flight if armed]
+    return worst, np.asarray(np.median(np.stack(commands), axis=0))

@@ -1,0 +1,57 @@
+"""More motors than can be told apart together: a bank names the motor, and takes itself back when the fault ends."""
+
+import numpy as np
+import pytest
+from hexacopter import hexacopter_flight
+
+from monitor.event import AlarmEvent
+from monitor.profile import Profile, read_profile
+from replay.fit import fit_multirotor
+from replay.player import play
+
+
+@pytest.fixture(scope="module")
+def profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
+    folder = tmp_path_factory.mktemp("hexa") / "hexa"
+    fit_multirotor([lambda: hexacopter_flight(1, 60.0), lambda: hexacopter_flight(2, 60.0)], folder, "hexa")
+    return read_profile(folder)
+
+
+def alarms(profile: Profile, seed: int, loss: dict[int, float]) -> list[AlarmEvent]:
+    return [event for event in play(profile, hexacopter_flight(seed, 50.0, loss)).events if event.kind != "stale"]
+
+
+def seconds_after(event: AlarmEvent, moment_s: float) -> float:
+    return event.vehicle_time_ms / 1000 - 5.0 - moment_s
+
+
+def test_the_profile_holds_one_observer_for_each_motor(profile: Profile) -> None:
+    (observer,) = profile.observers
+    assert [gains.faults for gains in observer.gains] == [(f"motor{i}",) for i in range(1, 7)]
+    assert {f"motors.motor{i}.gains.json" for i in range(1, 7)} < set(profile.files)
+
+
+@pytest.mark.parametrize(("motor", "lost"), [(1, 0.1), (2, 0.2), (3, 0.15), (4, 0.3), (5, 0.1), (6, 0.15)])
+def test_the_failing_motor_alone_is_named_and_cleared_when_it_recovers(
+    profile: Profile, motor: int, lost: float
+) -> None:
+    events = alarms(profile, 10 + motor, {motor: lost})
+    assert {event.channel for event in events} == {f"motor{motor}"}
+    raised, *_, cleared = events
+    assert (raised.state, cleared.state) == ("raised", "cleared")
+    assert 0.0 < seconds_after(raised, 20.0) < 0.5
+    assert 0.0 < seconds_after(cleared, 40.0) < 5.0
+    relative = [event.relative for event in events[1:-1] if event.relative is not None]
+    assert np.median([*relative, raised.relative or 0.0]) == pytest.approx(-lost, abs=0.25 * lost)
+
+
+def test_a_healthy_flight_raises_nothing(profile: Profile) -> None:
+    assert alarms(profile, 30, {}) == []
+
+
+def test_what_no_single_motor_explains_is_said_to_be_unexplained(profile: Profile) -> None:
+    events = alarms(profile, 31, {1: 0.3, 3: 0.3, 6: 0.2})
+    first = next(event for event in events if event.channel == "unexplained")
+    assert (first.state, first.kind) == ("raised", "residual")
+    assert 0.0 < seconds_after(first, 20.0) < 2.0
+    assert "no known fault explains" in first.message
