@@ -10,7 +10,8 @@ hypothesis explains the data as long as J_k <= max(score_floor^2, tolerance^2 ma
 what model error makes of a fault that large. Of those that do, the ones with fewest faults are preferred, and among
 them the smallest J, to which gain_penalty is added for an actuator that would have to deliver more than commanded:
 actuators fail towards less, and two of opposite effect are told apart by little else. The one believed so far stays
-until another is clearly better, so noise does not make names flicker. Where none explains the data nobody is held responsible, and the score sqrt(min J) says how much is left.
+until another is clearly better, so noise does not make names flicker. Where none explains the data nobody is held
+responsible, and the score sqrt(min J) says how much is left.
 
 All observers run all the time and none is ever reset by another's verdict: when a fault has gone, its residuals return
 to their healthy size by themselves and the bank is armed for the next one.

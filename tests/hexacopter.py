@@ -1,4 +1,4 @@
-"""A simulated hexacopter that flies random manoeuvres in gusts and reports as an autopilot does: exact truth for banks."""
+"""A simulated hexacopter that flies random manoeuvres in gusts and reports as an autopilot does, with exact faults."""
 
 from __future__ import annotations
 

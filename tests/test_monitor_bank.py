@@ -1,4 +1,4 @@
-"""Banks: the hypothesis that explains the data names the fault, stays believed, and gives way when the fault has gone."""
+"""Banks: the hypothesis that explains the data names the fault, and gives way when the fault has gone."""
 
 import numpy as np
 import pytest
