@@ -40,13 +40,15 @@ from gains.theorem import design_theorem
 from monitor.observer import Observer
 from monitor.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILION
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from paper_gains import BETA, PRINTED
+
 ROOT = Path(__file__).parent.parent
 RATES_HZ = (100.0, 1000.0)
 DURATION_S = 50.0
 FAULT_RATE, FAST_FAULT_RATE = 20.0, 200.0
 GAIN_WEIGHT = 1e-6
 SETTLED = 0.05
-BETA = 100.0
 EPSILON, DELTA = 0.0112, 5.0
 CASES = ("case1", "case2", "case3")
 
@@ -60,23 +62,6 @@ PRINTED_SETTLING = {
     "Gao 2022, as printed": (0.099, 0.2396, 0.21),
     "Gao 2016, as printed": (2.791, 2.04, 0.9),
 }
-PRINTED_K = {
-    "arm": (
-        (-0.0261, 0.6630, 4.1125),
-        (0.8767, 11.3468, -23.8897),
-        (0.3344, 0.4541, -17.2965),
-        (-0.6458, -0.7730, 36.4162),
-        (1.2139, -0.6630, -4.1125),
-    ),
-    "arm-disturbed": (
-        (1.5587, 7.9111, 12.5406),
-        (28.1685, 144.2130, 124.2935),
-        (-26.3414, -116.4108, -203.3290),
-        (52.6611, 232.7129, 408.5888),
-        (-69.1253, -350.9884, -710.9153),
-    ),
-}
-PRINTED_L2 = {"arm": ((0.0, 66.5084, 183.6139),), "arm-disturbed": ((6.3355, 30.7302, 4.7777),)}
 # onset of f_a and the next jump; where the figure looks at f_a and at f_s
 ONSETS = {"case1": (20.0, 20.1), "case2": (10.0, 20.0), "case3": (15.0, 40.0)}
 WINDOWS = {
@@ -117,8 +102,8 @@ def with_rate(plant: Plant, rate: float) -> Plant:
 
 def printed_observer(plant: Plant) -> ContinuousObserver:
     """Return the observer with the gains that the paper prints: L_p = L_i = beta L2."""
-    law = BETA * np.array(PRINTED_L2[plant.name])
-    return fauio_observer(plant, np.array(PRINTED_K[plant.name]), law, law, "printed")
+    printed = PRINTED[plant.name]
+    return fauio_observer(plant, printed.K, BETA * printed.L2, BETA * printed.L2, "printed")
 
 
 def theorem2(plant: Plant) -> ContinuousObserver:

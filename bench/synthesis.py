@@ -29,7 +29,7 @@ from gains.synthesis import design_convex
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from gains_samples import flying_multirotor
 
-ARM_RATES = (10.0, 50.0, 100.0, 200.0, 1000.0)
+ARM_RATES = (10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 MULTIROTOR_RATE = 50.0
 
 

@@ -17,6 +17,9 @@ For actuator faults that ramp, integrators of order 2 estimate their rate r = (f
 
 so that A_a has [I, T I; 0, I] for its last I, [L1 E_f, 0] for L1 E_f, and r+ - r takes the place of df_a.
 
+With the slopes anywhere between their bounds, L1 G Delta H T in A_a is that of their mean plus Gs diag(delta) Hs with
+|delta_i| <= 1: a column of Gs and a row of Hs for each slope that varies.
+
 Each w is divided by its scale, df_a (or r+ - r) by rate / rate_hz, and each error by the size that matters.
 """
 
@@ -31,6 +34,7 @@ from gains.errors import InfeasibleError
 from gains.plant import FloatArray, Plant, check_independence
 
 LARGEST_VERTEX_COUNT = 1 << 10
+SAMPLE_COUNT = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,9 +56,13 @@ class ErrorModel:
     name : str
         The plant's name, for errors.
     slopes : FloatArray
-        Slope of each argument of each nonlinearity at each vertex (vertices, arguments).
+        Slope of each argument of each nonlinearity at each vertex (vertices, arguments), or at some of them.
     A : FloatArray
-        A_a at each vertex (vertices, na, na), na = nz + a1, or nz + 2 a1 with integrators of order 2.
+        A_a at each of these (vertices, na, na), na = nz + a1, or nz + 2 a1 with integrators of order 2.
+    mean, mean_slopes : FloatArray
+        A_a at the mean slopes (na, na), and these (arguments,).
+    G, H : FloatArray
+        Gs (na, k) and Hs (k, na) of the k slopes that vary.
     B, C, D : FloatArray
         (na, nw), (p, na) and (p, nw); columns of B and D: [w; w+; df_a], each in units of its scale.
     weights : FloatArray
@@ -66,6 +74,10 @@ class ErrorModel:
     name: str
     slopes: FloatArray
     A: FloatArray
+    mean: FloatArray
+    mean_slopes: FloatArray
+    G: FloatArray
+    H: FloatArray
     B: FloatArray
     C: FloatArray
     D: FloatArray
@@ -111,8 +123,10 @@ def augment(plant: Plant) -> Augmentation:
     return Augmentation(inverse[:, :n], inverse[:, n:], plant.A @ T, C_b)
 
 
-def error_model(plant: Plant, augmentation: Augmentation, integrator_order: int = 1) -> ErrorModel:
-    """Return the error system of a plant at every slope vertex.
+def error_model(
+    plant: Plant, augmentation: Augmentation, integrator_order: int = 1, *, sampled: bool = False
+) -> ErrorModel:
+    """Return the error system of a plant at every slope vertex, or at a sample of them.
 
     Parameters
     ----------
@@ -123,11 +137,13 @@ def error_model(plant: Plant, augmentation: Augmentation, integrator_order: int 
         Its L1, F, A_z and Cb.
     integrator_order : int
         1, or in discrete time 2.
+    sampled : bool
+        Whether the vertices of :func:`sampled_vertices` will do.
 
     Raises
     ------
     InfeasibleError
-        More slopes vary than vertices can be enumerated for.
+        More slopes vary than vertices can be enumerated for, and a sample will not do.
     """
     L1, F = augmentation.L1, augmentation.F
     nz, n = L1.shape
@@ -146,13 +162,23 @@ def error_model(plant: Plant, augmentation: Augmentation, integrator_order: int 
     B[:nz, :q], B[:nz, q : 2 * q] = L1 @ E, -F @ D
     B[na - a1 :, 2 * q :] = np.diag([fault.rate / (plant.rate_hz or 1.0) for fault in plant.actuator_faults])
     errors = [fault.error for fault in (*plant.sensor_faults, *plant.actuator_faults)]
-    slopes = slope_vertices(plant)
+    slopes = sampled_vertices(plant) if sampled else slope_vertices(plant)
+    middle, half, into, rows = _slope_ranges(plant)
+    varying = (half > 0.0) & np.any(L1 @ into, axis=0) & np.any(rows, axis=1)
+    G, H = np.zeros((na, np.sum(varying))), np.zeros((np.sum(varying), na))
+    G[:nz], H[:, :n] = (L1 @ into * half)[:, varying], rows[varying]
+    mean = A_a.copy()
+    mean[:nz, :n] += L1 @ into * middle @ rows
     A = np.repeat(A_a[None], len(slopes), axis=0)
-    A[:, :nz, :n] += L1 @ plant.G @ _gradients(plant, slopes)
+    A[:, :nz, :n] += (L1 @ into * slopes[:, None]) @ rows
     return ErrorModel(
         name=plant.name,
         slopes=slopes,
         A=A,
+        mean=mean,
+        mean_slopes=middle,
+        G=G,
+        H=H,
         B=B,
         C=np.hstack([augmentation.C_b, np.zeros((p, na - nz))]),
         D=np.hstack([D, np.zeros((p, q + a1))]),
@@ -175,36 +201,52 @@ def slope_vertices(plant: Plant) -> FloatArray:
     InfeasibleError
         There are more than ``LARGEST_VERTEX_COUNT``.
     """
-    bounds = [sorted(set(pair)) for g in plant.nonlinearities for pair in g.slopes.tolist()]
-    varying = sum(len(pair) > 1 for pair in bounds)
+    varying = varying_slopes(plant)
     if 1 << varying > LARGEST_VERTEX_COUNT:
         raise InfeasibleError(
-            f"{plant.name}: {varying} slopes vary, which makes 2^{varying} vertices; at most "
-            f"{LARGEST_VERTEX_COUNT} are handled: hold slopes constant or narrow the nonlinearity"
+            f"{plant.name}: {varying} slopes vary, which makes 2^{varying} vertices; at most {LARGEST_VERTEX_COUNT} "
+            "are handled: hold slopes constant or narrow the nonlinearity; 'fauio design --vertex-free' needs no "
+            "vertices"
         )
+    bounds = [sorted(set(pair)) for g in plant.nonlinearities for pair in g.slopes.tolist()]
     return np.array(list(itertools.product(*bounds))).reshape(1 << varying, len(bounds))
 
 
-def sloped_dynamics(plant: Plant) -> tuple[FloatArray, FloatArray]:
+def sampled_vertices(plant: Plant) -> FloatArray:
+    """Return ``SAMPLE_COUNT`` combinations of slope bounds, the lowest, the highest and random ones; fewer are all."""
+    if 1 << varying_slopes(plant) <= SAMPLE_COUNT:
+        return slope_vertices(plant)
+    low, high = np.array([pair for g in plant.nonlinearities for pair in g.slopes.tolist()]).T
+    up = np.random.default_rng(0).integers(0, 2, (SAMPLE_COUNT, len(low))) > 0
+    up[0], up[1] = False, True
+    return np.asarray(np.where(up, high, low), dtype=np.float64)
+
+
+def varying_slopes(plant: Plant) -> int:
+    """Return how many slopes are not constant: the number of vertices is 2 to that power."""
+    return sum(low < high for g in plant.nonlinearities for low, high in g.slopes.tolist())
+
+
+def sloped_dynamics(plant: Plant, *, sampled: bool = False) -> tuple[FloatArray, FloatArray]:
     """Return A + G Delta H (count, n, n) and the slopes (count, arguments), at their mean first, then at every vertex.
+
+    Where they are ``sampled``, the vertices are those of :func:`sampled_vertices`.
 
     Raises
     ------
     InfeasibleError
         Too many slopes vary.
     """
-    slopes = slope_vertices(plant)
+    slopes = sampled_vertices(plant) if sampled else slope_vertices(plant)
+    middle, _, into, rows = _slope_ranges(plant)
     if len(slopes) > 1:
-        slopes = np.vstack([slopes.mean(axis=0), slopes])
-    return np.asarray(plant.A + plant.G @ _gradients(plant, slopes), dtype=np.float64), slopes
+        slopes = np.vstack([middle, slopes])
+    return np.asarray(plant.A + (into * slopes[:, None]) @ rows, dtype=np.float64), slopes
 
 
-def _gradients(plant: Plant, slopes: FloatArray) -> FloatArray:
-    """Return Delta H at each vertex (vertices, m, n)."""
-    gradients = np.zeros((len(slopes), len(plant.nonlinearities), len(plant.states)))
-    first = 0
-    for i, g in enumerate(plant.nonlinearities):
-        last = first + len(g.arguments)
-        gradients[:, i] = slopes[:, first:last] @ g.rows
-        first = last
-    return gradients
+def _slope_ranges(plant: Plant) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the middle and half the width of each slope, and G (n, arguments) and H (arguments, n) of its argument."""
+    low, high = np.vstack([np.zeros((0, 2)), *(g.slopes for g in plant.nonlinearities)]).T
+    owner = [i for i, g in enumerate(plant.nonlinearities) for _ in g.arguments]
+    rows = np.vstack([np.zeros((0, len(plant.states))), *(g.rows for g in plant.nonlinearities)])
+    return 0.5 * (low + high), 0.5 * (high - low), plant.G[:, owner], rows

@@ -8,21 +8,31 @@ the bounded-real inequality of the theory
     [ *   *       mu I    D_e^T ]
     [ *   *       *       I     ]
 
-implies sum |e|^2 <= mu sum |[w; w+; df_a]|^2 (+ x~' P x~ at the start) for every g within its slopes.
+implies sum |e|^2 <= mu sum |[w; w+; df_a]|^2 (+ x~' P x~ at the start) for every g within its slopes. So does, without
+any vertex, the one inequality with the multipliers Lambda = diag(lambda) of a design
+
+    [ P   P A_e             P B_e   P Gs     0     ]
+    [ *   P - Hs^T Lambda Hs  0       0        C_e^T ]
+    [ *   *                 mu I    0        D_e^T ]  >= 0      A_e at the mean slopes
+    [ *   *                 *       Lambda   0     ]
+    [ *   *                 *       *        I     ]
+
+for w = delta Hs x~, |delta_i| <= 1, adds sum lambda_i ((Hs x~)_i^2 - w_i^2) >= 0: the slopes may even move. Its first
+two rows and the fourth, with r^2 P for P, bound the poles by r in the same way.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from gains.augment import Augmentation, ErrorModel, augment, error_model
+from gains.augment import Augmentation, ErrorModel, augment, error_model, varying_slopes
 from gains.design import Design
 from gains.discretise import discretise
-from gains.hinf import hinf_norm as level_set_norm
+from gains.hinf import hinf_norm
 from gains.plant import FloatArray, Plant
 
 _GRID = 240
@@ -40,25 +50,33 @@ class Certificate:
     Parameters
     ----------
     holds : bool
-        The inequality holds with a margin, the error system is stable and its norm is within the bound.
+        The inequality holds with a margin, the error system is stable, its norm is within the bound, and poles and
+        gains are within theirs.
+    proof : {"vertices", "multipliers"}
+        Whether the inequality was looked at for every slope vertex, or that with multipliers for all slopes at once.
+    slopes : int
+        At how many combinations of slopes the norm and the poles were computed: every vertex, or with multipliers
+        the mean and at most ``SAMPLE_COUNT`` vertices.
     margin : float
         Smallest eigenvalue, over the vertices, of the inequality scaled to unit diagonal, less a bound on the
         rounding errors of forming and decomposing it.
     norm : float
-        H-infinity norm of the scaled error system, worst slope vertex: a gain that it has, exact to nine digits;
+        H-infinity norm of the scaled error system, worst of those slopes: a gain that it has, exact to nine digits;
         infinite where it is unstable.
     norm_hz : float
         Frequency of that peak.
     norm_slopes : tuple[float, ...]
-        Slopes of that vertex.
+        Those slopes.
     poles_max_abs : float
-        Largest pole of the error system over the vertices.
+        Largest pole of the error system over those slopes.
     h2 : float
-        Bound of the H2 norm of the scaled error system at every vertex, sqrt(trace(B_e^T P B_e + D_e^T D_e)); it is
+        Bound of the H2 norm of the scaled error system at all slopes, sqrt(trace(B_e^T P B_e + D_e^T D_e)); it is
         proven where the certificate holds, because P - A_e^T P A_e - C_e^T C_e >= 0 then.
     """
 
     holds: bool
+    proof: Literal["vertices", "multipliers"]
+    slopes: int
     margin: float
     norm: float
     norm_hz: float
@@ -82,34 +100,42 @@ def certify(plant: Plant, design: Design) -> Certificate:
     plant : Plant
         The model the design was made for, continuous or discrete.
     design : Design
-        Gains, P and mu.
+        Gains, P and mu, and multipliers where it has them.
 
     Raises
     ------
     ModelError, InfeasibleError
-        The plant cannot be sampled at the design's rate, or has too many vertices.
+        The plant cannot be sampled at the design's rate, or has too many vertices and the design no multipliers.
     """
     discrete = discretise(plant, design.rate_hz)
     augmentation = augment(discrete)
-    model = error_model(discrete, augmentation, design.integrator_order)
+    free = design.multipliers is not None
+    model = error_model(discrete, augmentation, design.integrator_order, sampled=free)
     injection = np.vstack([design.K + augmentation.L1 @ discrete.E_f @ design.L_p, design.L_i])
     C_e, D_e = model.output(design.L_p)
     B_e = model.B - injection @ model.D
-    closed = model.A - injection @ model.C
-    margin = min(_margin(model, vertex, injection, design) for vertex in range(len(closed)))
+    slopes, dynamics = model.slopes, model.A
+    if free:
+        slopes, dynamics = np.vstack([model.mean_slopes, slopes]), np.concatenate([model.mean[None], dynamics])
+    closed = dynamics - injection @ model.C
+    margin = _margin(model, injection, design)
     poles = float(np.max(np.abs(np.linalg.eigvals(closed))))
-    norms = [level_set_norm(A_e, B_e, C_e, D_e, discrete=True) for A_e in closed]
+    norms = [hinf_norm(A_e, B_e, C_e, D_e, discrete=True) for A_e in closed]
     worst = max(range(len(norms)), key=lambda vertex: norms[vertex].lower)
     upper = max(norm.upper for norm in norms)
     return Certificate(
         holds=margin > 0.0
         and poles < 1.0
+        and poles <= design.pole_radius
+        and design.gain_max_abs <= design.gain_bound
         and upper <= design.sqrt_mu * (1.0 + _CONSISTENCY)
         and _consistent(design, augmentation),
+        proof="multipliers" if free else "vertices",
+        slopes=len(closed),
         margin=margin,
         norm=norms[worst].lower,
         norm_hz=norms[worst].omega * design.rate_hz / (2.0 * math.pi),
-        norm_slopes=tuple(model.slopes[worst].tolist()),
+        norm_slopes=tuple(slopes[worst].tolist()),
         poles_max_abs=poles,
         h2=math.sqrt(max(float(np.sum(B_e * (design.P @ B_e)) + np.sum(D_e**2)), 0.0)) * (1.0 + _CONSISTENCY),
     )
@@ -130,15 +156,31 @@ def report(plant: Plant, design: Design, certificate: Certificate) -> dict[str, 
         "h2": certificate.h2,
         "poles_max_abs": certificate.poles_max_abs,
         "gain_max_abs": design.gain_max_abs,
-        "certificate": {"holds": certificate.holds, "margin": certificate.margin},
+        "gain_weight": design.gain_weight,
+        "certificate": {
+            "holds": certificate.holds,
+            "margin": certificate.margin,
+            "proof": certificate.proof,
+            "slopes": certificate.slopes,
+        },
         "fault_rate": {fault.name: fault.rate for fault in plant.actuator_faults},
         "solve_s": design.solve_s,
         "total_s": design.total_s,
-        "notes": list(design.notes),
+        "notes": [*design.notes, *_sample_note(plant, certificate)],
     }
 
 
-def hinf_norm(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Peak:
+def _sample_note(plant: Plant, certificate: Certificate) -> tuple[str, ...]:
+    varying = varying_slopes(plant)
+    if certificate.slopes >= 1 << varying:
+        return ()
+    return (
+        f"norm and poles are those of the mean slopes and {certificate.slopes - 1} of their 2^{varying} vertices; "
+        "the bound is proven at all",
+    )
+
+
+def grid_norm(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Peak:
     """Return the largest singular value of C (zI - A)^-1 B + D over the unit circle.
 
     A grid that is logarithmic towards angle 0, with the angles of the poles, is refined around its highest
@@ -173,40 +215,70 @@ def _gains(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, angles: F
     return norms
 
 
-def _margin(model: ErrorModel, vertex: int, injection: FloatArray, design: Design) -> float:
-    """Return the smallest eigenvalue of the scaled inequality less the bound on its rounding error."""
-    A, B, P = model.A[vertex], model.B, design.P
-    PA, PB = P @ (A - injection @ model.C), P @ (B - injection @ model.D)
+def _margin(model: ErrorModel, injection: FloatArray, design: Design) -> float:
+    """Return the smallest margin of the inequalities that prove a design."""
+    if design.multipliers is None:
+        return min(_inequality_margin(model, A, injection, design, np.zeros(0)) for A in model.A)
+    bound, decay = design.multipliers
+    margin = _inequality_margin(model, model.mean, injection, design, bound)
+    if design.pole_radius < 1.0:
+        margin = min(margin, _inequality_margin(model, model.mean, injection, design, decay, decaying=True))
+    return margin
+
+
+def _inequality_margin(
+    model: ErrorModel,
+    A: FloatArray,
+    injection: FloatArray,
+    design: Design,
+    multipliers: FloatArray,
+    *,
+    decaying: bool = False,
+) -> float:
+    """Return the smallest eigenvalue of the scaled inequality less the bound on its rounding error.
+
+    Without multipliers it is that of one vertex. ``decaying`` takes the inequality of the poles.
+    """
+    used = slice(0) if decaying else slice(None)
+    P, (na, k), ne = design.P, (len(design.P), len(multipliers)), len(model.weights[used])
+    B, D, G, H = model.B[:, used], model.D[:, used], model.G[:, :k], model.H[:k]
     C_e, D_e = model.output(design.L_p)
-    (na, nw), ne = PB.shape, len(C_e)
-    inequality = _layout(P, PA, PB, C_e, D_e) + np.diag(np.repeat([0.0, design.mu, 1.0], [2 * na, nw, ne]))
+    C_e, D_e = C_e[used], np.hstack([D_e[used, used], np.zeros((ne, k))])
+    radius = design.pole_radius if decaying else 1.0
+    PA, PB = P @ (A - injection @ model.C), np.hstack([P @ (B - injection @ D), P @ G])
+    inequality = _layout(P, radius**2 * P - (H.T * multipliers) @ H, PA, PB, C_e, D_e)
+    inequality += np.diag(np.concatenate([np.zeros(2 * na), np.full(B.shape[1], design.mu), multipliers, np.ones(ne)]))
     diagonal = np.diag(inequality)
     if np.any(diagonal <= 0.0):
         return -math.inf
-    gain = np.abs(injection)
+    gain, size = np.abs(injection), np.abs(P)
     direct = model.weights[:, None] * np.vstack([np.zeros_like(design.K), np.abs(design.L_p)])
+    own = model.weights[:, None] * np.eye(len(direct), na)
     rounding = _layout(
         np.zeros_like(P),
-        np.abs(P) @ (np.abs(A) + gain @ np.abs(model.C)),
-        np.abs(P) @ (np.abs(B) + gain @ np.abs(model.D)),
-        direct @ np.abs(model.C) + model.weights[:, None] * np.eye(ne, na),
-        direct @ np.abs(model.D),
+        size + (np.abs(H).T * multipliers) @ np.abs(H) if k else np.zeros_like(P),
+        size @ (np.abs(A) + gain @ np.abs(model.C)),
+        np.hstack([size @ (np.abs(B) + gain @ np.abs(D)), size @ np.abs(G)]),
+        (direct @ np.abs(model.C) + own)[used],
+        np.hstack([(direct @ np.abs(model.D))[used, used], np.zeros((ne, k))]),
     )
     scale = 1.0 / np.sqrt(diagonal)
     eigenvalues = np.linalg.eigvalsh(inequality * scale * scale[:, None])
-    formed = (2 * na + len(model.C) + 4) * np.linalg.norm(rounding * scale * scale[:, None], np.inf)
+    formed = (2 * na + len(model.C) + k + 4) * np.linalg.norm(rounding * scale * scale[:, None], np.inf)
     decomposed = 10 * len(scale) * eigenvalues[-1]
     return float(eigenvalues[0] - _UNIT_ROUNDOFF * (formed + decomposed))
 
 
-def _layout(P: FloatArray, PA: FloatArray, PB: FloatArray, C_e: FloatArray, D_e: FloatArray) -> FloatArray:
-    """Return the blocks of the inequality but for mu I and I on its diagonal."""
+def _layout(
+    P: FloatArray, remainder: FloatArray, PA: FloatArray, PB: FloatArray, C_e: FloatArray, D_e: FloatArray
+) -> FloatArray:
+    """Return the blocks of the inequality but for mu I, Lambda and I on its diagonal."""
     (na, nw), ne = PB.shape, len(C_e)
     zero = np.zeros
     return np.block(
         [
             [P, PA, PB, zero((na, ne))],
-            [PA.T, P, zero((na, nw)), C_e.T],
+            [PA.T, remainder, zero((na, nw)), C_e.T],
             [PB.T, zero((nw, na)), zero((nw, nw)), D_e.T],
             [zero((ne, na)), C_e, D_e, zero((ne, ne))],
         ]

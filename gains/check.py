@@ -18,11 +18,11 @@ from gains.estimability import (
     Problem,
     estimability,
     hides_at_every_frequency,
+    late_faults,
     problem_of,
     restricted,
-    unattacked_outputs,
 )
-from gains.hidden_modes import row_norms, signal_scales, step_matrix
+from gains.hidden_modes import signal_scales, step_matrix
 from gains.plant import FloatArray, Plant, first_dependent
 from gains.zeros import Zero, invariant_zeros
 
@@ -30,9 +30,7 @@ Effect = Literal["steady", "change", "ramp", "none"]
 
 LEAK_S = 60.0
 _MOST_EXPLAINED = 20
-_SEEN_TOLERANCE = 1e-6
 _EFFECT_TOLERANCE = 1e-11
-_SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,22 +138,6 @@ def check_plant(plant: Plant, rate_hz: float | None = None) -> Check:
         zeros=invariant_zeros(plant) if first_dependent(plant.D_f) is None else (),
         structure=structure_matrix(plant),
     )
-
-
-def late_faults(plant: Plant) -> tuple[str, ...]:
-    """Return the actuator faults that move while Cb L1 E_f f_a is zero: no output that is not attacked jumps.
-
-    Cb L1 E_f has the kernel of Pi C E_f, where Pi D_f = 0.
-    """
-    if not plant.actuator_faults:
-        return ()
-    size = plant.state_errors
-    through, into = unattacked_outputs(plant) * size, plant.E_f / size[:, None]
-    seen = through @ into / row_norms(through)[:, None] / np.linalg.norm(into, axis=0)
-    _, singular, right = np.linalg.svd(seen)
-    unseen = right[int(np.sum(singular > _SEEN_TOLERANCE)) :]
-    moving = np.max(np.abs(unseen), axis=0, initial=0.0) > _SHARE
-    return tuple(fault.name for fault, late in zip(plant.actuator_faults, moving, strict=True) if late)
 
 
 def structure_matrix(plant: Plant) -> dict[str, dict[str, Effect]]:

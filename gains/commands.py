@@ -19,6 +19,14 @@ if TYPE_CHECKING:
 _THEOREMS = ("theorem1", "theorem2")
 _BASELINES = ("gao2022", "gao2016", "chen2006", "zhang2008", "ekf")
 _SCALARS = ("beta", "epsilon", "delta")
+_DISCRETE_OPTIONS = {
+    "integrator_order": 1,
+    "h2": 0.0,
+    "gain_weight": None,
+    "gain_bound": None,
+    "vertex_free": False,
+    "common_p": None,
+}
 
 
 def add_parsers(subparsers: Any) -> None:
@@ -83,6 +91,33 @@ def add_parsers(subparsers: Any) -> None:
         metavar="ALPHA",
         help="from 0, the best bound in the worst case, to 1, the least error under white noise (0)",
     )
+    parser.add_argument(
+        "--gain-weight",
+        type=float,
+        metavar="RHO",
+        help="price of the gains against the bound: less follows harmless noise more closely (0.001)",
+    )
+    parser.add_argument(
+        "--gain-bound",
+        type=float,
+        metavar="X",
+        help="largest entry of the gains K, L_i and L_p (any)",
+    )
+    parser.add_argument(
+        "--vertex-free",
+        action="store_true",
+        help="prove all slopes at once, in place of each combination of their bounds (where these are too many)",
+    )
+    parser.add_argument(
+        "--common-p",
+        type=Path,
+        metavar="GAINS.json",
+        help="keep the Lyapunov matrix of an earlier design of this model and rate: either's gains may then take the "
+        "other's place while they run",
+    )
+    parser.add_argument(
+        "--faults", metavar="NAME,...", help="design for these of the model's faults alone, as one hypothesis of a bank"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.set_defaults(handler=run_design)
     _add_check(subparsers)
@@ -101,6 +136,8 @@ def run_design(args: argparse.Namespace) -> int:
             raise ModelError(f"{model.name}: a fault rate of {args.fault_rate} per second is not positive")
         rated = (replace(fault, rate=args.fault_rate) for fault in model.faults)
         plant = replace(model, faults=tuple(rated))
+    if args.faults is not None:
+        plant = _only(plant, args.faults)
     try:
         if args.method == "all":
             return _compare(plant, args, model_hash(model))
@@ -109,12 +146,31 @@ def run_design(args: argparse.Namespace) -> int:
         if args.json:
             _print_json(_failure(plant, args, error))
         raise
-    found["floor"] = _floor(plant, found)
+    found |= {"floor": _floor(plant, found), "reason": None}
     if args.json:
         _print_json(found)
     else:
-        sys.stdout.write(_text(found, args.out))
+        from gains.design_text import text
+
+        sys.stdout.write(text(found, args.out))
     return 0
+
+
+def _only(plant: Plant, names: str) -> Plant:
+    """Return the plant with the named faults alone.
+
+    Raises
+    ------
+    ModelError
+        One is no fault of the model.
+    """
+    from gains.estimability import restricted
+
+    wanted = tuple(name.strip() for name in names.split(","))
+    known = [fault.name for fault in plant.faults]
+    if strange := [name for name in wanted if name not in known]:
+        raise ModelError(f"{plant.name}: --faults names '{strange[0]}'; the model has {', '.join(known)}")
+    return restricted(plant, wanted)
 
 
 def _compare(plant: Plant, args: argparse.Namespace, model_hash: str) -> int:
@@ -130,7 +186,7 @@ def _compare(plant: Plant, args: argparse.Namespace, model_hash: str) -> int:
         one = argparse.Namespace(**{**vars(args), "method": method, "continuous": continuous})
         try:
             found = _design(plant, one, model_hash)
-            found["floor"] = _floor(plant, found)
+            found |= {"floor": _floor(plant, found), "reason": None}
         except (InfeasibleError, ModelError) as error:
             found = _failure(plant, one, error)
         if args.json:
@@ -176,9 +232,9 @@ def run_check(args: argparse.Namespace) -> int:
 def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str, Any]:
     """Design, certify, write the file that was asked for and return the report."""
     if args.method in _BASELINES or _continuous(args):
-        for option, asked in (("integrator-order", args.integrator_order != 1), ("h2", args.h2 != 0.0)):
-            if asked:
-                raise ModelError(f"{plant.name}: --{option} belongs to the discrete convex synthesis")
+        for option, default in _DISCRETE_OPTIONS.items():
+            if getattr(args, option) != default:
+                raise ModelError(f"{plant.name}: --{option.replace('_', '-')} belongs to the discrete convex synthesis")
     if args.method in _BASELINES:
         return _design_baseline(plant, args, model_hash)
     if _continuous(args):
@@ -188,12 +244,23 @@ def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str
     from dataclasses import replace
 
     from gains.certificate import certify, report
-    from gains.compilation import compile_gains
-    from gains.gains_file import write_gains
-    from gains.synthesis import design_convex
+    from gains.compilation import common_matrix, compile_gains
+    from gains.gains_file import read_gains, write_gains
+    from gains.synthesis import GAIN_WEIGHT, design_convex
 
+    P = None
+    if args.common_p is not None:
+        P = common_matrix(plant, args.rate, read_gains(args.common_p), str(args.common_p))
     design = design_convex(
-        plant, args.rate, pole_radius=args.pole_radius, integrator_order=args.integrator_order, h2=args.h2
+        plant,
+        args.rate,
+        pole_radius=args.pole_radius,
+        gain_weight=GAIN_WEIGHT if args.gain_weight is None else args.gain_weight,
+        gain_bound=args.gain_bound,
+        integrator_order=args.integrator_order,
+        h2=args.h2,
+        vertices=False if args.vertex_free else None,
+        P=P,
     )
     certificate = certify(plant, design)
     if args.out is not None:
@@ -260,23 +327,38 @@ def _continuous_design(plant: Plant, args: argparse.Namespace) -> ContinuousDesi
 
 
 def _failure(plant: Plant, args: argparse.Namespace, error: ValueError) -> dict[str, Any]:
-    """Return the report of a design that does not exist."""
-    return {
+    """Return the report of a design that does not exist, with the keys of one that does."""
+    continuous = _continuous(args)
+    failure: dict[str, Any] = {
         "model": plant.name,
         "method": args.method,
-        "domain": "continuous" if _continuous(args) else "discrete",
+        "domain": "continuous" if continuous else "discrete",
         "rate_hz": plant.rate_hz if args.rate is None else args.rate,
         "status": "inaccurate" if isinstance(error, InaccurateError) else "infeasible",
         "sqrt_mu": None,
         "norm": None,
-        "poles_max_re" if _continuous(args) else "poles_max_abs": None,
+        "norm_hz": None,
+        **(dict.fromkeys(("poles_max_re", "poles_min_re")) if continuous else {"poles_max_abs": None}),
         "gain_max_abs": None,
         "certificate": {"holds": False, "margin": None},
         "solve_s": None,
         "total_s": None,
+        "notes": [],
         "floor": None,
         "reason": str(error),
     }
+    if args.method == "convex" and not continuous:
+        failure |= {
+            "integrator_order": args.integrator_order,
+            "h2": None,
+            "gain_weight": args.gain_weight,
+            "certificate": {"holds": False, "margin": None, "proof": None, "slopes": 0},
+        }
+    if args.method not in _BASELINES:
+        failure["fault_rate"] = {fault.name: fault.rate for fault in plant.actuator_faults}
+    elif continuous:
+        del failure["poles_min_re"]
+    return failure
 
 
 def _floor(plant: Plant, found: dict[str, Any]) -> float | None:
@@ -286,31 +368,6 @@ def _floor(plant: Plant, found: dict[str, Any]) -> float | None:
     rate_hz = found["rate_hz"] if found["domain"] == "discrete" else None
     floor = floor_sqrt_mu(plant, rate_hz, found.get("integrator_order", 1))
     return floor.value if math.isfinite(floor.value) else None
-
-
-def _text(found: dict[str, Any], out: Path | None) -> str:
-    continuous = found["domain"] == "continuous"
-    at = "" if found["rate_hz"] is None else f" at {found['rate_hz']:g} Hz"
-    where = "infinite frequency" if found["norm_hz"] is None else f"{found['norm_hz']:.3g} Hz"
-    lines = [
-        f"{found['model']}: {'continuous ' if continuous else ''}{found['method']} design{at}",
-        *([] if found["sqrt_mu"] is None else [f"  certified sqrt(mu)  {found['sqrt_mu']:.6g}"]),
-        *([] if found["floor"] is None else [f"  no observer below   {found['floor']:.6g}"]),
-        *([] if found["norm"] is None else [f"  H-infinity norm     {found['norm']:.6g} at {where}"]),
-        *([] if found.get("h2") is None else [f"  H2 norm at most     {found['h2']:.6g}"]),
-        f"  certificate         holds with margin {found['certificate']['margin']:.2g}"
-        if found["certificate"]["holds"]
-        else "  certificate         none",
-        f"  slowest pole        {found['poles_max_re']:.4g} rad/s"
-        if continuous
-        else f"  largest pole        {found['poles_max_abs']:.6f}",
-        f"  largest gain        {found['gain_max_abs']:.4g}",
-        f"  time                {found['solve_s']:.2f} s in the solver, {found['total_s']:.2f} s in all",
-        *(f"  note                {note}" for note in found["notes"]),
-    ]
-    if out is not None:
-        lines.append(f"  written to          {out}")
-    return "\n".join(lines) + "\n"
 
 
 def _print_json(found: dict[str, Any]) -> None:

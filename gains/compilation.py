@@ -11,13 +11,15 @@ Integrators of order 2 have q = [q1; q2], fa^ = q1 + L_p yt and q1+ = q1 + T q2 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from gains.augment import augment, integrators
 from gains.certificate import Certificate, report
 from gains.design import Design
 from gains.discretise import discretise
-from gains.errors import InaccurateError
+from gains.errors import InaccurateError, ModelError
 from gains.gains_file import Gains, ScalarNonlinearity
 from gains.model_file import model_hash
 from gains.plant import FloatArray, Plant
@@ -98,8 +100,54 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
         F=design.F,
         N=design.N,
         J=design.J,
-        report=report(plant, design, certificate),
+        report=_provable(report(plant, design, certificate), design),
     )
+
+
+def common_matrix(plant: Plant, rate_hz: float | None, gains: Gains, source: str) -> FloatArray:
+    """Return the Lyapunov matrix of an earlier design, for another one whose gains may be exchanged with it.
+
+    Parameters
+    ----------
+    plant, rate_hz
+        Model and rate of the design to come.
+    gains : Gains
+        The earlier design.
+    source : str
+        Where it comes from, for errors.
+
+    Raises
+    ------
+    ModelError
+        The gains keep no such matrix, or their errors are not those of this model at this rate.
+    """
+    rate_hz = plant.rate_hz if rate_hz is None else rate_hz
+    faults = tuple(fault.name for fault in (*plant.actuator_faults, *plant.sensor_faults))
+    for what, here, there in (
+        ("list of states is", plant.states, gains.states),
+        ("list of outputs is", plant.outputs, gains.outputs),
+        ("list of faults is", faults, gains.faults),
+        ("rate is", rate_hz, gains.rate_hz),
+    ):
+        if here != there:
+            raise ModelError(f"{source}: its {what} not that of {plant.name}: the designs cannot share a proof")
+    augmentation = augment(discretise(plant, gains.rate_hz))
+    if gains.F.shape != augmentation.F.shape or not np.allclose(gains.F, augmentation.F, rtol=1e-9, atol=0.0):
+        raise ModelError(f"{source}: its sensors or errors that matter are not those of {plant.name}")
+    certificate = gains.report.get("certificate")
+    try:
+        P = np.array(certificate["P"], dtype=np.float64)  # type: ignore[index]  # what is no table fails here
+    except (TypeError, KeyError, ValueError) as error:
+        raise ModelError(f"{source}: its certificate has no 'P'; make the file again with 'fauio design'") from error
+    if P.ndim != 2 or P.shape != P.T.shape or not np.all(np.isfinite(P)) or np.linalg.eigvalsh(P)[0] <= 0.0:
+        raise ModelError(f"{source}: 'P' of its certificate is not a positive definite matrix")
+    return P
+
+
+def _provable(found: dict[str, Any], design: Design) -> dict[str, Any]:
+    """Return the report of a design with what proves it: P and, where it has them, the multipliers of the slopes."""
+    multipliers = None if design.multipliers is None else design.multipliers.tolist()
+    return {**found, "certificate": {**found["certificate"], "P": design.P.tolist(), "multipliers": multipliers}}
 
 
 def _initial_matrix(plant: Plant, design: Design, nq: int, delays: int) -> FloatArray:

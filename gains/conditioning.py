@@ -1,6 +1,6 @@
 """Coordinates in which the synthesis is well scaled: those of a Kalman filter's own errors.
 
-For the error system of :mod:`gains.augment` at the mean of its slope vertices, driven by white noise of the
+For the error system of :mod:`gains.augment` at its mean slopes, driven by white noise of the
 size of its weights, the stationary covariance of the one-step errors is S S', that of the innovations Y Y'.
 In the coordinates S^-1 [zeta~; z] and Y^-1 yt every error and every innovation is of size one, whatever the
 units. The norm of that filter says how large mu is going to be.
@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gains.augment import ErrorModel
-from gains.certificate import hinf_norm
+from gains.certificate import grid_norm
 from gains.errors import InfeasibleError
 from gains.plant import FloatArray
 
@@ -32,11 +32,14 @@ class Coordinates:
     mu: float
 
 
-def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0) -> Coordinates:
+def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0, caution: float = 0.0) -> Coordinates:
     """Return the coordinates of a model.
 
     With a pole radius below one they are those of the filter whose poles lie within it: the Kalman filter of the
     model with A divided by the radius (prescribed degree of stability).
+
+    With caution the filter has smaller gains, for it takes the outputs to have as much more noise: in units of what
+    the errors that matter make of them.
 
     States and outputs get a floor of fictitious noise, ``FLOOR`` of their own stationary error, because a
     direction without any noise would be known exactly and have no scale.
@@ -46,8 +49,9 @@ def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0) -> Coordinat
     InfeasibleError
         The Riccati equation has no solution that numbers can represent.
     """
-    A, C = model.A.mean(axis=0) / pole_radius, model.C
+    A, C = model.mean / pole_radius, model.C
     Q, S, R = model.B @ model.B.T, model.B @ model.D.T, model.D @ model.D.T
+    R = R + caution**2 * np.diag(np.max(np.abs(C) * model.sizes, axis=1) ** 2)
     smallest = (_SMALLEST_SHARE * model.sizes) ** 2
     variance = np.maximum(np.diag(Q), smallest)
     try:
@@ -69,7 +73,7 @@ def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0) -> Coordinat
     floored = with_floor(model, S_factor, Y_factor)
     nz = len(model.weights) - model.a1
     C_e, D_e = floored.output(direct[nz : nz + model.a1])
-    norm = hinf_norm(A - gain @ C, floored.B - gain @ floored.D, C_e, D_e)
+    norm = grid_norm(A - gain @ C, floored.B - gain @ floored.D, C_e, D_e)
     return Coordinates(S_factor, Y_factor, norm.value**2)
 
 

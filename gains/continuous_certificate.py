@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from gains.augment import augment, error_model
-from gains.continuous_design import ContinuousDesign, ErrorSystem, error_system
+from gains.continuous_design import ContinuousDesign, ErrorSystem, closed_error_system
 from gains.continuous_observer import fauio_gains
 from gains.hinf import hinf_norm
 from gains.plant import FloatArray, Plant
@@ -77,7 +77,7 @@ def certify_continuous(plant: Plant, design: ContinuousDesign) -> ContinuousCert
         The plant has too many vertices.
     """
     model = error_model(plant, augment(plant))
-    system = error_system(model, design.gains, design.fault_state)
+    system = closed_error_system(model, design.gains, design.fault_state)
     margin = inequality_margin(system, design.P, design.mu)
     poles = np.linalg.eigvals(system.A).real
     norms = [hinf_norm(A_e, system.B, system.C, system.D, discrete=False) for A_e in system.A]

@@ -75,7 +75,7 @@ class ErrorSystem(NamedTuple):
     D: FloatArray
 
 
-def error_system(model: ErrorModel, gains: FauioGains, fault_state: FaultState) -> ErrorSystem:
+def closed_error_system(model: ErrorModel, gains: FauioGains, fault_state: FaultState) -> ErrorSystem:
     """Close the error system of a continuous plant.
 
     With Kb = K + L1 E_f L_p the state [zeta~; z] obeys

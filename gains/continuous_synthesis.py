@@ -32,15 +32,15 @@ from typing import Any
 import numpy as np
 
 from gains.augment import ErrorModel, augment, error_model
+from gains.bounded_real import SOLVER, bordered
 from gains.conditioning import FLOOR, Coordinates, doubled
 from gains.continuous_certificate import certify_continuous
-from gains.continuous_design import ContinuousDesign, ErrorSystem, error_system
+from gains.continuous_design import ContinuousDesign, ErrorSystem, closed_error_system
 from gains.continuous_observer import check_continuous, fauio_gains
 from gains.errors import InaccurateError, InfeasibleError, ModelError
 from gains.existence import check_existence
 from gains.hinf import hinf_norm
 from gains.plant import FloatArray, Plant
-from gains.synthesis import SOLVER
 
 GAIN_WEIGHT = 1e-4
 _SLACKS = (1e-4, 1e-3, 1e-2)
@@ -104,13 +104,13 @@ def design_continuous(
         raise ModelError(f"{plant.name}: a gain weight of {gain_weight} is not positive")
     augmentation = augment(plant)
     model = error_model(plant, augmentation)
-    notes = check_existence(plant, augmentation, model)
+    notes = check_existence(plant)
     scaled = _scaled(model, low)
     injection, L_p, solve_s = _gains(model, scaled, decay, gain_weight)
     nz = len(augmentation.L1)
     K = injection[:nz] - augmentation.L1 @ plant.E_f @ L_p
     gains = fauio_gains(plant, K, injection[nz:], L_p)
-    system = error_system(model, gains, "integral")
+    system = closed_error_system(model, gains, "integral")
     for P, mu, seconds in proofs(system, scaled.coordinates.S):
         solve_s += seconds
         design = ContinuousDesign("convex", gains, P, mu, solve_s=solve_s, notes=notes)
@@ -130,7 +130,7 @@ def _scaled(model: ErrorModel, low: float) -> _Scaled:
     States and outputs get a floor of fictitious noise, ``FLOOR`` of their own stationary error within the
     filter's time constant 1 / omega, because a direction without any noise would have no scale.
     """
-    A, C = model.A.mean(axis=0) + low * np.eye(len(model.weights)), model.C
+    A, C = model.mean + low * np.eye(len(model.weights)), model.C
     Q, S, R = model.B @ model.B.T, model.B @ model.D.T, model.D @ model.D.T
     smallest = (_SMALLEST_SHARE / model.weights) ** 2
     omega = max(1.0, low)
@@ -285,17 +285,6 @@ def _proof(system: ErrorSystem, mu_fixed: float | None = None) -> tuple[float | 
     if P.value is None or value is None:
         return None, np.zeros((0, 0)), seconds
     return float(value), P.value, seconds
-
-
-def bordered(blocks: list[list[Any]], border: list[Any]) -> Any:
-    """Return the block matrix with the given last block row (and column) and an identity in the corner."""
-    import cvxpy as cp
-
-    if border:
-        size = border[0].shape[0]
-        blocks = [[*row, block.T] for row, block in zip(blocks, border, strict=True)]
-        blocks.append([*border, np.eye(size)])
-    return cp.bmat(blocks)
 
 
 def solve(program: Any) -> float:

@@ -31,6 +31,13 @@ class Design:
         Matrix of the bounded-real inequality (na, na), na = nz + a1 times the order of the integrators.
     mu : float
         The bound: |e|^2 summed over time is at most mu times that of the scaled [w; w+; df_a].
+    multipliers : FloatArray | None
+        Multipliers of the slopes that vary (2, k) where they prove the bound, and the pole radius, in place of the
+        vertices.
+    pole_radius, gain_bound : float
+        What was asked for: the largest size of a pole, and of an entry of the gains.
+    gain_weight : float
+        The price of the gains that the design was found with.
     status : {"optimal"}
         A design exists only where its certificate holds; failures are errors.
     solve_s, total_s : float
@@ -50,6 +57,10 @@ class Design:
     J: FloatArray
     P: FloatArray
     mu: float
+    multipliers: FloatArray | None = None
+    pole_radius: float = 1.0
+    gain_bound: float = math.inf
+    gain_weight: float = 0.0
     status: Literal["optimal"] = "optimal"
     solve_s: float = 0.0
     total_s: float = 0.0

@@ -16,7 +16,7 @@ parts are estimable while it is not is a smallest reason.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -30,6 +30,7 @@ Condition = Literal["hidden mode", "rank of E_f", "rank of D_f", "detectability 
 
 LARGEST_TEST_COUNT = 5000
 _MOST_GROWN = 20
+_SEEN_TOLERANCE = 1e-6
 _SHARE = 0.05
 _GENERIC_TOLERANCE = 1e-9
 _GENERIC = (0.37 + 0.61j, 0.83 - 0.29j)
@@ -154,12 +155,12 @@ def problem_of(plant: Plant, faults: Iterable[str]) -> Problem | None:
     """
     part = restricted(plant, faults)
     names = tuple(fault.name for fault in part.faults)
-    if first_dependent(part.E_f) is not None:
+    if first_dependent(part.E_f / part.state_errors[:, None]) is not None:
         return Problem(names, "rank of E_f", 0j, (), at_every_frequency=True)
     if first_dependent(part.D_f) is not None:
         return Problem(names, "rank of D_f", 0j, (), at_every_frequency=True)
     for A in sloped_dynamics(part)[0]:
-        for condition, found in _conditions(part, A):
+        for condition, found in conditions(part, A):
             if found and found[0].stays:
                 return Problem(
                     faults=names,
@@ -188,8 +189,8 @@ def continuous_mode(eigenvalue: complex, plant: Plant) -> complex:
     return 0j if abs(s) < 1e-7 * plant.rate_hz else s
 
 
-def _conditions(plant: Plant, A: FloatArray) -> Iterable[tuple[Condition, list[HiddenMode]]]:
-    """Yield the hidden modes that each existence condition is about, at given slopes."""
+def conditions(plant: Plant, A: FloatArray) -> Iterator[tuple[Condition, list[HiddenMode]]]:
+    """Yield the hidden modes that each existence condition is about, at given slopes: of x, or of [x; f_a]."""
     n, a1, a2 = len(plant.states), len(plant.actuator_faults), len(plant.sensor_faults)
     scales = signal_scales(plant)
     yield "hidden mode", hidden_modes(A, plant.C, scales[:n], plant.domain)
@@ -215,6 +216,22 @@ def unattacked_outputs(plant: Plant) -> FloatArray:
     combined = np.asarray(kernel(directions.T).T @ (plant.C / rows[:, None]), dtype=np.float64)
     combined[np.linalg.norm(combined * states, axis=1) < _GENERIC_TOLERANCE] = 0.0
     return combined
+
+
+def late_faults(plant: Plant) -> tuple[str, ...]:
+    """Return the actuator faults that move while Cb L1 E_f f_a is zero: no output that is not attacked jumps.
+
+    Cb L1 E_f has the kernel of Pi C E_f, where Pi D_f = 0.
+    """
+    if not plant.actuator_faults:
+        return ()
+    size = plant.state_errors
+    through, into = unattacked_outputs(plant) * size, plant.E_f / size[:, None]
+    seen = through @ into / row_norms(through)[:, None] / np.linalg.norm(into, axis=0)
+    _, singular, right = np.linalg.svd(seen)
+    unseen = right[int(np.sum(singular > _SEEN_TOLERANCE)) :]
+    moving = np.max(np.abs(unseen), axis=0, initial=0.0) > _SHARE
+    return tuple(fault.name for fault, late in zip(plant.actuator_faults, moving, strict=True) if late)
 
 
 def hides_at_every_frequency(plant: Plant, A: FloatArray) -> bool:

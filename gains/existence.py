@@ -7,7 +7,8 @@ runs at every slope vertex and at their mean, in three steps that name what is m
     (L1 A_z, Cb)    with sensor faults: no invariant zero of (A, 0; C, D_f) with |z| >= 1
     (A_a, [Cb 0])   with actuator faults too: [L1 A_z - I, L1 E_f; Cb, 0] has full column rank (condition II)
 
-In continuous time |z| >= 1 reads Re s >= 0, and no identity is subtracted from L1 A_z.
+In continuous time |z| >= 1 reads Re s >= 0, and no identity is subtracted from L1 A_z. They are decided in the
+plant's own coordinates, as :mod:`gains.estimability` does for any set of its faults.
 """
 
 from __future__ import annotations
@@ -16,24 +17,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gains.augment import Augmentation, ErrorModel
+from gains.augment import sloped_dynamics
 from gains.errors import InfeasibleError, ModelError
-from gains.hidden_modes import hidden_modes, row_norms, signal_scales
-from gains.plant import FloatArray, Plant
+from gains.estimability import conditions, late_faults
+from gains.hidden_modes import HiddenMode
+from gains.plant import FloatArray, Plant, check_independence
 
-_SEEN_TOLERANCE = 1e-6
 _SHARE = 0.05
 
 
-def check_existence(plant: Plant, augmentation: Augmentation, model: ErrorModel) -> tuple[str, ...]:
+def check_existence(plant: Plant, *, sampled: bool = False) -> tuple[str, ...]:
     """Test the existence conditions of a plant.
 
     Parameters
     ----------
     plant : Plant
         The plant, discrete or continuous.
-    augmentation, model : Augmentation, ErrorModel
-        Its augmentation and error system.
+    sampled : bool
+        Whether a sample of the slope vertices will do (:func:`gains.augment.sampled_vertices`).
 
     Returns
     -------
@@ -43,9 +44,10 @@ def check_existence(plant: Plant, augmentation: Augmentation, model: ErrorModel)
     Raises
     ------
     ModelError
-        The plant itself has a mode that does not decay and that no output shows, or it has no faults.
+        The plant itself has a mode that does not decay and that no output shows, it has no faults, or directions of
+        its faults depend on each other.
     InfeasibleError
-        A condition fails; the message names it and the signals that cannot be told apart.
+        A condition fails; the message names it and the signals that cannot be told apart. Or too many slopes vary.
     """
     faults = len(plant.faults)
     if not faults:
@@ -55,57 +57,42 @@ def check_existence(plant: Plant, augmentation: Augmentation, model: ErrorModel)
             f"{plant.name}: {faults} faults cannot be told apart with {len(plant.outputs)} outputs "
             "(condition II needs at least as many outputs as faults)"
         )
-    n, nz = len(plant.states), len(augmentation.L1)
-    scales = signal_scales(plant)
-    for A, slopes in _vertices_and_mean(model):
-        plain = np.linalg.pinv(augmentation.L1) @ A[:nz, :n]
-        at = f" at slopes {', '.join(f'{slope:g}' for slope in slopes)}" if len(slopes) else ""
-        for size, matrix in ((n, plain), (nz, A[:nz, :nz]), (len(A), A)):
-            modes = hidden_modes(matrix, model.C[:, :size], scales[:size], plant.domain)
+    check_independence(plant)
+    for A, slopes in zip(*sloped_dynamics(plant, sampled=sampled), strict=True):
+        for condition, modes in conditions(plant, A):
             if not modes or not modes[0].stays:
                 continue
-            mode = modes[0]
-            moving = _moving(plant, mode.direction * model.weights[:size])
+            moving = _moving(plant, modes[0], condition != "hidden mode")
             variable = "z" if plant.domain == "discrete" else "s"
-            where = f"mode at {variable} = {_complex_text(mode.eigenvalue)}{at}"
-            if size == n:
+            at = f" at slopes {', '.join(f'{slope:g}' for slope in slopes)}" if len(slopes) else ""
+            where = f"mode at {variable} = {_complex_text(modes[0].eigenvalue)}{at}"
+            if condition == "hidden mode":
                 raise ModelError(f"{plant.name}: hidden mode: {moving} shows in no output ({where})")
-            condition = "detectability of (L1 A_z, Cb)" if size == nz else "condition II"
             raise InfeasibleError(
                 f"{plant.name}: {condition} fails: {moving} shows in no output ({where}); "
                 "add a sensor, a leak or leave a fault out"
             )
-    return _notes(plant, augmentation)
+    if late := late_faults(plant):
+        names = " and ".join(f"'{name}'" for name in late)
+        return (
+            f"Cb L1 E_f lacks rank: {names} cannot be seen in the first sample after acting; the estimate takes longer",
+        )
+    return ()
 
 
-def _notes(plant: Plant, augmentation: Augmentation) -> tuple[str, ...]:
-    """Name the condition that decides whether f_a is seen in the first sample after it acts."""
-    if not plant.actuator_faults:
-        return ()
-    size = plant.state_errors
-    through, into = augmentation.C_b @ augmentation.L1 * size, plant.E_f / size[:, None]
-    seen = through @ into / row_norms(through)[:, None] / np.linalg.norm(into, axis=0)
-    rank = int(np.linalg.matrix_rank(seen, tol=_SEEN_TOLERANCE))
-    if rank == len(plant.actuator_faults):
-        return ()
-    return (
-        f"Cb L1 E_f has rank {rank} for {len(plant.actuator_faults)} actuator faults: not all of them are "
-        "seen in the first sample after they act; the estimate takes longer",
-    )
+def _moving(plant: Plant, mode: HiddenMode, faulty: bool) -> str:
+    """Return the signals that take part in a mode, the faults before the states, each group the largest first.
 
-
-def _vertices_and_mean(model: ErrorModel) -> list[tuple[FloatArray, FloatArray]]:
-    """Return (A_a, slopes) at the mean and at every vertex: what holds at the vertices holds at the mean."""
-    mean = [(model.A.mean(axis=0), model.slopes.mean(axis=0))]
-    return mean if len(model.A) == 1 else [*mean, *zip(model.A, model.slopes, strict=True)]
-
-
-def _moving(plant: Plant, direction: FloatArray) -> str:
-    """Return the signals that take part in a mode, faults before states, each group the largest first."""
-    n = len(plant.states)
-    faults = [fault.name for fault in (*plant.sensor_faults, *plant.actuator_faults)]
-    groups = [_largest(faults, direction[n:]), _largest(plant.states, direction[:n])]
-    return " moving with ".join(group for group in groups if group)
+    What the states move in the outputs the sensor faults cancel: D_f f_s = -C x.
+    """
+    x, f_a = np.split(mode.motion, [len(plant.states)])
+    moving = _largest(plant.states, np.abs(x) / plant.state_errors)
+    if not faulty:
+        return moving
+    faults = (*plant.sensor_faults, *plant.actuator_faults)[: len(plant.sensor_faults) + len(f_a)]
+    motion = np.concatenate([np.linalg.pinv(plant.D_f) @ (plant.C @ x), f_a])
+    sizes = np.abs(motion) / [fault.error for fault in faults]
+    return " moving with ".join(filter(None, (_largest([fault.name for fault in faults], sizes), moving)))
 
 
 def _largest(names: Sequence[str], sizes: FloatArray) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gains.plant import Domain, FloatArray, Plant
 
@@ -20,15 +21,20 @@ class HiddenMode:
     ----------
     eigenvalue : complex
         z in discrete time, s in continuous time.
-    direction : FloatArray
-        Size of each signal that moves in it.
+    motion : NDArray[np.complex128]
+        How each signal moves in it.
     decay : float
         1 - |z|, or -Re s over the size of A.
     """
 
     eigenvalue: complex
-    direction: FloatArray
+    motion: NDArray[np.complex128]
     decay: float
+
+    @property
+    def direction(self) -> FloatArray:
+        """Size of each signal that moves in it."""
+        return np.abs(self.motion)
 
     @property
     def stays(self) -> bool:
@@ -67,7 +73,7 @@ def hidden_modes(A: FloatArray, C: FloatArray, scales: FloatArray, domain: Domai
     values, vectors = np.linalg.eig(basis.T @ (A / scales[:, None] * scales) @ basis)
     decay = 1.0 - np.abs(values) if domain == "discrete" else -values.real / size
     return [
-        HiddenMode(complex(values[i]), scales * np.abs(basis @ vectors[:, i]), float(decay[i]))
+        HiddenMode(complex(values[i]), scales * (basis @ vectors[:, i]), float(decay[i]))
         for i in np.argsort(decay, kind="stable")
     ]
 

@@ -367,7 +367,7 @@ def check_independence(plant: Plant) -> None:
         The direction of a fault is a combination of those of others; the message names them.
     """
     for symbol, columns, faults in (
-        ("E_f", plant.E_f, plant.actuator_faults),
+        ("E_f", plant.E_f / plant.state_errors[:, None], plant.actuator_faults),
         ("D_f", plant.D_f, plant.sensor_faults),
     ):
         dependent = first_dependent(columns)
@@ -380,7 +380,7 @@ def check_independence(plant: Plant) -> None:
 
 
 def first_dependent(columns: FloatArray) -> int | None:
-    """Return the first column that is a combination of those before it, whatever their units."""
+    """Return the first column that is a combination of those before it, whatever its units; rows are taken as one."""
     norms = np.linalg.norm(columns, axis=0)
     for i in range(columns.shape[1]):
         unit = columns[:, : i + 1] / norms[: i + 1]

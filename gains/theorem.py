@@ -177,7 +177,7 @@ def design_theorem(
         raise ModelError(f"{plant.name}: {theorem} has nothing to bound: no disturbance, noise or actuator fault")
     augmentation = augment(plant)
     model = error_model(plant, augmentation)
-    notes = check_existence(plant, augmentation, model)
+    notes = check_existence(plant)
     terms = _terms(plant, augmentation.L1, model)
     scalars = (epsilon, delta if disturbed else None)
     least, solve_s = _solve(terms, *scalars)

@@ -79,4 +79,5 @@ DISTURBED = Printed(
         ]
     ),
 )
+PRINTED = {printed.model: printed for printed in (UNDISTURBED, DISTURBED)}
 BETA = 100.0

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from gains_samples import random_plant, sine
 
-from gains.augment import LARGEST_VERTEX_COUNT, augment, error_model, slope_vertices
+from gains.augment import (
+    LARGEST_VERTEX_COUNT,
+    SAMPLE_COUNT,
+    augment,
+    error_model,
+    sampled_vertices,
+    slope_vertices,
+    sloped_dynamics,
+)
 from gains.discretise import discretise
 from gains.errors import InfeasibleError
 from gains.model_file import builtin_model
@@ -112,5 +120,34 @@ def test_constant_slopes_do_not_multiply_vertices() -> None:
 
 def test_too_many_vertices_are_refused() -> None:
     plant = random_plant(2, 1, 0, nonlinear=11)
-    with pytest.raises(InfeasibleError, match=rf"11 slopes vary, .* at most {LARGEST_VERTEX_COUNT}"):
+    with pytest.raises(InfeasibleError, match=rf"11 slopes vary, .* at most {LARGEST_VERTEX_COUNT} .*--vertex-free"):
         slope_vertices(plant)
+
+
+def test_every_vertex_is_the_mean_plus_what_its_slopes_differ_by() -> None:
+    plant = random_plant(3, 1, 1, nonlinear=3)
+    slopes = [(-1.0, 3.0), (0.5, 0.5), (0.0, 2.0)]
+    rows = [g.rows[0] for g in plant.nonlinearities]
+    plant = replace(plant, nonlinearities=tuple(sine(row, pair) for row, pair in zip(rows, slopes, strict=True)))
+    model = error_model(plant, augment(plant))
+    assert model.mean_slopes.tolist() == [1.0, 0.5, 1.0]
+    assert (model.G.shape[1], len(model.H)) == (2, 2)
+    for A, delta in zip(model.A, [(-1, -1), (-1, 1), (1, -1), (1, 1)], strict=True):
+        np.testing.assert_allclose(A, model.mean + model.G * delta @ model.H, atol=1e-14)
+
+
+def test_a_sample_of_many_vertices_is_the_same_each_time_and_holds_the_extremes() -> None:
+    plant = random_plant(2, 1, 0, nonlinear=12)
+    sample = sampled_vertices(plant)
+    assert sample.shape == (SAMPLE_COUNT, 12)
+    assert set(sample.ravel()) == {-1.0, 1.0}
+    assert sample[:2].tolist() == [[-1.0] * 12, [1.0] * 12]
+    assert np.array_equal(sample, sampled_vertices(plant))
+    dynamics, slopes = sloped_dynamics(plant, sampled=True)
+    assert len(dynamics) == len(slopes) == SAMPLE_COUNT + 1
+    assert not np.any(slopes[0])
+
+
+def test_a_sample_of_few_vertices_is_all_of_them() -> None:
+    plant = random_plant(2, 1, 0, nonlinear=6)
+    assert np.array_equal(sampled_vertices(plant), slope_vertices(plant))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gains_samples import random_plant
 
-from gains.certificate import certify, hinf_norm, report
+from gains.certificate import certify, grid_norm, report
 from gains.design import Design
 from gains.model_file import builtin_model
 from gains.plant import Plant
@@ -29,13 +29,13 @@ def one(x: float) -> np.ndarray:
 
 
 def test_the_norm_of_a_lag_is_its_steady_gain() -> None:
-    peak = hinf_norm(one(0.9), one(1.0), one(2.0), one(0.5))
+    peak = grid_norm(one(0.9), one(1.0), one(2.0), one(0.5))
     assert peak.value == pytest.approx(20.5, rel=1e-12)
     assert peak.angle == 0.0
 
 
 def test_the_norm_of_a_high_pass_is_at_half_the_rate() -> None:
-    peak = hinf_norm(one(-0.5), one(1.0), one(1.0), one(0.0))
+    peak = grid_norm(one(-0.5), one(1.0), one(1.0), one(0.0))
     assert peak.value == pytest.approx(2.0, rel=1e-12)
     assert peak.angle == pytest.approx(math.pi)
 
@@ -44,7 +44,7 @@ def test_the_norm_of_a_high_pass_is_at_half_the_rate() -> None:
 def test_a_sharp_resonance_is_not_missed(radius: float, angle: float) -> None:
     pole = radius * np.exp(1j * angle)
     A = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
-    peak = hinf_norm(A, np.eye(2), np.eye(2), np.zeros((2, 2)))
+    peak = grid_norm(A, np.eye(2), np.eye(2), np.zeros((2, 2)))
     assert peak.value == pytest.approx(1.0 / (1.0 - radius), rel=1e-6)
 
 
@@ -57,7 +57,7 @@ def test_the_norm_of_random_systems_is_that_of_a_dense_grid() -> None:
         z = np.exp(1j * np.linspace(0, math.pi, 20_001))
         grid = C @ np.linalg.solve(z[:, None, None] * np.eye(4) - A, np.broadcast_to(B, (len(z), 4, 2))) + D
         dense = np.max(np.linalg.norm(grid, 2, axis=(1, 2)))
-        assert dense * (1 - 1e-9) <= hinf_norm(A, B, C, D).value <= dense * (1 + 1e-4)
+        assert dense * (1 - 1e-9) <= grid_norm(A, B, C, D).value <= dense * (1 + 1e-4)
 
 
 def test_a_design_is_certified_with_a_margin_and_its_norm_within_the_bound(arm: Plant, design: Design) -> None:
@@ -109,4 +109,49 @@ def test_the_report_has_the_keys_of_the_contract(arm: Plant, design: Design) -> 
     found = report(arm, design, certify(arm, design))
     keys = "model method domain rate_hz status sqrt_mu norm poles_max_abs gain_max_abs certificate solve_s total_s"
     assert set(keys.split()) <= set(found)
-    assert found["certificate"].keys() == {"holds", "margin"}
+    assert found["certificate"] | {"margin": None} == {
+        "holds": True,
+        "margin": None,
+        "proof": "vertices",
+        "slopes": 2,
+    }
+
+
+@pytest.fixture(scope="module")
+def free(arm: Plant) -> Design:
+    return design_convex(arm, 100.0, vertices=False, pole_radius=0.98)
+
+
+def test_multipliers_prove_a_design_without_its_vertices(arm: Plant, free: Design) -> None:
+    certificate = certify(arm, free)
+    assert certificate.holds
+    assert certificate.margin > 0.0
+    assert (certificate.proof, certificate.slopes) == ("multipliers", 3)
+    assert certificate.poles_max_abs <= 0.98
+    assert certify(arm, replace(free, multipliers=None)).holds
+
+
+@pytest.mark.parametrize("row", [0, 1])
+@pytest.mark.parametrize("factor", [-1.0, 0.0, 1e-3, 1e3])
+def test_other_multipliers_prove_nothing(arm: Plant, free: Design, row: int, factor: float) -> None:
+    assert free.multipliers is not None
+    others = free.multipliers.copy()
+    others[row] *= factor
+    assert not certify(arm, replace(free, multipliers=others)).holds
+
+
+@pytest.mark.parametrize("name", ["K", "L_i", "L_p", "P"])
+def test_multipliers_do_not_prove_tampered_gains(arm: Plant, free: Design, name: str) -> None:
+    assert not certify(arm, replace(free, **{name: 1.1 * getattr(free, name)})).holds
+
+
+def test_multipliers_do_not_prove_wider_slopes(arm: Plant, free: Design) -> None:
+    (g,) = arm.nonlinearities
+    assert not certify(replace(arm, nonlinearities=(replace(g, slopes=10.0 * g.slopes),)), free).holds
+
+
+def test_poles_and_gains_beyond_what_was_asked_are_not_certified(arm: Plant, design: Design) -> None:
+    certificate = certify(arm, design)
+    assert certify(arm, replace(design, gain_bound=design.gain_max_abs)).holds
+    assert not certify(arm, replace(design, gain_bound=0.999 * design.gain_max_abs)).holds
+    assert not certify(arm, replace(design, pole_radius=0.999 * certificate.poles_max_abs)).holds

@@ -1,6 +1,7 @@
 """``fauio design`` prints what the contract says and returns its exit statuses."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -90,9 +91,78 @@ def test_a_model_without_an_observer_is_reported_with_exit_status_3(
     found = json.loads(captured.out)
     assert found["status"] == "infeasible"
     assert found["sqrt_mu"] is None
-    assert found["certificate"] == {"holds": False, "margin": None}
+    assert found["certificate"] == {"holds": False, "margin": None, "proof": None, "slopes": 0}
     assert captured.err.startswith("fauio: drift: detectability of (L1 A_z, Cb) fails: 'gps_offset'")
     assert captured.err.count("\n") == 1
+
+
+def test_a_failure_has_the_keys_of_a_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drift = replace(
+        integrator_with_drift(), domain="continuous", rate_hz=None, A=np.array([[0.0, 1.0], [0.0, -1.0]]), taps=(1.0,)
+    )
+    write_model(drift, tmp_path / "drift.toml")
+    keys: dict[tuple[str, str], dict[bool, tuple[set[str], set[str]]]] = {}
+    for model in ("arm-disturbed", str(tmp_path / "drift.toml")):
+        assert fauio.main(["design", model, "--rate", "100", "--method", "all", "--json"]) == 0
+        for line in capsys.readouterr().out.splitlines():
+            found = json.loads(line)
+            outcome = keys.setdefault((found["method"], found["domain"]), {})
+            outcome[found["status"] == "optimal"] = set(found), set(found["certificate"])
+    both = [outcome for outcome in keys.values() if len(outcome) == 2]
+    assert len(both) >= 4
+    assert all(outcome[True] == outcome[False] for outcome in both)
+
+
+def test_all_slopes_can_be_proven_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["design", "arm-disturbed", "--rate", "100", "--vertex-free"]
+    assert fauio.main([*arguments, "--json"]) == 0
+    certificate = json.loads(capsys.readouterr().out)["certificate"]
+    assert (certificate["proof"], certificate["slopes"]) == ("multipliers", 3)
+    assert fauio.main(arguments) == 0
+    assert ", for all slopes at once\n" in capsys.readouterr().out
+
+
+def test_gains_are_kept_small_by_a_bound_and_a_price(capsys: pytest.CaptureFixture[str]) -> None:
+    found = []
+    for options in (["--gain-bound", "8"], ["--gain-weight", "1"], []):
+        assert fauio.main(["design", "arm-disturbed", "--rate", "100", "--json", *options]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    assert found[0]["gain_max_abs"] <= 8.0
+    assert found[1]["gain_max_abs"] < 0.5 * found[2]["gain_max_abs"]
+    assert [one["gain_weight"] for one in found] == [1e-3, 1.0, 1e-3]
+    assert fauio.main(["design", "arm-disturbed", "--rate", "100", "--gain-bound", "0.01"]) == 3
+    assert "no gains within 0.01 were found; the smallest that were are" in capsys.readouterr().err
+
+
+def test_gains_that_may_take_turns_share_the_matrix_of_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = str(tmp_path / "first.json"), str(tmp_path / "second.json")
+    arguments = ["design", "arm-disturbed", "--rate", "100"]
+    assert fauio.main([*arguments, "-o", first]) == 0
+    assert fauio.main([*arguments, "--gain-weight", "1", "--common-p", first, "-o", second]) == 0
+    one, other = (read_gains(path).report["certificate"] for path in (first, second))
+    assert one["P"] == other["P"]
+    assert one["holds"]
+    assert other["holds"]
+    capsys.readouterr()
+    for wrong, message in (
+        (["arm-disturbed", "--rate", "50"], f"{first}: its rate is not that of arm-disturbed"),
+        ([*arguments[1:], "--integrator-order", "2"], "arm-disturbed: the Lyapunov matrix is (6, 6), not (7, 7)"),
+    ):
+        assert fauio.main(["design", *wrong, "--common-p", first]) == 2
+        assert capsys.readouterr().err.startswith(f"fauio: {message}")
+
+
+def test_a_file_without_a_matrix_cannot_lend_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "old.json"
+    assert fauio.main(["design", "arm", "--rate", "100", "-o", str(path)]) == 0
+    document = json.loads(path.read_text())
+    del document["report"]["certificate"]["P"]
+    path.write_text(json.dumps(document))
+    assert read_gains(path).K.shape == (5, 3)
+    assert fauio.main(["design", "arm", "--rate", "100", "--common-p", str(path)]) == 2
+    assert f"{path}: its certificate has no 'P'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -115,3 +185,15 @@ def test_bad_input_is_one_line_and_exit_status_2(
     assert captured.err.startswith(message)
     assert captured.err.count("\n") == 1
     assert captured.out == ""
+
+
+def test_gains_for_one_hypothesis_estimate_its_faults_and_know_the_whole_model(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "gains.json"
+    assert fauio.main(["design", "arm", "--rate", "100", "--faults", "encoder", "-o", str(out)]) == 0
+    gains = read_gains(out)
+    assert gains.faults == ("encoder",)
+    assert gains.model_hash == model_hash(builtin_model("arm"))
+    assert fauio.main(["design", "arm", "--rate", "100", "--faults", "wheel"]) == 2
+    assert "--faults names 'wheel'; the model has motor, encoder" in capsys.readouterr().err

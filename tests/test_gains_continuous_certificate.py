@@ -9,7 +9,7 @@ from paper_gains import BETA, DISTURBED, UNDISTURBED, Printed
 
 from gains.augment import augment, error_model
 from gains.continuous_certificate import certify_continuous, continuous_report
-from gains.continuous_design import ContinuousDesign, FaultState, error_system
+from gains.continuous_design import ContinuousDesign, FaultState, closed_error_system
 from gains.continuous_observer import fauio_gains
 from gains.continuous_synthesis import design_continuous
 from gains.model_file import builtin_model
@@ -49,7 +49,7 @@ def test_both_coordinates_are_one_system_for_real_signals() -> None:
     errors = []
     states: tuple[FaultState, ...] = ("integral", "error")
     for state in states:
-        system = error_system(model, design.gains, state)
+        system = closed_error_system(model, design.gains, state)
         response = system.C @ np.linalg.solve(s * np.eye(6) - system.A[0], system.B @ inputs) + system.D @ inputs
         errors.append(response)
     assert errors[0] == pytest.approx(errors[1], rel=1e-9)
@@ -59,7 +59,7 @@ def test_the_norm_is_the_highest_gain_over_the_frequencies() -> None:
     plant = continuous_plant(5, 1, 1, nonlinear=1)
     design = design_continuous(plant)
     certificate = certify_continuous(plant, design)
-    system = error_system(error_model(plant, augment(plant)), design.gains, "integral")
+    system = closed_error_system(error_model(plant, augment(plant)), design.gains, "integral")
     eye = np.eye(len(design.P))
     gains = [
         np.linalg.norm(system.C @ np.linalg.solve(1j * w * eye - A, system.B) + system.D, 2)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper_gains import BETA, PRINTED
 
 from gains.augment import augment
 from gains.continuous_observer import ContinuousObserver, fauio_observer
@@ -12,29 +13,10 @@ from gains.errors import ModelError
 from gains.model_file import builtin_model
 from gains.plant import Plant
 
-PRINTED_K = {
-    "arm": [
-        [-0.0261, 0.6630, 4.1125],
-        [0.8767, 11.3468, -23.8897],
-        [0.3344, 0.4541, -17.2965],
-        [-0.6458, -0.7730, 36.4162],
-        [1.2139, -0.6630, -4.1125],
-    ],
-    "arm-disturbed": [
-        [1.5587, 7.9111, 12.5406],
-        [28.1685, 144.2130, 124.2935],
-        [-26.3414, -116.4108, -203.3290],
-        [52.6611, 232.7129, 408.5888],
-        [-69.1253, -350.9884, -710.9153],
-    ],
-}
-PRINTED_L2 = {"arm": [[0.0, 66.5084, 183.6139]], "arm-disturbed": [[6.3355, 30.7302, 4.7777]]}
-BETA = 100.0
-
 
 def printed(name: str) -> tuple[Plant, ContinuousObserver]:
-    plant, law = builtin_model(name), BETA * np.array(PRINTED_L2[name])
-    return plant, fauio_observer(plant, np.array(PRINTED_K[name]), law, law, "printed")
+    plant, law = builtin_model(name), BETA * PRINTED[name].L2
+    return plant, fauio_observer(plant, PRINTED[name].K, law, law, "printed")
 
 
 @pytest.mark.parametrize(("name", "norm"), [("arm", 2.16e-4), ("arm-disturbed", 0.1878)])

@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_lyapunov
 
 import gains.synthesis
 from gains.augment import augment, error_model
-from gains.certificate import Certificate, certify
+from gains.certificate import Certificate, certify, report
 from gains.compilation import compile_gains
 from gains.design import Design
 from gains.discretise import discretise
@@ -97,6 +97,9 @@ def test_a_multirotor_of_12_states_and_4_motors_with_3_slopes_is_certified_at_ea
     design = design_convex(plant, 50.0)
     certificate = assert_proven(plant, design)
     assert design.sqrt_mu <= 1.001 * certificate.norm
+    at_vertices = certify(plant, replace(design, multipliers=None))
+    assert at_vertices.holds
+    assert (at_vertices.proof, at_vertices.slopes) == ("vertices", 8)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
@@ -109,6 +112,112 @@ def test_multipliers_give_proven_gains_close_to_those_of_the_vertices(
     design = design_convex(plant)
     assert_proven(plant, design)
     assert 0.999 * least <= design.sqrt_mu <= 1.1 * least
+
+
+def worst_norm(plant: Plant, design: Design, slopes: FloatArray) -> float:
+    """Return the norm of the error system where the nonlinearities have these slopes."""
+    fixed = (replace(g, slopes=np.array([[s, s]])) for g, s in zip(plant.nonlinearities, slopes, strict=True))
+    return certify(replace(plant, nonlinearities=tuple(fixed)), replace(design, multipliers=None)).norm
+
+
+@settings(deadline=None, derandomize=True, max_examples=12)
+@given(st.integers(0, 10_000), st.integers(1, 3), st.sampled_from([1.0, 0.99]))
+def test_multipliers_bound_the_norm_and_the_poles_at_any_slopes(seed: int, nonlinear: int, radius: float) -> None:
+    plant = random_plant(seed, 1, seed % 2, nonlinear=nonlinear)
+    try:
+        design = design_convex(plant, vertices=False, pole_radius=radius)
+    except InfeasibleError:
+        return  # one storage function has to serve all slopes
+    certificate = assert_proven(plant, design)
+    assert certificate.proof == "multipliers"
+    rng = np.random.default_rng(seed)
+    for slopes in rng.uniform(-1.0, 1.0, (4, nonlinear)):
+        assert worst_norm(plant, design, slopes) <= design.sqrt_mu
+    poles = certify(plant, replace(design, multipliers=None)).poles_max_abs
+    assert poles <= radius
+
+
+def test_a_plant_with_12_sines_is_designed_without_its_4096_vertices() -> None:
+    plant = random_plant(0, 1, 1, nonlinear=12)
+    plant = replace(plant, G=0.3 * plant.G)
+    design = design_convex(plant)
+    certificate = assert_proven(plant, design)
+    assert (certificate.proof, certificate.slopes) == ("multipliers", 65)
+    assert floor_sqrt_mu(plant).value <= design.sqrt_mu
+    assert "64 of their 2^12 vertices" in report(plant, design, certificate)["notes"][-1]
+    for slopes in np.random.default_rng(1).choice([-1.0, 1.0], (6, 12)):
+        assert worst_norm(plant, design, slopes) <= design.sqrt_mu
+    with pytest.raises(InfeasibleError, match="12 slopes vary"):
+        design_convex(plant, vertices=True)
+
+
+def test_without_slopes_there_is_nothing_to_be_free_of() -> None:
+    plant = random_plant(8, 1, 1)
+    assert design_convex(plant, vertices=False).sqrt_mu == design_convex(plant).sqrt_mu
+
+
+@pytest.mark.parametrize(("rate", "share"), [(10.0, 0.8), (100.0, 0.2), (1000.0, 0.2)])
+@pytest.mark.parametrize("name", ["arm", "arm-disturbed"])
+def test_a_bound_of_the_gains_is_kept_on_the_arm(name: str, rate: float, share: float) -> None:
+    plant = builtin_model(name)
+    free = design_convex(plant, rate)
+    bound = share * free.gain_max_abs
+    design = design_convex(plant, rate, gain_bound=bound)
+    assert_proven(plant, design)
+    assert design.gain_max_abs <= bound == design.gain_bound
+    assert design.mu > free.mu
+
+
+def test_a_bound_that_the_best_gains_keep_changes_nothing() -> None:
+    plant = builtin_model("arm-disturbed")
+    free = design_convex(plant, 100.0)
+    assert design_convex(plant, 100.0, gain_bound=1.01 * free.gain_max_abs).mu == free.mu
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_gains_of_random_plants_are_within_their_bound_or_said_not_to_be(seed: int) -> None:
+    plant = random_plant(seed, 1, seed % 2, nonlinear=seed % 3)
+    bound = 0.7 * design_convex(plant).gain_max_abs
+    try:
+        design = design_convex(plant, gain_bound=bound)
+    except InfeasibleError as error:
+        assert f"no gains within {bound:g} were found; the smallest that were are" in str(error)
+        return
+    assert assert_proven(plant, design)
+    assert design.gain_max_abs <= bound
+
+
+def test_designs_with_one_lyapunov_matrix_may_take_turns() -> None:
+    plant = builtin_model("arm-disturbed")
+    first = design_convex(plant, 100.0, gain_weight=1e-2)
+    second = design_convex(plant, 100.0, gain_bound=0.85 * first.gain_max_abs, P=first.P)
+    assert np.array_equal(first.P, second.P)
+    assert second.gain_max_abs <= 0.85 * first.gain_max_abs
+    for design in (first, second):
+        assert_proven(plant, design)
+    discrete = discretise(plant, 100.0)
+    augmentation = augment(discrete)
+    model = error_model(discrete, augmentation)
+    closed = []
+    for design in (first, second):
+        injection = np.vstack([design.K + augmentation.L1 @ discrete.E_f @ design.L_p, design.L_i])
+        closed.append((model.A - injection @ model.C, model.B - injection @ model.D, *model.output(design.L_p)))
+    rng, x, into, out = np.random.default_rng(0), np.zeros(6), 0.0, 0.0
+    for _ in range(3000):
+        A, B, C, D = closed[rng.integers(2)]
+        w = rng.normal(size=B.shape[1])
+        out, into = out + float(np.sum((C @ x + D @ w) ** 2)), into + float(w @ w)
+        x = A[rng.integers(2)] @ x + B @ w
+    assert out <= max(first.mu, second.mu) * into
+
+
+def test_a_lyapunov_matrix_that_proves_nothing_is_said_to() -> None:
+    plant = builtin_model("arm-disturbed")
+    P = design_convex(plant, 100.0).P
+    with pytest.raises(InfeasibleError, match="no gains prove themselves with all poles within"):
+        design_convex(plant, 100.0, pole_radius=0.5, P=P)
+    with pytest.raises(ModelError, match=r"the Lyapunov matrix is \(6, 6\), not \(7, 7\)"):
+        design_convex(plant, 100.0, integrator_order=2, P=P)
 
 
 def test_the_bound_does_not_depend_on_the_units_of_states_and_outputs() -> None:
@@ -314,6 +423,8 @@ def test_failed_conditions_are_named_before_anything_is_solved() -> None:
         ({"rate_hz": 100.0, "pole_radius": 1.5}, "a pole radius of 1.5 does not lie in"),
         ({"rate_hz": 100.0, "pole_radius": float("nan")}, "a pole radius of nan"),
         ({"rate_hz": 100.0, "gain_weight": 0.0}, "a gain weight of 0.0 is not positive"),
+        ({"rate_hz": 100.0, "gain_bound": 0.0}, "a gain bound of 0.0 is not positive"),
+        ({"rate_hz": 100.0, "gain_bound": float("nan")}, "a gain bound of nan"),
         ({"rate_hz": 100.0, "h2": 1.1}, "an H2 share of 1.1 does not lie in"),
         ({"rate_hz": 100.0, "h2": float("nan")}, "an H2 share of nan"),
         ({"rate_hz": 100.0, "integrator_order": 3}, "an integrator order of 3 is neither 1 nor 2"),
