@@ -13,7 +13,7 @@ from adapters.errors import TelemetryError
 Interpolation = Literal["linear", "previous"]
 
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
-_KEYS = {"message", "field", "where", "scale", "offset", "clock", "clock_unit_ns", "interpolation"}
+_KEYS = {"message", "field", "where", "scale", "offset", "clock", "clock_unit_ns", "interpolation", "period"}
 _CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
 # The difference of two values up to here is finite, so interpolation cannot overflow.
 _MAX_VALUE = 1e300
@@ -43,6 +43,9 @@ class Channel:
         Nanoseconds per count of that field; None: known from the usual names.
     interpolation : {"linear", "previous"}
         How the value between two measurements is found.
+    period : float | None
+        Of a value that wraps, in the channel's unit: an angle of 359 degrees and one of 1 degree (period 360) are 2
+        degrees apart. Interpolation goes the shorter way round and may leave the range.
     """
 
     name: str
@@ -54,6 +57,7 @@ class Channel:
     clock: str | None = None
     clock_unit_ns: int | None = None
     interpolation: Interpolation = "linear"
+    period: float | None = None
 
     def selects(self, fields: Mapping[str, Any]) -> bool:
         """Return whether the message is one of those the channel is taken from."""
@@ -111,7 +115,7 @@ def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
         The channel's name.
     table : Mapping[str, Any]
         Keys ``message`` and ``field`` (required), ``where``, ``scale``, ``offset``, ``clock``,
-        ``clock_unit_ns``, ``interpolation``.
+        ``clock_unit_ns``, ``interpolation``, ``period``.
     where : str
         File and key of the table, for errors.
 
@@ -141,6 +145,9 @@ def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
     unit = table.get("clock_unit_ns")
     if unit is not None and (isinstance(unit, bool) or not isinstance(unit, int) or unit <= 0):
         raise TelemetryError(f"{where}: 'clock_unit_ns' is not a positive whole number of nanoseconds")
+    period = table.get("period")
+    if period is not None and (isinstance(period, bool) or not isinstance(period, int | float) or not period > 0):
+        raise TelemetryError(f"{where}: 'period' is not a positive number")
     field = str(table["field"])
     path = tuple(int(index) if index else step for step, index in _STEP.findall(field))
     if not path:
@@ -155,6 +162,7 @@ def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
         clock=clock,
         clock_unit_ns=unit,
         interpolation=interpolation,
+        period=None if period is None else float(period),
     )
 
 
@@ -174,4 +182,6 @@ def channel_table(channel: Channel) -> dict[str, Any]:
         table["clock_unit_ns"] = channel.clock_unit_ns
     if channel.interpolation != "linear":
         table["interpolation"] = channel.interpolation
+    if channel.period is not None:
+        table["period"] = channel.period
     return table

@@ -55,6 +55,7 @@ class Lane:
         self.stamps: list[int] = []
         self.rows: list[list[float]] = []
         self._held = [i for i, c in enumerate(columns) if c.channel.interpolation == "previous"]
+        self._wrapping = [(i, c.channel.period) for i, c in enumerate(columns) if c.channel.period is not None]
         self._max_gap_ns = max_gap_ns
         self._steps: deque[int] = deque(maxlen=_STEPS)
         self._learned = 0
@@ -103,6 +104,9 @@ class Lane:
         left, right = self.rows[0], self.rows[1]
         for place, a, b in zip(self.places, left, right, strict=True):
             vector[place] = a + (b - a) * fraction
+        for column, period in self._wrapping:
+            step = (right[column] - left[column] + 0.5 * period) % period - 0.5 * period
+            vector[self.places[column]] = left[column] + step * fraction
         for column in self._held:
             vector[self.places[column]] = left[column]
 

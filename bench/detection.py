@@ -21,7 +21,7 @@ import numpy as np
 
 from adapters.recordings import read_recording
 from monitor.profile import Profile, read_profile
-from replay.fit import fit_multirotor
+from replay.fit import fit
 from replay.player import Replay, interests, play
 from replay.survey import FIT_MESSAGES, of_one_vehicle
 
@@ -74,7 +74,7 @@ def row(flight: dict[str, Any], found: Replay) -> list[str]:
 def fitted(name: str, healthy: list[Path], folder: Path) -> Profile:
     """Return a profile fitted on healthy flights."""
     logs = [lambda path=path: of_one_vehicle(read_recording(path, FIT_MESSAGES)) for path in healthy]
-    fit_multirotor(logs, folder, "quad")
+    fit("multirotor", logs, folder, "quad")
     print(f"fitted on {', '.join(path.name.split('.')[0] for path in healthy)} ({name})", file=sys.stderr)
     return read_profile(folder)
 

@@ -75,16 +75,27 @@ def read_model(path: str | Path) -> Plant:
     ModelError
         The file cannot be read or is no valid model; the message is one line with file and key.
     """
+    document = read_document(path)
+    try:
+        return plant_of_document(document)
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from error
+
+
+def read_document(path: str | Path) -> dict[str, Any]:
+    """Return the parsed TOML of a file.
+
+    Raises
+    ------
+    ModelError
+        The file cannot be read, is too large or is no valid TOML; the message is one line with the file.
+    """
     text = _read_text(Path(path))
     try:
-        document = tomllib.loads(text)
+        return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         reason = "nested too deeply" if isinstance(error, RecursionError) else error
         raise ModelError(f"{path}: not valid TOML: {reason}") from error
-    try:
-        return _plant(Table(document))
-    except ModelError as error:
-        raise ModelError(f"{path}: {error}") from error
 
 
 def write_model(plant: Plant, path: str | Path) -> None:
@@ -132,7 +143,15 @@ def _read_text(path: Path) -> str:
         raise ModelError(f"{path}: not UTF-8 text at byte {error.start}") from error
 
 
-def _plant(root: Table) -> Plant:
+def plant_of_document(document: Mapping[str, Any]) -> Plant:
+    """Return the plant of a model's parsed TOML.
+
+    Raises
+    ------
+    ModelError
+        It is no valid model; the message names the key.
+    """
+    root = Table(document)
     states, inputs, outputs = root.names("states"), root.names("inputs"), root.names("outputs")
     name, description = root.text("name"), root.text("description", "")
     domain = _DOMAINS[_choice(root, "domain", _DOMAINS, "continuous")]

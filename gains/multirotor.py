@@ -25,6 +25,7 @@ from gains.plant import Disturbance, Fault, Noise, Plant
 
 RATE_AXES = ("roll_rate", "pitch_rate", "yaw_rate")
 VERTICAL = "vertical_acceleration"
+GYROS = ("gyro_x", "gyro_y", "gyro_z")
 
 _MAX_DELAY_S = 0.1
 _EXCITED_T = 20.0
@@ -139,7 +140,7 @@ def identify_multirotor(segments: Sequence[Segment], rate_hz: float) -> Multirot
 
 
 def multirotor_plant(fit: MultirotorFit, name: str, motors: Sequence[str], fault_rate: float = 0.5) -> Plant:
-    """Return the fitted model as a plant with one actuator fault per motor.
+    """Return the fitted model as a plant with one actuator fault per motor and one sensor fault per gyro axis.
 
     Process disturbance and measurement noise are both scaled by the one-step prediction error, so that the
     design trusts the model and each sensor as far as the flights allow.
@@ -184,6 +185,10 @@ def multirotor_plant(fit: MultirotorFit, name: str, motors: Sequence[str], fault
                 input=motor,
             )
             for i, motor in enumerate(motors)
+        )
+        + tuple(
+            Fault(name=gyro, kind="sensor", column=identity[:, o], error=float(fit.residual_std[o]), unit="rad/s")
+            for o, gyro in enumerate(GYROS)
         ),
         disturbances=tuple(
             Disturbance(name=f"disturbance_{state}", column=identity[:, o], scale=float(fit.residual_std[o]))

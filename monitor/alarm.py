@@ -1,21 +1,35 @@
-"""From a channel's evidence to alarm events: threshold, hysteresis, debounce by time, severity.
+"""From a channel's evidence to alarm events: three paths to raise it, hysteresis, debounce by time, severity, latching.
 
-Raised after the evidence has stood beyond the threshold for ``raise_s``, cleared after it has stood inside
-``clear`` for ``clear_s``. The debounce is a clamped up/down counter of time, so evidence that drops out for a
-sample delays an alarm instead of losing it. Samples that are no evidence (not in flight, bridged across lost
-measurements) leave everything as it stands.
+Paths, each with its own size and time, whichever comes first:
+
+- fast: evidence beyond ``fast`` for ``fast_s``, for large faults;
+- plain: evidence beyond ``threshold`` for ``raise_s``;
+- slow: the exponentially weighted mean over ``slow_s`` beyond ``slow``, for small and creeping faults; evidence enters
+  it with twice ``slow`` at most, so that it forgets a large fault as fast as a small one.
+
+The alarm clears after the evidence has stood inside ``clear`` for ``clear_s``, and where only the slow path has seen it
+the mean inside half of ``slow``.
+One that is raised for the third time within ``latch_s`` comes and goes: it is latched, which is to say it clears only
+after ``latch_s`` of quiet. The debounce is a clamped up/down counter of time, so evidence that drops out for a sample
+delays an alarm instead of losing it. Samples that are no evidence (not in flight, bridged across lost measurements)
+leave everything as it stands.
 """
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from adapters.sample import Sample
+from monitor.alarm_message import alarm_message
 from monitor.event import AlarmEvent, Kind, Severity, State, alarm_id
+from monitor.input_curve import relative_loss
 
 _UPDATE_EVERY_NS = 1_000_000_000
 _UPDATE_SHARE = 0.15
+_COMES_AND_GOES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +43,17 @@ class AlarmRule:
     kind : {"actuator", "sensor", "residual", "stale"}
         Sort of trouble.
     unit : str
-        Unit of the thresholds.
+        Unit of the sizes.
     threshold, clear, critical : float
         Size of the evidence that raises the alarm, that clears it, and that makes it critical.
     raise_s, clear_s : float
         How long the evidence has to stand, seconds.
+    fast, fast_s : float
+        Size that raises it after a shorter time; infinite size: no such path.
+    slow, slow_s : float
+        Size of the mean that raises it, and the mean's time constant; infinite size: no such path.
+    latch_s : float
+        Quiet that an alarm which comes and goes needs before it clears; 0: never latched.
     """
 
     observer: str
@@ -45,6 +65,11 @@ class AlarmRule:
     critical: float
     raise_s: float
     clear_s: float
+    fast: float = math.inf
+    fast_s: float = 0.05
+    slow: float = math.inf
+    slow_s: float = 2.0
+    latch_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +78,13 @@ class _Active:
 
     id: str
     since_ns: int
+    threshold: float
     peak: float
     severity: Severity
     reported: float
     reported_ns: int
+    creeping: bool
+    latched: bool
 
 
 class Alarm:
@@ -65,7 +93,7 @@ class Alarm:
     Parameters
     ----------
     rule : AlarmRule
-        Thresholds and times.
+        Sizes and times.
     vehicle : str
         The vehicle's name in events.
     count : Callable[[], int]
@@ -77,8 +105,10 @@ class Alarm:
         self._vehicle = vehicle
         self._count = count
         self._active: _Active | None = None
-        self._counter_ns = 0
+        self._counter_ns = self._fast_ns = 0
+        self._mean = 0.0
         self._last_ns: int | None = None
+        self._raised_ns: deque[int] = deque(maxlen=_COMES_AND_GOES)
 
     @property
     def active(self) -> bool:
@@ -89,7 +119,7 @@ class Alarm:
         """Note that time passes without evidence."""
         self._last_ns = None
 
-    def update(self, sample: Sample, evidence: float, relative: float | None) -> AlarmEvent | None:
+    def update(self, sample: Sample, evidence: float, command: float | None) -> AlarmEvent | None:
         """Take one sample's evidence; return the event it causes, if any.
 
         Parameters
@@ -98,63 +128,85 @@ class Alarm:
             Gives the times.
         evidence : float
             Signed size of the fault, in the rule's unit.
-        relative : float | None
-            Evidence over command where that makes sense.
+        command : float | None
+            What the fault takes its share of, where that makes sense.
         """
-        rule = self.rule
-        now = sample.vehicle_time_ns
+        rule, now = self.rule, sample.vehicle_time_ns
         elapsed = 0 if self._last_ns is None else now - self._last_ns
         self._last_ns = now
+        if sample.restart:
+            self._mean = 0.0
+        elif elapsed and rule.slow < math.inf:
+            limited = max(-2.0 * rule.slow, min(evidence, 2.0 * rule.slow))
+            self._mean += (1.0 - math.exp(-elapsed / (rule.slow_s * 1e9))) * (limited - self._mean)
+        if self._active is not None:
+            return self._while_active(self._active, sample, evidence, command, elapsed)
         size = abs(evidence)
-        if self._active is None:
-            if size < rule.threshold:
-                self._counter_ns = max(0, self._counter_ns - elapsed)
-                return None
-            self._counter_ns += elapsed
-            if self._counter_ns < rule.raise_s * 1e9:
-                return None
-            self._counter_ns = 0
-            self._active = _Active(
-                id=alarm_id(self._vehicle, rule.observer, rule.channel, sample.time_ns),
-                since_ns=sample.time_ns,
-                peak=evidence,
-                severity=self._severity(size),
-                reported=evidence,
-                reported_ns=now,
-            )
-            return self._event(sample, "raised", evidence, relative)
-        return self._while_active(self._active, sample, evidence, relative, elapsed)
+        self._counter_ns = _counted(self._counter_ns, elapsed, size >= rule.threshold)
+        self._fast_ns = _counted(self._fast_ns, elapsed, size >= rule.fast)
+        if size >= rule.fast and self._fast_ns >= rule.fast_s * 1e9:
+            return self._raise(sample, evidence, command, rule.fast, creeping=False)
+        if size >= rule.threshold and self._counter_ns >= rule.raise_s * 1e9:
+            return self._raise(sample, evidence, command, rule.threshold, creeping=False)
+        if abs(self._mean) >= rule.slow:
+            return self._raise(sample, self._mean, command, rule.slow, creeping=True)
+        return None
+
+    def _raise(
+        self, sample: Sample, evidence: float, command: float | None, threshold: float, *, creeping: bool
+    ) -> AlarmEvent:
+        now = sample.vehicle_time_ns
+        self._counter_ns = self._fast_ns = 0
+        self._raised_ns.append(now)
+        often = len(self._raised_ns) == _COMES_AND_GOES and now - self._raised_ns[0] <= self.rule.latch_s * 1e9
+        self._active = _Active(
+            id=alarm_id(self._vehicle, self.rule.observer, self.rule.channel, sample.time_ns),
+            since_ns=sample.time_ns,
+            threshold=threshold,
+            peak=evidence,
+            severity=self._severity(abs(evidence)),
+            reported=evidence,
+            reported_ns=now,
+            creeping=creeping,
+            latched=often,
+        )
+        return self._event(sample, "raised", evidence, command)
 
     def _while_active(
-        self, active: _Active, sample: Sample, evidence: float, relative: float | None, elapsed: int
+        self, active: _Active, sample: Sample, evidence: float, command: float | None, elapsed: int
     ) -> AlarmEvent | None:
-        rule = self.rule
-        size = abs(evidence)
-        worse: Severity = "critical" if "critical" in (active.severity, self._severity(size)) else "warning"
-        self._active = replace(active, peak=max(active.peak, evidence, key=abs), severity=worse)
-        if size < rule.clear:
+        rule, now = self.rule, sample.vehicle_time_ns
+        # What only the slow path sees is still best described by its mean.
+        creeping = active.creeping and abs(evidence) < rule.threshold
+        shown = self._mean if creeping else evidence
+        worse: Severity = "critical" if "critical" in (active.severity, self._severity(abs(shown))) else "warning"
+        self._active = replace(active, peak=max(active.peak, shown, key=abs), severity=worse, creeping=creeping)
+        if abs(evidence) < rule.clear and not (creeping and abs(self._mean) >= 0.5 * rule.slow):
             self._counter_ns += elapsed
-            if self._counter_ns >= rule.clear_s * 1e9:
-                event = self._event(sample, "cleared", evidence, relative)
+            if self._counter_ns >= (rule.latch_s if active.latched else rule.clear_s) * 1e9:
+                event = self._event(sample, "cleared", shown, command)
                 self._active = None
                 self._counter_ns = 0
+                self._mean = 0.0
                 return event
             return None
-        self._counter_ns = max(0, self._counter_ns - elapsed)
-        moved = abs(evidence - active.reported) > max(_UPDATE_SHARE * abs(active.reported), rule.threshold / 2)
-        due = sample.vehicle_time_ns - active.reported_ns >= _UPDATE_EVERY_NS
+        self._counter_ns = 0 if active.latched else max(0, self._counter_ns - elapsed)
+        moved = abs(shown - active.reported) > max(_UPDATE_SHARE * abs(active.reported), active.threshold / 2)
+        due = now - active.reported_ns >= _UPDATE_EVERY_NS
         if worse != active.severity or (moved and due):
-            self._active = replace(self._active, reported=evidence, reported_ns=sample.vehicle_time_ns)
-            return self._event(sample, "updated", evidence, relative)
+            self._active = replace(self._active, reported=shown, reported_ns=now)
+            return self._event(sample, "updated", shown, command)
         return None
 
     def _severity(self, size: float) -> Severity:
         return "critical" if size >= self.rule.critical else "warning"
 
-    def _event(self, sample: Sample, state: State, evidence: float, relative: float | None) -> AlarmEvent:
+    def _event(self, sample: Sample, state: State, evidence: float, command: float | None) -> AlarmEvent:
         active = self._active
         assert active is not None  # noqa: S101 - an event is only made while the alarm stands
         rule = self.rule
+        relative = None if command is None else relative_loss(evidence, command)
+        message = alarm_message(rule.observer, rule.channel, rule.kind, rule.unit, state, evidence, relative)
         return AlarmEvent(
             id=active.id,
             vehicle=self._vehicle,
@@ -166,29 +218,15 @@ class Alarm:
             estimate=evidence,
             relative=relative,
             unit=rule.unit,
-            threshold=rule.threshold,
+            threshold=active.threshold,
             time_ns=sample.time_ns,
             vehicle_time_ms=sample.vehicle_time_ns // 1_000_000,
             since_ns=active.since_ns,
             peak=active.peak,
-            message=alarm_message(rule, state, evidence, relative),
+            message=f"{message} (it comes and goes)" if active.latched and state != "cleared" else message,
             seq=self._count(),
         )
 
 
-def alarm_message(rule: AlarmRule, state: State, evidence: float, relative: float | None) -> str:
-    """Return the sentence a pilot reads."""
-    if state == "cleared":
-        return f"{rule.channel} is back to normal"
-    if rule.kind == "actuator" and relative is not None:
-        direction = "less" if relative < 0 else "more"
-        return f"{rule.channel} delivers {100 * abs(relative):.0f} % {direction} than commanded"
-    if rule.kind == "residual":
-        return f"{rule.observer}: no known fault explains what is measured ({evidence:.1f} times healthy)"
-    if rule.kind == "sensor":
-        return f"{rule.channel} reads {_size(evidence, rule.unit)} off"
-    return f"{rule.channel} is off by {_size(evidence, rule.unit)}"
-
-
-def _size(value: float, unit: str) -> str:
-    return f"{value:+.3g} {unit}".rstrip()
+def _counted(counter_ns: int, elapsed: int, beyond: bool) -> int:
+    return counter_ns + elapsed if beyond else max(0, counter_ns - elapsed)

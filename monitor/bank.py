@@ -8,10 +8,13 @@ that residual in healthy flight,
 stays about p while the hypothesis is right and grows with what it leaves unexplained (structured residuals). A
 hypothesis explains the data as long as J_k <= max(score_floor^2, tolerance^2 max_i J_i): what healthy flight shows, or
 what model error makes of a fault that large. Of those that do, the ones with fewest faults are preferred, and among
-them the smallest J, to which gain_penalty is added for an actuator that would have to deliver more than commanded:
-actuators fail towards less, and two of opposite effect are told apart by little else. The one believed so far stays
-until another is clearly better, so noise does not make names flicker. Where none explains the data nobody is held
-responsible, and the score sqrt(min J) says how much is left.
+them the smallest J. To J is added gain_penalty, or what model error makes of a fault that large, for an actuator that
+would have to deliver more than commanded: actuators fail towards less, and two of opposite effect are told apart by
+little else. The one believed so far stays until another is clearly better, so noise does not make names flicker. Where
+none explains the data nobody is held responsible, and the score sqrt(min J) says how much is left.
+
+A hypothesis of a sensor fault that would explain anything (a gyro bias against the motors) may be set apart: it takes
+no part in the comparison, and its fault is evidence where its estimate has an edge (:mod:`monitor.edge`).
 
 All observers run all the time and none is ever reset by another's verdict: when a fault has gone, its residuals return
 to their healthy size by themselves and the bank is armed for the next one.
@@ -19,15 +22,20 @@ to their healthy size by themselves and the bank is armed for the next one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gains.gains_file import Gains
+from monitor.edge import EdgeDetector
 from monitor.isolation_rule import BankRule
-from monitor.observer import Observer
+from monitor.observer_stack import ObserverStack
 
+_HEALTHY = 3.5
+"""J / p up to which a hypothesis with an edge is believed: one healthy sample in a thousand has more, for p = 4."""
+
+_RANK_TOLERANCE = 1e-6
 _LOYALTY = 2.0
 """How many times smaller another hypothesis' J has to be before it replaces the one believed so far."""
 
@@ -43,13 +51,17 @@ class Bank:
         Isolation part of the profile.
     faults : Sequence[str]
         Names of all fault channels (a,), in the order of the estimates.
+    thresholds : Mapping[str, float]
+        Alarm thresholds by channel: edges smaller than theirs are not held.
 
     Attributes
     ----------
     fault : NDArray[np.float64]
         Each fault as estimated under its smallest hypothesis (a,).
     evidence : NDArray[np.float64]
-        Smoothed estimates of the faults of the hypothesis believed (a,), zero for all others.
+        Smoothed estimates of the faults of the hypothesis believed (a,), edges that are held, zero for all others.
+    speaks : NDArray[np.bool_]
+        Channels whose evidence counts (a,): not those of the comparison where no hypothesis explains the data.
     J : NDArray[np.float64]
         What each hypothesis leaves unexplained (number of hypotheses,).
     unexplained : float
@@ -58,70 +70,90 @@ class Bank:
         Index of the hypothesis believed.
     """
 
-    def __init__(self, gains: Sequence[Gains], rule: BankRule, faults: Sequence[str]) -> None:
-        self._observers = [Observer(one) for one in gains]
+    def __init__(
+        self, gains: Sequence[Gains], rule: BankRule, faults: Sequence[str], thresholds: Mapping[str, float]
+    ) -> None:
+        self._stack = ObserverStack(gains)
         self._places = [np.array([faults.index(name) for name in one.faults], dtype=np.intp) for one in gains]
         sizes = np.array([len(one.faults) for one in gains])
-        self._groups = [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
-        self._owned = []
-        for at, name in enumerate(faults):
-            owner = min((k for k, one in enumerate(gains) if name in one.faults), key=sizes.__getitem__)
-            self._owned.append((at, owner, gains[owner].faults.index(name)))
+        compared = ~np.array(rule.edges)
+        self._groups = [np.flatnonzero((sizes == size) & compared) for size in np.unique(sizes[compared])]
+        self._compared = np.flatnonzero(compared)
+        owners = [
+            min((k for k, one in enumerate(gains) if name in one.faults), key=sizes.__getitem__) for name in faults
+        ]
+        self._owned = np.array(
+            [self._stack.spans[k].start + gains[k].faults.index(name) for name, k in zip(faults, owners, strict=True)]
+        )
         p, rate_hz = len(gains[0].outputs), gains[0].rate_hz
-        self._information = np.stack([np.linalg.inv(covariance) for covariance in rule.covariances])
+        self._whitening = whitening(rule.covariances)
         self._keep = float(np.exp(-1.0 / (rule.smoothing_s * rate_hz))) if rule.smoothing_s > 0 else 0.0
         self._floor = rule.score_floor**2
         self._share = rule.tolerance**2
         self._penalty = rule.gain_penalty
-        self._scaling = [np.array([source is not None for source in one.fault_inputs]) for one in gains]
+        self._scaling = np.array([source is not None for one in gains for source in one.fault_inputs])
+        self._first = np.array([span.start for span in self._stack.spans])
         self._residuals = np.zeros((len(gains), p))
-        self._faults = [np.zeros(len(one.faults)) for one in gains]
+        self._faults = np.zeros(len(self._stack.fault))
+        self._edges = [
+            (k, int(self._places[k][0]), EdgeDetector(rate_hz, _HEALTHY * p, thresholds.get(one.faults[0])))
+            for k, one in enumerate(gains)
+            if rule.edges[k]
+        ]
+        self._comparison = np.ones(len(faults), dtype=np.bool_)
+        self._comparison[[place for _, place, _ in self._edges]] = False
+        self.speaks = np.ones(len(faults), dtype=np.bool_)
         self.fault = np.zeros(len(faults))
         self.evidence = np.zeros(len(faults))
         self.J = np.zeros(len(gains))
         self.unexplained = 0.0
-        self.believed = 0
+        self.believed = int(self._groups[0][0])
 
     @property
     def x(self) -> NDArray[np.float64]:
         """State estimate of the hypothesis believed (n,)."""
-        return self._observers[self.believed].x
+        return np.asarray(self._stack.x[self.believed])
 
     @property
     def residual(self) -> NDArray[np.float64]:
         """Residual of the hypothesis believed (p,), not smoothed."""
-        return self._observers[self.believed].residual
+        return np.asarray(self._stack.residual[self.believed])
 
     def restart(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """Forget the past: start all observers at the state that (u, y) explain without a fault."""
-        for observer, fault in zip(self._observers, self._faults, strict=True):
-            observer.restart(u, y)
-            fault[:] = 0.0
+        self._stack.restart(u, y)
+        for _, _, detector in self._edges:
+            detector.restart()
         self._residuals[:] = 0.0
+        self._faults[:] = 0.0
 
     def step(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """Advance all observers by one sample, u (s,) and y (p,), and choose the hypothesis to believe."""
-        keep = self._keep
+        stack, keep = self._stack, self._keep
+        stack.step(u, y)
         self._residuals *= keep
-        for k, observer in enumerate(self._observers):
-            observer.step(u, y)
-            self._residuals[k] += (1.0 - keep) * observer.residual
-            self._faults[k] *= keep
-            self._faults[k] += (1.0 - keep) * observer.fault
-        r = self._residuals
-        self.J = np.einsum("ki,kij,kj->k", r, self._information, r)
+        self._residuals += (1.0 - keep) * stack.residual
+        self._faults *= keep
+        self._faults += (1.0 - keep) * stack.fault
+        white = np.matmul(self._whitening, self._residuals[:, :, None])[:, :, 0]
+        self.J = np.einsum("kj,kj->k", white, white)
         self._choose()
-        for at, owner, place in self._owned:
-            self.fault[at] = self._observers[owner].fault[place]
+        np.take(stack.fault, self._owned, out=self.fault)
         self.evidence[:] = 0.0
         if not self.unexplained:
-            self.evidence[self._places[self.believed]] = self._faults[self.believed]
+            self.evidence[self._places[self.believed]] = self._faults[stack.spans[self.believed]]
+        self.speaks[self._comparison] = not self.unexplained
+        for k, place, detector in self._edges:
+            self.evidence[place] = detector.update(float(stack.fault[stack.spans[k].start]), float(self.J[k]))
+            if detector.held and self.J[k] <= self._floor:
+                self.unexplained = 0.0
 
     def _choose(self) -> None:
         J = self.J
-        limit = max(self._floor, self._share * float(J.max()))
-        gains = [np.any(fault[scaling] > 0.0) for fault, scaling in zip(self._faults, self._scaling, strict=True)]
-        cost = J + self._penalty * np.array(gains)
+        worst = float(J[self._compared].max())
+        limit = max(self._floor, self._share * worst)
+        more = np.add.reduceat((self._faults > 0.0) & self._scaling, self._first) > 0
+        cost = J + np.where(more, max(self._penalty, self._share * worst), 0.0)
         for group in self._groups:
             explaining = group[J[group] <= limit]
             if len(explaining):
@@ -130,5 +162,20 @@ class Bank:
                     self.believed = best
                 self.unexplained = 0.0
                 return
-        self.believed = int(np.argmin(J))
+        self.believed = int(self._compared[np.argmin(J[self._compared])])
         self.unexplained = float(np.sqrt(J[self.believed]))
+
+
+def whitening(covariances: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return W_k (p, p) of each covariance with W_k' W_k = S_k^-1, stacked.
+
+    Directions in which a residual cannot move count nothing: a sensor fault takes up all that its output does, so the
+    residual under its hypothesis has no part there.
+    """
+    scale = np.sqrt(np.max([np.diag(covariance) for covariance in covariances], axis=0))
+    found = np.zeros((len(covariances), len(scale), len(scale)))
+    for W, covariance in zip(found, covariances, strict=True):
+        values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+        kept = values > _RANK_TOLERANCE * values[-1]
+        W[kept] = (vectors[:, kept] / np.sqrt(values[kept])).T / scale
+    return found

@@ -11,13 +11,14 @@ from adapters.clock import VehicleClock
 from adapters.message import Message
 from adapters.phase import FlightPhase
 from adapters.sample import Sample
-from adapters.sampler import Sampler, SamplerStatistics
+from adapters.sampler import SamplerStatistics
+from adapters.transform import make_sampler
 from monitor.alarm import Alarm
 from monitor.estimate import Estimate, Layout
 from monitor.estimator import make_estimator
 from monitor.event import AlarmEvent
 from monitor.gate import FlightGate, GateRule
-from monitor.input_curve import fault_in_command, relative_loss
+from monitor.input_curve import fault_in_command
 from monitor.profile import ObserverProfile
 
 Output = Estimate | AlarmEvent
@@ -60,9 +61,11 @@ class ObserverChain:
             fault_units=tuple(channel.unit for channel in profile.faults),
         )
         self._name = profile.name
-        self._sampler = Sampler(profile.inputs, profile.outputs, gains.rate_hz, clock)
+        self._sampler = make_sampler(profile.source, gains.rate_hz, clock)
+        self._commanded = profile.source.transform is None
         self._gate = FlightGate(gate)
-        self._estimator = make_estimator(profile.gains, profile.isolation, names)
+        thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
+        self._estimator = make_estimator(profile.gains, profile.isolation, names, thresholds)
         alarms = [Alarm(rule, vehicle, count) for rule in profile.alarms]
         self._alarms = [(names.index(alarm.rule.channel), alarm) for alarm in alarms if alarm.rule.kind != "residual"]
         self._residual_alarms = [alarm for alarm in alarms if alarm.rule.kind == "residual"]
@@ -73,6 +76,11 @@ class ObserverChain:
         """Names of the messages the observer's channels come from."""
         return self._sampler.interests
 
+    @property
+    def unexplained(self) -> float:
+        """Score of what no hypothesis explained at the last sample, zero where one does."""
+        return self._estimator.unexplained
+
     def statistics(self) -> SamplerStatistics:
         """Return what the sampler counted."""
         return self._sampler.statistics()
@@ -81,7 +89,8 @@ class ObserverChain:
         """Take one message; return estimates and events in the order they arise."""
         outputs: list[Output] = []
         for sample in self._sampler.feed(message):
-            outputs.extend(self.step(sample, self._gate.admits(phase, sample) and sample.complete))
+            admitted = self._gate.admits(phase, sample, commands=self._commanded)
+            outputs.extend(self.step(sample, admitted and sample.complete))
         return outputs
 
     def step(self, sample: Sample, armed: bool) -> list[Output]:
@@ -107,11 +116,11 @@ class ObserverChain:
         unexplained = estimator.unexplained
         for index, alarm in self._alarms:
             # Evidence that no hypothesis explains speaks neither for a fault nor against it.
-            if not armed or unexplained:
+            if not armed or not estimator.speaks[index]:
                 alarm.pause()
                 continue
             size = float(isolated[index])
-            event = alarm.update(sample, size, self._command.relative(index, size))
+            event = alarm.update(sample, size, self._command.command(index))
             if event is not None:
                 outputs.append(event)
         for alarm in self._residual_alarms:
@@ -162,7 +171,7 @@ class CommandUnits:
             )
         return faults
 
-    def relative(self, index: int, size: float) -> float | None:
-        """Return a fault's size over the command it scales, None where it scales none."""
+    def command(self, index: int) -> float | None:
+        """Return the smoothed command that a fault scales, None where it scales none."""
         source = self._input_of.get(index)
-        return None if source is None else relative_loss(size, float(self._u[source]))
+        return None if source is None else float(self._u[source])

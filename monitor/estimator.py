@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ class JointEstimator:
         What each channel is held responsible for (a,).
     unexplained : float
         Always zero: a joint estimate explains whatever comes.
+    speaks : NDArray[np.bool_]
+        Channels whose evidence counts (a,): all.
     """
 
     unexplained = 0.0
@@ -43,6 +45,7 @@ class JointEstimator:
         self.fault = self._observer.fault
         self.residual = self._observer.residual
         self.evidence = np.zeros(len(gains.faults))
+        self.speaks = np.ones(len(gains.faults), dtype=np.bool_)
 
     def restart(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """Forget the past: start at the state that (u, y) explain without a fault."""
@@ -58,10 +61,12 @@ class JointEstimator:
 Estimator = JointEstimator | Bank
 
 
-def make_estimator(gains: Sequence[Gains], rule: IsolationRule, faults: Sequence[str]) -> Estimator:
+def make_estimator(
+    gains: Sequence[Gains], rule: IsolationRule, faults: Sequence[str], thresholds: Mapping[str, float]
+) -> Estimator:
     """Return the estimator that a profile asks for: several gains for a bank, one otherwise."""
     if isinstance(rule, BankRule):
-        return Bank(gains, rule, faults)
+        return Bank(gains, rule, faults, thresholds)
     return JointEstimator(gains[0], rule)
 
 

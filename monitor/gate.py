@@ -42,22 +42,25 @@ class FlightGate:
         self._rule = rule
         self._since_ns: int | None = None
 
-    def admits(self, phase: FlightPhase, sample: Sample) -> bool:
-        """Return whether the sample counts as evidence."""
+    def admits(self, phase: FlightPhase, sample: Sample, commands: bool = True) -> bool:
+        """Return whether the sample counts as evidence.
+
+        Without ``commands`` its inputs are none, and say nothing about being in the air.
+        """
         if sample.restart:
             self._since_ns = None
-        if not self._holds(phase, sample):
+        if not self._holds(phase, sample, commands):
             self._since_ns = None
             return False
         if self._since_ns is None:
             self._since_ns = sample.vehicle_time_ns
         return sample.vehicle_time_ns - self._since_ns >= self._rule.settle_s * 1e9
 
-    def _holds(self, phase: FlightPhase, sample: Sample) -> bool:
+    def _holds(self, phase: FlightPhase, sample: Sample, commands: bool) -> bool:
         if self._rule.require_armed and phase.armed is False:
             return False
         if not self._rule.require_airborne:
             return True
         if phase.landed is not None:
             return phase.landed == "air"
-        return float(np.mean(sample.u)) >= self._rule.airborne_command
+        return not commands or float(np.mean(sample.u)) >= self._rule.airborne_command

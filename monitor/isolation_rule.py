@@ -57,6 +57,8 @@ class BankRule:
         The faults of each hypothesis.
     covariances : tuple[NDArray[np.float64], ...]
         Healthy covariance of the smoothed residual of each hypothesis (p, p).
+    edges : tuple[bool, ...]
+        Which hypotheses take no part in the comparison but watch for edges of their one fault.
     """
 
     smoothing_s: float
@@ -65,6 +67,7 @@ class BankRule:
     gain_penalty: float
     hypotheses: tuple[tuple[str, ...], ...]
     covariances: tuple[NDArray[np.float64], ...]
+    edges: tuple[bool, ...]
 
 
 IsolationRule = IndependentRule | SingleRule | BankRule
@@ -111,8 +114,14 @@ def read_isolation(table: Table, faults: int, outputs: int) -> IsolationRule:
             score_floor=table.number("score_floor", at_least=0.0),
             gain_penalty=table.number("gain_penalty", 25.0, at_least=0.0),
             hypotheses=hypotheses,
-            covariances=tuple(_covariance(entry, outputs) for entry in entries),
+            covariances=tuple(_covariance(entry, outputs, definite=False) for entry in entries),
+            edges=tuple(entry.boolean("edge", False) for entry in entries),
         )
+        for entry, found, edge in zip(entries, hypotheses, rule.edges, strict=True):
+            if edge and len(found) > 1:
+                raise ProfileError(f"{entry.where('edge')} needs a hypothesis with a single fault")
+        if all(rule.edges):
+            raise ProfileError(f"{table.where('hypotheses')} has none but edges; a bank needs one to compare")
         for entry in entries:
             entry.texts("faults", ())
             entry.done()
@@ -143,8 +152,8 @@ def isolation_table(rule: IsolationRule) -> dict[str, Any]:
     if isinstance(rule, SingleRule):
         return {"method": "single", **shared, "covariance": rule.covariance.tolist()}
     hypotheses = [
-        {"faults": list(faults), "covariance": covariance.tolist()}
-        for faults, covariance in zip(rule.hypotheses, rule.covariances, strict=True)
+        {"faults": list(faults), **({"edge": True} if edge else {}), "covariance": covariance.tolist()}
+        for faults, covariance, edge in zip(rule.hypotheses, rule.covariances, rule.edges, strict=True)
     ]
     return {"method": "bank", **shared, "hypotheses": hypotheses}
 
@@ -154,8 +163,12 @@ def gains_file_name(observer: str, faults: Sequence[str] = ()) -> str:
     return ".".join((observer, *(("+".join(faults),) if faults else ()), "gains.json"))
 
 
-def _covariance(table: Table, size: int) -> NDArray[np.float64]:
+def _covariance(table: Table, size: int, definite: bool = True) -> NDArray[np.float64]:
     covariance = table.matrix("covariance", size, size)
-    if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance).min() <= 0.0:
-        raise ProfileError(f"{table.where('covariance')} is not symmetric and positive definite")
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    correlation = covariance / np.outer(scale, scale).clip(1e-300)
+    if not np.allclose(correlation, correlation.T) or not covariance.any():
+        raise ProfileError(f"{table.where('covariance')} is not symmetric, or zero")
+    if np.linalg.eigvalsh(correlation).min() < (1e-12 if definite else -1e-9):
+        raise ProfileError(f"{table.where('covariance')} is not positive {'definite' if definite else 'semidefinite'}")
     return covariance

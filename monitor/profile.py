@@ -9,6 +9,7 @@ PROFILE/<observer>.gains.json   the compiled gains; they know the hash of their 
 from __future__ import annotations
 
 import hashlib
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -16,6 +17,8 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from adapters.channels import Channel, channel_table, parse_channel
+from adapters.errors import TelemetryError
+from adapters.transform import Source, TransformRule, make_transform
 from gains.errors import ModelError
 from gains.gains_file import Gains, read_gains
 from gains.model_file import model_hash, read_model
@@ -58,7 +61,7 @@ class ObserverProfile:
         Its gains; those of each hypothesis where it is a bank. All share inputs, outputs, states and rate.
     faults : tuple[FaultChannel, ...]
         All fault channels, actuators first.
-    inputs, outputs : tuple[Channel, ...]
+    source : Source
         Where u and y come from.
     isolation : IsolationRule
         How estimates become evidence.
@@ -69,8 +72,7 @@ class ObserverProfile:
     name: str
     gains: tuple[Gains, ...]
     faults: tuple[FaultChannel, ...]
-    inputs: tuple[Channel, ...]
-    outputs: tuple[Channel, ...]
+    source: Source
     isolation: IsolationRule
     alarms: tuple[AlarmRule, ...]
 
@@ -168,27 +170,27 @@ def read_profile(folder: str | Path) -> Profile:
 
 def observer_table(
     *,
-    inputs: Sequence[Channel],
-    outputs: Sequence[Channel],
+    source: Source,
     isolation: IsolationRule,
     alarms: Sequence[AlarmRule],
 ) -> dict[str, Any]:
     """Return an observer's part of profile.toml, as :func:`read_profile` reads it back."""
     table: dict[str, Any] = {
-        "inputs": {channel.name: channel_table(channel) for channel in inputs},
-        "outputs": {channel.name: channel_table(channel) for channel in outputs},
+        **_source_table(source),
         "isolation": isolation_table(isolation),
-        "alarms": {
-            rule.channel: {
-                "threshold": rule.threshold,
-                "clear": rule.clear,
-                "critical": rule.critical,
-                "raise_s": rule.raise_s,
-                "clear_s": rule.clear_s,
-            }
-            for rule in alarms
-        },
+        "alarms": {rule.channel: _alarm_table(rule) for rule in alarms},
     }
+    return table
+
+
+def _alarm_table(rule: AlarmRule) -> dict[str, float]:
+    table = {key: getattr(rule, key) for key in ("threshold", "clear", "critical", "raise_s", "clear_s")}
+    if rule.fast < math.inf:
+        table |= {"fast": rule.fast, "fast_s": rule.fast_s}
+    if rule.slow < math.inf:
+        table |= {"slow": rule.slow, "slow_s": rule.slow_s}
+    if rule.latch_s:
+        table["latch_s"] = rule.latch_s
     return table
 
 
@@ -222,8 +224,7 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
         name=name,
         gains=gains,
         faults=faults,
-        inputs=_channels(table.table("inputs"), shared.inputs),
-        outputs=_channels(table.table("outputs"), shared.outputs),
+        source=_source(table, shared),
         isolation=read_isolation(isolation, len(faults), len(shared.outputs)),
         alarms=_alarms(table.table("alarms"), name, faults),
     )
@@ -266,6 +267,40 @@ def fault_channels(gains: Sequence[Gains]) -> tuple[FaultChannel, ...]:
     return tuple(sorted(found.values(), key=lambda channel: channel.kind != "actuator"))
 
 
+def _source(table: Table, gains: Gains) -> Source:
+    if "transform" not in table.keys():  # noqa: SIM118 - a Table is no dict
+        inputs, outputs = (
+            _channels(table.table("inputs"), gains.inputs),
+            _channels(table.table("outputs"), gains.outputs),
+        )
+        return Source(inputs, outputs)
+    found = table.table("transform")
+    where = found.where("kind")
+    kind, rate_hz = found.text("kind"), found.number("rate_hz", at_least=gains.rate_hz)
+    parameters = {key: found.number(key) for key in found.keys() if key not in ("kind", "rate_hz")}  # noqa: SIM118
+    rule = TransformRule(kind, rate_hz, parameters)
+    try:
+        transform = make_transform(rule, gains.rate_hz)
+    except TelemetryError as error:
+        raise ProfileError(f"{where}: {error}") from error
+    if (transform.inputs, transform.outputs) != (gains.inputs, gains.outputs):
+        raise ProfileError(f"{where}: gives other signals than the gains take; fit the profile again")
+    return Source(transform=rule, signals=_channels(table.table("signals"), transform.signals))
+
+
+def _source_table(source: Source) -> dict[str, Any]:
+    if source.transform is None:
+        return {
+            "inputs": {channel.name: channel_table(channel) for channel in source.inputs},
+            "outputs": {channel.name: channel_table(channel) for channel in source.outputs},
+        }
+    rule = source.transform
+    return {
+        "transform": {"kind": rule.kind, "rate_hz": rule.rate_hz, **rule.parameters},
+        "signals": {channel.name: channel_table(channel) for channel in source.signals},
+    }
+
+
 def _channels(table: Table, names: Sequence[str]) -> tuple[Channel, ...]:
     channels = tuple(parse_channel(name, table.table(name).raw(), f"{table.where(name)}") for name in names)
     table.done()
@@ -291,6 +326,11 @@ def _alarms(table: Table, observer: str, faults: Sequence[FaultChannel]) -> tupl
             critical=entry.number("critical", 5 * threshold, at_least=0.0),
             raise_s=entry.number("raise_s", 0.15, at_least=0.0),
             clear_s=entry.number("clear_s", 0.5, at_least=0.0),
+            fast=max(threshold, entry.number("fast", math.inf, at_least=0.0)),
+            fast_s=entry.number("fast_s", 0.05, at_least=0.0),
+            slow=entry.number("slow", math.inf, at_least=0.0),
+            slow_s=entry.number("slow_s", 2.0, at_least=0.01),
+            latch_s=entry.number("latch_s", 0.0, at_least=0.0),
         )
         entry.done()
         if rule.clear > rule.threshold:

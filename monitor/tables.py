@@ -102,6 +102,8 @@ class Table:
     def number(self, key: str, default: float | None = None, at_least: float = -math.inf) -> float:
         """Return a finite number that is not below ``at_least``."""
         found = self._get(key, default)
+        if key not in self._content and default is not None:
+            return default
         if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
             raise ProfileError(f"{self.where(key)} is not a finite number")
         if found < at_least:

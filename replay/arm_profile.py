@@ -10,6 +10,7 @@ import tomli_w
 from adapters.arm import SCENARIOS, TORQUES, simulate_arm
 from adapters.arm_source import arm_messages
 from adapters.channels import Channel
+from adapters.transform import Source
 from gains.certificate import certify
 from gains.compilation import compile_gains
 from gains.gains_file import write_gains
@@ -78,12 +79,12 @@ def write_arm_profile(folder: Path) -> Profile:
             for name, kind, unit in zip(gains.faults, gains.fault_kinds, gains.fault_units, strict=True)
             if name in thresholds
         ]
-        table = observer_table(inputs=inputs, outputs=outputs, isolation=isolation, alarms=alarms)
+        table = observer_table(source=Source(inputs, outputs), isolation=isolation, alarms=alarms)
         content = profile_table(name="arm", vehicle="custom", gate=_GATE, observers={OBSERVER: table})
         (folder / PROFILE_FILE).write_text(tomli_w.dumps(content))
         return read_profile(folder)
 
     runs = [simulate_arm(SCENARIOS["healthy"], _HEALTHY_S, RATE_HZ, torque) for torque in TORQUES]
-    healthy = [flight_samples(arm_messages(run, 10**18), inputs, outputs, RATE_HZ, _GATE) for run in runs]
+    healthy = [flight_samples(arm_messages(run, 10**18), Source(inputs, outputs), RATE_HZ, _GATE) for run in runs]
     worst, _ = healthy_maxima(write({}), healthy, _RAISE_S)
     return write({name: round(_MARGIN * float(worst[i]), 4) for i, name in enumerate(gains.faults)})

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.channels import Channel
 from adapters.clock import VehicleClock
 from adapters.message import Message
 from adapters.phase import FlightPhase
 from adapters.sample import Sample
-from adapters.sampler import Sampler
+from adapters.transform import Source, make_sampler
 from gains.gains_file import Gains
 from gains.multirotor import Segment
+from monitor.bank import whitening
 from monitor.chain import ObserverChain
 from monitor.estimate import Estimate
 from monitor.gate import FlightGate, GateRule
@@ -41,19 +41,19 @@ class GatedSample(NamedTuple):
 
 def flight_samples(
     messages: Iterable[Message],
-    inputs: Sequence[Channel],
-    outputs: Sequence[Channel],
+    source: Source,
     rate_hz: float,
     gate: GateRule,
 ) -> list[GatedSample]:
     """Return a recording's samples, each with whether it is evidence, as the monitor would take them."""
-    sampler = Sampler(inputs, outputs, rate_hz, VehicleClock())
+    sampler = make_sampler(source, rate_hz, VehicleClock())
+    commands = source.transform is None
     phase, flight = FlightPhase(), FlightGate(gate)
     found = []
     for message in messages:
         phase.feed(message)
         for sample in sampler.feed(message):
-            found.append(GatedSample(sample, flight.admits(phase, sample) and sample.complete))
+            found.append(GatedSample(sample, flight.admits(phase, sample, commands) and sample.complete))
     return found
 
 
@@ -93,8 +93,10 @@ def single_rule(gains: Gains, segments: Sequence[Segment]) -> SingleRule:
     )
 
 
-def bank_rule(bank: Sequence[Gains], segments: Sequence[Segment]) -> BankRule:
+def bank_rule(bank: Sequence[Gains], segments: Sequence[Segment], edges: Collection[str] = ()) -> BankRule:
     """Return the isolation stage of a bank, from the residuals of its hypotheses in healthy flight.
+
+    ``edges`` names the faults that are watched for edges instead of compared.
 
     The covariances are taken about zero; the floor of the score is the largest one that the best hypothesis leaves
     unexplained in healthy flight, with a margin.
@@ -106,18 +108,21 @@ def bank_rule(bank: Sequence[Gains], segments: Sequence[Segment]) -> BankRule:
             stage = IndependentChannels(len(one.outputs), _SMOOTHING_S, one.rate_hz)
             residual = observer.run(segment.u, segment.y).residual
             found.extend([stage.update(value).single for value in residual][_settled(one) :])
+    watched = tuple(any(name in edges for name in one.faults) for one in bank)
     covariances = tuple(np.stack(found).T @ np.stack(found) / len(found) for found in residuals)
-    J = [
-        np.einsum("ti,ij,tj->t", np.stack(found), np.linalg.inv(covariance), np.stack(found))
-        for found, covariance in zip(residuals, covariances, strict=True)
+    scores = [
+        np.linalg.norm(np.stack(found) @ W.T, axis=1)
+        for found, W, edge in zip(residuals, whitening(covariances), watched, strict=True)
+        if not edge
     ]
     return BankRule(
         smoothing_s=_SMOOTHING_S,
         tolerance=_TOLERANCE,
-        score_floor=MARGIN * float(np.sqrt(np.min(J, axis=0).max())),
+        score_floor=MARGIN * float(np.min(scores, axis=0).max()),
         gain_penalty=_GAIN_PENALTY,
         hypotheses=tuple(one.faults for one in bank),
         covariances=covariances,
+        edges=watched,
     )
 
 

@@ -1,4 +1,4 @@
-"""Commands of this package: demo, fit, replay, convert."""
+"""Commands of this package: demo, fit, replay, convert; inject and detectability stand in a module of their own."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from replay import attack_commands
 
 if TYPE_CHECKING:
     from adapters.message import Message
@@ -23,6 +25,7 @@ def add_parsers(subparsers: Any) -> None:
     _add_fit(subparsers)
     _add_replay(subparsers)
     _add_convert(subparsers)
+    attack_commands.add_parsers(subparsers)
 
 
 def _add_demo(subparsers: Any) -> None:
@@ -97,7 +100,7 @@ def run_demo(args: argparse.Namespace) -> int:
 def run_fit(args: argparse.Namespace) -> int:
     """Run ``fauio fit``."""
     from adapters.recordings import read_recording, recording_kind
-    from replay.fit import fit_multirotor, report_json
+    from replay.fit import fit
     from replay.progress import track
     from replay.survey import FIT_MESSAGES, of_one_vehicle
 
@@ -108,20 +111,17 @@ def run_fit(args: argparse.Namespace) -> int:
     def log(path: Path) -> Iterator[Message]:
         return track(of_one_vehicle(read_recording(path, FIT_MESSAGES)), f"reading {path.name}")
 
-    report = fit_multirotor([lambda path=path: log(path) for path in args.logs], args.out, name)  # type: ignore[misc]
-    found = report_json(report)
+    report = fit(args.vehicle, [lambda path=path: log(path) for path in args.logs], args.out, name)  # type: ignore[misc]
     if args.json:
-        _say(json.dumps(found))
+        _say(json.dumps(report.to_json()))
         return 0
-    _say(f"{args.out}: profile of '{name}' from {report.flight_s:.0f} s of healthy flight in {len(args.logs)} logs")
-    explained = ", ".join(f"{axis} {100 * share:.1f} %" for axis, share in _items(found["explained"]))
-    _say(f"  model       {report.model.rate_hz:g} Hz, explains {explained} of each rate's changes")
-    _say(f"  design      certified sqrt(mu) {report.sqrt_mu:.4g}")
-    for motor, hover, threshold in zip(report.motors, report.hover, report.thresholds, strict=True):
-        _say(
-            f"  {motor:<11} alarm from {100 * threshold / hover:.1f} % loss at hover (command {hover:.2f}, "
-            f"threshold {threshold:.4f} of full command)"
-        )
+    _say(f"{args.out}: profile of '{name}' from {len(args.logs)} logs")
+    for fitted in report.observers:
+        _say(f"{fitted.name}: {fitted.flight_s:.0f} s of healthy samples, certified sqrt(mu) {fitted.sqrt_mu:.4g}")
+        for line in fitted.lines:
+            _say(f"  {line}")
+    for note in report.notes:
+        _say(f"not fitted: {note}")
     _say("Thresholds stand in profile.toml and may be edited.")
     return 0
 

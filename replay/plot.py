@@ -31,7 +31,7 @@ DPI = 160
 LANE_DEVIATIONS = 10.0
 TRUTH_DASHES = (0, (4, 2))
 
-_STYLE: dict[str, Any] = {
+STYLE: dict[str, Any] = {
     "font.size": 8,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -83,7 +83,7 @@ def plot_png(
 
     heights = [height for trace in traces for height in _heights(trace)] or [1.0]
     spans = alarm_spans(events)
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, sum(heights) + 1.0), dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
         panels = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]

@@ -11,7 +11,7 @@ T = TypeVar("T")
 _SHOW_EVERY = 2000
 
 
-def track(items: Iterable[T], what: str) -> Iterator[T]:
+def track(items: Iterable[T], what: str, unit: str = "messages") -> Iterator[T]:
     """Yield the items; on a terminal say on stderr how many have gone by, and wipe the line at the end."""
     if not sys.stderr.isatty():
         yield from items
@@ -22,7 +22,7 @@ def track(items: Iterable[T], what: str) -> Iterator[T]:
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}"),
-        TextColumn("{task.completed:,.0f} messages"),
+        TextColumn("{task.completed:,.0f} " + unit),
     )
     with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=None)
@@ -30,6 +30,6 @@ def track(items: Iterable[T], what: str) -> Iterator[T]:
         for item in items:
             yield item
             pending += 1
-            if pending == _SHOW_EVERY:
+            if pending == (_SHOW_EVERY if unit == "messages" else 1):
                 progress.advance(task, pending)
                 pending = 0

@@ -120,3 +120,13 @@ def test_where_selects_among_messages_of_one_name() -> None:
     assert channel.selects({"port": 0})
     assert not channel.selects({"port": 1})
     assert not channel.selects({})
+
+
+def test_a_period_is_read_and_written_and_has_to_be_positive() -> None:
+    table = {"message": "GPS_RAW_INT", "field": "cog", "scale": 0.01, "period": 360}
+    channel = parse_channel("course", table, "profile.toml: signals")
+    assert channel.period == 360.0
+    assert parse_channel("course", channel_table(channel), "again") == channel
+    for bad in (0, -1.0, True, "360"):
+        with pytest.raises(TelemetryError, match="'period' is not a positive number"):
+            parse_channel("course", {**table, "period": bad}, "profile.toml: signals")

@@ -87,6 +87,16 @@ def test_a_held_channel_keeps_its_newest_value() -> None:
         assert sample.u[0] == newest // 50_000
 
 
+def test_a_channel_with_a_period_is_interpolated_the_shorter_way_round() -> None:
+    course = Channel("course", "A", ("speed",), period=360.0)
+    messages = [message("A", t, speed=(350.0 + 0.1 * t / 1_000.0) % 360.0) for t in range(7_000, 400_000, 70_000)]
+    samples = feed(sampler([], [course]), messages)
+    assert len(samples) > 30
+    for sample in samples:
+        truth = 350.0 + 0.1 * sample.vehicle_time_ns / 1e6
+        assert (sample.y[0] - truth + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_sample_comes_as_soon_as_every_channel_has_reached_its_tick() -> None:
     to = sampler()
     feed(to, telemetry(0, 200_000))

@@ -52,11 +52,13 @@ def test_a_step_of_wind_is_no_fault(quad_profile: Profile, data: Path) -> None:
 
 
 def test_the_fit_reports_what_it_learned(quad_folder: Path) -> None:
-    report = json.loads((quad_folder / "fit.json").read_text())
+    report = json.loads((quad_folder / "fit.json").read_text())["observers"]["motors"]
     assert report["motors"] == ["motor1", "motor2", "motor3", "motor4"]
     assert report["rate_hz"] == 100.0
     assert min(report["explained"].values()) > 0.9
-    assert max(report["threshold_relative"].values()) < 0.05
+    hover = report["hover_command"]
+    assert max(report["alarms"][motor]["threshold"] / hover[motor] for motor in report["motors"]) < 0.05
+    assert report["alarms"]["motor1"]["level_low"] <= report["alarms"]["motor1"]["level_high"]
 
 
 def test_a_log_without_motor_commands_is_refused_with_what_is_missing(

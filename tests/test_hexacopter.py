@@ -6,14 +6,14 @@ from hexacopter import hexacopter_flight
 
 from monitor.event import AlarmEvent
 from monitor.profile import Profile, read_profile
-from replay.fit import fit_multirotor
+from replay.fit import fit
 from replay.player import play
 
 
 @pytest.fixture(scope="module")
 def profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
     folder = tmp_path_factory.mktemp("hexa") / "hexa"
-    fit_multirotor([lambda: hexacopter_flight(1, 60.0), lambda: hexacopter_flight(2, 60.0)], folder, "hexa")
+    fit("multirotor", [lambda: hexacopter_flight(1, 60.0), lambda: hexacopter_flight(2, 60.0)], folder, "hexa")
     return read_profile(folder)
 
 
@@ -27,7 +27,8 @@ def seconds_after(event: AlarmEvent, moment_s: float) -> float:
 
 def test_the_profile_holds_one_observer_for_each_motor(profile: Profile) -> None:
     (observer,) = profile.observers
-    assert [gains.faults for gains in observer.gains] == [(f"motor{i}",) for i in range(1, 7)]
+    motors, gyros = [f"motor{i}" for i in range(1, 7)], ["gyro_x", "gyro_y", "gyro_z"]
+    assert [gains.faults for gains in observer.gains] == [(name,) for name in (*motors, *gyros)]
     assert {f"motors.motor{i}.gains.json" for i in range(1, 7)} < set(profile.files)
 
 

@@ -1,13 +1,15 @@
-"""The alarm state machine: debounce by time, hysteresis, severity, updates, identity."""
+"""The alarm state machine: three paths, debounce by time, hysteresis, severity, latching, updates, identity."""
 
+from dataclasses import replace
 from itertools import count, pairwise
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from adapters.sample import Sample
-from monitor.alarm import Alarm, AlarmRule, alarm_message
+from monitor.alarm import Alarm, AlarmRule
 from monitor.event import AlarmEvent, event_from_json
 
 STEP_NS = 10_000_000
@@ -37,7 +39,7 @@ def new_alarm(rule: AlarmRule = RULE) -> Alarm:
 def run(alarm: Alarm, values: list[float], start: int = 0) -> list[AlarmEvent]:
     events = []
     for k, value in enumerate(values, start):
-        event = alarm.update(sample(k), value, value / 0.5)
+        event = alarm.update(sample(k), value, 0.5)
         if event is not None:
             events.append(event)
     return events
@@ -103,9 +105,32 @@ def test_an_event_survives_its_json_form() -> None:
     assert event_from_json(event.to_json()) == event
 
 
-def test_messages_name_size_and_unit_for_sensors() -> None:
-    rule = AlarmRule("arm", "encoder", "sensor", "rad", 0.1, 0.05, 1.0, 0.1, 0.5)
-    assert alarm_message(rule, "raised", 2.0, None) == "encoder reads +2 rad off"
+def test_a_large_fault_takes_the_fast_path() -> None:
+    rule = replace(RULE, fast=0.1, fast_s=0.05)
+    (event,) = run(new_alarm(rule), [0.0] * 10 + [0.12] * 12)
+    assert event.vehicle_time_ms == (10 + 4) * 10
+    assert event.threshold == 0.1
+    assert run(new_alarm(rule), [0.0] * 10 + [0.09] * 12) == []
+
+
+def test_a_small_fault_that_stays_takes_the_slow_path_and_clears_with_its_mean() -> None:
+    rule = replace(RULE, slow=0.005, slow_s=1.0)
+    raised, *_, cleared = run(new_alarm(rule), [-0.008] * 200 + [0.0] * 400)
+    assert raised.state == "raised"
+    assert raised.estimate == pytest.approx(-0.005, abs=1e-4)
+    assert raised.vehicle_time_ms == pytest.approx(-1000 * np.log(1 - 5 / 8), abs=20)
+    assert cleared.state == "cleared"
+    assert run(new_alarm(rule), [0.004, -0.004] * 500) == []
+
+
+def test_an_alarm_that_comes_and_goes_is_latched_until_it_was_quiet_for_long() -> None:
+    rule = replace(RULE, latch_s=20.0)
+    burst = [-0.05] * 30 + [0.0] * 100
+    events = run(new_alarm(rule), burst * 5 + [0.0] * 2500)
+    assert [event.state for event in events] == ["raised", "cleared", "raised", "cleared", "raised", "cleared"]
+    assert events[4].message.endswith("(it comes and goes)")
+    assert events[5].vehicle_time_ms - events[4].vehicle_time_ms > 20_000
+    assert len([event for event in run(new_alarm(), burst * 5) if event.state == "raised"]) == 5
 
 
 @given(st.lists(st.floats(-1, 1, allow_nan=False), max_size=400))

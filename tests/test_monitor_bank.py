@@ -44,8 +44,8 @@ def gains() -> tuple[Gains, ...]:
 
 
 def bank_of(gains: tuple[Gains, ...]) -> Bank:
-    rule = BankRule(0.05, 0.2, 4.0, 25.0, tuple(one.faults for one in gains), (1e-5 * np.eye(2),) * 3)
-    return Bank(gains, rule, NAMES)
+    rule = BankRule(0.05, 0.2, 4.0, 25.0, tuple(one.faults for one in gains), (1e-5 * np.eye(2),) * 3, (False,) * 3)
+    return Bank(gains, rule, NAMES, {})
 
 
 def run(bank: Bank, x: np.ndarray, fault: np.ndarray, seed: int) -> np.ndarray:

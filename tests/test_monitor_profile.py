@@ -1,6 +1,7 @@
 """Profiles read back as written; every mistake in one is one line that names file and key."""
 
 import re
+import shlex
 import shutil
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 import fauio
 from monitor.config import Config, read_config
 from monitor.errors import ProfileError
+from monitor.isolation_rule import BankRule
 from monitor.profile import read_profile
 
 
@@ -30,10 +32,16 @@ def test_a_profile_holds_what_the_fit_wrote(folder: Path) -> None:
     profile = read_profile(folder)
     (observer,) = profile.observers
     assert (profile.name, profile.vehicle, observer.name) == ("quad", "multirotor", "motors")
-    assert [channel.name for channel in observer.inputs] == ["motor1", "motor2", "motor3", "motor4"]
-    assert [rule.channel for rule in observer.alarms] == [channel.name for channel in observer.faults]
-    assert observer.isolation.covariance.shape == (4, 4)
-    assert set(profile.files) == {"profile.toml", "motors.model.toml", "motors.gains.json"}
+    assert [channel.name for channel in observer.source.inputs] == ["motor1", "motor2", "motor3", "motor4"]
+    assert [rule.channel for rule in observer.alarms] == [*(channel.name for channel in observer.faults), "unexplained"]
+    channels = ["motor1", "motor2", "motor3", "motor4", "gyro_x", "gyro_y", "gyro_z"]
+    assert isinstance(observer.isolation, BankRule)
+    assert observer.isolation.hypotheses == tuple((channel,) for channel in channels)
+    assert set(profile.files) == {
+        "profile.toml",
+        "motors.model.toml",
+        *(f"motors.{name}.gains.json" for name in channels),
+    }
 
 
 def test_the_digest_follows_every_edit(folder: Path) -> None:
@@ -57,6 +65,11 @@ def test_the_digest_follows_every_edit(folder: Path) -> None:
         (r"^clear = .*", "clear = 9.0", "is above 'threshold'"),
         (r"^method = .*", 'method = "guess"', "'guess'; use 'single', 'independent' or 'bank'"),
         (r"^message = .*", "message = 3", "'message' is missing or not text"),
+        (r"^edge = true", "edge = 1", "hypotheses[4].edge' is neither"),
+        (r"^score_floor = .*", "score_floor = -1.0", "score_floor' is -1"),
+        (r'^    "motor1",$', "", "an entry without 'faults'"),
+        (r'^    "motor1",$', '    "motor2",', "the same faults twice"),
+        (r"^slow = .*", "slow = -1.0", "slow' is -1; it must be at least"),
         (r"alarms\.motor1\]", "alarms.motor9]", "no such fault; the model has motor1"),
         (r"^format = 1", "format = = 1", "not valid TOML"),
     ],
@@ -78,14 +91,17 @@ def test_gains_of_another_model_are_refused_with_the_command_that_mends_it(folde
 
 def test_designing_the_edited_model_again_mends_the_profile(folder: Path) -> None:
     edit(folder / "motors.model.toml", r"^name = .*", 'name = "quad-b"')
-    gains = folder / "motors.gains.json"
-    assert fauio.main(["design", str(folder / "motors.model.toml"), "-o", str(gains)]) == 0
+    for _ in range(7):
+        with pytest.raises(ProfileError, match="run 'fauio design") as caught:
+            read_profile(folder)
+        command = str(caught.value).split("'fauio ")[1].rstrip("'")
+        assert fauio.main(shlex.split(command)) == 0
     assert read_profile(folder).observers[0].gains[0].model == "quad-b"
 
 
 def test_a_missing_file_is_named(folder: Path) -> None:
-    (folder / "motors.gains.json").unlink()
-    with pytest.raises(ProfileError, match=r"motors\.gains\.json: file is missing"):
+    (folder / "motors.motor2.gains.json").unlink()
+    with pytest.raises(ProfileError, match=r"motors\.motor2\.gains\.json: file is missing"):
         read_profile(folder)
     with pytest.raises(ProfileError, match=r"no profile\.toml in this folder"):
         read_profile(folder.parent)

@@ -1,0 +1,97 @@
+"""Edges: a sensor that jumps and then stays, told from a fault of the plant, which makes the same estimate ramp.
+
+A sensor fault is estimated without any assumption about how it moves, so it can explain whatever its output does: the
+estimate of a gyro bias takes up a failing motor as well. What a jump of the sensor does and a push on the plant cannot
+do is an edge: flat, then another level within a few samples, then flat again, while the hypothesis that it is this
+sensor leaves no more unexplained than healthy flight does. The size of the edge is held until an opposite one cancels
+it, at most ``hold_s``: how large the bias is afterwards only another sensor can tell.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+_MEAN_S = 0.03
+_GAP_S = 0.03
+_FLAT_S = 0.1
+_SHARE = 0.25
+_CANCELLED = 0.5
+
+
+class EdgeDetector:
+    """Watches one sensor fault's estimate.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Samples per second.
+    limit : float
+        Largest J = r' S^-1 r of the sensor's own hypothesis with which it is believed.
+    smallest : float | None
+        Smallest edge that is held, in the unit of the estimate; None: edges only show.
+    hold_s : float
+        How long an edge is held at most, seconds.
+
+    Attributes
+    ----------
+    edge : float
+        Size of an edge that completed at the newest sample, else zero.
+    held : float
+        Sum of the edges that are held.
+    """
+
+    def __init__(self, rate_hz: float, limit: float, smallest: float | None, hold_s: float = 10.0) -> None:
+        self._mean = max(1, round(_MEAN_S * rate_hz))
+        self._gap = max(1, round(_GAP_S * rate_hz))
+        self._flat = max(2, round(_FLAT_S * rate_hz))
+        self._hold = round(hold_s * rate_hz)
+        self._limit = limit
+        self._smallest = smallest
+        self._back = (0, self._flat // 2, self._flat, self._flat + self._gap + self._mean)
+        self._size = self._back[-1] + self._flat + 1
+        self._estimates: deque[float] = deque(maxlen=self._mean)
+        self._means: deque[float] = deque(maxlen=self._size)
+        self._loud = 0
+        self._seen = 0
+        self._quiet = 0
+        self._age = 0
+        self.edge = 0.0
+        self.held = 0.0
+
+    def restart(self) -> None:
+        """Forget the past."""
+        self._estimates.clear()
+        self._means.clear()
+        self._loud = self._seen = self._quiet = self._age = 0
+        self.edge = self.held = 0.0
+
+    def update(self, estimate: float, J: float) -> float:
+        """Take one sample's estimate and the J of its hypothesis; return what is held (or the edge)."""
+        self._estimates.append(estimate)
+        self._means.append(sum(self._estimates) / len(self._estimates))
+        self._loud = self._size if self._limit < J else max(0, self._loud - 1)
+        self._age += 1
+        self._quiet = max(0, self._quiet - 1)
+        if self._age > self._hold:
+            self.held = 0.0
+        found = self._find()
+        self._seen = self._seen + 1 if found else 0
+        self.edge = found if self._seen >= self._mean and not self._quiet else 0.0
+        if self._smallest is None:
+            return self.edge
+        if self.edge and abs(self.edge) >= self._smallest:
+            self._quiet = self._gap + 2 * self._mean
+            self._age = 0
+            self.held += self.edge
+            if abs(self.held) < _CANCELLED * abs(self.edge):
+                self.held = 0.0
+        return self.held
+
+    def _find(self) -> float:
+        """Return the step from before the gap to after it, zero where the estimate is not flat on both sides."""
+        if self._loud or len(self._means) < self._size:
+            return 0.0
+        last, middle, after, before = (self._means[-1 - back] for back in self._back)
+        step = after - before
+        swing = max(abs(last - after), abs(middle - after), abs(before - self._means[0]))
+        return step if swing < _SHARE * abs(step) else 0.0

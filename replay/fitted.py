@@ -1,0 +1,113 @@
+"""One fitted observer: model, gains, where its samples come from, calibrated alarms, and what was found on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from adapters.message import Message
+from adapters.transform import Source
+from gains.gains_file import Gains, write_gains
+from gains.model_file import write_model
+from gains.plant import Plant
+from monitor.alarm import AlarmRule
+from monitor.isolation_rule import BankRule, IsolationRule, gains_file_name
+from monitor.profile import ObserverProfile, fault_channels, observer_table
+from replay.thresholds import Calibrated
+
+Log = Callable[[], Iterable[Message]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """A fitted observer.
+
+    Parameters
+    ----------
+    name : str
+        Name in the profile.
+    plant : Plant
+        The identified model.
+    gains : tuple[Gains, ...]
+        Its gains, those of each hypothesis for a bank.
+    source : Source
+        Where its samples come from.
+    isolation : IsolationRule
+        How estimates become evidence.
+    alarms : tuple[Calibrated, ...]
+        Calibrated alarm rules.
+    flight_s : float
+        Healthy flight it was fitted on, seconds.
+    findings : Mapping[str, Any]
+        What the identification found, for ``fit.json``.
+    lines : tuple[str, ...]
+        The same for people.
+    """
+
+    name: str
+    plant: Plant
+    gains: tuple[Gains, ...]
+    source: Source
+    isolation: IsolationRule
+    alarms: tuple[Calibrated, ...] = ()
+    flight_s: float = 0.0
+    findings: Mapping[str, Any] = field(default_factory=dict)
+    lines: tuple[str, ...] = ()
+
+    @property
+    def sqrt_mu(self) -> float:
+        """Largest certified bound of its designs."""
+        return max(float(gains.report["sqrt_mu"]) for gains in self.gains)
+
+    def profile(self) -> ObserverProfile:
+        """Return the observer as it will be read from the profile."""
+        return ObserverProfile(
+            name=self.name,
+            gains=self.gains,
+            faults=fault_channels(self.gains),
+            source=self.source,
+            isolation=self.isolation,
+            alarms=tuple(found.rule for found in self.alarms),
+        )
+
+    def table(self) -> dict[str, Any]:
+        """Return the observer's part of profile.toml."""
+        alarms = [found.rule for found in self.alarms]
+        return observer_table(source=self.source, isolation=self.isolation, alarms=alarms)
+
+    def write(self, folder: Path) -> None:
+        """Write model and gains into a profile's folder."""
+        write_model(self.plant, folder / f"{self.name}.model.toml")
+        for gains in self.gains:
+            faults = gains.faults if isinstance(self.isolation, BankRule) else ()
+            write_gains(gains, folder / gains_file_name(self.name, faults))
+
+    def report(self) -> dict[str, Any]:
+        """Return what was found as a JSON object."""
+        return {
+            **self.findings,
+            "flight_s": self.flight_s,
+            "sqrt_mu": self.sqrt_mu,
+            "alarms": {found.rule.channel: _alarm_report(found) for found in self.alarms},
+        }
+
+
+def bare_rule(observer: str, channel: str, kind: str, unit: str) -> AlarmRule:
+    """Return a rule that names its channel and has no sizes yet."""
+    of_kind = {"actuator": "actuator", "sensor": "sensor"}.get(kind, "residual")
+    return AlarmRule(observer, channel, of_kind, unit, 0.0, 0.0, 0.0, 0.0, 0.0)  # type: ignore[arg-type]
+
+
+def _alarm_report(found: Calibrated) -> dict[str, float | int | str]:
+    rule, level = found.rule, found.level
+    return {
+        "unit": rule.unit,
+        "threshold": rule.threshold,
+        "level": found.scale * level.level,
+        "level_low": found.scale * level.low,
+        "level_high": found.scale * level.high,
+        "healthy_hours": level.hours,
+        "peaks": level.peaks,
+    }

@@ -1,0 +1,246 @@
+"""The strapdown transform on a trajectory with exact truth."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import strapdown_truth as truth
+
+from adapters.clock import VehicleClock
+from adapters.errors import TelemetryError
+from adapters.message import Message
+from adapters.sampler import Sampler
+from adapters.strapdown import GPS, Strapdown, magnetic_heading, pressure_altitude
+from adapters.strapdown_channels import strapdown_channels
+
+EXAMPLES: dict[str, dict[str, Any]] = {
+    "ATTITUDE": {"roll": 0.0, "pitch": 0.0, "yaw": 0.0},
+    "HIGHRES_IMU": {
+        **dict.fromkeys(("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "ymag", "zmag"), 0.0),
+        "xmag": 0.2,
+        "pressure_alt": 500.0,
+    },
+    "GPS_RAW_INT": {"lat": 474000000, "lon": 85000000, "alt": 1000, "vel": 100, "cog": 9000},
+    "SCALED_PRESSURE": {"press_abs": 950.0},
+}
+
+
+def washed(rate: np.ndarray, tau: float) -> np.ndarray:
+    keep = math.exp(-1.0 / (tau * truth.RATE_HZ))
+    x = np.zeros(len(rate))
+    for k in range(len(rate) - 1):
+        x[k + 1] = keep * x[k] + tau * (1.0 - keep) * rate[k]
+    return x
+
+
+def disagreement(transform: Strapdown, samples: list[Any]) -> dict[str, float]:
+    """Return the largest difference between each output and the washed-out integral of its input."""
+    u = {name: np.array([s.u[i] for s in samples]) for i, name in enumerate(transform.inputs)}
+    y = {name: np.array([s.y[i] for s in samples]) for i, name in enumerate(transform.outputs)}
+    pairs = {
+        "gps_north": ("speed_north", 30.0),
+        "gps_east": ("speed_east", 30.0),
+        "gps_velocity_north": ("acceleration_north", 10.0),
+        "gps_velocity_east": ("acceleration_east", 10.0),
+        "rotation_x": ("rate_x", 30.0),
+        "rotation_y": ("rate_y", 30.0),
+        "rotation_z": ("rate_z", 30.0),
+        "heading": ("heading_rate", 30.0),
+    }
+    return {
+        out: float(np.max(np.abs(y[out] - washed(u[source], tau))))
+        for out, (source, tau) in pairs.items()
+        if out in y and source in u
+    }
+
+
+def test_perfect_sensors_agree_with_the_integrals_of_each_other() -> None:
+    errors = disagreement(*truth.transformed(truth.signals(40.0)))
+    assert errors["gps_north"] < 0.01
+    assert errors["gps_east"] < 0.01
+    assert errors["gps_velocity_north"] < 0.01
+    assert errors["gps_velocity_east"] < 0.01
+    assert max(errors[f"rotation_{axis}"] for axis in "xyz") < 1e-3
+    assert errors["heading"] < 1e-3
+
+
+def test_both_altitudes_are_the_same_change_of_down() -> None:
+    transform, samples = truth.transformed(truth.signals(10.0))
+    y = np.array([s.y for s in samples])
+    gps, baro = transform.outputs.index("gps_down"), transform.outputs.index("baro_down")
+    assert y[:, gps] == pytest.approx(y[:, baro], abs=1e-9)
+    assert np.ptp(y[:, gps]) > 3.0
+
+
+def test_sensors_that_are_late_are_matched_by_their_delays() -> None:
+    raw = truth.signals(40.0, gps_late_s=0.2, baro_late_s=0.1)
+    late = disagreement(*truth.transformed(raw))
+    transform, samples = truth.transformed(raw, {"gps_delay_s": 0.2, "baro_delay_s": 0.1})
+    matched = disagreement(transform, samples)
+    for axis in ("north", "east"):
+        assert late[f"gps_velocity_{axis}"] > 0.2
+        assert matched[f"gps_velocity_{axis}"] < 0.01
+    y = np.array([s.y for s in samples])
+    gps, baro = transform.outputs.index("gps_down"), transform.outputs.index("baro_down")
+    assert y[:, gps] == pytest.approx(y[:, baro], abs=1e-6)
+
+
+def test_samples_lie_on_the_slower_grid_and_the_first_is_a_restart() -> None:
+    _, samples = truth.transformed(truth.signals(2.0), first=1003)
+    assert [s.index for s in samples] == list(range(251, 251 + len(samples)))
+    assert all(s.vehicle_time_ns == s.index * 40_000_000 for s in samples)
+    assert [s.restart for s in samples] == [True] + [False] * (len(samples) - 1)
+    assert not np.any(samples[0].y)
+
+
+def test_a_mean_over_the_period_hides_no_vibration_as_a_constant() -> None:
+    raw = truth.signals(4.0)
+    raw[:, 3] += np.tile([1.0, -1.0, 1.0, -1.0], len(raw) // 4)
+    clean = [s.u for s in truth.transformed(truth.signals(4.0))[1]]
+    transform, shaken = truth.transformed(raw)
+    at = transform.inputs.index("rate_x")
+    assert [s.u[at] for s in shaken] == pytest.approx([u[at] for u in clean], abs=1e-12)
+
+
+def test_a_bridged_tick_spoils_the_samples_it_is_part_of_and_no_later_ones() -> None:
+    transform = Strapdown({"gps_delay_s": 0.1}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    samples = truth.fed(transform, truth.signals(3.0), lost=frozenset({101}))
+    spoiled = [s.index for s in samples if not s.complete]
+    assert spoiled[0] == 25 or spoiled[0] == 24
+    assert 1 <= len(spoiled) <= 5
+    assert samples[-1].complete
+
+
+def test_a_restart_forgets_the_past() -> None:
+    raw = truth.signals(3.0)
+    transform = Strapdown({}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    fresh = truth.fed(transform, raw)
+    again = truth.fed(transform, raw)
+    assert len(fresh) == len(again)
+    for a, b in zip(fresh, again, strict=True):
+        assert np.array_equal(a.u, b.u)
+        assert np.array_equal(a.y, b.y)
+        assert a.restart == b.restart
+
+
+@pytest.mark.parametrize("missing", ["gps", "barometer", "magnetometer"])
+def test_a_missing_sensor_leaves_the_others(missing: str) -> None:
+    whole = Strapdown({}, 100.0, 25.0)
+    raw = truth.signals(20.0)
+    transform = Strapdown({missing: 0.0}, 100.0, 25.0)
+    keep = [whole.signals.index(name) for name in transform.signals]
+    errors = disagreement(transform, truth.fed(transform, raw[:, keep]))
+    assert set(transform.outputs) < set(whole.outputs)
+    assert errors
+    assert max(errors.values()) < 0.01
+
+
+def test_an_estimator_that_resets_its_attitude_is_no_rotation() -> None:
+    raw = truth.signals(10.0)
+    raw[500:, 6] += 0.2
+    errors = disagreement(*truth.transformed(raw))
+    assert errors["rotation_x"] < 0.01
+
+
+def test_a_gyro_bias_is_a_growing_disagreement_of_its_own_axis() -> None:
+    raw = truth.signals(10.0)
+    raw[500:, 4] += 0.1
+    errors = disagreement(*truth.transformed(raw))
+    assert errors["rotation_y"] == pytest.approx(0.5, rel=0.1)
+    assert errors["rotation_x"] < 1e-3
+
+
+def test_pressure_becomes_altitude() -> None:
+    raw = truth.signals(5.0)
+    pressure = raw.copy()
+    pressure[:, 14] = 1013.25 * (1.0 - raw[:, 14] / 44_330.77) ** (1.0 / 0.190_263)
+    assert pressure_altitude(1013.25) == 0.0
+    metres = np.array([s.y for s in truth.transformed(raw)[1]])
+    hectopascal = np.array([s.y for s in truth.transformed(pressure, {"barometer": 2.0})[1]])
+    assert hectopascal == pytest.approx(metres, abs=1e-6)
+
+
+def test_the_levelled_field_points_along_the_heading() -> None:
+    R = truth.rotation(np.array([3.7]))[0]
+    roll, pitch, yaw = (float(angle[0]) for angle in truth.angles(np.array([3.7])))
+    field = (R.T @ truth.FIELD).tolist()
+    assert math.remainder(magnetic_heading(roll, pitch, field) - yaw, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_angles_that_wrap_between_measurements_pass_the_sampler_unharmed() -> None:
+    source = strapdown_channels(EXAMPLES)
+    transform = Strapdown(source.parameters, 100.0, 25.0)
+    raw, direct = truth.signals(30.0), disagreement(*truth.transformed(truth.signals(30.0)))
+    assert np.ptp(raw[:, 13]) > 350.0
+    sampler = Sampler(source.channels, [], 100.0, VehicleClock())
+    samples = []
+    for k, row in enumerate(raw):
+        for message in messages(k, row):
+            for sample in sampler.feed(message):
+                given = transform.feed(sample)
+                samples += [] if given is None else [given]
+    errors = disagreement(transform, samples)
+    assert len(samples) > 650
+    assert all(sample.complete for sample in samples)
+    assert errors["gps_velocity_north"] < direct["gps_velocity_north"] + 0.1
+    assert errors["gps_north"] < 0.1
+    assert errors["rotation_z"] < 0.01
+    assert errors["heading"] < 0.01
+
+
+def messages(k: int, row: np.ndarray) -> list[Message]:
+    """Return what an autopilot sends at a tick, 4 ms off the grid: fixes at 5 Hz, yaw and course wrapped."""
+    time_us = k * 10_000 + 1_004_000
+    names = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro")
+    imu = dict(zip(names, row[:6].tolist(), strict=True))
+    mag = dict(zip(("xmag", "ymag", "zmag"), row[15:18].tolist(), strict=True))
+    yaw = math.remainder(float(row[8]), 2.0 * math.pi)
+    fields = [
+        ("HIGHRES_IMU", {**imu, **mag, "pressure_alt": float(row[14])}),
+        ("ATTITUDE", {"roll": float(row[6]), "pitch": float(row[7]), "yaw": yaw}),
+    ]
+    if k % 20 == 0:
+        lat, lon, alt, vel, cog = row[9:14].tolist()
+        gps = {"lat": lat * 1e7, "lon": lon * 1e7, "alt": alt * 1e3, "vel": vel * 1e2, "cog": cog * 1e2}
+        fields.append(("GPS_RAW_INT", gps))
+    unix = 1_795_251_917_000_000_000 + time_us * 1_000
+    return [Message("mavlink", name, unix, {"time_usec": time_us, **values}, 1, 1) for name, values in fields]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "rate", "word"),
+    [
+        ({"washout": 30.0}, 25.0, "washout"),
+        ({"washout_s": 0.0}, 25.0, "washout_s"),
+        ({"gps_delay_s": math.nan}, 25.0, "gps_delay_s"),
+        ({"gps": 0.5}, 25.0, "gps"),
+        ({}, 30.0, "rate_hz"),
+    ],
+)
+def test_parameters_that_cannot_be_are_named(parameters: dict[str, float], rate: float, word: str) -> None:
+    with pytest.raises(TelemetryError, match=word):
+        Strapdown(parameters, 100.0, rate)
+
+
+def test_channels_follow_what_the_vehicle_sends() -> None:
+    full = strapdown_channels(EXAMPLES)
+    assert tuple(channel.name for channel in full.channels) == Strapdown(full.parameters, 100.0, 25.0).signals
+    assert full.parameters == {"gps": 1.0, "barometer": 1.0, "magnetometer": 1.0}
+    imu = {key: value for key, value in EXAMPLES["HIGHRES_IMU"].items() if key != "pressure_alt"}
+    scaled = strapdown_channels({**{k: v for k, v in EXAMPLES.items() if k != "HIGHRES_IMU"}, "SCALED_IMU": imu})
+    assert scaled.parameters["barometer"] == 2.0
+    assert scaled.channels[0].message == "SCALED_IMU"
+    assert scaled.channels[2].value({"zacc": -1000}) == pytest.approx(-9.80665)
+    still = strapdown_channels({"ATTITUDE": EXAMPLES["ATTITUDE"], "HIGHRES_IMU": {**imu, "xmag": 0.0}})
+    assert still.parameters == {"gps": 0.0, "barometer": 0.0, "magnetometer": 0.0}
+    for name in ("ATTITUDE", "HIGHRES_IMU"):
+        with pytest.raises(TelemetryError, match=name):
+            strapdown_channels({key: value for key, value in EXAMPLES.items() if key != name})
+
+
+def test_a_receiver_that_knows_no_speed_is_not_used() -> None:
+    gps = {**EXAMPLES["GPS_RAW_INT"], "vel": 65_535}
+    assert not {channel.name for channel in strapdown_channels({**EXAMPLES, "GPS_RAW_INT": gps}).channels} & set(GPS)

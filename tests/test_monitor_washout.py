@@ -1,0 +1,94 @@
+"""The inverse of the washout: steps, ramps, their ends, and what healthy operation leaves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from monitor.washout import Unwash
+
+RATE, TAU, THRESHOLD = 25.0, 30.0, 0.5
+
+
+def wash(fault: np.ndarray) -> np.ndarray:
+    """Return the fault as the transform and an observer show it."""
+    keep = math.exp(-1.0 / (TAU * RATE))
+    gain = TAU * (1.0 - keep) * RATE
+    washed = np.zeros(len(fault))
+    for k in range(1, len(fault)):
+        washed[k] = keep * washed[k - 1] + gain * (fault[k] - fault[k - 1])
+    return washed
+
+
+def given_back(washed: np.ndarray) -> np.ndarray:
+    unwash = Unwash(TAU, RATE, THRESHOLD)
+    return np.array([unwash.update(value) for value in washed.tolist()])
+
+
+def seconds(count: float) -> np.ndarray:
+    return np.arange(round(count * RATE)) / RATE
+
+
+def test_a_step_stands_as_long_as_the_fault_and_ends_with_it() -> None:
+    t = seconds(400.0)
+    fault = np.where((t > 10.0) & (t < 60.0), 25.0, 0.0)
+    estimate = given_back(wash(fault))
+    during = (t > 10.5) & (t < 60.0)
+    assert estimate[during] == pytest.approx(fault[during], rel=0.01)
+    assert np.max(np.abs(estimate[t > 60.5])) <= THRESHOLD
+
+
+def test_a_ramp_is_followed() -> None:
+    t = seconds(150.0)
+    fault = np.clip(0.5 * (t - 10.0), 0.0, 30.0)
+    estimate = given_back(wash(fault))
+    late = t > 14.0
+    assert estimate[late] == pytest.approx(fault[late], rel=0.1, abs=0.1)
+
+
+def test_a_fault_that_is_washed_out_altogether_still_stands_and_its_end_is_seen() -> None:
+    t = seconds(600.0)
+    fault = np.where((t > 10.0) & (t < 400.0), -8.0, 0.0)
+    estimate = given_back(wash(fault))
+    assert estimate[(t > 200.0) & (t < 400.0)] == pytest.approx(-8.0, rel=0.05)
+    assert np.max(np.abs(estimate[t > 400.5])) <= THRESHOLD
+
+
+def test_errors_of_a_tenth_do_not_outlive_the_fault() -> None:
+    t = seconds(200.0)
+    fault = np.where((t > 10.0) & (t < 60.0), 25.0, 0.0)
+    washed = wash(fault)
+    washed[t < 60.0] *= 1.05
+    assert np.max(np.abs(given_back(washed)[t > 60.5])) <= THRESHOLD
+
+
+def test_healthy_operation_passes_unchanged_and_adds_up_to_nothing() -> None:
+    t = seconds(600.0)
+    washed = 0.24 * np.sin(0.01 * t)
+    assert np.array_equal(given_back(washed), washed)
+
+
+def test_a_brush_with_the_threshold_leaves_nothing_behind() -> None:
+    t = seconds(100.0)
+    washed = np.where((t > 10.0) & (t < 12.0), 0.45, 0.1)
+    estimate = given_back(washed)
+    assert np.array_equal(estimate[t > 12.1], washed[t > 12.1])
+
+
+def test_a_second_fault_after_the_first_is_measured_afresh() -> None:
+    t = seconds(500.0)
+    fault = np.where((t > 10.0) & (t < 30.0), 5.0, 0.0) + np.where(t > 350.0, 2.0, 0.0)
+    estimate = given_back(wash(fault))
+    assert estimate[(t > 351.0) & (t < 400.0)] == pytest.approx(2.0, rel=0.1)
+
+
+def test_a_restart_forgets() -> None:
+    unwash = Unwash(TAU, RATE, THRESHOLD)
+    for _ in range(200):
+        unwash.update(5.0)
+    assert unwash.peak > 5.0
+    unwash.restart()
+    assert unwash.peak == 0.0
+    assert unwash.update(0.1) == 0.1

@@ -1,0 +1,147 @@
+"""What will be detected: delays measured on healthy flights beforehand are those of real faults later."""
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adapters.arm import SCENARIOS, TORQUES, simulate_arm
+from adapters.arm_source import arm_messages
+from adapters.recordings import read_recording
+from gains.model_file import builtin_model, read_model
+from monitor.profile import Profile
+from replay.calibrate import GatedSample, flight_samples
+from replay.capability import (
+    Capability,
+    Detection,
+    capability,
+    capability_text,
+    step_sizes,
+)
+from replay.player import play
+
+ONSET_S = 112.704
+MOTORS = ("motor2", "motor3")
+
+
+@given(st.floats(1e-6, 1e6))
+def test_sizes_to_try_are_round_and_start_about_half_the_threshold(threshold: float) -> None:
+    sizes = step_sizes(threshold)
+    assert len(sizes) == 12
+    assert sizes == tuple(sorted(set(sizes)))
+    assert 0.25 * threshold < sizes[0] <= 0.5 * threshold * (1.0 + 1e-6)
+    assert sizes[-1] > 20.0 * threshold
+    assert all(float(f"{size:.2g}") == size for size in sizes)
+
+
+def found(
+    smallest: tuple[tuple[float, float | None], ...], unit: str = "", detections: tuple[Detection, ...] = ()
+) -> Capability:
+    tried = detections or (Detection(0.5, None, None, only=True),)
+    return Capability("motor1", unit, not unit, smallest, 0.5, tried)
+
+
+def test_the_text_names_each_size_once_with_its_shortest_delay() -> None:
+    assert (
+        capability_text(found(((2.0, 0.04), (1.0, 0.04), (0.25, 0.1)))) == "motor1: 4 % within 1 s, 10 % within 0.25 s"
+    )
+    assert capability_text(found(((2.0, 0.07), (1.0, None), (0.25, None)))) == "motor1: 7 % within 2 s"
+    assert (
+        capability_text(found(((2.0, 0.3), (0.25, 1.5)), "m/s")) == "motor1: 0.3 m/s within 2 s, 1.5 m/s within 0.25 s"
+    )
+    assert (
+        capability_text(found(((2.0, None), (0.25, None)))) == "motor1: nothing up to 50 % always and alone within 2 s"
+    )
+    unmeasured = replace(found(((2.0, None),)), detections=())
+    assert (
+        capability_text(unmeasured) == "motor1: not measured, no healthy stretch in the logs is long and quiet enough"
+    )
+
+
+@pytest.fixture(scope="module")
+def healthy(quad_profile: Profile, data: Path) -> list[list[GatedSample]]:
+    observer = quad_profile.observers[0]
+    return [
+        flight_samples(
+            read_recording(data / f"copter_healthy_{name}.tlog.xz"),
+            observer.source,
+            observer.rate_hz,
+            quad_profile.gate,
+        )
+        for name in ("square", "vel_gusty")
+    ]
+
+
+@pytest.fixture(scope="module")
+def quad(quad_profile: Profile, quad_folder: Path, healthy: list[list[GatedSample]]) -> dict[str, Capability]:
+    model = read_model(quad_folder / "motors.model.toml")
+    observer = quad_profile.observers[0]
+    measured = capability(
+        replace(observer, alarms=tuple(rule for rule in observer.alarms if rule.channel in MOTORS)),
+        model,
+        healthy,
+        quad_profile.gate,
+    )
+    return {one.channel: one for one in measured}
+
+
+def test_small_losses_of_each_motor_are_detected_and_larger_ones_sooner(quad: dict[str, Capability]) -> None:
+    assert tuple(quad) == MOTORS
+    for one in quad.values():
+        sizes = dict(one.smallest)
+        assert list(sizes) == [2.0, 1.0, 0.25]
+        assert sizes[2.0] <= sizes[1.0] <= sizes[0.25] <= 0.10
+        assert sizes[1.0] <= 0.05
+        worst = [d.worst_s for d in one.detections if d.worst_s is not None]
+        assert all(later <= sooner + 0.05 for sooner, later in pairwise(worst))
+        assert all(d.median_s <= d.worst_s for d in one.detections if d.median_s is not None)
+        assert all(d.only for d in one.detections)
+
+
+@pytest.mark.parametrize(
+    ("name", "motor", "loss"), [("copter_motor3_090", "motor3", 0.10), ("copter_motor2_080", "motor2", 0.20)]
+)
+def test_a_real_loss_is_detected_as_soon_as_measured_beforehand(
+    name: str, motor: str, loss: float, quad: dict[str, Capability], quad_profile: Profile, data: Path
+) -> None:
+    events = play(quad_profile, read_recording(data / f"{name}.tlog.xz")).events
+    actual = next(event.vehicle_time_ms / 1000 - ONSET_S for event in events if event.channel == motor)
+    smaller = [d.worst_s for d in quad[motor].detections if d.worst_s is not None and d.size < loss]
+    assert actual == pytest.approx(min(smaller), abs=0.1)
+
+
+def test_the_same_samples_give_the_same_answer(
+    quad: dict[str, Capability], quad_profile: Profile, quad_folder: Path, healthy: list[list[GatedSample]]
+) -> None:
+    observer = quad_profile.observers[0]
+    only = replace(observer, alarms=tuple(rule for rule in observer.alarms if rule.channel == "motor3"))
+    model = read_model(quad_folder / "motors.model.toml")
+    (again,) = capability(only, model, healthy, quad_profile.gate)
+    assert again == quad["motor3"]
+
+
+def test_flights_too_short_for_an_onset_say_so(
+    quad_profile: Profile, quad_folder: Path, healthy: list[list[GatedSample]]
+) -> None:
+    model = read_model(quad_folder / "motors.model.toml")
+    found = capability(quad_profile.observers[0], model, [healthy[0][:500]], quad_profile.gate)
+    assert len(found) == 7
+    assert all("not measured" in capability_text(one) for one in found)
+
+
+def test_faults_that_scale_no_command_worth_losing_are_steps_in_their_own_units(arm_profile: Profile) -> None:
+    (observer,) = arm_profile.observers
+    runs = [simulate_arm(SCENARIOS["healthy"], 30.0, observer.rate_hz, torque) for torque in TORQUES]
+    flights = [
+        flight_samples(arm_messages(run, 10**18), observer.source, observer.rate_hz, arm_profile.gate) for run in runs
+    ]
+    found = capability(observer, builtin_model("arm-disturbed"), flights, arm_profile.gate)
+    assert [(one.channel, one.unit, one.loss) for one in found] == [("motor", "N m", False), ("encoder", "rad", False)]
+    thresholds = {rule.channel: rule.threshold for rule in observer.alarms}
+    for one in found:
+        within_a_second = dict(one.smallest)[1.0]
+        assert within_a_second is not None
+        assert 0.5 * thresholds[one.channel] < within_a_second < 3.0 * thresholds[one.channel]
