@@ -26,6 +26,9 @@ class Sample:
         True on the first sample after a gap, a clock jump or the start: the observer starts afresh.
     complete : bool
         False where a channel was bridged across lost measurements: an estimate, no evidence.
+    known_ns : int
+        Time on the vehicle's clock of the newest measurement it was interpolated from, where that is later than
+        the tick: with a GPS of 5 Hz up to 200 ms. What is concluded from the sample is not known earlier.
     """
 
     index: int
@@ -35,3 +38,9 @@ class Sample:
     y: NDArray[np.float64]
     restart: bool
     complete: bool
+    known_ns: int = 0
+
+    @property
+    def later_ns(self) -> int:
+        """By how much the sample was known later than its tick, nanoseconds."""
+        return max(0, self.known_ns - self.vehicle_time_ns)

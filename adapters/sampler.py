@@ -143,6 +143,10 @@ class Sampler:
         """Names of the messages the channels come from; others are ignored."""
         return frozenset(self._streams)
 
+    def restart(self) -> None:
+        """Mark the next sample as the first of a new stretch."""
+        self._restart = True
+
     def statistics(self) -> SamplerStatistics:
         """Return the counts so far."""
         return SamplerStatistics(
@@ -288,7 +292,7 @@ class Sampler:
     def _tick(self, index: int, tick_ns: int, samples: list[Sample]) -> None:
         """Give out one tick, or skip the ticks of the gap it lies in."""
         vector = [0.0] * self._size
-        complete = True
+        complete, known_ns = True, tick_ns
         for lane in self._lanes:
             stamps = lane.stamps
             if len(stamps) > 1 and stamps[1] <= tick_ns:
@@ -302,6 +306,7 @@ class Sampler:
                 self._skip_to(left_ns)
                 return
             width_ns = stamps[1] - left_ns
+            known_ns = max(known_ns, stamps[1])
             if width_ns > lane.loss_ns:
                 if width_ns > lane.gap_ns:
                     self._skip_to(stamps[1])
@@ -318,6 +323,7 @@ class Sampler:
                 y=values[self._inputs :],
                 restart=self._restart,
                 complete=complete,
+                known_ns=known_ns,
             )
         )
         self._samples += 1

@@ -10,6 +10,8 @@ from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.strapdown import BAROMETER, GPS, IMU, MAGNETOMETER
 
+INERTIAL_MESSAGES = frozenset({"ATTITUDE", "HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "GPS_RAW_INT", "SCALED_PRESSURE"})
+
 _G = 9.80665
 _TURN = 6.283185307179586
 

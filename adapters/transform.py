@@ -7,7 +7,7 @@ observer's rate. It is deterministic, keeps its own state and starts anew with a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from adapters.channels import Channel
@@ -128,6 +128,10 @@ class TransformedSampler:
         """Names of the messages the signals come from."""
         return self._sampler.interests
 
+    def restart(self) -> None:
+        """Start the transform anew with the next raw sample."""
+        self._sampler.restart()
+
     def statistics(self) -> SamplerStatistics:
         """Return what the sampler of the raw signals counted."""
         return self._sampler.statistics()
@@ -137,8 +141,8 @@ class TransformedSampler:
         raw = self._sampler.feed(message)
         if not raw:
             return raw
-        given = (self._transform.feed(sample) for sample in raw)
-        return [sample for sample in given if sample is not None]
+        given = ((self._transform.feed(sample), sample.known_ns) for sample in raw)
+        return [replace(sample, known_ns=known_ns) for sample, known_ns in given if sample is not None]
 
 
 def make_sampler(source: Source, rate_hz: float, clock: VehicleClock) -> Sampler | TransformedSampler:

@@ -12,7 +12,7 @@ the mean inside half of ``slow``.
 One that is raised for the third time within ``latch_s`` comes and goes: it is latched, which is to say it clears only
 after ``latch_s`` of quiet. The debounce is a clamped up/down counter of time, so evidence that drops out for a sample
 delays an alarm instead of losing it. Samples that are no evidence (not in flight, bridged across lost measurements)
-leave everything as it stands.
+leave everything as it stands. An event carries the time at which its sample was known, so none comes before its cause.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ class Alarm:
         often = len(self._raised_ns) == _COMES_AND_GOES and now - self._raised_ns[0] <= self.rule.latch_s * 1e9
         self._active = _Active(
             id=alarm_id(self._vehicle, self.rule.observer, self.rule.channel, sample.time_ns),
-            since_ns=sample.time_ns,
+            since_ns=sample.time_ns + sample.later_ns,
             threshold=threshold,
             peak=evidence,
             severity=self._severity(abs(evidence)),
@@ -219,8 +219,8 @@ class Alarm:
             relative=relative,
             unit=rule.unit,
             threshold=active.threshold,
-            time_ns=sample.time_ns,
-            vehicle_time_ms=sample.vehicle_time_ns // 1_000_000,
+            time_ns=sample.time_ns + sample.later_ns,
+            vehicle_time_ms=(sample.vehicle_time_ns + sample.later_ns) // 1_000_000,
             since_ns=active.since_ns,
             peak=active.peak,
             message=f"{message} (it comes and goes)" if active.latched and state != "cleared" else message,

@@ -16,6 +16,9 @@ none explains the data nobody is held responsible, and the score sqrt(min J) say
 A hypothesis of a sensor fault that would explain anything (a gyro bias against the motors) may be set apart: it takes
 no part in the comparison, and its fault is evidence where its estimate has an edge (:mod:`monitor.edge`).
 
+A fault whose estimate is washed out is given back (:mod:`monitor.washout`), and while it stands by that memory its
+hypothesis is not left for another that explains the data as well.
+
 All observers run all the time and none is ever reset by another's verdict: when a fault has gone, its residuals return
 to their healthy size by themselves and the bank is armed for the next one.
 """
@@ -31,6 +34,7 @@ from gains.gains_file import Gains
 from monitor.edge import EdgeDetector
 from monitor.isolation_rule import BankRule
 from monitor.observer_stack import ObserverStack
+from monitor.washout import Unwash
 
 _HEALTHY = 3.5
 """J / p up to which a hypothesis with an edge is believed: one healthy sample in a thousand has more, for p = 4."""
@@ -52,7 +56,7 @@ class Bank:
     faults : Sequence[str]
         Names of all fault channels (a,), in the order of the estimates.
     thresholds : Mapping[str, float]
-        Alarm thresholds by channel: edges smaller than theirs are not held.
+        Alarm thresholds by channel: edges smaller than theirs are not held, washed-out faults smaller not given back.
 
     Attributes
     ----------
@@ -100,6 +104,14 @@ class Bank:
             for k, one in enumerate(gains)
             if rule.edges[k]
         ]
+        self._washed = [
+            (faults.index(name), Unwash(tau, rate_hz, thresholds[name]), thresholds[name])
+            for name, tau in rule.washouts.items()
+            if thresholds.get(name, 0.0) > 0.0
+        ]
+        common = set[int]().union(*map(set, self._places)).intersection(*(set(self._places[k]) for k in self._compared))
+        self._own = [frozenset(places.tolist()) - common for places in self._places]
+        self._standing: set[int] = set()
         self._comparison = np.ones(len(faults), dtype=np.bool_)
         self._comparison[[place for _, place, _ in self._edges]] = False
         self.speaks = np.ones(len(faults), dtype=np.bool_)
@@ -124,6 +136,9 @@ class Bank:
         self._stack.restart(u, y)
         for _, _, detector in self._edges:
             detector.restart()
+        for _, unwash, _ in self._washed:
+            unwash.restart()
+        self._standing.clear()
         self._residuals[:] = 0.0
         self._faults[:] = 0.0
 
@@ -142,16 +157,32 @@ class Bank:
         self.evidence[:] = 0.0
         if not self.unexplained:
             self.evidence[self._places[self.believed]] = self._faults[stack.spans[self.believed]]
+        self._give_back()
         self.speaks[self._comparison] = not self.unexplained
         for k, place, detector in self._edges:
             self.evidence[place] = detector.update(float(stack.fault[stack.spans[k].start]), float(self.J[k]))
             if detector.held and self.J[k] <= self._floor:
                 self.unexplained = 0.0
 
+    def _give_back(self) -> None:
+        """Take washed-out faults back to their size, whichever hypothesis is believed, and show the believed one's."""
+        believed = frozenset[int]() if self.unexplained else frozenset(self._places[self.believed].tolist())
+        for place, unwash, threshold in self._washed:
+            size = unwash.update(float(self._faults[self._owned[place]]))
+            if place in believed:
+                self.evidence[place] = size
+            if abs(size) > threshold:
+                self._standing.add(place)
+            else:
+                self._standing.discard(place)
+
     def _choose(self) -> None:
         J = self.J
         worst = float(J[self._compared].max())
         limit = max(self._floor, self._share * worst)
+        if J[self.believed] <= limit and not self._own[self.believed].isdisjoint(self._standing):
+            self.unexplained = 0.0
+            return
         more = np.add.reduceat((self._faults > 0.0) & self._scaling, self._first) > 0
         cost = J + np.where(more, max(self._penalty, self._share * worst), 0.0)
         for group in self._groups:

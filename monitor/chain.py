@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,12 @@ from adapters.message import Message
 from adapters.phase import FlightPhase
 from adapters.sample import Sample
 from adapters.sampler import SamplerStatistics
-from adapters.transform import make_sampler
 from monitor.alarm import Alarm
 from monitor.estimate import Estimate, Layout
 from monitor.estimator import make_estimator
 from monitor.event import AlarmEvent
-from monitor.gate import FlightGate, GateRule
+from monitor.excuse import Excuses
+from monitor.gate import GatedSampler, GateRule
 from monitor.input_curve import fault_in_command
 from monitor.profile import ObserverProfile
 
@@ -39,6 +40,8 @@ class ObserverChain:
         The vehicle's clock, shared by its observers.
     count : Callable[[], int]
         Gives the next event's sequence number.
+    excuses : Excuses | None
+        What the vehicle's alarms explain, shared by its observers; None: nothing.
     """
 
     def __init__(
@@ -48,6 +51,7 @@ class ObserverChain:
         gate: GateRule,
         clock: VehicleClock,
         count: Callable[[], int],
+        excuses: Excuses | None = None,
     ) -> None:
         gains = profile.gains[0]
         names = tuple(channel.name for channel in profile.faults)
@@ -61,15 +65,15 @@ class ObserverChain:
             fault_units=tuple(channel.unit for channel in profile.faults),
         )
         self._name = profile.name
-        self._sampler = make_sampler(profile.source, gains.rate_hz, clock)
-        self._commanded = profile.source.transform is None
-        self._gate = FlightGate(gate)
+        rule = replace(gate, settle_s=max(gate.settle_s, profile.settle_s))
+        self._sampler = GatedSampler(profile.source, gains.rate_hz, clock, rule)
         thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
         self._estimator = make_estimator(profile.gains, profile.isolation, names, thresholds)
         alarms = [Alarm(rule, vehicle, count) for rule in profile.alarms]
         self._alarms = [(names.index(alarm.rule.channel), alarm) for alarm in alarms if alarm.rule.kind != "residual"]
         self._residual_alarms = [alarm for alarm in alarms if alarm.rule.kind == "residual"]
         self._command = CommandUnits(profile)
+        self._excuses = excuses or Excuses(())
 
     @property
     def interests(self) -> frozenset[str]:
@@ -88,9 +92,8 @@ class ObserverChain:
     def feed(self, message: Message, phase: FlightPhase) -> list[Output]:
         """Take one message; return estimates and events in the order they arise."""
         outputs: list[Output] = []
-        for sample in self._sampler.feed(message):
-            admitted = self._gate.admits(phase, sample, commands=self._commanded)
-            outputs.extend(self.step(sample, admitted and sample.complete))
+        for sample, armed in self._sampler.feed(message, phase):
+            outputs.extend(self.step(sample, armed))
         return outputs
 
     def step(self, sample: Sample, armed: bool) -> list[Output]:
@@ -116,13 +119,15 @@ class ObserverChain:
         unexplained = estimator.unexplained
         for index, alarm in self._alarms:
             # Evidence that no hypothesis explains speaks neither for a fault nor against it.
-            if not armed or not estimator.speaks[index]:
+            excused = self._excuses.excused(alarm.rule.channel, sample.vehicle_time_ns)
+            if not armed or not estimator.speaks[index] or excused:
                 alarm.pause()
                 continue
             size = float(isolated[index])
             event = alarm.update(sample, size, self._command.command(index))
             if event is not None:
                 outputs.append(event)
+                self._excuses.note(event)
         for alarm in self._residual_alarms:
             if not armed:
                 alarm.pause()

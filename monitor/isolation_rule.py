@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,8 @@ class BankRule:
         Healthy covariance of the smoothed residual of each hypothesis (p, p).
     edges : tuple[bool, ...]
         Which hypotheses take no part in the comparison but watch for edges of their one fault.
+    washouts : Mapping[str, float]
+        Time constant, seconds, with which the estimate of a fault is washed out and has to be given back.
     """
 
     smoothing_s: float
@@ -68,6 +70,7 @@ class BankRule:
     hypotheses: tuple[tuple[str, ...], ...]
     covariances: tuple[NDArray[np.float64], ...]
     edges: tuple[bool, ...]
+    washouts: Mapping[str, float] = field(default_factory=dict)
 
 
 IsolationRule = IndependentRule | SingleRule | BankRule
@@ -116,6 +119,7 @@ def read_isolation(table: Table, faults: int, outputs: int) -> IsolationRule:
             hypotheses=hypotheses,
             covariances=tuple(_covariance(entry, outputs, definite=False) for entry in entries),
             edges=tuple(entry.boolean("edge", False) for entry in entries),
+            washouts=_washouts(table.table("washout_s"), {name for faults in hypotheses for name in faults}),
         )
         for entry, found, edge in zip(entries, hypotheses, rule.edges, strict=True):
             if edge and len(found) > 1:
@@ -155,12 +159,27 @@ def isolation_table(rule: IsolationRule) -> dict[str, Any]:
         {"faults": list(faults), **({"edge": True} if edge else {}), "covariance": covariance.tolist()}
         for faults, covariance, edge in zip(rule.hypotheses, rule.covariances, rule.edges, strict=True)
     ]
-    return {"method": "bank", **shared, "hypotheses": hypotheses}
+    washouts = {"washout_s": dict(rule.washouts)} if rule.washouts else {}
+    return {"method": "bank", **shared, **washouts, "hypotheses": hypotheses}
 
 
-def gains_file_name(observer: str, faults: Sequence[str] = ()) -> str:
-    """Return the name of the file with an observer's gains, those of one hypothesis where it is one of a bank."""
-    return ".".join((observer, *(("+".join(faults),) if faults else ()), "gains.json"))
+def gains_file_names(observer: str, hypotheses: Sequence[Sequence[str]] = ()) -> tuple[str, ...]:
+    """Return the names of the files with an observer's gains: one, or one for each hypothesis of a bank.
+
+    They are named after the faults that a hypothesis does not share with all others.
+    """
+    if not hypotheses:
+        return (f"{observer}.gains.json",)
+    shared = set.intersection(*map(set, hypotheses)) if len(hypotheses) > 1 else set[str]()
+    own = ["+".join(name for name in faults if name not in shared) or "rest" for faults in hypotheses]
+    return tuple(f"{observer}.{name}.gains.json" for name in own)
+
+
+def _washouts(table: Table, faults: Collection[str]) -> dict[str, float]:
+    for name in table.keys():  # noqa: SIM118 - a Table is no dict
+        if name not in faults:
+            raise ProfileError(f"{table.where(name)}: no hypothesis has this fault")
+    return {name: table.number(name, at_least=0.1) for name in table.keys()}  # noqa: SIM118
 
 
 def _covariance(table: Table, size: int, definite: bool = True) -> NDArray[np.float64]:

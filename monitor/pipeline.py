@@ -16,6 +16,7 @@ from adapters.phase import FlightPhase
 from adapters.sampler import SamplerStatistics
 from monitor.chain import ObserverChain, Output
 from monitor.estimate import Layout
+from monitor.excuse import Excuses
 from monitor.profile import Profile
 from monitor.stale import StaleAlarm
 
@@ -38,8 +39,9 @@ class Pipeline:
         self._next_seq = lambda: next(counter)
         self._clock = VehicleClock()
         self._phase = FlightPhase()
+        self._excuses = Excuses(profile.excuses)
         self._chains = [
-            ObserverChain(observer, self.vehicle, profile.gate, self._clock, self._next_seq)
+            ObserverChain(observer, self.vehicle, profile.gate, self._clock, self._next_seq, self._excuses)
             for observer in profile.observers
         ]
         self._wanted = frozenset[str]().union(*(chain.interests for chain in self._chains))

@@ -24,10 +24,11 @@ from gains.gains_file import Gains, read_gains
 from gains.model_file import model_hash, read_model
 from monitor.alarm import AlarmRule
 from monitor.errors import ProfileError
+from monitor.excuse import ExcuseRule, excuse_tables, read_excuses
 from monitor.gate import GateRule
 from monitor.isolation_rule import (
     IsolationRule,
-    gains_file_name,
+    gains_file_names,
     isolation_table,
     read_hypotheses,
     read_isolation,
@@ -67,6 +68,8 @@ class ObserverProfile:
         How estimates become evidence.
     alarms : tuple[AlarmRule, ...]
         What raises alarms.
+    settle_s : float
+        Wait before its samples are evidence, seconds, where that is longer than the gate's.
     """
 
     name: str
@@ -75,6 +78,7 @@ class ObserverProfile:
     source: Source
     isolation: IsolationRule
     alarms: tuple[AlarmRule, ...]
+    settle_s: float = 0.0
 
     @property
     def rate_hz(self) -> float:
@@ -100,6 +104,8 @@ class Profile:
         Silence after which telemetry is stale, seconds.
     observers : tuple[ObserverProfile, ...]
         The observers.
+    excuses : tuple[ExcuseRule, ...]
+        Which alarms explain evidence on which other channels.
     files : Mapping[str, bytes]
         Contents of the profile's files, by name, for recordings.
     digest : str
@@ -112,6 +118,7 @@ class Profile:
     gate: GateRule
     stale_s: float
     observers: tuple[ObserverProfile, ...]
+    excuses: tuple[ExcuseRule, ...]
     files: Mapping[str, bytes]
     digest: str
 
@@ -152,6 +159,7 @@ def read_profile(folder: str | Path) -> Profile:
         for name in observers.keys()  # noqa: SIM118 - a Table is no dict
     )
     observers.done()
+    alarm_channels = [rule.channel for observer in profile_observers for rule in observer.alarms]
     profile = Profile(
         name=root.text("name"),
         vehicle=root.text("vehicle"),
@@ -159,6 +167,7 @@ def read_profile(folder: str | Path) -> Profile:
         gate=gate,
         stale_s=root.number("stale_s", 2.0, at_least=0.05),
         observers=profile_observers,
+        excuses=read_excuses(root.tables("excuses"), alarm_channels),
         files=files,
         digest=_digest(files),
     )
@@ -173,9 +182,11 @@ def observer_table(
     source: Source,
     isolation: IsolationRule,
     alarms: Sequence[AlarmRule],
+    settle_s: float = 0.0,
 ) -> dict[str, Any]:
     """Return an observer's part of profile.toml, as :func:`read_profile` reads it back."""
     table: dict[str, Any] = {
+        **({"settle_s": settle_s} if settle_s else {}),
         **_source_table(source),
         "isolation": isolation_table(isolation),
         "alarms": {rule.channel: _alarm_table(rule) for rule in alarms},
@@ -195,7 +206,13 @@ def _alarm_table(rule: AlarmRule) -> dict[str, float]:
 
 
 def profile_table(
-    *, name: str, vehicle: str, gate: GateRule, observers: Mapping[str, dict[str, Any]], system: int = 0
+    *,
+    name: str,
+    vehicle: str,
+    gate: GateRule,
+    observers: Mapping[str, dict[str, Any]],
+    system: int = 0,
+    excuses: Sequence[ExcuseRule] = (),
 ) -> dict[str, Any]:
     """Return the whole of profile.toml."""
     return {
@@ -205,15 +222,17 @@ def profile_table(
         "system": system,
         "stale_s": 2.0,
         "phase": asdict(gate),
+        **({"excuses": excuse_tables(excuses)} if excuses else {}),
         "observers": dict(observers),
     }
 
 
 def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes]) -> ObserverProfile:
     isolation = table.table("isolation")
-    hypotheses = read_hypotheses(isolation) or ((),)
+    bank = read_hypotheses(isolation)
+    hypotheses = bank or ((),)
     model = folder / f"{name}.model.toml"
-    paths = [folder / gains_file_name(name, faults) for faults in hypotheses]
+    paths = [folder / file for file in gains_file_names(name, bank or ())]
     gains = tuple(_read_gains(path, model, faults, files) for path, faults in zip(paths, hypotheses, strict=True))
     shared = gains[0]
     for path, found in zip(paths, gains, strict=True):
@@ -227,6 +246,7 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
         source=_source(table, shared),
         isolation=read_isolation(isolation, len(faults), len(shared.outputs)),
         alarms=_alarms(table.table("alarms"), name, faults),
+        settle_s=table.number("settle_s", 0.0, at_least=0.0),
     )
     table.done()
     return observer

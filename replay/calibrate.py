@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +11,13 @@ from adapters.clock import VehicleClock
 from adapters.message import Message
 from adapters.phase import FlightPhase
 from adapters.sample import Sample
-from adapters.transform import Source, make_sampler
+from adapters.transform import Source, Transform
 from gains.gains_file import Gains
 from gains.multirotor import Segment
 from monitor.bank import whitening
 from monitor.chain import ObserverChain
 from monitor.estimate import Estimate
-from monitor.gate import FlightGate, GateRule
+from monitor.gate import GatedSample, GatedSampler, GateRule
 from monitor.isolation import IndependentChannels
 from monitor.isolation_rule import BankRule, SingleRule
 from monitor.observer import Observer
@@ -30,13 +29,7 @@ MARGIN = 2.0
 _SMOOTHING_S = 0.05
 _TOLERANCE = 0.2
 _GAIN_PENALTY = 25.0
-
-
-class GatedSample(NamedTuple):
-    """A sample and whether it is evidence."""
-
-    sample: Sample
-    armed: bool
+_NOISE_SHARE = 0.1
 
 
 def flight_samples(
@@ -46,14 +39,21 @@ def flight_samples(
     gate: GateRule,
 ) -> list[GatedSample]:
     """Return a recording's samples, each with whether it is evidence, as the monitor would take them."""
-    sampler = make_sampler(source, rate_hz, VehicleClock())
-    commands = source.transform is None
-    phase, flight = FlightPhase(), FlightGate(gate)
+    sampler, phase = GatedSampler(source, rate_hz, VehicleClock(), gate), FlightPhase()
     found = []
     for message in messages:
         phase.feed(message)
-        for sample in sampler.feed(message):
-            found.append(GatedSample(sample, flight.admits(phase, sample, commands) and sample.complete))
+        found.extend(sampler.feed(message, phase))
+    return found
+
+
+def transformed(flight: Iterable[GatedSample], transform: Transform) -> list[GatedSample]:
+    """Return the samples that a transform makes of raw ones."""
+    found = []
+    for raw, armed in flight:
+        sample = transform.feed(raw)
+        if sample is not None:
+            found.append(GatedSample(sample, armed and sample.complete))
     return found
 
 
@@ -93,10 +93,21 @@ def single_rule(gains: Gains, segments: Sequence[Segment]) -> SingleRule:
     )
 
 
-def bank_rule(bank: Sequence[Gains], segments: Sequence[Segment], edges: Collection[str] = ()) -> BankRule:
+def bank_rule(
+    bank: Sequence[Gains],
+    segments: Sequence[Segment],
+    *,
+    edges: Collection[str] = (),
+    smoothing_s: float = _SMOOTHING_S,
+    settle_s: float = SETTLE_S,
+    noise: NDArray[np.float64] | None = None,
+    washouts: Mapping[str, float] | None = None,
+) -> BankRule:
     """Return the isolation stage of a bank, from the residuals of its hypotheses in healthy flight.
 
-    ``edges`` names the faults that are watched for edges instead of compared.
+    ``edges`` names the faults that are watched for edges instead of compared; of each segment the first ``settle_s``
+    is left out; ``noise`` (p,) of the outputs, where given, keeps a residual that a sensor fault takes up altogether
+    from counting for more than a tenth of it; ``washouts`` are the rule's.
 
     The covariances are taken about zero; the floor of the score is the largest one that the best hypothesis leaves
     unexplained in healthy flight, with a margin.
@@ -105,24 +116,26 @@ def bank_rule(bank: Sequence[Gains], segments: Sequence[Segment], edges: Collect
     for one, found in zip(bank, residuals, strict=True):
         observer = Observer(one)
         for segment in segments:
-            stage = IndependentChannels(len(one.outputs), _SMOOTHING_S, one.rate_hz)
+            stage = IndependentChannels(len(one.outputs), smoothing_s, one.rate_hz)
             residual = observer.run(segment.u, segment.y).residual
-            found.extend([stage.update(value).single for value in residual][_settled(one) :])
+            found.extend([stage.update(value).single for value in residual][round(settle_s * one.rate_hz) :])
     watched = tuple(any(name in edges for name in one.faults) for one in bank)
-    covariances = tuple(np.stack(found).T @ np.stack(found) / len(found) for found in residuals)
+    least = 0.0 if noise is None else np.diag((_NOISE_SHARE * noise) ** 2)
+    covariances = tuple(np.stack(found).T @ np.stack(found) / len(found) + least for found in residuals)
     scores = [
         np.linalg.norm(np.stack(found) @ W.T, axis=1)
         for found, W, edge in zip(residuals, whitening(covariances), watched, strict=True)
         if not edge
     ]
     return BankRule(
-        smoothing_s=_SMOOTHING_S,
+        smoothing_s=smoothing_s,
         tolerance=_TOLERANCE,
         score_floor=MARGIN * float(np.min(scores, axis=0).max()),
         gain_penalty=_GAIN_PENALTY,
         hypotheses=tuple(one.faults for one in bank),
         covariances=covariances,
         edges=watched,
+        washouts=washouts or {},
     )
 
 

@@ -19,10 +19,9 @@ from gains.discretise import discretise
 from gains.plant import Plant
 from monitor.chain import ObserverChain
 from monitor.estimate import Estimate
-from monitor.gate import GateRule
+from monitor.gate import GatedSample, GateRule
 from monitor.input_curve import effect_of_command
 from monitor.profile import FaultChannel, ObserverProfile
-from replay.calibrate import GatedSample
 from replay.superpose import effect_change, fault_response
 
 WITHIN_S = (2.0, 1.0, 0.25)

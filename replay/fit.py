@@ -10,14 +10,17 @@ from typing import Any
 
 import tomli_w
 
+from adapters.errors import TelemetryError
+from gains.errors import InfeasibleError, ModelError
 from monitor.gate import GateRule
 from monitor.profile import PROFILE_FILE, profile_table
 from replay.calibrate import SETTLE_S
+from replay.fit_inertial import EXCUSES, fit_inertial
 from replay.fit_motors import fit_motors, multirotor_gate
 from replay.fitted import Fitted, Log
 from replay.survey import survey
 
-KINDS = ("multirotor",)
+KINDS = ("multirotor", "inertial")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,9 +70,19 @@ def fit(kind: str, logs: Sequence[Log], folder: Path, name: str) -> FitReport:
         The recordings do not hold what is needed, do not excite an axis, or allow no certified design.
     """
     surveys = [survey(log()) for log in logs]
-    gate = multirotor_gate(surveys, SETTLE_S)
-    observers = [fit_motors(name, logs, surveys, gate)]
-    report = FitReport(kind, tuple(observers), ())
+    observers, notes = [], []
+    if kind == "multirotor":
+        gate = multirotor_gate(surveys, SETTLE_S)
+        observers.append(fit_motors(name, logs, surveys, gate))
+    else:
+        gate = GateRule(settle_s=SETTLE_S)
+    try:
+        observers.append(fit_inertial(name, logs, surveys, gate))
+    except (TelemetryError, ModelError, InfeasibleError) as error:
+        if not observers:
+            raise
+        notes.append(f"inertial: {error}")
+    report = FitReport(kind, tuple(observers), tuple(notes))
     write_profile(folder, name, kind, gate, report)
     return report
 
@@ -80,6 +93,8 @@ def write_profile(folder: Path, name: str, kind: str, gate: GateRule, report: Fi
     for fitted in report.observers:
         fitted.write(folder)
     tables = {fitted.name: fitted.table() for fitted in report.observers}
-    content = profile_table(name=name, vehicle=kind, gate=gate, observers=tables)
+    known = {found.rule.channel for fitted in report.observers for found in fitted.alarms}
+    excuses = [rule for rule in EXCUSES if known.issuperset((*rule.channels, *rule.by))]
+    content = profile_table(name=name, vehicle=kind, gate=gate, observers=tables, excuses=excuses)
     (folder / PROFILE_FILE).write_text(tomli_w.dumps(content, multiline_strings=False))
     (folder / "fit.json").write_text(json.dumps(report.to_json(), indent=1) + "\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -33,6 +34,8 @@ _SMALLEST_LOSS = 0.015
 _CRITICAL_LOSS = 0.25
 _SMALLEST_JUMP = 0.05
 """rad/s: an autopilot rides out a smaller jump of a gyro, and gusts make steps of that size."""
+_MOST_OF_JUMPS = 1.5
+"""How many times the largest healthy step the level may be: steps are too rare for a tail to be fitted to them."""
 _JUMP = Times(fast_s=0.0, raise_s=0.0, clear_s=0.5)
 _UNEXPLAINED = Times(fast_s=0.5, raise_s=0.5, clear_s=0.5)
 _AXES = ("roll", "pitch", "yaw")
@@ -94,12 +97,12 @@ def _alarms(
     share = FALSE_ALARMS_PER_HOUR / (len(channels) + 1)
     commands = [None if channel.input is None else float(hover[channel.input]) for channel in channels]
 
-    def levels(places: Sequence[int], times: Times) -> Levels:
+    def levels(places: Sequence[int], times: Times, most: float = math.inf) -> Levels:
         series = [stretch[:, at] / (commands[at] or 1.0) for at in places for stretch in evidence]
-        return healthy_levels(series, rate_hz, share, times)
+        return healthy_levels(series, rate_hz, share, times, most)
 
     of_motors = levels([at for at, command in enumerate(commands) if command is not None], Times())
-    of_gyros = levels([at for at, command in enumerate(commands) if command is None], _JUMP)
+    of_gyros = levels([at for at, command in enumerate(commands) if command is None], _JUMP, _MOST_OF_JUMPS)
     alarms = []
     for channel, command in zip(channels, commands, strict=True):
         bare = bare_rule(OBSERVER, channel.name, channel.kind, channel.unit)

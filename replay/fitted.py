@@ -13,7 +13,7 @@ from gains.gains_file import Gains, write_gains
 from gains.model_file import write_model
 from gains.plant import Plant
 from monitor.alarm import AlarmRule
-from monitor.isolation_rule import BankRule, IsolationRule, gains_file_name
+from monitor.isolation_rule import BankRule, IsolationRule, gains_file_names
 from monitor.profile import ObserverProfile, fault_channels, observer_table
 from replay.thresholds import Calibrated
 
@@ -44,6 +44,8 @@ class Fitted:
         What the identification found, for ``fit.json``.
     lines : tuple[str, ...]
         The same for people.
+    settle_s : float
+        Wait before its samples are evidence, seconds.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Fitted:
     flight_s: float = 0.0
     findings: Mapping[str, Any] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
+    settle_s: float = 0.0
 
     @property
     def sqrt_mu(self) -> float:
@@ -70,19 +73,20 @@ class Fitted:
             source=self.source,
             isolation=self.isolation,
             alarms=tuple(found.rule for found in self.alarms),
+            settle_s=self.settle_s,
         )
 
     def table(self) -> dict[str, Any]:
         """Return the observer's part of profile.toml."""
         alarms = [found.rule for found in self.alarms]
-        return observer_table(source=self.source, isolation=self.isolation, alarms=alarms)
+        return observer_table(source=self.source, isolation=self.isolation, alarms=alarms, settle_s=self.settle_s)
 
     def write(self, folder: Path) -> None:
         """Write model and gains into a profile's folder."""
         write_model(self.plant, folder / f"{self.name}.model.toml")
-        for gains in self.gains:
-            faults = gains.faults if isinstance(self.isolation, BankRule) else ()
-            write_gains(gains, folder / gains_file_name(self.name, faults))
+        hypotheses = self.isolation.hypotheses if isinstance(self.isolation, BankRule) else ()
+        for gains, file in zip(self.gains, gains_file_names(self.name, hypotheses), strict=True):
+            write_gains(gains, folder / file)
 
     def report(self) -> dict[str, Any]:
         """Return what was found as a JSON object."""

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.message import Message
 from adapters.phase import FlightPhase
+from adapters.strapdown_channels import INERTIAL_MESSAGES
 
 MOTOR_MESSAGE = "SERVO_OUTPUT_RAW"
+_GPS_MESSAGE = "GPS_RAW_INT"
+_UNKNOWN = 65_535
 _OUTPUTS_PER_MESSAGE = 16
 _GRAVITY = 9.80665
 _STILL_US = 0.5
@@ -28,7 +32,7 @@ _VERTICAL = (
     ("RAW_IMU", "zacc", _GRAVITY / 1000.0),
 )
 _CHANNEL_MESSAGES = frozenset({MOTOR_MESSAGE} | {name for name, *_ in (*_RATES, *_VERTICAL)})
-FIT_MESSAGES = _CHANNEL_MESSAGES | FlightPhase.interests
+FIT_MESSAGES = _CHANNEL_MESSAGES | INERTIAL_MESSAGES | FlightPhase.interests
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +47,14 @@ class Survey:
         Messages per second of the vehicle's clock, by name, for those that carry a time.
     outputs : dict[int, tuple[float, float]]
         Servo output number -> mean and standard deviation of its pulse while armed, microseconds.
+    examples : dict[str, Mapping[str, Any]]
+        Fields of the last message of each name while armed; of the GPS, the last that knew speed and course.
     """
 
     counts: dict[str, int]
     rate_hz: dict[str, float]
     outputs: dict[int, tuple[float, float]]
+    examples: dict[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def survey(messages: Iterable[Message]) -> Survey:
@@ -57,8 +64,11 @@ def survey(messages: Iterable[Message]) -> Survey:
     sums: dict[int, list[float]] = {}
     armed = True
     clock = Channel("clock", "", ("",))
+    examples: dict[str, Mapping[str, Any]] = {}
     for message in messages:
         counts[message.name] += 1
+        if armed and not (message.name == _GPS_MESSAGE and _UNKNOWN in map(message.fields.get, ("vel", "cog"))):
+            examples[message.name] = message.fields
         stamp = clock.stamp_ns(message.fields)
         if stamp:
             first, _ = spans.get(message.name, (stamp, stamp))
@@ -78,7 +88,7 @@ def survey(messages: Iterable[Message]) -> Survey:
         number: (total / count, max(0.0, square / count - (total / count) ** 2) ** 0.5)
         for number, (count, total, square) in sorted(sums.items())
     }
-    return Survey(dict(counts), rates, outputs)
+    return Survey(dict(counts), rates, outputs, examples)
 
 
 def of_one_vehicle(messages: Iterable[Message]) -> Iterator[Message]:

@@ -20,9 +20,8 @@ from adapters.clock import VehicleClock
 from monitor.alarm import AlarmRule
 from monitor.chain import ObserverChain
 from monitor.estimate import Estimate
-from monitor.gate import GateRule
+from monitor.gate import GatedSample, GateRule
 from monitor.profile import ObserverProfile
-from replay.calibrate import GatedSample
 from replay.extremes import ReturnLevel, return_level, standing
 
 FALSE_ALARMS_PER_HOUR = 0.1
@@ -84,7 +83,11 @@ def healthy_evidence(
 
 
 def healthy_levels(
-    evidence: Sequence[NDArray[np.float64]], rate_hz: float, alarms_per_hour: float, times: Times
+    evidence: Sequence[NDArray[np.float64]],
+    rate_hz: float,
+    alarms_per_hour: float,
+    times: Times,
+    most: float = math.inf,
 ) -> Levels:
     """Return the levels that healthy evidence exceeds at a rate.
 
@@ -99,11 +102,16 @@ def healthy_levels(
         False alarms granted to each channel, shared by its paths.
     times : Times
         Times of the paths.
+    most : float
+        How many times the largest value seen a level may be at most.
     """
     per_path = alarms_per_hour / _PATHS
 
     def level(statistic: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> ReturnLevel:
-        return return_level([statistic(one) for one in evidence], rate_hz, per_path)
+        series = [statistic(one) for one in evidence]
+        found = return_level(series, rate_hz, per_path)
+        largest = max((float(one.max(initial=0.0)) for one in series), default=0.0)
+        return found if math.isinf(most) else replace(found, level=min(found.level, most * largest))
 
     return Levels(
         fast=level(lambda one: standing(np.abs(one), round(times.fast_s * rate_hz))),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 from pathlib import Path
 
@@ -75,7 +75,9 @@ def _run(task: Task, attack: Attack) -> Outcome:
     names = {message.name for message in task.messages}
     made = plan(attack, names, profile, task.folder)
     injector = Injector(attack, made, task.system, profile_clocks(profile))
-    pipeline = Pipeline(profile)
+    # A plant's answer moves its own outputs and nothing else: to other observers a gyro that attitude does not follow.
+    alone = replace(profile, observers=(observer,), excuses=())
+    pipeline = Pipeline(profile if made.response is None else alone)
     late_ns = (attack.start_ns + attack.end_ns) // 2
     delay_s, others, void = inf, set[str](), False
     squares: list[float] = []

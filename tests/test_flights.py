@@ -38,7 +38,7 @@ def test_the_right_motor_and_only_it_is_named_within_half_a_second(
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_the_loss_is_within_two_points_of_the_truth(name: str, quad_profile: Profile, data: Path) -> None:
     motor, loss = FLIGHTS[name]
-    (trace,) = replayed(quad_profile, data / f"{name}.tlog.xz").traces
+    trace, _ = replayed(quad_profile, data / f"{name}.tlog.xz").traces
     index = trace.layout.faults.index(motor)
     during = trace.vehicle_ns / 1e9 > ONSET_S + 0.5
     relative = trace.isolated[during, index] / trace.u[during, index]
@@ -113,3 +113,31 @@ def test_other_vehicles_in_a_log_do_not_enter_the_fit(data: Path) -> None:
     flight = list(read_recording(data / "copter_5s.tlog.xz"))
     assert {message.system for message in flight} > {1}
     assert {message.system for message in of_one_vehicle(flight)} == {1}
+
+
+@pytest.mark.parametrize(
+    ("name", "channel", "onset_s", "within_s", "size"),
+    [
+        ("copter_gps_drift05", "gps_north", 102.774, 2.0, 0.5),
+        ("copter_gps_step25m", "gps_north", 112.754, 0.5, 25.0),
+        ("copter_baro_glitch", "baro", 112.764, 0.5, 8.0),
+    ],
+)
+def test_a_sensor_that_disagrees_is_named_with_its_size_and_no_other(
+    quad_profile: Profile, data: Path, name: str, channel: str, onset_s: float, within_s: float, size: float
+) -> None:
+    found = play(quad_profile, read_recording(data / f"{name}.tlog.xz"), keep_traces=True)
+    assert {event.channel for event in found.events} == {channel}
+    raised = found.events[0]
+    assert 0.0 < raised.vehicle_time_ms / 1000 - onset_s < within_s
+    (trace,) = (trace for trace in found.traces if trace.layout.observer == "inertial")
+    since = trace.vehicle_ns / 1e9 - onset_s
+    truth = size * since if name == "copter_gps_drift05" else np.full(len(since), size)
+    late = since > 2.0
+    estimate = trace.isolated[:, trace.layout.faults.index(channel)]
+    assert estimate[late] == pytest.approx(truth[late], rel=0.2)
+
+
+def test_a_gyro_that_jumps_is_not_taken_for_a_motor_or_the_gps(quad_profile: Profile, data: Path) -> None:
+    events = replayed(quad_profile, data / "copter_gyro1_bias.tlog.xz").events
+    assert {event.channel for event in events} <= {"gyro_x"}

@@ -30,18 +30,18 @@ def edit(path: Path, pattern: str, replacement: str) -> None:
 
 def test_a_profile_holds_what_the_fit_wrote(folder: Path) -> None:
     profile = read_profile(folder)
-    (observer,) = profile.observers
+    observer, inertial = profile.observers
+    assert inertial.name == "inertial"
+    assert inertial.source.transform is not None
     assert (profile.name, profile.vehicle, observer.name) == ("quad", "multirotor", "motors")
     assert [channel.name for channel in observer.source.inputs] == ["motor1", "motor2", "motor3", "motor4"]
     assert [rule.channel for rule in observer.alarms] == [*(channel.name for channel in observer.faults), "unexplained"]
     channels = ["motor1", "motor2", "motor3", "motor4", "gyro_x", "gyro_y", "gyro_z"]
     assert isinstance(observer.isolation, BankRule)
     assert observer.isolation.hypotheses == tuple((channel,) for channel in channels)
-    assert set(profile.files) == {
-        "profile.toml",
-        "motors.model.toml",
-        *(f"motors.{name}.gains.json" for name in channels),
-    }
+    gains = [f"motors.{name}.gains.json" for name in channels]
+    gains += [f"inertial.{name}.gains.json" for name in ("accel_z", "baro", "gps_down")]
+    assert set(profile.files) == {"profile.toml", "motors.model.toml", "inertial.model.toml", *gains}
 
 
 def test_the_digest_follows_every_edit(folder: Path) -> None:

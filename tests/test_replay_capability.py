@@ -12,8 +12,9 @@ from adapters.arm import SCENARIOS, TORQUES, simulate_arm
 from adapters.arm_source import arm_messages
 from adapters.recordings import read_recording
 from gains.model_file import builtin_model, read_model
+from monitor.gate import GatedSample
 from monitor.profile import Profile
-from replay.calibrate import GatedSample, flight_samples
+from replay.calibrate import flight_samples
 from replay.capability import (
     Capability,
     Detection,

@@ -339,7 +339,7 @@ def test_a_lost_motor_is_named_within_two_points_and_clears_when_it_is_back(
 ) -> None:
     log = data / "copter_healthy_square.tlog.xz"
     messages, truth = loss(quad_profile, quad_folder, log, size=0.1)
-    events = play(quad_profile, messages).events
+    events = [event for event in play(quad_profile, messages).events if event.observer == "motors"]
     assert {event.channel for event in events} == {"motor3"}
     raised, cleared = events[0], events[-1]
     assert truth["on"]["time_boot_ms"] == pytest.approx(90_000, abs=11)
