@@ -191,8 +191,8 @@ def test_the_command_prints_json_and_writes_the_picture(
     [
         (["--channel", "motor9"], "no such alarm"),
         (["--kinds", "shake"], "no such kind"),
-        (["--kinds", "bias"], "use loss"),
-        (["--sizes", "1.5"], "at most 1"),
+        (["--channel", "motor1", "--kinds", "bias"], "use loss"),
+        (["--channel", "motor1", "--sizes", "1.5"], "at most 1"),
         (["--before", "100"], "of watched flight"),
         (["--after", "0"], "above zero"),
     ],
@@ -225,4 +225,4 @@ def test_the_sweep_follows_the_vehicle_that_the_pipeline_follows(
 
 def test_a_sweep_without_any_fault_that_fits_says_why(quad_folder: Path) -> None:
     with pytest.raises(InjectionError, match="does not go with motor1"):
-        detectability(quad_folder, LOG, Sweep(kinds=("spoof",)))
+        detectability(quad_folder, LOG, Sweep(channels=("motor1",), kinds=("spoof",)))
