@@ -29,7 +29,7 @@ _RATE_HZ = 25.0
 _FASTEST_HZ = 100.0
 _WASHOUT_S = 30.0
 _VELOCITY_WASHOUT_S = 10.0
-_SMOOTHING_S = 0.2
+_SMOOTHING_S = 0.12
 _SETTLE_S = 5.0
 _TIMES = Times(fast_s=0.08, raise_s=0.2, slow_s=4.0, clear_s=0.5)
 _TRIAL_DELAYS_S = tuple(0.04 * step for step in range(8))
