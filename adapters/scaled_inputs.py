@@ -169,7 +169,7 @@ class DriveInputs:
         steering, throttle, north, east, yaw, yaw_rate, forward = sample.u.tolist()
         speed = north * cos(yaw) + east * sin(yaw)
         s = speed / self._reference
-        commands = [(steering + self._cubic * steering**3) * s, throttle]
+        commands = [(steering + self._cubic * steering * steering * steering) * s, throttle]
         u = [*_lagged(self._lags, commands, sample.restart), s]
         return self._groups.feed(sample, np.array(u), np.array([yaw_rate, forward]), abs(speed) >= self._minimum)
 

@@ -107,6 +107,7 @@ class Alarm:
         self._active: _Active | None = None
         self._counter_ns = self._fast_ns = 0
         self._mean = 0.0
+        self._relative: float | None = None
         self._last_ns: int | None = None
         self._raised_ns: deque[int] = deque(maxlen=_COMES_AND_GOES)
 
@@ -119,7 +120,9 @@ class Alarm:
         """Note that time passes without evidence."""
         self._last_ns = None
 
-    def update(self, sample: Sample, evidence: float, command: float | None) -> AlarmEvent | None:
+    def update(
+        self, sample: Sample, evidence: float, command: float | None, relative: float | None = None
+    ) -> AlarmEvent | None:
         """Take one sample's evidence; return the event it causes, if any.
 
         Parameters
@@ -130,8 +133,11 @@ class Alarm:
             Signed size of the fault, in the rule's unit.
         command : float | None
             What the fault takes its share of, where that makes sense.
+        relative : float | None
+            That share, where it is known in another way and ``command`` is None.
         """
         rule, now = self.rule, sample.vehicle_time_ns
+        self._relative = relative
         elapsed = 0 if self._last_ns is None else now - self._last_ns
         self._last_ns = now
         if sample.restart:
@@ -205,7 +211,7 @@ class Alarm:
         active = self._active
         assert active is not None  # noqa: S101 - an event is only made while the alarm stands
         rule = self.rule
-        relative = None if command is None else relative_loss(evidence, command)
+        relative = self._relative if command is None else relative_loss(evidence, command)
         message = alarm_message(rule.observer, rule.channel, rule.kind, rule.unit, state, evidence, relative)
         return AlarmEvent(
             id=active.id,

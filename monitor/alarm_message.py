@@ -6,6 +6,11 @@ import math
 
 from monitor.event import Kind, State
 
+DEFLECTION = "fraction of full deflection"
+"""Unit of surfaces, steering and throttle."""
+
+_ACTS = {"steering": ("turns", ""), "throttle": ("pushes", "")}
+_HAS_EFFECT = ("has", " effect")
 _AXES = {"north": ("north", "south"), "east": ("east", "west"), "down": ("below", "above")}
 
 
@@ -33,6 +38,11 @@ def alarm_message(
         return f"{channel} is back to normal"
     if kind == "residual":
         return f"{observer}: no known fault explains what is measured ({size:.1f} times healthy)"
+    if kind == "actuator" and unit == DEFLECTION:
+        if relative is None:
+            return f"{channel} acts {100 * abs(size):.0f} % of full deflection off where it is commanded"
+        verb, noun = _ACTS.get(channel, _HAS_EFFECT)
+        return f"{channel} {verb} {100 * abs(relative):.0f} % {'less' if relative < 0 else 'more'}{noun} than commanded"
     if kind == "actuator" and relative is not None:
         return f"{channel} delivers {100 * abs(relative):.0f} % {'less' if relative < 0 else 'more'} than commanded"
     if channel.startswith("disturbance_"):

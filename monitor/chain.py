@@ -14,6 +14,7 @@ from adapters.phase import FlightPhase
 from adapters.sample import Sample
 from adapters.sampler import SamplerStatistics
 from monitor.alarm import Alarm
+from monitor.effectiveness_stage import EffectivenessStage
 from monitor.estimate import Estimate, Layout
 from monitor.estimator import make_estimator
 from monitor.event import AlarmEvent
@@ -74,6 +75,7 @@ class ObserverChain:
         self._residual_alarms = [alarm for alarm in alarms if alarm.rule.kind == "residual"]
         self._command = CommandUnits(profile)
         self._excuses = excuses or Excuses(())
+        self._effectiveness = EffectivenessStage(profile.effectiveness, profile.faults, gains.inputs, gains.rate_hz)
 
     @property
     def interests(self) -> frozenset[str]:
@@ -103,8 +105,11 @@ class ObserverChain:
             estimator.restart(sample.u, sample.y)
             self._command.restart(sample.u)
         estimator.step(sample.u, sample.y)
+        verdicts = self._effectiveness.judge(sample, estimator.fault, armed)
         self._command.follow(sample.u)
         fault, isolated = self._command.convert(np.stack([estimator.fault, estimator.evidence]))
+        for index, size in self._effectiveness.sizes.items():
+            isolated[index] = size
         outputs: list[Output] = [
             Estimate(
                 observer=self._name,
@@ -124,7 +129,13 @@ class ObserverChain:
                 alarm.pause()
                 continue
             size = float(isolated[index])
-            event = alarm.update(sample, size, self._command.command(index))
+            if index not in self._effectiveness.sizes:
+                event = alarm.update(sample, size, self._command.command(index))
+            elif (verdict := verdicts.get(index)) is None or verdict.evidence is None:
+                alarm.pause()
+                continue
+            else:
+                event = alarm.update(sample, size, None, verdict.share)
             if event is not None:
                 outputs.append(event)
                 self._excuses.note(event)

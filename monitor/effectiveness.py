@@ -59,6 +59,8 @@ class EffectivenessRule:
     hold_s : float
         How long an accusation stands without the excitation that could confirm it, seconds; the shortest memory has
         to fade first.
+    full : str | None
+        Input that is the effect of a full constant deflection; None: that effect is 1.
     """
 
     noise: float
@@ -72,6 +74,7 @@ class EffectivenessRule:
     memories_s: tuple[float, ...] = (0.25, 1.0)
     timing_s: float = 0.02
     hold_s: float = 3.0
+    full: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +108,11 @@ class Effectiveness:
     relative: float | None
     is_loss: bool
 
+    @property
+    def share(self) -> float | None:
+        """``relative``; where that is not known but loss explains more than an offset does, -loss."""
+        return -self.loss if self.relative is None and self.is_loss and self.evidence else self.relative
+
 
 class EffectivenessEstimator:
     """State of one actuator's recursive least squares.
@@ -122,7 +130,7 @@ class EffectivenessEstimator:
         self._rate_hz = rate_hz
         self._keep = exp(-1.0 / (rule.lag_s * rate_hz)) if rule.lag_s > 0 else 0.0
         self._memories = [_Memory(rule, memory_s, rate_hz) for memory_s in rule.memories_s]
-        self._longest_hold = round(rule.hold_s * rate_hz)
+        self._longest_hold = self._unconfirmed = round(rule.hold_s * rate_hz)
         self.restart()
 
     def restart(self) -> None:
@@ -157,6 +165,12 @@ class EffectivenessEstimator:
             return replace(heard, evidence=0.0, relative=None)
         relative = next((v.relative for v in said if v.relative is not None), None) if heard.evidence else None
         return replace(heard, evidence=self._standing(heard), relative=relative)
+
+    def skip(self) -> None:
+        """Let the time of a sample pass that is no evidence."""
+        self._unconfirmed = min(self._unconfirmed + 1, self._longest_hold)
+        for memory in self._memories:
+            memory.take(0.0, 0.0, 0.0, 0.0)
 
     def _start_afresh(self) -> None:
         for memory in self._memories:

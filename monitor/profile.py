@@ -12,7 +12,7 @@ import hashlib
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -23,6 +23,8 @@ from gains.errors import ModelError
 from gains.gains_file import Gains, read_gains
 from gains.model_file import model_hash, read_model
 from monitor.alarm import AlarmRule
+from monitor.effectiveness import EffectivenessRule
+from monitor.effectiveness_rule import effectiveness_table, read_effectiveness
 from monitor.errors import ProfileError
 from monitor.excuse import ExcuseRule, excuse_tables, read_excuses
 from monitor.gate import GateRule
@@ -70,6 +72,8 @@ class ObserverProfile:
         What raises alarms.
     settle_s : float
         Wait before its samples are evidence, seconds, where that is longer than the gate's.
+    effectiveness : Mapping[str, EffectivenessRule]
+        Faults whose evidence is read against the deflection at which they arise, by name.
     """
 
     name: str
@@ -79,6 +83,7 @@ class ObserverProfile:
     isolation: IsolationRule
     alarms: tuple[AlarmRule, ...]
     settle_s: float = 0.0
+    effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
 
     @property
     def rate_hz(self) -> float:
@@ -183,6 +188,7 @@ def observer_table(
     isolation: IsolationRule,
     alarms: Sequence[AlarmRule],
     settle_s: float = 0.0,
+    effectiveness: Mapping[str, EffectivenessRule] | None = None,
 ) -> dict[str, Any]:
     """Return an observer's part of profile.toml, as :func:`read_profile` reads it back."""
     table: dict[str, Any] = {
@@ -191,6 +197,8 @@ def observer_table(
         "isolation": isolation_table(isolation),
         "alarms": {rule.channel: _alarm_table(rule) for rule in alarms},
     }
+    if effectiveness:
+        table["effectiveness"] = {name: effectiveness_table(rule) for name, rule in effectiveness.items()}
     return table
 
 
@@ -247,6 +255,9 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
         isolation=read_isolation(isolation, len(faults), len(shared.outputs)),
         alarms=_alarms(table.table("alarms"), name, faults),
         settle_s=table.number("settle_s", 0.0, at_least=0.0),
+        effectiveness=read_effectiveness(
+            table.table("effectiveness"), {f.name: f.input for f in faults}, shared.inputs, bank=len(gains) > 1
+        ),
     )
     table.done()
     return observer

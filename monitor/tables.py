@@ -85,6 +85,14 @@ class Table:
             raise ProfileError(f"{self.where(key)} is not a list of texts")
         return tuple(found)
 
+    def numbers(self, key: str, default: tuple[float, ...], above: float = -math.inf) -> tuple[float, ...]:
+        """Return a list of at least one finite number, all above ``above``."""
+        found = self._get(key, list(default))
+        if not isinstance(found, list) or not found or not all(_is_finite(item) and item > above for item in found):
+            beyond = f" above {above:g}" if above > -math.inf else ""
+            raise ProfileError(f"{self.where(key)} is not a list of finite numbers{beyond}")
+        return tuple(float(item) for item in found)
+
     def boolean(self, key: str, default: bool | None = None) -> bool:
         """Return true or false."""
         found = self._get(key, default)
@@ -104,7 +112,7 @@ class Table:
         found = self._get(key, default)
         if key not in self._content and default is not None:
             return default
-        if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
+        if not _is_finite(found):
             raise ProfileError(f"{self.where(key)} is not a finite number")
         if found < at_least:
             raise ProfileError(f"{self.where(key)} is {found:g}; it must be at least {at_least:g}")
@@ -126,3 +134,7 @@ class Table:
         if found is None:
             raise ProfileError(f"{self.where(key)} is missing")
         return found
+
+
+def _is_finite(found: object) -> bool:
+    return not isinstance(found, bool) and isinstance(found, int | float) and math.isfinite(found)

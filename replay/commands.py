@@ -50,7 +50,9 @@ def _add_fit(subparsers: Any) -> None:
         description="Identify a vehicle from healthy flights, design its observer, and calibrate its alarms.",
         epilog="example: fauio fit --vehicle multirotor monday.tlog tuesday.tlog.xz -o quad/",
     )
-    parser.add_argument("--vehicle", required=True, choices=["multirotor", "inertial"], help="kind of vehicle")
+    parser.add_argument(
+        "--vehicle", required=True, choices=["multirotor", "plane", "rover", "inertial"], help="kind of vehicle"
+    )
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=_LOG_HELP)
     parser.add_argument("-o", "--out", required=True, type=Path, metavar="PROFILE", help="profile folder to write")
     parser.add_argument("--name", help="name of the vehicle in topics (default: the folder's name)")

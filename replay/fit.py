@@ -15,12 +15,14 @@ from gains.errors import InfeasibleError, ModelError
 from monitor.gate import GateRule
 from monitor.profile import PROFILE_FILE, profile_table
 from replay.calibrate import SETTLE_S
+from replay.fit_drive import fit_drive, rover_gate
 from replay.fit_inertial import EXCUSES, fit_inertial
 from replay.fit_motors import fit_motors, multirotor_gate
+from replay.fit_surfaces import fit_surfaces, plane_gate
 from replay.fitted import Fitted, Log
 from replay.survey import survey
 
-KINDS = ("multirotor", "inertial")
+KINDS = ("multirotor", "plane", "rover", "inertial")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,8 +76,14 @@ def fit(kind: str, logs: Sequence[Log], folder: Path, name: str) -> FitReport:
     if kind == "multirotor":
         gate = multirotor_gate(surveys, SETTLE_S)
         observers.append(fit_motors(name, logs, surveys, gate))
+    elif kind == "plane":
+        gate = plane_gate(SETTLE_S)
+        observers.append(fit_surfaces(name, logs, surveys, gate))
+    elif kind == "rover":
+        gate = rover_gate(SETTLE_S)
+        observers.append(fit_drive(name, logs, surveys, gate))
     else:
-        gate = GateRule(settle_s=SETTLE_S)
+        gate = GateRule(settle_s=SETTLE_S, require_airborne=False)
     try:
         observers.append(fit_inertial(name, logs, surveys, gate))
     except (TelemetryError, ModelError, InfeasibleError) as error:

@@ -13,6 +13,7 @@ from gains.gains_file import Gains, write_gains
 from gains.model_file import write_model
 from gains.plant import Plant
 from monitor.alarm import AlarmRule
+from monitor.effectiveness import EffectivenessRule
 from monitor.isolation_rule import BankRule, IsolationRule, gains_file_names
 from monitor.profile import ObserverProfile, fault_channels, observer_table
 from replay.thresholds import Calibrated
@@ -38,6 +39,8 @@ class Fitted:
         How estimates become evidence.
     alarms : tuple[Calibrated, ...]
         Calibrated alarm rules.
+    effectiveness : Mapping[str, EffectivenessRule]
+        How the estimates of faults that scale a deflection are read, by fault.
     flight_s : float
         Healthy flight it was fitted on, seconds.
     findings : Mapping[str, Any]
@@ -54,6 +57,7 @@ class Fitted:
     source: Source
     isolation: IsolationRule
     alarms: tuple[Calibrated, ...] = ()
+    effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
     flight_s: float = 0.0
     findings: Mapping[str, Any] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
@@ -74,12 +78,19 @@ class Fitted:
             isolation=self.isolation,
             alarms=tuple(found.rule for found in self.alarms),
             settle_s=self.settle_s,
+            effectiveness=self.effectiveness,
         )
 
     def table(self) -> dict[str, Any]:
         """Return the observer's part of profile.toml."""
         alarms = [found.rule for found in self.alarms]
-        return observer_table(source=self.source, isolation=self.isolation, alarms=alarms, settle_s=self.settle_s)
+        return observer_table(
+            source=self.source,
+            isolation=self.isolation,
+            alarms=alarms,
+            settle_s=self.settle_s,
+            effectiveness=self.effectiveness,
+        )
 
     def write(self, folder: Path) -> None:
         """Write model and gains into a profile's folder."""
@@ -106,9 +117,10 @@ def bare_rule(observer: str, channel: str, kind: str, unit: str) -> AlarmRule:
 
 def _alarm_report(found: Calibrated) -> dict[str, float | int | str]:
     rule, level = found.rule, found.level
-    return {
-        "unit": rule.unit,
-        "threshold": rule.threshold,
+    sizes: dict[str, float | int | str] = {"unit": rule.unit, "threshold": rule.threshold}
+    if level is None:
+        return sizes
+    return sizes | {
         "level": found.scale * level.level,
         "level_low": found.scale * level.low,
         "level_high": found.scale * level.high,

@@ -31,8 +31,9 @@ _VERTICAL = (
     ("SCALED_IMU", "zacc", _GRAVITY / 1000.0),
     ("RAW_IMU", "zacc", _GRAVITY / 1000.0),
 )
+_SPEED_MESSAGES = frozenset({"VFR_HUD", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT"})
 _CHANNEL_MESSAGES = frozenset({MOTOR_MESSAGE} | {name for name, *_ in (*_RATES, *_VERTICAL)})
-FIT_MESSAGES = _CHANNEL_MESSAGES | INERTIAL_MESSAGES | FlightPhase.interests
+FIT_MESSAGES = _CHANNEL_MESSAGES | _SPEED_MESSAGES | INERTIAL_MESSAGES | FlightPhase.interests
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,11 +50,14 @@ class Levels:
 
 @dataclass(frozen=True, slots=True)
 class Calibrated:
-    """A rule and what it rests on: the level of the plain path with its confidence, per ``scale``."""
+    """A rule and what it rests on: the level of the plain path with its confidence, per ``scale``.
+
+    Without a level the evidence is zero in healthy operation: what makes it more is calibrated before it.
+    """
 
     rule: AlarmRule
-    level: ReturnLevel
-    scale: float
+    level: ReturnLevel | None
+    scale: float = 1.0
 
 
 def healthy_evidence(

@@ -142,3 +142,10 @@ def test_events_alternate_between_raised_and_cleared_whatever_comes(values: list
     for event in events:
         if event.state == "raised":
             assert abs(event.estimate or 0.0) >= RULE.threshold
+
+
+def test_a_share_that_is_known_by_itself_is_told_as_it_is() -> None:
+    alarm = new_alarm()
+    events = [alarm.update(sample(k), -0.05, None, relative=-0.3) for k in range(20)]
+    raised = next(event for event in events if event is not None)
+    assert (raised.estimate, raised.relative) == (-0.05, -0.3)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from monitor.alarm_message import alarm_message
+from monitor.alarm_message import DEFLECTION, alarm_message
 from monitor.event import Kind
 
 
@@ -10,6 +10,11 @@ from monitor.event import Kind
     ("channel", "kind", "unit", "size", "relative", "sentence"),
     [
         ("motor2", "actuator", "fraction of full command", -0.1, -0.15, "motor2 delivers 15 % less than commanded"),
+        ("steering", "actuator", DEFLECTION, -0.1, -0.5, "steering turns 50 % less than commanded"),
+        ("throttle", "actuator", DEFLECTION, -0.1, -0.2, "throttle pushes 20 % less than commanded"),
+        ("aileron", "actuator", DEFLECTION, -0.1, -0.2, "aileron has 20 % less effect than commanded"),
+        ("aileron", "actuator", DEFLECTION, 0.1, 0.2, "aileron has 20 % more effect than commanded"),
+        ("rudder", "actuator", DEFLECTION, 0.1, None, "rudder acts 10 % of full deflection off where it is commanded"),
         ("gps_north", "sensor", "m", 12.0, None, "GPS is 12 m north of where the inertial sensors say"),
         ("gps_east", "sensor", "m", -3.21, None, "GPS is 3.21 m west of where the inertial sensors say"),
         ("gps_down", "sensor", "m", -4.0, None, "GPS is 4 m above where the inertial sensors say"),

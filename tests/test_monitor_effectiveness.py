@@ -127,3 +127,17 @@ def test_the_full_deflections_effect_scales_the_offset() -> None:
     for full in np.linspace(0.5, 2.0, 300).tolist():
         last = estimator.update(0.1 * full, 0.0, full)
     assert last.evidence == pytest.approx(0.1, abs=1e-6)
+
+
+def test_skipped_time_fades_what_is_known_and_ends_what_nothing_confirms() -> None:
+    estimator = EffectivenessEstimator(RULE, RATE_HZ)
+    for u in TURNS[:200].tolist():
+        before = estimator.update(-0.5 * u, u)
+    for _ in range(10):
+        estimator.skip()
+    after = estimator.update(-0.5 * TURNS[200], float(TURNS[200]))
+    assert after.loss == pytest.approx(0.5, abs=1e-6)
+    assert after.loss_error >= before.loss_error
+    for _ in range(300):
+        estimator.skip()
+    assert not estimator.update(0.0, 0.0).evidence
