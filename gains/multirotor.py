@@ -91,7 +91,7 @@ class _Regression:
     after: NDArray[np.float64]
 
 
-def identify_multirotor(segments: Sequence[Segment], rate_hz: float) -> MultirotorFit:
+def identify_multirotor(segments: Sequence[Segment], rate_hz: float, taps: int | None = None) -> MultirotorFit:
     """Fit the model of the module's docstring by alternating least squares.
 
     Parameters
@@ -100,6 +100,8 @@ def identify_multirotor(segments: Sequence[Segment], rate_hz: float) -> Multirot
         Healthy flight on the grid; y in the order roll, pitch, yaw rate (rad/s), vertical specific force (m/s^2).
     rate_hz : float
         Samples per second of the grid.
+    taps : int | None
+        Number of taps; None takes the fewest that are as good as the longest delay's.
 
     Raises
     ------
@@ -113,8 +115,8 @@ def identify_multirotor(segments: Sequence[Segment], rate_hz: float) -> Multirot
         raise ModelError(
             f"only {samples / rate_hz:.0f} s of healthy flight in the logs; at least 20 s in the air are needed"
         )
-    best = _alternate(_regression(usable, longest))
-    for length in range(1, longest):
+    best = _alternate(_regression(usable, taps or longest, skip=longest))
+    for length in range(1, longest if taps is None else 0):
         shorter = _alternate(_regression(usable, length, skip=longest))
         if np.all(shorter.std <= 1.01 * best.std):
             best = shorter
@@ -139,11 +141,18 @@ def identify_multirotor(segments: Sequence[Segment], rate_hz: float) -> Multirot
     )
 
 
-def multirotor_plant(fit: MultirotorFit, name: str, motors: Sequence[str], fault_rate: float = 0.5) -> Plant:
+def multirotor_plant(
+    fit: MultirotorFit,
+    name: str,
+    motors: Sequence[str],
+    fault_rate: float = 0.5,
+    doubt: Sequence[float] | NDArray[np.float64] = (0.0, 0.0, 0.0),
+) -> Plant:
     """Return the fitted model as a plant with one actuator fault per motor and one sensor fault per gyro axis.
 
     Process disturbance and measurement noise are both scaled by the one-step prediction error, so that the
-    design trusts the model and each sensor as far as the flights allow.
+    design trusts the model and each sensor as far as the flights allow. What uncertain coefficients do is added to the
+    disturbance, not to its square: through a manoeuvre it keeps its sign.
 
     Parameters
     ----------
@@ -155,10 +164,13 @@ def multirotor_plant(fit: MultirotorFit, name: str, motors: Sequence[str], fault
         Channel names of the motors (s,).
     fault_rate : float
         How fast a loss may develop, in units of full command per second: the bandwidth knob.
+    doubt : Sequence[float]
+        What the uncertainty of the coefficients puts into the next body rates (3,), rad/s.
     """
     states = (*RATE_AXES, VERTICAL)
     n, s = fit.B.shape
     identity = np.eye(n)
+    disturbed = fit.residual_std + np.append(doubt, 0.0)
     full = 1.0 + fit.kappa
     curve = np.array([1.0, fit.kappa]) / full
     return Plant(
@@ -191,7 +203,7 @@ def multirotor_plant(fit: MultirotorFit, name: str, motors: Sequence[str], fault
             for o, gyro in enumerate(GYROS)
         ),
         disturbances=tuple(
-            Disturbance(name=f"disturbance_{state}", column=identity[:, o], scale=float(fit.residual_std[o]))
+            Disturbance(name=f"disturbance_{state}", column=identity[:, o], scale=float(disturbed[o]))
             for o, state in enumerate(states)
         ),
         noises=tuple(
@@ -254,7 +266,7 @@ def _alternate(data: _Regression) -> _Alternation:
 def _axes(
     data: _Regression, filtered: NDArray[np.float64], ones: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    mean, V = _control_directions(filtered)
+    mean, V = control_directions(filtered)
     z = (filtered - mean) @ V
     theta = np.empty((3, filtered.shape[1] + 2))
     std, t_value = np.empty(3), np.empty(3)
@@ -269,7 +281,7 @@ def _axes(
     return theta, std, t_value
 
 
-def _control_directions(v: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def control_directions(v: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the mean of the motors' v (s,) and the directions (s, <= 4) in which an autopilot moves them.
 
     Four controls drive any number of motors, so what more than four motors do is known in four directions only;
@@ -291,7 +303,7 @@ def _curvature_step(
 ) -> float:
     """Return the change of kappa that roll and pitch ask for, each weighted by how well it sees the curve."""
     numerator = denominator = 0.0
-    mean, V = _control_directions(filtered)
+    mean, V = control_directions(filtered)
     for o in range(2):
         sensitivity = squared @ theta[o, 1:-1]
         X = np.hstack([data.now[:, [o]], (filtered - mean) @ V, ones, sensitivity[:, None]])

@@ -45,6 +45,11 @@ def fault_in_command(
     if curve.shape[1] == 1:
         return np.asarray(fault / curve[:, 0])
     target = effect_of_command(curve, u) + fault
+    if curve.shape[1] == 2:
+        linear, square = curve.T
+        # Below zero the root stays at that of zero, which is the extrapolation along the slope there.
+        root = np.sqrt(np.maximum(linear * linear + 4.0 * square * np.maximum(target, 0.0), 0.0))
+        return np.asarray(2.0 * target / np.maximum(linear + root, _SMALLEST_SLOPE) - u)
     u_eff = u + fault / np.maximum(_slope(curve, u), _SMALLEST_SLOPE)
     for _ in range(_NEWTON_STEPS):
         u_eff = np.maximum(u_eff, 0.0)

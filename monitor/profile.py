@@ -189,27 +189,36 @@ def observer_table(
     alarms: Sequence[AlarmRule],
     settle_s: float = 0.0,
     effectiveness: Mapping[str, EffectivenessRule] | None = None,
+    sees: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Return an observer's part of profile.toml, as :func:`read_profile` reads it back."""
+    """Return an observer's part of profile.toml, as :func:`read_profile` reads it back.
+
+    ``sees`` says by channel what its alarm detects: for people, nothing reads it.
+    """
+    said = sees or {}
     table: dict[str, Any] = {
         **({"settle_s": settle_s} if settle_s else {}),
         **_source_table(source),
         "isolation": isolation_table(isolation),
-        "alarms": {rule.channel: _alarm_table(rule) for rule in alarms},
+        "alarms": {rule.channel: _alarm_table(rule, said.get(rule.channel)) for rule in alarms},
     }
     if effectiveness:
         table["effectiveness"] = {name: effectiveness_table(rule) for name, rule in effectiveness.items()}
     return table
 
 
-def _alarm_table(rule: AlarmRule) -> dict[str, float]:
-    table = {key: getattr(rule, key) for key in ("threshold", "clear", "critical", "raise_s", "clear_s")}
+def _alarm_table(rule: AlarmRule, sees: str | None) -> dict[str, float | str]:
+    table: dict[str, float | str] = {
+        key: getattr(rule, key) for key in ("threshold", "clear", "critical", "raise_s", "clear_s")
+    }
     if rule.fast < math.inf:
         table |= {"fast": rule.fast, "fast_s": rule.fast_s}
     if rule.slow < math.inf:
         table |= {"slow": rule.slow, "slow_s": rule.slow_s}
     if rule.latch_s:
         table["latch_s"] = rule.latch_s
+    if sees:
+        table["sees"] = sees
     return table
 
 
@@ -363,6 +372,7 @@ def _alarms(table: Table, observer: str, faults: Sequence[FaultChannel]) -> tupl
             slow_s=entry.number("slow_s", 2.0, at_least=0.01),
             latch_s=entry.number("latch_s", 0.0, at_least=0.0),
         )
+        entry.optional_text("sees")
         entry.done()
         if rule.clear > rule.threshold:
             raise ProfileError(f"{entry.where('clear')} is above 'threshold'; an alarm must clear below it")

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from adapters.clock import VehicleClock
 from adapters.message import Message
@@ -21,6 +22,7 @@ from monitor.gate import GatedSample, GatedSampler, GateRule
 from monitor.isolation import IndependentChannels
 from monitor.isolation_rule import BankRule, SingleRule
 from monitor.observer import Observer
+from monitor.observer_stack import ObserverStack
 from monitor.profile import Profile
 
 SETTLE_S = 1.0
@@ -112,18 +114,22 @@ def bank_rule(
     The covariances are taken about zero; the floor of the score is the largest one that the best hypothesis leaves
     unexplained in healthy flight, with a margin.
     """
-    residuals: list[list[NDArray[np.float64]]] = [[] for _ in bank]
-    for one, found in zip(bank, residuals, strict=True):
-        observer = Observer(one)
-        for segment in segments:
-            stage = IndependentChannels(len(one.outputs), smoothing_s, one.rate_hz)
-            residual = observer.run(segment.u, segment.y).residual
-            found.extend([stage.update(value).single for value in residual][round(settle_s * one.rate_hz) :])
+    stack, settled = ObserverStack(bank), round(settle_s * bank[0].rate_hz)
+    keep = float(np.exp(-1.0 / (smoothing_s * bank[0].rate_hz)))
+    smoothed = []
+    for segment in segments:
+        raw = np.empty((len(segment.u), *stack.residual.shape))
+        stack.restart(segment.u[0], segment.y[0])
+        for k in range(len(segment.u)):
+            stack.step(segment.u[k], segment.y[k])
+            raw[k] = stack.residual
+        smoothed.append(lfilter([1.0 - keep], [1.0, -keep], raw, axis=0)[settled:])
+    residuals = list(np.moveaxis(np.concatenate(smoothed), 1, 0))
     watched = tuple(any(name in edges for name in one.faults) for one in bank)
     least = 0.0 if noise is None else np.diag((_NOISE_SHARE * noise) ** 2)
-    covariances = tuple(np.stack(found).T @ np.stack(found) / len(found) + least for found in residuals)
+    covariances = tuple(found.T @ found / len(found) + least for found in residuals)
     scores = [
-        np.linalg.norm(np.stack(found) @ W.T, axis=1)
+        np.linalg.norm(found @ W.T, axis=1)
         for found, W, edge in zip(residuals, whitening(covariances), watched, strict=True)
         if not edge
     ]

@@ -22,6 +22,7 @@ from monitor.estimate import Estimate
 from monitor.gate import GatedSample, GateRule
 from monitor.input_curve import effect_of_command
 from monitor.profile import FaultChannel, ObserverProfile
+from replay.progress import track
 from replay.superpose import effect_change, fault_response
 
 WITHIN_S = (2.0, 1.0, 0.25)
@@ -38,6 +39,9 @@ _DIGITS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 _STEPS = 12
 _ACTIVE_S = 0.5
 _ACTIVE_SHARE = 0.5
+_GUESS = 1.2
+
+_Calm = tuple[list[tuple[Sample, str]], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,8 +122,8 @@ def capability(
 ) -> tuple[Capability, ...]:
     """Measure what an observer detects, for each fault channel whose alarm has a positive threshold.
 
-    A ladder of sizes is searched by bisection: of each channel about six sizes are run at each of the onsets, over the
-    time the observer needs to settle (3 to 10 s) and the slowest delay asked for.
+    A ladder of sizes is searched from about the threshold outwards: of each channel about four sizes are run at each of
+    the onsets, over the time the observer needs to settle (3 to 10 s) and the slowest delay asked for.
 
     Parameters
     ----------
@@ -145,16 +149,18 @@ def capability(
     limits = sorted(within_s, reverse=True)
     thresholds = {rule.channel: rule.threshold for rule in observer.alarms}
     found = []
-    for fault in observer.faults:
+    calm: dict[tuple[int, int], _Calm] = {}
+    for fault in track(observer.faults, f"measuring what {observer.name} will detect", "faults"):
         threshold = thresholds.get(fault.name, 0.0)
         if threshold <= 0.0:
             continue
         loss = _is_loss(fault, threshold, flights)
         sizes = _LOSSES if loss else step_sizes(threshold)
         bench = _Bench(observer, sampled, gate, fault, loss, ())
-        windows = _windows(bench, flights, limits[0] + _TAIL_S, onsets)
+        windows = _windows(bench, flights, limits[0] + _TAIL_S, onsets, calm)
         bench = replace(bench, windows=windows)
-        found.append(_search(bench, sizes, limits))
+        likely = _GUESS * threshold / (_typical_command(fault, flights) if loss else 1.0)
+        found.append(_search(bench, sizes, limits, int(np.searchsorted(sizes, likely))))
     return tuple(found)
 
 
@@ -185,8 +191,14 @@ def _is_loss(fault: FaultChannel, threshold: float, flights: Sequence[Sequence[G
     """Return whether losing the most of the input that is tried would matter."""
     if fault.input is None:
         return False
-    command = np.array([sample.u[fault.input] for flight in flights for sample, armed in flight if armed])
-    return len(command) > 0 and _LOSSES[-1] * float(np.sqrt(np.mean(command**2))) >= threshold
+    return _LOSSES[-1] * _typical_command(fault, flights) >= threshold
+
+
+def _typical_command(fault: FaultChannel, flights: Sequence[Sequence[GatedSample]]) -> float:
+    """Return the root mean square of the command that a fault scales, zero where there is no sample."""
+    at = 0 if fault.input is None else fault.input
+    command = np.array([sample.u[at] for flight in flights for sample, armed in flight if armed])
+    return float(np.sqrt(np.mean(command**2))) if len(command) else 0.0
 
 
 def _lead_s(observer: ObserverProfile, gate: GateRule) -> float:
@@ -201,8 +213,8 @@ def _lead_s(observer: ObserverProfile, gate: GateRule) -> float:
     return min(_LONGEST_LEAD_S, gate.settle_s + max(_LEAD_S, _TIME_CONSTANTS * longest))
 
 
-def _search(bench: _Bench, sizes: Sequence[float], limits: Sequence[float]) -> Capability:
-    """Find the smallest size for each of the delays, slowest first."""
+def _search(bench: _Bench, sizes: Sequence[float], limits: Sequence[float], guess: int) -> Capability:
+    """Find the smallest size for each of the delays, slowest first, beginning with size number ``guess``."""
     tried: dict[int, Detection] = {}
 
     def detection(at: int) -> Detection:
@@ -213,7 +225,7 @@ def _search(bench: _Bench, sizes: Sequence[float], limits: Sequence[float]) -> C
     smallest: list[tuple[float, float | None]] = []
     start = 0 if bench.windows else len(sizes)
     for within in limits:
-        start = _first(detection, start, len(sizes), within)
+        start = guess = _first(detection, start, len(sizes), within, guess)
         smallest.append((within, sizes[start] if start < len(sizes) else None))
     return Capability(
         channel=bench.fault.name,
@@ -226,9 +238,16 @@ def _search(bench: _Bench, sizes: Sequence[float], limits: Sequence[float]) -> C
 
 
 def _windows(
-    bench: _Bench, flights: Sequence[Sequence[GatedSample]], after_s: float, onsets: int
+    bench: _Bench,
+    flights: Sequence[Sequence[GatedSample]],
+    after_s: float,
+    onsets: int,
+    calm: dict[tuple[int, int], _Calm],
 ) -> tuple[_Window, ...]:
-    """Return healthy stretches around onsets spread evenly over the flights, where the input matters for a loss."""
+    """Return healthy stretches around onsets spread evenly over the flights, where the input matters for a loss.
+
+    ``calm`` keeps what happened without a fault, by flight and start, for the next channel.
+    """
     observer, fault = bench.observer, bench.fault
     rate_hz = observer.rate_hz
     before, after = round(_lead_s(observer, bench.gate) * rate_hz), round(after_s * rate_hz)
@@ -256,23 +275,35 @@ def _windows(
         number, start = places[int((i + 0.5) / onsets * len(places))]
         samples = tuple(sample for sample, _ in flights[number][start : start + before + after])
         window = _Window(samples, before, -1.0 if i % 2 else 1.0, np.zeros(0))
-        raised, x = _run(bench, window, np.zeros((after, len(bench.plant.outputs))))
+        if (number, start) not in calm:
+            calm[number, start] = _run(bench, window, np.zeros((after, len(bench.plant.outputs))))
+        raised, x = calm[number, start]
         # A stretch that raises an alarm by itself says nothing about a fault put onto it.
         if not raised:
             found.append(replace(window, x=x))
     return tuple(found)
 
 
-def _first(detection: Callable[[int], Detection], start: int, stop: int, within: float) -> int:
-    """Return the first size from ``start`` on that is detected alone and within a delay, ``stop`` if there is none."""
-    low, high = start - 1, stop
+def _first(detection: Callable[[int], Detection], start: int, stop: int, within: float, guess: int) -> int:
+    """Return the first size from ``start`` on that is detected alone and within a delay, ``stop`` if there is none.
+
+    Bisection once the answer is bracketed by strides that double from the guess.
+    """
+    low, high, stride = start - 1, stop, 1
+    at = min(max(guess, start), stop - 1)
     while high - low > 1:
-        middle = (low + high) // 2
-        found = detection(middle)
+        found = detection(at)
         if found.only and found.worst_s is not None and found.worst_s <= within:
-            high = middle
+            high = at
         else:
-            low = middle
+            low = at
+        if low < start:
+            at = max(start, high - stride)
+        elif high == stop:
+            at = min(stop - 1, low + stride)
+        else:
+            at = (low + high) // 2
+        stride *= 2
     return high
 
 
@@ -302,9 +333,7 @@ def _delay(bench: _Bench, window: _Window, size: float) -> tuple[float | None, b
     return delay, len(right) == len(raised)
 
 
-def _run(
-    bench: _Bench, window: _Window, added: NDArray[np.float64]
-) -> tuple[list[tuple[Sample, str]], NDArray[np.float64]]:
+def _run(bench: _Bench, window: _Window, added: NDArray[np.float64]) -> _Calm:
     """Run the monitor's chain over a window with ``added`` (N, p) on y since the onset.
 
     Returns

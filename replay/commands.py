@@ -50,9 +50,9 @@ def _add_fit(subparsers: Any) -> None:
         description="Identify a vehicle from healthy flights, design its observer, and calibrate its alarms.",
         epilog="example: fauio fit --vehicle multirotor monday.tlog tuesday.tlog.xz -o quad/",
     )
-    parser.add_argument(
-        "--vehicle", required=True, choices=["multirotor", "plane", "rover", "inertial"], help="kind of vehicle"
-    )
+    kinds = ["multirotor", "plane", "rover", "inertial", "custom"]
+    parser.add_argument("--vehicle", required=True, choices=kinds, help="kind of vehicle")
+    parser.add_argument("--model", type=Path, metavar="MODEL.toml", help="model with free parameters (custom only)")
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=_LOG_HELP)
     parser.add_argument("-o", "--out", required=True, type=Path, metavar="PROFILE", help="profile folder to write")
     parser.add_argument("--name", help="name of the vehicle in topics (default: the folder's name)")
@@ -103,6 +103,7 @@ def run_fit(args: argparse.Namespace) -> int:
     """Run ``fauio fit``."""
     from adapters.recordings import read_recording, recording_kind
     from replay.fit import fit
+    from replay.fit_custom import custom_messages
     from replay.progress import track
     from replay.survey import FIT_MESSAGES, of_one_vehicle
 
@@ -110,21 +111,21 @@ def run_fit(args: argparse.Namespace) -> int:
         recording_kind(path)
     name = args.name or args.out.resolve().name
 
-    def log(path: Path) -> Iterator[Message]:
-        return track(of_one_vehicle(read_recording(path, FIT_MESSAGES)), f"reading {path.name}")
+    wanted = custom_messages(args.model) if args.model else FIT_MESSAGES
 
-    report = fit(args.vehicle, [lambda path=path: log(path) for path in args.logs], args.out, name)  # type: ignore[misc]
+    def log(path: Path) -> Iterator[Message]:
+        messages = read_recording(path, wanted)
+        return track(messages if args.model else of_one_vehicle(messages), f"reading {path.name}")
+
+    logs = [lambda path=path: log(path) for path in args.logs]
+    report = fit(args.vehicle, logs, args.out, name, args.model)
     if args.json:
         _say(json.dumps(report.to_json()))
         return 0
     _say(f"{args.out}: profile of '{name}' from {len(args.logs)} logs")
-    for fitted in report.observers:
-        _say(f"{fitted.name}: {fitted.flight_s:.0f} s of healthy samples, certified sqrt(mu) {fitted.sqrt_mu:.4g}")
-        for line in fitted.lines:
-            _say(f"  {line}")
-    for note in report.notes:
-        _say(f"not fitted: {note}")
-    _say("Thresholds stand in profile.toml and may be edited.")
+    for line in report.text():
+        _say(line)
+    _say("Thresholds stand in profile.toml and may be edited; fit.txt and fit.png tell what the fit is worth.")
     return 0
 
 

@@ -29,10 +29,10 @@ from gains.regression import AxisFit
 from gains.surfaces import Excitation
 from gains.synthesis import design_convex
 from monitor.effectiveness import EffectivenessRule
-from monitor.gate import FlightGate, GateRule
+from monitor.gate import FlightGate, GatedSample, GateRule
 from monitor.isolation_rule import IndependentRule
 from monitor.observer import Observer
-from replay.calibrate import SETTLE_S, GatedSample, contiguous
+from replay.calibrate import SETTLE_S, contiguous
 from replay.effect_signals import EffectSignals
 from replay.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
 from replay.fitted import Fitted, Log, bare_rule

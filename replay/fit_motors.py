@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 from adapters.transform import Source
 from gains.bank import compile_bank, design_bank
 from gains.multirotor import GYROS, MultirotorFit, identify_multirotor, multirotor_plant
+from gains.multirotor_validation import Drift, MotorUncertainty, motor_uncertainty, response_drift
 from monitor.gate import GateRule
-from monitor.profile import UNEXPLAINED, FaultChannel
+from monitor.profile import FaultChannel
 from replay.calibrate import bank_rule, contiguous, flight_samples
-from replay.fitted import Fitted, Log, bare_rule
+from replay.fit_report import comparison_json, comparison_lines
+from replay.fitted import Fitted, Log, bare_rule, unexplained_alarm
+from replay.motors_report import compare_kept_back
 from replay.survey import Survey, common_rate_hz, multirotor_channels
 from replay.thresholds import (
     FALSE_ALARMS_PER_HOUR,
@@ -37,7 +40,6 @@ _SMALLEST_JUMP = 0.05
 _MOST_OF_JUMPS = 1.5
 """How many times the largest healthy step the level may be: steps are too rare for a tail to be fitted to them."""
 _JUMP = Times(fast_s=0.0, raise_s=0.0, clear_s=0.5)
-_UNEXPLAINED = Times(fast_s=0.5, raise_s=0.5, clear_s=0.5)
 _AXES = ("roll", "pitch", "yaw")
 
 
@@ -62,10 +64,13 @@ def fit_motors(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate: 
     source = Source(inputs, outputs)
     rate_hz = common_rate_hz(surveys, source.channels)
     flights = [flight_samples(log(), source, rate_hz, gate) for log in logs]
-    segments = [segment for flight in flights for segment in contiguous(flight)]
-    model = identify_multirotor(segments, rate_hz)
+    stretches = [contiguous(flight) for flight in flights]
+    segments = [segment for flight in stretches for segment in flight]
+    comparison, taps = compare_kept_back(stretches, rate_hz)
+    model = identify_multirotor(segments, rate_hz, taps)
+    uncertainty, drift = motor_uncertainty(model, segments), response_drift(model, stretches)
     motors = tuple(channel.name for channel in inputs)
-    plant = multirotor_plant(model, name, motors)
+    plant = multirotor_plant(model, name, motors, doubt=uncertainty.drive)
     gains = compile_bank(plant, design_bank(plant, rate_hz))
     rule = bank_rule(gains, segments, edges=GYROS)
     bare = Fitted(OBSERVER, plant, gains, source, rule)
@@ -81,8 +86,21 @@ def fit_motors(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate: 
         isolation=rule,
         alarms=tuple(alarms),
         flight_s=sum(len(segment.u) for segment in segments) / rate_hz,
-        findings=_findings(model, motors, hover.tolist()),
+        findings={
+            **_findings(model, motors, hover.tolist(), uncertainty, drift),
+            "validation": None if comparison is None else comparison_json(comparison),
+        },
         lines=_lines(model, motors, hover.tolist(), alarms),
+        details=(
+            *_details(motors, uncertainty, drift),
+            *(
+                ("on data kept back:", *(f"  {line}" for line in comparison_lines(comparison)))
+                if comparison
+                else ("too little to keep any back",)
+            ),
+        ),
+        comparison=comparison,
+        flights=flights,
     )
 
 
@@ -112,13 +130,16 @@ def _alarms(
         else:
             floor, critical = _SMALLEST_LOSS * command, _CRITICAL_LOSS * command
             alarms.append(calibrated(bare, of_motors, command, floor=floor, critical=critical, times=Times()))
-    scores = healthy_levels([stretch[:, -1] for stretch in evidence], rate_hz, share, _UNEXPLAINED)
-    bare = bare_rule(OBSERVER, UNEXPLAINED, "residual", "times healthy")
-    nothing = calibrated(bare, scores, 1.0, floor=score_floor, critical=5 * score_floor, times=_UNEXPLAINED)
-    return [*alarms, plain_only(nothing)]
+    return [*alarms, unexplained_alarm(OBSERVER, evidence, rate_hz, share, score_floor)]
 
 
-def _findings(model: MultirotorFit, motors: Sequence[str], hover: Sequence[float]) -> dict[str, object]:
+def _findings(
+    model: MultirotorFit,
+    motors: Sequence[str],
+    hover: Sequence[float],
+    uncertainty: MotorUncertainty,
+    drift: Drift,
+) -> dict[str, object]:
     return {
         "rate_hz": model.rate_hz,
         "motors": list(motors),
@@ -127,7 +148,21 @@ def _findings(model: MultirotorFit, motors: Sequence[str], hover: Sequence[float
         "lag_taps": model.taps.tolist(),
         "thrust_curvature": model.kappa,
         "hover_command": dict(zip(motors, hover, strict=True)),
+        "effectiveness": {motor: model.B[:3, i].tolist() for i, motor in enumerate(motors)},
+        "effectiveness_error": {motor: uncertainty.B_error[:, i].tolist() for i, motor in enumerate(motors)},
+        "effectiveness_relative_error": dict(zip(motors, uncertainty.relative.tolist(), strict=True)),
+        "response_drift_per_minute": {"value": drift.per_minute, "standard_error": drift.error},
     }
+
+
+def _details(motors: Sequence[str], uncertainty: MotorUncertainty, drift: Drift) -> tuple[str, ...]:
+    known = ", ".join(f"{motor} {100 * error:.1f} %" for motor, error in zip(motors, uncertainty.relative, strict=True))
+    found = f"{100 * drift.per_minute:+.2f} +- {100 * drift.error:.2f} % per minute in the air"
+    meaning = "changes as they do when the battery sags" if drift.matters else "does not change as the battery drains"
+    return (
+        f"standard error of each motor's effect: {known}",
+        f"the response to commands {meaning} ({found})",
+    )
 
 
 def _lines(

@@ -50,6 +50,8 @@ class Comparison:
         By what explains: share explained of each output (p,).
     statistics : tuple[ResidualStatistics, ...]
         Statistics of each output's residual.
+    about : str
+        What is compared, for the title.
     """
 
     names: tuple[str, ...]
@@ -59,6 +61,7 @@ class Comparison:
     residuals: NDArray[np.float64]
     explained: dict[str, NDArray[np.float64]]
     statistics: tuple[ResidualStatistics, ...]
+    about: str = "prediction against measurement, data kept back"
 
 
 def parameter_lines(verdicts: Sequence[Verdict]) -> list[str]:
@@ -80,6 +83,27 @@ def comparison_lines(comparison: Comparison) -> list[str]:
         shares = ", ".join(f"{what} {100.0 * share[i]:.1f} %" for what, share in comparison.explained.items())
         lines.append(f"{name:<{width}}  {shares}; residual {found.rms:.3g} rms, {found.note}")
     return lines
+
+
+def comparison_json(comparison: Comparison) -> dict[str, Any]:
+    """Return shares explained and the residuals' statistics as a JSON object."""
+    return {
+        "explained": {
+            what: dict(zip(comparison.names, share.tolist(), strict=True))
+            for what, share in comparison.explained.items()
+        },
+        "residual": {
+            found.name: {
+                "rms": found.rms,
+                "ljung_box_p": found.ljung_box_p,
+                "skewness": found.skewness,
+                "excess_kurtosis": found.excess_kurtosis,
+                "autocorrelation": found.autocorrelation.tolist(),
+                "note": found.note,
+            }
+            for found in comparison.statistics
+        },
+    }
 
 
 def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title: str) -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from adapters.message import Message
 from adapters.transform import Source
@@ -14,11 +17,16 @@ from gains.model_file import write_model
 from gains.plant import Plant
 from monitor.alarm import AlarmRule
 from monitor.effectiveness import EffectivenessRule
+from monitor.gate import GatedSample
 from monitor.isolation_rule import BankRule, IsolationRule, gains_file_names
-from monitor.profile import ObserverProfile, fault_channels, observer_table
-from replay.thresholds import Calibrated
+from monitor.profile import UNEXPLAINED, ObserverProfile, fault_channels, observer_table
+from replay.capability import Capability, capability_text
+from replay.fit_report import Comparison
+from replay.thresholds import Calibrated, Times, calibrated, healthy_levels, plain_only
 
 Log = Callable[[], Iterable[Message]]
+
+_UNEXPLAINED = Times(fast_s=0.5, raise_s=0.5, clear_s=0.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,6 +57,14 @@ class Fitted:
         The same for people.
     settle_s : float
         Wait before its samples are evidence, seconds.
+    details : tuple[str, ...]
+        More for people, for ``fit.txt`` alone.
+    comparison : Comparison | None
+        Prediction against measurement on data kept back, for ``fit.png``.
+    flights : Sequence[Sequence[GatedSample]]
+        Healthy samples to measure on what will be detected; not written. Empty: it is not measured.
+    capability : tuple[Capability, ...]
+        What will be detected, and how fast.
     """
 
     name: str
@@ -62,6 +78,10 @@ class Fitted:
     findings: Mapping[str, Any] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
     settle_s: float = 0.0
+    details: tuple[str, ...] = ()
+    comparison: Comparison | None = None
+    flights: Sequence[Sequence[GatedSample]] = ()
+    capability: tuple[Capability, ...] = ()
 
     @property
     def sqrt_mu(self) -> float:
@@ -84,12 +104,14 @@ class Fitted:
     def table(self) -> dict[str, Any]:
         """Return the observer's part of profile.toml."""
         alarms = [found.rule for found in self.alarms]
+        sees = {one.channel: capability_text(one).removeprefix(f"{one.channel}: ") for one in self.capability}
         return observer_table(
             source=self.source,
             isolation=self.isolation,
             alarms=alarms,
             settle_s=self.settle_s,
             effectiveness=self.effectiveness,
+            sees=sees,
         )
 
     def write(self, folder: Path) -> None:
@@ -106,13 +128,32 @@ class Fitted:
             "flight_s": self.flight_s,
             "sqrt_mu": self.sqrt_mu,
             "alarms": {found.rule.channel: _alarm_report(found) for found in self.alarms},
+            "capability": {one.channel: asdict(one) | {"text": capability_text(one)} for one in self.capability},
         }
+
+    def text(self, details: bool = False) -> list[str]:
+        """Return what was found as lines for people, the first one a headline."""
+        return [
+            f"{self.name}: {self.flight_s:.0f} s of healthy samples, certified sqrt(mu) {self.sqrt_mu:.4g}",
+            *(f"  {line}" for line in self.lines),
+            *(f"  {line}" for line in self.details if details),
+            *(f"  sees {capability_text(one)}" for one in self.capability),
+        ]
 
 
 def bare_rule(observer: str, channel: str, kind: str, unit: str) -> AlarmRule:
     """Return a rule that names its channel and has no sizes yet."""
     of_kind = {"actuator": "actuator", "sensor": "sensor"}.get(kind, "residual")
     return AlarmRule(observer, channel, of_kind, unit, 0.0, 0.0, 0.0, 0.0, 0.0)  # type: ignore[arg-type]
+
+
+def unexplained_alarm(
+    observer: str, evidence: Sequence[NDArray[np.float64]], rate_hz: float, alarms_per_hour: float, floor: float
+) -> Calibrated:
+    """Return a bank's alarm that no hypothesis explains the data, from healthy evidence (its last column)."""
+    scores = healthy_levels([stretch[:, -1] for stretch in evidence], rate_hz, alarms_per_hour, _UNEXPLAINED)
+    bare = bare_rule(observer, UNEXPLAINED, "residual", "times healthy")
+    return plain_only(calibrated(bare, scores, 1.0, floor=floor, critical=5 * floor, times=_UNEXPLAINED))
 
 
 def _alarm_report(found: Calibrated) -> dict[str, float | int | str]:

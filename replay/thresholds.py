@@ -9,7 +9,7 @@ speak about. The confidence limits of the level are reported: minutes of flight 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,8 @@ from replay.extremes import ReturnLevel, return_level, standing
 
 FALSE_ALARMS_PER_HOUR = 0.1
 _PATHS = 3
+_LEAD_S = 30.0
+"""Longer than any observer takes to settle before a sample is evidence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +76,7 @@ def healthy_evidence(
     for flight in flights:
         chain = ObserverChain(observer, "healthy", gate, VehicleClock(), lambda: 0)
         found.append([])
-        for sample, armed in flight:
+        for sample, armed in _without_waiting(flight, observer.rate_hz * max(_LEAD_S, 3.0 * gate.settle_s)):
             for output in chain.step(sample, armed):
                 if not isinstance(output, Estimate):
                     continue
@@ -83,6 +85,20 @@ def healthy_evidence(
                 elif found[-1]:
                     found.append([])
     return [np.stack(rows) for rows in found if rows]
+
+
+def _without_waiting(flight: Sequence[GatedSample], lead: float) -> Iterator[GatedSample]:
+    """Yield a flight's samples without those that no evidence follows within ``lead`` samples, as on the ground."""
+    evidence = np.flatnonzero([armed for _, armed in flight])
+    following = evidence[np.searchsorted(evidence, np.arange(evidence[-1] + 1))] if len(evidence) else evidence
+    skipped = True
+    for k, ahead in enumerate(following.tolist()):
+        if ahead - k > lead:
+            skipped = True
+            continue
+        sample, armed = flight[k]
+        yield GatedSample(replace(sample, restart=True) if skipped else sample, armed)
+        skipped = False
 
 
 def healthy_levels(

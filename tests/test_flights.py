@@ -4,6 +4,7 @@ The faults' times and sizes are those that the simulator injected; see tests/dat
 """
 
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 
 import fauio
 from adapters.recordings import read_recording
-from monitor.profile import Profile
+from gains.model_file import read_model
+from monitor.profile import Profile, read_profile
 from replay.player import Replay, play
 
 ONSET_S = 112.704
@@ -59,6 +61,37 @@ def test_the_fit_reports_what_it_learned(quad_folder: Path) -> None:
     hover = report["hover_command"]
     assert max(report["alarms"][motor]["threshold"] / hover[motor] for motor in report["motors"]) < 0.05
     assert report["alarms"]["motor1"]["level_low"] <= report["alarms"]["motor1"]["level_high"]
+
+
+def test_the_fit_says_what_it_is_worth_on_flight_it_has_not_seen(quad_folder: Path) -> None:
+    report = json.loads((quad_folder / "fit.json").read_text())["observers"]["motors"]
+    explained = report["validation"]["explained"]
+    assert set(explained) == {"one step ahead", "0.2 s ahead"}
+    assert all(0.9 < share < 1.0 for shares in explained.values() for share in shares.values())
+    assert set(report["validation"]["residual"]) == {"roll_rate", "pitch_rate", "yaw_rate"}
+    text = (quad_folder / "fit.txt").read_text()
+    assert "on data kept back" in text
+    assert all(found["note"] in text for found in report["validation"]["residual"].values())
+    assert (quad_folder / "fit.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_uncertainty_of_the_motors_is_reported_and_designed_for(quad_folder: Path) -> None:
+    report = json.loads((quad_folder / "fit.json").read_text())["observers"]["motors"]
+    assert all(0.001 < report["effectiveness_relative_error"][motor] < 0.05 for motor in report["motors"])
+    plant = read_model(quad_folder / "motors.model.toml")
+    rates = zip(plant.disturbances[:3], plant.noises[:3], strict=True)
+    assert all(1.0 < disturbance.scale / noise.scale < 1.5 for disturbance, noise in rates)
+
+
+def test_what_the_fit_says_will_be_detected_is_seen_in_flights_with_faults(quad_folder: Path, data: Path) -> None:
+    report = json.loads((quad_folder / "fit.json").read_text())["observers"]["motors"]["capability"]
+    alarms = tomllib.loads((quad_folder / "profile.toml").read_text())["observers"]["motors"]["alarms"]
+    assert all(alarms[channel]["sees"] in found["text"] for channel, found in report.items())
+    profile = read_profile(quad_folder)
+    for name, (motor, loss) in FLIGHTS.items():
+        within = [limit for limit, size in report[motor]["smallest"] if size is not None and size <= loss]
+        events = replayed(profile, data / f"{name}.tlog.xz").events
+        assert events[0].vehicle_time_ms / 1000 - ONSET_S < min(within)
 
 
 def test_a_log_without_motor_commands_is_refused_with_what_is_missing(

@@ -1,14 +1,22 @@
 """Thresholds: levels from healthy evidence, floors, and the three paths' sizes in their order."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from adapters.clock import VehicleClock
+from adapters.recordings import read_recording
+from monitor.chain import ObserverChain
+from monitor.estimate import Estimate
+from monitor.gate import GatedSample
+from monitor.profile import Profile
+from replay.calibrate import flight_samples
 from replay.fitted import bare_rule
-from replay.thresholds import Times, calibrated, healthy_levels, plain_only, weighted_mean
+from replay.thresholds import Times, calibrated, healthy_evidence, healthy_levels, plain_only, weighted_mean
 
 RATE_HZ = 50.0
 BARE = bare_rule("motors", "motor1", "actuator", "share")
@@ -55,3 +63,24 @@ def test_an_alarm_with_its_plain_path_alone_has_no_other() -> None:
     found = calibrated(BARE, healthy_levels([noise(2)], RATE_HZ, 0.1, Times()), 1.0, floor=0, critical=0, times=Times())
     rule = plain_only(found).rule
     assert (rule.fast, rule.slow, rule.latch_s) == (math.inf, math.inf, 0.0)
+
+
+def test_a_long_wait_before_the_flight_changes_nothing_that_matters(quad_profile: Profile, data: Path) -> None:
+    observer = quad_profile.observers[0]
+    messages = read_recording(data / "copter_healthy_square.tlog.xz")
+    flight = flight_samples(messages, observer.source, observer.rate_hz, quad_profile.gate)
+    start = round(0.8 * len(flight))
+    assert start > 32 * observer.rate_hz
+    waited = [GatedSample(sample, armed and k >= start) for k, (sample, armed) in enumerate(flight)]
+    chain = ObserverChain(observer, "", quad_profile.gate, VehicleClock(), lambda: 0)
+    outputs = [output for sample, armed in waited for output in chain.step(sample, armed)]
+    whole = np.stack([one.isolated for one in outputs if isinstance(one, Estimate) and one.armed])
+    found = np.concatenate(healthy_evidence(observer, quad_profile.gate, [waited]))
+    assert np.allclose(found[:, :-1], whole, atol=1e-6)
+
+
+def test_a_recording_that_never_counts_has_no_evidence(quad_profile: Profile, data: Path) -> None:
+    observer = quad_profile.observers[0]
+    messages = read_recording(data / "copter_5s.tlog.xz")
+    flight = flight_samples(messages, observer.source, observer.rate_hz, quad_profile.gate)
+    assert healthy_evidence(observer, quad_profile.gate, [[GatedSample(one.sample, False) for one in flight]]) == []

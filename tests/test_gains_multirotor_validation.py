@@ -1,0 +1,106 @@
+"""What is said about a multirotor's model holds for simulated ones whose truth is known."""
+
+import numpy as np
+import pytest
+
+from gains.multirotor import MultirotorFit, Segment, identify_multirotor, multirotor_plant
+from gains.multirotor_validation import (
+    explained_change,
+    motor_effect,
+    motor_uncertainty,
+    predict_rates,
+    response_drift,
+)
+
+RATE_HZ = 100.0
+A = np.array([0.98, 0.98, 0.99])
+B = np.array([[-0.3, 0.3, 0.02, -0.02], [0.02, -0.02, 0.3, -0.3], [0.05, 0.05, -0.05, -0.05]])
+TAPS = np.array([0.0, 0.6, 0.4])
+GUST = 2e-3
+
+
+def flight(seed: int, seconds: float, sag_per_minute: float = 0.0, gust_s: float = 0.0) -> Segment:
+    """Simulate random manoeuvres; gusts are white or have a correlation time."""
+    rng = np.random.default_rng(seed)
+    count = round(seconds * RATE_HZ)
+    u = 0.5 + 0.1 * np.repeat(rng.normal(size=(count // 20 + 1, 4)), 20, axis=0)[:count]
+    effect = np.stack([np.convolve(column, TAPS)[:count] for column in u.T], axis=1)
+    keep = np.exp(-1.0 / (gust_s * RATE_HZ)) if gust_s else 0.0
+    y, gust = np.zeros((count, 4)), np.zeros(3)
+    y[:, 3] = -9.81 * u.sum(axis=1) / 2.0
+    for k in range(count - 1):
+        gust = keep * gust + np.sqrt(1.0 - keep * keep) * GUST * rng.normal(size=3)
+        thrust = 1.0 + sag_per_minute * k / RATE_HZ / 60.0
+        y[k + 1, :3] = A * y[k, :3] + thrust * B @ effect[k] + gust
+    return Segment(u, y)
+
+
+@pytest.fixture(scope="module")
+def segments() -> list[Segment]:
+    return [flight(1, 60.0), flight(2, 60.0)]
+
+
+@pytest.fixture(scope="module")
+def model(segments: list[Segment]) -> MultirotorFit:
+    return identify_multirotor(segments, RATE_HZ, taps=3)
+
+
+def test_the_effect_of_commands_is_delayed_and_curved(model: MultirotorFit) -> None:
+    u = np.random.default_rng(0).random((50, 4))
+    effect = motor_effect(model, u)
+    v = u + model.kappa * u**2
+    assert effect.shape == (47, 4)
+    assert effect[-1] == pytest.approx(sum(h * v[48 - d] for d, h in enumerate(model.taps)))
+    assert motor_effect(model, u[:3]).shape == (0, 4)
+
+
+@pytest.mark.parametrize("gust_s", [0.0, 0.5])
+def test_the_true_effectiveness_lies_within_the_standard_errors_whatever_the_gusts_colour(gust_s: float) -> None:
+    errors = []
+    for seed in range(3, 7):
+        segments = [flight(seed, 60.0, gust_s=gust_s)]
+        fit = identify_multirotor(segments, RATE_HZ, taps=3)
+        found = motor_uncertainty(fit, segments)
+        assert np.all(found.relative < 0.2)
+        # The curve is taken as known, and shares what it does with B: compare the slopes at the mean command.
+        slope = fit.B[:3] * (1.0 + 2.0 * fit.kappa * 0.5)
+        errors.append((slope - B) / (found.B_error * (1.0 + fit.kappa)))
+    assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 2.0
+
+
+def test_correlated_gusts_leave_more_doubt_than_white_ones() -> None:
+    doubts = []
+    for gust_s in (0.0, 0.5):
+        segments = [flight(8, 60.0, gust_s=gust_s)]
+        doubts.append(motor_uncertainty(identify_multirotor(segments, RATE_HZ, taps=3), segments).drive)
+    assert np.all(doubts[1] > 1.5 * doubts[0])
+
+
+def test_doubt_about_the_motors_widens_the_disturbance_of_the_design(model: MultirotorFit) -> None:
+    names = ("motor1", "motor2", "motor3", "motor4")
+    sure, doubtful = (multirotor_plant(model, "quad", names, doubt=doubt) for doubt in ((0, 0, 0), (1e-3, 2e-3, 0)))
+    wider = [b.scale - a.scale for a, b in zip(sure.disturbances, doubtful.disturbances, strict=True)]
+    assert wider == pytest.approx([1e-3, 2e-3, 0.0, 0.0])
+    assert [one.scale for one in sure.noises] == [one.scale for one in doubtful.noises]
+
+
+def test_predictions_of_unseen_flight_miss_by_the_gusts_alone(model: MultirotorFit) -> None:
+    unseen = [flight(9, 40.0)]
+    one, several = predict_rates(model, unseen, 1), predict_rates(model, unseen, 10)
+    assert one[0].measured - one[0].predicted == pytest.approx(0.0, abs=6 * GUST)
+    assert (one[0].measured - one[0].predicted).std(axis=0) == pytest.approx([GUST] * 3, rel=0.1)
+    grown = GUST * np.sqrt(np.sum(A[:, None] ** (2 * np.arange(10)), axis=1))
+    assert (several[0].measured - several[0].predicted).std(axis=0) == pytest.approx(grown, rel=0.2)
+    assert np.array_equal(several[0].measured, one[0].measured[9:])
+    assert np.all(explained_change(several) > explained_change(one))
+    assert predict_rates(model, [Segment(unseen[0].u[:5], unseen[0].y[:5])], 10) == []
+
+
+def test_a_sagging_battery_shows_as_drift_and_a_steady_one_does_not() -> None:
+    for sag, seen in ((-0.05, True), (0.0, False)):
+        flights = [[flight(seed, 90.0, sag)] for seed in (10, 11)]
+        fit = identify_multirotor([flight[0] for flight in flights], RATE_HZ, taps=3)
+        found = response_drift(fit, flights)
+        assert found.per_minute == pytest.approx(sag, abs=4 * found.error + 0.003)
+        assert found.minutes == pytest.approx(1.5, abs=0.01)
+        assert found.matters == seen
