@@ -14,11 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.clock import VehicleClock
 from adapters.errors import TelemetryError
-from adapters.message import Message
-from adapters.phase import FlightPhase
-from adapters.sampler import Sampler
 from adapters.transform import Source, TransformRule, make_transform
 from gains.certificate import certify
 from gains.compilation import compile_gains
@@ -29,10 +25,10 @@ from gains.regression import AxisFit
 from gains.surfaces import Excitation
 from gains.synthesis import design_convex
 from monitor.effectiveness import EffectivenessRule
-from monitor.gate import FlightGate, GatedSample, GateRule
+from monitor.gate import GatedSample, GateRule
 from monitor.isolation_rule import IndependentRule
 from monitor.observer import Observer
-from replay.calibrate import SETTLE_S, contiguous
+from replay.calibrate import SETTLE_S, contiguous, flight_samples, transformed
 from replay.effect_signals import EffectSignals
 from replay.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
 from replay.fitted import Fitted, Log, bare_rule
@@ -109,16 +105,17 @@ def fit_effects(kind: Kind, name: str, logs: Sequence[Log], signals: EffectSigna
         The recordings do not hold what is needed, excite no axis, or allow no certified design.
     """
     rate_hz = min(signals.rate_hz, _OBSERVER_HZ)
-    raw = [_raw_samples(log(), signals, gate) for log in logs]
+    source = Source(inputs=signals.channels)
+    raw = [flight_samples(log(), source, signals.rate_hz, replace(gate, airborne_command=0.0)) for log in logs]
     reference = _reference_speed(kind, raw)
     speeds = {"reference_speed": reference, "minimum_speed": kind.slowest * reference}
     bare = TransformRule(kind.observer, signals.rate_hz, speeds)
-    segments = [part for flight in raw for part in contiguous(_transformed(flight, bare, rate_hz))]
+    segments = [part for flight in raw for part in contiguous(transformed(flight, make_transform(bare, rate_hz)))]
     fit, plant = kind.learn(segments, rate_hz, make_transform(bare, rate_hz).inputs, name)
     design = design_convex(plant, rate_hz)
     gains = compile_gains(plant, design, certify(plant, design))
     rule = replace(bare, parameters=speeds | {key: round(value, 6) for key, value in fit.parameters().items()})
-    flights = [_transformed(flight, rule, rate_hz) for flight in raw]
+    flights = [transformed(flight, make_transform(rule, rate_hz)) for flight in raw]
     reading = _reading(kind, fit, plant, gains, flights)
     units = dict(zip(gains.faults, gains.fault_units, strict=True))
     alarms = [
@@ -144,23 +141,6 @@ def fit_effects(kind: Kind, name: str, logs: Sequence[Log], signals: EffectSigna
         findings=_findings(fit, rate_hz, reference, reading),
         lines=tuple(_lines(fit, rate_hz, reference, reading)),
     )
-
-
-def _raw_samples(messages: Iterable[Message], signals: EffectSignals, gate: GateRule) -> list[GatedSample]:
-    sampler = Sampler(signals.channels, (), signals.rate_hz, VehicleClock())
-    phase, flight = FlightPhase(), FlightGate(gate)
-    found = []
-    for message in messages:
-        phase.feed(message)
-        for sample in sampler.feed(message):
-            found.append(GatedSample(sample, flight.admits(phase, sample, commands=False)))
-    return found
-
-
-def _transformed(raw: Sequence[GatedSample], rule: TransformRule, rate_hz: float) -> list[GatedSample]:
-    transform = make_transform(rule, rate_hz)
-    given = ((transform.feed(sample), armed) for sample, armed in raw)
-    return [GatedSample(sample, armed and sample.complete) for sample, armed in given if sample is not None]
 
 
 def _reference_speed(kind: Kind, raw: Sequence[Sequence[GatedSample]]) -> float:

@@ -41,7 +41,7 @@ def test_the_aileron_and_only_it_is_named_soon_after_it_weakens(profile: Profile
     assert len(raised) == 1
     assert 0.0 < raised[0].vehicle_time_ms / 1000 - ONSET_S < 1.0
     assert raised[0].message.startswith("aileron acts ")
-    (trace,) = found.traces
+    trace = found.traces[0]
     during = trace.vehicle_ns / 1e9 > ONSET_S + 1.0
     missing = trace.isolated[during, trace.layout.faults.index("aileron")]
     assert np.median(missing) == pytest.approx(-0.25, abs=0.05)
@@ -71,7 +71,7 @@ def test_a_surface_that_could_not_be_learned_is_not_watched_and_said_to_be(
 
 
 def test_the_profile_scales_surfaces_with_the_speed_of_these_flights(profile: Profile) -> None:
-    (observer,) = profile.observers
+    observer = profile.observers[0]
     transform = observer.source.transform
     assert transform is not None
     assert (transform.kind, transform.rate_hz, observer.rate_hz) == ("surfaces", 100.0, 50.0)

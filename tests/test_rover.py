@@ -62,7 +62,7 @@ def test_healthy_drives_raise_no_alarm(name: str, profile: Profile, data: Path) 
 
 
 def test_a_profile_holds_how_estimates_are_read(folder: Path, profile: Profile) -> None:
-    (observer,) = profile.observers
+    observer = profile.observers[0]
     assert (profile.vehicle, observer.name, observer.rate_hz) == ("rover", "drive", 50.0)
     assert not profile.gate.require_airborne
     assert set(observer.effectiveness) == {"steering", "throttle"}
