@@ -1,99 +1,202 @@
-"""What is detected on a folder of recorded flights, how fast and how well, beside the autopilot's own announcements.
+"""What is detected on a folder of recorded flights, how fast and how well, beside what else could have been used.
 
-    python bench/detection.py FLIGHTS
+    python bench/detection.py FLIGHTS            print the page
+    python bench/detection.py FLIGHTS --write    write docs/detection.md and docs/images/detection.png
 
-FLIGHTS holds NAME.tlog.xz and NAME.json; the JSON gives ``model``, ``healthy``, ``faults`` with ``on`` and ``off`` on
-the autopilot's clock, and ``statustext``. A profile is fitted on the healthy flights of each model and noise
-level, never on a faulty one; flights the motors observer does not speak about are listed for their false alarms only.
-Prints a Markdown table.
+FLIGHTS holds recordings with their truth (:mod:`flights`). Per vehicle, frame and noise level a profile is fitted on
+the healthy flights, never on one with a fault or a disturbance; where there are two healthy flights or more, each is
+also left out once and only watched. Beside it: the autopilot's own announcements, Kalman filters and windowed residual
+energy with the same models, calibrated on the same flights (:mod:`detectors`).
 """
 
 from __future__ import annotations
 
-import json
-import re
+import argparse
+import multiprocessing
 import sys
 import tempfile
+from collections.abc import Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from accounting import (
+    Found,
+    Reading,
+    Result,
+    announced,
+    before_any_fault,
+    false_alarms,
+    reading,
+    spells,
+    verdict,
+    watched_s,
+)
+from detection_page import page
+from detectors import DETECTORS, ENERGY, FAUIO, Run, Suite, make_suite, run_suite
+from flights import Fault, Flight, read_flights
+from numpy.typing import NDArray
 
-from adapters.recordings import read_recording
-from monitor.profile import Profile, read_profile
-from replay.fit import fit
-from replay.player import Replay, interests, play
-from replay.survey import FIT_MESSAGES, of_one_vehicle
+from monitor.trace import Trace
+from replay.fit import KINDS, fit
+from replay.player import interests
+from replay.survey import FIT_MESSAGES
 
-LOUD = 4
-QUIET_START_MS = 1_000
-
-
-def kind(flight: dict[str, Any]) -> str:
-    """Return what flights have to share to share a profile: frame and noise level."""
-    return f"{flight['model']}{', noisy' if '_noisy_' in flight['name'] else ''}"
-
-
-def announced(flight: dict[str, Any]) -> str:
-    """Return what the autopilot said first while the fault was on, and how long after its onset."""
-    fault = flight["faults"][0]
-    on, off = fault["on"]["time_boot_ms"], fault["off"]["time_boot_ms"]
-    loud = [text for text in flight["statustext"] if text["severity"] <= LOUD and on <= text["time_boot_ms"] <= off]
-    return f"{loud[0]['text']}, {(loud[0]['time_boot_ms'] - on) / 1000:.1f} s" if loud else "nothing"
-
-
-def row(flight: dict[str, Any], found: Replay) -> list[str]:
-    """Return one line of the table."""
-    raised = [event for event in found.events if event.state == "raised" and event.kind != "stale"]
-    hours = f"{found.evidence / 100 / 60:.1f} min"
-    if not flight["faults"]:
-        return [flight["name"], "none", "", "", "", f"{len(raised)} in {hours}"]
-    fault = flight["faults"][0]
-    on, off = fault["on"]["time_boot_ms"], fault["off"]["time_boot_ms"]
-    target = re.search(r"\[(\d+)\]", fault["target"] or "")
-    channel = f"motor{target.group(1)}" if target and fault["kind"].startswith("actuator") else None
-    right = [event for event in raised if event.channel == channel and on <= event.vehicle_time_ms <= off + 500]
-    delay = f"{(right[0].vehicle_time_ms - on) / 1000:.2f} s" if right else "" if channel is None else "MISSED"
-    reading = ""
-    if channel is not None:
-        (trace,) = found.traces
-        index, now = trace.layout.faults.index(channel), trace.vehicle_ns // 1_000_000
-        during = (now > on + QUIET_START_MS) & (now < off) & trace.armed
-        reading = f"{-100 * np.mean(trace.isolated[during, index] / trace.u[during, index]):.1f} %"
-    size = str(fault["magnitude"])
-    return [
-        flight["name"],
-        f"{channel or fault['kind']} {size}",
-        announced(flight),
-        delay,
-        reading,
-        f"{len(raised) - len(right[:1])} in {hours}",
-    ]
+ROOT = Path(__file__).parent.parent
+AUTOPILOT = "autopilot"
+SMALLEST_COMMAND = 0.02
 
 
-def fitted(name: str, healthy: list[Path], folder: Path) -> Profile:
-    """Return a profile fitted on healthy flights."""
-    logs = [lambda path=path: of_one_vehicle(read_recording(path, FIT_MESSAGES)) for path in healthy]
-    fit("multirotor", logs, folder, "quad")
-    print(f"fitted on {', '.join(path.name.split('.')[0] for path in healthy)} ({name})", file=sys.stderr)
-    return read_profile(folder)
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A fit to make, and the flights that it is tried on."""
+
+    group: str
+    healthy: tuple[Flight, ...]
+    tried_on: tuple[Flight, ...]
+    folder: Path
 
 
-def main(folder: Path) -> None:
-    flights = [json.loads(path.read_text()) for path in sorted(folder.glob("copter_*.json"))]
-    print("| flight | fault | the autopilot said | raised after | read | other alarms in watched flight |")
-    print("|---|---|---|---|---|---|")
-    for name in sorted({kind(flight) for flight in flights}):
-        group = [flight for flight in flights if kind(flight) == name]
-        healthy = [
-            folder / f"{flight['name']}.tlog.xz" for flight in group if flight["healthy"] and not flight["faults"]
-        ]
-        with tempfile.TemporaryDirectory() as profile_folder:
-            profile = fitted(name, healthy, Path(profile_folder))
-        for flight in group:
-            messages = read_recording(folder / f"{flight['name']}.tlog.xz", interests(profile))
-            print("|", " | ".join(row(flight, play(profile, messages, keep_traces=True))), "|", flush=True)
+def fits_of(flights: Sequence[Flight], folder: Path) -> tuple[list[Fit], list[str]]:
+    """Return the fits that a folder of flights needs, those that leave one healthy flight out among them, and notes."""
+    fits: list[Fit] = []
+    notes: list[str] = []
+    for group in sorted({flight.group for flight in flights}):
+        members = tuple(flight for flight in flights if flight.group == group)
+        healthy = tuple(flight for flight in members if flight.healthy)
+        if members[0].kind not in KINDS:
+            notes.append(f"{group}: `fauio fit` knows no {members[0].kind} ({len(members)} flights left out)")
+            continue
+        if not healthy:
+            notes.append(f"{group}: no healthy flight to fit on ({len(members)} flights left out)")
+            continue
+        fits.append(Fit(group, healthy, members, folder / f"{len(fits)}"))
+        if len(healthy) > 1:
+            for out in healthy:
+                rest = tuple(flight for flight in healthy if flight is not out)
+                fits.append(Fit(group, rest, (out,), folder / f"{len(fits)}"))
+    return fits, notes
+
+
+def make(task: Fit) -> Suite | str:
+    """Fit and calibrate; return why not where the flights do not allow it."""
+    logs = [lambda flight=flight: flight.messages(FIT_MESSAGES) for flight in task.healthy]
+    try:
+        fit(task.healthy[0].kind, logs, task.folder, "vehicle")
+        return make_suite(task.folder, [flight.messages for flight in task.healthy])
+    except ValueError as error:
+        return str(error)
+
+
+def try_on(suite: Suite, flight: Flight, fitted_on: tuple[str, ...]) -> Result:
+    """Run all detectors on a flight."""
+    runs = run_suite(suite, flight.messages(interests(suite.profile)))
+    longest = max(runs[FAUIO].traces, key=lambda trace: int(trace.armed.sum()) / trace.layout.rate_hz)
+    found = {name: judged(flight, runs[name], names=name != ENERGY) for name in DETECTORS}
+    said = announced(flight.said)
+    found[AUTOPILOT] = Found(
+        tuple(verdict(fault, flight, said, names=False) for fault in flight.faults),
+        (None,) * len(flight.faults),
+        (None,) * len(flight.faults),
+        tuple(before_any_fault(flight, said)),
+    )
+    watched = watched_s(flight, longest.vehicle_ns // 1_000_000, longest.armed, longest.layout.rate_hz)
+    channels = frozenset(rule.channel for observer in suite.profile.observers for rule in observer.alarms)
+    return Result(flight, fitted_on, channels, watched, found)
+
+
+def judged(flight: Flight, run: Run, *, names: bool) -> Found:
+    """Return what a detector's run is worth."""
+    raised = spells(run.events)
+    return Found(
+        tuple(verdict(fault, flight, raised, names=names) for fault in flight.faults),
+        tuple(estimated(fault, run, first=True) for fault in flight.faults),
+        tuple(estimated(fault, run, first=False) for fault in flight.faults),
+        tuple(false_alarms(flight, raised)),
+    )
+
+
+def estimated(fault: Fault, run: Run, *, first: bool) -> Reading | None:
+    """Return how well a run estimated a fault: by the observer that named it first, if several have its channel.
+
+    ``first`` asks for the time just after the alarm that names it.
+    """
+    if fault.truth is None:
+        return None
+    channel = fault.truth.channel
+    traces = {trace.layout.observer: trace for trace in run.traces if channel in trace.layout.faults}
+    events = [event for event in run.events if event.channel == channel and event.observer in traces]
+    named = [event for event in events if event.vehicle_time_ms >= fault.on_ms and event.state == "raised"]
+    if not traces or (first and not named):
+        return None
+    trace = traces[named[0].observer] if named else next(iter(traces.values()))
+    alarms = [spell for spell in spells(events) if named and spell.raised_ms == named[0].vehicle_time_ms]
+    estimate = trace.isolated[:, trace.layout.faults.index(channel)]
+    if fault.truth.unit == "share":
+        estimate = _share_lost(trace, channel, run)
+    return reading(fault, trace.vehicle_ns // 1_000_000, estimate, trace.armed, alarms[0] if first else None)
+
+
+def _share_lost(trace: Trace, channel: str, run: Run) -> NDArray[np.float64]:
+    """Return the share of its command that an actuator is said to have lost (N,), nan where there is no command."""
+    at = trace.layout.faults.index(channel)
+    if "deflection" not in trace.layout.fault_units[at]:
+        command = trace.u[:, trace.layout.inputs.index(channel)]
+        return -trace.isolated[:, at] / np.where(np.abs(command) < SMALLEST_COMMAND, np.nan, command)
+    # A surface at trim shows no loss: what counts is what the alarm last said.
+    lost = np.zeros(len(trace.u))
+    for event in run.events:
+        if event.channel == channel and event.observer == trace.layout.observer:
+            share = 0.0 if event.state == "cleared" else -(event.relative or 0.0)
+            lost[trace.vehicle_ns >= event.vehicle_time_ms * 1_000_000] = share
+    return lost
+
+
+def measure(flights: Sequence[Flight], jobs: int) -> tuple[list[Result], list[str]]:
+    """Return the results on all flights, those of left-out ones behind, and what could not be done."""
+    results: list[tuple[bool, Result]] = []
+    context = multiprocessing.get_context("spawn")
+    with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        fits, notes = fits_of(flights, Path(folder))
+        made = [(task, pool.submit(make, task)) for task in fits]
+        tried: list[Future[Result]] = []
+        for task, future in made:
+            suite, names = future.result(), tuple(flight.name for flight in task.healthy)
+            if isinstance(suite, str):
+                notes.append(f"{task.group}, on {', '.join(names)}: not fitted: {suite}")
+                continue
+            print(f"fitted on {', '.join(names)} ({task.group})", file=sys.stderr)
+            notes += [f"{task.group}: {note}" for note in suite.notes]
+            tried += [pool.submit(try_on, suite, flight, names) for flight in task.tried_on]
+        for outcome in tried:
+            result = outcome.result()
+            left_out = result.flight.healthy and result.flight.name not in result.fitted_on
+            results.append((left_out, result))
+    return [result for _, result in sorted(results, key=lambda one: one[0])], list(dict.fromkeys(notes))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Measure what is detected on a folder of recorded flights.")
+    parser.add_argument("flights", type=Path, metavar="FLIGHTS", help="folder with recordings and their JSON files")
+    parser.add_argument("--write", action="store_true", help="write docs/detection.md and docs/images/detection.png")
+    parser.add_argument("--png", type=Path, help="draw the picture into this file")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (2)")
+    args = parser.parse_args()
+    results, notes = measure(read_flights(args.flights), args.jobs)
+    if not results:
+        sys.exit("\n".join([f"{args.flights}: nothing could be measured", *notes]))
+    picture = ROOT / "docs/images/detection.png" if args.write else args.png
+    if picture is not None:
+        from detection_plot import draw
+
+        draw(results, (AUTOPILOT, *DETECTORS), picture)
+    text = page(results, (AUTOPILOT, *DETECTORS), notes)
+    if args.write:
+        (ROOT / "docs/detection.md").write_text(text, encoding="utf-8")
+    else:
+        sys.stdout.write(text)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main()

@@ -1,0 +1,292 @@
+"""The detectors that are compared: a fitted profile, Kalman filters with the same models, windowed residual energy.
+
+All take the same samples through the same gate and are calibrated on the same healthy flights by the same rule
+(:mod:`replay.thresholds`: extreme values at the same number of false alarms per hour and vehicle, same debounce).
+
+Kalman filter: states augmented by random-walk faults at the rates of the model. One filter for as many faults of the
+profile as can be estimated together, taken in the order of its hypotheses (all four motors of a quadcopter; some motors
+of a hexacopter); every channel answers for itself.
+
+Kalman bank: one such filter for each hypothesis of the profile, and the profile's own way to choose among hypotheses:
+what is left of the difference is the gains. Only where the profile runs a bank; elsewhere it is the filter above.
+
+Faults that a bank only watches for jumps are left out of both: a sensor bias that may walk explains any motor fault.
+
+Residual energy, in the manner of control invariants: r = y - y^ of one-step prediction (the innovation of the Kalman
+filter of the model without faults), the mean of r' S^-1 r over a window, S its healthy covariance. It names nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+from math import inf
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.clock import VehicleClock
+from adapters.message import Message
+from adapters.sample import Sample
+from gains.baseline_ekf import design_ekf
+from gains.errors import InfeasibleError
+from gains.estimability import problem_of, restricted
+from gains.gains_file import Gains
+from gains.model_file import read_model
+from gains.plant import Plant
+from monitor.alarm import Alarm, AlarmRule
+from monitor.chain import ObserverChain
+from monitor.estimate import Estimate
+from monitor.event import AlarmEvent
+from monitor.gate import GateRule
+from monitor.isolation_rule import BankRule, IndependentRule
+from monitor.observer import Observer
+from monitor.profile import ObserverProfile, Profile, fault_channels, read_profile
+from monitor.trace import Trace, TraceBuilder
+from replay.calibrate import GatedSample, bank_rule, contiguous, flight_samples
+from replay.extremes import return_level, standing
+from replay.player import interests, play
+from replay.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
+
+FAUIO, KALMAN, KALMAN_BANK, ENERGY = "fauio", "Kalman filter", "Kalman bank", "residual energy"
+DETECTORS = (FAUIO, KALMAN, KALMAN_BANK, ENERGY)
+WINDOW_S = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EnergyDetector:
+    """Windowed energy of one observer's one-step prediction residual.
+
+    Parameters
+    ----------
+    observer : str
+        Whose model and samples it takes.
+    gains : Gains
+        Kalman filter of the model without faults.
+    W : NDArray[np.float64]
+        W' W = S^-1 / p (p, p).
+    rule : AlarmRule
+        Its alarm.
+    """
+
+    observer: str
+    gains: Gains
+    W: NDArray[np.float64]
+    rule: AlarmRule
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suite:
+    """Detectors fitted and calibrated on the same healthy flights.
+
+    Parameters
+    ----------
+    profile : Profile
+        What ``fauio fit`` wrote.
+    kalman, kalman_bank : tuple[ObserverProfile, ...]
+        Kalman filters in place of its observers.
+    energy : tuple[EnergyDetector, ...]
+        One for each observer.
+    notes : tuple[str, ...]
+        Baselines that could not be made, and why.
+    """
+
+    profile: Profile
+    kalman: tuple[ObserverProfile, ...]
+    kalman_bank: tuple[ObserverProfile, ...]
+    energy: tuple[EnergyDetector, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """What a detector gave on a flight: events, and estimates where it has any."""
+
+    events: tuple[AlarmEvent, ...]
+    traces: tuple[Trace, ...]
+
+
+Log = Callable[[frozenset[str]], Iterable[Message]]
+
+
+def make_suite(folder: Path, logs: Sequence[Log]) -> Suite:
+    """Return a profile's detectors, the baselines calibrated on the healthy logs it was fitted on."""
+    profile = read_profile(folder)
+    only = interests(profile)
+    filters: list[tuple[ObserverProfile, list[list[GatedSample]]]] = []
+    banks: list[tuple[ObserverProfile, list[list[GatedSample]]]] = []
+    energy, notes = [], []
+    for observer in profile.observers:
+        flights = [flight_samples(log(only), observer.source, observer.rate_hz, profile.gate) for log in logs]
+        plant = read_model(folder / f"{observer.name}.model.toml")
+        try:
+            filters.append((_one_filter(observer, plant), flights))
+            banks.append((_filter_bank(observer, plant, flights) or filters[-1][0], flights))
+        except InfeasibleError as error:
+            notes.append(f"{KALMAN}: {error}")
+        try:
+            energy.append(_energy(observer, plant, flights, FALSE_ALARMS_PER_HOUR / len(profile.observers)))
+        except InfeasibleError as error:
+            notes.append(f"{ENERGY}: {error}")
+    return Suite(
+        profile, _with_alarms(filters, profile.gate), _with_alarms(banks, profile.gate), tuple(energy), tuple(notes)
+    )
+
+
+def run_suite(suite: Suite, messages: Iterable[Message]) -> dict[str, Run]:
+    """Return what each detector gives on a flight; the baselines take the samples that the profile's observers took."""
+    found = play(suite.profile, messages, keep_traces=True)
+    traces = {trace.layout.observer: trace for trace in found.traces}
+    samples = {name: gated(trace) for name, trace in traces.items()}
+    return {
+        FAUIO: Run(found.events, found.traces),
+        KALMAN: _run_chains(suite.kalman, suite.profile.gate, samples),
+        KALMAN_BANK: _run_chains(suite.kalman_bank, suite.profile.gate, samples),
+        ENERGY: Run(tuple(event for one in suite.energy for event in _run_energy(one, samples[one.observer])), ()),
+    }
+
+
+def gated(trace: Trace) -> list[GatedSample]:
+    """Return the samples that an observer took."""
+    columns = zip(
+        trace.vehicle_ns.tolist(), trace.unix_ns.tolist(), trace.u, trace.y, trace.restart.tolist(), strict=True
+    )
+    samples = (Sample(k, t, unix, u, y, restart, complete=True) for k, (t, unix, u, y, restart) in enumerate(columns))
+    return [GatedSample(sample, armed) for sample, armed in zip(samples, trace.armed.tolist(), strict=True)]
+
+
+def _compared(observer: ObserverProfile) -> list[Gains]:
+    """Return an observer's gains, of a bank those that it compares."""
+    rule = observer.isolation
+    if not isinstance(rule, BankRule):
+        return list(observer.gains)
+    return [one for one, edge in zip(observer.gains, rule.edges, strict=True) if not edge]
+
+
+def _one_filter(observer: ObserverProfile, plant: Plant) -> ObserverProfile:
+    """Return an observer with one Kalman filter in place of its gains, and without alarms."""
+    together: tuple[str, ...] = ()
+    for name in dict.fromkeys(name for one in _compared(observer) for name in one.faults):
+        if problem_of(plant, (*together, name)) is None:
+            together = (*together, name)
+    gains = (design_ekf(restricted(plant, together), observer.rate_hz),)
+    isolation = IndependentRule(observer.isolation.smoothing_s)
+    return replace(observer, gains=gains, faults=fault_channels(gains), isolation=isolation, alarms=())
+
+
+def _filter_bank(
+    observer: ObserverProfile, plant: Plant, flights: Sequence[Sequence[GatedSample]]
+) -> ObserverProfile | None:
+    """Return an observer with a Kalman filter for each hypothesis, without alarms; None where it is no bank."""
+    compared = _compared(observer)
+    if len(compared) < 2:
+        return None
+    gains = tuple(design_ekf(restricted(plant, one.faults), observer.rate_hz) for one in compared)
+    isolation = bank_rule(gains, [segment for flight in flights for segment in contiguous(flight)])
+    return replace(observer, gains=gains, faults=fault_channels(gains), isolation=isolation, alarms=())
+
+
+def _with_alarms(
+    observers: Sequence[tuple[ObserverProfile, Sequence[Sequence[GatedSample]]]], gate: GateRule
+) -> tuple[ObserverProfile, ...]:
+    """Return observers with alarms calibrated on healthy flights; channels that differ in their number are pooled."""
+    share = FALSE_ALARMS_PER_HOUR / max(1, sum(len(observer.faults) for observer, _ in observers))
+    times, found = Times(), []
+    for observer, flights in observers:
+        evidence = healthy_evidence(observer, gate, flights)
+        families: dict[str, list[int]] = {}
+        for at, channel in enumerate(observer.faults):
+            families.setdefault(channel.name.rstrip("0123456789"), []).append(at)
+        rules = []
+        for places in families.values():
+            series = [stretch[:, at] for at in places for stretch in evidence]
+            levels = healthy_levels(series, observer.rate_hz, share, times)
+            for channel in (observer.faults[at] for at in places):
+                bare = AlarmRule(observer.name, channel.name, channel.kind, channel.unit, 0.0, 0.0, 0.0, 0.0, 0.0)
+                rules.append(calibrated(bare, levels, 1.0, floor=0.0, critical=inf, times=times).rule)
+        found.append(replace(observer, alarms=tuple(rules)))
+    return tuple(found)
+
+
+def _run_chains(
+    observers: Sequence[ObserverProfile], gate: GateRule, samples: Mapping[str, Sequence[GatedSample]]
+) -> Run:
+    traces: list[Trace] = []
+    events: list[AlarmEvent] = []
+    for observer in observers:
+        chain = ObserverChain(observer, KALMAN, gate, VehicleClock(), count(1).__next__)
+        builder = TraceBuilder(chain.layout)
+        for sample, armed in samples[observer.name]:
+            for output in chain.step(sample, armed):
+                if isinstance(output, Estimate):
+                    builder.add(output)
+                else:
+                    events.append(output)
+        traces.append(builder.build())
+    return Run(tuple(sorted(events, key=lambda event: event.vehicle_time_ms)), tuple(traces))
+
+
+def _energy(
+    observer: ObserverProfile, plant: Plant, flights: Sequence[Sequence[GatedSample]], share: float
+) -> EnergyDetector:
+    gains = design_ekf(restricted(plant, ()), observer.rate_hz)
+    residuals = [_residuals(gains, flight) for flight in flights]
+    armed = [np.array([sample.armed for sample in flight]) for flight in flights]
+    healthy = np.concatenate([r[a] for r, a in zip(residuals, armed, strict=True)])
+    S = healthy.T @ healthy / len(healthy)
+    W = np.linalg.cholesky(np.linalg.inv(S)).T / np.sqrt(len(S))
+    raise_s, rate_hz = Times().raise_s, observer.rate_hz
+    energies = [_windowed(r, W, flight, rate_hz) for r, flight in zip(residuals, flights, strict=True)]
+    stretches = [stretch for e in energies for stretch in _finite_stretches(e)]
+    level = return_level([standing(one, round(raise_s * rate_hz)) for one in stretches], rate_hz, share).level
+    rule = AlarmRule(observer.name, "energy", "residual", "times healthy", level, level / 2, inf, raise_s, 0.5)
+    return EnergyDetector(observer.name, gains, W, rule)
+
+
+def _run_energy(detector: EnergyDetector, samples: Sequence[GatedSample]) -> list[AlarmEvent]:
+    alarm = Alarm(detector.rule, ENERGY, count(1).__next__)
+    energy = _windowed(_residuals(detector.gains, samples), detector.W, samples, detector.gains.rate_hz)
+    events = []
+    for (sample, _), size in zip(samples, energy.tolist(), strict=True):
+        if np.isnan(size):
+            alarm.pause()
+            continue
+        event = alarm.update(sample, size, None)
+        events += [] if event is None else [event]
+    return events
+
+
+def _residuals(gains: Gains, samples: Sequence[GatedSample]) -> NDArray[np.float64]:
+    """Return the one-step prediction residual at each sample (N, p)."""
+    observer = Observer(gains)
+    found = np.empty((len(samples), len(gains.outputs)))
+    for k, (sample, _) in enumerate(samples):
+        if sample.restart or k == 0:
+            observer.restart(sample.u, sample.y)
+        observer.step(sample.u, sample.y)
+        found[k] = observer.residual
+    return found
+
+
+def _windowed(
+    residuals: NDArray[np.float64], W: NDArray[np.float64], samples: Sequence[GatedSample], rate_hz: float
+) -> NDArray[np.float64]:
+    """Return the mean of r' S^-1 r / p over the window before each sample (N,), nan without a window of evidence."""
+    width = max(1, round(WINDOW_S * rate_hz))
+    sizes = np.sum((residuals @ W.T) ** 2, axis=1)
+    total = np.concatenate([[0.0], np.cumsum(sizes)])
+    energy = np.full(len(sizes), np.nan)
+    start = 0
+    for k, (sample, armed) in enumerate(samples):
+        if not armed or sample.restart:
+            start = k + (not armed)
+        if k + 1 - start >= width:
+            energy[k] = (total[k + 1] - total[k + 1 - width]) / width
+    return energy
+
+
+def _finite_stretches(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    breaks = np.flatnonzero(np.diff(np.isfinite(values)))
+    return [part for part in np.split(values, breaks + 1) if len(part) and np.isfinite(part[0])]
