@@ -122,6 +122,11 @@ class Bank:
         self.believed = int(self._groups[0][0])
 
     @property
+    def smoothed(self) -> NDArray[np.float64]:
+        """Smoothed estimate of each fault under its smallest hypothesis (a,), whichever is believed."""
+        return np.asarray(self._faults[self._owned])
+
+    @property
     def x(self) -> NDArray[np.float64]:
         """State estimate of the hypothesis believed (n,)."""
         return np.asarray(self._stack.x[self.believed])

@@ -83,6 +83,11 @@ class ObserverChain:
         return self._sampler.interests
 
     @property
+    def smoothed(self) -> NDArray[np.float64]:
+        """Smoothed estimate of each fault under its own hypothesis at the last sample (a,), effect units."""
+        return self._estimator.smoothed
+
+    @property
     def unexplained(self) -> float:
         """Score of what no hypothesis explained at the last sample, zero where one does."""
         return self._estimator.unexplained

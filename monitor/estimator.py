@@ -47,6 +47,11 @@ class JointEstimator:
         self.evidence = np.zeros(len(gains.faults))
         self.speaks = np.ones(len(gains.faults), dtype=np.bool_)
 
+    @property
+    def smoothed(self) -> NDArray[np.float64]:
+        """What each channel is held responsible for (a,): a joint estimate has no other."""
+        return self.evidence
+
     def restart(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """Forget the past: start at the state that (u, y) explain without a fault."""
         self._observer.restart(u, y)

@@ -89,7 +89,7 @@ def fit_inertial(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate
     )
     source = Source(transform=rule, signals=channels.channels)
     bare = Fitted(OBSERVER, plant, gains, source, isolation, settle_s=_SETTLE_S)
-    evidence = healthy_evidence(bare.profile(), gate, flights)
+    evidence = healthy_evidence(bare.profile(), gate, flights, own=True)
     alarms = _alarms(bare.profile().faults, evidence, rate_hz, smallest_faults(fit))
     return replace(
         bare,

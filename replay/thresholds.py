@@ -63,9 +63,12 @@ class Calibrated:
 
 
 def healthy_evidence(
-    observer: ObserverProfile, gate: GateRule, flights: Sequence[Sequence[GatedSample]]
+    observer: ObserverProfile, gate: GateRule, flights: Sequence[Sequence[GatedSample]], *, own: bool = False
 ) -> list[NDArray[np.float64]]:
     """Step an observer's chain over healthy samples as the monitor does.
+
+    ``own`` takes each fault's smoothed estimate under its own hypothesis, whichever is believed: a hypothesis that
+    healthy flight hardly ever brought to be believed would else look quieter than it is. It is in effect units.
 
     Returns
     -------
@@ -81,7 +84,7 @@ def healthy_evidence(
                 if not isinstance(output, Estimate):
                     continue
                 if output.armed:
-                    found[-1].append(np.append(output.isolated, chain.unexplained))
+                    found[-1].append(np.append(chain.smoothed if own else output.isolated, chain.unexplained))
                 elif found[-1]:
                     found.append([])
     return [np.stack(rows) for rows in found if rows]
