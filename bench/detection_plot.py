@@ -13,7 +13,7 @@ from monitor.palette import BLACK, BLUE, ORANGE, PURPLE, SKY
 
 STYLES = (("X", BLACK), ("o", BLUE), ("s", ORANGE), ("^", PURPLE), ("D", SKY))
 _APART_POINTS = 7.0
-_FASTEST_S = 0.02
+_FASTEST_S = 0.01
 _SLOWEST_S = 200.0
 _MISSED_S = 450.0
 
@@ -63,12 +63,12 @@ def draw(results: Sequence[Result], detectors: Sequence[str], path: Path) -> Non
         margin = (0.18 if len(faults) > 2 else 0.4) * span
         axis.set_xlim(min(places) - margin, max(places) + margin)
         if title == "other":
-            axis.set_xticks(places, [fault.kind for _, _, fault in faults], rotation=90)
+            axis.set_xticks(places, [_short(fault) for _, _, fault in faults])
         elif len(places) <= 8:
             axis.set_xticks(places, [f"{place:g}" for place in places])
         axis.grid(alpha=0.3)
         axis.spines[["top", "right"]].set_visible(False)
-    ticks = (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, _MISSED_S)
+    ticks = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, _MISSED_S)
     axes[0, 0].set_yticks(ticks)
     axes[0, 0].yaxis.set_major_formatter(FuncFormatter(lambda y, _: "missed" if y == _MISSED_S else f"{y:g}"))
     axes[0, 0].yaxis.set_minor_locator(NullLocator())
@@ -84,13 +84,18 @@ def draw(results: Sequence[Result], detectors: Sequence[str], path: Path) -> Non
     plt.close(figure)
 
 
+def _short(fault: Fault) -> str:
+    """Return what is at fault, in few letters."""
+    return "\n".join(sorted(fault.channels)) or fault.kind.replace("_", "\n")
+
+
 def quantity(fault: Fault) -> str:
     """Return what the size of a fault is the size of: the label of its panel."""
     if fault.truth is None:
         return "other"
     if fault.truth.unit == "share":
         part = fault.truth.channel.rstrip("0123456789")
-        return f"loss of {part} effectiveness (%)"
+        return f"loss of {part} (%)"
     return f"{fault.truth.channel.split('_')[0]} ({fault.truth.unit})"
 
 
