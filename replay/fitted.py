@@ -26,7 +26,8 @@ from replay.thresholds import Calibrated, Times, calibrated, healthy_levels, pla
 
 Log = Callable[[], Iterable[Message]]
 
-_UNEXPLAINED = Times(fast_s=0.5, raise_s=0.5, clear_s=0.5)
+_UNEXPLAINED = Times(fast_s=2.0, raise_s=2.0, clear_s=0.5)
+"""A push or a collision is over sooner, two faults at once are not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,9 +24,18 @@ _LAG_S = 0.03
 
 
 def hexacopter_flight(
-    seed: int, duration_s: float, loss: dict[int, float] | None = None, onset_s: float = 20.0, end_s: float = 40.0
+    seed: int,
+    duration_s: float,
+    loss: dict[int, float] | None = None,
+    onset_s: float = 20.0,
+    end_s: float = 40.0,
+    push: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Iterator[Message]:
-    """Yield the telemetry of a flight; ``loss`` maps motor numbers to the share of thrust lost from onset to end."""
+    """Yield the telemetry of a flight.
+
+    ``loss`` maps motor numbers to the share of thrust lost from onset to end; ``push`` turns the vehicle about its axes
+    from outside, rad/s^2, at 10 s for half a second.
+    """
     rng = np.random.default_rng(seed)
     dt = 1.0 / (RATE_HZ * STEPS)
     rate, thrust, gust, wanted = np.zeros(3), np.full(MOTORS, _HOVER), np.zeros(4), np.zeros(4)
@@ -43,10 +52,11 @@ def hexacopter_flight(
         working = np.ones(MOTORS)
         for motor, lost in (loss or {}).items() if onset_s <= now_s < end_s else ():
             working[motor - 1] -= lost
+        pushed = np.array(push) if 10.0 <= now_s < 10.5 else 0.0
         for _ in range(STEPS):
             thrust += (command - thrust) * dt / _LAG_S
             torque = _EFFECT * (_MIXER[:, :3].T @ (working * thrust)) / MOTORS * 2.0
-            rate = rate + dt * (torque - _DAMPING * rate + gust[:3])
+            rate = rate + dt * (torque - _DAMPING * rate + gust[:3] + pushed)
         vertical = -9.81 / (_HOVER * MOTORS) * float(working @ thrust) + gust[3]
         stamp_ms, arrival_ns = 5_000 + 10 * k, start_ns + 10_000_000 * k
         noise = rng.normal(0.0, 5e-4, 3)
