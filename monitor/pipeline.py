@@ -60,9 +60,13 @@ class Pipeline:
         return tuple(chain.layout for chain in self._chains)
 
     @property
-    def thresholds(self) -> Mapping[str, float]:
-        """Alarm thresholds by channel."""
-        return {rule.channel: rule.threshold for observer in self.profile.observers for rule in observer.alarms}
+    def thresholds(self) -> Mapping[tuple[str, str], float]:
+        """Alarm thresholds by observer and channel: two observers may watch channels of the same name."""
+        return {
+            (observer.name, rule.channel): rule.threshold
+            for observer in self.profile.observers
+            for rule in observer.alarms
+        }
 
     @property
     def stale(self) -> bool:

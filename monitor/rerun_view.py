@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,14 +12,15 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from monitor.event import AlarmEvent
-from monitor.palette import BLACK, GREY, SEVERITY, rgba, series_colour
+from monitor.palette import BLACK, BLUE, GREY, SEVERITY, rgba, series_colour
+from monitor.panels import Panels, Thresholds, Truth, choose_panels, fault_limits, same_scale
 from monitor.trace import Trace
-
-Truth = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
 
 APPLICATION = "fauio"
 BATCH_ROWS = 1 << 16
 FLUSH_TIMEOUT_S = 30.0
+FAULTS_BELOW = 4
+QUIET_LIMITS = (-1.3, 1.3)
 
 _LEVELS = {"warning": rr.TextLogLevel.WARN, "critical": rr.TextLogLevel.CRITICAL}
 
@@ -28,15 +29,16 @@ def write_rrd(
     path: str | os.PathLike[str],
     traces: Sequence[Trace],
     events: Sequence[AlarmEvent],
-    thresholds: Mapping[str, float],
+    thresholds: Thresholds,
     truth: Truth | None = None,
 ) -> None:
     """Write a run to an ``.rrd`` file with its blueprint inside.
 
     Time lines are ``vehicle_time`` (seconds of the vehicle's clock) and ``unix_time``. Entities per observer:
-    ``<observer>/fault``, ``/isolated``, ``/residual``, ``/state``, ``/input`` and ``/output`` with one series
-    per channel, ``/threshold/<value>``, ``/truth/<channel>``; alarms are states in
-    ``alarms/<observer>/<channel>`` and lines of text in ``log``. No viewer is needed.
+    ``<observer>/fault``, ``/residual``, ``/state``, ``/input`` and ``/output`` with one series per channel,
+    ``/isolated/<channel>``, ``/threshold/<channel>``, ``/truth/<channel>``, and ``/quiet`` for the channels that share
+    a view; alarms are states in ``alarms/<observer>/<channel>`` and lines of text in ``log``. No viewer is needed.
+    The blueprint has a tab per observer.
 
     Parameters
     ----------
@@ -46,27 +48,31 @@ def write_rrd(
         One per observer.
     events : Sequence[AlarmEvent]
         All alarm events of the run.
-    thresholds : Mapping[str, float]
-        Alarm threshold by fault channel.
+    thresholds : Mapping[tuple[str, str], float]
+        Alarm threshold by observer and fault channel.
     truth : Mapping[str, tuple[NDArray, NDArray]] | None
         By fault channel: times on the vehicle's clock (s) and the true size at them.
     """
+    truth = truth or {}
+    alarmed = {(event.observer, event.channel) for event in events}
+    chosen = choose_panels([trace.layout for trace in traces], alarmed, truth, thresholds)
+    tabs = [_observer_tab(*pair, thresholds, truth) for pair in zip(traces, chosen, strict=True)]
     recording = rr.RecordingStream(APPLICATION)
     try:
-        recording.save(os.fspath(path), default_blueprint=_blueprint(traces))
-        for trace in traces:
+        recording.save(os.fspath(path), default_blueprint=_blueprint(tabs))
+        for trace, panels in zip(traces, chosen, strict=True):
             _send_trace(recording, trace)
+            _send_quiet(recording, trace, panels.together, thresholds)
             _send_thresholds(recording, trace, thresholds)
-            _send_truth(recording, trace, truth or {})
+            _send_truth(recording, trace, truth)
         _send_alarms(recording, events)
         recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
     finally:
         recording.disconnect()
 
 
-def _blueprint(traces: Sequence[Trace]) -> rrb.Blueprint:
+def _blueprint(tabs: Sequence[rrb.Vertical]) -> rrb.Blueprint:
     """Return the layout of the viewer: a tab per observer above the alarms' states and texts."""
-    tabs = [_observer_tab(trace.layout.observer) for trace in traces]
     alarms = rrb.Horizontal(
         rrb.StateTimelineView(origin="/alarms", name="alarms", time_view=_linked()),
         rrb.TextLogView(origin="/log", name="alarm events"),
@@ -81,20 +87,35 @@ def _blueprint(traces: Sequence[Trace]) -> rrb.Blueprint:
     )
 
 
-def _observer_tab(observer: str) -> rrb.Vertical:
-    root = rr.escape_entity_path_part(observer)
+def _observer_tab(trace: Trace, panels: Panels, thresholds: Thresholds, truth: Truth) -> rrb.Vertical:
+    """Return an observer's views, one below the other, faults scaled by what they were while alarms were armed."""
+    layout = trace.layout
+    root = rr.escape_entity_path_part(layout.observer)
 
-    def view(name: str, *parts: str) -> rrb.TimeSeriesView:
-        contents = [f"+ /{root}/{part}/**" for part in parts]
-        return rrb.TimeSeriesView(origin=f"/{root}", contents=contents, name=name, axis_x=_linked())
+    def view(name: str, *parts: str, limits: tuple[float, float] | None = None) -> rrb.TimeSeriesView:
+        return rrb.TimeSeriesView(
+            origin=f"/{root}",
+            contents=[f"+ /{root}/{part}/**" for part in parts],
+            name=f"{layout.observer} / {name}",
+            axis_x=_linked(),
+            axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
+        )
 
-    return rrb.Vertical(
-        view("faults", "isolated", "threshold", "truth"),
-        view("residuals", "residual"),
-        rrb.Horizontal(view("inputs", "input"), view("outputs", "output")),
-        row_shares=[3, 2, 2],
-        name=observer,
-    )
+    faults = []
+    for place in panels.alone:
+        part = rr.escape_entity_path_part(layout.faults[place])
+        limits = fault_limits(trace, same_scale(layout, panels, place), thresholds, truth)
+        parts = (f"{group}/{part}" for group in ("isolated", "threshold", "truth"))
+        faults.append(view(layout.faults[place], *parts, limits=limits))
+    rows: list[Any] = []
+    if faults:
+        rows.append(rrb.Grid(*faults, grid_columns=-(-len(faults) // FAULTS_BELOW), name="faults"))
+    if panels.together:
+        rows.append(view("quiet channels, in units of their thresholds", "quiet", limits=QUIET_LIMITS))
+    rows.append(view("residuals", "residual"))
+    rows.append(rrb.Horizontal(view("inputs", "input"), view("outputs", "output")))
+    shares = [min(len(faults), FAULTS_BELOW)] * bool(faults) + [1.5] * (len(rows) - bool(faults))
+    return rrb.Vertical(*rows, row_shares=shares, name=layout.observer)
 
 
 def _linked() -> rrb.TimeAxis:
@@ -104,47 +125,76 @@ def _linked() -> rrb.TimeAxis:
 def _send_trace(recording: rr.RecordingStream, trace: Trace) -> None:
     layout = trace.layout
     root = rr.escape_entity_path_part(layout.observer)
+    shown = [f"{name} ({unit})" for name, unit in zip(layout.faults, layout.fault_units, strict=True)]
     groups = {
-        "fault": (layout.faults, trace.fault),
-        "isolated": (layout.faults, trace.isolated),
+        "fault": (shown, trace.fault),
         "residual": (layout.outputs, trace.residual),
         "state": (layout.states, trace.x),
         "input": (layout.inputs, trace.u),
         "output": (layout.outputs, trace.y),
     }
-    units = dict(zip(layout.faults, layout.fault_units, strict=True))
     for group, (names, values) in groups.items():
-        if not names:
-            continue
-        entity = f"{root}/{group}"
-        shown = [f"{name} ({units[name]})" if group in ("fault", "isolated") else name for name in names]
-        colours = [rgba(series_colour(index)) for index in range(len(names))]
-        recording.log(entity, rr.SeriesLines(names=shown, colors=colours), static=True)
-        for start in range(0, len(values), BATCH_ROWS):
-            rows = slice(start, start + BATCH_ROWS)
-            recording.send_columns(
-                entity,
-                indexes=_times(trace.vehicle_ns[rows], trace.unix_ns[rows]),
-                columns=rr.Scalars.columns(scalars=values[rows]),
-            )
+        colours = [series_colour(index) for index in range(len(names))]
+        _send_series(recording, trace, f"{root}/{group}", names, values, colours)
+    for place, name in enumerate(layout.faults):
+        entity = f"{root}/isolated/{rr.escape_entity_path_part(name)}"
+        _send_series(recording, trace, entity, shown[place : place + 1], trace.isolated[:, place : place + 1], [BLUE])
 
 
-def _send_thresholds(recording: rr.RecordingStream, trace: Trace, thresholds: Mapping[str, float]) -> None:
-    """Send each distinct threshold as two lines from the first sample to the last."""
+def _send_quiet(recording: rr.RecordingStream, trace: Trace, places: Sequence[int], thresholds: Thresholds) -> None:
+    """Send the channels that had no alarm, each in units of its own threshold, and the band they stayed in."""
+    if not places:
+        return
+    names = [trace.layout.faults[place] for place in places]
+    units = np.array([thresholds[trace.layout.observer, name] for name in names])
+    colours = [series_colour(index) for index in range(len(names))]
+    entity = f"{rr.escape_entity_path_part(trace.layout.observer)}/quiet"
+    _send_series(recording, trace, f"{entity}/estimate", names, trace.isolated[:, list(places)] / units, colours)
+    _send_level(recording, trace, f"{entity}/threshold", "threshold", 1.0)
+
+
+def _send_thresholds(recording: rr.RecordingStream, trace: Trace, thresholds: Thresholds) -> None:
+    root = rr.escape_entity_path_part(trace.layout.observer)
+    for name in trace.layout.faults:
+        level = thresholds.get((trace.layout.observer, name))
+        if level is not None:
+            entity = f"{root}/threshold/{rr.escape_entity_path_part(name)}"
+            _send_level(recording, trace, entity, f"threshold of {name}", level)
+
+
+def _send_series(
+    recording: rr.RecordingStream,
+    trace: Trace,
+    entity: str,
+    names: Sequence[str],
+    values: NDArray[np.float64],
+    colours: Sequence[str],
+) -> None:
+    """Send series over the samples' times to one entity, in batches."""
+    if not names:
+        return
+    recording.log(entity, rr.SeriesLines(names=list(names), colors=[rgba(colour) for colour in colours]), static=True)
+    for start in range(0, len(values), BATCH_ROWS):
+        rows = slice(start, start + BATCH_ROWS)
+        recording.send_columns(
+            entity,
+            indexes=_times(trace.vehicle_ns[rows], trace.unix_ns[rows]),
+            columns=rr.Scalars.columns(scalars=values[rows]),
+        )
+
+
+def _send_level(recording: rr.RecordingStream, trace: Trace, entity: str, name: str, level: float) -> None:
+    """Send two lines from the first sample to the last, one above and one below zero."""
     if not len(trace.vehicle_ns):
         return
     ends = [0, -1]
-    root = rr.escape_entity_path_part(trace.layout.observer)
-    for value in sorted({thresholds[name] for name in trace.layout.faults if name in thresholds}):
-        names = ", ".join(name for name in trace.layout.faults if thresholds.get(name) == value)
-        entity = f"{root}/threshold/{rr.escape_entity_path_part(f'{value:g}')}"
-        lines = rr.SeriesLines(names=[f"threshold of {names}"] * 2, colors=[rgba(GREY)] * 2, widths=[1.0] * 2)
-        recording.log(entity, lines, static=True)
-        recording.send_columns(
-            entity,
-            indexes=_times(trace.vehicle_ns[ends], trace.unix_ns[ends]),
-            columns=rr.Scalars.columns(scalars=np.array([[value, -value]] * 2)),
-        )
+    lines = rr.SeriesLines(names=[name] * 2, colors=[rgba(GREY)] * 2, widths=[1.0] * 2)
+    recording.log(entity, lines, static=True)
+    recording.send_columns(
+        entity,
+        indexes=_times(trace.vehicle_ns[ends], trace.unix_ns[ends]),
+        columns=rr.Scalars.columns(scalars=np.array([[level, -level]] * 2)),
+    )
 
 
 def _send_truth(recording: rr.RecordingStream, trace: Trace, truth: Truth) -> None:

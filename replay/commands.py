@@ -14,6 +14,8 @@ from replay import attack_commands
 if TYPE_CHECKING:
     from adapters.message import Message
     from monitor.event import AlarmEvent
+    from monitor.profile import Profile
+    from replay.player import Replay
 
 ALARMS_RAISED = 4
 _LOG_HELP = "recording: .tlog or .mcap, plain or with .xz / .gz behind"
@@ -155,23 +157,16 @@ def run_replay(args: argparse.Namespace) -> int:
             on_event=None if args.json else lambda event: _say(alarm_line(event)),
         )
         events.extend(found.events)
-        raised = [event for event in found.events if event.state == "raised"]
+        verdict = f"{path.name}: {_verdict(found, profile)}"
         if args.json:
             summary = {"log": str(path), "samples": found.samples, "evidence": found.evidence}
             _say(json.dumps(summary | {"alarms": [event.to_json() for event in found.events]}))
-        elif not found.samples:
-            needed = ", ".join(sorted(interests(profile)))
-            _say(f"{path.name}: no samples; the log lacks channels of the profile (needed: {needed})")
-        elif not found.evidence:
-            _say(f"{path.name}: nothing was watched; the vehicle was never seen in flight (see [phase] in the profile)")
         else:
-            seconds = found.evidence / profile.observers[0].rate_hz
-            alarms = "1 alarm" if len(raised) == 1 else f"{len(raised)} alarms"
-            _say(f"{path.name}: {alarms} in {seconds:.0f} s of watched flight")
+            _say(verdict)
         if args.plot:
             from replay.plot import plot_png
 
-            plot_png(args.plot, found.traces, found.events, found.thresholds, title=path.name)
+            plot_png(args.plot, found.traces, found.events, found.thresholds, title=verdict)
         if args.rrd:
             from monitor.rerun_view import write_rrd
 
@@ -179,6 +174,20 @@ def run_replay(args: argparse.Namespace) -> int:
     if args.alarms:
         write_events(events, args.alarms)
     return ALARMS_RAISED if args.fail_on_alarm and any(event.state == "raised" for event in events) else 0
+
+
+def _verdict(found: Replay, profile: Profile) -> str:
+    """Return in a sentence what a replay found."""
+    from replay.player import interests
+
+    if not found.samples:
+        needed = ", ".join(sorted(interests(profile)))
+        return f"no samples; the log lacks channels of the profile (needed: {needed})"
+    if not found.evidence:
+        return "nothing was watched; the vehicle was never seen in flight (see [phase] in the profile)"
+    raised = sum(event.state == "raised" for event in found.events)
+    alarms = {0: "no alarm", 1: "1 alarm"}.get(raised, f"{raised} alarms")
+    return f"{alarms} in {found.watched_s:.0f} s of watched flight"
 
 
 def run_convert(args: argparse.Namespace) -> int:

@@ -31,18 +31,21 @@ class Replay:
         Samples the observers took.
     evidence : int
         Samples among them from which alarms could be raised.
+    watched_s : float
+        Time of the vehicle over which alarms could be raised, of the observer that watched longest.
     messages : int
         Messages of the recording that mattered.
-    thresholds : Mapping[str, float]
-        Alarm thresholds by channel.
+    thresholds : Mapping[tuple[str, str], float]
+        Alarm thresholds by observer and channel.
     """
 
     events: tuple[AlarmEvent, ...]
     traces: tuple[Trace, ...]
     samples: int
     evidence: int
+    watched_s: float
     messages: int
-    thresholds: Mapping[str, float]
+    thresholds: Mapping[tuple[str, str], float]
 
 
 def play(
@@ -74,7 +77,8 @@ def play(
     pipeline = Pipeline(profile, vehicle)
     builders = {layout.observer: TraceBuilder(layout) for layout in pipeline.layouts} if keep_traces else {}
     events: list[AlarmEvent] = []
-    samples = evidence = count = 0
+    samples = count = 0
+    watched = dict.fromkeys((layout.observer for layout in pipeline.layouts), 0)
     with ExitStack() as stack:
         recorder = (
             stack.enter_context(Recorder(record, pipeline.layouts, pipeline.metadata(), profile.files))
@@ -89,7 +93,7 @@ def play(
             for output in outputs:
                 if isinstance(output, Estimate):
                     samples += 1
-                    evidence += output.armed
+                    watched[output.observer] += output.armed
                     if recorder is not None:
                         recorder.estimate(output)
                     if keep_traces:
@@ -106,7 +110,8 @@ def play(
         events=tuple(events),
         traces=tuple(builder.build() for builder in builders.values()),
         samples=samples,
-        evidence=evidence,
+        evidence=sum(watched.values()),
+        watched_s=max((watched[layout.observer] / layout.rate_hz for layout in pipeline.layouts), default=0.0),
         messages=count,
         thresholds=pipeline.thresholds,
     )

@@ -4,32 +4,47 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from monitor.event import AlarmEvent
-from monitor.palette import BLACK, BLUE, GREY, SEVERITY, series_colour
+from monitor.palette import BLACK, BLUE, GREY, SEVERITY, SKY
+from monitor.panels import Panels, Thresholds, Truth, choose_panels, same_scale
 from monitor.trace import AlarmSpan, Trace, alarm_spans
+from replay.plot_panels import (
+    BAND_ALPHA,
+    NAMES_BELOW,
+    NOT_ARMED_ALPHA,
+    SPAN_ALPHA,
+    TRUTH_DASHES,
+    draw_fault,
+    draw_heading,
+    draw_inputs,
+    draw_quiet,
+    draw_residuals,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Truth = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
-
-BINS = 1500
 WIDTH_IN = 8.0
-FAULT_IN = 1.05
-LANE_IN = 0.28
-INPUT_IN = 1.2
+HIGHEST_IN = 16.0
+HEADING_IN = 0.22
+FAULT_IN = 1.0
+LEAST_FAULT_IN = 0.35
+LANE_IN = 0.2
+LEAST_LANES = 2
+INPUT_IN = 1.0
+INPUT_NAME_IN = 0.14
+TITLE_IN = 0.2
+ENDS_IN = 1.0
 DPI = 160
-
-LANE_DEVIATIONS = 10.0
-TRUTH_DASHES = (0, (4, 2))
+TITLE_LETTERS = 105
 
 STYLE: dict[str, Any] = {
     "font.size": 8,
@@ -47,31 +62,42 @@ STYLE: dict[str, Any] = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """A panel to come: its height without its title, what draws it, and whether it gives way on a full page."""
+
+    height_in: float
+    draw: Callable[[Axes], None]
+    shrinks: bool = False
+
+
 def plot_png(
     path: str | os.PathLike[str],
     traces: Sequence[Trace],
     events: Sequence[AlarmEvent],
-    thresholds: Mapping[str, float],
+    thresholds: Thresholds,
     truth: Truth | None = None,
     title: str = "",
 ) -> None:
     """Draw a run.
 
-    Per observer: one panel for each fault channel with its estimate, its alarm threshold as dotted lines, the
-    truth dashed where it is known, and its alarms as shaded spans; then the residuals in lanes, each over its
-    own scatter; then the inputs. Time is the vehicle's own. Where no alarm could be raised, panels are grey.
+    Per observer, under its name where there are several: a panel for each fault channel that had an alarm or whose
+    truth is known, with its estimate, its alarm threshold as dotted lines, the truth dashed, and its alarms as shaded
+    spans; one panel of lanes for the quiet channels, each over its own threshold; then the residuals in lanes, each
+    over its own scatter; then the inputs. Where all observers together have few channels, each has its panel. Time is
+    the vehicle's own. Where no alarm could be raised, panels are grey, and what is drawn there sets no scale.
     Long recordings are drawn as the envelope of their smallest and largest values: no peak is lost.
 
     Parameters
     ----------
     path : str | PathLike
-        PNG to write.
+        PNG to write, 8 inches wide; up to 16 high, panels of faults shrink to a third before it grows beyond.
     traces : Sequence[Trace]
         One per observer.
     events : Sequence[AlarmEvent]
         All alarm events of the run.
-    thresholds : Mapping[str, float]
-        Alarm threshold by fault channel.
+    thresholds : Mapping[tuple[str, str], float]
+        Alarm threshold by observer and fault channel.
     truth : Mapping[str, tuple[NDArray, NDArray]] | None
         By fault channel: times on the vehicle's clock (s) and the true size at them.
     title : str
@@ -81,106 +107,80 @@ def plot_png(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    heights = [height for trace in traces for height in _heights(trace)] or [1.0]
+    truth = truth or {}
     spans = alarm_spans(events)
+    alarmed = {(span.observer, span.channel) for span in spans}
+    chosen = choose_panels([trace.layout for trace in traces], alarmed, truth, thresholds)
+    rows = [
+        row
+        for trace, panels in zip(traces, chosen, strict=True)
+        for row in _rows(trace, panels, _concerning(trace, traces, spans), thresholds, truth, heading=len(traces) > 1)
+    ] or [_Row(FAULT_IN, lambda _: None)]
+    heights = _heights(rows)
+    height_in = sum(heights) + TITLE_IN * len(rows) + ENDS_IN
     with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, sum(heights) + 1.0), dpi=DPI, layout="constrained")
+        figure = Figure(figsize=(WIDTH_IN, height_in), dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
-        panels = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
-        free = iter(panels)
-        observers = {trace.layout.observer for trace in traces}
-        for trace in traces:
-            # an alarm of no observer, such as lost telemetry, concerns them all
-            others = observers - {trace.layout.observer}
-            own = [span for span in spans if span.observer not in others]
-            _draw_faults(free, trace, own, thresholds, truth or {})
-            _draw_residuals(next(free), trace, own)
-            _draw_inputs(next(free), trace, own)
+        panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+        for row, panel in zip(rows, panels, strict=True):
+            row.draw(panel)
         for panel in panels[:-1]:
             panel.tick_params(bottom=False)
         panels[-1].set_xlabel("time on the vehicle's clock (s)")
         times = [trace.vehicle_ns[[0, -1]] / 1e9 for trace in traces if len(trace.vehicle_ns)]
         if times:
             panels[-1].set_xlim(np.min(times), np.max(times))
-        figure.align_ylabels()
-        _draw_legend(figure, title, bool(thresholds), bool(truth), spans)
+        dotted = bool(thresholds) and any(one.alone for one in chosen)
+        _draw_legend(figure, title, dotted, bool(truth), any(one.together for one in chosen), spans)
         figure.savefig(path)
 
 
-def _heights(trace: Trace) -> list[float]:
-    """Return the heights of an observer's panels: one for each fault, one for residuals, one for inputs."""
-    lanes = LANE_IN * max(len(trace.layout.outputs), 2)
-    return [FAULT_IN] * len(trace.layout.faults) + [lanes, INPUT_IN]
+def _heights(rows: Sequence[_Row]) -> list[float]:
+    """Return the panels' heights; on a full page those of faults give way, lanes would run into each other."""
+    faults = sum(row.shrinks for row in rows)
+    others = sum(row.height_in for row in rows if not row.shrinks) + TITLE_IN * len(rows) + ENDS_IN
+    fault_in = min(max((HIGHEST_IN - others) / max(faults, 1), LEAST_FAULT_IN), FAULT_IN)
+    return [fault_in if row.shrinks else row.height_in for row in rows]
 
 
-def _draw_faults(
-    free: Iterator[Axes],
+def _concerning(trace: Trace, traces: Sequence[Trace], spans: Sequence[AlarmSpan]) -> list[AlarmSpan]:
+    """Return the alarms of an observer, and those of no observer, such as lost telemetry, which concern them all."""
+    others = {other.layout.observer for other in traces} - {trace.layout.observer}
+    return [span for span in spans if span.observer not in others]
+
+
+def _rows(
     trace: Trace,
+    panels: Panels,
     spans: Sequence[AlarmSpan],
-    thresholds: Mapping[str, float],
+    thresholds: Thresholds,
     truth: Truth,
-) -> None:
-    """Draw one panel for each fault channel; channels of the same unit share their vertical scale."""
+    *,
+    heading: bool,
+) -> Iterator[_Row]:
+    """Return an observer's panels from top to bottom."""
     layout = trace.layout
-    times = trace.vehicle_ns / 1e9
-    limits = {unit: _Limits() for unit in layout.fault_units}
-    drawn = []
-    for index, (channel, unit) in enumerate(zip(layout.faults, layout.fault_units, strict=True)):
-        panel = next(free)
-        drawn.append((panel, unit))
-        _shade(panel, trace)
-        for span in spans:
-            if span.channel == channel and len(times):
-                end = times[-1] if span.end_vehicle_ns is None else span.end_vehicle_ns / 1e9
-                colour = SEVERITY[span.severity]
-                panel.axvspan(span.start_vehicle_ns / 1e9, end, color=colour, alpha=0.25, linewidth=0)
-                panel.axvline(span.start_vehicle_ns / 1e9, color=colour, linewidth=1.0)
-        threshold = thresholds.get(channel)
-        if threshold is not None:
-            for level in (-threshold, threshold):
-                panel.axhline(level, color=BLACK, linestyle=":", linewidth=0.8)
-            limits[unit].include(np.array([-threshold, threshold]))
-        panel.plot(*envelope(times, trace.isolated[:, index], trace.restart), color=BLUE)
-        limits[unit].include(_evidence(trace, trace.isolated[:, index]))
-        if channel in truth:
-            known, size = truth[channel]
-            panel.plot(known, size, color=BLACK, linestyle=TRUTH_DASHES, linewidth=1.0)
-            limits[unit].include(size)
-        panel.set_ylabel(f"{channel}\n" + "\n".join(textwrap.wrap(f"({unit})", 17)))
-    for panel, unit in drawn:
-        panel.set_ylim(limits[unit].padded())
+    if heading:
+        yield _Row(HEADING_IN, partial(draw_heading, text=layout.observer))
+    for place in panels.alone:
+        scale = same_scale(layout, panels, place)
+        draw = partial(
+            draw_fault, trace=trace, place=place, spans=spans, thresholds=thresholds, truth=truth, scale=scale
+        )
+        yield _Row(FAULT_IN, draw, shrinks=True)
+    if panels.together:
+        yield _Row(
+            LANE_IN * max(len(panels.together), LEAST_LANES),
+            partial(draw_quiet, trace=trace, places=panels.together, spans=spans, thresholds=thresholds),
+        )
+    yield _Row(LANE_IN * max(len(layout.outputs), LEAST_LANES), partial(draw_residuals, trace=trace, spans=spans))
+    height_in = max(INPUT_IN, INPUT_NAME_IN * min(len(layout.inputs), NAMES_BELOW))
+    yield _Row(height_in, partial(draw_inputs, trace=trace, spans=spans))
 
 
-def _draw_residuals(panel: Axes, trace: Trace, spans: Sequence[AlarmSpan]) -> None:
-    """Draw the residuals one below the other, each lane :data:`LANE_DEVIATIONS` deviations high."""
-    times = trace.vehicle_ns / 1e9
-    _shade(panel, trace)
-    _mark(panel, spans)
-    names = trace.layout.outputs
-    for index in range(len(names)):
-        residual = trace.residual[:, index]
-        lane = np.clip(residual / _scatter(_evidence(trace, residual)) / LANE_DEVIATIONS, -0.5, 0.5) - index
-        panel.plot(*envelope(times, lane, trace.restart), color=series_colour(index), linewidth=0.6)
-    panel.set_yticks([-float(index) for index in range(len(names))], names)
-    panel.tick_params(axis="y", length=0)
-    panel.set_ylim(0.55 - max(len(names), 1), 0.55)
-    panel.set_ylabel(f"residual\n(±{LANE_DEVIATIONS / 2:g} std. dev.\na lane)")
-
-
-def _draw_inputs(panel: Axes, trace: Trace, spans: Sequence[AlarmSpan]) -> None:
-    times = trace.vehicle_ns / 1e9
-    _shade(panel, trace)
-    _mark(panel, spans)
-    for index, name in enumerate(trace.layout.inputs):
-        points = envelope(times, trace.u[:, index], trace.restart)
-        panel.plot(*points, color=series_colour(index), label=name, linewidth=0.6, alpha=0.85)
-    panel.set_ylabel("inputs\n(model's unit)")
-    if trace.layout.inputs:
-        columns = min(len(trace.layout.inputs), 8)
-        panel.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=columns, borderpad=0)
-
-
-def _draw_legend(figure: Figure, title: str, thresholds: bool, truth: bool, spans: Sequence[AlarmSpan]) -> None:
+def _draw_legend(
+    figure: Figure, title: str, thresholds: bool, truth: bool, quiet: bool, spans: Sequence[AlarmSpan]
+) -> None:
     """Say once, above all panels, what the marks of the fault panels mean."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -190,108 +190,17 @@ def _draw_legend(figure: Figure, title: str, thresholds: bool, truth: bool, span
         marks.append(Line2D([], [], color=BLACK, linestyle=TRUTH_DASHES, label="truth"))
     if thresholds:
         marks.append(Line2D([], [], color=BLACK, linestyle=":", linewidth=0.8, label="alarm threshold"))
+    if quiet:
+        marks.append(Patch(color=SKY, alpha=BAND_ALPHA, linewidth=0, label="within threshold"))
     for severity in ("warning", "critical"):
         if any(span.severity == severity for span in spans):
-            marks.append(Patch(color=SEVERITY[severity], alpha=0.3, linewidth=0, label=f"{severity} alarm"))
-    marks.append(Patch(color=GREY, alpha=0.2, linewidth=0, label="alarms not armed"))
-    style = {"size": 9.5, "weight": "bold"}
+            marks.append(Patch(color=SEVERITY[severity], alpha=SPAN_ALPHA, linewidth=0, label=f"{severity} alarm"))
+    marks.append(Patch(color=GREY, alpha=NOT_ARMED_ALPHA, linewidth=0, label="alarms not armed"))
     figure.legend(
         handles=marks,
         loc="outside upper left",
         ncols=len(marks),
         alignment="left",
-        title=title or None,
-        title_fontproperties=style,
+        title=textwrap.fill(title, TITLE_LETTERS) or None,
+        title_fontproperties={"size": 9.5, "weight": "bold"},
     )
-
-
-def _shade(panel: Axes, trace: Trace) -> None:
-    """Shade a panel where no alarm could be raised."""
-    times = trace.vehicle_ns / 1e9
-    edges = np.flatnonzero(np.diff(np.concatenate(([True], trace.armed, [True])).astype(np.int8)))
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        panel.axvspan(times[start], times[min(stop, len(times) - 1)], color=GREY, alpha=0.2, linewidth=0)
-
-
-def _mark(panel: Axes, spans: Sequence[AlarmSpan]) -> None:
-    """Mark where alarms began and ended."""
-    for span in spans:
-        colour = SEVERITY[span.severity]
-        panel.axvline(span.start_vehicle_ns / 1e9, color=colour, linewidth=1.0)
-        if span.end_vehicle_ns is not None:
-            panel.axvline(span.end_vehicle_ns / 1e9, color=colour, linewidth=1.0, linestyle=":")
-
-
-def _evidence(trace: Trace, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the finite values at samples that alarms could be raised from, else of all."""
-    used = values[trace.armed] if trace.armed.any() else values
-    return used[np.isfinite(used)]
-
-
-def envelope(
-    times: NDArray[np.float64], values: NDArray[np.float64], restart: NDArray[np.bool_], bins: int = BINS
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return fewer points that draw the same line.
-
-    Runs of samples become their smallest and largest value in the order they occurred. The line is broken (by
-    NaN) where the observer started afresh.
-
-    Parameters
-    ----------
-    times, values : NDArray[np.float64]
-        The series (N,).
-    restart : NDArray[np.bool_]
-        Where it starts afresh (N,).
-    bins : int
-        Number of runs, for the whole series.
-    """
-    size = -(-len(values) // bins)
-    edges = np.union1d(np.flatnonzero(restart), [0, len(values)])
-    found: list[NDArray[np.float64]] = []
-    for start, stop in pairwise(edges.astype(np.intp)):
-        picked = np.arange(start, stop)
-        if size > 2 and stop - start > 2 * size:
-            picked = _extremes(values[start:stop], size) + start
-        found += [np.stack((times[picked], values[picked])), np.full((2, 1), np.nan)]
-    joined = np.concatenate(found[:-1], axis=1) if found else np.empty((2, 0))
-    return joined[0], joined[1]
-
-
-def _extremes(values: NDArray[np.float64], size: int) -> NDArray[np.intp]:
-    """Return the places of the smallest and the largest value of each run of ``size`` samples, in order."""
-    whole = len(values) // size * size
-    rest = np.arange(whole, len(values))
-    runs = values[:whole].reshape(-1, size)
-    runs = np.where(np.isnan(runs), 0.0, runs)
-    both = np.sort(np.stack((runs.argmin(axis=1), runs.argmax(axis=1)), axis=1), axis=1)
-    picked = (both + np.arange(0, whole, size)[:, None]).ravel()
-    if len(rest):
-        last = np.where(np.isnan(values[rest]), 0.0, values[rest])
-        picked = np.append(picked, whole + np.sort([last.argmin(), last.argmax()]))
-    return picked
-
-
-def _scatter(values: NDArray[np.float64]) -> float:
-    """Return the standard deviation that the middle half of the values suggests, 1 where there is none."""
-    if not len(values):
-        return 1.0
-    low, high = np.percentile(values, (25.0, 75.0))
-    # a normal distribution's quartiles lie 1.349 standard deviations apart
-    return float(high - low) / 1.349 or float(np.max(np.abs(values))) or 1.0
-
-
-class _Limits:
-    """Range of a vertical axis, around zero, that shows all but single outliers."""
-
-    def __init__(self) -> None:
-        self._low, self._high = 0.0, 0.0
-
-    def include(self, values: NDArray[np.float64]) -> None:
-        values = values[np.isfinite(values)]
-        if len(values):
-            low, high = np.percentile(values, (0.02, 99.98))
-            self._low, self._high = min(self._low, float(low)), max(self._high, float(high))
-
-    def padded(self) -> tuple[float, float]:
-        margin = 0.06 * (self._high - self._low) or 1.0
-        return self._low - margin, self._high + margin

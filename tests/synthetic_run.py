@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,9 @@ LAYOUT = Layout(
     faults=("motor1", "motor2", "motor3", "motor 4"),
     fault_units=("fraction of full command",) * 4,
 )
-THRESHOLDS = {"motor1": 0.015, "motor2": 0.015, "motor3": 0.02}
+THRESHOLDS = {("motors", "motor1"): 0.015, ("motors", "motor2"): 0.015, ("motors", "motor3"): 0.02}
+STANDBY = replace(LAYOUT, observer="standby")
+BOTH_THRESHOLDS = THRESHOLDS | {("standby", name): 0.5 for name in STANDBY.faults}
 
 
 def estimate(tick: int, rng: np.random.Generator) -> Estimate:

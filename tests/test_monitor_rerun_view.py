@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
+import rerun as rr
 from rerun.chunk import RrdReader
-from synthetic_run import LAYOUT, THRESHOLDS, event, trace
+from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, event, trace
 
 from monitor.rerun_view import write_rrd
 from monitor.trace import TraceBuilder
@@ -46,16 +48,25 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def two_observers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("rerun") / "two.rrd"
+    run = trace()
+    write_rrd(path, [run, replace(run, layout=STANDBY)], EVENTS, BOTH_THRESHOLDS)
+    return path
+
+
 def test_every_series_is_there_by_name_on_both_time_lines(written: Path) -> None:
     run = trace()
     fault = columns(written, "/motors/fault")
-    isolated = columns(written, "/motors/isolated")
-    for found in (fault, isolated):
-        assert found["SeriesLines:names"] == [[f"{name} (fraction of full command)" for name in LAYOUT.faults]]
-    np.testing.assert_array_equal(isolated["Scalars:scalars"], run.isolated)
+    assert fault["SeriesLines:names"] == [[f"{name} (fraction of full command)" for name in LAYOUT.faults]]
     np.testing.assert_array_equal(fault["Scalars:scalars"], run.fault)
     assert fault["vehicle_time"] == run.vehicle_ns.tolist()
     assert fault["unix_time"] == run.unix_ns.tolist()
+    for place, name in enumerate(LAYOUT.faults):
+        isolated = columns(written, f"/motors/isolated/{rr.escape_entity_path_part(name)}")
+        assert isolated["SeriesLines:names"] == [[f"{name} (fraction of full command)"]]
+        np.testing.assert_array_equal(np.ravel(isolated["Scalars:scalars"]), run.isolated[:, place])
     for entity, names, values in (
         ("residual", LAYOUT.outputs, run.residual),
         ("state", LAYOUT.states, run.x),
@@ -68,10 +79,25 @@ def test_every_series_is_there_by_name_on_both_time_lines(written: Path) -> None
 
 
 def test_thresholds_are_lines_above_and_below_zero(written: Path) -> None:
-    shared = columns(written, "/motors/threshold/0.015")
-    assert shared["Scalars:scalars"] == [[0.015, -0.015]] * 2
-    assert shared["SeriesLines:names"] == [["threshold of motor1, motor2"] * 2]
-    assert columns(written, "/motors/threshold/0.02")["Scalars:scalars"] == [[0.02, -0.02]] * 2
+    for name, level in (("motor1", 0.015), ("motor2", 0.015), ("motor3", 0.02)):
+        threshold = columns(written, f"/motors/threshold/{name}")
+        assert threshold["Scalars:scalars"] == [[level, -level]] * 2
+        assert threshold["SeriesLines:names"] == [[f"threshold of {name}"] * 2]
+
+
+def test_observers_with_channels_of_one_name_keep_their_own_thresholds(two_observers: Path) -> None:
+    own, other = (columns(two_observers, f"/{name}/threshold/motor1") for name in ("motors", "standby"))
+    assert own["Scalars:scalars"] == [[0.015, -0.015]] * 2
+    assert other["Scalars:scalars"] == [[0.5, -0.5]] * 2
+
+
+def test_quiet_channels_of_many_stand_in_units_of_their_thresholds(two_observers: Path) -> None:
+    run = trace()
+    quiet = columns(two_observers, "/motors/quiet/estimate")
+    assert quiet["SeriesLines:names"] == [["motor2", "motor3"]]
+    np.testing.assert_array_equal(quiet["Scalars:scalars"], run.isolated[:, 1:3] / [0.015, 0.02])
+    assert columns(two_observers, "/motors/quiet/threshold")["Scalars:scalars"] == [[1.0, -1.0]] * 2
+    assert columns(two_observers, "/standby/quiet/estimate")["SeriesLines:names"] == [list(STANDBY.faults)]
 
 
 def test_truth_is_there_where_it_is_known(written: Path) -> None:
@@ -90,17 +116,30 @@ def test_alarms_are_states_that_end_and_lines_of_text(written: Path) -> None:
     assert log["TextLog:text"][0] == ["motor1 raised: motor1 delivers 6 % less than commanded"]
 
 
-def test_a_blueprint_is_inside(written: Path) -> None:
-    [blueprint] = RrdReader(written).blueprints()
+def blueprint_text(path: Path) -> str:
+    [blueprint] = RrdReader(path).blueprints()
     assert blueprint.application_id == "fauio"
-    text = " ".join(
+    return " ".join(
         str(value)
-        for chunk in RrdReader(written).stream(store=blueprint)
+        for chunk in RrdReader(path).stream(store=blueprint)
         for column in table(chunk).values()
         for value in column
     )
-    for part in ("StateTimeline", "TextLog", "TimeSeries", "faults", "residuals", "/motors/threshold/**"):
+
+
+def test_a_blueprint_is_inside(written: Path) -> None:
+    text = blueprint_text(written)
+    for part in ("StateTimeline", "TextLog", "TimeSeries", "faults", "residuals", "/motors/threshold/motor1/**"):
         assert part in text
+    assert "quiet" not in text
+
+
+def test_the_blueprint_has_a_view_for_each_alarm_and_one_for_the_quiet_channels(two_observers: Path) -> None:
+    text = blueprint_text(two_observers)
+    for view in ("motors / motor1", "motors / quiet", "standby / quiet", "standby / residuals"):
+        assert view in text
+    assert "standby / motor1" not in text
+    assert "motors / motor2" not in text
 
 
 def test_a_run_without_samples_events_or_observers_is_written_too(tmp_path: Path) -> None:

@@ -1,0 +1,120 @@
+"""Which fault channels of a run get a panel of their own, which share one, and what sets their vertical scale."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.estimate import Layout
+from monitor.trace import Trace
+
+Thresholds = Mapping[tuple[str, str], float]
+Truth = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+FEW = 6
+OUTLIERS_PERCENT = 0.02
+MARGIN = 0.06
+
+
+@dataclass(frozen=True, slots=True)
+class Panels:
+    """Panels of one observer's fault channels.
+
+    Parameters
+    ----------
+    alone : tuple[int, ...]
+        Places of the channels that get a panel each.
+    together : tuple[int, ...]
+        Places of the quiet channels that share one panel, each in units of its own alarm threshold.
+    """
+
+    alone: tuple[int, ...]
+    together: tuple[int, ...]
+
+
+def choose_panels(
+    layouts: Sequence[Layout], alarmed: Collection[tuple[str, str]], known: Collection[str], thresholds: Thresholds
+) -> tuple[Panels, ...]:
+    """Return each observer's panels.
+
+    Up to :data:`FEW` channels in all get a panel each. Of more, only those do that had an alarm, whose truth is known,
+    or that have no threshold to be measured in.
+
+    Parameters
+    ----------
+    layouts : Sequence[Layout]
+        One per observer.
+    alarmed : Collection[tuple[str, str]]
+        Observer and channel of every alarm of the run.
+    known : Collection[str]
+        Channels whose truth is known.
+    thresholds : Mapping[tuple[str, str], float]
+        Alarm threshold by observer and channel.
+    """
+    few = sum(len(layout.faults) for layout in layouts) <= FEW
+    chosen = []
+    for layout in layouts:
+        alone = [
+            few or channel in known or key in alarmed or not thresholds.get(key)
+            for channel, key in ((channel, (layout.observer, channel)) for channel in layout.faults)
+        ]
+        chosen.append(Panels(_places(alone), _places([not one for one in alone])))
+    return tuple(chosen)
+
+
+def same_scale(layout: Layout, panels: Panels, place: int) -> tuple[int, ...]:
+    """Return the places of the channels that share a channel's vertical scale.
+
+    Channels of one unit do where every channel has its own panel, to be compared; an alarm among many stands for
+    itself.
+    """
+    if panels.together:
+        return (place,)
+    return tuple(other for other in panels.alone if layout.fault_units[other] == layout.fault_units[place])
+
+
+def fault_limits(trace: Trace, places: Iterable[int], thresholds: Thresholds, truth: Truth) -> tuple[float, float]:
+    """Return the ends of a vertical axis that shows channels' estimates, thresholds and truth, around zero.
+
+    Estimates count only where alarms could be raised, and all but single outliers.
+    """
+    ends = [0.0]
+    for place in places:
+        channel = trace.layout.faults[place]
+        threshold = thresholds.get((trace.layout.observer, channel), 0.0)
+        ends += [-threshold, threshold, *_range(evidence(trace, trace.isolated[:, place]))]
+        if channel in truth:
+            ends += _range(truth[channel][1])
+    return _padded(ends)
+
+
+def input_limits(trace: Trace) -> tuple[float, float]:
+    """Return the ends of a vertical axis that shows the inputs where alarms could be raised."""
+    return _padded([end for column in trace.u.T for end in _range(evidence(trace, column))] or [0.0])
+
+
+def evidence(trace: Trace, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the finite values at samples that alarms could be raised from, else of all."""
+    used = values[trace.armed] if trace.armed.any() else values
+    return used[np.isfinite(used)]
+
+
+def _places(chosen: Sequence[bool]) -> tuple[int, ...]:
+    return tuple(place for place, one in enumerate(chosen) if one)
+
+
+def _range(values: NDArray[np.float64]) -> list[float]:
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return []
+    low, high = np.percentile(values, (OUTLIERS_PERCENT, 100.0 - OUTLIERS_PERCENT))
+    return [float(low), float(high)]
+
+
+def _padded(ends: Sequence[float]) -> tuple[float, float]:
+    low, high = min(ends), max(ends)
+    margin = MARGIN * (high - low) or 0.05
+    return low - margin, high + margin
