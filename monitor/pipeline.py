@@ -55,6 +55,11 @@ class Pipeline:
         return self._wanted | FlightPhase.interests | {SILENCE}
 
     @property
+    def needs(self) -> Mapping[str, frozenset[str]]:
+        """Names of the messages that each observer's channels come from."""
+        return {chain.layout.observer: chain.interests for chain in self._chains}
+
+    @property
     def layouts(self) -> tuple[Layout, ...]:
         """Names and units of the observers' vectors."""
         return tuple(chain.layout for chain in self._chains)

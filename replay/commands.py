@@ -160,6 +160,7 @@ def run_replay(args: argparse.Namespace) -> int:
         verdict = f"{path.name}: {_verdict(found, profile)}"
         if args.json:
             summary = {"log": str(path), "samples": found.samples, "evidence": found.evidence}
+            summary["lacking"] = {name: list(lacks) for name, lacks in found.lacking.items()}
             _say(json.dumps(summary | {"alarms": [event.to_json() for event in found.events]}))
         else:
             _say(verdict)
@@ -187,7 +188,8 @@ def _verdict(found: Replay, profile: Profile) -> str:
         return "nothing was watched; the vehicle was never seen in flight (see [phase] in the profile)"
     raised = sum(event.state == "raised" for event in found.events)
     alarms = {0: "no alarm", 1: "1 alarm"}.get(raised, f"{raised} alarms")
-    return f"{alarms} in {found.watched_s:.0f} s of watched flight"
+    blind = "".join(f"; {name} saw nothing (no {', '.join(lacks)})" for name, lacks in found.lacking.items())
+    return f"{alarms} in {found.watched_s:.0f} s of watched flight{blind}"
 
 
 def run_convert(args: argparse.Namespace) -> int:

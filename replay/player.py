@@ -37,6 +37,8 @@ class Replay:
         Messages of the recording that mattered.
     thresholds : Mapping[tuple[str, str], float]
         Alarm thresholds by observer and channel.
+    lacking : Mapping[str, tuple[str, ...]]
+        Messages that the recording lacks, of each observer that therefore could watch nothing.
     """
 
     events: tuple[AlarmEvent, ...]
@@ -46,6 +48,7 @@ class Replay:
     watched_s: float
     messages: int
     thresholds: Mapping[tuple[str, str], float]
+    lacking: Mapping[str, tuple[str, ...]]
 
 
 def play(
@@ -78,6 +81,7 @@ def play(
     builders = {layout.observer: TraceBuilder(layout) for layout in pipeline.layouts} if keep_traces else {}
     events: list[AlarmEvent] = []
     samples = count = 0
+    seen: set[str] = set()
     watched = dict.fromkeys((layout.observer for layout in pipeline.layouts), 0)
     with ExitStack() as stack:
         recorder = (
@@ -87,6 +91,7 @@ def play(
         )
         for message in messages:
             count += 1
+            seen.add(message.name)
             outputs = pipeline.feed(message)
             if recorder is not None and pipeline.accepts(message):
                 recorder.message(message)
@@ -114,6 +119,7 @@ def play(
         watched_s=max((watched[layout.observer] / layout.rate_hz for layout in pipeline.layouts), default=0.0),
         messages=count,
         thresholds=pipeline.thresholds,
+        lacking={observer: tuple(sorted(needs - seen)) for observer, needs in pipeline.needs.items() if needs - seen},
     )
 
 

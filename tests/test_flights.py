@@ -174,3 +174,10 @@ def test_a_sensor_that_disagrees_is_named_with_its_size_and_no_other(
 def test_a_gyro_that_jumps_is_not_taken_for_a_motor_or_the_gps(quad_profile: Profile, data: Path) -> None:
     events = replayed(quad_profile, data / "copter_gyro1_bias.tlog.xz").events
     assert {event.channel for event in events} <= {"gyro_x"}
+
+
+def test_a_log_without_a_gps_says_which_observer_saw_nothing(
+    quad_folder: Path, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fauio.main(["replay", str(quad_folder), str(data / "copter_wind_step.tlog.xz")]) == 0
+    assert "s of watched flight; inertial saw nothing (no GPS_RAW_INT)" in capsys.readouterr().out
