@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
@@ -29,6 +30,7 @@ SETTLE_S = 1.0
 MARGIN = 2.0
 
 _SMOOTHING_S = 0.05
+_LONGEST_SETTLE_S = 60.0
 _TOLERANCE = 0.2
 _GAIN_PENALTY = 25.0
 _NOISE_SHARE = 0.1
@@ -177,3 +179,11 @@ def healthy_maxima(
             worst = np.maximum(worst, stood.max(axis=0))
     commands = [sample.u for flight in flights for sample, armed in flight if armed]
     return worst, np.asarray(np.median(np.stack(commands), axis=0))
+
+
+def settling_s(bank: Sequence[Gains]) -> float:
+    """Return how long the slowest observer takes to forget all but a hundredth of its initial error."""
+    slowest = max(float(gains.report["poles_max_abs"]) for gains in bank)
+    if not 0.0 < slowest < 1.0:
+        return SETTLE_S
+    return round(min(_LONGEST_SETTLE_S, math.log(100.0) / -math.log(slowest) / bank[0].rate_hz), 2)

@@ -31,7 +31,7 @@ from gains.synthesis import design_convex
 from monitor.gate import GateRule
 from monitor.isolation_rule import BankRule, IndependentRule
 from monitor.tables import Table
-from replay.calibrate import SETTLE_S, bank_rule, contiguous, flight_samples
+from replay.calibrate import SETTLE_S, bank_rule, contiguous, flight_samples, settling_s
 from replay.fit_report import Comparison, comparison_json, comparison_lines, parameter_lines
 from replay.fitted import Fitted, Log, bare_rule, unexplained_alarm
 from replay.thresholds import FALSE_ALARMS_PER_HOUR, Calibrated, Times, calibrated, healthy_evidence, healthy_levels
@@ -41,7 +41,6 @@ _LEAST_THRESHOLD = 1e-3
 _CRITICAL = 5.0
 _SHOWN_S = 20.0
 _FORGET_S = 0.5
-_LONGEST_SETTLE_S = 60.0
 
 
 def fit_custom(logs: Sequence[Log], model_path: Path) -> tuple[Fitted, GateRule]:
@@ -79,7 +78,7 @@ def fit_custom(logs: Sequence[Log], model_path: Path) -> tuple[Fitted, GateRule]
     _check_determined(fit)
     plant = fitted_plant(fit)
     gains, isolation = _design(plant, rate_hz, segments)
-    gate = replace(gate, settle_s=max(gate.settle_s, _settling_s(gains)))
+    gate = replace(gate, settle_s=max(gate.settle_s, settling_s(gains)))
     flights = [flight_samples(log(), source, rate_hz, gate) for log in own]
     bare = Fitted(plant.name, plant, gains, source, isolation)
     alarms = _alarms(bare, healthy_evidence(bare.profile(), gate, flights))
@@ -292,11 +291,3 @@ def _design(
     except InfeasibleError:
         design = design_convex(plant, rate_hz)
     return (compile_gains(plant, design, certify(plant, design)),), IndependentRule(_SMOOTHING_S)
-
-
-def _settling_s(bank: Sequence[Gains]) -> float:
-    """Return how long the slowest observer takes to forget all but a hundredth of its initial error."""
-    slowest = max(float(gains.report["poles_max_abs"]) for gains in bank)
-    if not 0.0 < slowest < 1.0:
-        return SETTLE_S
-    return round(min(_LONGEST_SETTLE_S, math.log(100.0) / -math.log(slowest) / bank[0].rate_hz), 2)
