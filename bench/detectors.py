@@ -119,7 +119,8 @@ def make_suite(folder: Path, logs: Sequence[Log]) -> Suite:
     banks: list[tuple[ObserverProfile, list[list[GatedSample]]]] = []
     energy, notes = [], []
     for observer in profile.observers:
-        flights = [flight_samples(log(only), observer.source, observer.rate_hz, profile.gate) for log in logs]
+        gate = replace(profile.gate, settle_s=max(profile.gate.settle_s, observer.settle_s))
+        flights = [flight_samples(log(only), observer.source, observer.rate_hz, gate) for log in logs]
         plant = read_model(folder / f"{observer.name}.model.toml")
         try:
             filters.append((_one_filter(observer, plant), flights))
@@ -173,7 +174,9 @@ def _one_filter(observer: ObserverProfile, plant: Plant) -> ObserverProfile:
             together = (*together, name)
     gains = (design_ekf(restricted(plant, together), observer.rate_hz),)
     isolation = IndependentRule(observer.isolation.smoothing_s)
-    return replace(observer, gains=gains, faults=fault_channels(gains), isolation=isolation, alarms=())
+    return replace(
+        observer, gains=gains, faults=fault_channels(gains), isolation=isolation, alarms=(), effectiveness={}
+    )
 
 
 def _filter_bank(
@@ -185,7 +188,9 @@ def _filter_bank(
         return None
     gains = tuple(design_ekf(restricted(plant, one.faults), observer.rate_hz) for one in compared)
     isolation = bank_rule(gains, [segment for flight in flights for segment in contiguous(flight)])
-    return replace(observer, gains=gains, faults=fault_channels(gains), isolation=isolation, alarms=())
+    return replace(
+        observer, gains=gains, faults=fault_channels(gains), isolation=isolation, alarms=(), effectiveness={}
+    )
 
 
 def _with_alarms(

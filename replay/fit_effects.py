@@ -31,6 +31,8 @@ from monitor.observer import Observer
 from replay.calibrate import SETTLE_S, contiguous, flight_samples, transformed
 from replay.effect_signals import EffectSignals
 from replay.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
+from replay.effects_report import compare_effects
+from replay.fit_report import comparison_lines
 from replay.fitted import Fitted, Log, bare_rule
 from replay.thresholds import Calibrated
 
@@ -110,8 +112,17 @@ def fit_effects(kind: Kind, name: str, logs: Sequence[Log], signals: EffectSigna
     reference = _reference_speed(kind, raw)
     speeds = {"reference_speed": reference, "minimum_speed": kind.slowest * reference}
     bare = TransformRule(kind.observer, signals.rate_hz, speeds)
-    segments = [part for flight in raw for part in contiguous(transformed(flight, make_transform(bare, rate_hz)))]
-    fit, plant = kind.learn(segments, rate_hz, make_transform(bare, rate_hz).inputs, name)
+    inputs = make_transform(bare, rate_hz).inputs
+
+    def segments(parameters: Mapping[str, float]) -> list[list[Segment]]:
+        delayed = replace(bare, parameters=speeds | dict(parameters))
+        return [contiguous(transformed(flight, make_transform(delayed, rate_hz))) for flight in raw]
+
+    def learn(some: Sequence[Segment]) -> tuple[Mapping[str, float], Plant]:
+        found, model = kind.learn(some, rate_hz, inputs, name)
+        return found.parameters(), model
+
+    fit, plant = kind.learn([part for flight in segments({}) for part in flight], rate_hz, inputs, name)
     design = design_convex(plant, rate_hz)
     gains = compile_gains(plant, design, certify(plant, design))
     rule = replace(bare, parameters=speeds | {key: round(value, 6) for key, value in fit.parameters().items()})
@@ -129,6 +140,7 @@ def fit_effects(kind: Kind, name: str, logs: Sequence[Log], signals: EffectSigna
         )
         for fault in gains.faults
     ]
+    comparison = compare_effects(learn, segments, rate_hz)
     return Fitted(
         name=kind.observer,
         plant=plant,
@@ -140,6 +152,8 @@ def fit_effects(kind: Kind, name: str, logs: Sequence[Log], signals: EffectSigna
         flight_s=sum(armed for flight in flights for _, armed in flight) / rate_hz,
         findings=_findings(fit, rate_hz, reference, reading),
         lines=tuple(_lines(fit, rate_hz, reference, reading)),
+        details=() if comparison is None else ("on data kept back:", *comparison_lines(comparison)),
+        comparison=comparison,
     )
 
 

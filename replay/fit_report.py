@@ -162,3 +162,12 @@ def _draw_correlation(panel: Axes, comparison: Comparison, i: int) -> None:
     panel.set_title("residual's autocorrelation" if i == 0 else "", fontsize=8)
     if i == len(comparison.names) - 1:
         panel.set_xlabel("lag (samples; white: within grey)")
+
+
+def liveliest(values: NDArray[np.float64], samples: int) -> slice:
+    """Return the stretch of at most ``samples`` where all columns together move most, each in units of its spread."""
+    if len(values) <= samples:
+        return slice(0, len(values))
+    power = np.sum((values / np.maximum(values.std(axis=0), 1e-12)) ** 2, axis=1)
+    start = int(np.argmax(np.convolve(power, np.ones(samples), "valid")))
+    return slice(start, start + samples)

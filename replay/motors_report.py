@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gains.errors import ModelError
 from gains.multirotor import RATE_AXES, MultirotorFit, Segment, identify_multirotor
 from gains.multirotor_validation import explained_change, predict_rates
 from gains.residuals import residual_statistics
 from gains.shooting import split_segments
-from replay.fit_report import Comparison
+from replay.fit_report import Comparison, liveliest
 
 HORIZON_S = 0.2
 SHOWN_S = 10.0
@@ -44,7 +43,7 @@ def _compared(fit: MultirotorFit, segments: Sequence[Segment]) -> Comparison:
     longest = max(range(len(several)), key=lambda i: len(several[i].measured))
     measured, predicted = several[longest].measured, several[longest].predicted
     residual = (one[longest].measured - one[longest].predicted)[horizon - 1 :]
-    shown = _liveliest(measured, round(SHOWN_S * fit.rate_hz))
+    shown = liveliest(measured, round(SHOWN_S * fit.rate_hz))
     horizon_s = horizon / fit.rate_hz
     return Comparison(
         names=RATE_AXES,
@@ -56,12 +55,3 @@ def _compared(fit: MultirotorFit, segments: Sequence[Segment]) -> Comparison:
         statistics=residual_statistics(RATE_AXES, [found.measured - found.predicted for found in one]),
         about=f"body rates (rad/s) predicted {horizon_s:g} s ahead, data kept back; residual one step ahead",
     )
-
-
-def _liveliest(values: NDArray[np.float64], samples: int) -> slice:
-    """Return the stretch of at most ``samples`` where all columns together move most, each in units of its spread."""
-    if len(values) <= samples:
-        return slice(0, len(values))
-    power = np.sum((values / np.maximum(values.std(axis=0), 1e-12)) ** 2, axis=1)
-    start = int(np.argmax(np.convolve(power, np.ones(samples), "valid")))
-    return slice(start, start + samples)

@@ -92,3 +92,9 @@ def test_a_flight_without_airspeed_is_refused_with_what_to_record(
     said = capsys.readouterr().err
     assert "VFR_HUD" in said
     assert said.count("\n") == 1
+
+
+def test_the_fit_shows_what_it_is_worth_on_data_kept_back(fitted: tuple[Path, str]) -> None:
+    folder, _ = fitted
+    assert "on data kept back:" in (folder / "fit.txt").read_text()
+    assert (folder / "fit.png").read_bytes().startswith(b"\x89PNG")
