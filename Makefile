@@ -8,7 +8,7 @@ demo: $(VENV)/.app
 	$(BIN)/fauio demo
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

