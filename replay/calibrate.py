@@ -20,9 +20,7 @@ from monitor.bank import whitening
 from monitor.chain import ObserverChain
 from monitor.estimate import Estimate
 from monitor.gate import GatedSample, GatedSampler, GateRule
-from monitor.isolation import IndependentChannels
-from monitor.isolation_rule import BankRule, SingleRule
-from monitor.observer import Observer
+from monitor.isolation_rule import BankRule
 from monitor.observer_stack import ObserverStack
 from monitor.profile import Profile
 
@@ -70,31 +68,6 @@ def contiguous(samples: Iterable[GatedSample]) -> list[Segment]:
         if armed:
             runs[-1].append(sample)
     return [Segment(np.stack([s.u for s in run]), np.stack([s.y for s in run])) for run in runs if run]
-
-
-def single_rule(gains: Gains, segments: Sequence[Segment]) -> SingleRule:
-    """Return the isolation stage that a joint observer needs, from what it estimates in healthy flight.
-
-    The covariance is taken about zero, so that a constant offset counts as disturbance; the floor of the score
-    is the largest one of healthy flight with a margin.
-    """
-    observer = Observer(gains)
-    smoothed = []
-    for segment in segments:
-        stage = IndependentChannels(len(gains.faults), _SMOOTHING_S, gains.rate_hz)
-        fault = observer.run(segment.u, segment.y).fault
-        smoothed.extend([stage.update(value).single for value in fault][_settled(gains) :])
-    healthy = np.stack(smoothed)
-    covariance = healthy.T @ healthy / len(healthy)
-    projected = healthy @ np.linalg.inv(covariance)
-    score = np.abs(projected) / np.sqrt(np.diag(np.linalg.inv(covariance)))
-    return SingleRule(
-        smoothing_s=_SMOOTHING_S,
-        tolerance=_TOLERANCE,
-        score_floor=MARGIN * float(score.max()),
-        gain_penalty=_GAIN_PENALTY,
-        covariance=covariance,
-    )
 
 
 def bank_rule(
@@ -145,10 +118,6 @@ def bank_rule(
         edges=watched,
         washouts=washouts or {},
     )
-
-
-def _settled(gains: Gains) -> int:
-    return round(SETTLE_S * gains.rate_hz)
 
 
 def healthy_maxima(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -204,10 +204,6 @@ def run_convert(args: argparse.Namespace) -> int:
     else:
         _say(f"{args.out}: {count} messages")
     return 0
-
-
-def _items(table: object) -> Iterable[tuple[str, float]]:
-    return table.items() if isinstance(table, dict) else ()
 
 
 def _say(text: str) -> None:
