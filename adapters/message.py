@@ -14,7 +14,9 @@ class Message:
     Parameters
     ----------
     source : str
-        Link family: ``"mavlink"`` or ``"zenoh"``; ``"clock"`` for :func:`silence`. Recordings keep it.
+        Link family: ``"mavlink"`` or ``"zenoh"``; ``"clock"`` for :func:`silence`; ``"link"`` for what a link finds
+        out itself (forged signatures), ``"operator"`` for acknowledgements and the like, ``"journal"`` for alarms
+        that stood before a restart. Recordings keep all of them.
     name : str
         MAVLink message name (``"ATTITUDE"``) or Zenoh key expression (``"arm/telemetry"``).
     received_ns : int

@@ -10,6 +10,9 @@ from adapters.mavlink_schema import MavlinkProtobuf, mavlink_protobuf
 from adapters.message import Message
 from adapters.protobuf_types import class_from_descriptor_set
 
+# Telemetry, and what else a pipeline is fed: time that passes, the link's own findings, operators, the journal.
+_JSON_SOURCES = ("zenoh", "clock", "link", "operator", "journal")
+
 Decode = Callable[[bytes, int], Message]
 
 
@@ -61,7 +64,7 @@ def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Deco
         if encoding == "json":
             return lambda data, time_ns: _mavlink_from_json(data, name, time_ns)
     source, _, name = topic.removeprefix("/").partition("/")
-    if source in ("zenoh", "clock") and name and encoding == "json":
+    if source in _JSON_SOURCES and name and encoding == "json":
         return lambda data, time_ns: Message(source, name, time_ns, _from_json(data))
     return None
 

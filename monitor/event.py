@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from typing import Any, Literal
 
-Kind = Literal["actuator", "sensor", "residual", "stale"]
+Kind = Literal["actuator", "sensor", "residual", "stale", "security", "system"]
 State = Literal["raised", "updated", "acknowledged", "shelved", "cleared"]
 Severity = Literal["warning", "critical"]
 
@@ -24,8 +24,8 @@ class AlarmEvent:
         ULID, the same from raised to cleared.
     vehicle, observer, channel : str
         What the alarm is about.
-    kind : {"actuator", "sensor", "residual", "stale"}
-        What sort of trouble.
+    kind : {"actuator", "sensor", "residual", "stale", "security", "system"}
+        What sort of trouble; ``system``: the monitor's own.
     state : {"raised", "updated", "acknowledged", "shelved", "cleared"}
         The state entered by this event.
     severity : {"warning", "critical"}
@@ -50,6 +50,12 @@ class AlarmEvent:
         One sentence for a person.
     seq : int
         Counts the vehicle's events from 1.
+    acknowledged : bool
+        Whether somebody has said that they know.
+    latched : bool
+        Whether the alarm stands although its cause is gone, until somebody resets it.
+    shelved_until_ns : int | None
+        Unix time at which a shelved alarm speaks again; None where it is not shelved.
     """
 
     id: str
@@ -69,6 +75,9 @@ class AlarmEvent:
     peak: float | None
     message: str
     seq: int
+    acknowledged: bool = False
+    latched: bool = False
+    shelved_until_ns: int | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the event as the JSON object of the contract."""
@@ -83,10 +92,10 @@ def event_from_json(data: Mapping[str, Any]) -> AlarmEvent:
     ValueError
         A field is missing.
     """
-    missing = [field.name for field in fields(AlarmEvent) if field.name not in data]
+    missing = [field.name for field in fields(AlarmEvent) if field.name not in data and field.default is MISSING]
     if missing:
         raise ValueError(f"alarm event lacks '{missing[0]}'")
-    return AlarmEvent(**{field.name: data[field.name] for field in fields(AlarmEvent)})
+    return AlarmEvent(**{field.name: data[field.name] for field in fields(AlarmEvent) if field.name in data})
 
 
 def alarm_id(vehicle: str, observer: str, channel: str, since_ns: int) -> str:

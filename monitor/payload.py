@@ -25,7 +25,7 @@ ALARM_SCHEMA: dict[str, Any] = {
         "vehicle": _TEXT,
         "observer": _TEXT,
         "channel": _TEXT,
-        "kind": {"enum": ["actuator", "sensor", "residual", "stale"]},
+        "kind": {"enum": ["actuator", "sensor", "residual", "stale", "security", "system"]},
         "state": {"enum": ["raised", "updated", "acknowledged", "shelved", "cleared"]},
         "severity": {"enum": ["warning", "critical"]},
         "estimate": _NUMBER | {"description": "size of the fault now, in unit"},
@@ -38,6 +38,9 @@ ALARM_SCHEMA: dict[str, Any] = {
         "peak": _NUMBER | {"description": "largest estimate since it was raised"},
         "message": _TEXT | {"description": "one sentence for a person"},
         "seq": _COUNT | {"description": "counts the vehicle's events from 1"},
+        "acknowledged": {"type": "boolean", "description": "somebody has said that they know"},
+        "latched": {"type": "boolean", "description": "it stands although its cause is gone, until it is reset"},
+        "shelved_until_ns": {"type": ["integer", "null"], "description": "Unix time at which it speaks again"},
     },
 }
 ALARM_SCHEMA["required"] = list(ALARM_SCHEMA["properties"])

@@ -98,6 +98,9 @@ def _alarm_class() -> Any:
         Field("peak", "double", optional=True),
         Field("message", "string"),
         Field("seq", "int64"),
+        Field("acknowledged", "bool"),
+        Field("latched", "bool"),
+        Field("shelved_until_ns", "int64", optional=True),
     )
     return message_class("fauio", "Alarm", fields)
 

@@ -23,6 +23,7 @@ HISTORY_PAUSE_S = 0.2
 _TEXTS = ("id", "vehicle", "observer", "channel", "kind", "state", "severity", "unit", "message")
 _COUNTS = ("time_ns", "vehicle_time_ms", "since_ns", "seq")
 _NUMBERS = ("estimate", "relative", "threshold", "peak")
+_FLAGS = ("acknowledged", "latched")
 
 
 class AlarmSubscriber:
@@ -196,5 +197,7 @@ def _valid(payload: Any) -> AlarmEvent | None:
         all(isinstance(getattr(event, name), str) for name in _TEXTS)
         and all(type(getattr(event, name)) is int for name in _COUNTS)
         and all(type(getattr(event, name)) in (int, float, type(None)) for name in _NUMBERS)
+        and all(type(getattr(event, name)) is bool for name in _FLAGS)
+        and type(event.shelved_until_ns) in (int, type(None))
     )
     return event if right else None
