@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
 from math import inf
 from pathlib import Path
 
@@ -221,7 +220,7 @@ def _run_chains(
     traces: list[Trace] = []
     events: list[AlarmEvent] = []
     for observer in observers:
-        chain = ObserverChain(observer, KALMAN, gate, VehicleClock(), count(1).__next__)
+        chain = ObserverChain(observer, KALMAN, gate, VehicleClock())
         builder = TraceBuilder(chain.layout)
         for sample, armed in samples[observer.name]:
             for output in chain.step(sample, armed):
@@ -251,7 +250,7 @@ def _energy(
 
 
 def _run_energy(detector: EnergyDetector, samples: Sequence[GatedSample]) -> list[AlarmEvent]:
-    alarm = Alarm(detector.rule, ENERGY, count(1).__next__)
+    alarm = Alarm(detector.rule, ENERGY)
     energy = _windowed(_residuals(detector.gains, samples), detector.W, samples, detector.gains.rate_hz)
     events = []
     for (sample, _), size in zip(samples, energy.tolist(), strict=True):

@@ -9,6 +9,7 @@ Paths, each with its own size and time, whichever comes first:
 
 The alarm clears after the evidence has stood inside ``clear`` for ``clear_s``, and where only the slow path has seen it
 the mean inside half of ``slow``.
+It is critical from the size ``critical`` on, and already where its growth leads there within ``critical_ahead_s``.
 One that is raised for the third time within ``latch_s`` comes and goes: it is latched, which is to say it clears only
 after ``latch_s`` of quiet. The debounce is a clamped up/down counter of time, so evidence that drops out for a sample
 delays an alarm instead of losing it. Samples that are no evidence (not in flight, bridged across lost measurements)
@@ -19,13 +20,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from adapters.sample import Sample
 from monitor.alarm_message import alarm_message
-from monitor.event import AlarmEvent, Kind, Severity, State, alarm_id
+from monitor.event import UNNUMBERED, AlarmEvent, Kind, Severity, State, alarm_id
 from monitor.input_curve import relative_loss
+from monitor.trend import Trend
 
 _UPDATE_EVERY_NS = 1_000_000_000
 _UPDATE_SHARE = 0.15
@@ -54,6 +56,8 @@ class AlarmRule:
         Size of the mean that raises it, and the mean's time constant; infinite size: no such path.
     latch_s : float
         Quiet that an alarm which comes and goes needs before it clears; 0: never latched.
+    critical_ahead_s : float
+        How far ahead its growth is looked at for severity, seconds; 0: not at all.
     """
 
     observer: str
@@ -70,6 +74,33 @@ class AlarmRule:
     slow: float = math.inf
     slow_s: float = 2.0
     latch_s: float = 0.0
+    critical_ahead_s: float = 5.0
+
+
+TUNABLE = (
+    "threshold",
+    "clear",
+    "critical",
+    "raise_s",
+    "clear_s",
+    "fast",
+    "fast_s",
+    "slow",
+    "slow_s",
+    "latch_s",
+    "critical_ahead_s",
+)
+"""Keys of a rule that may change while the monitor runs."""
+
+
+def retuned(rule: AlarmRule, values: Mapping[str, object]) -> AlarmRule:
+    """Return a rule with those of its sizes and times changed that are named and are numbers."""
+    found = {
+        key: float(value)
+        for key in TUNABLE
+        if isinstance(value := values.get(key), int | float) and not isinstance(value, bool) and value >= 0
+    }
+    return replace(rule, **found)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,19 +127,17 @@ class Alarm:
         Sizes and times.
     vehicle : str
         The vehicle's name in events.
-    count : Callable[[], int]
-        Gives the next event's sequence number.
     """
 
-    def __init__(self, rule: AlarmRule, vehicle: str, count: Callable[[], int]) -> None:
+    def __init__(self, rule: AlarmRule, vehicle: str) -> None:
         self.rule = rule
         self._vehicle = vehicle
-        self._count = count
         self._active: _Active | None = None
         self._counter_ns = self._fast_ns = 0
         self._mean = 0.0
         self._relative: float | None = None
         self._last_ns: int | None = None
+        self._trend = Trend()
         self._raised_ns: deque[int] = deque(maxlen=_COMES_AND_GOES)
 
     @property
@@ -119,6 +148,26 @@ class Alarm:
     def pause(self) -> None:
         """Note that time passes without evidence."""
         self._last_ns = None
+
+    def adopt(self, event: AlarmEvent) -> None:
+        """Go on from an event of this channel that another run of the monitor, or another monitor, made."""
+        if event.state == "cleared":
+            self._active = None
+            return
+        self._counter_ns = self._fast_ns = 0
+        self._trend = Trend()
+        estimate = event.estimate or 0.0
+        self._active = _Active(
+            id=event.id,
+            since_ns=event.since_ns,
+            threshold=event.threshold,
+            peak=event.peak if event.peak is not None else estimate,
+            severity=event.severity,
+            reported=estimate,
+            reported_ns=event.vehicle_time_ms * 1_000_000,
+            creeping=False,
+            latched=False,
+        )
 
     def update(
         self, sample: Sample, evidence: float, command: float | None, relative: float | None = None
@@ -138,7 +187,8 @@ class Alarm:
         """
         rule, now = self.rule, sample.vehicle_time_ns
         self._relative = relative
-        elapsed = 0 if self._last_ns is None else now - self._last_ns
+        # The clock of a vehicle that rebooted jumps back.
+        elapsed = 0 if self._last_ns is None else max(0, now - self._last_ns)
         self._last_ns = now
         if sample.restart:
             self._mean = 0.0
@@ -163,14 +213,15 @@ class Alarm:
     ) -> AlarmEvent:
         now = sample.vehicle_time_ns
         self._counter_ns = self._fast_ns = 0
+        self._trend = Trend()
         self._raised_ns.append(now)
-        often = len(self._raised_ns) == _COMES_AND_GOES and now - self._raised_ns[0] <= self.rule.latch_s * 1e9
+        often = len(self._raised_ns) == _COMES_AND_GOES and 0 <= now - self._raised_ns[0] <= self.rule.latch_s * 1e9
         self._active = _Active(
             id=alarm_id(self._vehicle, self.rule.observer, self.rule.channel, sample.time_ns),
             since_ns=sample.time_ns + sample.later_ns,
             threshold=threshold,
             peak=evidence,
-            severity=self._severity(abs(evidence)),
+            severity="critical" if abs(evidence) >= self.rule.critical else "warning",
             reported=evidence,
             reported_ns=now,
             creeping=creeping,
@@ -185,7 +236,9 @@ class Alarm:
         # What only the slow path sees is still best described by its mean.
         creeping = active.creeping and abs(evidence) < rule.threshold
         shown = self._mean if creeping else evidence
-        worse: Severity = "critical" if "critical" in (active.severity, self._severity(abs(shown))) else "warning"
+        self._trend.update(shown, elapsed)
+        size = max(abs(shown), self._trend.size_in(rule.critical_ahead_s) if rule.critical_ahead_s > 0 else 0.0)
+        worse: Severity = "critical" if size >= rule.critical else active.severity
         self._active = replace(active, peak=max(active.peak, shown, key=abs), severity=worse, creeping=creeping)
         if abs(evidence) < rule.clear and not (creeping and abs(self._mean) >= 0.5 * rule.slow):
             self._counter_ns += elapsed
@@ -198,14 +251,11 @@ class Alarm:
             return None
         self._counter_ns = 0 if active.latched else max(0, self._counter_ns - elapsed)
         moved = abs(shown - active.reported) > max(_UPDATE_SHARE * abs(active.reported), active.threshold / 2)
-        due = now - active.reported_ns >= _UPDATE_EVERY_NS
+        due = not 0 <= now - active.reported_ns < _UPDATE_EVERY_NS
         if worse != active.severity or (moved and due):
             self._active = replace(self._active, reported=shown, reported_ns=now)
             return self._event(sample, "updated", shown, command)
         return None
-
-    def _severity(self, size: float) -> Severity:
-        return "critical" if size >= self.rule.critical else "warning"
 
     def _event(self, sample: Sample, state: State, evidence: float, command: float | None) -> AlarmEvent:
         active = self._active
@@ -230,7 +280,7 @@ class Alarm:
             since_ns=active.since_ns,
             peak=active.peak,
             message=f"{message} (it comes and goes)" if active.latched and state != "cleared" else message,
-            seq=self._count(),
+            seq=UNNUMBERED,
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from adapters.message import Message
 from adapters.phase import FlightPhase
 from adapters.sample import Sample
 from adapters.sampler import SamplerStatistics
-from monitor.alarm import Alarm
+from monitor.alarm import Alarm, retuned
 from monitor.effectiveness_stage import EffectivenessStage
 from monitor.estimate import Estimate, Layout
 from monitor.estimator import make_estimator
@@ -39,8 +39,6 @@ class ObserverChain:
         When samples count as evidence.
     clock : VehicleClock
         The vehicle's clock, shared by its observers.
-    count : Callable[[], int]
-        Gives the next event's sequence number.
     excuses : Excuses | None
         What the vehicle's alarms explain, shared by its observers; None: nothing.
     """
@@ -51,7 +49,6 @@ class ObserverChain:
         vehicle: str,
         gate: GateRule,
         clock: VehicleClock,
-        count: Callable[[], int],
         excuses: Excuses | None = None,
     ) -> None:
         gains = profile.gains[0]
@@ -70,8 +67,9 @@ class ObserverChain:
         self._sampler = GatedSampler(profile.source, gains.rate_hz, clock, rule)
         thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
         self._estimator = make_estimator(profile.gains, profile.isolation, names, thresholds)
-        alarms = [Alarm(rule, vehicle, count) for rule in profile.alarms]
+        alarms = [Alarm(rule, vehicle) for rule in profile.alarms]
         self._alarms = [(names.index(alarm.rule.channel), alarm) for alarm in alarms if alarm.rule.kind != "residual"]
+        self._every_alarm = alarms
         self._residual_alarms = [alarm for alarm in alarms if alarm.rule.kind == "residual"]
         self._command = CommandUnits(profile)
         self._excuses = excuses or Excuses(())
@@ -91,6 +89,28 @@ class ObserverChain:
     def unexplained(self) -> float:
         """Score of what no hypothesis explained at the last sample, zero where one does."""
         return self._estimator.unexplained
+
+    @property
+    def channels(self) -> frozenset[str]:
+        """Channels that have an alarm."""
+        return frozenset(alarm.rule.channel for alarm in self._every_alarm)
+
+    @property
+    def thresholds(self) -> dict[str, float]:
+        """Alarm thresholds by channel."""
+        return {alarm.rule.channel: alarm.rule.threshold for alarm in self._every_alarm}
+
+    def adopt(self, event: AlarmEvent) -> None:
+        """Go on from an alarm event that another run of the monitor, or another monitor, made."""
+        for alarm in self._every_alarm:
+            if alarm.rule.channel == event.channel:
+                alarm.adopt(event)
+                self._excuses.note(event)
+
+    def retune(self, rules: Mapping[str, Mapping[str, float]]) -> None:
+        """Let other sizes and times of alarms hold from the next sample on, by channel and key."""
+        for alarm in self._every_alarm:
+            alarm.rule = retuned(alarm.rule, rules.get(alarm.rule.channel, {}))
 
     def statistics(self) -> SamplerStatistics:
         """Return what the sampler counted."""

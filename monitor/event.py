@@ -11,6 +11,9 @@ Kind = Literal["actuator", "sensor", "residual", "stale", "security", "system"]
 State = Literal["raised", "updated", "acknowledged", "shelved", "cleared"]
 Severity = Literal["warning", "critical"]
 
+UNNUMBERED = 0
+"""Sequence number of an event that the vehicle's alarm desk has not seen yet."""
+
 _CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 
 

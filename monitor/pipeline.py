@@ -1,24 +1,37 @@
 """A vehicle's whole pipeline: messages in, estimates and alarm events out.
 
 The same object serves a live link and a recording. It reads no clock: whatever it does follows from the messages
-and their times of arrival, so a recorded session replays to the same bits.
+and their times of arrival, so a recorded session replays to the same bits. What is no telemetry but has a say is a
+message too: time that passes, what the link found out, an operator's command, other thresholds, alarms that stood
+before a restart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from importlib.metadata import version
-from itertools import count
+from typing import Any
 
 from adapters.clock import VehicleClock
 from adapters.message import SILENCE, Message
 from adapters.phase import FlightPhase
 from adapters.sampler import SamplerStatistics
+from monitor import link_alarms, stale
+from monitor.alarm import TUNABLE
 from monitor.chain import ObserverChain, Output
+from monitor.desk import AlarmDesk, DeskRule, desk_rule, rule_fields
 from monitor.estimate import Layout
+from monitor.event import AlarmEvent, event_from_json
 from monitor.excuse import Excuses
+from monitor.link_alarms import LinkAlarms
 from monitor.profile import Profile
 from monitor.stale import StaleAlarm
+
+AUTOPILOT = 1
+RULES = "rules"
+STANDING = "standing"
+_OWN_SOURCES = ("clock", "link", "operator", "journal")
 
 
 class Pipeline:
@@ -30,29 +43,37 @@ class Pipeline:
         The vehicle's profile.
     vehicle : str | None
         Name in topics and events; None takes the profile's.
+    system : int | None
+        MAVLink system id to monitor, None takes the profile's; 0: the first that sends the profile's channels.
+    component : int
+        MAVLink component of that system to listen to; 0: any.
     """
 
-    def __init__(self, profile: Profile, vehicle: str | None = None) -> None:
+    def __init__(
+        self, profile: Profile, vehicle: str | None = None, system: int | None = None, component: int = AUTOPILOT
+    ) -> None:
         self.vehicle = vehicle or profile.name
         self.profile = profile
-        counter = count(1)
-        self._next_seq = lambda: next(counter)
         self._clock = VehicleClock()
         self._phase = FlightPhase()
         self._excuses = Excuses(profile.excuses)
         self._chains = [
-            ObserverChain(observer, self.vehicle, profile.gate, self._clock, self._next_seq, self._excuses)
+            ObserverChain(observer, self.vehicle, profile.gate, self._clock, self._excuses)
             for observer in profile.observers
         ]
         self._wanted = frozenset[str]().union(*(chain.interests for chain in self._chains))
-        self._stale = StaleAlarm(self.vehicle, profile.stale_s, self._next_seq)
-        self._system = profile.system
+        self._stale = StaleAlarm(self.vehicle, profile.stale_s)
+        self._link = LinkAlarms(self.vehicle)
+        self._desk = AlarmDesk(self.vehicle, DeskRule())
+        self._system = profile.system if system is None else system
+        self._component = component
         self.foreign = 0
 
     @property
     def interests(self) -> frozenset[str]:
         """Names of the messages that matter; all others may be skipped without changing a result."""
-        return self._wanted | FlightPhase.interests | {SILENCE}
+        own = {SILENCE, "signing", RULES, STANDING, "ack", "shelve", "unshelve", "reset"}
+        return self._wanted | FlightPhase.interests | own
 
     @property
     def needs(self) -> Mapping[str, frozenset[str]]:
@@ -68,15 +89,23 @@ class Pipeline:
     def thresholds(self) -> Mapping[tuple[str, str], float]:
         """Alarm thresholds by observer and channel: two observers may watch channels of the same name."""
         return {
-            (observer.name, rule.channel): rule.threshold
-            for observer in self.profile.observers
-            for rule in observer.alarms
+            (chain.layout.observer, name): size for chain in self._chains for name, size in chain.thresholds.items()
         }
 
     @property
     def stale(self) -> bool:
         """Whether telemetry is stale."""
         return self._stale.active
+
+    @property
+    def system(self) -> int:
+        """The monitored MAVLink system id; 0 while none was heard."""
+        return self._system
+
+    @property
+    def desk(self) -> AlarmDesk:
+        """The alarms that stand and what operators did with them; feed messages to change them."""
+        return self._desk
 
     def statistics(self) -> Mapping[str, SamplerStatistics]:
         """Return the samplers' counts by observer."""
@@ -91,8 +120,12 @@ class Pipeline:
 
     def accepts(self, message: Message) -> bool:
         """Return whether a message comes from the monitored vehicle; the first one to send a channel is it."""
+        if message.source == "link":
+            return message.system == self._system
         if message.source != "mavlink":
             return True
+        if self._component and message.component != self._component:
+            return False
         if self._system == 0 and message.name in self._wanted:
             self._system = message.system
         return message.system == self._system
@@ -102,13 +135,96 @@ class Pipeline:
         if not self.accepts(message):
             self.foreign += 1
             return []
-        if message.source == "clock":
-            return [*self._stale.silence(message.received_ns)]
-        outputs: list[Output] = []
+        now_ns = message.received_ns
+        outputs: list[Output] = [*self._desk.tick(now_ns)]
+        if message.source in _OWN_SOURCES:
+            outputs.extend(self._feed_own(message))
+            return outputs
         self._phase.feed(message)
+        told = self._desk.take
+        for event in self._link.feed(message, self._clock.newest_ns):
+            outputs.extend(told(event))
         if message.name in self._wanted:
-            outputs.extend(self._stale.heard(message.received_ns, self._clock.newest_ns))
+            for event in self._stale.heard(now_ns, self._clock.newest_ns):
+                outputs.extend(told(event))
             for chain in self._chains:
-                if message.name in chain.interests:
-                    outputs.extend(chain.feed(message, self._phase))
+                if message.name not in chain.interests:
+                    continue
+                for output in chain.feed(message, self._phase):
+                    if isinstance(output, AlarmEvent):
+                        outputs.extend(told(output))
+                    else:
+                        outputs.append(output)
         return outputs
+
+    def _feed_own(self, message: Message) -> list[AlarmEvent]:
+        """Take a message that is no telemetry."""
+        now_ns, fields = message.received_ns, message.fields
+        if message.source == "clock":
+            events = self._stale.silence(now_ns)
+            if self._stale.active:
+                self._link.silent()
+            return self._tell([*events, *self._link.quiet(now_ns)])
+        if message.source == "link":
+            return self._tell(self._link.feed(message, self._clock.newest_ns))
+        if message.source == "journal":
+            return self._adopt(fields, now_ns) if message.name == STANDING else []
+        if message.name == RULES:
+            self._retune(fields)
+            return []
+        return self._desk.operate(message.name, fields, now_ns)
+
+    def _tell(self, events: Iterable[AlarmEvent]) -> list[AlarmEvent]:
+        return [told for event in events for told in self._desk.take(event)]
+
+    def _adopt(self, fields: Mapping[str, Any], now_ns: int) -> list[AlarmEvent]:
+        events = [event for event in standing_alarms(fields) if event.vehicle == self.vehicle]
+        watched = {(chain.layout.observer, channel) for chain in self._chains for channel in chain.channels}
+        watched |= {(stale.OBSERVER, stale.CHANNEL)}
+        watched |= {(link_alarms.OBSERVER, name) for name in (link_alarms.SIGNING, link_alarms.HEARTBEAT)}
+        for event in events:
+            if event.latched:
+                continue
+            if event.observer == stale.OBSERVER:
+                (self._stale if event.channel == stale.CHANNEL else self._link).adopt(event)
+            for chain in self._chains:
+                if chain.layout.observer == event.observer:
+                    chain.adopt(event)
+        seq = fields.get("seq")
+        self._desk.seq = max(self._desk.seq, seq if isinstance(seq, int) else 0)
+        return self._desk.adopt(events, watched, now_ns)
+
+    def _retune(self, fields: Mapping[str, Any]) -> None:
+        self._desk.set_rule(desk_rule(fields, self._desk.rule))
+        alarms = fields.get("alarms")
+        for chain in self._chains:
+            rules = alarms.get(chain.layout.observer) if isinstance(alarms, Mapping) else None
+            if isinstance(rules, Mapping):
+                chain.retune({name: rule for name, rule in rules.items() if isinstance(rule, Mapping)})
+
+
+def rules_message(rule: DeskRule, profile: Profile, now_ns: int) -> Message:
+    """Return the message that makes the desk's rule and a profile's alarm sizes hold from now on."""
+    alarms = {
+        observer.name: {
+            one.channel: {key: value for key, value in asdict(one).items() if key in TUNABLE} for one in observer.alarms
+        }
+        for observer in profile.observers
+    }
+    return Message("operator", RULES, now_ns, {**rule_fields(rule), "alarms": alarms})
+
+
+def standing_message(alarms: Sequence[AlarmEvent], seq: int, now_ns: int) -> Message:
+    """Return the message that tells a pipeline which alarms stood when another one stopped, and its last number."""
+    return Message("journal", STANDING, now_ns, {"seq": seq, "alarms": [event.to_json() for event in alarms]})
+
+
+def standing_alarms(fields: Mapping[str, Any]) -> list[AlarmEvent]:
+    """Return the alarms in such a message; what is none is left out."""
+    found = []
+    for data in fields.get("alarms") or ():
+        try:
+            found.append(event_from_json(data))
+        except (TypeError, ValueError):
+            continue
+    return found

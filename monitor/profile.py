@@ -371,6 +371,7 @@ def _alarms(table: Table, observer: str, faults: Sequence[FaultChannel]) -> tupl
             slow=entry.number("slow", math.inf, at_least=0.0),
             slow_s=entry.number("slow_s", 2.0, at_least=0.01),
             latch_s=entry.number("latch_s", 0.0, at_least=0.0),
+            critical_ahead_s=entry.number("critical_ahead_s", 5.0, at_least=0.0),
         )
         entry.optional_text("sees")
         entry.done()

@@ -6,9 +6,7 @@ and cleared by the next one; a replay finds the same two moments in the recordin
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from monitor.event import AlarmEvent, State, alarm_id
+from monitor.event import UNNUMBERED, AlarmEvent, State, alarm_id
 
 OBSERVER = "link"
 CHANNEL = "telemetry"
@@ -23,14 +21,11 @@ class StaleAlarm:
         The vehicle's name in events.
     stale_s : float
         Silence after which telemetry is stale, seconds.
-    count : Callable[[], int]
-        Gives the next event's sequence number.
     """
 
-    def __init__(self, vehicle: str, stale_s: float, count: Callable[[], int]) -> None:
+    def __init__(self, vehicle: str, stale_s: float) -> None:
         self._vehicle = vehicle
         self._limit_ns = round(stale_s * 1e9)
-        self._count = count
         self._heard_ns: int | None = None
         self._vehicle_ns = 0
         self._since_ns: int | None = None
@@ -73,6 +68,10 @@ class StaleAlarm:
             )
         ]
 
+    def adopt(self, event: AlarmEvent) -> None:
+        """Go on from an event that another run of the monitor, or another monitor, made."""
+        self._since_ns = None if event.state == "cleared" else event.since_ns
+
     def _event(self, state: State, time_ns: int, vehicle_ns: int, message: str) -> AlarmEvent:
         since_ns = self._since_ns if self._since_ns is not None else time_ns
         return AlarmEvent(
@@ -92,5 +91,5 @@ class StaleAlarm:
             since_ns=since_ns,
             peak=None,
             message=message,
-            seq=self._count(),
+            seq=UNNUMBERED,
         )

@@ -136,7 +136,7 @@ def healthy_maxima(
     width = max(1, round(raise_s * observer.rate_hz))
     worst = np.zeros(len(observer.faults))
     for flight in flights:
-        chain = ObserverChain(observer, profile.name, profile.gate, VehicleClock(), lambda: 0)
+        chain = ObserverChain(observer, profile.name, profile.gate, VehicleClock())
         sizes = [
             np.abs(output.isolated) if output.armed else np.zeros(len(worst))
             for sample, armed in flight

@@ -344,7 +344,7 @@ def _run(bench: _Bench, window: _Window, added: NDArray[np.float64]) -> _Calm:
         State estimates since the onset (N, n).
     """
     watched = window.before - round(_WATCHED_S * bench.observer.rate_hz)
-    chain = ObserverChain(bench.observer, "", bench.gate, VehicleClock(), lambda: 0)
+    chain = ObserverChain(bench.observer, "", bench.gate, VehicleClock())
     raised: list[tuple[Sample, str]] = []
     x = []
     for k, sample in enumerate(window.samples):

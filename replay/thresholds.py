@@ -77,7 +77,7 @@ def healthy_evidence(
     """
     found: list[list[NDArray[np.float64]]] = []
     for flight in flights:
-        chain = ObserverChain(observer, "healthy", gate, VehicleClock(), lambda: 0)
+        chain = ObserverChain(observer, "healthy", gate, VehicleClock())
         found.append([])
         for sample, armed in _without_waiting(flight, observer.rate_hz * max(_LEAD_S, 3.0 * gate.settle_s)):
             for output in chain.step(sample, armed):

@@ -75,7 +75,7 @@ def test_a_long_wait_before_the_flight_changes_nothing_that_matters(quad_profile
     start = round(0.8 * len(flight))
     assert start > 32 * observer.rate_hz
     waited = [GatedSample(sample, armed and k >= start) for k, (sample, armed) in enumerate(flight)]
-    chain = ObserverChain(observer, "", quad_profile.gate, VehicleClock(), lambda: 0)
+    chain = ObserverChain(observer, "", quad_profile.gate, VehicleClock())
     outputs = [output for sample, armed in waited for output in chain.step(sample, armed)]
     whole = np.stack([one.isolated for one in outputs if isinstance(one, Estimate) and one.armed])
     found = np.concatenate(healthy_evidence(observer, quad_profile.gate, [waited]))
