@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import zenoh
@@ -39,6 +39,8 @@ class Publisher:
         What the keys begin with.
     estimate_rate_hz : float
         Largest rate of estimates per observer, on the samples' own time; 0 publishes none.
+    journal : Callable[[int], Sequence[AlarmEvent]] | None
+        Returns all past events from a Unix time in nanoseconds on; None: what was published here, a bounded number.
 
     Raises
     ------
@@ -53,7 +55,9 @@ class Publisher:
         layouts: Sequence[Layout],
         prefix: str = "fauio",
         estimate_rate_hz: float = 10.0,
+        journal: Callable[[int], Sequence[AlarmEvent]] | None = None,
     ) -> None:
+        self._journal = journal
         self._session = session
         self._root = vehicle_root(prefix, vehicle)
         self._period_ns = round(1e9 / estimate_rate_hz) if estimate_rate_hz > 0 else 0
@@ -143,6 +147,12 @@ class Publisher:
                 if query.key_expr.intersects(zenoh.KeyExpr(key)):
                     query.reply(key, to_json(event.to_json()), encoding=zenoh.Encoding.APPLICATION_JSON)
 
+    def _past(self, since_ns: int) -> Sequence[AlarmEvent]:
+        if self._journal is not None:
+            return self._journal(since_ns)
+        with self._lock:
+            return [event for event in self._history if event.time_ns >= since_ns]
+
     def _answer_list(self, query: zenoh.Query) -> None:
         """Answer with the active alarms, or with all kept events from a time on."""
         parameters = query.parameters
@@ -152,10 +162,10 @@ class Publisher:
             except ValueError:
                 query.reply_err(to_json({"error": "since is not a whole number of nanoseconds"}))
                 return
-            with self._lock:
-                if parameters.get("history") == "true":
-                    events = [event for event in self._history if event.time_ns >= since]
-                else:
+            if parameters.get("history") == "true":
+                events = self._past(since)
+            else:
+                with self._lock:
                     events = [event for event in self._latest.values() if event.state != "cleared"]
             payload = to_json([event.to_json() for event in events])
             query.reply(f"{self._root}/alarms", payload, encoding=zenoh.Encoding.APPLICATION_JSON)

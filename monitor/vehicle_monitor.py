@@ -21,7 +21,7 @@ from monitor.pipeline import Pipeline, standing_message
 
 _SILENCE_NS = 100_000_000
 _LACKING_NS = 5_000_000_000
-_BEHIND_NS = 1_000_000_000
+_BEHIND_S = 1.0
 _LIVE_SOURCES = ("mavlink", "zenoh")
 
 
@@ -206,10 +206,10 @@ class VehicleMonitor:
             What is wrong around the vehicle: links, disks.
         """
         elapsed_s = max((now_ns - self._second.started_ns) / 1e9, 1e-9)
-        recent = self.latency.interval()
+        recent = self.latency.end_interval()
         reasons = [*troubles, *self._lacking(now_ns)]
-        if recent.p99_ns > _BEHIND_NS:
-            reasons.append(f"the monitor does not keep up: {recent.p99_ns / 1e9:.1f} s behind")
+        if recent.p99_s > _BEHIND_S:
+            reasons.append(f"the monitor does not keep up: {recent.p99_s:.1f} s behind")
         state = "starting"
         if self.pipeline.stale:
             state = "stale"
@@ -228,9 +228,9 @@ class VehicleMonitor:
             "samples": self.samples,
             "samples_per_s": round(self._second.samples / elapsed_s, 1),
             "foreign_messages": self.pipeline.foreign,
-            "latency_ms": round(recent.max_ns / 1e6, 3),
-            "latency_p99_ms": round(recent.p99_ns / 1e6, 3),
-            "alarm_latency_p99_ms": round(self.alarm_latency.total().p99_ns / 1e6, 3),
+            "latency_ms": round(recent.max_s * 1e3, 3),
+            "latency_p99_ms": round(recent.p99_s * 1e3, 3),
+            "alarm_latency_p99_ms": round(self.alarm_latency.statistics().p99_s * 1e3, 3),
             "active_alarms": len(standing),
             "shelved": dict(self.pipeline.desk.shelved),
             "out_of_service": sorted(self.pipeline.desk.rule.out_of_service),

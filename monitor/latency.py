@@ -1,0 +1,143 @@
+"""A histogram of latencies that is cheap enough to add every message to: fixed size, quantiles within 6.3 %.
+
+Sixteen buckets for each factor of two, the layout of HdrHistogram (hdrhistogram.org): a latency's bucket is its
+five leading bits and how many follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+_LEADING_BITS = 5
+_PER_OCTAVE = 1 << (_LEADING_BITS - 1)
+_LARGEST_NS = (1 << 40) - 1
+_BUCKETS = (_LARGEST_NS.bit_length() - _LEADING_BITS) * _PER_OCTAVE + (1 << _LEADING_BITS)
+# upper bounds offered to Prometheus: each factor of two from 16 us to 17 s is a bucket boundary here too
+_EXPORTED_EXPONENTS = range(14, 35)
+
+
+@dataclass(frozen=True, slots=True)
+class LatencyStatistics:
+    """Latencies of a span of time; quantiles are never below the truth and at most 6.3 % above.
+
+    Parameters
+    ----------
+    count : int
+        How many were added.
+    p50_s, p99_s : float
+        Median and 99th percentile, seconds; 0 where there is none.
+    max_s : float
+        The largest, exactly.
+    """
+
+    count: int = 0
+    p50_s: float = 0.0
+    p99_s: float = 0.0
+    max_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class LatencyBuckets:
+    """A cumulative histogram as Prometheus knows it.
+
+    Parameters
+    ----------
+    bounds_s : tuple[float, ...]
+        Upper bounds, seconds, without the last (infinity).
+    counts : tuple[int, ...]
+        How many latencies are below each bound; one more entry for all of them.
+    sum_s : float
+        Sum of all latencies, seconds.
+    """
+
+    bounds_s: tuple[float, ...]
+    counts: tuple[int, ...]
+    sum_s: float
+
+
+class LatencyHistogram:
+    """Latencies since the start and over the last interval.
+
+    One thread adds and ends intervals; others may read.
+    """
+
+    def __init__(self) -> None:
+        self._counts = [0] * _BUCKETS
+        self._before = [0] * _BUCKETS
+        self._sum_ns = 0
+        self._max_ns = 0
+        self._interval_max_ns = 0
+        self._interval = LatencyStatistics()
+
+    def add(self, latency_ns: int) -> None:
+        """Count a latency, nanoseconds; below zero (a clock was set back) it counts as zero, above 18 min as that."""
+        if latency_ns < 0:
+            latency_ns = 0
+        elif latency_ns > _LARGEST_NS:
+            latency_ns = _LARGEST_NS
+        shift = latency_ns.bit_length() - _LEADING_BITS
+        self._counts[latency_ns if shift <= 0 else (shift << 4) + (latency_ns >> shift)] += 1
+        self._sum_ns += latency_ns
+        self._interval_max_ns = max(self._interval_max_ns, latency_ns)
+
+    def end_interval(self) -> LatencyStatistics:
+        """Return the statistics since the last call, and begin the next interval."""
+        counts = self._counts.copy()
+        self._interval = _statistics(
+            [now - before for now, before in zip(counts, self._before, strict=True)], self._interval_max_ns
+        )
+        self._before = counts
+        self._max_ns = max(self._max_ns, self._interval_max_ns)
+        self._interval_max_ns = 0
+        return self._interval
+
+    def interval(self) -> LatencyStatistics:
+        """Return the statistics of the last interval that ended."""
+        return self._interval
+
+    def statistics(self) -> LatencyStatistics:
+        """Return the statistics since the start."""
+        return _statistics(self._counts.copy(), max(self._max_ns, self._interval_max_ns))
+
+    def buckets(self) -> LatencyBuckets:
+        """Return the histogram since the start, coarse enough to be scraped."""
+        counts, sum_ns = self._counts.copy(), self._sum_ns
+        cumulative, total, position = [], 0, 0
+        for exponent in _EXPORTED_EXPONENTS:
+            end = _first_bucket(exponent)
+            total += sum(counts[position:end])
+            position = end
+            cumulative.append(total)
+        total += sum(counts[position:])
+        bounds = tuple((1 << exponent) / 1e9 for exponent in _EXPORTED_EXPONENTS)
+        return LatencyBuckets(bounds, (*cumulative, total), sum_ns / 1e9)
+
+
+def _first_bucket(exponent: int) -> int:
+    """Return the bucket that begins at ``2 ** exponent`` nanoseconds."""
+    return (exponent - _LEADING_BITS + 2) * _PER_OCTAVE
+
+
+def _upper_ns(bucket: int) -> int:
+    """Return the largest latency of a bucket."""
+    shift = max(bucket // _PER_OCTAVE - 1, 0)
+    return ((bucket - shift * _PER_OCTAVE + 1) << shift) - 1
+
+
+def _statistics(counts: Sequence[int], max_ns: int) -> LatencyStatistics:
+    count = sum(counts)
+    if count == 0:
+        return LatencyStatistics()
+    p50_ns, p99_ns = (min(_quantile(counts, -(-count * percent // 100)), max_ns) for percent in (50, 99))
+    return LatencyStatistics(count, p50_ns / 1e9, p99_ns / 1e9, max_ns / 1e9)
+
+
+def _quantile(counts: Sequence[int], rank: int) -> int:
+    """Return the upper bound of the bucket that holds the latency of a rank, counted from 1."""
+    seen = 0
+    for bucket, count in enumerate(counts):
+        seen += count
+        if seen >= rank:
+            return _upper_ns(bucket)
+    return _LARGEST_NS

@@ -1,0 +1,178 @@
+"""What stands around one vehicle's monitor: who speaks for it, operators' commands, what is done once in a while."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import time
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+from monitor.desk import DeskRule
+from monitor.election import Election
+from monitor.event import AlarmEvent
+from monitor.keys import vehicle_root
+from monitor.operators import Operators
+from monitor.pipeline import rules_message
+from monitor.profile import Profile
+from monitor.publisher import Publisher
+from monitor.subscriber import AlarmSubscriber
+from monitor.vehicle_monitor import VehicleMonitor
+
+if TYPE_CHECKING:
+    import zenoh
+
+_STATUS_NS = 1_000_000_000
+_FLUSH_NS = 500_000_000
+_HEARD_AT_ONCE = 100
+
+
+class PastEvents(Protocol):
+    """What a journal knows of a vehicle."""
+
+    def active(self, vehicle: str) -> Sequence[AlarmEvent]: ...  # noqa: D102
+    def last_seq(self, vehicle: str) -> int: ...  # noqa: D102
+    def events(self, vehicle: str | None = None, since_ns: int = 0) -> Sequence[AlarmEvent]: ...  # noqa: D102
+
+
+@dataclass(frozen=True, slots=True)
+class PostRule:
+    """How a vehicle's monitor faces the world.
+
+    Parameters
+    ----------
+    prefix : str
+        What all keys begin with.
+    estimate_rate_hz : float
+        Largest rate of published estimates.
+    commands : Collection[str]
+        Operators' verbs that are carried out.
+    shelve_minutes, max_shelve_minutes : float
+        How long an alarm is shelved where the command does not say, and at most.
+    standby : bool
+        Whether another monitor of the same vehicle may speak, and this one waits.
+    """
+
+    prefix: str
+    estimate_rate_hz: float
+    commands: Collection[str] = ()
+    shelve_minutes: float = 60.0
+    max_shelve_minutes: float = 480.0
+    standby: bool = False
+
+
+class Post:
+    """One vehicle's monitor at its place in the daemon.
+
+    Parameters
+    ----------
+    monitor : VehicleMonitor
+        The monitor.
+    desk : DeskRule
+        The desk's rule at the start.
+    session : zenoh.Session
+        An open session; left open by :meth:`close`.
+    rule : PostRule
+        How it faces the world.
+    journal : PastEvents | None
+        Where alarms that stood before a restart are found.
+    closers : Sequence[Callable[[], None]]
+        Closes what the vehicle records to, in order.
+    """
+
+    def __init__(
+        self,
+        monitor: VehicleMonitor,
+        desk: DeskRule,
+        session: zenoh.Session,
+        rule: PostRule,
+        journal: PastEvents | None = None,
+        closers: Sequence[Callable[[], None]] = (),
+    ) -> None:
+        self.monitor = monitor
+        self.last_status: dict[str, Any] = {}
+        self._session = session
+        self._rule = rule
+        self._journal = journal
+        self._closers = tuple(closers)
+        root = vehicle_root(rule.prefix, monitor.name)
+        limits = (rule.shelve_minutes, rule.max_shelve_minutes)
+        self._operators: Operators | None = None
+        self._start_operators = lambda: Operators(session, root, rule.commands, *limits)
+        self._election: Election | None = None
+        self._others: AlarmSubscriber | None = None
+        self._status_ns = self._flushed_ns = time.time_ns()
+        monitor.take(rules_message(desk, monitor.pipeline.profile, self._status_ns))
+        if rule.standby:
+            self._others = AlarmSubscriber(session, monitor.name, rule.prefix)
+            self._election = Election(session, root)
+        else:
+            self._speak(self._status_ns)
+
+    def retune(self, desk: DeskRule, profile: Profile) -> None:
+        """Let another desk's rule and a profile's alarm sizes hold from now on."""
+        self.monitor.take(rules_message(desk, profile, time.time_ns()))
+
+    def work(self, now_ns: int, troubles: Sequence[str]) -> None:
+        """Do what is due: take over or step down, answer operators, flush, say how it goes."""
+        self._decide(now_ns)
+        if self._operators is not None:
+            self._answer(self._operators)
+        if now_ns - self._flushed_ns >= _FLUSH_NS:
+            self._flushed_ns = now_ns
+            self.monitor.flush()
+        if now_ns - self._status_ns >= _STATUS_NS:
+            self._status_ns = now_ns
+            self.last_status = self.monitor.status(now_ns, troubles)
+
+    def close(self) -> None:
+        """Fall silent and finish what is recorded."""
+        if self._operators is not None:
+            self._operators.close()
+        self.monitor.hush()
+        if self._election is not None:
+            self._election.close()
+        if self._others is not None:
+            self._others.close()
+        for close in self._closers:
+            close()
+
+    def _decide(self, now_ns: int) -> None:
+        if self._election is None or self._others is None:
+            return
+        for _ in range(_HEARD_AT_ONCE):
+            if (event := self._others.receive(0.0)) is None:
+                break
+            self.monitor.hear(event)
+        leads = self._election.leads
+        if leads and not self.monitor.speaks:
+            logging.getLogger(__name__).warning("speaking for %s from now on", self.monitor.name)
+            self._speak(now_ns)
+        elif not leads and self.monitor.speaks:
+            logging.getLogger(__name__).warning("another monitor speaks for %s; standing by", self.monitor.name)
+            if self._operators is not None:
+                self._operators.close()
+                self._operators = None
+            self.monitor.hush()
+
+    def _speak(self, now_ns: int) -> None:
+        monitor, journal = self.monitor, self._journal
+        name, layouts = monitor.name, monitor.pipeline.layouts
+        past = None if journal is None else functools.partial(journal.events, name)
+        voice = Publisher(self._session, name, layouts, self._rule.prefix, self._rule.estimate_rate_hz, journal=past)
+        active = journal.active(name) if journal is not None else ()
+        seq = journal.last_seq(name) if journal is not None else 0
+        monitor.speak(voice, now_ns, active, seq)
+        self._operators = self._start_operators()
+
+    def _answer(self, operators: Operators) -> None:
+        desk = self.monitor.pipeline.desk
+        for command in operators.pending():
+            message = operators.message(command, time.time_ns())
+            reason = desk.refusal(message.name, message.fields)
+            if reason is not None:
+                operators.refuse(command, reason)
+                continue
+            events = self.monitor.take(message)
+            operators.accept(command, events[-1] if events else None)
