@@ -187,7 +187,7 @@ class AlarmDesk:
         Parameters
         ----------
         alarms : Sequence[AlarmEvent]
-            The last event of each.
+            The last event of each, in the order of their numbers.
         watched : Collection[Key]
             Channels that can still clear by themselves.
         now_ns : int
@@ -202,6 +202,10 @@ class AlarmDesk:
         known = {(event.observer, event.channel): event for event in alarms}
         own = [key for key in self._standing if key not in known]
         told = []
+        for event in alarms:
+            if known[event.observer, event.channel] is not event:
+                gone = replace(event, state="cleared", time_ns=now_ns, message="a later alarm took its place")
+                told.append(self._numbered(gone))
         for key, event in known.items():
             self._standing[key] = entry = _Standing(event, quiet=event.shelved_until_ns is not None)
             if event.shelved_until_ns is not None:

@@ -64,7 +64,7 @@ class Inbox:
 
     def __init__(self, limit: int) -> None:
         self._queue: deque[Arrival] = deque()
-        self._limit = limit
+        self.limit = limit
         self._changed = threading.Condition()
         self._closed = False
         self._threads: list[threading.Thread] = []
@@ -95,7 +95,7 @@ class Inbox:
         with self._changed:
             self._queue.extend(Arrival(vehicle, message) for message in messages)
             self._arrived += len(messages)
-            while len(self._queue) > self._limit:
+            while len(self._queue) > self.limit:
                 self._queue.popleft()
                 self._dropped += 1
             self._changed.notify()

@@ -1,44 +1,50 @@
-"""Set up the daemon for one vehicle: configuration, link, Zenoh session, recording, signals, log lines."""
+"""Set up the daemon: Zenoh session, journal, links, vehicles, signals; and take it down in order."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import signal
 import sys
+import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import zenoh
 
 from adapters.mavlink_link import MavlinkLink
+from adapters.message_rates import RateRequests
+from adapters.requesting_link import RequestingLink
+from adapters.signing import SigningKey, read_key
 from adapters.zenoh_link import ZenohLink
+from adapters.zenoh_payload import PayloadDecoder
 from adapters.zenoh_session import open_session
 from monitor.config import Config
-from monitor.daemon import Daemon, Link
+from monitor.daemon import Daemon
 from monitor.errors import ProfileError
-from monitor.event import AlarmEvent
-from monitor.pipeline import Pipeline
-from monitor.profile import read_profile
-from monitor.publisher import Publisher
-from monitor.recorder import Recorder
+from monitor.inbox import Inbox, Link
+from monitor.journal import Journal
+from monitor.log import Log
+from monitor.metrics_server import MetricsServer
+from monitor.station import Station
+from monitor.systemd import Notifier
+
+_SYNC_S = 1.0
 
 
-def run_live(profile_folder: Path, config: Config, *, as_json: bool = False) -> int:
-    """Monitor a vehicle until SIGINT or SIGTERM.
+def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool = False) -> int:
+    """Monitor vehicles until SIGINT or SIGTERM.
 
     Parameters
     ----------
-    profile_folder : Path
-        The vehicle's profile.
     config : Config
         Where telemetry comes from and where results go.
+    read_again : Callable[[], Config]
+        Reads the configuration anew when SIGHUP asks for it.
     as_json : bool
-        Whether log lines on stderr are JSON objects; they are whenever stderr is no terminal.
+        Whether log lines on stderr are JSON objects, whatever the configuration says.
 
     Returns
     -------
@@ -48,86 +54,118 @@ def run_live(profile_folder: Path, config: Config, *, as_json: bool = False) -> 
     Raises
     ------
     ProfileError, TelemetryError
-        The profile, the link or the session cannot be used.
+        A profile, a link, a file or the session cannot be used.
     """
-    profile = read_profile(profile_folder)
-    if config.mavlink is None and config.zenoh is None:
+    if not (config.mavlink or config.zenoh or any(vehicle.zenoh for vehicle in config.vehicles)):
         raise ProfileError("no telemetry to listen to: give --mavlink URL or --zenoh KEYEXPR, or set it in --config")
-    pipeline = Pipeline(profile, config.vehicle)
-    log = _Log(as_json or not sys.stderr.isatty())
+    if not config.vehicles and config.new_vehicles.profile is None:
+        raise ProfileError("no vehicle to monitor: give a PROFILE, or name vehicles in --config")
+    json_lines = {"auto": not sys.stderr.isatty(), "json": True, "text": False}[config.log_format]
     with ExitStack() as stack:
-        session = stack.enter_context(open_session(connect=config.connect, listen=config.listen))
-        link = stack.enter_context(_open_link(config, session))
-        recorder = None
-        if config.record is not None:
-            recorder = stack.enter_context(
-                Recorder(config.record, pipeline.layouts, pipeline.metadata(), profile.files)
-            )
-        publisher = Publisher(session, pipeline.vehicle, pipeline.layouts, config.prefix, config.estimate_rate_hz)
-        stack.callback(publisher.close)
-        daemon = Daemon(pipeline, link, publisher, recorder, on_event=log.event)
-        with _stop_on_signals(daemon) as received:
-            log.say(
-                "monitoring",
-                vehicle=pipeline.vehicle,
-                telemetry=config.mavlink or config.zenoh,
-                zenoh=", ".join(config.listen) or "no listener",
-                topics=f"{config.prefix}/{pipeline.vehicle}/**",
-            )
+        log = Log(as_json or json_lines)
+        stack.callback(log.close)
+        session = stack.enter_context(
+            open_session(connect=config.connect, listen=config.listen, config_file=config.zenoh_config)
+        )
+        journal = _open_journal(config, log, stack)
+        inbox = Inbox(config.inbox)
+        links: dict[str, Any] = {}
+        station = Station(config, read_again, session, inbox, journal, log, links)
+        stack.callback(station.close)
+        _open_links(config, session, inbox, station, links, stack)
+        # before the links are closed, which their threads read
+        stack.callback(inbox.close)
+        if config.metrics.listen is not None:
+            stack.callback(MetricsServer(config.metrics.listen, station.health).close)
+        notifier = Notifier()
+        stack.callback(notifier.close)
+
+        def every_turn(now_ns: int) -> None:
+            station.turn(now_ns)
+            notifier.feed(not inbox.stuck())
+
+        daemon = Daemon(inbox, station.fleet, lambda: station.posts, station.troubles, every_turn)
+        with _signals(daemon.stop, station.reload) as received:
+            notifier.ready(f"monitoring {len(station.posts)} vehicles")
             daemon.run()
-        log.say("stopped", **{k: v for k, v in daemon.status(time.time_ns()).items() if isinstance(v, int)})
-        return 130 if received == [signal.SIGINT] else 0
+        notifier.stopping()
+        for post in station.posts:
+            counts = {key: value for key, value in post.last_status.items() if type(value) is int}
+            log.say("stopped", vehicle=post.monitor.name, **counts)
+        return 130 if signal.SIGINT in received else 0
+
+
+def _open_journal(config: Config, log: Log, stack: ExitStack) -> Journal | None:
+    if config.journal.path is None:
+        return None
+    journal = Journal(config.journal.path, config.journal.max_events)
+    stack.callback(journal.close)
+    if journal.set_aside is not None:
+        log.say("journal damaged", level="error", set_aside=str(journal.set_aside), now="a new one was begun")
+    done = threading.Event()
+
+    def sync() -> None:
+        while not done.wait(_SYNC_S):
+            journal.sync()
+
+    thread = threading.Thread(target=sync, name="journal sync", daemon=True)
+    thread.start()
+    stack.callback(thread.join, 5.0)
+    stack.callback(done.set)
+    return journal
+
+
+def _open_links(
+    config: Config, session: zenoh.Session, inbox: Inbox, station: Station, links: dict[str, Any], stack: ExitStack
+) -> None:
+    """Open all links and let the inbox read them."""
+    key = read_key(config.signing.key_file) if config.signing.key_file is not None else None
+
+    def listen(name: str, link: Any, reader: Link, vehicle: str | None = None) -> None:
+        stack.enter_context(contextlib.closing(link))
+        links[name] = link
+        inbox.listen(name, reader, vehicle)
+
+    for url in config.mavlink:
+        link = MavlinkLink(url, key, config.signing.require, may_send=config.send.allow)
+        listen(url, link, _requesting(link, config, key))
+    folders = () if config.definitions is None else (config.definitions,)
+    shared = [(keyexpr, None) for keyexpr in config.zenoh]
+    own = [(vehicle.zenoh, station.name_of(vehicle)) for vehicle in config.vehicles if vehicle.zenoh is not None]
+    for keyexpr, name in (*shared, *own):
+        zenoh_link = ZenohLink(session, keyexpr, PayloadDecoder(config.zenoh_types, folders))
+        listen(keyexpr, zenoh_link, zenoh_link, name)
+
+
+def _requesting(link: MavlinkLink, config: Config, key: SigningKey | None) -> Link:
+    """Return what reads a link: itself, or with requests for message rates where the config allows them."""
+    send = config.send
+    if not (send.allow and send.rates):
+        return link
+    named = {vehicle.system for vehicle in config.vehicles}
+    systems = () if 0 in named or config.new_vehicles.profile is not None else named
+    requests = RateRequests(key, (send.source_system, send.source_component))
+    return RequestingLink(link, requests, send.rates, systems, send.target_component)
 
 
 @contextmanager
-def _open_link(config: Config, session: zenoh.Session) -> Iterator[Link]:
-    link = MavlinkLink(config.mavlink) if config.mavlink is not None else ZenohLink(session, config.zenoh or "")
-    with contextlib.closing(link):
-        yield link
-
-
-@contextmanager
-def _stop_on_signals(daemon: Daemon) -> Iterator[list[int]]:
-    """Stop the daemon on the first SIGINT or SIGTERM; yield the list of signals received."""
+def _signals(stop: Callable[[], None], reload: Callable[[], None]) -> Iterator[list[int]]:
+    """Stop on the first SIGINT or SIGTERM, reload on SIGHUP; yield the list of signals received."""
     received: list[int] = []
 
-    def stop(number: int, frame: FrameType | None) -> None:
+    def on_signal(number: int, frame: FrameType | None) -> None:
         del frame
         received.append(number)
-        daemon.stop()
+        actions[number]()
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    actions: Mapping[int, Callable[[], None]] = {
+        signal.SIGINT: stop,
+        signal.SIGTERM: stop,
+        signal.SIGHUP: reload,
+    }
+    before = {number: signal.signal(number, on_signal) for number in actions}
     try:
         yield received
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-class _Log:
-    """Log lines on stderr: for people on a terminal, JSON lines otherwise."""
-
-    def __init__(self, as_json: bool) -> None:
-        self._as_json = as_json
-
-    def say(self, what: str, **details: Any) -> None:
-        self._write(what, details, "  ".join(f"{key} {value}" for key, value in details.items()))
-
-    def event(self, event: AlarmEvent) -> None:
-        seconds = event.vehicle_time_ms / 1000
-        text = f"{seconds:.3f} s  {event.observer}/{event.channel} {event.state} ({event.severity}): {event.message}"
-        self._write("alarm", event.to_json(), text)
-
-    def _write(self, what: str, details: Mapping[str, Any], text: str) -> None:
-        if self._as_json:
-            line = json.dumps(
-                {
-                    "time_ns": time.time_ns(),
-                    "event": what,
-                    **({"alarm": details} if what == "alarm" else details),
-                }
-            )
-        else:
-            line = f"{time.strftime('%H:%M:%S')} {what}  {text}"
-        sys.stderr.write(line + "\n")
-        sys.stderr.flush()

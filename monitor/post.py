@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
+from monitor.archive import Archive
 from monitor.desk import DeskRule
 from monitor.election import Election
 from monitor.event import AlarmEvent
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 _STATUS_NS = 1_000_000_000
 _FLUSH_NS = 500_000_000
 _HEARD_AT_ONCE = 100
+_PAST_EVENTS = 4096
 
 
 class PastEvents(Protocol):
@@ -33,7 +35,7 @@ class PastEvents(Protocol):
 
     def active(self, vehicle: str) -> Sequence[AlarmEvent]: ...  # noqa: D102
     def last_seq(self, vehicle: str) -> int: ...  # noqa: D102
-    def events(self, vehicle: str | None = None, since_ns: int = 0) -> Sequence[AlarmEvent]: ...  # noqa: D102
+    def events(self, vehicle: str, since_ns: int, limit: int) -> Sequence[AlarmEvent]: ...  # noqa: D102
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +79,8 @@ class Post:
         How it faces the world.
     journal : PastEvents | None
         Where alarms that stood before a restart are found.
+    archive : Archive | None
+        What the vehicle is recorded in.
     closers : Sequence[Callable[[], None]]
         Closes what the vehicle records to, in order.
     """
@@ -88,6 +92,7 @@ class Post:
         session: zenoh.Session,
         rule: PostRule,
         journal: PastEvents | None = None,
+        archive: Archive | None = None,
         closers: Sequence[Callable[[], None]] = (),
     ) -> None:
         self.monitor = monitor
@@ -95,6 +100,7 @@ class Post:
         self._session = session
         self._rule = rule
         self._journal = journal
+        self.archive = archive
         self._closers = tuple(closers)
         root = vehicle_root(rule.prefix, monitor.name)
         limits = (rule.shelve_minutes, rule.max_shelve_minutes)
@@ -117,6 +123,8 @@ class Post:
     def work(self, now_ns: int, troubles: Sequence[str]) -> None:
         """Do what is due: take over or step down, answer operators, flush, say how it goes."""
         self._decide(now_ns)
+        if self.archive is not None:
+            self.archive.work(now_ns)
         if self._operators is not None:
             self._answer(self._operators)
         if now_ns - self._flushed_ns >= _FLUSH_NS:
@@ -124,7 +132,8 @@ class Post:
             self.monitor.flush()
         if now_ns - self._status_ns >= _STATUS_NS:
             self._status_ns = now_ns
-            self.last_status = self.monitor.status(now_ns, troubles)
+            trouble = None if self.archive is None else self.archive.statistics().trouble
+            self.last_status = self.monitor.status(now_ns, [*troubles, *([trouble] if trouble else [])])
 
     def close(self) -> None:
         """Fall silent and finish what is recorded."""
@@ -159,10 +168,9 @@ class Post:
     def _speak(self, now_ns: int) -> None:
         monitor, journal = self.monitor, self._journal
         name, layouts = monitor.name, monitor.pipeline.layouts
-        past = None if journal is None else functools.partial(journal.events, name)
+        past = None if journal is None else functools.partial(journal.events, name, limit=_PAST_EVENTS)
         voice = Publisher(self._session, name, layouts, self._rule.prefix, self._rule.estimate_rate_hz, journal=past)
-        active = journal.active(name) if journal is not None else ()
-        seq = journal.last_seq(name) if journal is not None else 0
+        active, seq = _remembered(journal, name)
         monitor.speak(voice, now_ns, active, seq)
         self._operators = self._start_operators()
 
@@ -176,3 +184,14 @@ class Post:
                 continue
             events = self.monitor.take(message)
             operators.accept(command, events[-1] if events else None)
+
+
+def _remembered(journal: PastEvents | None, vehicle: str) -> tuple[Sequence[AlarmEvent], int]:
+    """Return the alarms that stood when the journal was last written, and the number of its last event."""
+    if journal is None:
+        return (), 0
+    try:
+        return journal.active(vehicle), journal.last_seq(vehicle)
+    except OSError as error:
+        logging.getLogger(__name__).warning("alarms from before the start are not known: %s", error)
+        return (), 0

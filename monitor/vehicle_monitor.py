@@ -126,11 +126,12 @@ class VehicleMonitor:
             Number of the journal's last event.
         """
         self._voice = voice
-        standing = {(event.observer, event.channel): event for event in alarms} | self._theirs
+        standing = {event.id: event for event in (*alarms, *self._theirs.values())}
         seq = max(seq, self._their_seq)
         self._theirs = {}
         if standing or seq or self.pipeline.desk.standing:
-            self.take(standing_message(tuple(standing.values()), seq, now_ns))
+            in_order = sorted(standing.values(), key=lambda event: event.seq)
+            self.take(standing_message(in_order, seq, now_ns))
 
     def hush(self) -> None:
         """Stop speaking; go on watching."""

@@ -1,0 +1,76 @@
+"""A MAVLink link that also asks the vehicles it hears for message rates; used only where sending is allowed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Mapping
+
+from adapters.mavlink_link import MavlinkLink
+from adapters.message import Message
+from adapters.message_rates import RateRequests, RateStatistics
+
+_NO_AUTOPILOT = 8
+_GROUND_STATION = 6
+
+
+class RequestingLink:
+    """A link and the requests that go out over it.
+
+    Parameters
+    ----------
+    link : MavlinkLink
+        The link, opened with ``may_send``.
+    requests : RateRequests
+        The requests.
+    rates : Mapping[str, float]
+        Rate in hertz by MAVLink message name.
+    systems : Collection[int]
+        Systems that are asked; none: every system whose autopilot is heard.
+    component : int
+        Component that is asked.
+    """
+
+    def __init__(
+        self,
+        link: MavlinkLink,
+        requests: RateRequests,
+        rates: Mapping[str, float],
+        systems: Collection[int],
+        component: int,
+    ) -> None:
+        self._link = link
+        self._requests = requests
+        self._rates = rates
+        self._component = component
+        self._open = not systems
+        self._asked: set[int] = set()
+        for system in systems:
+            self._ask(system)
+
+    def receive(self, timeout_s: float) -> list[Message]:
+        """Return the messages that are there, waiting at most ``timeout_s`` for the first; send what is due."""
+        messages = self._link.receive(timeout_s)
+        for message in messages:
+            if self._open and message.system not in self._asked and _from_autopilot(message, self._component):
+                self._ask(message.system)
+            self._requests.heard(message)
+        self._link.send(self._requests.requests(time.time_ns()))
+        return messages
+
+    def statistics(self) -> RateStatistics:
+        """Return what was asked for and what came."""
+        return self._requests.statistics()
+
+    def _ask(self, system: int) -> None:
+        self._asked.add(system)
+        self._requests.ask(system, self._rates, self._component)
+
+
+def _from_autopilot(message: Message, component: int) -> bool:
+    return (
+        message.name == "HEARTBEAT"
+        and message.source == "mavlink"
+        and message.component == component
+        and message.fields.get("type") != _GROUND_STATION
+        and message.fields.get("autopilot") != _NO_AUTOPILOT
+    )
