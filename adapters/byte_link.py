@@ -1,4 +1,4 @@
-"""Byte links that MAVLink comes over: UDP, TCP (either side) and serial, opened by URL. They never send.
+"""Byte links that MAVLink comes over: UDP and TCP (either side) and serial, opened by URL.
 
 pymavlink's own connections are not used: they print to standard output, block while they reconnect, remember
 every address that ever sent, and a TCP server of theirs serves one client for good.
@@ -9,10 +9,12 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
+import struct
+import sys
 import time
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 from adapters.errors import TelemetryError
 
@@ -21,7 +23,19 @@ _UDP_BUFFER_BYTES = 1 << 22
 _RETRY_S = 0.5
 _CONNECT_S = 1.0
 _BAUD = 57_600
-_HELP = "use udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD"
+_HELP = "use udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD"
+
+# What Linux tells about each datagram; the socket module names neither. See socket(7).
+_SO_TIMESTAMPNS = 35
+_SO_RXQ_OVFL = 40
+_TIMESPEC = struct.Struct("@ll")
+_COUNT = struct.Struct("=I")
+_NOTES_BYTES = 128
+# A datagram that seems to have waited longer than this came before the clock was set.
+_LONGEST_WAIT_NS = 10_000_000_000
+
+Piece = tuple[Hashable, bytes, int]
+"""Who sent it (equal for equal senders), the bytes, and their Unix time of arrival in nanoseconds."""
 
 
 class ByteLink(Protocol):
@@ -31,45 +45,59 @@ class ByteLink(Protocol):
     ----------
     connections : int
         How often a connection was made, the first time included.
+    overruns : int
+        Datagrams that the kernel dropped because they were not read in time; 0 where it does not say.
     """
 
     connections: int
+    overruns: int
 
-    def read(self, timeout_s: float) -> tuple[Hashable, bytes] | None:
-        """Return the next bytes and who sent them; None where nothing came in time."""
+    def read(self, timeout_s: float) -> Piece | None:
+        """Return the next bytes with who sent them and when; None where nothing came in time."""
+
+    def write(self, data: bytes, to: Iterable[Hashable]) -> None:
+        """Send, to the given senders of earlier pieces where the link has several; what cannot go out is lost."""
 
     def close(self) -> None:
         """Close the link."""
 
 
-def open_byte_link(url: str) -> ByteLink:
+def open_byte_link(url: str, may_send: bool = False) -> ByteLink:
     """Open the link that a URL names.
 
     Parameters
     ----------
     url : str
-        ``udpin:HOST:PORT`` (binds to that address; ``udp:`` is the same), ``tcp:HOST:PORT`` (connects, again
-        and again if need be), ``tcpin:HOST:PORT`` (listens) or ``serial:DEVICE[:BAUD]``.
+        ``udpin:HOST:PORT`` (binds to that address; ``udp:`` is the same), ``udpout:HOST:PORT`` (hears who
+        answers from that address), ``tcp:HOST:PORT`` (connects, again and again if need be),
+        ``tcpin:HOST:PORT`` (listens) or ``serial:DEVICE[:BAUD]``.
+    may_send : bool
+        Whether the user of the link will send; without that nobody would answer a ``udpout``.
 
     Raises
     ------
     TelemetryError
-        The URL is not understood, the address cannot be bound or resolved, or the device cannot be opened.
+        The URL is not understood, the address cannot be bound or resolved, the device cannot be opened, or the
+        link works only for those who send.
     """
     kind, _, rest = url.partition(":")
     if kind == "serial" and rest:
         return _Serial(url, rest)
-    if kind == "udpout":
+    if kind == "udpout" and not may_send:
         raise TelemetryError(
             f"{url}: a monitor that only listens is never heard by the other side; let it send to us and use "
             "udpin:HOST:PORT"
         )
-    if kind not in ("udp", "udpin", "tcp", "tcpin"):
+    if kind not in ("udp", "udpin", "udpout", "tcp", "tcpin"):
         raise TelemetryError(f"{url}: unknown kind of link; {_HELP}")
     address = resolve(url, rest)
     if kind == "tcp":
         return _TcpClient(address)
-    return _Udp(url, address) if kind.startswith("udp") else _TcpServer(url, address)
+    if kind == "tcpin":
+        return _TcpServer(url, address)
+    if kind == "udpout":
+        return _Udp(_towards(url, address), connected=True)
+    return _Udp(_bound(url, address, socket.SOCK_DGRAM), connected=False)
 
 
 Address = tuple[socket.AddressFamily, Any]
@@ -106,26 +134,73 @@ def _bound(url: str, address: Address, kind: socket.SocketKind) -> socket.socket
     return listener
 
 
+def _towards(url: str, address: Address) -> socket.socket:
+    out = socket.socket(address[0], socket.SOCK_DGRAM)
+    try:
+        out.connect(address[1])
+    except OSError as error:
+        out.close()
+        raise TelemetryError(f"{url}: there is no way to that address: {error.strerror}") from error
+    out.setblocking(False)
+    return out
+
+
+def _send(connection: socket.socket, data: bytes) -> None:
+    with contextlib.suppress(OSError):
+        if connection.send(data) < len(data):
+            # The rest would come behind a gap. The reader sees the end and connects anew.
+            connection.shutdown(socket.SHUT_RDWR)
+
+
 def _readable(*sources: Any, timeout_s: float) -> list[Any]:
     return select.select(sources, (), (), max(0.0, timeout_s))[0]
 
 
 class _Udp:
-    """Datagrams to one address, whoever sends them."""
+    """Datagrams to one address, whoever sends them; of a connected socket, those from its peer alone."""
 
-    def __init__(self, url: str, address: Address) -> None:
+    def __init__(self, opened: socket.socket, connected: bool) -> None:
         self.connections = 1
-        self._socket = _bound(url, address, socket.SOCK_DGRAM)
+        self.overruns = 0
+        self._socket = opened
+        self._connected = connected
         # A burst has to fit while the reader is busy; the kernel cuts this down to what it allows.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _UDP_BUFFER_BYTES)
+        self._dropped = 0
+        if sys.platform == "linux":
+            for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):
+                with contextlib.suppress(OSError):
+                    self._socket.setsockopt(socket.SOL_SOCKET, option, 1)
 
-    def read(self, timeout_s: float) -> tuple[Hashable, bytes] | None:
+    def read(self, timeout_s: float) -> Piece | None:
         for wait_s in (0.0, timeout_s):
             if wait_s <= 0.0 or _readable(self._socket, timeout_s=wait_s):
                 with contextlib.suppress(OSError):
-                    data, sender = self._socket.recvfrom(_READ_BYTES)
-                    return sender, data
+                    return self._receive()
         return None
+
+    def _receive(self) -> Piece:
+        if sys.platform != "linux":
+            data, sender = self._socket.recvfrom(_READ_BYTES)
+            return sender, data, time.time_ns()
+        data, notes, _, sender = self._socket.recvmsg(_READ_BYTES, _NOTES_BYTES)
+        received_ns = now_ns = time.time_ns()
+        for _, kind, note in notes:
+            if kind == _SO_TIMESTAMPNS and len(note) == _TIMESPEC.size:
+                seconds, nanoseconds = _TIMESPEC.unpack(note)
+                kernel_ns = seconds * 1_000_000_000 + nanoseconds
+                if 0 <= now_ns - kernel_ns <= _LONGEST_WAIT_NS:
+                    received_ns = kernel_ns
+            elif kind == _SO_RXQ_OVFL and len(note) == _COUNT.size:
+                (dropped,) = _COUNT.unpack(note)
+                self.overruns += (dropped - self._dropped) & 0xFFFFFFFF
+                self._dropped = dropped
+        return sender, data, received_ns
+
+    def write(self, data: bytes, to: Iterable[Hashable]) -> None:
+        for sender in (None,) if self._connected else to:
+            with contextlib.suppress(OSError):
+                self._socket.sendmsg((data,), (), 0, cast("Any", sender))
 
     def close(self) -> None:
         self._socket.close()
@@ -136,11 +211,12 @@ class _TcpClient:
 
     def __init__(self, address: Address) -> None:
         self.connections = 0
+        self.overruns = 0
         self._address = address
         self._socket: socket.socket | None = None
         self._retry_at = 0.0
 
-    def read(self, timeout_s: float) -> tuple[Hashable, bytes] | None:
+    def read(self, timeout_s: float) -> Piece | None:
         until = time.monotonic() + timeout_s
         if self._socket is None and not self._connect(until):
             return None
@@ -154,7 +230,7 @@ class _TcpClient:
         except OSError:
             data = b""
         if data:
-            return self.connections, data
+            return self.connections, data, time.time_ns()
         self.close()
         return None
 
@@ -179,6 +255,11 @@ class _TcpClient:
         self.connections += 1
         return True
 
+    def write(self, data: bytes, to: Iterable[Hashable]) -> None:
+        del to
+        if (connection := self._socket) is not None:
+            _send(connection, data)
+
     def close(self) -> None:
         if self._socket is not None:
             self._socket.close()
@@ -191,17 +272,18 @@ class _TcpServer:
 
     def __init__(self, url: str, address: Address) -> None:
         self.connections = 0
+        self.overruns = 0
         self._listener = _bound(url, address, socket.SOCK_STREAM)
         self._listener.listen(1)
         self._client: socket.socket | None = None
 
-    def read(self, timeout_s: float) -> tuple[Hashable, bytes] | None:
+    def read(self, timeout_s: float) -> Piece | None:
         sources = [self._listener] if self._client is None else [self._client, self._listener]
         ready = _readable(*sources, timeout_s=timeout_s)
         if self._client in ready and self._client is not None:
             with contextlib.suppress(OSError):
                 if data := self._client.recv(_READ_BYTES):
-                    return self.connections, data
+                    return self.connections, data, time.time_ns()
             self._client.close()
             self._client = None
         if self._listener in ready:
@@ -213,6 +295,11 @@ class _TcpServer:
                 self._client = client
                 self.connections += 1
         return None
+
+    def write(self, data: bytes, to: Iterable[Hashable]) -> None:
+        del to
+        if (connection := self._client) is not None:
+            _send(connection, data)
 
     def close(self) -> None:
         if self._client is not None:
@@ -228,6 +315,7 @@ class _Serial:
         named_whole = not path or not baud.isdecimal() or Path(device).exists()
         self._device, self._baud = (device, _BAUD) if named_whole else (path, int(baud))
         self.connections = 0
+        self.overruns = 0
         self._retry_at = 0.0
         self._port: Any = None
         try:
@@ -241,10 +329,10 @@ class _Serial:
     def _open(self) -> None:
         import serial
 
-        self._port = serial.Serial(self._device, self._baud, timeout=0)
+        self._port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0)
         self.connections += 1
 
-    def read(self, timeout_s: float) -> tuple[Hashable, bytes] | None:
+    def read(self, timeout_s: float) -> Piece | None:
         if self._port is None:
             time.sleep(max(0.0, min(timeout_s, self._retry_at - time.monotonic())))
             if time.monotonic() < self._retry_at:
@@ -258,13 +346,21 @@ class _Serial:
                 return None
             # Readable without bytes is how a device says that it has gone.
             if data := self._port.read(_READ_BYTES):
-                return self.connections, bytes(data)
+                return self.connections, bytes(data), time.time_ns()
         except (OSError, ValueError):
             pass
         self.close()
         self._port = None
         self._retry_at = time.monotonic() + _RETRY_S
         return None
+
+    def write(self, data: bytes, to: Iterable[Hashable]) -> None:
+        del to
+        if (port := self._port) is not None:
+            # Closed by the reader in between, a port raises one of these. Full, it would never return.
+            with contextlib.suppress(OSError, ValueError, TypeError):
+                if select.select((), (port,), (), 0.0)[1]:
+                    port.write(data)
 
     def close(self) -> None:
         if self._port is not None:

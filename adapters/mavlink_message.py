@@ -1,7 +1,7 @@
 """MAVLink packets (versions 1 and 2) -> messages by pymavlink's tables, the same for links and recordings.
 
 The tables of message definitions are pymavlink's and so are the values: the tests hold every message of the
-dialect against pymavlink's own decoder. Signatures are skipped unverified.
+dialect against pymavlink's own decoder. Signatures are skipped here; :mod:`adapters.signing` verifies them.
 """
 
 from __future__ import annotations
@@ -106,6 +106,11 @@ def packet_sender(packet: bytes) -> tuple[int, int]:
 def packet_sequence(packet: bytes) -> int:
     """Return the sequence number of a packet, which its sender counts modulo 256."""
     return packet[4 if packet[0] == MAGIC_2 else 2]
+
+
+def packet_signed(packet: bytes) -> bool:
+    """Return whether a packet says that it is signed."""
+    return packet[0] == MAGIC_2 and bool(packet[2] & _SIGNED)
 
 
 def packet_size(buffer: bytes, start: int) -> int | None:

@@ -10,8 +10,8 @@ from adapters.mavlink_schema import MavlinkProtobuf, mavlink_protobuf
 from adapters.message import Message
 from adapters.protobuf_types import class_from_descriptor_set
 
-# Telemetry, and what else a pipeline is fed: time that passes, the link's own findings, operators, the journal.
-_JSON_SOURCES = ("zenoh", "clock", "link", "operator", "journal")
+# Telemetry without MAVLink ids, and what else a pipeline is fed: time that passes, operators, the journal.
+_JSON_SOURCES = ("zenoh", "clock", "operator", "journal")
 
 Decode = Callable[[bytes, int], Message]
 
@@ -29,6 +29,9 @@ def encode(message: Message) -> tuple[str, Any, bytes]:
     """
     topic = f"/{message.source}/{message.name}"
     topic.encode()
+    ids = {"system_id": message.system, "component_id": message.component}
+    if message.source == "link":
+        return topic, None, _to_json({**message.fields, **ids})
     if message.source != "mavlink":
         return topic, None, _to_json(message.fields)
     kind = mavlink_protobuf(message.name)
@@ -37,7 +40,6 @@ def encode(message: Message) -> tuple[str, Any, bytes]:
             return topic, kind.pb_class, kind.to_bytes(message)
         except ValueError:
             kind = None
-    ids = {"system_id": message.system, "component_id": message.component}
     return topic, None, _to_json({**ids, "fields": message.fields})
 
 
@@ -64,6 +66,8 @@ def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Deco
         if encoding == "json":
             return lambda data, time_ns: _mavlink_from_json(data, name, time_ns)
     source, _, name = topic.removeprefix("/").partition("/")
+    if source == "link" and name and encoding == "json":
+        return lambda data, time_ns: _link_from_json(data, name, time_ns)
     if source in _JSON_SOURCES and name and encoding == "json":
         return lambda data, time_ns: Message(source, name, time_ns, _from_json(data))
     return None
@@ -82,6 +86,14 @@ def _mavlink_from_json(data: bytes, name: str, time_ns: int) -> Message:
         )
     except KeyError as error:
         raise ValueError(f"record of {name} lacks {error}") from error
+
+
+def _link_from_json(data: bytes, name: str, time_ns: int) -> Message:
+    fields = _from_json(data)
+    system, component = fields.pop("system_id", 0), fields.pop("component_id", 0)
+    if type(system) is not int or type(component) is not int:
+        raise ValueError(f"record of {name} has ids that are no integers")
+    return Message("link", name, time_ns, fields, system, component)
 
 
 def _to_json(fields: Any) -> bytes:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import random
 import socket
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega
@@ -15,11 +17,26 @@ from pymavlink.dialects.v20 import ardupilotmega
 from adapters.errors import TelemetryError
 from adapters.mavlink_link import MavlinkLink
 from adapters.message import Message
+from adapters.message_rates import RateRequests
+from adapters.signing import SigningKey, unix_stamp
+
+KEY = SigningKey(bytes(range(32)))
 
 
-def packet(sequence: int, system: int = 1, version_1: bool = False) -> bytes:
-    sender = ardupilotmega.MAVLink(None, srcSystem=system, srcComponent=1)
+def packet(
+    sequence: int,
+    system: int = 1,
+    version_1: bool = False,
+    component: int = 1,
+    key: SigningKey | None = None,
+    stamp: int | None = None,
+) -> bytes:
+    sender = ardupilotmega.MAVLink(None, srcSystem=system, srcComponent=component)
     sender.seq = sequence % 256
+    if key is not None:
+        sender.signing.secret_key = key.secret
+        sender.signing.sign_outgoing = True
+        sender.signing.timestamp = unix_stamp(time.time_ns()) if stamp is None else stamp
     message = ardupilotmega.MAVLink_attitude_message(sequence, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
     return bytes(message.pack(sender, force_mavlink1=version_1))
 
@@ -43,10 +60,10 @@ def times(messages: list[Message]) -> list[int]:
 
 
 @contextlib.contextmanager
-def udp() -> Iterator[tuple[MavlinkLink, Callable[[bytes], object]]]:
+def udp(**options: Any) -> Iterator[tuple[MavlinkLink, Callable[[bytes], object]]]:
     port = free_port(socket.SOCK_DGRAM)
     with (
-        MavlinkLink(f"udpin:127.0.0.1:{port}") as link,
+        MavlinkLink(f"udpin:127.0.0.1:{port}", **options) as link,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out,
     ):
         out.connect(("127.0.0.1", port))
@@ -164,6 +181,208 @@ def test_a_serial_line_is_read_at_its_rate_and_opened_again() -> None:
         assert times(collect(link, 1)) == [3]
     os.close(master)
     os.close(slave)
+
+
+def test_systems_and_components_on_one_link_lose_packets_each_on_its_own() -> None:
+    with udp() as (link, send):
+        for k in range(10):
+            for system, component, step in ((1, 1, 1), (1, 2, 3), (2, 1, 1), (9, 1, 5)):
+                send(packet(k * step, system=system, component=component))
+        messages = collect(link, 40)
+        assert {(m.system, m.component) for m in messages} == {(1, 1), (1, 2), (2, 1), (9, 1)}
+        assert link.statistics().lost_by_system == {1: 18, 9: 36}
+        assert link.statistics().lost == 54
+
+
+def test_duplicates_come_twice_and_neither_they_nor_reordering_count_as_lost() -> None:
+    with udp() as (link, send):
+        order = [0, 1, 2, 3, 3, 5, 4, 4, 9, 8, 7, 6, 10]
+        for k in order:
+            send(packet(k))
+        assert times(collect(link, len(order))) == order
+        assert link.statistics().lost == 1 + 3
+
+
+def test_a_restart_or_a_long_gap_is_no_loss() -> None:
+    with udp() as (link, send):
+        for k in (*range(100, 120), *range(0, 30), *range(160, 180)):
+            send(packet(k))
+        collect(link, 70)
+        assert link.statistics().lost == 0
+        send(packet(182))
+        collect(link, 1)
+        assert link.statistics().lost == 2
+
+
+def test_half_packets_of_a_thousand_senders_cost_bounded_memory_and_nobody_elses_packets() -> None:
+    with udp(may_send=True) as (link, send):
+        address = link._link._socket.getsockname()  # type: ignore[attr-defined]
+        for k in range(1000):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+                out.sendto(packet(k)[:15], address)
+            if k % 100 == 0:
+                send(packet(k))
+                assert times(collect(link, 1)) == [k]
+        assert len(link._parsers) <= 64
+        assert len(link._heard_ns) == 1
+        assert all(len(parser._rest) < 280 for parser in link._parsers.values())
+
+
+def test_the_largest_datagrams_are_taken_whole_be_they_packets_or_noise() -> None:
+    with udp() as (link, send):
+        whole = b"".join(packet(k) for k in range(65_507 // len(packet(0))))
+        send(whole)
+        assert times(collect(link, 1)) == list(range(len(whole) // len(packet(0))))
+        for noise in (b"\xfe" * 65_507, b"\xfd" * 65_507, bytes(65_507), random.Random(1).randbytes(65_507)):
+            send(noise)
+            send(bytes(280) + packet(1) + bytes(280))
+            assert times(collect(link, 1))[-1] == 1
+
+
+def test_a_flood_of_junk_does_not_keep_the_caller_waiting_for_a_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("adapters.mavlink_link._BATCH", 8)
+    with udp() as (link, send):
+        for _ in range(20):
+            send(b"junk")
+        send(packet(1))
+        assert link.receive(30.0) == []
+        assert link.receive(30.0) == []
+        assert times(link.receive(30.0)) == [1]
+
+
+def test_flipped_bits_and_random_bytes_cost_no_intact_packet_and_make_none_up() -> None:
+    rng = random.Random(2)
+    intact = [packet(k) for k in range(400)]
+    with udp() as (link, send):
+        kept = []
+        for k, whole in enumerate(intact):
+            data = bytearray(whole)
+            if k % 4 == 1:
+                data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+            else:
+                kept.append(k)
+            send(bytes(data))
+            if k % 10 == 0:
+                send(rng.randbytes(rng.randrange(1, 200)))
+        # What false starts wait for.
+        for _ in range(20):
+            send(packet(1000, system=2))
+        messages = [m for m in collect(link, len(kept) + 20) if m.system == 1]
+        assert times(messages) == kept
+        assert link.statistics().damaged > 0
+
+
+def test_a_key_lets_in_what_is_signed_and_keeps_out_forgeries_which_are_told_of() -> None:
+    forger = SigningKey(b"f" * 32)
+    with udp(key=KEY, require_signed=True) as (link, send):
+        send(packet(1, key=KEY))
+        send(packet(2, key=forger, stamp=(1 << 48) - 1))
+        send(packet(3))
+        send(packet(4, key=KEY, system=2))
+        send(packet(5, key=KEY))
+        messages = collect(link, 4)
+        assert times([m for m in messages if m.source == "mavlink"]) == [1, 4, 5]
+        (finding,) = (m for m in messages if m.source == "link")
+        assert (finding.name, finding.system) == ("signing", 1)
+        assert finding.fields == {"forged": 1, "replayed": 0, "unsigned": 1}
+        assert finding.received_ns >= messages[0].received_ns
+        counts = link.statistics()
+        assert (counts.messages, counts.signing.forged, counts.signing.unsigned) == (3, 1, 1)
+
+
+def test_refused_packets_are_told_of_even_when_nothing_else_comes() -> None:
+    with udp(key=KEY) as (link, send):
+        for _ in range(3):
+            send(packet(1, key=SigningKey(b"f" * 32)))
+        messages: list[Message] = []
+        while sum(m.fields["forged"] for m in messages[-1:]) < 3:
+            messages += link.receive(0.05)
+        assert {m.source for m in messages} == {"link"}
+        assert len(messages) <= 2
+
+
+def test_forged_packets_change_neither_losses_nor_who_is_answered() -> None:
+    with udp(key=KEY, may_send=True) as (link, send):
+        send(packet(1, key=KEY))
+        collect(link, 1)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as forger:
+            forger.sendto(packet(90, key=SigningKey(b"f" * 32)), link._link._socket.getsockname())  # type: ignore[attr-defined]
+            assert [m.source for m in collect(link, 1)] == ["link"]
+        send(packet(2, key=KEY))
+        collect(link, 1)
+        assert link.statistics().lost == 0
+        assert len(link._heard_ns) == 1
+
+
+def test_without_a_key_signed_packets_are_taken_as_they_are() -> None:
+    with udp() as (link, send):
+        send(packet(1, key=KEY) + packet(2, key=SigningKey(b"f" * 32)) + packet(3))
+        assert times(collect(link, 3)) == [1, 2, 3]
+
+
+def test_signatures_cannot_be_required_without_a_key() -> None:
+    with pytest.raises(TelemetryError, match="no key to verify them with"):
+        MavlinkLink("udpin:127.0.0.1:0", require_signed=True)
+
+
+def test_the_secret_of_a_key_that_is_handed_out_on_the_link_is_not_passed_on() -> None:
+    setup = ardupilotmega.MAVLink_setup_signing_message(1, 1, list(KEY.secret), 0)
+    with udp() as (link, send):
+        send(bytes(setup.pack(ardupilotmega.MAVLink(None, 255, 1))) + packet(1))
+        assert [m.name for m in collect(link, 1)] == ["ATTITUDE"]
+
+
+def test_times_of_arrival_do_not_fall_while_the_clock_does_not() -> None:
+    with udp(key=KEY) as (link, send):
+        messages: list[Message] = []
+        for k in range(200):
+            send(packet(k, key=KEY if k % 3 else SigningKey(b"f" * 32), system=1 + k % 5))
+            messages += link.receive(0.0)
+        arrivals = [m.received_ns for m in messages]
+        assert arrivals == sorted(arrivals)
+        newest = link._received_ns
+        assert link._arrival(newest - 10) == newest
+        assert link._arrival(newest - 3_600_000_000_000) == newest - 3_600_000_000_000
+
+
+def test_a_vehicle_behind_udpout_is_asked_for_rates_and_answers() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.bind(("127.0.0.1", 0))
+        vehicle.settimeout(10.0)
+        with MavlinkLink(f"udpout:127.0.0.1:{vehicle.getsockname()[1]}", key=KEY, may_send=True) as link:
+            requests = RateRequests(KEY)
+            link.send(requests.requests(time.time_ns()))
+            heartbeat, monitor = vehicle.recvfrom(1000)
+            parser = ardupilotmega.MAVLink(None)
+            parser.signing.secret_key = KEY.secret
+            assert parser.decode(bytearray(heartbeat)).get_type() == "HEARTBEAT"
+            vehicle.sendto(packet(1, key=KEY), monitor)
+            assert times(collect(link, 1)) == [1]
+
+
+def test_on_a_udp_port_those_are_answered_who_sent_intact_packets() -> None:
+    with udp(may_send=True) as (link, send), contextlib.ExitStack() as stack:
+        first, second, stranger = (
+            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(3)
+        )
+        address = link._link._socket.getsockname()  # type: ignore[attr-defined]
+        first.sendto(packet(1, system=1), address)
+        second.sendto(packet(1, system=2), address)
+        stranger.sendto(b"let me in", address)
+        send(packet(1, system=3))
+        collect(link, 3)
+        link.send([b"request"])
+        for one in (first, second):
+            one.settimeout(10.0)
+            assert one.recv(100) == b"request"
+        stranger.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            stranger.recv(100)
+
+
+def test_a_link_opened_to_listen_does_not_send() -> None:
+    with udp() as (link, _), pytest.raises(TelemetryError, match="opened only to listen"):
+        link.send([b"request"])
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,54 @@
+"""Records of messages: whatever source they came from, the same message comes back."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from adapters.mcap_log import MessageLogReader, MessageLogWriter
+from adapters.message import Message, silence
+from adapters.message_record import decoder, encode
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Message("link", "signing", 5, {"forged": 3, "replayed": 0, "unsigned": 1}, system=7, component=9),
+        Message("link", "signing", 5, {"forged": 1, "replayed": 0, "unsigned": 0}, system=255),
+        Message("operator", "acknowledge", 5, {"id": "01J", "system_id": 3}),
+        Message("journal", "alarm", 5, {"id": "01J"}),
+        Message("zenoh", "arm/telemetry", 5, {"system_id": "text"}),
+        silence(5),
+    ],
+)
+def test_a_message_comes_back_with_its_ids(message: Message) -> None:
+    topic, kind, data = encode(message)
+    decode = decoder(topic, "json", None)
+    assert kind is None
+    assert decode is not None
+    assert decode(data, 5) == message
+
+
+def test_what_a_link_found_names_its_ids_as_mavlink_records_do() -> None:
+    _, _, data = encode(Message("link", "signing", 5, {"forged": 3}, system=7))
+    assert json.loads(data) == {"forged": 3, "system_id": 7, "component_id": 0}
+
+
+def test_what_a_link_found_survives_a_recording(tmp_path: Path) -> None:
+    findings = [Message("link", "signing", 5 + k, {"forged": k}, system=k) for k in range(1, 4)]
+    with MessageLogWriter(tmp_path / "log.mcap") as log:
+        for finding in findings:
+            log.write(finding)
+    assert list(MessageLogReader(tmp_path / "log.mcap")) == findings
+
+
+@pytest.mark.parametrize(
+    "data", [b'{"system_id": "1"}', b'{"component_id": null}', b"[]", b"{", b'{"system_id": true}']
+)
+def test_a_finding_that_is_no_record_of_ours_is_refused(data: bytes) -> None:
+    decode = decoder("/link/signing", "json", None)
+    assert decode is not None
+    with pytest.raises(ValueError):
+        decode(data, 0)
