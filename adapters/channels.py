@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from math import isfinite
 from typing import Any, Literal
 
@@ -12,11 +13,13 @@ from adapters.errors import TelemetryError
 
 Interpolation = Literal["linear", "previous"]
 
-_STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
+_STEP = re.compile(r"([^.\[\]]+)|\[(?:(\d+)|([^\[\]]+))\]")
 _KEYS = {"message", "field", "where", "scale", "offset", "clock", "clock_unit_ns", "interpolation", "period"}
 _CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
 # The difference of two values up to here is finite, so interpolation cannot overflow.
 _MAX_VALUE = 1e300
+# Where messages of ROS 2 have their time: seconds and nanoseconds.
+_ROS_STAMP = ("header", "stamp")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,15 +33,18 @@ class Channel:
     message : str
         MAVLink message name or Zenoh key the field is taken from.
     path : tuple[str | int, ...]
-        Steps into the message's fields, ``"data[3]"`` being ``("data", 3)``.
+        Steps into the message's fields, ``"data[3]"`` being ``("data", 3)``. A name in place of a number,
+        ``"position[elbow]"``, is looked up in the list ``name`` beside: the joints of a JointState, whose order may
+        change from message to message.
     scale, offset : float
         From the field's unit to the channel's.
     where : tuple[tuple[str, int | str], ...]
         Fields and the values they must have, where several senders share a message name: SERVO_OUTPUT_RAW
         with ``port`` 0 and 1, DEBUG_FLOAT_ARRAY with different ``name``.
     clock : str | None
-        Field with the measurement's time on the vehicle's clock; None takes ``time_boot_ms``, ``time_usec``
-        or ``time_ns``, whichever the message has, and the newest vehicle time where it has none.
+        Field with the measurement's time on the vehicle's clock, a number or seconds and nanoseconds as ROS 2
+        writes them (``sec``, ``nanosec``); None takes ``time_boot_ms``, ``time_usec``, ``time_ns`` or
+        ``header.stamp``, whichever the message has, and the newest vehicle time where it has none.
     clock_unit_ns : int | None
         Nanoseconds per count of that field; None: known from the usual names.
     interpolation : {"linear", "previous"}
@@ -79,15 +85,21 @@ class Channel:
     def stamp_ns(self, fields: Mapping[str, Any]) -> int | None:
         """Return the measurement's time on the vehicle's clock in nanoseconds, None where it has none."""
         if self.clock is not None:
-            return _stamp(fields.get(self.clock), self.clock_unit_ns or _CLOCK_UNITS_NS.get(self.clock, 1))
+            found = fields.get(self.clock)
+            if found is None:
+                found = follow(fields, _steps(self.clock))
+            return _stamp(found, self.clock_unit_ns or _CLOCK_UNITS_NS.get(self.clock, 1))
         for name, unit_ns in _CLOCK_UNITS_NS.items():
             stamp = _stamp(fields.get(name), self.clock_unit_ns or unit_ns)
             if stamp is not None:
                 return stamp
-        return None
+        return _stamp(follow(fields, _ROS_STAMP), 1) if "header" in fields else None
 
 
 def _stamp(count: Any, unit_ns: int) -> int | None:
+    if isinstance(count, Mapping):
+        seconds, rest = _stamp(count.get("sec"), 1_000_000_000), _stamp(count.get("nanosec"), 1)
+        return None if seconds is None or rest is None else seconds + rest
     if isinstance(count, float) and isfinite(count * unit_ns):
         return round(count * unit_ns)
     return count * unit_ns if isinstance(count, int) and not isinstance(count, bool) else None
@@ -96,14 +108,30 @@ def _stamp(count: Any, unit_ns: int) -> int | None:
 def follow(fields: Mapping[str, Any], path: tuple[str | int, ...]) -> Any:
     """Return what stands at ``path`` inside decoded fields, None where there is nothing."""
     here: Any = fields
+    above: Any = None
     for step in path:
         if isinstance(step, str) and isinstance(here, (dict, Mapping)):
-            here = here.get(step)
+            above, here = here, here.get(step)
+        elif isinstance(step, str) and isinstance(here, list) and isinstance(above, (dict, Mapping)):
+            here = _named(above.get("name"), here, step)
         elif isinstance(step, int) and isinstance(here, list | tuple) and step < len(here):
             here = here[step]
         else:
             return None
     return here
+
+
+def _named(names: Any, values: list[Any], name: str) -> Any:
+    """Return the value that belongs to a name; None where it is not there, twice, or the lists are not alike long."""
+    if not isinstance(names, list) or len(names) != len(values) or names.count(name) != 1:
+        return None
+    return values[names.index(name)]
+
+
+@lru_cache(maxsize=1024)
+def _steps(field: str) -> tuple[str | int, ...]:
+    """Return the steps of a field as it is written: names, and indices or names in brackets."""
+    return tuple(int(index) if index else step or name for step, index, name in _STEP.findall(field))
 
 
 def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
@@ -149,9 +177,11 @@ def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
     if period is not None and (isinstance(period, bool) or not isinstance(period, int | float) or not period > 0):
         raise TelemetryError(f"{where}: 'period' is not a positive number")
     field = str(table["field"])
-    path = tuple(int(index) if index else step for step, index in _STEP.findall(field))
+    path = _steps(field)
     if not path:
-        raise TelemetryError(f"{where}: 'field' is '{field}'; write it like 'rollspeed' or 'data[3]'")
+        raise TelemetryError(
+            f"{where}: 'field' is '{field}'; write it like 'rollspeed', 'data[3]' or 'position[elbow]'"
+        )
     return Channel(
         name=name,
         message=str(table["message"]),
@@ -168,7 +198,7 @@ def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
 
 def channel_table(channel: Channel) -> dict[str, Any]:
     """Return the TOML table that :func:`parse_channel` reads back as the same channel."""
-    field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in channel.path)
+    field = "".join(f"[{step}]" if isinstance(step, int) or "." in step else f".{step}" for step in channel.path)
     table: dict[str, Any] = {"message": channel.message, "field": field.lstrip(".")}
     if channel.where:
         table["where"] = dict(channel.where)

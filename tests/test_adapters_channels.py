@@ -115,6 +115,58 @@ def test_a_clock_of_ones_own_may_count_fractions() -> None:
     assert channel.stamp_ns({"time_boot_ms": 7}) is None
 
 
+@pytest.mark.parametrize(
+    ("clock", "fields", "stamp"),
+    [
+        (None, {"header": {"stamp": {"sec": 2, "nanosec": 3}}}, 2_000_000_003),
+        (None, {"time_usec": 5, "header": {"stamp": {"sec": 2, "nanosec": 3}}}, 5_000),
+        ("header.stamp", {"time_usec": 5, "header": {"stamp": {"sec": 2, "nanosec": 3}}}, 2_000_000_003),
+        ("stamp", {"stamp": {"sec": -1, "nanosec": 1}}, -999_999_999),
+        ("states[1].stamp", {"states": [{}, {"stamp": {"sec": 0, "nanosec": 9}}]}, 9),
+        ("info.time", {"info": {"time": 7}}, 7),
+        (None, {"header": {"stamp": {"sec": 2}}}, None),
+        (None, {"header": {"stamp": {"sec": "2", "nanosec": 3}}}, None),
+        (None, {"header": {"stamp": {"sec": math.inf, "nanosec": 3}}}, None),
+        (None, {"header": {"stamp": [2, 3]}}, None),
+        (None, {"header": 5}, None),
+        ("header.stamp", {"header": None}, None),
+    ],
+)
+def test_seconds_and_nanoseconds_of_a_nested_field_are_a_clock(
+    clock: str | None, fields: dict[str, Any], stamp: int | None
+) -> None:
+    assert Channel("c", "M", ("a",), clock=clock).stamp_ns(fields) == stamp
+
+
+def test_the_microseconds_of_px4_are_a_clock_with_a_unit() -> None:
+    channel = parse_channel(
+        "c", {"message": "M", "field": "xyz[2]", "clock": "timestamp", "clock_unit_ns": 1000}, "profile.toml"
+    )
+    assert channel.stamp_ns({"timestamp": 5_000_000}) == 5_000_000_000
+
+
+def test_a_joint_is_found_by_its_name_whatever_the_order() -> None:
+    channel = parse_channel("elbow", {"message": "joints", "field": "position[arm.elbow]"}, "profile.toml")
+    assert channel.value({"name": ["arm.elbow", "wrist"], "position": [0.5, 1.0]}) == 0.5
+    assert channel.value({"name": ["wrist", "base", "arm.elbow"], "position": [1.0, 2.0, 3.0]}) == 3.0
+    assert parse_channel("elbow", channel_table(channel), "again") == channel
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"position": [1.0]},
+        {"name": "elbow", "position": [1.0]},
+        {"name": ["wrist"], "position": [1.0]},
+        {"name": ["elbow", "wrist"], "position": [1.0]},
+        {"name": ["elbow"], "position": []},
+        {"name": ["elbow", "elbow"], "position": [1.0, 2.0]},
+    ],
+)
+def test_a_joint_that_cannot_be_told_gives_no_value(fields: dict[str, Any]) -> None:
+    assert Channel("c", "M", ("position", "elbow")).value(fields) is None
+
+
 def test_where_selects_among_messages_of_one_name() -> None:
     channel = Channel("c", "SERVO_OUTPUT_RAW", ("servo1_raw",), where=(("port", 0),))
     assert channel.selects({"port": 0})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import socket
 import subprocess
 import sys
 import time
@@ -14,24 +13,32 @@ from typing import Any
 
 import pytest
 import zenoh
+from loopback import free_port, until
+from mcap_ros2._dynamic import serialize_dynamic
 
+from adapters.channels import parse_channel
 from adapters.errors import TelemetryError
 from adapters.message import Message
+from adapters.message_definition import find_definition
 from adapters.zenoh_link import MAX_PAYLOAD_BYTES, ZenohLink
+from adapters.zenoh_payload import PayloadDecoder
 from adapters.zenoh_session import open_session
 
 ROOT = Path(__file__).parent.parent
 
 
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+def router(endpoint: str) -> zenoh.Session:
+    """Return a session that routes between those connected to it."""
+    config = zenoh.Config()
+    settings = {"mode": "router", "listen/endpoints": [endpoint], "scouting/multicast/enabled": False}
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
 
 
 @pytest.fixture
 def endpoint() -> str:
-    return free_endpoint()
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 @pytest.fixture
@@ -99,6 +106,118 @@ def test_oversized_payloads_are_counted_and_the_session_lives_on(
         assert link.statistics().oversized == 2
 
 
+IMU = "sensor_msgs/msg/Imu"
+IMU_TEXT = find_definition(IMU, [])
+RMW_KEY = (
+    "0/robot/imu/sensor_msgs::msg::dds_::Imu_/RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b"
+)
+
+
+def imu(x: float) -> bytes:
+    stamp = {"stamp": {"sec": 1_795_251_917, "nanosec": 5}, "frame_id": "imu"}
+    return bytes(serialize_dynamic(IMU, IMU_TEXT)[IMU]({"header": stamp, "angular_velocity": {"x": x}}))
+
+
+def test_cdr_becomes_messages_whose_channels_and_clocks_can_be_read(
+    listener: zenoh.Session, sender: zenoh.Session
+) -> None:
+    with ZenohLink(listener, "**", PayloadDecoder({"imu/left": IMU})) as link:
+        publisher(sender, "imu/left").put(imu(1.0))
+        publisher(sender, "imu/right").put(imu(2.0), encoding=f"application/cdr;{IMU}")
+        publisher(sender, RMW_KEY).put(imu(3.0), attachment=b"sequence number, gid")
+        messages = {message.name: message for message in collect(link, 3)}
+        channel = parse_channel("x", {"message": "m", "field": "angular_velocity.x"}, "test")
+        assert {name: channel.value(message.fields) for name, message in messages.items()} == {
+            "imu/left": 1.0,
+            "imu/right": 2.0,
+            "robot/imu": 3.0,
+        }
+        assert {channel.stamp_ns(message.fields) for message in messages.values()} == {1_795_251_917_000_000_005}
+
+
+def test_cdr_that_lies_or_is_of_an_unknown_type_is_counted_and_passed_over(
+    listener: zenoh.Session, sender: zenoh.Session
+) -> None:
+    with ZenohLink(listener, "t", PayloadDecoder({"t": IMU})) as link, ZenohLink(listener, "u") as other:
+        out, unknown = publisher(sender, "t"), publisher(sender, "u")
+        good = imu(1.0)
+        hostile = good[:12] + b"\xff\xff\xff\xff" + good[16:]
+        for payload in (
+            good[:-1],
+            hostile,
+            b"\0\2" + good[2:],
+            b"{}",
+            b"",
+            good + good,
+            b"\0\1\0\0" + b"\xff" * 900_000,
+        ):
+            out.put(payload)
+        out.put(good)
+        collect(link, 1)
+        assert (link.statistics().malformed, link.statistics().undefined) == (7, 0)
+        unknown.put(good, encoding="application/cdr")
+        unknown.put(good, encoding="application/cdr;px4_msgs/msg/VehicleOdometry")
+        unknown.put(b"{}")
+        collect(other, 1)
+        assert (other.statistics().malformed, other.statistics().undefined) == (0, 2)
+
+
+@pytest.mark.parametrize("mode", ["router", "client"])
+def test_telemetry_resumes_when_its_router_comes_back(endpoint: str, tmp_path: Path, mode: str) -> None:
+    (tmp_path / "zenoh.json5").write_text(json.dumps({"mode": mode, "connect": {"endpoints": [endpoint]}}))
+    running = router(endpoint)
+    with open_session(config_file=tmp_path / "zenoh.json5") as session, ZenohLink(session, "t") as link:
+        for back in range(3):
+            with running, open_session(connect=[endpoint]) as vehicle:
+                out = publisher(vehicle, "t")
+                out.put(b"{}")
+                collect(link, 1)
+                assert (link.statistics().connected, link.statistics().reconnections) == (1, back)
+            until(lambda: not link.statistics().connected)
+            running = router(endpoint)
+        running.close()
+        assert link.statistics().messages == 3
+
+
+SHARD = """
+import sys
+from adapters.zenoh_link import ZenohLink
+from adapters.zenoh_session import open_session
+with open_session(config_file=sys.argv[1]) as session, ZenohLink(session, sys.argv[2]) as link:
+    names = set()
+    while "end" not in {name.rpartition("/")[2] for name in names}:
+        names |= {message.name for message in link.receive(0.2)}
+    print(" ".join(sorted(names)))
+"""
+
+
+def test_two_processes_on_a_router_share_the_vehicles_by_key_expression(endpoint: str, tmp_path: Path) -> None:
+    example = (ROOT / "examples/zenoh/fleet-daemon.json5").read_text()
+    (tmp_path / "zenoh.json5").write_text(example.replace("tcp/localhost:7447", endpoint))
+
+    def shard(keyexpr: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, "-c", SHARD, str(tmp_path / "zenoh.json5"), keyexpr],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+        )
+
+    with (
+        router(endpoint),
+        open_session(connect=[endpoint]) as fleet,
+        shard("telemetry/north/**") as north,
+        shard("telemetry/south/**") as south,
+    ):
+        for name in ("north/a", "south/c", "north/b", "south/d", "north/end", "south/end"):
+            publisher(fleet, f"telemetry/{name}").put(b"{}")
+        seen = [process.communicate()[0].split() for process in (north, south)]
+    assert seen == [
+        ["telemetry/north/a", "telemetry/north/b", "telemetry/north/end"],
+        ["telemetry/south/c", "telemetry/south/d", "telemetry/south/end"],
+    ]
+
+
 def test_a_reader_that_stalls_loses_the_oldest_and_knows_how_many(
     listener: zenoh.Session, sender: zenoh.Session
 ) -> None:
@@ -133,68 +252,3 @@ def test_a_quiet_link_returns_nothing_when_the_time_is_over(listener: zenoh.Sess
 def test_a_wrong_key_expression_is_reported(listener: zenoh.Session) -> None:
     with pytest.raises(TelemetryError, match="'a//b' is not a Zenoh key expression"):
         ZenohLink(listener, "a//b")
-
-
-def test_a_session_waits_in_the_background_for_what_it_cannot_reach_yet(endpoint: str) -> None:
-    with open_session(connect=[endpoint]) as early:
-        made = early.declare_publisher("t")
-        for _ in range(2):
-            with open_session(listen=[endpoint]) as late, ZenohLink(late, "t") as link:
-                wait_for_match(made)
-                made.put(b"{}")
-                collect(link, 1)
-            while made.matching_status.matching:
-                time.sleep(0.005)
-
-
-LISTENING = """
-import os, sys
-from pathlib import Path
-from adapters.zenoh_session import open_session
-with open_session(connect=sys.argv[1:2], listen=sys.argv[2:]):
-    handles = [Path("/proc/self/fd", fd) for fd in os.listdir("/proc/self/fd")]
-    sockets = {os.readlink(handle) for handle in handles if handle.is_symlink()}
-    for table in ("tcp", "tcp6", "udp", "udp6"):
-        for row in Path("/proc/net", table).read_text().splitlines()[1:]:
-            columns = row.split()
-            if f"socket:[{columns[9]}]" in sockets and columns[3] in ("07", "0A"):
-                print(columns[1])
-"""
-
-
-def test_sessions_listen_nowhere_but_where_told(endpoint: str) -> None:
-    def listening(*listen: str) -> list[str]:
-        command = [sys.executable, "-c", LISTENING, endpoint, *listen]
-        return subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout.split()
-
-    other = free_endpoint()
-    assert listening(other) == [f"0100007F:{int(other.rpartition(':')[2]):04X}"]
-    assert listening() == []
-
-
-@pytest.mark.parametrize(
-    ("where", "said"),
-    [
-        ({"listen": ["foo"]}, "Zenoh endpoint foo: not understood; write it like tcp/127.0.0.1:7447"),
-        ({"connect": ["tcp"]}, "Zenoh endpoint tcp: not understood"),
-        (
-            {"listen": ["tcp/1.2.3.4:7447"]},
-            "Zenoh cannot listen on tcp/1.2.3.4:7447: 1.2.3.4:7447: Cannot assign",
-        ),
-        (
-            {"listen": ["tcp/127.0.0.1:99999"]},
-            "Zenoh cannot listen on tcp/127.0.0.1:99999: invalid port value",
-        ),
-    ],
-)
-def test_an_endpoint_that_cannot_be_used_is_reported_in_one_line(where: dict[str, list[str]], said: str) -> None:
-    with pytest.raises(TelemetryError) as caught:
-        open_session(**where)
-    assert str(caught.value).startswith(said)
-    assert "\n" not in str(caught.value)
-    assert ".rs" not in str(caught.value)
-
-
-def test_a_taken_port_is_reported(listener: zenoh.Session, endpoint: str) -> None:
-    with pytest.raises(TelemetryError, match="the port is taken; is another monitor running"):
-        open_session(listen=[endpoint])
