@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import BinaryIO, Self, cast
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -19,23 +19,21 @@ from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
-from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC
 
 from adapters.compressed import CompressedFile
 from adapters.errors import TelemetryError
+from adapters.mcap_writer import McapWriter
 from adapters.message import Message
 from adapters.message_record import Decode, decoder, encode
-from adapters.protobuf_types import descriptor_set
+from adapters.record import Record
 
-CHUNK_BYTES = 128 * 1024
 MAX_CHANNELS = 4096
 MAX_RECORD_BYTES = 512 * 1024 * 1024
 
-# viewers want some schema, and a JSON topic may carry anything
-_JSON_SCHEMA = ("fauio.Telemetry", b'{"type": "object"}')
 _RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
-_UNREADABLE = (McapError, struct.error, ValueError, KeyError, zstandard.ZstdError)
+_UNREADABLE = (McapError, struct.error, ValueError, KeyError, OverflowError, zstandard.ZstdError)
 _Read = Callable[[int], bytes]
 
 
@@ -46,14 +44,18 @@ class WriterStatistics:
     Parameters
     ----------
     records : int
-        Records written, on all topics.
+        Records taken, on all topics.
     unrecordable : int
         Messages left out because no record can hold them: values no JSON knows, a time before 1970, or more
         topics than :data:`MAX_CHANNELS`.
+    written : int
+        Records handed to the operating system; the others wait in the current chunk, or were lost to a write
+        that failed.
     """
 
     records: int
     unrecordable: int
+    written: int
 
 
 class MessageLogWriter:
@@ -72,49 +74,61 @@ class MessageLogWriter:
     ------
     TelemetryError
         The file cannot be created.
+    OSError
+        A write failed, in any method. The file is whole up to the last chunk; only :meth:`close` is of use then.
     """
 
     def __init__(self, target: str | os.PathLike[str] | BinaryIO) -> None:
         self._owned: BinaryIO | None = None
         if isinstance(target, str | os.PathLike):
             try:
-                target = self._owned = Path(target).open("wb")  # noqa: SIM115 - close() closes it
+                # unbuffered: a buffer would keep what could not be written, and try again on closing
+                target = self._owned = cast(BinaryIO, Path(target).open("wb", buffering=0))  # noqa: SIM115 - close()
             except OSError as error:
                 raise TelemetryError(f"{target}: cannot be written: {error.strerror}") from error
-        self._writer: Any = Writer(target, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(library="fauio")
+        try:
+            self._writer = McapWriter(target)
+        except OSError:
+            if self._owned is not None:
+                self._owned.close()
+            raise
         self._channels: dict[tuple[str, str], int] = {}
         self._records = 0
         self._unrecordable = 0
         self._closed = False
 
+    @property
+    def size(self) -> int:
+        """Bytes the file will have at most if it is closed now."""
+        return self._writer.size
+
     def write(self, message: Message) -> None:
         """Record a telemetry message; one that cannot be recorded is counted and left out."""
         try:
-            topic, pb_class, data = encode(message)
+            record = encode(message)
         except ValueError:
             self._unrecordable += 1
             return
-        if pb_class is None:
-            self._add(self._json_channel(topic, _JSON_SCHEMA), data, message.received_ns)
-        else:
-            self._add(self._protobuf_channel(topic, pb_class), data, message.received_ns)
+        self.write_record(record)
 
-    def write_protobuf(self, topic: str, record: Any, time_ns: int) -> None:
-        """Record a protobuf message; its descriptors go into the file with the topic's first record."""
-        self._add(self._protobuf_channel(topic, type(record)), record.SerializeToString(), time_ns)
-
-    def write_json(self, topic: str, data: bytes, time_ns: int, schema: tuple[str, bytes] | None = None) -> None:
-        """Record a JSON text, with the name and text of its JSON Schema where there is one."""
-        self._add(self._json_channel(topic, schema), data, time_ns)
+    def write_record(self, record: Record) -> None:
+        """Record what is encoded already; the schema goes into the file with the topic's first record."""
+        if self._closed:
+            raise RuntimeError("the log is closed; open another one")
+        channel = self._channels.get((record.topic, record.encoding)) or self._register(record)
+        if channel is None or not 0 <= record.time_ns < 1 << 64:
+            self._unrecordable += 1
+            return
+        self._records += 1
+        self._writer.add_message(channel, record.time_ns, record.data)
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record."""
-        self._writer.add_metadata(name, dict(entries))
+        self._writer.add_metadata(name, entries)
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """Attach a file; its times are left at zero, which MCAP reads as unknown."""
-        self._writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
+        """Attach a file."""
+        self._writer.add_attachment(name, media_type, data)
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system: it then survives ``kill -9``."""
@@ -134,7 +148,7 @@ class MessageLogWriter:
 
     def statistics(self) -> WriterStatistics:
         """Return the counts so far."""
-        return WriterStatistics(records=self._records, unrecordable=self._unrecordable)
+        return WriterStatistics(self._records, self._unrecordable, self._writer.written)
 
     def __enter__(self) -> Self:
         return self
@@ -144,37 +158,15 @@ class MessageLogWriter:
     ) -> None:
         self.close()
 
-    def _protobuf_channel(self, topic: str, pb_class: Any) -> int | None:
-        channel = self._channels.get((topic, "protobuf"))
-        if channel is None:
-            name = str(pb_class.DESCRIPTOR.full_name)
-            channel = self._register(topic, "protobuf", (name, "protobuf", descriptor_set(pb_class)))
-        return channel
-
-    def _json_channel(self, topic: str, schema: tuple[str, bytes] | None = None) -> int | None:
-        channel = self._channels.get((topic, "json"))
-        if channel is None:
-            channel = self._register(topic, "json", schema and (schema[0], "jsonschema", schema[1]))
-        return channel
-
-    def _register(self, topic: str, encoding: str, schema: tuple[str, str, bytes] | None) -> int | None:
+    def _register(self, record: Record) -> int | None:
         """Return the id of a new channel, None where the file has too many already."""
         if len(self._channels) >= MAX_CHANNELS:
             return None
-        schema_id = self._writer.register_schema(*schema) if schema else 0
-        channel: int = self._writer.register_channel(topic, encoding, schema_id)
-        self._channels[topic, encoding] = channel
+        schema = record.schema
+        schema_id = 0 if schema is None else self._writer.add_schema(schema.name, schema.encoding, schema.data)
+        channel = self._writer.add_channel(record.topic, record.encoding, schema_id)
+        self._channels[record.topic, record.encoding] = channel
         return channel
-
-    def _add(self, channel: int | None, data: bytes, time_ns: int) -> None:
-        if self._closed:
-            raise RuntimeError("the log is closed; open another one")
-        # a time out of range is found here, as the library would find out with half a record in its chunk
-        if channel is None or not 0 <= time_ns < 1 << 64:
-            self._unrecordable += 1
-            return
-        self._writer.add_message(channel, log_time=time_ns, data=data, publish_time=time_ns)
-        self._records += 1
 
 
 @dataclass(frozen=True, slots=True)

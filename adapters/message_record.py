@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable
 from typing import Any
 
 from adapters.mavlink_schema import MavlinkProtobuf, mavlink_protobuf
 from adapters.message import Message
-from adapters.protobuf_types import class_from_descriptor_set
+from adapters.protobuf_types import class_from_descriptor_set, descriptor_set
+from adapters.record import Record, Schema
 
 # Telemetry without MAVLink ids, and what else a pipeline is fed: time that passes, operators, the journal.
 _JSON_SOURCES = ("zenoh", "clock", "operator", "journal")
 
+# viewers want some schema, and a JSON topic may carry anything
+_JSON_SCHEMA = Schema("fauio.Telemetry", "jsonschema", b'{"type": "object"}')
+
 Decode = Callable[[bytes, int], Message]
 
 
-def encode(message: Message) -> tuple[str, Any, bytes]:
-    """Return a message's topic, the protobuf class of its record (None: JSON) and the record's bytes.
+def encode(message: Message) -> Record:
+    """Return a message as a record.
 
     MAVLink messages are protobuf, as JSON only where the fields are not those of pymavlink's definition.
     NaN and infinity stay literals in JSON, which JSON proper lacks: a replay has to see what the monitor saw.
@@ -25,22 +30,27 @@ def encode(message: Message) -> tuple[str, Any, bytes]:
     Raises
     ------
     ValueError
-        No record can hold the message's name or fields.
+        No record can hold the message's name, time or fields.
     """
     topic = f"/{message.source}/{message.name}"
     topic.encode()
     ids = {"system_id": message.system, "component_id": message.component}
+    if not 0 <= message.received_ns < 1 << 64:
+        raise ValueError(f"{message.name} arrived at a time that no record can hold")
     if message.source == "link":
-        return topic, None, _to_json({**message.fields, **ids})
+        return Record(topic, "json", _JSON_SCHEMA, _to_json({**message.fields, **ids}), message.received_ns)
     if message.source != "mavlink":
-        return topic, None, _to_json(message.fields)
+        return Record(topic, "json", _JSON_SCHEMA, _to_json(message.fields), message.received_ns)
     kind = mavlink_protobuf(message.name)
     if kind is not None:
         try:
-            return topic, kind.pb_class, kind.to_bytes(message)
+            data = kind.to_bytes(message)
         except ValueError:
-            kind = None
-    return topic, None, _to_json({**ids, "fields": message.fields})
+            pass
+        else:
+            return Record(topic, "protobuf", _mavlink_schema(kind), data, message.received_ns, message.component)
+    data = _to_json({**ids, "fields": message.fields})
+    return Record(topic, "json", _JSON_SCHEMA, data, message.received_ns, message.component)
 
 
 def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Decode | None:
@@ -71,6 +81,11 @@ def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Deco
     if source in _JSON_SOURCES and name and encoding == "json":
         return lambda data, time_ns: Message(source, name, time_ns, _from_json(data))
     return None
+
+
+@functools.cache
+def _mavlink_schema(kind: MavlinkProtobuf) -> Schema:
+    return Schema(str(kind.pb_class.DESCRIPTOR.full_name), "protobuf", descriptor_set(kind.pb_class))
 
 
 def _mavlink_from_json(data: bytes, name: str, time_ns: int) -> Message:

@@ -1,8 +1,9 @@
-"""Opens a recording of any known kind as messages; its suffix says which kind it is."""
+"""Opens a recording of any known kind as messages: a file by its suffix, a folder as the files of one session."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Container, Iterator
 from pathlib import Path
 from typing import Literal
@@ -12,24 +13,58 @@ from adapters.message import Message
 
 RecordingKind = Literal["tlog", "mcap"]
 
+_COMPRESSED = (".xz", ".gz")
+_SESSION_FILE = re.compile(r"(?P<vehicle>.+)-\d{8}T\d{6}Z-\d+", re.ASCII)
+
 
 def recording_kind(path: str | os.PathLike[str]) -> RecordingKind:
-    """Return what kind of recording a file is.
+    """Return what kind of recording a file, or a folder of files, is.
 
     Raises
     ------
     TelemetryError
-        The suffix is none of ``.tlog`` and ``.mcap``, plain or with ``.xz`` or ``.gz`` behind, or there is no
-        such file.
+        The suffix is none of ``.tlog`` and ``.mcap``, plain or with ``.xz`` or ``.gz`` behind; there is no such
+        file; or a folder that is no recorded session (:func:`session_files`).
     """
     file = Path(path)
-    plain = file.with_suffix("") if file.suffix.lower() in (".xz", ".gz") else file
-    kind = plain.suffix.lower()
+    if file.is_dir():
+        session_files(file)
+        return "mcap"
+    kind = _plain(file).suffix.lower()
     if kind not in (".tlog", ".mcap"):
         raise TelemetryError(f"{path}: unknown kind of recording; use .tlog or .mcap, plain or with .xz or .gz behind")
     if not file.is_file():
         raise TelemetryError(f"{path}: no such file")
     return "tlog" if kind == ".tlog" else "mcap"
+
+
+def session_files(folder: str | os.PathLike[str]) -> list[Path]:
+    """Return the files of a session that was recorded as ``<vehicle>-<UTC>-<number>.mcap``, in order.
+
+    A folder with a single MCAP file of any name is a session too. Empty files, begun in the moment of a crash, are
+    passed over.
+
+    Raises
+    ------
+    TelemetryError
+        The folder holds no MCAP file, or files of more than one vehicle or recording.
+    """
+    try:
+        files = sorted(
+            file for file in Path(folder).iterdir() if _plain(file).suffix.lower() == ".mcap" and file.stat().st_size
+        )
+    except OSError as error:
+        raise TelemetryError(f"{folder}: cannot be read: {error.strerror}") from error
+    if not files:
+        raise TelemetryError(f"{folder}: holds no .mcap file; give a recording or the folder of a recorded session")
+    found = {_vehicle(file): None for file in files}
+    if len(found) > 1:
+        names = ", ".join([*found][:4]) + (", ..." if len(found) > 4 else "")
+        raise TelemetryError(
+            f"{folder}: holds recordings of {len(found)} vehicles or sessions ({names}); "
+            "give one file, or put the files of one vehicle into a folder of their own"
+        )
+    return files
 
 
 def read_recording(path: str | os.PathLike[str], only: Container[str] | None = None) -> Iterator[Message]:
@@ -38,14 +73,14 @@ def read_recording(path: str | os.PathLike[str], only: Container[str] | None = N
     Parameters
     ----------
     path : str | PathLike
-        The recording.
+        The recording, or the folder of a session: its files one after the other.
     only : Container[str] | None
         Names of the messages wanted; None wants all.
 
     Raises
     ------
     TelemetryError
-        See :func:`recording_kind`; on iteration, where the file holds nothing of its kind.
+        See :func:`recording_kind`; on iteration, where a file holds nothing of its kind.
     """
     if recording_kind(path) == "tlog":
         from adapters.tlog import read_tlog
@@ -53,4 +88,17 @@ def read_recording(path: str | os.PathLike[str], only: Container[str] | None = N
         return read_tlog(path, only)
     from adapters.mcap_log import read_mcap_messages
 
-    return (message for message in read_mcap_messages(path) if only is None or message.name in only)
+    files = session_files(path) if Path(path).is_dir() else [Path(path)]
+    return (message for file in files for message in read_mcap_messages(file) if only is None or message.name in only)
+
+
+def _plain(file: Path) -> Path:
+    """Return a file's name without the suffix of its compression."""
+    return file.with_suffix("") if file.suffix.lower() in _COMPRESSED else file
+
+
+def _vehicle(file: Path) -> str:
+    """Return whose session a file belongs to; one of another name is a session of its own."""
+    stem = _plain(file).stem
+    found = _SESSION_FILE.fullmatch(stem)
+    return found["vehicle"] if found else stem

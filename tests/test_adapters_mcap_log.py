@@ -21,16 +21,18 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from adapters.errors import TelemetryError
 from adapters.mcap_log import (
-    CHUNK_BYTES,
     MAX_CHANNELS,
     MessageLogReader,
     MessageLogWriter,
     read_mcap_messages,
     read_mcap_metadata,
 )
+from adapters.mcap_writer import CHUNK_BYTES
 from adapters.message import Message
+from adapters.record import Record, Schema
 
 START_NS = 1_795_251_917_000_000_000
+SCHEMA = Schema("fauio.Alarm", "jsonschema", b'{"type": "object"}')
 
 
 def attitude(number: int, received_ns: int | None = None) -> Message:
@@ -273,9 +275,9 @@ def test_metadata_comes_back_also_from_an_unfinished_log(tmp_path: Path) -> None
 def test_topics_that_are_no_telemetry_are_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     with MessageLogWriter(path) as log:
-        log.write_json("/fauio/alarm_json", b"{}", START_NS, ("fauio.Alarm", b'{"type": "object"}'))
+        log.write_record(Record("/fauio/alarm_json", "json", SCHEMA, b"{}", START_NS))
         log.write(attitude(1))
-        log.write_json("/other", b"[]", START_NS)
+        log.write_record(Record("/other", "json", None, b"[]", START_NS))
     reader = MessageLogReader(path)
     assert list(reader) == [attitude(1)]
     assert reader.statistics().other_records == 2

@@ -9,6 +9,7 @@ import pytest
 
 from adapters.errors import TelemetryError
 from adapters.mcap_log import MessageLogWriter
+from adapters.message import Message
 from adapters.recordings import read_recording, recording_kind
 
 FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
@@ -45,3 +46,45 @@ def test_the_kind_is_told_by_the_suffix(tmp_path: Path, name: str, kind: str) ->
 def test_a_file_that_is_not_there_is_reported_at_once(tmp_path: Path) -> None:
     with pytest.raises(TelemetryError, match=r"a.tlog: no such file"):
         read_recording(tmp_path / "a.tlog")
+
+
+def write(path: Path, *numbers: int) -> None:
+    with MessageLogWriter(path) as log:
+        for number in numbers:
+            log.write(Message("zenoh", "k", 1 + number, {"n": number}))
+
+
+def test_a_folder_is_read_as_one_session_in_the_order_of_names(tmp_path: Path) -> None:
+    write(tmp_path / "a-1-20260101T000000Z-000010.mcap", 2, 3)
+    write(tmp_path / "a-1-20260101T000000Z-000009.mcap", 0, 1)
+    write(tmp_path / "a-1-20260102T000000Z-000000.mcap", 4)
+    packed = tmp_path / "a-1-20260103T000000Z-000000.mcap"
+    write(packed, 5)
+    packed.with_suffix(".mcap.gz").write_bytes(gzip.compress(packed.read_bytes()))
+    packed.unlink()
+    (tmp_path / "a-1-20260104T000000Z-000000.mcap").touch()
+    (tmp_path / "notes.txt").touch()
+    assert recording_kind(tmp_path) == "mcap"
+    assert [found.fields["n"] for found in read_recording(tmp_path)] == [*range(6)]
+    assert list(read_recording(tmp_path, {"other"})) == []
+
+
+def test_a_folder_of_one_file_of_any_name_is_a_session(tmp_path: Path) -> None:
+    write(tmp_path / "flight.mcap", 1)
+    assert len(list(read_recording(tmp_path))) == 1
+
+
+def test_a_folder_without_recordings_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.tlog").touch()
+    with pytest.raises(TelemetryError, match=r"^[^\n]*: holds no .mcap file; give a recording[^\n]*$"):
+        recording_kind(tmp_path)
+
+
+def test_a_folder_of_several_vehicles_names_them(tmp_path: Path) -> None:
+    for vehicle in ("a-1", "a-2"):
+        write(tmp_path / f"{vehicle}-20260101T000000Z-000000.mcap")
+    with pytest.raises(TelemetryError, match=r"holds recordings of 2 vehicles or sessions \(a-1, a-2\); give one"):
+        read_recording(tmp_path)
+    write(tmp_path / "b.mcap")
+    with pytest.raises(TelemetryError, match=r"3 vehicles or sessions \(a-1, a-2, b\)"):
+        recording_kind(tmp_path)

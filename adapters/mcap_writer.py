@@ -1,0 +1,289 @@
+"""The MCAP container, written chunk by chunk; what it keeps of the chunks behind it is their index as bytes.
+
+The mcap package's writer keeps an object with a dictionary for each chunk, some 9 MB an hour where records are
+flushed twice a second, and is left with half a record when a write fails. Here a chunk is written at once with its
+index, a write that fails is taken back, and the file still gets its summary where there is room for one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import struct
+import zlib
+from collections.abc import Mapping
+from typing import Any, BinaryIO
+
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+
+CHUNK_BYTES = 128 * 1024
+
+_COMPRESSION = b"zstd"
+# opcode, length of what follows, then the record's own fields
+_MESSAGE = struct.Struct("<BQHIQQ")
+_CHUNK = struct.Struct("<BQQQQII4sQ")
+_MESSAGE_INDEX = struct.Struct("<BQHI")
+_RECORD_HEAD = struct.Struct("<BQ")
+_INDEX_ENTRY = struct.Struct("<QQ")
+_FOOTER = struct.Struct("<BQQQ")
+_FOOTER_BYTES = 20
+# footer, statistics and summary offsets, apart from the channels' counts
+_SUMMARY_BYTES = 1024
+
+
+class McapWriter:
+    """Writes one MCAP file with chunks, message indexes and a summary.
+
+    Parameters
+    ----------
+    stream : BinaryIO
+        Where to write, from the beginning of a file. From an unbuffered file (``io.FileIO``) a write that failed
+        half-way is cut off again.
+
+    Raises
+    ------
+    OSError
+        From every method that writes, and from then on from all of them but :meth:`finish`: what stands in the
+        file is whole up to the last chunk, the records after it are lost.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._failed: OSError | None = None
+        self._at = 0
+        self._compressor = zstandard.ZstdCompressor()
+        self._chunk = bytearray()
+        self._chunk_times: tuple[int, int] | None = None
+        self._chunk_messages = 0
+        self._message_index: dict[int, bytearray] = {}
+        self._schemas = bytearray()
+        self._channels = bytearray()
+        self._chunk_indexes = bytearray()
+        self._attachment_indexes = bytearray()
+        self._metadata_indexes = bytearray()
+        self._totals = Statistics(
+            attachment_count=0,
+            channel_count=0,
+            channel_message_counts={},
+            chunk_count=0,
+            message_count=0,
+            metadata_count=0,
+            message_start_time=0,
+            message_end_time=0,
+            schema_count=0,
+        )
+        self._write(MCAP0_MAGIC + _encoded(Header(profile="", library="fauio")))
+
+    @property
+    def size(self) -> int:
+        """Bytes the file will have at most if it is finished now."""
+        return (
+            self._at
+            + len(self._chunk)
+            + self._chunk_messages * _INDEX_ENTRY.size
+            + len(self._message_index) * 2 * _MESSAGE_INDEX.size
+            + len(self._schemas)
+            + 2 * len(self._channels)
+            + len(self._chunk_indexes)
+            + len(self._attachment_indexes)
+            + len(self._metadata_indexes)
+            + _SUMMARY_BYTES
+        )
+
+    @property
+    def written(self) -> int:
+        """Messages that were handed to the operating system."""
+        return self._totals.message_count
+
+    def add_schema(self, name: str, encoding: str, data: bytes) -> int:
+        """Define a schema; return its id."""
+        self._totals.schema_count += 1
+        record = _encoded(Schema(id=self._totals.schema_count, name=name, encoding=encoding, data=data))
+        self._schemas += record
+        self._chunk += record
+        return self._totals.schema_count
+
+    def add_channel(self, topic: str, encoding: str, schema: int) -> int:
+        """Define a channel with the id of its schema, 0 for none; return its id."""
+        self._totals.channel_count += 1
+        number = self._totals.channel_count
+        record = _encoded(Channel(id=number, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema))
+        self._channels += record
+        self._chunk += record
+        return number
+
+    def add_message(self, channel: int, time_ns: int, data: bytes) -> None:
+        """Add a message, its log time and publish time being the same."""
+        if self._failed is not None:
+            raise _again(self._failed)
+        entries = self._message_index.get(channel)
+        if entries is None:
+            entries = self._message_index[channel] = bytearray()
+        entries += _INDEX_ENTRY.pack(time_ns, len(self._chunk))
+        self._chunk += _MESSAGE.pack(
+            Opcode.MESSAGE, _MESSAGE.size - _RECORD_HEAD.size + len(data), channel, 0, time_ns, time_ns
+        )
+        self._chunk += data
+        self._chunk_messages += 1
+        first, last = self._chunk_times or (time_ns, time_ns)
+        self._chunk_times = (min(first, time_ns), max(last, time_ns))
+        if len(self._chunk) > CHUNK_BYTES:
+            self._end_chunk()
+
+    def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        """Write a metadata record."""
+        record = _encoded(Metadata(name=name, metadata=dict(entries)))
+        index = MetadataIndex(offset=self._at, length=len(record), name=name)
+        self._write(record)
+        self._metadata_indexes += _encoded(index)
+        self._totals.metadata_count += 1
+
+    def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Attach a file; its times are left at zero, which MCAP reads as unknown."""
+        record = _encoded(Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data))
+        index = AttachmentIndex(
+            offset=self._at,
+            length=len(record),
+            log_time=0,
+            create_time=0,
+            data_size=len(data),
+            name=name,
+            media_type=media_type,
+        )
+        self._write(record)
+        self._attachment_indexes += _encoded(index)
+        self._totals.attachment_count += 1
+
+    def flush(self) -> None:
+        """Hand everything added so far to the operating system; without messages nothing is written."""
+        self._end_chunk()
+        self._stream.flush()
+
+    def finish(self) -> None:
+        """Write what is left and the summary; after a failure the summary of what stands in the file."""
+        if self._failed is None:
+            self._end_chunk()
+        self._failed = None
+        self._write(_encoded(DataEnd(data_section_crc=0)) + self._summary(self._at + _RECORD_HEAD.size + 4))
+        self._stream.flush()
+
+    def _end_chunk(self) -> None:
+        if self._chunk_times is None:
+            return
+        first, last = self._chunk_times
+        packed = self._compressor.compress(self._chunk)
+        head = _CHUNK.pack(
+            Opcode.CHUNK,
+            _CHUNK.size - _RECORD_HEAD.size + len(packed),
+            first,
+            last,
+            len(self._chunk),
+            zlib.crc32(self._chunk),
+            len(_COMPRESSION),
+            _COMPRESSION,
+            len(packed),
+        )
+        parts: list[bytes | bytearray] = [head, packed]
+        chunk_bytes = at = len(head) + len(packed)
+        offsets = {}
+        for channel, entries in self._message_index.items():
+            offsets[channel] = self._at + at
+            parts += (
+                _MESSAGE_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)),
+                entries,
+            )
+            at += _MESSAGE_INDEX.size + len(entries)
+        index = ChunkIndex(
+            chunk_length=chunk_bytes,
+            chunk_start_offset=self._at,
+            compression=_COMPRESSION.decode(),
+            compressed_size=len(packed),
+            message_end_time=last,
+            message_index_length=at - chunk_bytes,
+            message_index_offsets=offsets,
+            message_start_time=first,
+            uncompressed_size=len(self._chunk),
+        )
+        self._write(b"".join(parts))
+        self._chunk_indexes += _encoded(index)
+        self._count(first, last)
+        self._chunk = bytearray()
+        self._chunk_times = None
+        self._chunk_messages = 0
+        self._message_index = {}
+
+    def _count(self, first: int, last: int) -> None:
+        totals = self._totals
+        totals.message_start_time = min(totals.message_start_time, first) if totals.chunk_count else first
+        totals.message_end_time = max(totals.message_end_time, last)
+        totals.chunk_count += 1
+        for channel, entries in self._message_index.items():
+            count = len(entries) // _INDEX_ENTRY.size
+            totals.message_count += count
+            totals.channel_message_counts[channel] = totals.channel_message_counts.get(channel, 0) + count
+
+    def _summary(self, start: int) -> bytes:
+        """Return summary, footer and magic of a file whose summary begins at byte ``start``."""
+        groups = {
+            Opcode.SCHEMA: bytes(self._schemas),
+            Opcode.CHANNEL: bytes(self._channels),
+            Opcode.STATISTICS: _encoded(self._totals),
+            Opcode.CHUNK_INDEX: bytes(self._chunk_indexes),
+            Opcode.ATTACHMENT_INDEX: bytes(self._attachment_indexes),
+            Opcode.METADATA_INDEX: bytes(self._metadata_indexes),
+        }
+        offsets = b""
+        at = start
+        for opcode, group in groups.items():
+            if group:
+                offsets += _encoded(SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(group)))
+            at += len(group)
+        summary = b"".join(groups.values()) + offsets
+        crc = zlib.crc32(_FOOTER.pack(Opcode.FOOTER, _FOOTER_BYTES, start, at), zlib.crc32(summary))
+        return summary + _encoded(Footer(summary_start=start, summary_offset_start=at, summary_crc=crc)) + MCAP0_MAGIC
+
+    def _write(self, data: bytes) -> None:
+        """Write all of it or nothing."""
+        if self._failed is not None:
+            raise _again(self._failed)
+        rest = memoryview(data)
+        try:
+            while rest:
+                # an unbuffered file may take a part and say why it took no more only when asked again
+                rest = rest[self._stream.write(rest) :]
+        except OSError as error:
+            self._failed = error
+            if isinstance(self._stream, io.FileIO):
+                with contextlib.suppress(OSError):
+                    self._stream.truncate(self._at)
+                    self._stream.seek(self._at)
+            raise
+        self._at += len(data)
+
+
+def _encoded(record: McapRecord) -> bytes:
+    builder: Any = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())
+
+
+def _again(error: OSError) -> OSError:
+    return OSError(error.errno, error.strerror)

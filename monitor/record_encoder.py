@@ -1,0 +1,93 @@
+"""Everything a monitor sees and says as records, encoded once for however many files will hold them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any, Final
+
+from adapters.message import Message
+from adapters.message_record import encode
+from adapters.protobuf_types import descriptor_set
+from adapters.record import Record, Schema
+from monitor.estimate import Estimate, Layout
+from monitor.event import AlarmEvent
+from monitor.payload import ALARM_SCHEMA, to_json
+from monitor.protobuf_schema import EstimateType, SampleType, alarm_record
+
+OWN_TOPICS: Final = "/fauio/"
+
+_ALARM_JSON = Schema("fauio.Alarm", "jsonschema", json.dumps(ALARM_SCHEMA).encode())
+
+
+class RecordEncoder:
+    """Encodes one vehicle's messages, estimates and alarm events.
+
+    Topics: ``/mavlink/<MESSAGE>`` and ``/zenoh/<key>`` telemetry as received (and ``/link``, ``/operator`` and the
+    like for what else the pipeline is fed); ``/fauio/<observer>/sample`` and ``/fauio/<observer>/estimate``;
+    ``/fauio/alarm`` (protobuf) and ``/fauio/alarm_json``. The time of a record is the time of arrival for telemetry
+    and the Unix time of the sample for what the monitor made of it.
+
+    Parameters
+    ----------
+    layouts : Sequence[Layout]
+        The observers whose estimates will be encoded.
+
+    Attributes
+    ----------
+    unrecordable : int
+        What no record can hold: values no JSON knows, clocks that run out of 64 bits.
+    """
+
+    def __init__(self, layouts: Sequence[Layout]) -> None:
+        self.unrecordable = 0
+        self._samples = {layout.observer: SampleType(layout) for layout in layouts}
+        self._estimates = {layout.observer: EstimateType(layout) for layout in layouts}
+        self._sample_schemas = {name: _schema(kind.pb_class) for name, kind in self._samples.items()}
+        self._estimate_schemas = {name: _schema(kind.pb_class) for name, kind in self._estimates.items()}
+        self._alarm_schema: Schema | None = None
+
+    def message(self, message: Message) -> tuple[Record, ...]:
+        """Return telemetry as a record; nothing where it cannot be recorded, here and below."""
+        try:
+            return (encode(message),)
+        except ValueError:
+            self.unrecordable += 1
+            return ()
+
+    def estimate(self, estimate: Estimate) -> tuple[Record, ...]:
+        """Return the sample an estimate was computed from, and the estimate."""
+        name = estimate.observer
+        time_ns = estimate.sample.time_ns
+        try:
+            sample = self._samples[name].record(estimate.sample)
+            found = self._estimates[name].record(estimate)
+        except ValueError:
+            self.unrecordable += 1
+            return ()
+        return (
+            Record(f"{OWN_TOPICS}{name}/sample", "protobuf", self._sample_schemas[name], _bytes(sample), time_ns),
+            Record(f"{OWN_TOPICS}{name}/estimate", "protobuf", self._estimate_schemas[name], _bytes(found), time_ns),
+        )
+
+    def event(self, event: AlarmEvent) -> tuple[Record, ...]:
+        """Return an alarm event as protobuf and as JSON."""
+        try:
+            found = alarm_record(event)
+        except ValueError:
+            self.unrecordable += 1
+            return ()
+        schema = self._alarm_schema = self._alarm_schema or _schema(type(found))
+        data = to_json(event.to_json())
+        return (
+            Record(f"{OWN_TOPICS}alarm", "protobuf", schema, _bytes(found), event.time_ns),
+            Record(f"{OWN_TOPICS}alarm_json", "json", _ALARM_JSON, data, event.time_ns),
+        )
+
+
+def _schema(pb_class: Any) -> Schema:
+    return Schema(str(pb_class.DESCRIPTOR.full_name), "protobuf", descriptor_set(pb_class))
+
+
+def _bytes(record: Any) -> bytes:
+    return bytes(record.SerializeToString())
