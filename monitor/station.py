@@ -16,6 +16,7 @@ from monitor.black_box import BlackBox
 from monitor.config import Config, Vehicle
 from monitor.desk import DeskRule
 from monitor.errors import ProfileError
+from monitor.event import AlarmEvent
 from monitor.fleet import Fleet
 from monitor.health import Health, ProcessHealth
 from monitor.inbox import Inbox

@@ -43,9 +43,7 @@ def take_health(
         Alarm events said so far, by vehicle.
     """
     waiting = inbox.statistics()
-    process = ProcessHealth(
-        inbox_depth=waiting.waiting, inbox_capacity=inbox.limit, inbox_dropped=waiting.dropped
-    )
+    process = ProcessHealth(inbox_depth=waiting.waiting, inbox_capacity=inbox.limit, inbox_dropped=waiting.dropped)
     return Health(
         process,
         tuple(_vehicle(post, events.get(post.monitor.name, 0)) for post in posts),

@@ -24,16 +24,16 @@ from adapters.message_record import decoder, encode
     ],
 )
 def test_a_message_comes_back_with_its_ids(message: Message) -> None:
-    topic, kind, data = encode(message)
-    decode = decoder(topic, "json", None)
-    assert kind is None
+    record = encode(message)
+    decode = decoder(record.topic, "json", None)
+    assert record.encoding == "json"
     assert decode is not None
-    assert decode(data, 5) == message
+    assert decode(record.data, 5) == message
 
 
 def test_what_a_link_found_names_its_ids_as_mavlink_records_do() -> None:
-    _, _, data = encode(Message("link", "signing", 5, {"forged": 3}, system=7))
-    assert json.loads(data) == {"forged": 3, "system_id": 7, "component_id": 0}
+    record = encode(Message("link", "signing", 5, {"forged": 3}, system=7))
+    assert json.loads(record.data) == {"forged": 3, "system_id": 7, "component_id": 0}
 
 
 def test_what_a_link_found_survives_a_recording(tmp_path: Path) -> None:
