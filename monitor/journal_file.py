@@ -1,0 +1,180 @@
+"""The journal's database file: created, opened again, refused where it is not ours, set aside where it is damaged."""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+import time
+from pathlib import Path
+
+from monitor.errors import ProfileError
+
+APPLICATION_ID = 0x6661_756A
+SCHEMA_VERSION = 1
+BUSY_S = 0.05
+READ_BUSY_S = 1.0
+WAL_PAGES = 1000
+
+_MAGIC = b"SQLite format 3\0"
+_SIDECARS = ("-wal", "-shm", "-journal")
+# what goes away by itself: no room, a failing disk, another process in the way
+_PASSING = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
+_DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+# 'latest' is the number of the event with the largest seq, 'standing' whether that is another one than 'cleared'
+_SCHEMA = f"""
+BEGIN IMMEDIATE;
+CREATE TABLE event (
+    number INTEGER PRIMARY KEY,
+    vehicle TEXT NOT NULL,
+    seq INTEGER NOT NULL,
+    alarm TEXT NOT NULL,
+    time_ns INTEGER NOT NULL,
+    body TEXT NOT NULL,
+    UNIQUE (vehicle, seq)
+) STRICT;
+CREATE INDEX event_time ON event (time_ns);
+CREATE INDEX event_vehicle_time ON event (vehicle, time_ns);
+CREATE TABLE alarm (
+    id TEXT NOT NULL,
+    vehicle TEXT NOT NULL,
+    seq INTEGER NOT NULL,
+    latest INTEGER NOT NULL,
+    standing INTEGER NOT NULL,
+    frame TEXT,
+    PRIMARY KEY (id, vehicle)
+) STRICT;
+CREATE INDEX alarm_standing ON alarm (standing, latest);
+CREATE TABLE vehicle (name TEXT PRIMARY KEY, last_seq INTEGER NOT NULL) STRICT;
+PRAGMA application_id = {APPLICATION_ID};
+PRAGMA user_version = {SCHEMA_VERSION};
+COMMIT;
+"""
+
+
+class DamagedError(Exception):
+    """The file was begun as a database and can no longer be read as one."""
+
+
+def open_database(path: Path) -> sqlite3.Connection:
+    """Return a connection for the journal's only writer, the file created where there is none.
+
+    Raises
+    ------
+    ProfileError
+        The file cannot be a journal: no folder, not writable, another program's, of a newer version.
+    DamagedError
+        The file is a damaged database.
+    sqlite3.OperationalError
+        The disk is full or fails, or another process locks the file: it may work later.
+    """
+    _refuse_what_is_no_database(path)
+    connection: sqlite3.Connection | None = None
+    try:
+        connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
+        _prepare(path, connection)
+    except BaseException as error:
+        if connection is not None:
+            connection.close()
+        if isinstance(error, sqlite3.DatabaseError):
+            _explain(path, error)
+        raise
+    return connection
+
+
+def read_connection(path: Path, alone: bool = False) -> sqlite3.Connection:
+    """Return a connection for one query of any thread.
+
+    Parameters
+    ----------
+    path : Path
+        The database file.
+    alone : bool
+        Whether nobody else has it open, our own writer neither: then it is read without creating a file, as it has to
+        be on a full disk. The connection could write; otherwise it cannot.
+    """
+    uri = f"{path.absolute().as_uri()}?mode={'rw' if alone else 'ro'}"
+    connection = sqlite3.connect(uri, uri=True, timeout=READ_BUSY_S, isolation_level=None)
+    connection.text_factory = lambda text: text.decode(errors="replace")
+    if alone:
+        # the index of the write-ahead log then lies in memory (sqlite.org/wal.html, "without shared-memory")
+        connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+    return connection
+
+
+def set_aside(path: Path) -> Path:
+    """Rename a damaged database, and what belongs to it, to ``<name>.damaged-<time>``; return the new path.
+
+    Raises
+    ------
+    ProfileError
+        The folder does not allow it.
+    """
+    stem = f"{path.name}.damaged-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
+    target = path.with_name(stem)
+    count = 1
+    while target.exists():
+        count += 1
+        target = path.with_name(f"{stem}-{count}")
+    try:
+        for sidecar in _SIDECARS:
+            with contextlib.suppress(FileNotFoundError):
+                path.with_name(path.name + sidecar).rename(target.with_name(target.name + sidecar))
+        path.rename(target)
+    except OSError as error:
+        raise ProfileError(f"{path}: is damaged and cannot be renamed ({error.strerror}): move it away") from error
+    return target
+
+
+def _refuse_what_is_no_database(path: Path) -> None:
+    """Tell a file that never was a database (somebody's, refused) from one that no longer is (damaged)."""
+    if not path.parent.is_dir():
+        raise ProfileError(f"{path}: no folder '{path.parent}' for the journal: create it")
+    if path.is_dir():
+        raise ProfileError(f"{path}: is a folder: name a file for the journal")
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(_MAGIC))
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise ProfileError(f"{path}: cannot be opened as journal: {error.strerror}") from error
+    if head and not any(head):
+        raise DamagedError("begins with zeros")
+    if head and not _MAGIC.startswith(head) and head != _MAGIC:
+        raise ProfileError(f"{path}: is no database, so no journal: name another file")
+
+
+def _prepare(path: Path, connection: sqlite3.Connection) -> None:
+    application, version = (
+        connection.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
+    )
+    tables = connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]
+    if tables and application != APPLICATION_ID:
+        raise ProfileError(f"{path}: is the database of another program, not a journal: name another file")
+    if tables and version > SCHEMA_VERSION:
+        raise ProfileError(f"{path}: journal of version {version}, written by a newer fauio: update, or move it away")
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA synchronous = NORMAL")
+    connection.execute(f"PRAGMA wal_autocheckpoint = {WAL_PAGES}")
+    page_bytes = connection.execute("PRAGMA page_size").fetchone()[0]
+    connection.execute(f"PRAGMA journal_size_limit = {2 * WAL_PAGES * page_bytes}")
+    if not tables:
+        connection.executescript(_SCHEMA)
+        return
+    trouble = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if trouble != "ok":
+        raise DamagedError(" ".join(trouble.split()))
+    # a read-only file opens; only a write says so
+    connection.execute("BEGIN IMMEDIATE")
+    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+    connection.execute("COMMIT")
+
+
+def _explain(path: Path, error: sqlite3.DatabaseError) -> None:
+    """Raise what an error of SQLite means for the user; return where it may pass by itself."""
+    code = (getattr(error, "sqlite_errorcode", None) or 0) & 0xFF
+    if code in _PASSING:
+        return
+    if code in _DAMAGE:
+        raise DamagedError(str(error)) from error
+    raise ProfileError(f"{path}: cannot be written as journal: {error}") from error

@@ -1,0 +1,54 @@
+"""Quantiles within their stated error, whatever the latencies; intervals of their own; a histogram that adds up."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from monitor.latency import LatencyHistogram, LatencyStatistics
+
+LATENCIES = st.lists(st.integers(0, 1 << 39), min_size=1, max_size=60)
+
+
+def filled(latencies: list[int]) -> LatencyHistogram:
+    histogram = LatencyHistogram()
+    for latency in latencies:
+        histogram.add(latency)
+    return histogram
+
+
+@given(LATENCIES)
+def test_quantiles_are_never_below_the_truth_and_at_most_a_sixteenth_above(latencies: list[int]) -> None:
+    statistics = filled(latencies).statistics()
+    ordered = sorted(latencies)
+    assert statistics.count == len(latencies)
+    assert statistics.max_s == ordered[-1] / 1e9
+    for percent, found in ((50, statistics.p50_s), (99, statistics.p99_s)):
+        true = ordered[-(-len(ordered) * percent // 100) - 1] / 1e9
+        assert true <= found <= true * (1 + 1 / 16)
+
+
+@given(LATENCIES, LATENCIES)
+def test_an_interval_knows_only_its_own_latencies(first: list[int], second: list[int]) -> None:
+    histogram = filled(first)
+    assert histogram.end_interval() == filled(first).statistics()
+    for latency in second:
+        histogram.add(latency)
+    assert histogram.interval() == filled(first).statistics()
+    assert histogram.end_interval() == histogram.interval() == filled(second).statistics()
+    assert histogram.end_interval() == LatencyStatistics()
+    assert histogram.statistics() == filled(first + second).statistics()
+
+
+@given(LATENCIES)
+def test_the_exported_histogram_counts_what_is_below_each_bound(latencies: list[int]) -> None:
+    buckets = filled(latencies).buckets()
+    assert len(buckets.counts) == len(buckets.bounds_s) + 1
+    for bound_s, count in zip(buckets.bounds_s, buckets.counts, strict=False):
+        assert count == sum(latency / 1e9 < bound_s for latency in latencies)
+    assert buckets.counts[-1] == len(latencies)
+    assert abs(buckets.sum_s - sum(latencies) / 1e9) <= 1e-9 * buckets.sum_s
+
+
+def test_latencies_that_cannot_be_count_at_the_ends() -> None:
+    statistics = filled([-5, 1 << 80]).statistics()
+    assert (statistics.count, statistics.p50_s) == (2, 0.0)
+    assert 1000 < statistics.max_s < 1200
