@@ -24,7 +24,12 @@ def alarm_line(event: AlarmEvent) -> str:
         share,
         event.message,
     )
-    return "".join(c if c.isprintable() else "?" for c in "  ".join(part for part in parts if part))
+    return printable("  ".join(part for part in parts if part))
+
+
+def printable(text: str) -> str:
+    """Return a text with a question mark for each control character."""
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def utc(time_ns: int) -> str:

@@ -98,7 +98,7 @@ class AlarmSubscriber:
         self._alarms.undeclare()
 
     def _on_alarm(self, sample: zenoh.Sample) -> None:
-        event = _valid(_decode(sample.payload))
+        event = valid_event(_decode(sample.payload))
         if event is not None and self._history and self._hold(event):
             return
         self._take(event)
@@ -155,7 +155,7 @@ class AlarmSubscriber:
             self._take(None)
             return
         for event in events:
-            self._take(_valid(event))
+            self._take(valid_event(event))
 
     def _take(self, event: AlarmEvent | None) -> None:
         with self._changed:
@@ -185,7 +185,7 @@ def _decode(payload: zenoh.ZBytes) -> Any:
         return None
 
 
-def _valid(payload: Any) -> AlarmEvent | None:
+def valid_event(payload: Any) -> AlarmEvent | None:
     """Return the event a decoded payload holds, None where names or types are not those of an event."""
     if not isinstance(payload, dict):
         return None

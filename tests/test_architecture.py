@@ -25,6 +25,7 @@ HEAVY = {
     "matplotlib",
     "mcap",
     "google",
+    "pydantic",
     "rich",
 }
 LONGEST_MODULE = 400

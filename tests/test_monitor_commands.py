@@ -14,7 +14,8 @@ import pytest
 from loopback import Endpoint, event
 
 from monitor.alarm_text import alarm_line
-from monitor.event import event_from_json
+from monitor.event import AlarmEvent, event_from_json
+from monitor.payload import to_json
 from monitor.publisher import Publisher
 
 ROOT = Path(__file__).parent.parent
@@ -48,13 +49,17 @@ def lines(stream: IO[str] | None, count: int) -> list[str]:
     return [stream.readline().rstrip("\n") for _ in range(count)]
 
 
-def test_current_state_and_changes_are_readable_lines_and_ctrl_c_ends_with_130(endpoint: Endpoint) -> None:
+def json_line(one: AlarmEvent) -> str:
+    return to_json(one.to_json()).decode()
+
+
+def test_current_state_and_changes_are_json_lines_in_a_pipe_and_ctrl_c_ends_with_130(endpoint: Endpoint) -> None:
     publisher = Publisher(endpoint.session, "copter-1", [])
     publisher.event(event(1))
     with alarms(endpoint) as process:
-        assert lines(process.stdout, 1) == [alarm_line(event(1))]
+        assert lines(process.stdout, 1) == [json_line(event(1))]
         publisher.event(event(2, state="cleared"))
-        assert lines(process.stdout, 1) == [alarm_line(event(2, state="cleared"))]
+        assert lines(process.stdout, 1) == [json_line(event(2, state="cleared"))]
         assert lines(process.stderr, 1) == ["fauio: monitor of copter-1 is there"]
         process.send_signal(signal.SIGINT)
         assert process.communicate() == ("", "")
@@ -85,7 +90,7 @@ def test_it_says_when_no_monitor_is_there_and_keeps_waiting(endpoint: Endpoint) 
             publisher = Publisher(late, "copter-1", [])
             assert lines(process.stderr, 1) == ["fauio: monitor of copter-1 is there"]
             publisher.event(event(1))
-            assert lines(process.stdout, 1) == [alarm_line(event(1))]
+            assert lines(process.stdout, 1) == [json_line(event(1))]
             publisher.close()
             assert lines(process.stderr, 1) == ["fauio: monitor of copter-1 is gone; waiting for it"]
         process.send_signal(signal.SIGINT)
@@ -102,7 +107,7 @@ def test_a_reader_that_goes_away_ends_it_quietly(endpoint: Endpoint) -> None:
     publisher = Publisher(endpoint.session, "copter-1", [])
     publisher.event(event(1))
     with alarms(endpoint) as process:
-        assert lines(process.stdout, 1) == [alarm_line(event(1))]
+        assert lines(process.stdout, 1) == [json_line(event(1))]
         assert lines(process.stderr, 1) == ["fauio: monitor of copter-1 is there"]
         assert process.stdout is not None
         process.stdout.close()

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 import fauio
-from monitor.config import Config, read_config
 from monitor.errors import ProfileError
 from monitor.isolation_rule import BankRule
 from monitor.profile import read_profile
@@ -105,20 +104,3 @@ def test_a_missing_file_is_named(folder: Path) -> None:
         read_profile(folder)
     with pytest.raises(ProfileError, match=r"no profile\.toml in this folder"):
         read_profile(folder.parent)
-
-
-def test_a_configuration_overrides_the_defaults_key_by_key(tmp_path: Path) -> None:
-    path = tmp_path / "run.toml"
-    path.write_text('mavlink = "udpin:127.0.0.1:14551"\nlisten = []\n')
-    assert read_config(path) == Config(mavlink="udpin:127.0.0.1:14551", listen=())
-
-
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [("listen = 3", "'listen' is not a list"), ("speed = 1", "'speed' is not a key"), ("prefix = ", "not valid TOML")],
-)
-def test_a_mistake_in_the_configuration_is_named(tmp_path: Path, text: str, complaint: str) -> None:
-    path = tmp_path / "run.toml"
-    path.write_text(text)
-    with pytest.raises(ProfileError, match=re.escape(complaint)):
-        read_config(path)

@@ -1,0 +1,162 @@
+"""The live table as a terminal shows it: a process on a pseudo-terminal against a monitor's real session."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from loopback import START_NS, Endpoint, event
+from rich.console import Console
+
+from monitor.alarm_table import AlarmTable
+from monitor.alarm_view import draw
+from monitor.publisher import Publisher
+
+ROOT = Path(__file__).parent.parent
+HOUR_NS = 3600 * 1_000_000_000
+
+
+class Monitors:
+    """What the header needs of a subscriber."""
+
+    live = frozenset({"copter-1"})
+    lost = invalid = 0
+
+
+class Screen:
+    """``fauio alarms`` on a terminal of its own."""
+
+    def __init__(self, endpoint: Endpoint, columns: int = 140, lines: int = 24, term: str = "xterm-256color") -> None:
+        self._master, slave = pty.openpty()
+        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", lines, columns, 0, 0))
+        command = [sys.executable, "-W", "error", "-m", "fauio", "alarms", "--connect", endpoint.address]
+        env = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES", "NO_COLOR")}
+        self.process = subprocess.Popen(
+            command, stdout=slave, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=env | {"TERM": term}
+        )
+        os.close(slave)
+        self.raw = ""
+
+    def until(self, pattern: str) -> str:
+        """Read until the last picture has a text; return the picture without colours."""
+        while not re.search(pattern, self.picture()):
+            self.raw += os.read(self._master, 65536).decode()
+        return self.picture()
+
+    def picture(self) -> str:
+        """Return what was drawn last: from the header on."""
+        plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", self.raw).replace("\r", "")
+        return plain[max(plain.rfind("active   "), 0) :] if "Ctrl-C" not in plain else _last_picture(plain)
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+        os.close(self._master)
+
+
+def _last_picture(plain: str) -> str:
+    """Return the last picture that was drawn to its end."""
+    end = plain.rfind("Ctrl-C ends")
+    start = plain.rfind(" active   ", 0, end)
+    return plain[plain.rfind("\n", 0, start) + 1 : end]
+
+
+@pytest.fixture
+def endpoint() -> Iterator[Endpoint]:
+    found = Endpoint()
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def screen(endpoint: Endpoint) -> Iterator[Screen]:
+    found = Screen(endpoint)
+    yield found
+    found.close()
+
+
+def test_the_table_follows_the_alarms_until_ctrl_c(endpoint: Endpoint, screen: Screen) -> None:
+    publisher = Publisher(endpoint.session, "copter-1", [])
+    assert "no alarm stands" in screen.until("monitored: copter-1")
+    publisher.event(event(1, relative=-0.05))
+    publisher.event(event(2, "motor2", severity="critical"))
+    picture = screen.until("motor2.*\n.*motor1")
+    assert "2 active" in picture
+    assert re.search(r"critical +copter-1 +motors/motor2 .* raised +motor1 delivers less", picture)
+    assert "-0.02 m (-5.0 %)" in picture
+    publisher.event(event(3, "motor2", severity="critical", state="acknowledged", acknowledged=True))
+    screen.until("motor2.*acknowledged")
+    publisher.event(event(4, state="shelved", shelved_until_ns=time.time_ns() + HOUR_NS))
+    screen.until(r"1 active[\s\S]*motor2[\s\S]*motor1.*shelved until")
+    publisher.event(event(5, "motor2", state="cleared"))
+    screen.until(r"0 active[\s\S]*motor2.*cleared")
+    screen.process.send_signal(signal.SIGINT)
+    assert screen.process.wait() == 130
+    assert screen.process.stderr is not None
+    assert screen.process.stderr.read() == ""
+
+
+def test_it_says_that_no_monitor_is_there_or_that_it_went(endpoint: Endpoint, screen: Screen) -> None:
+    screen.until("no monitor at tcp/127")
+    publisher = Publisher(endpoint.session, "copter-1", [])
+    other = Publisher(endpoint.session, "copter-2", [])
+    publisher.event(event(1))
+    screen.until("monitored: copter-1, copter-2[\\s\\S]*motor1")
+    publisher.close()
+    screen.until("monitored: copter-2   monitor gone: copter-1")
+    other.close()
+
+
+def test_what_came_over_the_network_neither_drives_the_terminal_nor_is_markup(
+    endpoint: Endpoint, screen: Screen
+) -> None:
+    publisher = Publisher(endpoint.session, "copter-1", [])
+    publisher.event(event(1, message="\x1b]0;owned\x07\x1b[2J[red]stop[/red]"))
+    assert "?]0;owned??[2J[red]stop[/red]" in screen.until("stop")
+    assert "\x1b[2J" not in screen.raw
+    assert "\x1b]0" not in screen.raw
+
+
+def test_a_small_terminal_shows_the_worst_and_counts_the_rest(endpoint: Endpoint) -> None:
+    screen = Screen(endpoint, columns=80, lines=12)
+    publisher = Publisher(endpoint.session, "copter-1", [])
+    for k in range(30):
+        publisher.event(event(k + 1, f"motor{k}", severity="critical" if k == 7 else "warning"))
+    picture = screen.until("30 active[\\s\\S]*and 23 more")
+    assert re.search(r"critical +copter-1 +motors/motor7", picture)
+    assert all(len(line) <= 80 for line in picture.splitlines())
+    screen.close()
+
+
+@pytest.mark.parametrize("width", [50, 62, 80, 110, 160])
+def test_what_and_in_which_state_is_never_cut_while_there_is_room_for_it(width: int) -> None:
+    table = AlarmTable()
+    table.take(event(1, relative=-0.05, unit="fraction of full command"), START_NS)
+    table.take(event(2, "gps_north", observer="inertial"), START_NS)
+    console = Console(width=width, color_system=None)
+    with console.capture() as capture:
+        console.print(draw(table.rows(START_NS), Monitors(), ["tcp/here"], width, 24))
+    drawn = capture.get()
+    assert all(part in drawn for part in ("copter-1", "inertial/gps_north", "-5.0 %", "raised"))
+    assert ("severity" in drawn) == (width >= 62)
+    assert ("fraction of full command" in drawn) == (width >= 160)
+
+
+def test_a_terminal_that_cannot_redraw_gets_a_line_for_each_event(endpoint: Endpoint) -> None:
+    screen = Screen(endpoint, term="dumb")
+    publisher = Publisher(endpoint.session, "copter-1", [])
+    publisher.event(event(1))
+    assert "copter-1  motors/motor1  raised" in screen.until("delivers less")
+    assert "\x1b" not in screen.raw
+    screen.close()

@@ -1,0 +1,104 @@
+"""Published schemas: the files agree with the package, and what is really published agrees with them."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+from jsonschema import Draft202012Validator
+from loopback import event, free_port
+
+import fauio
+from adapters.sample import Sample
+from adapters.zenoh_session import open_session
+from monitor.estimate import Estimate, Layout
+from monitor.payload import estimate_json, to_json
+from monitor.profile import Profile
+from monitor.schemas import SCHEMAS, schema_text
+
+ROOT = Path(__file__).parent.parent
+FOLDER = ROOT / "docs/schemas"
+
+
+def valid(name: str, payload: bytes) -> bool:
+    return Draft202012Validator(SCHEMAS[name]).is_valid(json.loads(payload))
+
+
+def test_the_published_files_are_those_of_the_package() -> None:
+    assert {path.name for path in FOLDER.iterdir()} == {f"{name}.json" for name in SCHEMAS}
+    for name in SCHEMAS:
+        assert (FOLDER / f"{name}.json").read_text() == schema_text(name), "run python -m monitor.schemas docs/schemas"
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_each_is_a_schema_with_a_title_and_a_description(name: str) -> None:
+    Draft202012Validator.check_schema(SCHEMAS[name])
+    assert SCHEMAS[name]["title"].startswith("fauio.")
+    assert SCHEMAS[name]["description"]
+
+
+def test_alarm_events_are_as_published() -> None:
+    events = [event(1), event(2, estimate=None, relative=float("nan"), shelved_until_ns=5), event(3, state="shelved")]
+    assert all(valid("alarm", to_json(one.to_json())) for one in events)
+    assert valid("alarms", to_json([one.to_json() for one in events]))
+    assert not valid("alarm", to_json(event(1, state="on fire").to_json()))
+    assert valid("command_reply", to_json({"ok": True, "event": event(1).to_json()}))
+    assert not valid("command_reply", to_json({"ok": False, "event": event(1).to_json()}))
+    assert valid("command_error", to_json({"error": "no such alarm"}))
+
+
+@pytest.mark.parametrize(
+    ("request_body", "right"),
+    [
+        ({"id": "01J"}, True),
+        ({"channel": "motors/motor1", "minutes": 5, "by": "eva", "reason": "landing"}, True),
+        ({"channel": "motor1"}, False),
+        ({"id": "01J", "channel": "motors/motor1"}, False),
+        ({"by": "eva"}, False),
+        ({"id": "01J", "minutes": 0}, False),
+    ],
+)
+def test_a_command_names_one_alarm(request_body: dict[str, Any], right: bool) -> None:
+    assert valid("command_request", to_json(request_body)) is right
+
+
+def test_the_status_of_a_real_daemon_is_as_published(arm_profile: Profile, tmp_path: Path) -> None:
+    for name, content in arm_profile.files.items():
+        (tmp_path / name).write_bytes(content)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        udp = f"udpin:127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "fauio", "run", str(tmp_path), "--mavlink", udp, "--listen", endpoint]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as daemon, open_session(connect=[endpoint]) as session:
+        try:
+            with session.declare_subscriber("fauio/*/status", zenoh.handlers.RingChannel(4)) as statuses:
+                assert valid("status", bytes(statuses.recv().payload))
+        finally:
+            daemon.terminate()
+
+
+def test_estimates_are_as_published() -> None:
+    layout = Layout("motors", 100.0, ("u1",), ("y1",), ("x1",), ("motor1", "gps"), ("", "m"))
+    sample = Sample(1, 7_000_000, 5, np.zeros(1), np.zeros(1), restart=False, complete=True)
+    made = Estimate("motors", sample, np.array([1.0]), np.array([np.nan, 2.0]), np.zeros(2), np.zeros(1), armed=True)
+    payload = estimate_json(layout, made)
+    assert valid("estimate", to_json(payload))
+    assert valid("estimate", to_json(payload | {"sd": {"motor1": 0.1}, "coasted_s": 0.2}))
+    assert not valid("estimate", to_json(payload | {"coasted_s": -1.0}))
+
+
+def test_the_command_prints_one_or_all(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fauio.main(["schema", "status"]) == 0
+    assert json.loads(capsys.readouterr().out) == SCHEMAS["status"]
+    assert fauio.main(["schema"]) == 0
+    assert json.loads(capsys.readouterr().out) == SCHEMAS
+    assert fauio.main(["schema", "weather"]) == 2
+    assert "there is none; there are alarm" in capsys.readouterr().err
