@@ -110,7 +110,7 @@ def test_alarms_are_states_that_end_and_lines_of_text(written: Path) -> None:
     states = columns(written, "/alarms/motors/motor1")
     assert states["StateChange:state"] == [["warning"], ["critical"], [""]]
     assert states["vehicle_time"] == [10_200_000_000, 11_000_000_000, 13_000_000_000]
-    assert states["StateConfiguration:values"] == [["warning", "critical"]]
+    assert states["StateConfiguration:values"] == [["warning", "critical", "shelved"]]
     log = columns(written, "/log")
     assert log["TextLog:level"] == [["WARN"], ["CRITICAL"], ["INFO"]]
     assert log["TextLog:text"][0] == ["motor1 raised: motor1 delivers 6 % less than commanded"]

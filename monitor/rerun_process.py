@@ -1,0 +1,138 @@
+"""Rerun in a process of its own, fed through its standard input: what becomes of it touches nobody else.
+
+Rerun's in-process server listens on all interfaces unless told otherwise, grows without bound behind a client that
+stalls, and then holds up the process that ends. A child can be killed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import socket
+import subprocess
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal
+
+Mode = Literal["serve", "spawn"]
+
+LOOPBACK = "127.0.0.1"
+DEFAULT_PORT = 9876
+
+_PAGES_FILE = "/proc/{}/statm"
+_STOP_S = 1.0
+_LEAVE_S = 0.3
+
+
+class LiveViewError(ValueError):
+    """A live view that cannot be started; the message says what to do."""
+
+    exit_status = 2
+
+
+class RerunProcess:
+    """A Rerun server without a window, or a viewer, that shows the ``.rrd`` bytes written to it.
+
+    Parameters
+    ----------
+    mode : {"serve", "spawn"}
+        A server on loopback that viewers connect to, or a viewer on this machine's screen.
+    port : int
+        Port of the server; a viewer takes any free one.
+    memory_mb : int
+        What the server keeps for viewers that come later, or what the viewer keeps; the oldest is dropped.
+    """
+
+    def __init__(self, mode: Mode, port: int, memory_mb: int) -> None:
+        self._mode = mode
+        options = [f"--bind={LOOPBACK}"]
+        if mode == "serve":
+            options += ["--serve-grpc", f"--port={port}", f"--server-memory-limit={memory_mb}MB"]
+        else:
+            options += ["--new", "--hide-welcome-screen", f"--memory-limit={memory_mb}MB"]
+        # Rerun sends no usage statistics from continuous integration: a monitor does not phone home either.
+        environment = os.environ | {"CI": "1", "RERUN_APP_ONLY": "true"}
+        self._process = subprocess.Popen(  # noqa: S603 - the executable of our own dependency
+            [rerun_binary(), "-", *options],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            bufsize=0,
+            env=environment,
+            start_new_session=True,
+        )
+
+    def write(self, data: bytes) -> None:
+        """Write bytes, waiting for a process that is slow.
+
+        Raises
+        ------
+        OSError
+            The process is gone.
+        """
+        if self._process.stdin is None:
+            raise BrokenPipeError
+        rest = memoryview(data)
+        while rest:
+            rest = rest[self._process.stdin.write(rest) or 0 :]
+
+    def resident_mb(self) -> float:
+        """Return the process's resident memory; 0 where the system does not tell."""
+        try:
+            pages = int(Path(_PAGES_FILE.format(self._process.pid)).read_text().split()[1])
+        except (OSError, IndexError, ValueError):
+            return 0.0
+        return pages * resource.getpagesize() / 1e6
+
+    def kill(self) -> None:
+        """End the process at once, even while another thread waits in :meth:`write`."""
+        self._process.kill()
+
+    def close(self) -> None:
+        """End a server; leave a viewer open with what it has."""
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
+        if self._mode == "spawn":
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_LEAVE_S)
+            return
+        self._process.terminate()
+        try:
+            self._process.wait(_STOP_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait(_STOP_S)
+
+
+def rerun_binary() -> str:
+    """Return the path of Rerun's executable; ``RERUN_CLI_PATH`` overrides, as in Rerun itself.
+
+    Raises
+    ------
+    LiveViewError
+        There is none.
+    """
+    package = find_spec("rerun_cli")
+    folders = package.submodule_search_locations if package is not None else None
+    path = Path(os.environ.get("RERUN_CLI_PATH") or Path(folders[0] if folders else "", "rerun"))
+    if not os.access(path, os.X_OK):
+        raise LiveViewError(f"{path}: Rerun's executable is not there; install rerun-sdk again or set RERUN_CLI_PATH")
+    return str(path)
+
+
+def require_free(port: int) -> None:
+    """Check that nobody listens on a port of loopback.
+
+    Raises
+    ------
+    LiveViewError
+        Somebody does, or it is no port.
+    """
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except (OSError, OverflowError) as error:
+            raise LiveViewError(f"--rerun: cannot listen on {LOOPBACK}:{port}: {error}; choose another port") from error

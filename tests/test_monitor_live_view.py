@@ -1,0 +1,274 @@
+"""The live view reaches a real receiver, and neither a stalled nor a missing viewer holds up the monitor."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+import pytest
+import rerun as rr
+from loopback import free_port, until
+from rerun.chunk import RrdReader
+from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, estimate, event
+
+from adapters.message import Message
+from adapters.recordings import read_recording
+from monitor.estimate import Estimate
+from monitor.live_buffer import VehicleView
+from monitor.live_view import LiveView
+from monitor.pipeline import Pipeline
+from monitor.profile import Profile
+from monitor.rerun_process import LiveViewError, rerun_binary
+
+EVENTS = [event(1020, "raised"), event(1100, "updated", severity="critical"), event(1300, "cleared")]
+
+FakeRerun = Callable[[str], Path]
+
+
+def tables(path: Path, **selected: Any) -> dict[str, dict[str, list[Any]]]:
+    """Return the columns of all entities by path, batches joined, times as whole nanoseconds."""
+    found: dict[str, dict[str, list[Any]]] = {}
+    for chunk in reader(path).stream(**selected):
+        columns = found.setdefault(str(chunk.entity_path), {})
+        batch = chunk.to_record_batch()
+        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+            values = column.cast(pa.int64()) if pa.types.is_temporal(column.type) else column
+            columns.setdefault(name, []).extend(values.to_pylist())
+    return found
+
+
+def reader(path: Path) -> RrdReader:
+    with warnings.catch_warnings():
+        # a stream that was not finished has no footer
+        warnings.simplefilter("ignore")
+        return RrdReader(path)
+
+
+def blueprint_text(path: Path) -> str:
+    blueprint = reader(path).blueprints()[-1]
+    return " ".join(str(values) for columns in tables(path, store=blueprint).values() for values in columns.values())
+
+
+def finished(path: Path) -> bool:
+    """Return whether a receiver has come to the end of its input and has written its file with a footer."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            RrdReader(path)
+        except (Warning, RuntimeError, ValueError):
+            return False
+    return True
+
+
+@pytest.fixture
+def receiver(fake_rerun: FakeRerun) -> Path:
+    """Put Rerun that saves in the place of Rerun that shows; return its file, complete when the view was closed."""
+    return fake_rerun(f'exec {rerun_binary()} - --save "$out" --bind=127.0.0.1 --port={free_port()} 2> /dev/null')
+
+
+@pytest.fixture
+def fake_rerun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeRerun:
+    """Return what puts a shell line in the place of Rerun's executable; it writes to the returned file."""
+
+    def install(line: str) -> Path:
+        script, out = tmp_path / "rerun", tmp_path / "out.rrd"
+        script.write_text(f'#!/bin/sh\nout={out}\necho "$@" > {tmp_path}/arguments\n{line}\n')
+        script.chmod(0o755)
+        monkeypatch.setenv("RERUN_CLI_PATH", str(script))
+        return out
+
+    return install
+
+
+def fill(view: VehicleView, ticks: int = 200) -> list[Estimate]:
+    rng = np.random.default_rng(5)
+    estimates = [estimate(tick, rng) for tick in range(ticks)]
+    for one in estimates:
+        view.estimate(one)
+        view.message(Message("mavlink", "ATTITUDE", one.sample.time_ns, {"time_boot_ms": 1, "roll": 0.5, "yaw": 2.0}))
+    for alarm in EVENTS:
+        view.event(alarm)
+    return estimates[::5]
+
+
+def test_a_viewer_that_connects_sees_everything(tmp_path: Path) -> None:
+    port, path = free_port(), tmp_path / "seen.rrd"
+    live = LiveView("serve", port=port, memory_mb=64)
+    view = live.vehicle("copter-1", [LAYOUT], THRESHOLDS, {"ATTITUDE"})
+    kept = fill(view)
+    command = [rerun_binary(), live.url, "--save", str(path), "--bind=127.0.0.1", f"--port={free_port()}"]
+    until(lambda: live.statistics().batches > 0 and listening(port))
+    viewer = subprocess.Popen(command, env=os.environ | {"CI": "1"}, stderr=subprocess.DEVNULL)
+    try:
+        until(lambda: path.exists() and "/copter-1/log" in entities(path))
+    finally:
+        viewer.send_signal(signal.SIGINT)
+        viewer.wait()
+        live.close()
+    found = tables(path)
+    residual = found["/copter-1/motors/residual"]
+    np.testing.assert_array_equal(residual["Scalars:scalars"], [one.residual for one in kept])
+    assert residual["unix_time"] == [one.sample.time_ns for one in kept]
+    assert "TimeSeries" in blueprint_text(path)
+
+
+def entities(path: Path) -> set[str]:
+    try:
+        return set(tables(path))
+    except (RuntimeError, ValueError, OSError):
+        return set()
+
+
+def listening(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def test_nothing_but_loopback_is_listened_on() -> None:
+    port = free_port()
+    live = LiveView("serve", port=port)
+    until(lambda: listening(port))
+    tables = [Path("/proc/net/tcp"), Path("/proc/net/tcp6")]
+    rows = [line.split() for table in tables if table.exists() for line in table.read_text().splitlines()[1:]]
+    assert {row[1] for row in rows if row[3] == "0A" and row[1].endswith(f":{port:04X}")} == {f"0100007F:{port:04X}"}
+    live.close()
+    assert not listening(port)
+
+
+def test_values_thresholds_alarms_and_telemetry_of_all_vehicles_are_sent(receiver: Path) -> None:
+    live = LiveView("spawn", memory_mb=99)
+    kept = fill(live.vehicle("a", [LAYOUT, STANDBY], BOTH_THRESHOLDS, {"ATTITUDE"}))
+    fill(live.vehicle("b", [LAYOUT], THRESHOLDS, ()))
+    until(lambda: live.statistics().batches > 0)
+    live.close()
+    until(lambda: finished(receiver))
+    found = tables(receiver)
+    units = [THRESHOLDS["motors", name] for name in LAYOUT.faults[:3]]
+    quiet = found["/a/motors/quiet/estimate"]
+    np.testing.assert_array_equal(quiet["Scalars:scalars"], np.array([one.isolated[:3] for one in kept]) / units)
+    assert quiet["vehicle_time"] == [one.sample.vehicle_time_ns for one in kept]
+    assert found["/a/motors/quiet/threshold"]["Scalars:scalars"][0] == [1.0, -1.0]
+    assert found["/b/motors/threshold/motor1"]["Scalars:scalars"][0] == [0.015, -0.015]
+    assert found["/b/alarms/motors/motor1"]["StateChange:state"] == [["warning"], ["critical"], [""]]
+    assert found["/a/log"]["TextLog:level"] == [["WARN"], ["CRITICAL"], ["INFO"]]
+    raw = found["/a/raw/ATTITUDE"]
+    assert raw["SeriesLines:names"] == [["roll", "yaw"]]
+    assert raw["Scalars:scalars"] == [[0.5, 2.0]] * len(kept)
+    assert raw["unix_time"] == [one.sample.time_ns for one in kept]
+    assert not any("raw" in entity for entity in found if entity.startswith("/b/"))
+    text = blueprint_text(receiver)
+    for part in ("motors / residuals", "standby / quiet", "raw channels", "/b/alarms/**", "StateTimeline", "unix_time"):
+        assert part in text
+    arguments = (receiver.parent / "arguments").read_text().split()
+    assert {"-", "--bind=127.0.0.1", "--memory-limit=99MB"} <= set(arguments)
+
+
+def test_a_shelved_alarm_is_shown_as_such(receiver: Path) -> None:
+    live = LiveView("spawn")
+    view = live.vehicle("a", [LAYOUT], THRESHOLDS, ())
+    for alarm in (EVENTS[0], replace(EVENTS[1], state="shelved", shelved_until_ns=2**60), EVENTS[2]):
+        view.event(alarm)
+    until(lambda: live.statistics().batches > 0)
+    live.close()
+    until(lambda: finished(receiver))
+    assert tables(receiver)["/a/alarms/motors/motor1"]["StateChange:state"] == [["warning"], ["shelved"], [""]]
+
+
+def test_a_viewer_that_never_reads_stalls_nobody_and_ends_with_the_view(fake_rerun: FakeRerun) -> None:
+    fake_rerun("exec sleep 1000")
+    live = LiveView("spawn")
+    view = live.vehicle("a", [LAYOUT], THRESHOLDS, {"ATTITUDE"})
+    rng = np.random.default_rng(5)
+    one = estimate(0, rng)
+    tick = 0
+
+    def feed() -> bool:
+        nonlocal tick
+        for _ in range(1000):
+            tick += 1
+            view.estimate(replace(one, sample=replace(one.sample, time_ns=one.sample.time_ns + tick * 50_000_000)))
+            view.event(event(tick, "raised", message="x" * 1000))
+        return live.statistics().dropped > 10_000
+
+    until(feed)
+    assert len(view) <= 1100
+    live.close()
+    assert not live.statistics().showing
+
+
+def test_a_viewer_that_is_closed_costs_nothing(fake_rerun: FakeRerun) -> None:
+    fake_rerun("exit 0")
+    live = LiveView("spawn")
+    view = live.vehicle("a", [LAYOUT], THRESHOLDS, ())
+    until(lambda: live.statistics().failures == 1)
+    fill(view)
+    live.close()
+    live.close()
+    assert live.statistics().showing is False
+
+
+def test_a_port_that_is_taken_and_a_missing_executable_are_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        with pytest.raises(LiveViewError, match=r"cannot listen on 127.0.0.1:[0-9]+: .*; choose another port"):
+            LiveView("serve", port=other.getsockname()[1])
+    monkeypatch.setenv("RERUN_CLI_PATH", "/nowhere/rerun")
+    with pytest.raises(LiveViewError, match="/nowhere/rerun: Rerun's executable is not there"):
+        LiveView("spawn")
+
+
+def test_a_process_with_a_view_that_nobody_looks_at_ends_by_itself() -> None:
+    program = f"""
+from monitor.live_view import LiveView
+live = LiveView("serve", port={free_port()})
+live.vehicle("a", (), {{}}, ())
+live.close()
+"""
+    subprocess.run([sys.executable, "-W", "error", "-c", program], check=True, timeout=30)
+
+
+def test_a_flight_with_a_motor_fault_shows_its_thresholds_and_its_alarm(
+    receiver: Path, quad_profile: Profile, data: Path
+) -> None:
+    pipeline = Pipeline(quad_profile)
+    live = LiveView("spawn")
+    needed = frozenset[str]().union(*pipeline.needs.values())
+    view = live.vehicle(pipeline.vehicle, pipeline.layouts, pipeline.thresholds, needed)
+    said = []
+    for message in read_recording(data / "copter_motor2_080.tlog.xz"):
+        if not pipeline.accepts(message):
+            continue
+        view.message(message)
+        for output in pipeline.feed(message):
+            if isinstance(output, Estimate):
+                view.estimate(output)
+            else:
+                view.event(output)
+                said.append(output)
+        if len(view) > 400:
+            until(lambda: len(view) < 400)
+    live.close()
+    until(lambda: finished(receiver))
+    assert live.statistics().dropped == 0
+    found = tables(receiver)
+    root = f"/{rr.escape_entity_path_part(pipeline.vehicle)}"
+    assert [text for [text] in found[f"{root}/log"]["TextLog:text"]] == [
+        f"{alarm.channel} {alarm.state}: {alarm.message}" for alarm in said
+    ]
+    assert f"{root}/alarms/motors/motor2" in found
+    assert found[f"{root}/motors/quiet/threshold"]["Scalars:scalars"][0] == [1.0, -1.0]
+    assert found[f"{root}/motors/quiet/estimate"]["SeriesLines:names"][0] == list(pipeline.layouts[0].faults)
+    worst = np.abs(np.array(found[f"{root}/motors/quiet/estimate"]["Scalars:scalars"])).max(axis=0)
+    assert worst.argmax() == pipeline.layouts[0].faults.index("motor2")
+    assert set(needed) & {name.removeprefix(f"{root}/raw/") for name in found}
