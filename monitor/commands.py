@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 from pathlib import Path
 
 from monitor.alarm_commands import add_alarms, add_schema
@@ -46,6 +47,13 @@ def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     run.add_argument("--prefix", help="what the keys begin with (fauio)")
     run.add_argument("--record", type=Path, metavar="OUT.mcap", help="record telemetry, estimates and alarms")
+    run.add_argument(
+        "--rerun",
+        nargs="?",
+        const="spawn",
+        choices=["spawn", "serve"],
+        help="show it live in Rerun: start a viewer, or serve one that connects to port 9876 of this machine",
+    )
     run.add_argument("--json", action="store_true", help="log lines on stderr as JSON, also on a terminal")
     run.set_defaults(handler=run_run)
 
@@ -61,5 +69,7 @@ def run_run(args: argparse.Namespace) -> int:
         given |= {"mavlink": args.mavlink or (), "zenoh": args.zenoh or ()}
     if args.allow_public:
         given["allow_public"] = True
-    config = read_config(args.config, given)
-    return run_live(config, as_json=args.json)
+    if args.rerun is not None:
+        given["rerun"] = {"mode": args.rerun}
+    read = functools.partial(read_config, args.config, given)
+    return run_live(read(), read, as_json=args.json)

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
@@ -29,6 +29,9 @@ from monitor.log import Log
 from monitor.metrics_server import MetricsServer
 from monitor.station import Station
 from monitor.systemd import Notifier
+
+if TYPE_CHECKING:
+    from monitor.live_view import LiveView
 
 _SYNC_S = 1.0
 
@@ -69,7 +72,8 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         journal = _open_journal(config, log, stack)
         inbox = Inbox(config.inbox)
         links: dict[str, Any] = {}
-        station = Station(config, read_again, session, inbox, journal, log, links)
+        view = _open_view(config, log, stack)
+        station = Station(config, read_again, session, inbox, journal, log, links, view)
         stack.callback(station.close)
         _open_links(config, session, inbox, station, links, stack)
         # before the links are closed, which their threads read
@@ -89,8 +93,10 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
             daemon.run()
         notifier.stopping()
         for post in station.posts:
-            counts = {key: value for key, value in post.last_status.items() if type(value) is int}
-            log.say("stopped", vehicle=post.monitor.name, **counts)
+            status = post.last_status
+            log.say(
+                "stopped", vehicle=post.monitor.name, messages=status.get("messages"), samples=status.get("samples")
+            )
         return 130 if signal.SIGINT in received else 0
 
 
@@ -112,6 +118,22 @@ def _open_journal(config: Config, log: Log, stack: ExitStack) -> Journal | None:
     stack.callback(thread.join, 5.0)
     stack.callback(done.set)
     return journal
+
+
+def _open_view(config: Config, log: Log, stack: ExitStack) -> LiveView | None:
+    """Open the live view; where it cannot be shown, monitoring goes on without it."""
+    if config.rerun.mode == "off":
+        return None
+    from monitor.live_view import LiveView
+
+    try:
+        view = LiveView(config.rerun.mode, memory_mb=config.rerun.memory_mb)
+    except ValueError as error:
+        log.say("no live view", level="error", reason=str(error))
+        return None
+    stack.callback(view.close)
+    log.say("live view", url=view.url)
+    return view
 
 
 def _open_links(

@@ -102,17 +102,14 @@ class Post:
         self._journal = journal
         self.archive = archive
         self._closers = tuple(closers)
-        root = vehicle_root(rule.prefix, monitor.name)
-        limits = (rule.shelve_minutes, rule.max_shelve_minutes)
         self._operators: Operators | None = None
-        self._start_operators = lambda: Operators(session, root, rule.commands, *limits)
         self._election: Election | None = None
         self._others: AlarmSubscriber | None = None
         self._status_ns = self._flushed_ns = time.time_ns()
         monitor.take(rules_message(desk, monitor.pipeline.profile, self._status_ns))
         if rule.standby:
             self._others = AlarmSubscriber(session, monitor.name, rule.prefix)
-            self._election = Election(session, root)
+            self._election = Election(session, vehicle_root(rule.prefix, monitor.name))
         else:
             self._speak(self._status_ns)
 
@@ -172,7 +169,9 @@ class Post:
         voice = Publisher(self._session, name, layouts, self._rule.prefix, self._rule.estimate_rate_hz, journal=past)
         active, seq = _remembered(journal, name)
         monitor.speak(voice, now_ns, active, seq)
-        self._operators = self._start_operators()
+        root = vehicle_root(self._rule.prefix, name)
+        limits = (self._rule.shelve_minutes, self._rule.max_shelve_minutes)
+        self._operators = Operators(self._session, root, self._rule.commands, *limits)
 
     def _answer(self, operators: Operators) -> None:
         desk = self.monitor.pipeline.desk
@@ -194,4 +193,5 @@ def _remembered(journal: PastEvents | None, vehicle: str) -> tuple[Sequence[Alar
         return journal.active(vehicle), journal.last_seq(vehicle)
     except OSError as error:
         logging.getLogger(__name__).warning("alarms from before the start are not known: %s", error)
-        return (), 0
+        # Numbers that were used before would later be taken for events that are known.
+        return (), int(time.time())

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from monitor.archive import Archive
 from monitor.black_box import BlackBox
@@ -34,6 +34,9 @@ from monitor.vehicle_monitor import VehicleMonitor
 if TYPE_CHECKING:
     import zenoh
 
+    from monitor.live_buffer import VehicleView
+    from monitor.live_view import LiveView
+
 _SECOND_NS = 1_000_000_000
 _MEGABYTE = 1_000_000
 
@@ -57,6 +60,8 @@ class Station:
         The daemon's log.
     links : Links
         The links by name, for their counts.
+    live_view : LiveView | None
+        Shows the vehicles live, if any.
 
     Raises
     ------
@@ -73,6 +78,7 @@ class Station:
         journal: Journal | None,
         log: Log,
         links: Links,
+        live_view: LiveView | None = None,
     ) -> None:
         self._config = config
         self._read_again = read_again
@@ -81,6 +87,8 @@ class Station:
         self._journal = journal
         self._log = log
         self._links = links
+        self._live_view = live_view
+        self._views: dict[str, VehicleView] = {}
         self._profiles: dict[Path, Profile] = {}
         self._posts: dict[str, Post] = {}
         self._new = 0
@@ -163,6 +171,8 @@ class Station:
                 self._log.say("restart needed", level="warning", vehicle=name, reason="its models or gains changed")
                 continue
             post.retune(self._desk(vehicle), profile)
+            if name in self._views:
+                self._views[name].retune(post.monitor.pipeline.thresholds)
         self._log.say("reloaded", vehicles=len(self._posts))
 
     def _meet(self, system: int) -> VehicleMonitor | None:
@@ -193,9 +203,15 @@ class Station:
             raise ProfileError(f"two vehicles are called '{pipeline.vehicle}'; give each a name of its own")
         with ExitStack() as stack:
             archive = self._archive(pipeline, profile, stack)
+            archives: list[Any] = [] if archive is None else [archive]
+            if self._live_view is not None:
+                needed = frozenset[str]().union(*pipeline.needs.values())
+                view = self._live_view.vehicle(pipeline.vehicle, pipeline.layouts, pipeline.thresholds, needed)
+                self._views[pipeline.vehicle] = view
+                archives.append(view)
             monitor = VehicleMonitor(
                 pipeline,
-                [archive] if archive is not None else [],
+                archives,
                 self._journal,
                 self._say_event,
                 time.time_ns(),
