@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from typing import NamedTuple
 
 _SECOND_NS = 1_000_000_000
@@ -11,13 +12,29 @@ _BUCKETS = 12
 _TOLERANCE_NS = _SECOND_NS
 _JUMP_NS = 10 * _SECOND_NS
 _TURNS_NS = (1_000 << 32, 1_000_000 << 32)
+_LEAST_SPAN_NS = 15 * _SECOND_NS
+_LARGEST_SKEW = 500, 1_000_000
 
 
-class _Bucket(NamedTuple):
-    """Least delay (arrival minus stamp) seen among stamps of one stretch of vehicle time."""
+class _Point(NamedTuple):
+    """Stamp of a packet and its delay: arrival minus stamp."""
 
-    number: int
-    least_ns: int
+    stamp_ns: int
+    delay_ns: int
+
+
+class _Line(NamedTuple):
+    """Delay of a packet that nothing held up, over vehicle time: through a point, rise / run its slope."""
+
+    point: _Point
+    rise_ns: int = 0
+    run_ns: int = 1
+
+    def at(self, stamp_ns: int) -> int:
+        """Return the delay at a vehicle time, rounded down."""
+        if not self.rise_ns:
+            return self.point.delay_ns
+        return self.point.delay_ns + (stamp_ns - self.point.stamp_ns) * self.rise_ns // self.run_ns
 
 
 class VehicleClock:
@@ -28,10 +45,14 @@ class VehicleClock:
     single damaged stamp changes nothing. Once believed, a step back of more than 1 s is a reboot and a step
     ahead of more than 10 s a clock that was set: both start the clock anew and count in ``boot``.
 
-    Mapping. Arrival minus stamp is the clocks' offset plus a delay that is never negative. The least value
-    among the last 60 s of vehicle time belongs to the least delayed packet, so it is the offset, and 60 s are
-    short enough to follow the drift of a crystal. A single arrival time that would lower it by more than 1 s
-    is not believed either.
+    Mapping. Arrival minus stamp is the clocks' offset, which drifts with the crystals' skew, plus a delay that is
+    never negative. Of each 5 s of vehicle time the least delayed packet is kept, for 60 s. The line below all of
+    these points with the least sum of distances to them is that of the packets nothing held up: offset and skew
+    at once (S. Moon, P. Skelly, D. Towsley, "Estimation and Removal of Clock Skew from Network Delay
+    Measurements", INFOCOM 1999). It is the edge of their lower convex hull below the mean of their stamps. Where
+    they span less than 15 s, or the edge is steeper than any crystal (500 ppm: simulated time that runs fast, a
+    clock that was just set), the least delay stands alone. A single arrival time that would lower the offset by
+    more than 1 s is not believed.
 
     Attributes
     ----------
@@ -46,9 +67,9 @@ class VehicleClock:
         self.newest_ns = 0
         self._running = False
         self._candidate_ns: int | None = None
-        self._buckets: deque[_Bucket] = deque()
-        self._offset_ns = 0
-        self._doubtful: tuple[int, int] | None = None
+        self._points: deque[_Point] = deque()
+        self._line = _Line(_Point(0, 0))
+        self._doubtful: _Point | None = None
 
     def near(self, stamp_ns: int) -> bool:
         """Return whether a stamp is close enough to the newest one to need no second opinion."""
@@ -78,12 +99,17 @@ class VehicleClock:
         if stamp_ns > self.newest_ns or not self._running:
             self.newest_ns = stamp_ns
             self._running = True
-        self._learn_offset(stamp_ns, received_ns - stamp_ns)
+        self._learn(_Point(stamp_ns, received_ns - stamp_ns))
         return True
 
     def to_unix(self, vehicle_ns: int) -> int:
         """Return the Unix time of a vehicle time, nanoseconds."""
-        return vehicle_ns + self._offset_ns
+        return vehicle_ns + self._line.at(vehicle_ns)
+
+    @property
+    def skew(self) -> float:
+        """How much faster Unix time goes than the vehicle's clock, as a share: 1e-4 is 100 ppm."""
+        return self._line.rise_ns / self._line.run_ns
 
     def _confirmed(self, stamp_ns: int) -> bool:
         before = self._candidate_ns
@@ -95,25 +121,56 @@ class VehicleClock:
     def _start_anew(self) -> None:
         self.boot += 1
         self._running = False
-        self._buckets.clear()
+        self._points.clear()
         self._doubtful = None
 
-    def _learn_offset(self, stamp_ns: int, delay_ns: int) -> None:
-        buckets = self._buckets
-        if buckets and delay_ns < self._offset_ns - _TOLERANCE_NS:
+    def _learn(self, point: _Point) -> None:
+        points = self._points
+        early_ns = self._line.at(point.stamp_ns) - point.delay_ns
+        if points and early_ns > _TOLERANCE_NS:
             before = self._doubtful
-            self._doubtful = stamp_ns, delay_ns
-            if before is None or before[0] == stamp_ns or abs(before[1] - delay_ns) > _TOLERANCE_NS:
+            self._doubtful = point
+            if (
+                before is None
+                or before.stamp_ns == point.stamp_ns
+                or abs(before.delay_ns - point.delay_ns) > _TOLERANCE_NS
+            ):
                 return
-            buckets.clear()
+            points.clear()
         self._doubtful = None
-        number = stamp_ns // _BUCKET_NS
-        if not buckets or number > buckets[-1].number:
-            buckets.append(_Bucket(number, delay_ns))
-            while buckets[0].number <= number - _BUCKETS:
-                buckets.popleft()
-        elif delay_ns < buckets[-1].least_ns:
-            buckets[-1] = _Bucket(buckets[-1].number, delay_ns)
+        number = point.stamp_ns // _BUCKET_NS
+        if not points or number > points[-1].stamp_ns // _BUCKET_NS:
+            points.append(point)
+            while points[0].stamp_ns // _BUCKET_NS <= number - _BUCKETS:
+                points.popleft()
+        elif early_ns > self._line.at(points[-1].stamp_ns) - points[-1].delay_ns:
+            points[-1] = point
         else:
             return
-        self._offset_ns = min(bucket.least_ns for bucket in buckets)
+        self._line = _line_below(points)
+
+
+def _line_below(points: Iterable[_Point]) -> _Line:
+    """Return the line below points in order of time, horizontal where their lower edge tells no skew."""
+    hull: list[_Point] = []
+    total_ns = count = 0
+    for point in points:
+        while len(hull) > 1 and not _turns_up(hull[-2], hull[-1], point):
+            hull.pop()
+        hull.append(point)
+        total_ns += point.stamp_ns
+        count += 1
+    least = _Line(min(hull, key=lambda point: point.delay_ns))
+    if hull[-1].stamp_ns - hull[0].stamp_ns < _LEAST_SPAN_NS:
+        return least
+    at = next(i for i in range(1, len(hull)) if hull[i].stamp_ns * count >= total_ns)
+    left, right = hull[at - 1], hull[at]
+    rise_ns, run_ns = right.delay_ns - left.delay_ns, right.stamp_ns - left.stamp_ns
+    most, among = _LARGEST_SKEW
+    return _Line(right, rise_ns, run_ns) if abs(rise_ns) * among <= most * run_ns else least
+
+
+def _turns_up(first: _Point, middle: _Point, last: _Point) -> bool:
+    """Return whether the middle point lies below the line from the first to the last."""
+    before = (middle.delay_ns - first.delay_ns) * (last.stamp_ns - middle.stamp_ns)
+    return before < (last.delay_ns - middle.delay_ns) * (middle.stamp_ns - first.stamp_ns)

@@ -15,6 +15,7 @@ _STEPS = 31
 _FIRST_STEPS = 3
 _RELEARN_EVERY = 8
 _GAP_PERIODS = 10
+_LINE_PERIODS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,8 @@ class Lane:
         The channels, in the order of a row.
     max_gap_ns : int
         Longest stretch that may be bridged, whatever the channels' period.
+    slow_ns : int
+        Period from which on straight lines are all there is between measurements, lost ones or not.
 
     Attributes
     ----------
@@ -43,20 +46,22 @@ class Lane:
         Values at these times.
     loss_ns : int
         Distance of neighbours from which on measurements are missing between them.
+    line_ns : int
+        Distance of neighbours beyond which a model says more of an output than the straight line between them.
     gap_ns : int
         Distance of neighbours beyond which nothing is interpolated.
     silence_ns : int
         How long a lane that stopped is waited for.
     """
 
-    def __init__(self, columns: list[Column], max_gap_ns: int) -> None:
+    def __init__(self, columns: list[Column], max_gap_ns: int, slow_ns: int) -> None:
         self.columns = columns
         self.places = [column.position for column in columns]
         self.stamps: list[int] = []
         self.rows: list[list[float]] = []
         self._held = [i for i, c in enumerate(columns) if c.channel.interpolation == "previous"]
         self._wrapping = [(i, c.channel.period) for i, c in enumerate(columns) if c.channel.period is not None]
-        self._max_gap_ns = max_gap_ns
+        self._max_gap_ns, self._slow_ns = max_gap_ns, slow_ns
         self._steps: deque[int] = deque(maxlen=_STEPS)
         self._learned = 0
         self._set_limits(0)
@@ -65,6 +70,8 @@ class Lane:
         self.gap_ns = max(self._max_gap_ns, _GAP_PERIODS * period_ns)
         self.silence_ns = max(_SILENCE_NS, _GAP_PERIODS * period_ns)
         self.loss_ns = period_ns + period_ns // 2 + min(_JITTER_NS, period_ns // 4)
+        slow = period_ns >= self._slow_ns
+        self.line_ns = self.gap_ns if slow else self.loss_ns + (_LINE_PERIODS - 1) * period_ns
 
     @property
     def ready(self) -> bool:
@@ -115,12 +122,13 @@ class Lane:
         parts = []
         for wanted in (True, False):
             chosen = [i for i, kept in enumerate(keep) if kept is wanted]
-            part = Lane([self.columns[i] for i in chosen], self._max_gap_ns)
+            part = Lane([self.columns[i] for i in chosen], self._max_gap_ns, self._slow_ns)
             part.stamps = self.stamps.copy()
             part.rows = [[row[i] for i in chosen] for row in self.rows]
             part._steps = self._steps.copy()
             part._learned = self._learned
-            part.loss_ns, part.gap_ns, part.silence_ns = self.loss_ns, self.gap_ns, self.silence_ns
+            part.loss_ns, part.line_ns = self.loss_ns, self.line_ns
+            part.gap_ns, part.silence_ns = self.gap_ns, self.silence_ns
             parts.append(part)
         return parts[0], parts[1]
 

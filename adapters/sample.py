@@ -29,6 +29,9 @@ class Sample:
     known_ns : int
         Time on the vehicle's clock of the newest measurement it was interpolated from, where that is later than
         the tick: with a GPS of 5 Hz up to 200 ms. What is concluded from the sample is not known earlier.
+    measured : bool
+        False where an output was bridged across three or more lost measurements: the observer coasts on its model,
+        which says more than the straight line that ``y`` holds there.
     """
 
     index: int
@@ -39,6 +42,7 @@ class Sample:
     restart: bool
     complete: bool
     known_ns: int = 0
+    measured: bool = True
 
     @property
     def later_ns(self) -> int:

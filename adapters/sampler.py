@@ -17,7 +17,9 @@ their order count:
 4. A channel's nominal period is the median of its last 31 steps from stamp to stamp. If the measurements
    around t_k are more than 1.5 periods apart (1 ms or a quarter of a period, whichever is less, is granted
    for jitter), some were lost in between and the sample is marked ``complete=False``: an estimate, no
-   evidence. If they are further apart than 10 periods and than ``max_gap_s``, it is a gap: its ticks are
+   evidence. If three or more of an output's are missing, of one that comes at least at every second tick, it
+   is marked ``measured=False`` too: the observer coasts, for over such a stretch its model says more than a
+   straight line. If they are further apart than 10 periods and than ``max_gap_s``, it is a gap: its ticks are
    skipped and the first sample after it is marked ``restart=True``. The default of 0.1 s is ten samples at
    100 Hz, about as long as a straight line says something about a body rate; an observer is better started
    afresh than fed with more of it.
@@ -126,7 +128,7 @@ class Sampler:
         self._streams: dict[str, list[Stream]] = {}
         for group in columns.values():
             channel = group[0].channel
-            stream = Stream(channel, Lane(group, round(max_gap_s * _SECOND_NS)))
+            stream = Stream(channel, Lane(group, round(max_gap_s * _SECOND_NS), round(2.5 * _SECOND_NS / rate_hz)))
             self._streams.setdefault(channel.message, []).append(stream)
         self._lanes = [lane for streams in self._streams.values() for stream in streams for lane in stream.lanes]
         self._waiting: Lane | None = None
@@ -292,7 +294,7 @@ class Sampler:
     def _tick(self, index: int, tick_ns: int, samples: list[Sample]) -> None:
         """Give out one tick, or skip the ticks of the gap it lies in."""
         vector = [0.0] * self._size
-        complete, known_ns = True, tick_ns
+        complete, measured, known_ns = True, True, tick_ns
         for lane in self._lanes:
             stamps = lane.stamps
             if len(stamps) > 1 and stamps[1] <= tick_ns:
@@ -312,6 +314,8 @@ class Sampler:
                     self._skip_to(stamps[1])
                     return
                 complete = False
+                if width_ns > lane.line_ns and lane.places[-1] >= self._inputs:
+                    measured = False
             lane.interpolate((tick_ns - left_ns) / width_ns, vector)
         values = np.array(vector)
         samples.append(
@@ -324,6 +328,7 @@ class Sampler:
                 restart=self._restart,
                 complete=complete,
                 known_ns=known_ns,
+                measured=measured,
             )
         )
         self._samples += 1

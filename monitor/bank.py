@@ -83,11 +83,11 @@ class Bank:
         compared = ~np.array(rule.edges)
         self._groups = [np.flatnonzero((sizes == size) & compared) for size in np.unique(sizes[compared])]
         self._compared = np.flatnonzero(compared)
-        owners = [
-            min((k for k, one in enumerate(gains) if name in one.faults), key=sizes.__getitem__) for name in faults
-        ]
         self._owned = np.array(
-            [self._stack.spans[k].start + gains[k].faults.index(name) for name, k in zip(faults, owners, strict=True)]
+            [
+                self._stack.spans[k].start + gains[k].faults.index(name)
+                for name, k in zip(faults, owners(gains, faults), strict=True)
+            ]
         )
         p, rate_hz = len(gains[0].outputs), gains[0].rate_hz
         self._whitening = whitening(rule.covariances)
@@ -169,6 +169,11 @@ class Bank:
             if detector.held and self.J[k] <= self._floor:
                 self.unexplained = 0.0
 
+    def coast(self, u: NDArray[np.float64]) -> None:
+        """Advance all observers by one sample without measurements, u (s,): what is believed stands."""
+        self._stack.coast(u)
+        np.take(self._stack.fault, self._owned, out=self.fault)
+
     def _give_back(self) -> None:
         """Take washed-out faults back to their size, whichever hypothesis is believed, and show the believed one's."""
         believed = frozenset[int]() if self.unexplained else frozenset(self._places[self.believed].tolist())
@@ -200,6 +205,12 @@ class Bank:
                 return
         self.believed = int(self._compared[np.argmin(J[self._compared])])
         self.unexplained = float(np.sqrt(J[self.believed]))
+
+
+def owners(gains: Sequence[Gains], faults: Sequence[str]) -> list[int]:
+    """Return the index of the smallest hypothesis that each fault is in: the one whose estimate is shown for it."""
+    sizes = [len(one.faults) for one in gains]
+    return [min((k for k, one in enumerate(gains) if name in one.faults), key=sizes.__getitem__) for name in faults]
 
 
 def whitening(covariances: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -1,4 +1,9 @@
-"""One observer of a vehicle from messages to events: sampler -> gate -> estimator -> alarms."""
+"""One observer of a vehicle from messages to events: sampler -> gate -> estimator -> alarms.
+
+A sample whose outputs were lost (``measured`` of :class:`adapters.sample.Sample`) is coasted: the model goes on alone,
+what was believed stands, the uncertainty grows. After a gap that is too long for that the observer starts afresh, and
+is evidence again when what a wrong start does to its estimates has died away (:mod:`monitor.settling`).
+"""
 
 from __future__ import annotations
 
@@ -22,6 +27,8 @@ from monitor.excuse import Excuses
 from monitor.gate import GatedSampler, GateRule
 from monitor.input_curve import fault_in_command
 from monitor.profile import ObserverProfile
+from monitor.settling import settling_s
+from monitor.uncertainty import Uncertainty
 
 Output = Estimate | AlarmEvent
 
@@ -63,10 +70,12 @@ class ObserverChain:
             fault_units=tuple(channel.unit for channel in profile.faults),
         )
         self._name = profile.name
-        rule = replace(gate, settle_s=max(gate.settle_s, profile.settle_s))
+        rule = replace(gate, settle_s=max(gate.settle_s, profile.settle_s or settling_s(profile.gains)))
         self._sampler = GatedSampler(profile.source, gains.rate_hz, clock, rule)
         thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
         self._estimator = make_estimator(profile.gains, profile.isolation, names, thresholds)
+        self._uncertainty = Uncertainty(profile.gains, profile.model, names)
+        self._measured_ns = 0
         alarms = [Alarm(rule, vehicle) for rule in profile.alarms]
         self._alarms = [(names.index(alarm.rule.channel), alarm) for alarm in alarms if alarm.rule.kind != "residual"]
         self._every_alarm = alarms
@@ -125,14 +134,21 @@ class ObserverChain:
 
     def step(self, sample: Sample, armed: bool) -> list[Output]:
         """Take one sample, ``armed`` saying whether it is evidence; return its estimate and the events it causes."""
-        estimator = self._estimator
+        estimator, measured = self._estimator, sample.measured or sample.restart
         if sample.restart:
             estimator.restart(sample.u, sample.y)
             self._command.restart(sample.u)
-        estimator.step(sample.u, sample.y)
+            self._uncertainty.restart()
+        if measured:
+            estimator.step(sample.u, sample.y)
+            self._measured_ns = sample.vehicle_time_ns
+        else:
+            estimator.coast(sample.u)
+        self._uncertainty.follow(measured)
         verdicts = self._effectiveness.judge(sample, estimator.fault, armed)
         self._command.follow(sample.u)
-        fault, isolated = self._command.convert(np.stack([estimator.fault, estimator.evidence]))
+        upper = estimator.fault + self._uncertainty.sd
+        fault, isolated, upper = self._command.convert(np.stack([estimator.fault, estimator.evidence, upper]))
         for index, size in self._effectiveness.sizes.items():
             isolated[index] = size
         outputs: list[Output] = [
@@ -144,6 +160,8 @@ class ObserverChain:
                 isolated=isolated,
                 residual=estimator.residual.copy(),
                 armed=armed,
+                sd=np.abs(upper - fault),
+                coasted_s=(sample.vehicle_time_ns - self._measured_ns) * 1e-9,
             )
         ]
         unexplained = estimator.unexplained

@@ -55,6 +55,10 @@ class Estimate:
         Output error yt = y - Cb zeta^ (p,).
     armed : bool
         Whether alarms could be raised from this sample (in flight, observer settled, sample complete).
+    sd : NDArray[np.float64]
+        One standard deviation of ``fault`` (a1 + a2,) in the same units, not a number where it is not known.
+    coasted_s : float
+        Time since the last sample with measurements, seconds; 0 for one that has them.
     """
 
     observer: str
@@ -64,3 +68,5 @@ class Estimate:
     isolated: NDArray[np.float64]
     residual: NDArray[np.float64]
     armed: bool
+    sd: NDArray[np.float64]
+    coasted_s: float

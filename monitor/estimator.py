@@ -62,6 +62,10 @@ class JointEstimator:
         self._observer.step(u, y)
         self.evidence = self._isolator.update(self.fault).evidence
 
+    def coast(self, u: NDArray[np.float64]) -> None:
+        """Advance by one sample without measurements, u (s,): nothing is learned of who is responsible."""
+        self._observer.coast(u)
+
 
 Estimator = JointEstimator | Bank
 

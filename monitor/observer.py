@@ -7,7 +7,8 @@ input nonlinearity, past v are part of the state s and carry motor lag and trans
     [s+; zeta^; fa^; yt] = step_matrix [s; v; y; 1; g(nu)],      s = [eta; q; v(k-1); ...]
 
 so a step is one small matrix product, and nothing is allocated in it. A run over arrays calls the same product
-in the same order and therefore gives the same bits.
+in the same order and therefore gives the same bits. A sample without measurements is one product with another matrix
+(:mod:`monitor.coasting`), and so is the first one after it.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from gains.expression import compile_expression
 from gains.gains_file import Gains
+from monitor.coasting import StepMap, coasting_maps
 from monitor.input_curve import effect_of_command
 
 
@@ -57,14 +59,17 @@ class Observer:
         self._initial = np.ascontiguousarray(gains.initial_matrix)
         self._g = [compile_expression(item.expression, item.arguments) for item in gains.nonlinearities]
         self._spans = _argument_spans([len(item.arguments) for item in gains.nonlinearities])
-        self._z = np.zeros(ns + s + p + 1 + m)
+        self._coast, self._resume = coasting_maps(gains)
+        self._coasted = False
+        self._z = np.zeros(ns + s + p + 1 + m + len(gains.faults))
         self._z[ns + s + p] = 1.0
         self._state = self._z[:ns]
         self._v = self._z[ns : ns + s]
         self._y = self._z[ns + s : ns + s + p]
         self._affine = self._z[: ns + s + p + 1]
         self._measured = self._z[ns : ns + s + p + 1]
-        self._nonlinear = self._z[ns + s + p + 1 :]
+        self._fed = self._z[: ns + s + p + 1 + m]
+        self._nonlinear = self._z[ns + s + p + 1 : ns + s + p + 1 + m]
         self._out = np.zeros(total)
         self._next = self._out[:ns]
         self._nu = np.zeros(self._arguments.shape[0])
@@ -73,7 +78,7 @@ class Observer:
         self._fs = self._out[ns + n : ns + nz]
         self._fa = self._out[ns + nz : ns + nz + a1]
         self.residual = self._out[ns + nz + a1 :]
-        self.fault = np.zeros(a1 + nz - n)
+        self.fault = self._z[ns + s + p + 1 + m :]
         self._a1 = a1
 
     def restart(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
@@ -81,16 +86,41 @@ class Observer:
         self._v[:] = effect_of_command(self._curves, u)
         self._y[:] = y
         np.dot(self._initial, self._measured, out=self._state)
+        self.fault[:] = 0.0
+        self._coasted = False
 
     def step(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """Advance by one sample: u (s,) and y (p,) in the order of the gains file."""
         self._v[:] = effect_of_command(self._curves, u)
         self._y[:] = y
+        if self._coasted:
+            self._coasted = False
+            self._take(self._resume)
+            return
         if self._g:
             np.dot(self._arguments, self._affine, out=self._nu)
-            for i, (g, span) in enumerate(zip(self._g, self._spans, strict=True)):
-                self._nonlinear[i] = g(*self._nu[span].tolist())
-        np.dot(self._M, self._z, out=self._out)
+            self._evaluate()
+        np.dot(self._M, self._fed, out=self._out)
+        self._advance()
+
+    def coast(self, u: NDArray[np.float64]) -> None:
+        """Advance by one sample without measurements, u (s,): by the model alone."""
+        self._v[:] = effect_of_command(self._curves, u)
+        self._coasted = True
+        self._take(self._coast)
+
+    def _take(self, chosen: StepMap) -> None:
+        if self._g:
+            np.dot(chosen.arguments, self._z, out=self._nu)
+            self._evaluate()
+        np.dot(chosen.step, self._z, out=self._out)
+        self._advance()
+
+    def _evaluate(self) -> None:
+        for i, (g, span) in enumerate(zip(self._g, self._spans, strict=True)):
+            self._nonlinear[i] = g(*self._nu[span].tolist())
+
+    def _advance(self) -> None:
         self._state[:] = self._next
         self.fault[: self._a1] = self._fa
         self.fault[self._a1 :] = self._fs

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from gains.expression import compile_expression
 from gains.gains_file import Gains
+from monitor.coasting import StepMap, coasting_maps
 from monitor.input_curve import effect_of_command
 
 
@@ -49,6 +50,9 @@ class ObserverStack:
         at_s, at_f, at_g = _starts(sizes), _starts(faults), _starts(count_g)
         ns, nf, m = at_s[-1], at_f[-1], at_g[-1]
         M = np.zeros((ns + K * n + nf + K * p, ns + s + p + 1 + m))
+        at_nu = _starts([len(one.argument_matrix) for one in gains])
+        wide = (len(M), M.shape[1] + nf), (at_nu[-1], M.shape[1] + nf)
+        around = [StepMap(np.zeros(wide[0]), np.zeros(wide[1])) for _ in range(2)]
         arguments, initial = [], np.zeros((ns, s + p + 1))
         for k, one in enumerate(gains):
             a1 = sum(kind == "actuator" for kind in one.fault_kinds)
@@ -63,20 +67,27 @@ class ObserverStack:
                 [np.arange(at_s[k], at_s[k + 1]), shared, ns + s + p + 1 + np.arange(*at_g[k : k + 2])]
             )
             M[np.ix_(np.concatenate(into), columns)] = one.step_matrix[rows]
+            known = np.concatenate([columns, M.shape[1] + np.arange(at_f[k], at_f[k + 1])])
+            for stacked, alone in zip(around, coasting_maps(one), strict=True):
+                stacked.step[np.ix_(np.concatenate(into), known)] = alone.step[rows]
+                stacked.arguments[at_nu[k] : at_nu[k + 1], known] = alone.arguments
             H = np.zeros((len(one.argument_matrix), ns + s + p + 1))
             H[:, columns[: sizes[k] + s + p + 1]] = one.argument_matrix
             arguments.append(H)
             initial[at_s[k] : at_s[k + 1]] = one.initial_matrix
         nonlinearities = [g for one in gains for g in one.nonlinearities]
         self._M, self._arguments, self._initial = M, np.vstack(arguments), initial
+        self._coast, self._resume = around
+        self._coasted = False
         self._g = [compile_expression(g.expression, g.arguments) for g in nonlinearities]
         self._g_spans = _slices(_starts([len(g.arguments) for g in nonlinearities]))
         self._curves = first.input_curves
-        self._z, self._out = np.zeros(M.shape[1]), np.zeros(M.shape[0])
+        self._z, self._out = np.zeros(M.shape[1] + nf), np.zeros(M.shape[0])
         self._z[ns + s + p] = 1.0
         self._state, self._v, self._y = self._z[:ns], self._z[ns : ns + s], self._z[ns + s : ns + s + p]
         self._affine, self._measured = self._z[: ns + s + p + 1], self._z[ns : ns + s + p + 1]
-        self._nonlinear = self._z[ns + s + p + 1 :]
+        self._fed = self._z[: M.shape[1]]
+        self._nonlinear, self._before = self._fed[ns + s + p + 1 :], self._z[M.shape[1] :]
         self._nu = np.zeros(len(self._arguments))
         self._next = self._out[:ns]
         self.x = self._out[ns : ns + K * n].reshape(K, n)
@@ -89,17 +100,40 @@ class ObserverStack:
         self._v[:] = effect_of_command(self._curves, u)
         self._y[:] = y
         np.dot(self._initial, self._measured, out=self._state)
+        self.fault[:] = 0.0
+        self._coasted = False
 
     def step(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """Advance by one sample: u (s,) and y (p,) in the order of the gains files."""
         self._v[:] = effect_of_command(self._curves, u)
         self._y[:] = y
+        if self._coasted:
+            self._coasted = False
+            self._take(self._resume)
+            return
         if self._g:
             np.dot(self._arguments, self._affine, out=self._nu)
-            for i, (g, span) in enumerate(zip(self._g, self._g_spans, strict=True)):
-                self._nonlinear[i] = g(*self._nu[span].tolist())
-        np.dot(self._M, self._z, out=self._out)
+            self._evaluate()
+        np.dot(self._M, self._fed, out=self._out)
         self._state[:] = self._next
+
+    def coast(self, u: NDArray[np.float64]) -> None:
+        """Advance by one sample without measurements, u (s,): by the model alone, each with its own hypothesis."""
+        self._v[:] = effect_of_command(self._curves, u)
+        self._coasted = True
+        self._take(self._coast)
+
+    def _take(self, chosen: StepMap) -> None:
+        self._before[:] = self.fault
+        if self._g:
+            np.dot(chosen.arguments, self._z, out=self._nu)
+            self._evaluate()
+        np.dot(chosen.step, self._z, out=self._out)
+        self._state[:] = self._next
+
+    def _evaluate(self) -> None:
+        for i, (g, span) in enumerate(zip(self._g, self._g_spans, strict=True)):
+            self._nonlinear[i] = g(*self._nu[span].tolist())
 
 
 def _starts(counts: Sequence[int]) -> list[int]:

@@ -63,6 +63,8 @@ def estimate_json(layout: Layout, estimate: Estimate) -> dict[str, Any]:
         "armed": estimate.armed,
         "x": named(layout.states, estimate.x),
         "fault": named(layout.faults, estimate.fault),
+        "sd": named(layout.faults, estimate.sd),
+        "coasted_s": estimate.coasted_s,
         "isolated": named(layout.faults, estimate.isolated),
         "residual": named(layout.outputs, estimate.residual),
     }

@@ -114,8 +114,9 @@ class Pipeline:
     def metadata(self) -> dict[str, str]:
         """Return what a recording says about how it was made."""
         found = {"fauio": version("fauio"), "vehicle": self.vehicle, "profile": self.profile.digest}
-        if self._clock.newest_ns:
-            found["unix_minus_vehicle_ns"] = str(self._clock.to_unix(0))
+        newest_ns = self._clock.newest_ns
+        if newest_ns:
+            found["unix_minus_vehicle_ns"] = str(self._clock.to_unix(newest_ns) - newest_ns)
         return found
 
     def accepts(self, message: Message) -> bool:

@@ -22,6 +22,7 @@ from adapters.transform import Source, TransformRule, make_transform
 from gains.errors import ModelError
 from gains.gains_file import Gains, read_gains
 from gains.model_file import model_hash, read_model
+from gains.plant import Plant
 from monitor.alarm import AlarmRule
 from monitor.effectiveness import EffectivenessRule
 from monitor.effectiveness_rule import effectiveness_table, read_effectiveness
@@ -71,9 +72,12 @@ class ObserverProfile:
     alarms : tuple[AlarmRule, ...]
         What raises alarms.
     settle_s : float
-        Wait before its samples are evidence, seconds, where that is longer than the gate's.
+        Wait before its samples are evidence, seconds, where that is longer than the gate's; 0: as long as its gains
+        take to forget a wrong start (:mod:`monitor.settling`).
     effectiveness : Mapping[str, EffectivenessRule]
         Faults whose evidence is read against the deflection at which they arise, by name.
+    model : Plant | None
+        The model the gains were designed for; without one the uncertainty of the estimates is not known.
     """
 
     name: str
@@ -84,6 +88,7 @@ class ObserverProfile:
     alarms: tuple[AlarmRule, ...]
     settle_s: float = 0.0
     effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
+    model: Plant | None = None
 
     @property
     def rate_hz(self) -> float:
@@ -267,6 +272,7 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
         effectiveness=read_effectiveness(
             table.table("effectiveness"), {f.name: f.input for f in faults}, shared.inputs, bank=len(gains) > 1
         ),
+        model=read_model(model),
     )
     table.done()
     return observer

@@ -28,7 +28,7 @@ class SampleType:
     def __init__(self, layout: Layout) -> None:
         self._u = identifiers(layout.inputs)
         self._y = identifiers(layout.outputs)
-        flags = (Field("restart", "bool"), Field("complete", "bool"))
+        flags = (Field("restart", "bool"), Field("complete", "bool"), Field("measured", "bool"))
         fields = (*_TIMES, Field("u", _numbers(self._u)), Field("y", _numbers(self._y)), *flags)
         self.pb_class = message_class(_package(layout), "Sample", fields)
 
@@ -40,6 +40,7 @@ class SampleType:
             y=_values(self._y, sample.y),
             restart=sample.restart,
             complete=sample.complete,
+            measured=sample.measured,
         )
 
 
@@ -63,6 +64,8 @@ class EstimateType:
             Field("isolated", _numbers(self._fault)),
             Field("residual", _numbers(self._residual)),
             Field("armed", "bool"),
+            Field("sd", _numbers(self._fault)),
+            Field("coasted_s", "double"),
         )
         self.pb_class = message_class(_package(layout), "Estimate", fields)
 
@@ -75,6 +78,8 @@ class EstimateType:
             isolated=_values(self._fault, estimate.isolated),
             residual=_values(self._residual, estimate.residual),
             armed=estimate.armed,
+            sd=_values(self._fault, estimate.sd),
+            coasted_s=estimate.coasted_s,
         )
 
 

@@ -49,6 +49,8 @@ def estimate(tick: int, rng: np.random.Generator) -> Estimate:
         isolated=fault * 2,
         residual=rng.normal(size=4),
         armed=tick >= 100,
+        sd=np.full(4, 0.002),
+        coasted_s=0.0,
     )
 
 

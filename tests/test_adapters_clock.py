@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from hypothesis import given
+import random
+
+import pytest
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adapters.clock import VehicleClock
@@ -49,7 +52,7 @@ def test_the_memory_of_the_offset_does_not_grow() -> None:
     clock = VehicleClock()
     for k in range(10_000):
         clock.observe(k * SECOND // 2, UNIX + k * SECOND // 2)
-    assert len(clock._buckets) <= 12
+    assert len(clock._points) <= 12
 
 
 def test_a_single_damaged_stamp_changes_nothing() -> None:
@@ -120,3 +123,116 @@ def test_a_host_clock_that_was_set_back_is_followed() -> None:
         stamp = 100 * SECOND + k * 10 * MS
         clock.observe(stamp, UNIX - 1_000 * SECOND + stamp)
     assert clock.to_unix(0) == UNIX - 1_000 * SECOND
+
+
+def drifting(
+    clock: VehicleClock, skew_ppm: int, jitter_ms: float, seed: int, seconds: range, rate_hz: int = 50, held_ns: int = 0
+) -> list[int]:
+    """Feed jittered arrivals, the least delay 5 ms and ``held_ns``; return the errors of the newest stamps."""
+    rng = random.Random(seed)
+    errors = []
+    for k in range(seconds.start * rate_hz, seconds.stop * rate_hz):
+        stamp = k * SECOND // rate_hz
+        truth = UNIX + stamp + stamp * skew_ppm // 1_000_000 + 5 * MS + held_ns
+        clock.observe(stamp, truth + round(rng.expovariate(1.0 / jitter_ms) * MS))
+        errors.append(clock.to_unix(stamp) - truth)
+    return errors
+
+
+@given(skew=st.integers(-200, 200), jitter_ms=st.floats(2.0, 20.0), seed=st.integers(0, 1000))
+@settings(max_examples=15, deadline=None)
+def test_after_a_minute_a_drifting_clock_is_mapped_within_half_a_millisecond(
+    skew: int, jitter_ms: float, seed: int
+) -> None:
+    errors = drifting(VehicleClock(), skew, jitter_ms, seed, range(100))[60 * 50 :]
+    assert max(map(abs, errors)) < MS // 2
+
+
+@pytest.mark.parametrize("skew", [-200, -100, 100, 200])
+def test_the_skew_is_known_within_20_ppm(skew: int) -> None:
+    clock = VehicleClock()
+    drifting(clock, skew, 10.0, 0, range(80))
+    assert clock.skew * 1e6 == pytest.approx(skew, abs=20.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_drifting_clock_is_mapped_better_than_by_the_least_delay_of_a_minute(seed: int) -> None:
+    errors = drifting(VehicleClock(), 100, 10.0, seed, range(120))[60 * 50 :]
+    least_of_a_minute = 100 * 60 * SECOND // 1_000_000
+    assert max(map(abs, errors)) < least_of_a_minute / 10
+
+
+@given(speed=st.floats(1.01, 20.0), seed=st.integers(0, 100))
+@settings(max_examples=10, deadline=None)
+def test_time_that_runs_at_another_speed_falls_back_to_the_least_delay(speed: float, seed: int) -> None:
+    clock, rng = VehicleClock(), random.Random(seed)
+    delays = []
+    for k in range(2_000):
+        stamp = k * 50 * MS
+        received = UNIX + round(stamp / speed) + rng.randrange(5 * MS)
+        clock.observe(stamp, received)
+        delays.append(received - stamp)
+    assert clock.skew == 0.0
+    assert clock.to_unix(stamp) == UNIX + stamp + min(delays) - UNIX
+
+
+def test_ten_seconds_of_packets_at_once_do_not_move_unix_time() -> None:
+    clock = VehicleClock()
+    drifting(clock, 50, 5.0, 0, range(100))
+    before = clock.to_unix(100 * SECOND)
+    for k in range(100 * 50, 110 * 50):
+        clock.observe(k * SECOND // 50, UNIX + 110 * SECOND + 20 * MS)
+    assert abs(clock.to_unix(100 * SECOND) - before) < MS // 2
+    errors = drifting(clock, 50, 5.0, 1, range(110, 200))
+    assert max(map(abs, errors)) < MS // 2
+
+
+def test_duplicates_change_nothing() -> None:
+    once, twice = VehicleClock(), VehicleClock()
+    rng = random.Random(0)
+    for k in range(2_000):
+        stamp, delay = k * 20 * MS, rng.randrange(10 * MS)
+        once.observe(stamp, UNIX + stamp + delay)
+        for again in (0, 3 * MS):
+            twice.observe(stamp, UNIX + stamp + delay + again)
+        assert once.to_unix(stamp) == twice.to_unix(stamp)
+
+
+@pytest.mark.parametrize("step_ns", [-10 * SECOND, -SECOND // 2, -20 * MS])
+def test_a_unix_clock_that_was_set_back_is_followed_at_once(step_ns: int) -> None:
+    clock = VehicleClock()
+    drifting(clock, 20, 2.0, 0, range(70))
+    errors = drifting(clock, 20, 2.0, 1, range(70, 170), held_ns=step_ns)
+    # a step of less than 500 ppm of a minute is taken for skew meanwhile
+    assert max(map(abs, errors[50:])) < 15 * MS
+    assert max(map(abs, errors[65 * 50 :])) < MS // 2
+
+
+@pytest.mark.parametrize("step_ns", [20 * MS, SECOND // 2, 10 * SECOND])
+def test_a_unix_clock_that_was_set_ahead_is_followed_within_65_seconds(step_ns: int) -> None:
+    clock = VehicleClock()
+    drifting(clock, 20, 2.0, 0, range(70))
+    errors = drifting(clock, 20, 2.0, 1, range(70, 170), held_ns=step_ns)
+    assert min(errors) > -step_ns - 4 * MS
+    assert max(map(abs, errors[65 * 50 :])) < MS // 2
+
+
+def test_a_reboot_forgets_offset_and_skew() -> None:
+    clock = VehicleClock()
+    drifting(clock, 200, 2.0, 0, range(100))
+    for k in range(100):
+        clock.observe(k * 20 * MS, UNIX + 500 * SECOND + k * 20 * MS)
+    assert (clock.boot, clock.skew) == (1, 0.0)
+    assert clock.to_unix(2 * SECOND) == UNIX + 502 * SECOND
+
+
+def test_a_counter_that_turns_over_keeps_offset_and_skew() -> None:
+    clock, turn = VehicleClock(), (1 << 32) * 1_000
+    for k in range(6_000):
+        stamp = turn - 60 * SECOND + k * 20 * MS
+        told = stamp % turn
+        seen = clock.unwrap(told) if told < clock.newest_ns - SECOND else told
+        assert seen == stamp
+        clock.observe(seen, UNIX + stamp + stamp // 10_000)
+    assert clock.boot == 0
+    assert abs(clock.to_unix(stamp) - UNIX - stamp - stamp // 10_000) <= 1_000

@@ -261,6 +261,26 @@ def test_one_lost_message_is_bridged_and_marked() -> None:
     assert sum(sample.restart for sample in samples) == 1
 
 
+@pytest.mark.parametrize(("name", "lost", "coasted"), [("A", 2, 0), ("A", 3, 4), ("A", 6, 7), ("B", 6, 0)])
+def test_outputs_that_lost_three_measurements_or_more_are_marked_as_not_measured(
+    name: str, lost: int, coasted: int
+) -> None:
+    end = 500_000 + lost * 10_000
+    cut = [m for m in telemetry(0, 1_000_000) if not (m.name == name and 500_000 <= m.fields["time_usec"] < end)]
+    samples = feed(sampler(), cut)
+    assert sum(not sample.measured for sample in samples) == coasted
+    assert all(sample.measured for sample in samples if sample.complete)
+    assert sum(not sample.complete for sample in samples) == lost + 1
+
+
+def test_a_slow_output_that_loses_measurements_does_not_make_the_fast_ones_coast() -> None:
+    messages = telemetry(0, 6_000_000, step_b=200_000)
+    cut = [m for m in messages if not (m.name == "B" and 3_000_000 < m.fields["time_usec"] < 3_900_000)]
+    samples = feed(sampler([], [SPEED, COMMAND]), cut)
+    assert any(not sample.complete for sample in samples)
+    assert all(sample.measured for sample in samples)
+
+
 def test_jitter_of_a_fifth_of_the_period_is_no_loss() -> None:
     messages = [message("A", t + (2_000 if t % 20_000 else 0), speed=0.0) for t in range(10_000, 2_000_000, 10_000)]
     samples = feed(sampler([]), messages)

@@ -215,7 +215,8 @@ def test_an_arm_on_zenoh_is_watched_like_one_on_mavlink(arm_profile: Profile, tm
         subscriber = AlarmSubscriber(session)
         wait_for_monitor(subscriber)
         simulate = [*FAUIO, "simulate", "arm", "--zenoh", "arm/telemetry", "--connect", endpoint, "--speed", "8"]
-        subprocess.run([*simulate, "--fault", "f_s:step:4:8:2", "--duration", "12"], check=True, capture_output=True)
+        # by then the observer has forgotten where it was started
+        subprocess.run([*simulate, "--fault", "f_s:step:10:14:2", "--duration", "18"], check=True, capture_output=True)
         events = collect(subscriber, quiet_s=1.0)
         states = [(event.channel, event.state) for event in events if event.state != "updated"]
         assert states == [("encoder", "raised"), ("encoder", "cleared")]

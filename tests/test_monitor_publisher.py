@@ -24,7 +24,17 @@ LAYOUT = Layout("motors", 100.0, ("u",), ("r",), ("p",), ("motor1", "motor 2"), 
 def estimate(index: int, time_ns: int | None = None) -> Estimate:
     when = START_NS + index * 10_000_000 if time_ns is None else time_ns
     sample = Sample(index, index * 10_000_000, when, np.zeros(1), np.zeros(1), False, True)
-    return Estimate("motors", sample, np.array([0.5]), np.array([-0.02, np.nan]), np.zeros(2), np.array([1e-3]), True)
+    return Estimate(
+        "motors",
+        sample,
+        np.array([0.5]),
+        np.array([-0.02, np.nan]),
+        np.zeros(2),
+        np.array([1e-3]),
+        True,
+        np.array([0.1, 0.2]),
+        0.0,
+    )
 
 
 @pytest.fixture
@@ -182,6 +192,8 @@ def test_estimates_are_thinned_on_the_samples_time(endpoint: Endpoint, publisher
         "armed": True,
         "x": {"p": 0.5},
         "fault": {"motor1": -0.02, "motor 2": None},
+        "sd": {"motor1": 0.1, "motor 2": 0.2},
+        "coasted_s": 0.0,
         "isolated": {"motor1": 0.0, "motor 2": 0.0},
         "residual": {"r": 0.001},
     }

@@ -54,6 +54,8 @@ def estimate(index: int, layout: Layout = LAYOUT) -> Estimate:
         isolated=np.array([-0.02, 0.4]),
         residual=np.array([0.0, 1e-3, -1e-3]),
         armed=True,
+        sd=np.array([0.004, math.nan]),
+        coasted_s=0.03,
     )
 
 
@@ -83,6 +85,8 @@ def test_samples_and_estimates_are_typed_by_channel_name(tmp_path: Path) -> None
     (_, found), _ = decoded(path, "/fauio/motors/estimate")
     assert (found.x.p, found.fault.motor1, found.fault.motor2) == (0.25, -0.021, 0.5)
     assert (found.isolated.motor1, found.residual.rollspeed, found.armed) == (-0.02, 0.0, True)
+    assert (found.sd.motor1, found.coasted_s, sample.measured) == (0.004, 0.03, True)
+    assert math.isnan(found.sd.motor2)
 
 
 def test_alarms_are_recorded_as_protobuf_and_as_json_with_its_schema(tmp_path: Path) -> None:

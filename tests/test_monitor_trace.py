@@ -89,7 +89,7 @@ def test_a_layout_without_channels_is_collected_too() -> None:
     nothing = np.empty(0)
     sample = Sample(0, 0, START_NS, nothing, nothing, True, True)
     builder = TraceBuilder(layout)
-    builder.add(Estimate("o", sample, nothing, nothing, nothing, nothing, False))
+    builder.add(Estimate("o", sample, nothing, nothing, nothing, nothing, False, nothing, 0.0))
     assert builder.build().fault.shape == (1, 0)
 
 

@@ -43,7 +43,7 @@ def found(quad_folder: Path) -> Detectability:
 def arm_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("log") / "arm.mcap"
     with MessageLogWriter(path) as writer:
-        for message in arm_messages(simulate_arm(SCENARIOS["healthy"], 20.0, 100.0, "zero"), 10**18):
+        for message in arm_messages(simulate_arm(SCENARIOS["healthy"], 25.0, 100.0, "zero"), 10**18):
             writer.write(message)
     return path
 
@@ -76,7 +76,7 @@ def test_more_processes_give_the_same_result(quad_folder: Path, found: Detectabi
 
 
 def test_sensors_of_a_users_own_plant_are_swept_around_their_threshold(arm_folder: Path, arm_log: Path) -> None:
-    sweep = Sweep(onsets=1, before_s=4.0, after_s=2.0)
+    sweep = Sweep(onsets=1, before_s=9.0, after_s=2.0)
     result = detectability(arm_folder, arm_log, sweep)
     assert {(row.channel, row.kind) for row in result.rows} == {("encoder", "bias"), ("encoder", "ramp")}
     bias = [row for row in result.rows if row.kind == "bias"]

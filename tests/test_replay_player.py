@@ -14,7 +14,7 @@ from adapters.mcap_log import MessageLogWriter
 from monitor.profile import Profile
 from replay.player import play
 
-DURATION_S = 5.0
+DURATION_S = 12.4
 
 
 @pytest.fixture

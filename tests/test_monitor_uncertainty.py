@@ -1,0 +1,77 @@
+"""The uncertainty that is shown is that of the estimates: it grows while coasting and shrinks when measured again."""
+
+import numpy as np
+import pytest
+from test_monitor_coasting import plant
+
+from gains.certificate import certify
+from gains.compilation import compile_gains
+from gains.gains_file import Gains
+from gains.synthesis import design_convex
+from monitor.observer import Observer
+from monitor.uncertainty import Uncertainty
+
+NAMES = ("motor", "sensor")
+RUNS = 250
+
+
+@pytest.fixture(scope="module")
+def gains() -> Gains:
+    whole = plant()
+    design = design_convex(whole)
+    return compile_gains(whole, design, certify(whole, design))
+
+
+def uncertainty(gains: Gains) -> Uncertainty:
+    return Uncertainty([gains], plant(), NAMES)
+
+
+def test_it_is_the_scatter_of_the_estimates_measured_coasted_and_resumed(gains: Gains) -> None:
+    whole, rng = plant(), np.random.default_rng(1)
+    measured = [True] * 60 + [False] * 8 + [True] * 6 + [False] * 2 + [True] * 4
+    errors = np.zeros((len(measured), RUNS, 2))
+    for run in range(RUNS):
+        observer, x, f = Observer(gains), np.zeros(2), np.zeros(2)
+        observer.restart(np.zeros(1), x)
+        for k, seen in enumerate(measured):
+            if seen:
+                observer.step(np.zeros(1), x + [0.0, f[1]] + 0.001 * rng.normal(size=2))
+            else:
+                observer.coast(np.zeros(1))
+            errors[k, run] = observer.fault - f
+            x = whole.A @ x + whole.E_f[:, 0] * f[0] + 0.001 * rng.normal(size=2)
+            f = f + 0.01 * rng.normal(size=2)
+    shown, said = uncertainty(gains), []
+    for seen in measured:
+        shown.follow(seen)
+        said.append(shown.sd)
+    scatter = np.sqrt(np.mean(errors**2, axis=1))
+    late = slice(50, None)
+    assert scatter[late] == pytest.approx(np.stack(said)[late], rel=0.2)
+
+
+def test_it_grows_with_every_coasted_sample_and_comes_back_to_where_it_was(gains: Gains) -> None:
+    shown = uncertainty(gains)
+    at_rest, last = shown.sd, shown.sd
+    for _ in range(10):
+        shown.follow(False)
+        assert np.all(shown.sd > last)
+        last = shown.sd
+    for _ in range(2_000):
+        shown.follow(True)
+    assert shown.sd is at_rest
+
+
+def test_a_restart_begins_with_more_than_is_left_later(gains: Gains) -> None:
+    shown = uncertainty(gains)
+    at_rest = shown.sd
+    shown.restart()
+    shown.follow(True)
+    assert shown.sd[0] > 2.0 * at_rest[0]
+
+
+def test_without_a_model_it_is_not_known(gains: Gains) -> None:
+    shown = Uncertainty([gains], None, NAMES)
+    shown.restart()
+    shown.follow(False)
+    assert np.isnan(shown.sd).all()
