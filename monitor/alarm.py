@@ -192,6 +192,8 @@ class Alarm:
         self._last_ns = now
         if sample.restart:
             self._mean = 0.0
+            # An observer that starts anew climbs back to a fault: no growth of the fault.
+            self._trend = Trend()
         elif elapsed and rule.slow < math.inf:
             limited = max(-2.0 * rule.slow, min(evidence, 2.0 * rule.slow))
             self._mean += (1.0 - math.exp(-elapsed / (rule.slow_s * 1e9))) * (limited - self._mean)

@@ -6,7 +6,7 @@ The alarms themselves say raised, updated, cleared. The desk adds what stands be
 - shelved: a channel keeps quiet until a stated time. Its alarm enters as ``shelved``, says nothing of its ups and
   downs, and is raised anew, with the same id, where it still stands when the time is over;
 - latched: a channel of that kind stays when its cause is gone, until it is reset;
-- out of service: a channel says nothing at all;
+- out of service: a channel says nothing at all; what stood clears, and is a new alarm if it still stands afterwards;
 - flood: when too many alarms come at once, further warnings are shelved until the flood is over, and one alarm says so.
   What is critical is never held back.
 
@@ -24,7 +24,9 @@ from monitor.event import UNNUMBERED, AlarmEvent, alarm_id
 
 OBSERVER = "monitor"
 FLOOD = "flood"
+FLOOD_KEY = (OBSERVER, FLOOD)
 MAX_SHELVE_NS = 30 * 86_400 * 1_000_000_000
+MAX_FLOOD = 1_000_000
 
 Key = tuple[str, str]
 
@@ -78,6 +80,7 @@ class AlarmDesk:
         self._raised_ns: deque[int] = deque(maxlen=rule.flood_raised + 1)
         self._flood_until_ns = 0
         self._held_back: set[Key] = set()
+        self._unserved: dict[Key, AlarmEvent] = {}
 
     @property
     def standing(self) -> tuple[AlarmEvent, ...]:
@@ -89,16 +92,30 @@ class AlarmDesk:
         """Shelved channels and the Unix times at which they speak again, nanoseconds."""
         return {_text(key): until for key, until in self._shelved.items()}
 
-    def set_rule(self, rule: DeskRule) -> None:
-        """Let another rule hold from now on; what stands, stands."""
+    def set_rule(self, rule: DeskRule, now_ns: int) -> list[AlarmEvent]:
+        """Let another rule hold from now on; return what channels that go out of service or come back cause."""
         self.rule = rule
         self._raised_ns = deque(self._raised_ns, maxlen=rule.flood_raised + 1)
+        told = []
+        for key in [key for key in self._standing if _text(key) in rule.out_of_service]:
+            entry = self._standing.pop(key)
+            if not entry.event.latched and key != FLOOD_KEY:
+                self._unserved[key] = entry.event
+            told.append(self._numbered(_cleared(entry.event, now_ns, "taken out of service")))
+        for key in [key for key in self._unserved if _text(key) not in rule.out_of_service]:
+            event = replace(self._unserved.pop(key), state="raised", time_ns=now_ns, since_ns=now_ns)
+            plain = replace(event, acknowledged=False, shelved_until_ns=None)
+            told.extend(self._take_raised(key, replace(plain, id=alarm_id(self._vehicle, *key, now_ns))))
+        return told
 
     def take(self, event: AlarmEvent) -> list[AlarmEvent]:
         """Take what an alarm says; return what operators are told."""
         key = event.observer, event.channel
         if _text(key) in self.rule.out_of_service:
-            self._standing.pop(key, None)
+            if event.state == "cleared":
+                self._unserved.pop(key, None)
+            else:
+                self._unserved[key] = event
             return []
         if event.state == "raised":
             return self._take_raised(key, event)
@@ -119,18 +136,17 @@ class AlarmDesk:
     def tick(self, now_ns: int) -> list[AlarmEvent]:
         """Note that Unix time has come to ``now_ns``; return what the end of shelving and of a flood causes."""
         events: list[AlarmEvent] = []
-        for key in [key for key, until in self._shelved.items() if until <= now_ns]:
-            if key in self._held_back and now_ns < self._flood_until_ns:
-                self._shelved[key] = self._flood_until_ns
-                continue
-            self._held_back.discard(key)
-            del self._shelved[key]
-            events.extend(self._speak_again(key, now_ns, "it was shelved until now"))
-        flood = self._standing.get((OBSERVER, FLOOD))
-        if flood is not None and now_ns >= self._flood_until_ns:
-            del self._standing[OBSERVER, FLOOD]
-            over = replace(flood.event, state="cleared", time_ns=now_ns, message="the flood of alarms is over")
-            events.append(self._numbered(over))
+        for key in self._held_back:
+            self._shelved[key] = max(self._shelved[key], self._flood_until_ns)
+        # In order of their ends and at those times, so that it does not matter when somebody looks.
+        ends = [(until, 0, key) for key, until in self._shelved.items()]
+        ends += [(self._flood_until_ns, 1, FLOOD_KEY)] * (FLOOD_KEY in self._standing)
+        for until, is_flood, key in sorted(end for end in ends if end[0] <= now_ns):
+            if not is_flood:
+                self._unshelve(key)
+                events.extend(self._speak_again(key, until, "it was shelved until now"))
+            elif not (flood := self._standing[key].event).latched:
+                events.extend(self.take(_cleared(flood, until, "the flood of alarms is over")))
         return events
 
     def refusal(self, verb: str, fields: Mapping[str, object]) -> str | None:
@@ -169,17 +185,17 @@ class AlarmDesk:
             if entry is None:
                 return []
             entry.quiet = True
-            until = self._shelved[key]
-            return [self._say(entry, now_ns, _by("shelved", fields), state="shelved", shelved_until_ns=until)]
+            changes = {"state": "shelved", "shelved_until_ns": self._shelved[key]}
+            return [self._say(entry, now_ns, _by("shelved", fields), **changes)]
         if verb == "unshelve":
-            del self._shelved[key]
+            self._unshelve(key)
             return self._speak_again(key, now_ns, _by("unshelved", fields))
         assert entry is not None  # noqa: S101 - refusal() has looked
         if verb == "ack":
             return [self._say(entry, now_ns, _by("acknowledged", fields), state="acknowledged", acknowledged=True)]
         del self._standing[key]
-        event = replace(entry.event, state="cleared", time_ns=now_ns, latched=False, message=_by("reset", fields))
-        return [self._numbered(event)]
+        event = _cleared(entry.event, now_ns, _by("reset", fields))
+        return [self._numbered(replace(event, latched=False))]
 
     def adopt(self, alarms: Sequence[AlarmEvent], watched: Collection[Key], now_ns: int) -> list[AlarmEvent]:
         """Go on from alarms that another run of the monitor, or another monitor, left standing.
@@ -210,12 +226,14 @@ class AlarmDesk:
             self._standing[key] = entry = _Standing(event, quiet=event.shelved_until_ns is not None)
             if event.shelved_until_ns is not None:
                 self._shelved[key] = event.shelved_until_ns
-            if key == (OBSERVER, FLOOD):
+            if key == FLOOD_KEY:
                 self._flood_until_ns = event.time_ns + round(self.rule.flood_s * 1e9)
-            elif key not in watched and not event.latched:
+            serves = _text(key) not in self.rule.out_of_service
+            if not serves or (key not in watched and key != FLOOD_KEY and not event.latched):
                 del self._standing[key]
-                gone = replace(event, state="cleared", time_ns=now_ns, message="no longer watched")
-                told.append(self._numbered(gone))
+                if key in watched and not event.latched:
+                    self._unserved[key] = event
+                told.append(self._numbered(_cleared(event, now_ns, "no longer watched")))
                 continue
             state = "shelved" if entry.quiet else "updated"
             told.append(self._say(entry, now_ns, f"{event.message} (as before the monitor changed)", state=state))
@@ -230,18 +248,24 @@ class AlarmDesk:
             text = f"{event.message}; it is back before it was reset"
             again = replace(event, id=before.event.id, since_ns=before.event.since_ns, state="updated", message=text)
             return self._keep(before, again, latched=False, acknowledged=False)
-        entry = self._standing[key] = _Standing(event)
         told = self._flood(event)
-        until = self._shelved.get(key)
-        if until is None and event.severity == "warning" and event.time_ns < self._flood_until_ns:
-            until = self._shelved[key] = self._flood_until_ns
+        if event.severity == "critical" and key in self._held_back:
+            self._unshelve(key)
+        elif event.severity == "warning" and event.time_ns < self._flood_until_ns and key not in self._shelved:
+            self._shelved[key] = self._flood_until_ns
             self._held_back.add(key)
-        if until is None:
-            entry.event = self._numbered(event)
-            return [*told, entry.event]
-        entry.quiet = True
-        entry.event = self._numbered(replace(event, state="shelved", shelved_until_ns=until))
-        return [*told, entry.event]
+        return [*told, self._enter(key, event)]
+
+    def _enter(self, key: Key, event: AlarmEvent) -> AlarmEvent:
+        """Let an alarm stand from now on; return what its channel says, shelved or not."""
+        if (until := self._shelved.get(key)) is not None:
+            event = replace(event, state="shelved", shelved_until_ns=until)
+        entry = self._standing[key] = _Standing(self._numbered(event), quiet=until is not None)
+        return entry.event
+
+    def _unshelve(self, key: Key) -> None:
+        del self._shelved[key]
+        self._held_back.discard(key)
 
     def _flood(self, event: AlarmEvent) -> list[AlarmEvent]:
         """Count a raised alarm; return the alarm that says that there are too many, where it is the one too many."""
@@ -253,7 +277,7 @@ class AlarmDesk:
         if not full or now_ns - self._raised_ns[0] > within_ns:
             return []
         self._flood_until_ns = now_ns + within_ns
-        if (OBSERVER, FLOOD) in self._standing:
+        if FLOOD_KEY in self._standing or _text(FLOOD_KEY) in self.rule.out_of_service:
             return []
         first = AlarmEvent(
             id=alarm_id(self._vehicle, OBSERVER, FLOOD, now_ns),
@@ -275,12 +299,16 @@ class AlarmDesk:
             "further warnings are shelved until it is over; look at the first ones",
             seq=UNNUMBERED,
         )
-        self._standing[OBSERVER, FLOOD] = _Standing(told := self._numbered(first))
-        return [told]
+        return [self._enter(FLOOD_KEY, first)]
 
     def _keep(self, entry: _Standing, event: AlarmEvent, **flags: Any) -> list[AlarmEvent]:
         """Take in an update; return it unless its channel keeps quiet."""
         carried = replace(self._carry(entry, event), **flags)
+        key = event.observer, event.channel
+        if entry.quiet and event.severity == "critical" and key in self._held_back:
+            self._unshelve(key)
+            entry.quiet = False
+            carried = replace(carried, state="raised", shelved_until_ns=None)
         if entry.quiet:
             entry.event = replace(carried, seq=entry.event.seq, state="shelved")
             return []
@@ -302,7 +330,8 @@ class AlarmDesk:
 
     def _say(self, entry: _Standing, now_ns: int, text: str, **changes: Any) -> AlarmEvent:
         """Return a numbered event about an alarm that stands; the alarm keeps its own sentence."""
-        told = self._numbered(replace(entry.event, time_ns=now_ns, message=text, **changes))
+        time_ns = max(now_ns, entry.event.time_ns)
+        told = self._numbered(replace(entry.event, time_ns=time_ns, message=text, **changes))
         entry.event = replace(told, message=entry.event.message)
         return told
 
@@ -319,8 +348,8 @@ class AlarmDesk:
         name = fields.get("channel")
         if wanted is not None or not isinstance(name, str):
             return None
-        if "/" in name:
-            observer, _, channel = name.partition("/")
+        observer, slash, channel = name.partition("/")
+        if slash:
             return observer, channel
         named = [key for key in (*self._standing, *self._shelved) if key[1] == name]
         return named[0] if named else None
@@ -342,8 +371,8 @@ def desk_rule(fields: Mapping[str, object], default: DeskRule) -> DeskRule:
     return DeskRule(
         latched=names("latched", default.latched),
         out_of_service=names("out_of_service", default.out_of_service),
-        flood_raised=raised if isinstance(raised, int) and raised >= 0 else default.flood_raised,
-        flood_s=float(within) if isinstance(within, int | float) and within > 0 else default.flood_s,
+        flood_raised=raised if isinstance(raised, int) and 0 <= raised <= MAX_FLOOD else default.flood_raised,
+        flood_s=float(within) if isinstance(within, int | float) and 0 < within <= MAX_FLOOD else default.flood_s,
     )
 
 
@@ -355,6 +384,10 @@ def rule_fields(rule: DeskRule) -> dict[str, object]:
         "flood_raised": rule.flood_raised,
         "flood_s": rule.flood_s,
     }
+
+
+def _cleared(event: AlarmEvent, now_ns: int, text: str) -> AlarmEvent:
+    return replace(event, state="cleared", time_ns=now_ns, message=text)
 
 
 def _by(what: str, fields: Mapping[str, object]) -> str:

@@ -64,7 +64,8 @@ class LinkAlarms:
         """Note that Unix time has come to ``now_ns``; return the events that causes."""
         if SIGNING not in self._standing or now_ns - self._attacked_ns < _QUIET_NS:
             return []
-        return [self._clear(SIGNING, now_ns, "no more packets with a wrong signature")]
+        # At the end of the 10 s, whenever somebody looks.
+        return [self._clear(SIGNING, self._attacked_ns + _QUIET_NS, "no more packets with a wrong signature")]
 
     def silent(self) -> None:
         """Note that all telemetry stopped: a missing heartbeat says nothing more until it comes again."""

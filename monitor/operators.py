@@ -74,7 +74,7 @@ class Operators:
         if command.verb == "shelve":
             minutes = fields.pop("minutes", None)
             given = isinstance(minutes, int | float) and not isinstance(minutes, bool) and minutes > 0
-            chosen = min(float(minutes), self._max_shelve_minutes) if given else self._shelve_minutes
+            chosen = min(minutes, self._max_shelve_minutes) if given else self._shelve_minutes
             fields["until_ns"] = now_ns + round(chosen * _MINUTE_NS)
         return Message("operator", command.verb, now_ns, fields)
 
@@ -127,8 +127,11 @@ def _fields(query: zenoh.Query) -> dict[str, Any] | None:
         return None
     if not isinstance(found, dict):
         return None
+    # Texts end up on terminals, in logs and in a database: nothing that cannot be printed gets that far.
     fields: dict[str, Any] = {
-        key: value[:_MAX_TEXT] for key in ("id", "channel", "by", "reason") if isinstance(value := found.get(key), str)
+        key: "".join(letter if letter.isprintable() else "?" for letter in value[:_MAX_TEXT])
+        for key in ("id", "channel", "by", "reason")
+        if isinstance(value := found.get(key), str)
     }
     if isinstance(found.get("minutes"), int | float):
         fields["minutes"] = found["minutes"]

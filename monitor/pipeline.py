@@ -67,6 +67,7 @@ class Pipeline:
         self._desk = AlarmDesk(self.vehicle, DeskRule())
         self._system = profile.system if system is None else system
         self._component = component
+        self._interests = self.interests
         self.foreign = 0
 
     @property
@@ -136,6 +137,8 @@ class Pipeline:
         if not self.accepts(message):
             self.foreign += 1
             return []
+        if message.name not in self._interests:
+            return []
         now_ns = message.received_ns
         outputs: list[Output] = [*self._desk.tick(now_ns)]
         if message.source in _OWN_SOURCES:
@@ -143,8 +146,8 @@ class Pipeline:
             return outputs
         self._phase.feed(message)
         told = self._desk.take
-        for event in self._link.feed(message, self._clock.newest_ns):
-            outputs.extend(told(event))
+        outputs.extend(self._tell(self._silence(now_ns)))
+        outputs.extend(self._tell(self._link.feed(message, self._clock.newest_ns)))
         if message.name in self._wanted:
             for event in self._stale.heard(now_ns, self._clock.newest_ns):
                 outputs.extend(told(event))
@@ -162,18 +165,21 @@ class Pipeline:
         """Take a message that is no telemetry."""
         now_ns, fields = message.received_ns, message.fields
         if message.source == "clock":
-            events = self._stale.silence(now_ns)
-            if self._stale.active:
-                self._link.silent()
-            return self._tell([*events, *self._link.quiet(now_ns)])
+            return self._tell([*self._silence(now_ns), *self._link.quiet(now_ns)])
         if message.source == "link":
             return self._tell(self._link.feed(message, self._clock.newest_ns))
         if message.source == "journal":
             return self._adopt(fields, now_ns) if message.name == STANDING else []
         if message.name == RULES:
-            self._retune(fields)
-            return []
+            return self._retune(fields, now_ns)
         return self._desk.operate(message.name, fields, now_ns)
+
+    def _silence(self, now_ns: int) -> list[AlarmEvent]:
+        """Note that time has come to ``now_ns``, by a message or without one: live and replayed the same."""
+        events = self._stale.silence(now_ns)
+        if self._stale.active:
+            self._link.silent()
+        return events
 
     def _tell(self, events: Iterable[AlarmEvent]) -> list[AlarmEvent]:
         return [told for event in events for told in self._desk.take(event)]
@@ -195,13 +201,13 @@ class Pipeline:
         self._desk.seq = max(self._desk.seq, seq if isinstance(seq, int) else 0)
         return self._desk.adopt(events, watched, now_ns)
 
-    def _retune(self, fields: Mapping[str, Any]) -> None:
-        self._desk.set_rule(desk_rule(fields, self._desk.rule))
+    def _retune(self, fields: Mapping[str, Any], now_ns: int) -> list[AlarmEvent]:
         alarms = fields.get("alarms")
         for chain in self._chains:
             rules = alarms.get(chain.layout.observer) if isinstance(alarms, Mapping) else None
             if isinstance(rules, Mapping):
                 chain.retune({name: rule for name, rule in rules.items() if isinstance(rule, Mapping)})
+        return self._desk.set_rule(desk_rule(fields, self._desk.rule), now_ns)
 
 
 def rules_message(rule: DeskRule, profile: Profile, now_ns: int) -> Message:
@@ -223,7 +229,8 @@ def standing_message(alarms: Sequence[AlarmEvent], seq: int, now_ns: int) -> Mes
 def standing_alarms(fields: Mapping[str, Any]) -> list[AlarmEvent]:
     """Return the alarms in such a message; what is none is left out."""
     found = []
-    for data in fields.get("alarms") or ():
+    alarms = fields.get("alarms")
+    for data in alarms if isinstance(alarms, list | tuple) else ():
         try:
             found.append(event_from_json(data))
         except (TypeError, ValueError):

@@ -71,6 +71,8 @@ class StaleAlarm:
     def adopt(self, event: AlarmEvent) -> None:
         """Go on from an event that another run of the monitor, or another monitor, made."""
         self._since_ns = None if event.state == "cleared" else event.since_ns
+        if self._heard_ns is None:
+            self._heard_ns = event.since_ns - self._limit_ns
 
     def _event(self, state: State, time_ns: int, vehicle_ns: int, message: str) -> AlarmEvent:
         since_ns = self._since_ns if self._since_ns is not None else time_ns

@@ -3,11 +3,16 @@
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from monitor.profile import Profile, read_profile
 from replay.arm_profile import write_arm_profile
 
 DATA = Path(__file__).parent / "data"
+
+# A slow example on a loaded machine is no failure.
+settings.register_profile("fauio", deadline=None)
+settings.load_profile("fauio")
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adapters.sample import Sample
-from monitor.alarm import Alarm, AlarmRule
+from monitor.alarm import Alarm, AlarmRule, retuned
 from monitor.event import AlarmEvent, event_from_json
 
 STEP_NS = 10_000_000
@@ -146,3 +146,69 @@ def test_a_share_that_is_known_by_itself_is_told_as_it_is() -> None:
     events = [alarm.update(sample(k), -0.05, None, relative=-0.3) for k in range(20)]
     raised = next(event for event in events if event is not None)
     assert (raised.estimate, raised.relative) == (-0.05, -0.3)
+
+
+def at_time(vehicle_s: float, unix_s: float, restart: bool = False) -> Sample:
+    zero = np.zeros(1)
+    return Sample(0, round(vehicle_s * 1e9), round(unix_s * 1e9), zero, zero, restart=restart, complete=True)
+
+
+def test_a_fault_that_grows_is_critical_before_it_is_large() -> None:
+    events = run(new_alarm(), [-0.0002 * k for k in range(600)])
+    critical = next(event for event in events if event.severity == "critical")
+    assert critical.state == "updated"
+    assert abs(critical.estimate or 0.0) < 0.12
+    blind = run(new_alarm(replace(RULE, critical_ahead_s=0.0)), [-0.0002 * k for k in range(600)])
+    assert {event.severity for event in blind} == {"warning"}
+
+
+def test_an_observer_that_starts_anew_is_no_growth_of_the_fault() -> None:
+    alarm = new_alarm()
+    events = run(alarm, [0.08] * 500)
+    for k in range(40):
+        alarm.update(replace(sample(500 + k), restart=k == 0), 0.0, 0.5)
+    events += run(alarm, [0.08] * 500, start=540)
+    assert {event.severity for event in events} == {"warning"}
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_a_reboot_during_an_alarm_neither_loses_nor_mutes_it_nor_raises_it_twice(gone: bool) -> None:
+    alarm = new_alarm()
+    found = [alarm.update(at_time(1000 + k / 100, 5000 + k / 100), 0.05, 0.5) for k in range(100)]
+    alarm.pause()
+    evidence = 0.0 if gone else 0.1
+    found += [alarm.update(at_time(2 + k / 100, 5010 + k / 100, k == 0), evidence, 0.5) for k in range(300)]
+    if not gone:
+        assert alarm.active
+        found += [alarm.update(at_time(5 + k / 100, 5013 + k / 100), 0.0, 0.5) for k in range(100)]
+    events = [event for event in found if event is not None]
+    assert [event.state for event in events] == (["raised", "cleared"] if gone else ["raised", "updated", "cleared"])
+    assert len({event.id for event in events}) == 1
+    assert not alarm.active
+
+
+def test_an_adopted_alarm_goes_on_under_its_id_and_clears() -> None:
+    (raised,) = run(new_alarm(), [0.05] * 30)
+    alarm = new_alarm()
+    alarm.adopt(raised)
+    assert alarm.active
+    told = run(alarm, [0.05] * 300 + [0.1] * 100 + [0.0] * 100, start=1000)
+    assert [event.state for event in told] == ["updated", "updated", "cleared"]
+    assert {(event.id, event.since_ns) for event in told} == {(raised.id, raised.since_ns)}
+    assert told[-1].peak == 0.1
+    alarm.adopt(raised)
+    alarm.adopt(replace(raised, state="cleared"))
+    assert not alarm.active
+
+
+def test_a_rule_takes_numbers_that_make_sense_and_leaves_the_rest() -> None:
+    nonsense = {
+        "threshold": "1",
+        "clear": None,
+        "critical": True,
+        "raise_s": -1.0,
+        "clear_s": float("nan"),
+        "kind": "x",
+    }
+    assert retuned(RULE, nonsense) == RULE
+    assert retuned(RULE, {"threshold": 1, "slow": 0.5}) == replace(RULE, threshold=1.0, slow=0.5)

@@ -11,10 +11,12 @@ from adapters.message import Message, silence
 from adapters.phase import FlightPhase
 from adapters.recordings import read_recording
 from monitor.chain import Output
+from monitor.desk import DeskRule
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
-from monitor.pipeline import Pipeline
+from monitor.pipeline import Pipeline, rules_message, standing_message
 from monitor.profile import Profile
+from monitor.recorder import Recorder
 
 
 @pytest.fixture(scope="module")
@@ -111,3 +113,110 @@ def test_time_of_arrival_moves_unix_times_and_nothing_else(quad_profile: Profile
         assert after.vehicle_time_ms == before.vehicle_time_ms
         assert after.estimate == before.estimate
         assert after.time_ns - before.time_ns == 10**15
+
+
+def alarm_states(found: list[AlarmEvent], channel: str) -> list[str]:
+    return [event.state for event in found if event.channel == channel]
+
+
+def with_operators(profile: Profile, flight: list[Message], before: AlarmEvent) -> list[Message]:
+    """Return a flight in which operators acknowledge, shelve for 3 s and change thresholds."""
+    first, at_ns = before, before.time_ns
+    name = {"channel": f"{first.observer}/{first.channel}", "by": "Ann"}
+    rule = DeskRule(latched=frozenset({name["channel"]}), flood_raised=3)
+    tight = {first.observer: {first.channel: {"threshold": 0.001, "clear": 0.0005}}}
+    told = [
+        standing_message([dataclasses.replace(first, channel="wing", id="before")], 41, flight[0].received_ns),
+        rules_message(rule, profile, at_ns - 1_000_000_000),
+        Message("operator", "ack", at_ns + 500_000_000, name),
+        Message("operator", "shelve", at_ns + 1_000_000_000, {**name, "until_ns": at_ns + 4_000_000_000}),
+        Message("operator", "rules", at_ns + 6_000_000_000, {"alarms": tight}),
+        Message("link", "signing", at_ns + 7_000_000_000, {"forged": 1}, 1),
+        silence(at_ns + 7_050_000_000),
+    ]
+    return sorted([*told, *flight], key=lambda message: message.received_ns)
+
+
+def test_a_recording_of_everything_fed_gives_the_same_events_again(
+    quad_profile: Profile, flight: list[Message], tmp_path: Path
+) -> None:
+    (first, *_) = events(quad_profile, flight)
+    live = Pipeline(quad_profile)
+    said: list[Output] = []
+    path = tmp_path / "flight.mcap"
+    with Recorder(path, live.layouts, live.metadata(), {}) as recorder:
+        for message in with_operators(quad_profile, flight, first):
+            found = live.feed(message)
+            recorder.message(message)
+            said += found
+    told = [output for output in said if isinstance(output, AlarmEvent)]
+    assert [event.seq for event in told] == list(range(42, 42 + len(told)))
+    assert {"raised", "acknowledged", "shelved", "cleared"} <= {event.state for event in told}
+    recorded = list(read_recording(path))
+    assert {"operator", "journal", "link", "clock"} <= {message.source for message in recorded}
+    assert events(quad_profile, recorded) == told
+    interests = Pipeline(quad_profile).interests
+    assert events(quad_profile, list(read_recording(path, interests))) == told
+
+
+def test_a_long_gap_replayed_says_no_more_than_the_silence_said_live(
+    quad_profile: Profile, flight: list[Message]
+) -> None:
+    middle = flight[len(flight) // 2].received_ns
+    late = [
+        dataclasses.replace(
+            message, received_ns=message.received_ns + (15 * 10**9 if message.received_ns > middle else 0)
+        )
+        for message in flight
+    ]
+    index = next(k for k, message in enumerate(late) if message.received_ns > middle)
+    rest = [message for message in late[index:] if message.name != "HEARTBEAT"]
+    replayed = [*late[:index], *rest]
+    pauses = [silence(middle + k * 100_000_000) for k in range(1, 140)]
+    live = [*late[:index], *pauses, *rest]
+    assert events(quad_profile, replayed) == events(quad_profile, live)
+
+
+def test_a_restart_brings_standing_alarms_back_with_their_ids(quad_profile: Profile, flight: list[Message]) -> None:
+    (raised, *_) = events(quad_profile, flight)
+    old, at = Pipeline(quad_profile), 0
+    while not old.desk.standing:
+        old.feed(flight[at])
+        at += 1
+    new = Pipeline(quad_profile)
+    (told,) = new.feed(standing_message(old.desk.standing, old.desk.seq, flight[at].received_ns))
+    assert isinstance(told, AlarmEvent)
+    assert (told.state, told.id, told.seq) == ("updated", raised.id, old.desk.seq + 1)
+    later = [output for message in flight[at:] for output in new.feed(message) if isinstance(output, AlarmEvent)]
+    assert "raised" not in alarm_states(later, raised.channel)
+    assert {event.id for event in later if event.channel == raised.channel} <= {raised.id}
+
+
+def test_a_reboot_during_an_alarm_neither_loses_nor_mutes_it_nor_raises_it_twice(
+    quad_profile: Profile, flight: list[Message]
+) -> None:
+    (raised, *_) = events(quad_profile, flight)
+    # The flight once more, with the vehicle's clock back at its beginning.
+    lasted = flight[-1].received_ns - flight[0].received_ns + 500_000_000
+    again = [dataclasses.replace(message, received_ns=message.received_ns + lasted) for message in flight]
+    pipeline = Pipeline(quad_profile)
+    told: list[AlarmEvent] = []
+    for message in [*flight, *again]:
+        told += [output for output in pipeline.feed(message) if isinstance(output, AlarmEvent)]
+    assert any(counts.clock_restarts for counts in pipeline.statistics().values())
+    assert raised.channel in {event.channel for event in pipeline.desk.standing}
+    turns = [state for state in alarm_states(told, raised.channel) if state in ("raised", "cleared")]
+    assert turns in (["raised"], ["raised", "cleared", "raised"])
+
+
+def test_what_no_pipeline_understands_changes_nothing(quad_profile: Profile, flight: list[Message]) -> None:
+    at_ns = flight[0].received_ns
+    nonsense = [
+        Message("journal", "standing", at_ns, {"alarms": 7, "seq": "x"}),
+        Message("journal", "standing", at_ns, {"alarms": [7, None, {"id": "x"}]}),
+        Message("operator", "rules", at_ns, {"alarms": {"motors": {"motor1": 3}}, "flood_s": float("inf")}),
+        Message("operator", "ack", at_ns, {}),
+        Message("operator", "shelve", at_ns, {"channel": "motor1", "until_ns": "tomorrow"}),
+        Message("link", "signing", at_ns, {"forged": 1}, 77),
+    ]
+    assert events(quad_profile, [*nonsense, *flight]) == events(quad_profile, flight)

@@ -1,0 +1,89 @@
+"""The inbox: order kept, the oldest dropped and counted, links that fail are read again."""
+
+import logging
+import threading
+from collections import deque
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from loopback import until
+
+from adapters.message import Message
+from monitor.inbox import Arrival, Inbox
+
+
+def message(number: int) -> Message:
+    return Message("mavlink", "ATTITUDE", number, {}, 1, 1)
+
+
+class ScriptedLink:
+    """Gives its batches one after the other, raises the exceptions among them, then waits like a silent link."""
+
+    def __init__(self, *batches: list[Message] | Exception) -> None:
+        self._batches = deque(batches)
+        self._closed = threading.Event()
+
+    def receive(self, timeout_s: float) -> list[Message]:
+        if not self._batches:
+            self._closed.wait(timeout_s)
+            return []
+        batch = self._batches.popleft()
+        if isinstance(batch, Exception):
+            raise batch
+        return batch
+
+
+@given(st.lists(st.integers(0, 30), max_size=20), st.integers(1, 40))
+def test_the_newest_messages_stay_in_order_and_every_other_is_counted(sizes: list[int], limit: int) -> None:
+    inbox = Inbox(limit)
+    number = 0
+    for size in sizes:
+        inbox.put([message(number + k) for k in range(size)])
+        number += size
+    waiting = inbox.take(0.0)
+    assert [arrival.message.received_ns for arrival in waiting] == list(range(max(0, number - limit), number))
+    counts = inbox.statistics()
+    assert (counts.arrived, counts.dropped, counts.waiting) == (number, max(0, number - limit), 0)
+    assert inbox.empty
+
+
+def test_two_links_arrive_under_their_vehicles_and_a_link_that_fails_is_read_again(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    inbox = Inbox(100)
+    with caplog.at_level(logging.ERROR):
+        inbox.listen("shared", ScriptedLink([message(1)], ValueError("cable"), [message(2)]))
+        inbox.listen("own", ScriptedLink([message(3)]), "rover-1")
+        until(lambda: inbox.statistics().waiting == 3)
+    found = inbox.take(1.0)
+    inbox.close()
+    assert [arrival for arrival in found if arrival.vehicle is None] == [Arrival(None, message(k)) for k in (1, 2)]
+    assert Arrival("rover-1", message(3)) in found
+    assert inbox.statistics().errors == 1
+    assert "link shared failed" in caplog.text
+    assert inbox.stuck() == ()
+
+
+def test_taking_from_an_empty_inbox_ends_and_what_waits_outlives_its_closing() -> None:
+    inbox = Inbox(10)
+    assert inbox.take(0.01) == []
+    inbox.put([message(1)])
+    inbox.close()
+    assert inbox.take(0.0) == [Arrival(None, message(1))]
+
+
+def test_no_message_is_lost_between_threads() -> None:
+    inbox = Inbox(100_000)
+    for name in ("a", "b", "c"):
+        inbox.listen(name, ScriptedLink(*([message(k)] for k in range(2000))))
+    found: list[Arrival] = []
+
+    def all_there() -> bool:
+        found.extend(inbox.take(0.1))
+        return len(found) >= 6000
+
+    until(all_there)
+    inbox.close()
+    assert inbox.statistics().dropped == 0
+    assert sorted(arrival.message.received_ns for arrival in found) == sorted([*range(2000)] * 3)
