@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from adapters.errors import TelemetryError
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 MAX_MESSAGE_BYTES = 1 << 24
+
+Mode = Literal["peer", "router", "client"]
 
 # Settings with a default of Zenoh's own other than null, and the name that shows that a file sets them.
 _DEFAULTED = {
@@ -31,9 +33,12 @@ _RETRY = {"period_init_ms": 200, "period_max_ms": 500, "period_increase_factor":
 
 
 def open_session(
-    connect: Sequence[str] = (), listen: Sequence[str] = (), config_file: str | Path | None = None
+    connect: Sequence[str] = (),
+    listen: Sequence[str] = (),
+    config_file: str | Path | None = None,
+    mode: Mode = "peer",
 ) -> zenoh.Session:
-    """Open a session, in peer mode where no file says otherwise.
+    """Open a session.
 
     What cannot be reached is no error: the session opens within about half a second and goes on trying in the
     background, every 0.2 to 0.5 s, also after a connection was lost. Only a client (``mode: "client"`` in the file)
@@ -49,6 +54,9 @@ def open_session(
     config_file : str | Path | None
         Zenoh's own configuration in JSON5: TLS, passwords, access control. What it says counts, its
         endpoints in place of ``connect`` and ``listen``; the rest stays as without it.
+    mode : {"peer", "router", "client"}
+        Zenoh's mode where the file does not say. A router passes nothing between its peers: what shall be seen
+        through one joins it as a router, too, or as a client.
 
     Raises
     ------
@@ -59,7 +67,7 @@ def open_session(
 
     config, text = (zenoh.Config(), "") if config_file is None else _read_config(Path(config_file))
     settings: dict[str, Any] = {
-        "mode": "peer",
+        "mode": mode,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "listen/exit_on_failure": True,
@@ -72,7 +80,8 @@ def open_session(
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
     }
     # a client would wait for its router for ever, and before the session is open
-    if config.get_json("mode") != '"client"':
+    chosen = json.loads(config.get_json("mode")) if _says(config, text, "mode") else mode
+    if chosen != "client":
         settings |= {"connect/exit_on_failure": False, "connect/timeout_ms": -1}
     for key, value in settings.items():
         if _says(config, text, key):

@@ -253,6 +253,12 @@ class Config(_Table):
         description="Zenoh's own configuration (JSON5): TLS, users, access control.",
         examples=["zenoh.json5"],
     )
+    zenoh_mode: Literal["peer", "router", "client"] = Field(
+        "peer",
+        description="Zenoh mode of the daemon. `router` where it connects to a router or to other daemons: a router "
+        "passes nothing between its peers.",
+        examples=["peer"],
+    )
     zenoh_types: Mapping[KeyExpression, MessageType] = Field(
         default={},
         description="Types of telemetry over Zenoh by key expression: JSON unless said otherwise.",

@@ -67,7 +67,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         log = Log(as_json or json_lines)
         stack.callback(log.close)
         session = stack.enter_context(
-            open_session(connect=config.connect, listen=config.listen, config_file=config.zenoh_config)
+            open_session(config.connect, config.listen, config.zenoh_config, config.zenoh_mode)
         )
         journal = _open_journal(config, log, stack)
         inbox = Inbox(config.inbox)

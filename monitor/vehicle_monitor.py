@@ -95,6 +95,7 @@ class VehicleMonitor:
         self._layouts = {layout.observer: layout for layout in pipeline.layouts}
         self._latest: dict[str, Estimate] = {}
         self._heard: dict[str, int] = {}
+        self._needed = frozenset[str]().union(*pipeline.needs.values())
         self._sampled_ns: dict[str, int] = {}
         self._started_ns = now_ns
         self._heard_ns = now_ns
@@ -158,7 +159,7 @@ class VehicleMonitor:
         if accepted:
             self.messages += 1
             self._second.messages += 1
-            if message.source in _LIVE_SOURCES:
+            if message.source in _LIVE_SOURCES and message.name in self._needed:
                 self._heard[message.name] = self._heard_ns = message.received_ns
             for archive in self._archives:
                 archive.message(message)
