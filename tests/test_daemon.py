@@ -1,0 +1,257 @@
+"""One daemon with several vehicles: who appears, who commands, what is kept, and what changes while it runs."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adapters.recordings import read_recording
+from adapters.tlog import TlogReader
+from adapters.zenoh_session import open_session
+from monitor.event import AlarmEvent
+from monitor.journal import Journal
+from monitor.profile import Profile
+from monitor.subscriber import AlarmSubscriber
+from replay.player import play
+
+FAUIO = (sys.executable, "-m", "fauio")
+PATIENCE_S = 60.0
+
+
+def free_port(kind: socket.SocketKind) -> int:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def until(condition: Callable[[], Any]) -> Any:
+    deadline = time.monotonic() + PATIENCE_S
+    while not (found := condition()):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    return found
+
+
+class RunningDaemon:
+    """A daemon with its files, and a session of a client of it."""
+
+    def __init__(self, folder: Path, profile: Path, extra: str) -> None:
+        self.folder = folder
+        self.senders: list[subprocess.Popen[bytes]] = []
+        self.udp = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
+        self.endpoint = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+        self.metrics = f"127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+        self.config = folder / "fauio.toml"
+        self.write_config(profile, extra)
+        command = [*FAUIO, "run", "--config", str(self.config), "--json"]
+        self.log = (folder / "log.jsonl").open("w")
+        self.process = subprocess.Popen(command, stderr=self.log)
+        self.session = open_session(connect=[self.endpoint])
+
+    def write_config(self, profile: Path, extra: str) -> None:
+        top = f'profile = "{profile}"\nmavlink = "udpin:{self.udp}"\nlisten = ["{self.endpoint}"]\n'
+        self.config.write_text(f'{top}{extra}\n[metrics]\nlisten = "{self.metrics}"\n')
+
+    def logged(self, event: str) -> list[dict[str, Any]]:
+        lines = (self.folder / "log.jsonl").read_text().splitlines()
+        found = [json.loads(line) for line in lines if line.startswith("{") and line.endswith("}")]
+        return [line for line in found if line["event"] == event]
+
+    def command(self, vehicle: str, verb: str, **fields: Any) -> dict[str, Any]:
+        replies = self.session.get(f"fauio/{vehicle}/command/{verb}", payload=json.dumps(fields))
+        [reply] = list(replies)
+        payload = reply.ok.payload if reply.ok is not None else reply.err.payload
+        return dict(json.loads(payload.to_bytes()))
+
+    def status(self, vehicle: str) -> dict[str, Any]:
+        found: list[dict[str, Any]] = []
+        key = f"fauio/{vehicle}/status"
+        with self.session.declare_subscriber(key, lambda s: found.append(json.loads(s.payload.to_bytes()))):
+            until(lambda: found)
+        return found[-1]
+
+    def fetch(self, path: str) -> str:
+        with urllib.request.urlopen(f"http://{self.metrics}{path}", timeout=10) as answer:
+            return str(answer.read().decode())
+
+    def send(self, log: Path, system: int, speed: float = 2.0) -> subprocess.Popen[bytes]:
+        command = [sys.executable, __file__, str(log), self.udp, str(system), str(speed)]
+        self.senders.append(subprocess.Popen(command))
+        return self.senders[-1]
+
+    def close(self) -> None:
+        for sender in self.senders:
+            sender.kill()
+            sender.wait()
+        self.session.close()
+        self.process.kill()
+        self.process.wait()
+        self.log.close()
+
+
+CONFIG = """
+[[vehicle]]
+name = "first"
+system = 1
+latched = ["motors/motor2"]
+[new_vehicles]
+profile = "{profile}"
+limit = 1
+[recording]
+folder = "recordings"
+file_minutes = 0.1
+[black_box]
+folder = "clips"
+before_s = 3
+after_s = 2
+[journal]
+path = "journal.db"
+[commands]
+allow = ["ack", "shelve", "unshelve", "reset"]
+"""
+
+
+@pytest.fixture
+def daemon(tmp_path: Path, quad_folder: Path) -> Iterator[RunningDaemon]:
+    found = RunningDaemon(tmp_path, quad_folder, CONFIG.format(profile=quad_folder))
+    try:
+        yield found
+    finally:
+        found.close()
+
+
+def collect(subscriber: AlarmSubscriber, enough: Callable[[list[AlarmEvent]], bool]) -> list[AlarmEvent]:
+    events: list[AlarmEvent] = []
+    deadline = time.monotonic() + PATIENCE_S
+    while not enough(events):
+        assert time.monotonic() < deadline, events
+        event = subscriber.receive(0.2)
+        if event is not None:
+            events.append(event)
+    return events
+
+
+def raised(events: list[AlarmEvent]) -> list[tuple[str, str]]:
+    return [(event.vehicle, event.channel) for event in events if event.state == "raised" and event.kind != "stale"]
+
+
+def test_vehicles_named_and_new_are_watched_commanded_recorded_and_journaled(
+    daemon: RunningDaemon, data: Path, quad_profile: Profile
+) -> None:
+    subscriber = AlarmSubscriber(daemon.session)
+    until(lambda: "first" in subscriber.live)
+    senders = [
+        daemon.send(data / "copter_motor2_080.tlog.xz", 1),
+        daemon.send(data / "copter_motor3_090.tlog.xz", 7),
+    ]
+    until(lambda: "vehicle-7" in subscriber.live)
+    senders.append(daemon.send(data / "copter_wind_step.tlog.xz", 9))
+    events = collect(subscriber, lambda found: len(raised(found)) >= 2)
+    assert sorted(raised(events)) == [("first", "motor2"), ("vehicle-7", "motor3")]
+    assert "vehicle-9" not in subscriber.live
+    [refused] = until(lambda: daemon.logged("vehicle refused"))
+    assert (refused["system"], refused["reason"]) == (9, "[new_vehicles] limit is reached")
+    [motor2] = {event.id for event in events if event.channel == "motor2"}
+
+    answer = daemon.command("first", "ack", id=motor2, by="eve")
+    assert answer["ok"]
+    assert (answer["event"]["state"], answer["event"]["acknowledged"]) == ("acknowledged", True)
+    assert "acknowledged by eve" in answer["event"]["message"]
+    assert daemon.command("first", "ack", id="01NONE")["error"].startswith("no alarm '01NONE' stands")
+    shelved = daemon.command("vehicle-7", "shelve", channel="motors/motor3", minutes=5)
+    assert shelved["event"]["state"] == "shelved"
+    assert "motors/motor3" in daemon.status("vehicle-7")["shelved"]
+    for sender in senders:
+        assert sender.wait(PATIENCE_S) == 0
+    until(lambda: daemon.status("first")["state"] == "stale")
+    rest = collect(subscriber, lambda found: sum(event.kind == "stale" for event in found) >= 2)
+    assert not raised(rest)
+
+    page = daemon.fetch("/metrics")
+    assert 'fauio_observer_samples_total{observer="motors",vehicle="first"}' in page
+    assert 'fauio_vehicle_active_alarms{severity="critical",vehicle="first"} 1.0' in page
+    assert json.loads(daemon.fetch("/healthz"))
+    daemon.process.send_signal(signal.SIGTERM)
+    assert daemon.process.wait(PATIENCE_S) == 0
+    journal = Journal(daemon.folder / "journal.db")
+    try:
+        history = journal.events("first")
+        frame = journal.frame(motor2)
+    finally:
+        journal.close()
+    assert [event.seq for event in history] == list(range(1, len(history) + 1))
+    assert frame is not None
+    assert frame["observers"]["motors"]["thresholds"]["motor2"] > 0
+    recording = daemon.folder / "recordings" / "first"
+    assert len(list(recording.iterdir())) > 1
+    assert list(play(quad_profile, read_recording(recording), vehicle="first").events) == history
+    [clip] = (daemon.folder / "clips" / "first").glob(f"*{motor2}.mcap")
+    again = play(quad_profile, read_recording(clip), vehicle="first").events
+    assert "motor2" in {event.channel for event in again if event.state == "raised"}
+
+
+def test_a_reload_changes_thresholds_without_losing_a_sample_and_a_wrong_one_changes_nothing(
+    tmp_path: Path, quad_folder: Path, data: Path
+) -> None:
+    profile = tmp_path / "quad"
+    profile.mkdir()
+    for file in quad_folder.iterdir():
+        (profile / file.name).write_bytes(file.read_bytes())
+    daemon = RunningDaemon(tmp_path, profile, '[[vehicle]]\nname = "first"\nsystem = 1\n')
+    try:
+        subscriber = AlarmSubscriber(daemon.session)
+        until(lambda: "first" in subscriber.live)
+        sender = daemon.send(data / "copter_motor2_080.tlog.xz", 1, speed=1.0)
+        until(lambda: daemon.status("first")["samples"] > 0)
+        daemon.config.write_text("inbox = -1\n")
+        daemon.process.send_signal(signal.SIGHUP)
+        until(lambda: daemon.logged("reload failed"))
+        text = (profile / "profile.toml").read_text()
+        place = text.index("[observers.motors.alarms.motor2]")
+        head, tail = text[:place], text[place:]
+        (profile / "profile.toml").write_text(head + tail.replace("threshold = ", "threshold = 9", 1))
+        daemon.write_config(
+            profile, '[[vehicle]]\nname = "first"\nsystem = 1\n[[vehicle]]\nname = "second"\nsystem = 2\n'
+        )
+        daemon.process.send_signal(signal.SIGHUP)
+        until(lambda: daemon.logged("reloaded"))
+        until(lambda: "second" in subscriber.live)
+        assert sender.wait(PATIENCE_S) == 0
+        status = until(lambda: (found := daemon.status("first"))["state"] == "stale" and found)
+        motors = status["observers"]["motors"]
+        assert (motors["skipped"], motors["restarts"], motors["incomplete"]) == (0, 1, 0)
+    finally:
+        daemon.close()
+
+
+def relay(log: str, address: str, system: int, speed: float) -> None:
+    """Send a log under another system id, paced."""
+    from pymavlink.generator.mavcrc import x25crc
+
+    from adapters.mavlink_message import mavlink_types, message_number
+    from adapters.pacing import paced
+
+    host, _, port = address.rpartition(":")
+    types = mavlink_types()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        for packet in paced(TlogReader(Path(log)).packets(), speed):
+            version_2 = packet[0] == 0xFD
+            changed = bytearray(packet)
+            changed[5 if version_2 else 3] = system
+            end = (10 if version_2 else 6) + packet[1]
+            extra = types[message_number(packet)]._extra
+            crc = x25crc(bytes(changed[1:end]) + extra).crc
+            changed[end : end + 2] = crc.to_bytes(2, "little")
+            out.sendto(changed, (host, int(port)))
+
+
+if __name__ == "__main__":
+    relay(sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4]))
