@@ -83,12 +83,19 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         notifier = Notifier()
         stack.callback(notifier.close)
 
+        def reload() -> None:
+            notifier.reloading()
+            station.reload()
+
         def every_turn(now_ns: int) -> None:
+            reloads = station.reloads
             station.turn(now_ns)
+            if station.reloads != reloads:
+                notifier.ready(f"monitoring {len(station.posts)} vehicles")
             notifier.feed(not inbox.stuck())
 
         daemon = Daemon(inbox, station.fleet, lambda: station.posts, station.troubles, every_turn)
-        with _signals(daemon.stop, station.reload) as received:
+        with _signals(daemon.stop, reload) as received:
             notifier.ready(f"monitoring {len(station.posts)} vehicles")
             daemon.run()
         notifier.stopping()

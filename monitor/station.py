@@ -63,6 +63,11 @@ class Station:
     live_view : LiveView | None
         Shows the vehicles live, if any.
 
+    Attributes
+    ----------
+    reloads : int
+        Reloads that are over, failed ones included.
+
     Raises
     ------
     ProfileError, TelemetryError
@@ -91,6 +96,7 @@ class Station:
         self._views: dict[str, VehicleView] = {}
         self._profiles: dict[Path, Profile] = {}
         self._posts: dict[str, Post] = {}
+        self.reloads = 0
         self._new = 0
         self._events: dict[str, int] = {}
         self._reloaded: queue.SimpleQueue[tuple[Config, dict[Path, Profile]] | str] = queue.SimpleQueue()
@@ -128,6 +134,7 @@ class Station:
         self._turn_ns = now_ns
         while not self._reloaded.empty():
             self._apply(self._reloaded.get())
+            self.reloads += 1
         if now_ns - self._second_ns >= _SECOND_NS or now_ns < self._second_ns:
             self._second_ns = now_ns
             if self._journal is not None:
