@@ -241,10 +241,15 @@ class MessageLogReader:
             elif (message := self._from_record(opcode, body)) is not None:
                 yield message
 
-    def metadata(self) -> dict[str, dict[str, str]]:
-        """Return the metadata records by name; later entries of the same name and key win."""
+    def metadata(self, *, ahead_only: bool = False) -> dict[str, dict[str, str]]:
+        """Return the metadata records by name; later entries of the same name and key win.
+
+        With ``ahead_only``, those that stand ahead of all data, for which the file need not be read to its end.
+        """
         found: dict[str, dict[str, str]] = {}
         for opcode, body in self._records(_open_log(self._path)):
+            if ahead_only and opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+                break
             if opcode == Opcode.METADATA:
                 with contextlib.suppress(*_UNREADABLE):
                     record = Metadata.read(ReadDataStream(BytesIO(body)))
@@ -331,9 +336,9 @@ def read_mcap_messages(path: str | os.PathLike[str]) -> Iterator[Message]:
     return iter(MessageLogReader(path))
 
 
-def read_mcap_metadata(path: str | os.PathLike[str]) -> dict[str, dict[str, str]]:
+def read_mcap_metadata(path: str | os.PathLike[str], *, ahead_only: bool = False) -> dict[str, dict[str, str]]:
     """Return a log's metadata records by name; see :meth:`MessageLogReader.metadata`."""
-    return MessageLogReader(path).metadata()
+    return MessageLogReader(path).metadata(ahead_only=ahead_only)
 
 
 def _chunk_data(body: bytes) -> bytes:

@@ -92,6 +92,22 @@ def read_recording(path: str | os.PathLike[str], only: Container[str] | None = N
     return (message for file in files for message in read_mcap_messages(file) if only is None or message.name in only)
 
 
+def recorded_vehicle(path: str | os.PathLike[str]) -> str | None:
+    """Return the name under which a monitor recorded its vehicle, None where no monitor made the recording.
+
+    Raises
+    ------
+    TelemetryError
+        See :func:`recording_kind`.
+    """
+    if recording_kind(path) == "tlog":
+        return None
+    from adapters.mcap_log import read_mcap_metadata
+
+    first = session_files(path)[0] if Path(path).is_dir() else path
+    return read_mcap_metadata(first, ahead_only=True).get("fauio", {}).get("vehicle")
+
+
 def _plain(file: Path) -> Path:
     """Return a file's name without the suffix of its compression."""
     return file.with_suffix("") if file.suffix.lower() in _COMPRESSED else file

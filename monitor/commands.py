@@ -21,7 +21,7 @@ def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "run",
         help="monitor a live vehicle: the daemon",
         description="Listen to a vehicle's telemetry, estimate its faults, publish alarms on Zenoh. Sends nothing to "
-        "the vehicle unless the configuration allows it. Ends on SIGTERM or Ctrl-C.",
+        "the vehicle unless the configuration allows it. Ends on SIGTERM or Ctrl-C; SIGHUP reloads.",
         epilog="example: fauio run quad/ --mavlink udpin:127.0.0.1:14550 --record flight.mcap",
     )
     run.add_argument(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from replay.player import Replay
 
 ALARMS_RAISED = 4
-_LOG_HELP = "recording: .tlog or .mcap, plain or with .xz / .gz behind"
+_LOG_HELP = "recording: .tlog or .mcap, plain or with .xz / .gz behind, or a folder of a recorded session"
 
 
 def add_parsers(subparsers: Any) -> None:
@@ -75,7 +75,9 @@ def _add_replay(subparsers: Any) -> None:
     parser.add_argument("--alarms", type=Path, metavar="OUT.jsonl", help="write the alarm events as JSON lines")
     parser.add_argument("--plot", type=Path, metavar="OUT.png", help="plot estimates, thresholds and alarms")
     parser.add_argument("--rrd", type=Path, metavar="OUT.rrd", help="write a Rerun recording")
-    parser.add_argument("--vehicle", metavar="NAME", help="name in events (default: the profile's)")
+    parser.add_argument(
+        "--vehicle", metavar="NAME", help="name in events (default: as recorded by a monitor, else the profile's)"
+    )
     parser.add_argument("--fail-on-alarm", action="store_true", help="exit with 4 where an alarm was raised")
     parser.add_argument("--json", action="store_true", help="print one JSON object per log")
     parser.set_defaults(handler=run_replay)
@@ -134,7 +136,7 @@ def run_fit(args: argparse.Namespace) -> int:
 def run_replay(args: argparse.Namespace) -> int:
     """Run ``fauio replay``."""
     from adapters.errors import TelemetryError
-    from adapters.recordings import read_recording, recording_kind
+    from adapters.recordings import read_recording, recorded_vehicle, recording_kind
     from monitor.alarm_text import alarm_line
     from monitor.profile import read_profile
     from replay.player import interests, play, write_events
@@ -151,7 +153,7 @@ def run_replay(args: argparse.Namespace) -> int:
         found = play(
             profile,
             track(read_recording(path, only), path.name),
-            vehicle=args.vehicle,
+            vehicle=args.vehicle or recorded_vehicle(path),
             record=args.out,
             keep_traces=bool(args.plot or args.rrd),
             on_event=None if args.json else lambda event: _say(alarm_line(event)),

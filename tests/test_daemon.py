@@ -144,7 +144,7 @@ def raised(events: list[AlarmEvent]) -> list[tuple[str, str]]:
 
 
 def test_vehicles_named_and_new_are_watched_commanded_recorded_and_journaled(
-    daemon: RunningDaemon, data: Path, quad_profile: Profile
+    daemon: RunningDaemon, data: Path, quad_profile: Profile, quad_folder: Path
 ) -> None:
     subscriber = AlarmSubscriber(daemon.session)
     until(lambda: "first" in subscriber.live)
@@ -193,6 +193,9 @@ def test_vehicles_named_and_new_are_watched_commanded_recorded_and_journaled(
     recording = daemon.folder / "recordings" / "first"
     assert len(list(recording.iterdir())) > 1
     assert list(play(quad_profile, read_recording(recording), vehicle="first").events) == history
+    command = [*FAUIO, "replay", str(quad_folder), str(recording), "--json"]
+    said = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
+    assert said["alarms"] == [event.to_json() for event in history]
     [clip] = (daemon.folder / "clips" / "first").glob(f"*{motor2}.mcap")
     again = play(quad_profile, read_recording(clip), vehicle="first").events
     assert "motor2" in {event.channel for event in again if event.state == "raised"}
