@@ -25,7 +25,7 @@ class Trace:
         Names of the columns.
     vehicle_ns, unix_ns : NDArray[np.int64]
         Vehicle's clock and Unix time of the samples (N,).
-    u, y, x, fault, isolated, residual : NDArray[np.float64]
+    u, y, x, fault, isolated, residual, sd : NDArray[np.float64]
         One row per sample, as in :class:`Sample` and :class:`Estimate`.
     armed : NDArray[np.bool_]
         Whether alarms could be raised from the sample (N,).
@@ -42,6 +42,7 @@ class Trace:
     fault: NDArray[np.float64]
     isolated: NDArray[np.float64]
     residual: NDArray[np.float64]
+    sd: NDArray[np.float64]
     armed: NDArray[np.bool_]
     restart: NDArray[np.bool_]
 
@@ -65,9 +66,9 @@ class TraceBuilder:
         self._max_rows = max_rows
         sizes = [len(names) for names in (layout.inputs, layout.outputs, layout.states, layout.faults)]
         s, p, n, a = sizes
-        self._edges = np.cumsum([s, p, n, a, a])
+        self._edges = np.cumsum([s, p, n, a, a, p])
         rows = min(FIRST_ROWS, max_rows)
-        self._values = np.empty((rows, s + p + n + 2 * a + p))
+        self._values = np.empty((rows, s + p + n + 2 * a + p + a))
         self._times = np.empty((rows, 2), np.int64)
         self._flags = np.empty((rows, 2), np.bool_)
         self._rows = 0
@@ -86,7 +87,7 @@ class TraceBuilder:
             self._make_room()
         row = self._rows
         np.concatenate(
-            (sample.u, sample.y, estimate.x, estimate.fault, estimate.isolated, estimate.residual),
+            (sample.u, sample.y, estimate.x, estimate.fault, estimate.isolated, estimate.residual, estimate.sd),
             out=self._values[row],
         )
         self._times[row] = sample.vehicle_time_ns, sample.time_ns
@@ -99,7 +100,7 @@ class TraceBuilder:
         """Return what was collected so far, as a copy."""
         values = self._values[: self._rows].copy()
         times, flags = self._times[: self._rows].copy(), self._flags[: self._rows].copy()
-        u, y, x, fault, isolated, residual = np.split(values, self._edges, axis=1)
+        u, y, x, fault, isolated, residual, sd = np.split(values, self._edges, axis=1)
         return Trace(
             layout=self._layout,
             vehicle_ns=times[:, 0],
@@ -110,6 +111,7 @@ class TraceBuilder:
             fault=fault,
             isolated=isolated,
             residual=residual,
+            sd=sd,
             armed=flags[:, 0],
             restart=flags[:, 1],
         )

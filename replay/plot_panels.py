@@ -20,6 +20,8 @@ TRUTH_DASHES = (0, (4, 2))
 BAND_ALPHA = 0.22
 SPAN_ALPHA = 0.25
 NOT_ARMED_ALPHA = 0.2
+# an estimate that is that much less sure than at its best was coasted
+WIDER = 1.2
 
 LANE_DEVIATIONS = 10.0
 LANE_THRESHOLDS = 2.6
@@ -49,6 +51,7 @@ def draw_fault(
     if threshold is not None:
         for level in (-threshold, threshold):
             panel.axhline(level, color=BLACK, linestyle=":", linewidth=0.8)
+    _shade_doubt(panel, trace, place)
     panel.plot(*envelope(_seconds(trace), trace.isolated[:, place], trace.restart), color=BLUE)
     if channel in truth:
         panel.plot(*truth[channel], color=BLACK, linestyle=TRUTH_DASHES, linewidth=1.0)
@@ -153,6 +156,16 @@ def _shade(panel: Axes, trace: Trace) -> None:
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         end = times[min(stop, len(times) - 1)]
         panel.axvspan(times[start], end, color=GREY, alpha=NOT_ARMED_ALPHA, linewidth=0)
+
+
+def _shade_doubt(panel: Axes, trace: Trace, place: int) -> None:
+    """Shade two standard deviations around an estimate that was coasted, until it is as sure as before."""
+    sd = trace.sd[:, place]
+    if not np.isfinite(sd).any():
+        return
+    wide = sd > WIDER * np.nanmin(sd)
+    low, high = trace.isolated[:, place] - 2.0 * sd, trace.isolated[:, place] + 2.0 * sd
+    panel.fill_between(_seconds(trace), low, high, where=wide, color=BLUE, alpha=BAND_ALPHA, linewidth=0)
 
 
 def _cover(panel: Axes, trace: Trace, spans: Sequence[AlarmSpan]) -> None:
