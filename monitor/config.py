@@ -197,8 +197,11 @@ class Standby(_Table):
     enabled: bool = Field(
         default=False, description="Whether this daemon waits while another one is there.", examples=[True]
     )
-    takeover_s: Annotated[float, Field(ge=0.1, le=60)] = Field(
-        default=1, description="How long the other one has to be gone, seconds.", examples=[1]
+    takeover_s: Annotated[float, Field(ge=0, le=60)] = Field(
+        default=0.5,
+        description="How long the other one has to be gone, seconds: a connection that breaks is back in less. One "
+        "that is stopped hands over at once.",
+        examples=[0.5],
     )
 
 

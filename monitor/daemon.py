@@ -57,18 +57,21 @@ class Daemon:
         """Monitor until :meth:`stop`."""
         due_ns = 0
         while not self._stopping:
-            for arrival in self._inbox.take(_POLL_S):
-                vehicle = self._fleet.vehicle_of(arrival)
-                if vehicle is not None:
-                    vehicle.take(arrival.message, time.time_ns)
+            arrivals = self._inbox.take(_POLL_S)
             now_ns = time.time_ns()
-            # Time may pass only where nothing older waits: a message that is there already ends a silence.
-            if self._inbox.empty:
-                for monitor in self._fleet:
-                    monitor.pass_time(now_ns)
+            # Before the messages: who was frozen has to know who speaks before it says what they cause.
             if not 0 <= due_ns - now_ns <= _EVERY_NS:
                 due_ns = now_ns + _EVERY_NS
                 self._every_turn(now_ns)
                 troubles = self._troubles()
                 for post in self._posts():
                     post.work(now_ns, troubles)
+            for arrival in arrivals:
+                vehicle = self._fleet.vehicle_of(arrival)
+                if vehicle is not None:
+                    vehicle.take(arrival.message, time.time_ns)
+            # Time may pass only where nothing older waits: a message that is there already ends a silence.
+            if self._inbox.empty:
+                now_ns = time.time_ns()
+                for monitor in self._fleet:
+                    monitor.pass_time(now_ns)

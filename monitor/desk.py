@@ -27,6 +27,7 @@ FLOOD = "flood"
 FLOOD_KEY = (OBSERVER, FLOOD)
 MAX_SHELVE_NS = 30 * 86_400 * 1_000_000_000
 MAX_FLOOD = 1_000_000
+_AS_BEFORE = " (as before the monitor changed)"
 
 Key = tuple[str, str]
 
@@ -215,6 +216,7 @@ class AlarmDesk:
             Every alarm once more: as updated where it was known, as raised where only this desk knew of it, as cleared
             where nobody watches it any longer.
         """
+        alarms = [replace(event, message=event.message.removesuffix(_AS_BEFORE)) for event in alarms]
         known = {(event.observer, event.channel): event for event in alarms}
         own = [key for key in self._standing if key not in known]
         told = []
@@ -236,7 +238,7 @@ class AlarmDesk:
                 told.append(self._numbered(_cleared(event, now_ns, "no longer watched")))
                 continue
             state = "shelved" if entry.quiet else "updated"
-            told.append(self._say(entry, now_ns, f"{event.message} (as before the monitor changed)", state=state))
+            told.append(self._say(entry, now_ns, event.message + _AS_BEFORE, state=state))
         for key in own:
             entry = self._standing[key]
             told.append(self._say(entry, now_ns, entry.event.message, state="shelved" if entry.quiet else "raised"))

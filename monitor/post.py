@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 _STATUS_NS = 1_000_000_000
 _FLUSH_NS = 500_000_000
-_HEARD_AT_ONCE = 100
+_AWAY_NS = 1_000_000_000
+_HEARD_AT_ONCE = 500
 _PAST_EVENTS = 4096
 
 
@@ -52,8 +53,9 @@ class PostRule:
         Operators' verbs that are carried out.
     shelve_minutes, max_shelve_minutes : float
         How long an alarm is shelved where the command does not say, and at most.
-    standby : bool
-        Whether another monitor of the same vehicle may speak, and this one waits.
+    standby_s : float | None
+        Another monitor of the same vehicle may speak, and this one waits until that has been gone for this time,
+        seconds; None: there is no other.
     """
 
     prefix: str
@@ -61,7 +63,7 @@ class PostRule:
     commands: Collection[str] = ()
     shelve_minutes: float = 60.0
     max_shelve_minutes: float = 480.0
-    standby: bool = False
+    standby_s: float | None = None
 
 
 class Post:
@@ -105,11 +107,13 @@ class Post:
         self._operators: Operators | None = None
         self._election: Election | None = None
         self._others: AlarmSubscriber | None = None
-        self._status_ns = self._flushed_ns = time.time_ns()
+        self._root = vehicle_root(rule.prefix, monitor.name)
+        self._status_ns = self._flushed_ns = self._decided_ns = time.time_ns()
         monitor.take(rules_message(desk, monitor.pipeline.profile, self._status_ns))
-        if rule.standby:
-            self._others = AlarmSubscriber(session, monitor.name, rule.prefix)
-            self._election = Election(session, vehicle_root(rule.prefix, monitor.name))
+        if rule.standby_s is not None:
+            # with the past: what was said while this monitor was not running belongs in its journal too
+            self._others = AlarmSubscriber(session, monitor.name, rule.prefix, history=True)
+            self._election = Election(session, self._root, rule.standby_s)
         else:
             self._speak(self._status_ns)
 
@@ -151,10 +155,20 @@ class Post:
             if (event := self._others.receive(0.0)) is None:
                 break
             self.monitor.hear(event)
+        else:
+            # who has not heard all that was said cannot go on from it
+            return
+        away_ns, self._decided_ns = now_ns - self._decided_ns, now_ns
+        if away_ns > _AWAY_NS and self.monitor.speaks:
+            # Frozen for so long, it may have been replaced: it must not speak before it knows.
+            self._election.close()
+            self._election = Election(self._session, self._root, self._rule.standby_s or 0.0)
         leads = self._election.leads
         if leads and not self.monitor.speaks:
             logging.getLogger(__name__).warning("speaking for %s from now on", self.monitor.name)
             self._speak(now_ns)
+            # at once, and not when the next one is due: who watches shall see that somebody speaks
+            self._status_ns = 0
         elif not leads and self.monitor.speaks:
             logging.getLogger(__name__).warning("another monitor speaks for %s; standing by", self.monitor.name)
             if self._operators is not None:
@@ -169,9 +183,8 @@ class Post:
         voice = Publisher(self._session, name, layouts, self._rule.prefix, self._rule.estimate_rate_hz, journal=past)
         active, seq = _remembered(journal, name)
         monitor.speak(voice, now_ns, active, seq)
-        root = vehicle_root(self._rule.prefix, name)
         limits = (self._rule.shelve_minutes, self._rule.max_shelve_minutes)
-        self._operators = Operators(self._session, root, self._rule.commands, *limits)
+        self._operators = Operators(self._session, self._root, self._rule.commands, *limits)
 
     def _answer(self, operators: Operators) -> None:
         desk = self.monitor.pipeline.desk

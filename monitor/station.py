@@ -229,7 +229,7 @@ class Station:
                 commands=config.commands.allow,
                 shelve_minutes=config.commands.default_shelve_minutes,
                 max_shelve_minutes=config.commands.max_shelve_minutes,
-                standby=config.standby.enabled,
+                standby_s=config.standby.takeover_s if config.standby.enabled else None,
             )
             closers = stack.pop_all()
             post = Post(monitor, self._desk(vehicle), self._session, rule, self._journal, archive, [closers.close])

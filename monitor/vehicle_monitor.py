@@ -7,7 +7,7 @@ speaks for the vehicle, this one watches in silence, and goes on from the other'
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from typing import Any, Protocol
 
@@ -22,6 +22,10 @@ from monitor.pipeline import Pipeline, standing_message
 _SILENCE_NS = 100_000_000
 _LACKING_NS = 5_000_000_000
 _BEHIND_S = 1.0
+# Numbers that are left out after another monitor: it may have given some away before anybody heard of them.
+_UNHEARD = 100
+_LARGEST_SEQ = 1 << 53
+_MOST_CHANNELS = 4096
 _LIVE_SOURCES = ("mavlink", "zenoh")
 
 
@@ -127,8 +131,9 @@ class VehicleMonitor:
             Number of the journal's last event.
         """
         self._voice = voice
-        standing = {event.id: event for event in (*alarms, *self._theirs.values())}
-        seq = max(seq, self._their_seq)
+        heard = [event for event in self._theirs.values() if event.state != "cleared"]
+        standing = {event.id: event for event in (*alarms, *heard)}
+        seq = max(seq, self._their_seq + _UNHEARD if self._theirs else 0)
         self._theirs = {}
         if standing or seq or self.pipeline.desk.standing:
             in_order = sorted(standing.values(), key=lambda event: event.seq)
@@ -139,16 +144,24 @@ class VehicleMonitor:
         if self._voice is not None:
             self._voice.close()
             self._voice = None
+            # what was said last stands until another says otherwise
+            self._theirs = {(event.observer, event.channel): event for event in self.pipeline.desk.standing}
+            self._their_seq = self.pipeline.desk.seq
 
     def hear(self, event: AlarmEvent) -> None:
         """Take an event that another monitor of this vehicle has said."""
-        if self._voice is not None:
+        if self._voice is not None or event.vehicle != self.name or not 0 < event.seq < _LARGEST_SEQ:
             return
         self._their_seq = max(self._their_seq, event.seq)
-        if event.state == "cleared":
-            self._theirs.pop((event.observer, event.channel), None)
+        key = event.observer, event.channel
+        known = self._theirs.get(key)
+        if known is None:
+            is_news = len(self._theirs) < _MOST_CHANNELS
         else:
-            self._theirs[event.observer, event.channel] = event
+            # The past may come after the present; and two that were apart have each counted on by themselves.
+            is_news = event.seq > known.seq or event.time_ns > known.time_ns
+        if is_news:
+            self._theirs[key] = _with_own_sentence(event, known)
         if self._journal is not None:
             self._journal.write(event)
 
@@ -290,3 +303,10 @@ class VehicleMonitor:
             why = f"no {', '.join(missing)}" if missing else "its measurements do not come together"
             found.append(f"{observer} watches nothing: {why}")
         return found
+
+
+def _with_own_sentence(event: AlarmEvent, known: AlarmEvent | None) -> AlarmEvent:
+    """Return an event with what its alarm says, where the event itself says what an operator did."""
+    if known is None or known.id != event.id or event.state not in ("acknowledged", "shelved"):
+        return event
+    return replace(event, message=known.message)

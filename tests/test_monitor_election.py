@@ -45,9 +45,9 @@ def router() -> Iterator[str]:
 class Candidate:
     """A monitor's session with its candidacy."""
 
-    def __init__(self, config: str) -> None:
+    def __init__(self, config: str, takeover_s: float = 0.5) -> None:
         self.session = zenoh.open(zenoh.Config.from_json5(config))
-        self.election = Election(self.session, ROOT)
+        self.election = Election(self.session, ROOT, takeover_s)
 
     def close(self) -> None:
         self.session.close()
@@ -94,6 +94,20 @@ def test_the_next_leads_within_two_seconds_after_the_leader_was_killed(router: s
         assert not two[1].election.leads
     for candidate in two:
         candidate.close()
+
+
+def test_the_next_waits_for_one_that_is_lost_and_does_not_wait_for_one_that_resigns(router: str) -> None:
+    three = [Candidate(router, takeover_s=30.0) for _ in range(3)]
+    until(lambda: all(candidate.election.others == 2 for candidate in three))
+    first, second, third = three
+    until(lambda: first.election.leads)
+    first.election.close()
+    until(lambda: second.election.leads)
+    second.close()
+    until(lambda: third.election.others == 0)
+    assert not third.election.leads
+    first.close()
+    third.close()
 
 
 def test_a_candidate_of_another_vehicle_changes_nothing(router: str) -> None:

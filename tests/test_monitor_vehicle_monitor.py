@@ -1,0 +1,93 @@
+"""One monitored vehicle that stands by: what it takes from another monitor, and what it says when it speaks again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+from loopback import START_NS, event
+
+from monitor.estimate import Estimate
+from monitor.event import AlarmEvent
+from monitor.pipeline import Pipeline
+from monitor.profile import Profile
+from monitor.vehicle_monitor import VehicleMonitor
+
+SECOND_NS = 1_000_000_000
+
+
+class Heard:
+    """What a monitor said."""
+
+    def __init__(self) -> None:
+        self.events: list[AlarmEvent] = []
+
+    def event(self, event: AlarmEvent) -> None:
+        self.events.append(event)
+
+    def estimate(self, estimate: Estimate) -> None:
+        """Nobody asks."""
+
+    def status(self, status: Mapping[str, Any]) -> None:
+        """Nobody asks."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+@pytest.fixture
+def monitor(arm_profile: Profile) -> VehicleMonitor:
+    return VehicleMonitor(Pipeline(arm_profile, "copter-1"), (), None, lambda _: None, START_NS)
+
+
+def said(monitor: VehicleMonitor, now_ns: int) -> list[AlarmEvent]:
+    heard = Heard()
+    monitor.speak(heard, now_ns)
+    return heard.events
+
+
+def alarm(seq: int, **changes: Any) -> AlarmEvent:
+    return event(seq, "encoder", observer="arm", **changes)
+
+
+def test_it_goes_on_from_what_it_heard_with_numbers_that_nobody_can_have_given(monitor: VehicleMonitor) -> None:
+    monitor.hear(alarm(7))
+    monitor.hear(alarm(8, state="acknowledged", acknowledged=True, message="acknowledged by test"))
+    (updated,) = said(monitor, START_NS + SECOND_NS)
+    assert (updated.id, updated.state, updated.acknowledged) == (alarm(7).id, "updated", True)
+    assert updated.seq > 100
+    assert updated.message == f"{alarm(7).message} (as before the monitor changed)"
+
+
+def test_what_was_cleared_or_comes_late_from_the_past_does_not_stand(monitor: VehicleMonitor) -> None:
+    monitor.hear(alarm(2, state="cleared"))
+    monitor.hear(alarm(1))
+    assert said(monitor, START_NS + SECOND_NS) == []
+
+
+def test_events_of_another_vehicle_and_absurd_numbers_are_not_taken(monitor: VehicleMonitor) -> None:
+    monitor.hear(alarm(1, vehicle="copter-2"))
+    monitor.hear(alarm(1 << 60))
+    monitor.hear(alarm(-1))
+    assert said(monitor, START_NS + SECOND_NS) == []
+
+
+def test_one_that_speaks_again_raises_nothing_a_second_time_and_says_its_sentence_once(monitor: VehicleMonitor) -> None:
+    monitor.hear(alarm(1))
+    (first,) = said(monitor, START_NS + SECOND_NS)
+    monitor.hush()
+    (again,) = said(monitor, START_NS + 2 * SECOND_NS)
+    assert (again.id, again.state) == (first.id, "updated")
+    assert again.seq > first.seq
+    assert again.message == first.message
+
+
+def test_one_that_is_heard_after_both_were_apart_counts_though_its_numbers_are_smaller(monitor: VehicleMonitor) -> None:
+    monitor.hear(alarm(1))
+    (mine,) = said(monitor, START_NS + SECOND_NS)
+    monitor.hush()
+    monitor.hear(alarm(2, state="acknowledged", acknowledged=True, time_ns=START_NS + 3 * SECOND_NS))
+    (again,) = said(monitor, START_NS + 4 * SECOND_NS)
+    assert again.acknowledged
+    assert again.seq > mine.seq

@@ -1,0 +1,203 @@
+"""Two daemons on one flight, as the examples configure them: one speaks, and the other goes on when it is gone."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from daemons import DaemonProcess, Flight, Watcher, filled_in, free_ports
+from loopback import until
+
+from adapters.recordings import read_recording
+from monitor.event import AlarmEvent, event_from_json
+from monitor.journal import Journal
+from monitor.profile import Profile
+from replay.player import play
+
+VEHICLE = "copter-1"
+CHANNEL = "motors/motor2"
+TAKEN_OVER_S = 2.0
+ONSET_S = 6.7
+"""When motor 2 begins to fail in the flight, seconds after its first packet."""
+OTHER = {"a": "b", "b": "a"}
+
+
+class Pair:
+    """The two daemons of the examples, on ports of their own, and somebody who is connected to both."""
+
+    def __init__(self, folder: Path, profile: Path) -> None:
+        self.folder = folder
+        self.udp = free_ports(2, socket.SOCK_DGRAM)
+        tcp = free_ports(2)
+        values = {"14550": str(self.udp[0]), "14551": str(self.udp[1]), "7447": str(tcp[0]), "7448": str(tcp[1])}
+        values['"quad/"'] = json.dumps(str(profile))
+        self.configs = {name: filled_in(f"standby-{name}.toml", folder, values) for name in "ab"}
+        self.running: dict[str, DaemonProcess] = {}
+        for name in self.configs:
+            self.start(name)
+        self.watcher = Watcher([f"tcp/127.0.0.1:{port}" for port in tcp])
+
+    @property
+    def candidates(self) -> int:
+        return len(self.watcher.live("/candidate/"))
+
+    @property
+    def voice(self) -> str | None:
+        """Which session has said last that it speaks."""
+        said = self.watcher.seen("/status")
+        return said[-1].by if said else None
+
+    @property
+    def speaker(self) -> str:
+        """Which of the two has logged last that it speaks."""
+        said = {name: [line["time_ns"] for line in one.log() if _speaks(line)] for name, one in self.running.items()}
+        return max((times[-1], name) for name, times in said.items() if times)[1]
+
+    def start(self, name: str) -> None:
+        self.running[name] = DaemonProcess(self.configs[name])
+
+    def back(self, name: str) -> None:
+        """Start one again and give it time to speak, if it would."""
+        self.start(name)
+        until(lambda: self.candidates == 2)
+        since = time.monotonic()
+        until(lambda: time.monotonic() > since + 1.5)
+
+    def journal(self, name: str) -> list[AlarmEvent]:
+        """Return the events in a daemon's journal by number: those from before its start may be written later."""
+        journal = Journal(self.folder / f"standby-{name}.db")
+        try:
+            return sorted(journal.events(VEHICLE), key=lambda event: event.seq)
+        finally:
+            journal.close()
+
+    def active(self) -> list[dict[str, Any]]:
+        """Return the active alarms of the vehicle itself as the one who answers knows them."""
+        (alarms,) = self.watcher.ask(f"fauio/{VEHICLE}/alarms")
+        return [alarm for alarm in alarms if alarm["kind"] != "stale"]
+
+    def command(self, verb: str, **fields: Any) -> Any:
+        """Return the answer to an operator's command; there is one."""
+        (answer,) = self.watcher.ask(f"fauio/{VEHICLE}/command/{verb}", fields)
+        return answer
+
+    def takes_over(self, since: float, former: str | None) -> None:
+        """Wait until another than the former one speaks, is alive and answers; see that it did not last."""
+        until(lambda: self.voice not in (None, former) and bool(self.watcher.live("/live")))
+        until(lambda: len(self.watcher.ask(f"fauio/{VEHICLE}/alarms")) == 1)
+        assert time.monotonic() - since < TAKEN_OVER_S
+
+    def voices(self, since: float, before: float) -> set[str]:
+        """Return which sessions said anything below the vehicle's keys but that they resign."""
+        said = self.watcher.seen(f"{VEHICLE}/", since)
+        return {one.by for one in said if one.at < before and "/candidate/" not in one.key}
+
+    def close(self) -> None:
+        for daemon in self.running.values():
+            daemon.kill()
+        self.watcher.close()
+
+
+def _speaks(line: dict[str, Any]) -> bool:
+    return line["event"] == "log" and line["message"].startswith("speaking for")
+
+
+@pytest.fixture
+def pair(quad_folder: Path, tmp_path: Path) -> Iterator[Pair]:
+    two = Pair(tmp_path, quad_folder)
+    try:
+        until(lambda: two.candidates == 2 and two.voice is not None)
+        yield two
+    finally:
+        two.close()
+
+
+def assert_one_history(pair: Pair) -> None:
+    """No event came twice, none has a number that another has, no alarm was raised twice; statuses say who speaks."""
+    events = pair.watcher.events()
+    numbers = [event["seq"] for event in events]
+    assert numbers == sorted(set(numbers))
+    raised = Counter(event["id"] for event in events if event["state"] == "raised")
+    assert set(raised.values()) == {1}
+    assert {one.said["role"] for one in pair.watcher.seen("/status")} == {"active"}
+
+
+def test_an_alarm_lives_on_under_its_id_whoever_is_killed_and_when(
+    pair: Pair, data: Path, quad_profile: Profile
+) -> None:
+    """One is killed as the alarm is raised, one after it was acknowledged, and one stopped after it was shelved."""
+    watcher, first = pair.watcher, pair.speaker
+    second = OTHER[first]
+    flight = Flight(data / "copter_motor2_080.tlog.xz", pair.udp, start_s=3.0)
+    until(lambda: bool(watcher.events(CHANNEL)))
+    pair.running[first].kill()
+    killed, voice = time.monotonic(), pair.voice
+    assert len(pair.voices(0.0, killed)) == 1
+    pair.takes_over(killed, voice)
+    (standing,) = pair.active()
+    (raised,) = (event for event in watcher.events(CHANNEL) if event["state"] == "raised")
+    assert standing["id"] == raised["id"]
+    # an alarm that becomes critical is no longer acknowledged
+    until(lambda: watcher.events(CHANNEL)[-1]["severity"] == "critical")
+    assert pair.command("ack", channel=CHANNEL, by="test")["event"]["acknowledged"]
+
+    pair.back(first)
+    assert len(pair.voices(killed, time.monotonic())) == 1
+    assert pair.speaker == second
+    pair.running[second].kill()
+    killed, voice = time.monotonic(), pair.voice
+    pair.takes_over(killed, voice)
+    assert pair.speaker == first
+    (standing,) = pair.active()
+    assert (standing["id"], standing["acknowledged"]) == (raised["id"], True)
+    assert "acknowledged" not in standing["message"]
+    until_ns = pair.command("shelve", channel=CHANNEL, minutes=5)["event"]["shelved_until_ns"]
+
+    pair.back(second)
+    flight.join()
+    stopped, voice = time.monotonic(), pair.voice
+    assert pair.running[first].terminate() == 0
+    pair.takes_over(stopped, voice)
+    (standing,) = pair.active()
+    assert (standing["id"], standing["acknowledged"]) == (raised["id"], True)
+    assert (standing["state"], standing["shelved_until_ns"]) == ("shelved", until_ns)
+
+    assert_one_history(pair)
+    assert len({one.by for one in watcher.seen("/alarm/")}) == 4
+    assert {event["id"] for event in watcher.events(CHANNEL)} == {raised["id"]}
+    assert pair.running[second].terminate() == 0
+    said = [event_from_json(event) for event in watcher.events()]
+    assert pair.journal(second) == said
+    # the first was stopped before the last takeover
+    earlier = pair.journal(first)
+    assert earlier == said[: len(earlier)]
+    assert until_ns in {event.shelved_until_ns for event in earlier}
+    recording = max((pair.folder / f"recordings-{second}" / VEHICLE).iterdir())
+    replayed = play(quad_profile, read_recording(recording), vehicle=VEHICLE).events
+    assert said[-1] in replayed
+
+
+def test_a_fault_that_begins_before_the_other_takes_over_is_raised_once_and_standing_by_is_silent(
+    pair: Pair, data: Path
+) -> None:
+    watcher, first = pair.watcher, pair.speaker
+    assert not pair.command("ack", channel=CHANNEL)["ok"]
+    flight = Flight(data / "copter_motor2_080.tlog.xz", pair.udp, start_s=3.0)
+    until(lambda: flight.at_s > ONSET_S - 0.3)
+    assert not watcher.events()
+    pair.running[first].kill()
+    killed, voice = time.monotonic(), pair.voice
+    assert pair.voices(0.0, killed) == {voice}
+    pair.takes_over(killed, voice)
+    until(lambda: bool(watcher.events(CHANNEL)))
+    assert not pair.command("ack", channel="motors/motor1")["ok"]
+    flight.join()
+    assert_one_history(pair)
+    assert len(pair.voices(0.0, time.monotonic())) == 2
+    assert {event["channel"] for event in watcher.events() if event["kind"] != "stale"} == {"motor2"}
