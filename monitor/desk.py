@@ -20,36 +20,16 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from monitor.desk_rule import DeskRule
 from monitor.event import UNNUMBERED, AlarmEvent, alarm_id
 
 OBSERVER = "monitor"
 FLOOD = "flood"
 FLOOD_KEY = (OBSERVER, FLOOD)
 MAX_SHELVE_NS = 30 * 86_400 * 1_000_000_000
-MAX_FLOOD = 1_000_000
 _AS_BEFORE = " (as before the monitor changed)"
 
 Key = tuple[str, str]
-
-
-@dataclass(frozen=True, slots=True)
-class DeskRule:
-    """What the desk does with which channels; a channel is written ``observer/channel``.
-
-    Parameters
-    ----------
-    latched, out_of_service : frozenset[str]
-        Channels whose alarms stay until reset, and channels that say nothing.
-    flood_raised : int
-        Number of alarms raised within ``flood_s`` from which on there is a flood; 0: never.
-    flood_s : float
-        That time, seconds.
-    """
-
-    latched: frozenset[str] = frozenset()
-    out_of_service: frozenset[str] = frozenset()
-    flood_raised: int = 10
-    flood_s: float = 60.0
 
 
 @dataclass(slots=True)
@@ -358,34 +338,6 @@ class AlarmDesk:
 
     def _names(self) -> str:
         return ", ".join(f"{entry.event.id} ({_text(key)})" for key, entry in self._standing.items()) or "none"
-
-
-def desk_rule(fields: Mapping[str, object], default: DeskRule) -> DeskRule:
-    """Return the rule that a message's fields describe; what they lack or spell wrong stays as it is."""
-
-    def names(key: str, before: frozenset[str]) -> frozenset[str]:
-        found = fields.get(key)
-        if not isinstance(found, Sequence) or isinstance(found, str):
-            return before
-        return frozenset(name for name in found if isinstance(name, str))
-
-    raised, within = fields.get("flood_raised"), fields.get("flood_s")
-    return DeskRule(
-        latched=names("latched", default.latched),
-        out_of_service=names("out_of_service", default.out_of_service),
-        flood_raised=raised if isinstance(raised, int) and 0 <= raised <= MAX_FLOOD else default.flood_raised,
-        flood_s=float(within) if isinstance(within, int | float) and 0 < within <= MAX_FLOOD else default.flood_s,
-    )
-
-
-def rule_fields(rule: DeskRule) -> dict[str, object]:
-    """Return the fields that :func:`desk_rule` reads back."""
-    return {
-        "latched": sorted(rule.latched),
-        "out_of_service": sorted(rule.out_of_service),
-        "flood_raised": rule.flood_raised,
-        "flood_s": rule.flood_s,
-    }
 
 
 def _cleared(event: AlarmEvent, now_ns: int, text: str) -> AlarmEvent:

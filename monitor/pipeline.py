@@ -20,7 +20,8 @@ from adapters.sampler import SamplerStatistics
 from monitor import link_alarms, stale
 from monitor.alarm import TUNABLE
 from monitor.chain import ObserverChain, Output
-from monitor.desk import AlarmDesk, DeskRule, desk_rule, rule_fields
+from monitor.desk import AlarmDesk
+from monitor.desk_rule import DeskRule, desk_rule, rule_fields
 from monitor.estimate import Layout
 from monitor.event import AlarmEvent, event_from_json
 from monitor.excuse import Excuses

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from monitor.archive import Archive
-from monitor.desk import DeskRule
+from monitor.desk_rule import DeskRule
 from monitor.election import Election
 from monitor.event import AlarmEvent
 from monitor.keys import vehicle_root

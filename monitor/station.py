@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from monitor.archive import Archive
 from monitor.black_box import BlackBox
 from monitor.config import Config, Vehicle
-from monitor.desk import DeskRule
+from monitor.desk_rule import DeskRule
 from monitor.errors import ProfileError
 from monitor.event import AlarmEvent
 from monitor.fleet import Fleet

@@ -11,7 +11,7 @@ from adapters.message import Message, silence
 from adapters.phase import FlightPhase
 from adapters.recordings import read_recording
 from monitor.chain import Output
-from monitor.desk import DeskRule
+from monitor.desk_rule import DeskRule
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, rules_message, standing_message

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 from loopback import Endpoint, until
 
-from monitor.desk import DeskRule
+from monitor.desk_rule import DeskRule
 from monitor.election import Election
 from monitor.pipeline import Pipeline
 from monitor.post import Post, PostRule
