@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from adapters.byte_link import open_byte_link
 from adapters.errors import TelemetryError
-from adapters.mavlink_message import PacketParser, packet_sender, packet_sequence
+from adapters.mavlink_message import PacketParser, mavlink_types, packet_sender, packet_sequence
 from adapters.message import Message
 from adapters.signing import SigningGuard, SigningKey, SigningStatistics
 
@@ -89,6 +89,8 @@ class MavlinkLink:
             raise TelemetryError(f"{url}: signed packets are required but there is no key to verify them with")
         self._url = url
         self._may_send = may_send
+        # Half a second of work that the first packet would have to wait for.
+        mavlink_types()
         self._link = open_byte_link(url, may_send)
         self._guard = None if key is None else SigningGuard(key, require_signed)
         self._parsers: OrderedDict[Hashable, PacketParser] = OrderedDict()

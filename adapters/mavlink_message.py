@@ -56,7 +56,11 @@ class MavlinkType:
     def intact(self, packet: bytes) -> bool:
         """Return whether the packet's checksum is right."""
         end = _payload_start(packet) + packet[1]
-        return bool(self._checksum(packet[1:end] + self._extra).crc == packet[end] | packet[end + 1] << 8)
+        return self.checksum(packet[:end]) == packet[end] | packet[end + 1] << 8
+
+    def checksum(self, packet: bytes) -> int:
+        """Return the checksum that belongs behind a packet's head and payload."""
+        return int(self._checksum(packet[1:] + self._extra).crc)
 
     def decode(self, packet: bytes, received_ns: int) -> Message:
         """Return the message in an intact packet.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
+from math import inf
 from typing import TypeVar
 
 from adapters.errors import TelemetryError
@@ -11,10 +12,10 @@ from adapters.errors import TelemetryError
 T = TypeVar("T")
 
 
-def paced(items: Iterable[tuple[int, T]], speed: float) -> Iterator[T]:
+def paced(items: Iterable[tuple[int, T]], speed: float, catch_up_s: float = inf) -> Iterator[T]:
     """Return the items in order, each not before its time.
 
-    The schedule is absolute: an item that came late does not delay those behind it.
+    The schedule is absolute: an item that came late does not delay those behind it, unless it came very late.
 
     Parameters
     ----------
@@ -22,6 +23,8 @@ def paced(items: Iterable[tuple[int, T]], speed: float) -> Iterator[T]:
         Time in nanoseconds and item; the first item is due at once.
     speed : float
         Times real time.
+    catch_up_s : float
+        Delay beyond which the schedule moves instead, seconds: a machine that stood still is no burst of telemetry.
 
     Raises
     ------
@@ -37,4 +40,6 @@ def paced(items: Iterable[tuple[int, T]], speed: float) -> Iterator[T]:
         wait_ns = start[1] + (time_ns - start[0]) / speed - time.monotonic_ns()
         if wait_ns > 0:
             time.sleep(wait_ns / 1e9)
+        elif wait_ns < -1e9 * catch_up_s:
+            start = time_ns, time.monotonic_ns()
         yield item

@@ -19,10 +19,10 @@ their order count:
    for jitter), some were lost in between and the sample is marked ``complete=False``: an estimate, no
    evidence. If three or more of an output's are missing, of one that comes at least at every second tick, it
    is marked ``measured=False`` too: the observer coasts, for over such a stretch its model says more than a
-   straight line. If they are further apart than 10 periods and than ``max_gap_s``, it is a gap: its ticks are
-   skipped and the first sample after it is marked ``restart=True``. The default of 0.1 s is ten samples at
-   100 Hz, about as long as a straight line says something about a body rate; an observer is better started
-   afresh than fed with more of it.
+   straight line. Without outputs any channel counts (the raw signals of a transform). If they are further apart
+   than 10 periods and than ``max_gap_s``, it is a gap: its ticks are skipped and the first sample after it is
+   marked ``restart=True``. The default of 0.1 s is ten samples at 100 Hz, about as long as a straight line says
+   something about a body rate; an observer is better started afresh than fed with more of it.
 5. A channel that stops while others go on is waited for until the vehicle's clock is 0.5 s and 10 of its
    periods ahead; then ticks are skipped and measurements that only they would have used are dropped. Memory
    is bounded.
@@ -119,6 +119,8 @@ class Sampler:
         self._clock = clock
         self._boot = clock.boot
         self._inputs = len(inputs)
+        # Raw signals of a transform count as inputs, and are all there is.
+        self._first_measured = len(inputs) if outputs else 0
         self._size = len(channels)
         self._grid = _Grid(rate_hz)
         columns: dict[tuple[object, ...], list[Column]] = {}
@@ -314,7 +316,7 @@ class Sampler:
                     self._skip_to(stamps[1])
                     return
                 complete = False
-                if width_ns > lane.line_ns and lane.places[-1] >= self._inputs:
+                if width_ns > lane.line_ns and lane.places[-1] >= self._first_measured:
                     measured = False
             lane.interpolate((tick_ns - left_ns) / width_ns, vector)
         values = np.array(vector)

@@ -138,7 +138,8 @@ class Strapdown:
         """Take the raw signals of one tick (``sample.u``); return the observer's sample where a period is over."""
         if sample.restart:
             self._restart()
-        self._doubt = max(self._doubt - 1, 0) if sample.complete else self._longest + 1
+        # Integrals bear straight lines over one or two lost measurements.
+        self._doubt = max(self._doubt - 1, 0) if sample.measured else self._longest + 1
         values = sample.u.tolist()
         rates = self._inertial(values)
         if rates is None:

@@ -222,8 +222,10 @@ class VehicleMonitor:
         """
         elapsed_s = max((now_ns - self._second.started_ns) / 1e9, 1e-9)
         recent = self.latency.end_interval()
-        reasons = [*troubles, *self._lacking(now_ns)]
-        if recent.p99_s > _BEHIND_S:
+        # What it is behind with it cannot miss.
+        behind = recent.p99_s > _BEHIND_S
+        reasons = [*troubles, *([] if behind else self._lacking(now_ns))]
+        if behind:
             reasons.append(f"the monitor does not keep up: {recent.p99_s:.1f} s behind")
         state = "starting"
         if self.pipeline.stale:

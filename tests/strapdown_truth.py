@@ -78,7 +78,7 @@ def fed(transform: Strapdown, raw: Array, first: int = 0, lost: frozenset[int] =
     given = []
     for k, row in enumerate(raw, start=first):
         time_ns = k * 10_000_000
-        tick = Sample(k, time_ns, time_ns, row, row[:0], restart=k == first, complete=k not in lost)
+        tick = Sample(k, time_ns, time_ns, row, row[:0], restart=k == first, complete=True, measured=k not in lost)
         out = transform.feed(tick)
         if out is not None:
             given.append(out)

@@ -273,6 +273,14 @@ def test_outputs_that_lost_three_measurements_or_more_are_marked_as_not_measured
     assert sum(not sample.complete for sample in samples) == lost + 1
 
 
+@pytest.mark.parametrize(("lost", "bridged"), [(2, 0), (3, 4)])
+def test_where_there_are_no_outputs_every_channel_has_to_be_measured(lost: int, bridged: int) -> None:
+    end = 500_000 + lost * 10_000
+    cut = [m for m in telemetry(0, 1_000_000) if not (m.name == "A" and 500_000 <= m.fields["time_usec"] < end)]
+    samples = feed(Sampler([SPEED, COMMAND], [], 100.0, VehicleClock()), cut)
+    assert sum(not sample.measured for sample in samples) == bridged
+
+
 def test_a_slow_output_that_loses_measurements_does_not_make_the_fast_ones_coast() -> None:
     messages = telemetry(0, 6_000_000, step_b=200_000)
     cut = [m for m in messages if not (m.name == "B" and 3_000_000 < m.fields["time_usec"] < 3_900_000)]

@@ -105,7 +105,7 @@ def test_a_mean_over_the_period_hides_no_vibration_as_a_constant() -> None:
     assert [s.u[at] for s in shaken] == pytest.approx([u[at] for u in clean], abs=1e-12)
 
 
-def test_a_bridged_tick_spoils_the_samples_it_is_part_of_and_no_later_ones() -> None:
+def test_a_tick_that_was_not_measured_spoils_the_samples_it_is_part_of_and_no_later_ones() -> None:
     transform = Strapdown({"gps_delay_s": 0.1}, truth.SIGNAL_HZ, truth.RATE_HZ)
     samples = truth.fed(transform, truth.signals(3.0), lost=frozenset({101}))
     spoiled = [s.index for s in samples if not s.complete]

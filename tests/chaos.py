@@ -1,0 +1,252 @@
+"""What networks and attackers do to telemetry, as functions on packets and the times they are due.
+
+All of them are pure: they take the packets of one vehicle in order of time, a generator of random numbers where they
+need one, and return others. :func:`send` lets a process of its own send what several vehicles suffer at once.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+import subprocess
+import sys
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from heapq import merge
+from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega
+
+from adapters.fleet_sender import Due, fleet_packets, read_flight, send_fleet
+from adapters.mavlink_message import message_number
+from adapters.packet_edit import checksummed, signed
+from adapters.signing import SigningKey, unix_stamp
+
+ROOT = Path(__file__).parent.parent
+KEY = SigningKey(bytes(range(32)))
+FORGER = SigningKey(bytes(32))
+
+_SECOND_NS = 1_000_000_000
+_HEAD = 10
+_STAMPS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000}
+_LARGEST_STAMP = (1 << 48) - 1
+_ATTITUDE = 30
+
+
+def lose(packets: Sequence[Due], rng: random.Random, share: float = 0.3) -> list[Due]:
+    """Lose packets at random."""
+    return [one for one in packets if rng.random() >= share]
+
+
+def duplicate(packets: Sequence[Due], rng: random.Random, share: float = 0.2, within_s: float = 0.03) -> list[Due]:
+    """Let packets arrive a second time."""
+    again = [(due + round(rng.uniform(0.0, within_s) * 1e9), packet) for due, packet in packets if rng.random() < share]
+    return list(merge(packets, sorted(again), key=lambda one: one[0]))
+
+
+def reorder(packets: Sequence[Due], rng: random.Random, reach: int = 5) -> list[Due]:
+    """Let packets overtake others, none by more than ``reach`` places."""
+    places = sorted(range(len(packets)), key=lambda place: place + rng.uniform(0.0, reach + 1))
+    return [(due, packets[place][1]) for (due, _), place in zip(packets, places, strict=True)]
+
+
+def hold_back(packets: Sequence[Due], rng: random.Random, hold_s: float = 0.5, share: float = 0.5) -> list[Due]:
+    """Hold back what comes within a stretch of time and let it all arrive at its end."""
+    hold_ns = round(hold_s * 1e9)
+    last = packets[-1][0] // hold_ns
+    held = {stretch for stretch in range(last + 1) if rng.random() < share}
+    return [((due // hold_ns + 1) * hold_ns if due // hold_ns in held else due, packet) for due, packet in packets]
+
+
+def fall_silent(packets: Sequence[Due], from_s: float, for_s: float = 10.0) -> list[Due]:
+    """Lose everything for a while."""
+    return [one for one in packets if not from_s * 1e9 <= one[0] < (from_s + for_s) * 1e9]
+
+
+def set_clock_back(packets: Sequence[Due], at_s: float, by_s: float) -> list[Due]:
+    """Set the vehicle's clock back while it goes on otherwise."""
+    return [(due, _shifted(packet, round(by_s * 1e9)) if due >= at_s * 1e9 else packet) for due, packet in packets]
+
+
+def reboot(packets: Sequence[Due], at_s: float, boot_s: float = 0.5) -> list[Due]:
+    """Let the vehicle's clock begin anew, ``boot_s`` after zero: a reboot in the air, heartbeats going on."""
+    at_ns = round(at_s * 1e9)
+    stamp_ns = next(stamp for due, packet in packets if due >= at_ns and (stamp := stamp_ns_of(packet)) is not None)
+    return set_clock_back(packets, at_s, stamp_ns / 1e9 - boot_s)
+
+
+def flip_bits(packets: Sequence[Due], rng: random.Random, share: float = 0.05) -> list[Due]:
+    """Flip one bit of some packets, anywhere in them."""
+    flipped = []
+    for due, packet in packets:
+        data = bytearray(packet)
+        if rng.random() < share:
+            data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+        flipped.append((due, bytes(data)))
+    return flipped
+
+
+def babble(packets: Sequence[Due], rng: random.Random, share: float = 0.1) -> list[Due]:
+    """Put random bytes between packets, some in datagrams of their own and some before and behind a packet."""
+    noisy: list[Due] = []
+    for due, packet in packets:
+        noise = rng.randbytes(rng.randrange(1, 60)) if rng.random() < share else b""
+        if rng.random() < 0.5:
+            noisy += [(due, noise), (due, packet)] if noise else [(due, packet)]
+        else:
+            noisy.append((due, noise + packet + noise[::-1]))
+    return noisy
+
+
+def poison(packets: Sequence[Due], rng: random.Random, share: float = 0.05) -> list[Due]:
+    """Put NaN and infinities into a field of some packets, whose checksums are right."""
+    return [
+        (due, _with_fields(packet, _poison_for(packet, rng)) if rng.random() < share else packet)
+        for due, packet in packets
+    ]
+
+
+def sign(packets: Sequence[Due], start_ns: int, key: SigningKey = KEY) -> list[Due]:
+    """Sign all packets with the times they are due, ``start_ns`` being the Unix time of the beginning."""
+    stamp, out = 0, []
+    for due, packet in packets:
+        stamp = max(stamp + 1, unix_stamp(start_ns + due))
+        out.append((due, signed(packet, key, stamp)))
+    return out
+
+
+def forge(packets: Sequence[Due], rng: random.Random, start_ns: int, share: float = 0.05) -> list[Due]:
+    """Sign all packets; put wild ones of a forger between them, of the largest time stamp there is, and replays."""
+    out: list[Due] = []
+    own = sign(packets, start_ns)
+    for place, (due, packet) in enumerate(own):
+        if rng.random() < share and message_number(packet) == _ATTITUDE:
+            wild = _with_fields(packets[place][1], {"rollspeed": rng.uniform(-9.0, 9.0)})
+            out.append((due, signed(wild, FORGER, _LARGEST_STAMP)))
+        if rng.random() < share and place >= 2000:
+            out.append((due, own[place - 2000][1]))
+        out.append((due, packet))
+    return out
+
+
+def stamp_ns_of(packet: bytes) -> int | None:
+    """Return the measurement's time in a packet on the vehicle's clock, nanoseconds; None where there is none."""
+    fields = _fields(packet)
+    return next((fields[name] * unit for name, unit in _STAMPS_NS.items() if fields.get(name)), None)
+
+
+def _fields(packet: bytes) -> dict[str, Any]:
+    table = ardupilotmega.mavlink_map[message_number(packet)]
+    if any(length > 1 for length in table.array_lengths):
+        return {}
+    payload = packet[_HEAD : _HEAD + packet[1]].ljust(table.unpacker.size, b"\0")
+    return dict(zip(table.ordered_fieldnames, table.unpacker.unpack(payload), strict=True))
+
+
+def _with_fields(packet: bytes, changes: Mapping[str, Any]) -> bytes:
+    """Return a packet of MAVLink 2 with other values, zeros at its end cut off as the protocol demands."""
+    if not changes:
+        return packet
+    table = ardupilotmega.mavlink_map[message_number(packet)]
+    values = _fields(packet) | changes
+    payload = table.unpacker.pack(*(values[name] for name in table.ordered_fieldnames))
+    payload = payload.rstrip(b"\0") or b"\0"
+    return checksummed(packet[:1] + bytes([len(payload)]) + packet[2:_HEAD] + payload + b"\0\0")
+
+
+def _shifted(packet: bytes, back_ns: int) -> bytes:
+    fields = _fields(packet)
+    return _with_fields(
+        packet,
+        {name: max(0, fields[name] - back_ns // unit_ns) for name, unit_ns in _STAMPS_NS.items() if fields.get(name)},
+    )
+
+
+def _poison_for(packet: bytes, rng: random.Random) -> dict[str, float]:
+    floats = [name for name, value in _fields(packet).items() if isinstance(value, float)]
+    return {rng.choice(floats): rng.choice((math.nan, math.inf, -math.inf))} if floats else {}
+
+
+def strangers(rng: random.Random, seconds: float) -> list[tuple[int, tuple[int, bytes]]]:
+    """Return what others send to the same port: a ground station, and somebody who sends random bytes."""
+    packer = ardupilotmega.MAVLink(None, 255, 190)
+    heartbeat = bytes(ardupilotmega.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(packer))
+    attitude = bytes(ardupilotmega.MAVLink_attitude_message(5, *[9.0] * 6).pack(packer))
+    sent: list[tuple[int, tuple[int, bytes]]] = []
+    for tenth in range(round(10 * seconds)):
+        due = tenth * _SECOND_NS // 10
+        sent += [(due, (255, heartbeat)), (due, (255, attitude))]
+        sent.append((due, (0, rng.randbytes(rng.randrange(1, 1400)))))
+    return sent
+
+
+Distortion = Callable[[Sequence[Due], random.Random, int], list[Due]]
+
+DISTORTIONS: Mapping[str, Distortion] = {
+    "none": lambda packets, rng, now_ns: list(packets),
+    "loss": lambda packets, rng, now_ns: lose(packets, rng),
+    "duplicates": lambda packets, rng, now_ns: duplicate(packets, rng),
+    "reordering": lambda packets, rng, now_ns: reorder(packets, rng),
+    "bursts": lambda packets, rng, now_ns: hold_back(packets, rng),
+    "silence": lambda packets, rng, now_ns: fall_silent(packets, 4.0),
+    "clock": lambda packets, rng, now_ns: set_clock_back(packets, 5.0, 4.0),
+    "reboot": lambda packets, rng, now_ns: reboot(packets, 5.0),
+    "bits": lambda packets, rng, now_ns: flip_bits(packets, rng),
+    "noise": lambda packets, rng, now_ns: babble(packets, rng),
+    "poison": lambda packets, rng, now_ns: poison(packets, rng),
+    "forgery": forge,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Sufferer:
+    """One vehicle and what happens to it.
+
+    Parameters
+    ----------
+    system : int
+        Its system id, which also is the seed.
+    log : Path
+        Its recorded flight.
+    distortion : str
+        One of :data:`DISTORTIONS`.
+    stop_s : float
+        Second of the log to stop at.
+    """
+
+    system: int
+    log: Path
+    distortion: str
+    stop_s: float = 60.0
+
+    def packets(self, now_ns: int) -> list[Due]:
+        """Return its packets, to be sent from a Unix time on."""
+        flight = read_flight(self.log, self.system, 0.0, self.stop_s)
+        numbered = [(due, packet) for due, (_, packet) in fleet_packets([flight])]
+        return DISTORTIONS[self.distortion](numbered, random.Random(self.system), now_ns)
+
+
+def send(sufferers: Sequence[Sufferer], to: str) -> subprocess.Popen[str]:
+    """Start a process that sends what the vehicles suffer, and strangers; it prints how many packets each sent."""
+    plan = [[one.system, str(one.log), one.distortion, one.stop_s] for one in sufferers]
+    command = [sys.executable, __file__, to, json.dumps(plan)]
+    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+
+
+def main(to: str, plan: str) -> None:
+    """Send; see :func:`send`."""
+    import time
+
+    sufferers = [Sufferer(system, Path(log), what, stop_s) for system, log, what, stop_s in json.loads(plan)]
+    now_ns = time.time_ns()
+    streams = [[(due, (one.system, packet)) for due, packet in one.packets(now_ns)] for one in sufferers]
+    streams.append(strangers(random.Random(0), max(one.stop_s for one in sufferers)))
+    sent: dict[int, array[int]] = send_fleet(merge(*streams, key=lambda one: one[0]), to)
+    print(json.dumps({system: len(times) for system, times in sent.items()}))  # noqa: T201 - its only way to say it
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

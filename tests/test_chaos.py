@@ -1,0 +1,78 @@
+"""Every distortion of flights of every kind, through parser and pipeline: faults are found, healthy ones stay quiet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import chaos
+import pytest
+from chaos import Sufferer
+
+from adapters.fleet_sender import Due
+from adapters.mavlink_message import PacketParser
+from adapters.message import silence
+from adapters.signing import SigningGuard
+from monitor.event import AlarmEvent
+from monitor.pipeline import Pipeline
+from monitor.profile import Profile, read_profile
+
+START_NS = 1_795_251_917_265_689_600
+TENTH_NS = 100_000_000
+QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
+FAULTS = {
+    "motor3_090": ("motor3", 112_704),
+    "gyro1_bias": ("gyro_x", 112_754),
+    "gps_step25m": ("gps_north", 112_754),
+    "gps_drift05": ("gps_north", 102_774),
+    "baro_glitch": ("baro", 112_764),
+}
+# These shift the vehicle's clock, in which onsets are known.
+SHIFTING = ("clock", "reboot")
+
+
+@pytest.fixture(scope="module")
+def profile() -> Profile:
+    return read_profile(QUAD)
+
+
+def packets_of(log: Path, distortion: str) -> list[Due]:
+    if distortion == "silence":
+        # The excerpts are short: less of it, before the onset, for a jump in the dark leaves no trace.
+        return chaos.fall_silent(Sufferer(7, log, "none").packets(START_NS), 1.0, 4.0)
+    return Sufferer(7, log, distortion).packets(START_NS)
+
+
+def raised(profile: Profile, packets: Sequence[Due]) -> list[AlarmEvent]:
+    """Return the alarms raised, those of the link left out; time passes where nothing comes."""
+    pipeline, parser, guard = Pipeline(profile, system=7), PacketParser(), SigningGuard(chaos.KEY)
+    found, heard_ns = [], START_NS
+    for due, data in packets:
+        now_ns = START_NS + due
+        for then_ns in range(heard_ns + TENTH_NS, now_ns, TENTH_NS):
+            found += pipeline.feed(silence(then_ns))
+        heard_ns = now_ns
+        for kind, packet in parser.feed(data):
+            if guard.admits(packet, now_ns):
+                found += pipeline.feed(kind.decode(packet, now_ns))
+        for finding in guard.findings(now_ns):
+            found += pipeline.feed(finding)
+    events = [event for event in found if isinstance(event, AlarmEvent)]
+    return [event for event in events if event.state == "raised" and event.observer != "link"]
+
+
+@pytest.mark.parametrize("distortion", chaos.DISTORTIONS)
+@pytest.mark.parametrize(("flight", "stop_s"), [("healthy_vel_gusty", 30.0), ("wind_step", 15.0)])
+def test_a_healthy_flight_stays_quiet(
+    profile: Profile, data: Path, flight: str, stop_s: float, distortion: str
+) -> None:
+    assert raised(profile, Sufferer(7, data / f"copter_{flight}.tlog.xz", distortion, stop_s).packets(START_NS)) == []
+
+
+@pytest.mark.parametrize("flight", FAULTS)
+@pytest.mark.parametrize("distortion", [name for name in chaos.DISTORTIONS if name != "none"])
+def test_every_fault_is_found_and_nothing_else(profile: Profile, data: Path, flight: str, distortion: str) -> None:
+    channel, onset_ms = FAULTS[flight]
+    found = raised(profile, packets_of(data / f"copter_{flight}.tlog.xz", distortion))
+    assert [event.channel for event in found] == [channel]
+    assert distortion in SHIFTING or found[0].vehicle_time_ms >= onset_ms

@@ -1,0 +1,91 @@
+"""Killed at any moment during alarms, or on a full disk: what was reported is not lost, and alarms keep their ids."""
+
+from __future__ import annotations
+
+import json
+import random
+import resource
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import chaos
+from chaos import Sufferer
+from chaos_run import MOTOR1, Monitor, monitoring, name_of, own_records, waits
+
+from monitor.event import AlarmEvent
+
+SYSTEMS = (1, 2)
+KILLS = 3
+
+
+def recorded(monitor: Monitor, system: int) -> list[AlarmEvent]:
+    """Return the events in all recordings of a vehicle, those of killed daemons too."""
+    files = sorted((monitor.folder / "recordings" / name_of(system)).glob("*.mcap"))
+    found = own_records(files).get("/fauio/alarm_json", [])
+    return [AlarmEvent(**json.loads(data)) for data in found]
+
+
+def places(events: Sequence[AlarmEvent]) -> set[tuple[str, int]]:
+    return {(event.vehicle, event.seq) for event in events}
+
+
+def test_a_killed_daemon_comes_back_with_its_alarms_and_has_lost_none(tmp_path: Path) -> None:
+    rng = random.Random(5)
+    sufferers = [Sufferer(system, MOTOR1, "none", 35.0) for system in SYSTEMS]
+    with monitoring(tmp_path, SYSTEMS) as monitor:
+        sender = chaos.send(sufferers, f"udp:{monitor.udp}")
+        try:
+            waits(lambda: all(monitor.raised(system) for system in SYSTEMS), "both motors' alarms")
+            first = {event.vehicle: event.id for event in monitor.hear() if event.channel == "motor1"}
+            for _ in range(KILLS):
+                time.sleep(rng.uniform(0.0, 0.7))
+                monitor.process.kill()
+                monitor.process.wait()
+                monitor.restart()
+                # Its Zenoh session is another one: the old token goes first, then the new ones come.
+                said = len(monitor.hear())
+                monitor.statuses.clear()
+                waits(lambda: len(monitor.statuses) == len(SYSTEMS), "statuses after a restart")
+                assert all(status["active_alarms"] >= 1 for status in monitor.statuses.values()), said
+        finally:
+            sender.kill()
+            sender.communicate()
+        time.sleep(1.0)
+        heard = monitor.hear()
+        assert {event.id for event in heard if event.channel == "motor1"} == set(first.values())
+        raised = [event for event in heard if event.state == "raised" and event.channel == "motor1"]
+        assert sorted(event.vehicle for event in raised) == [name_of(system) for system in SYSTEMS]
+        assert monitor.stop() == 0
+        heard = monitor.hear()
+        journal = monitor.journal()
+    assert places(journal) >= places(heard)
+    for system in SYSTEMS:
+        own = [event for event in heard if event.vehicle == name_of(system)]
+        assert places(recorded(monitor, system)) >= places(own)
+        assert len(places(own)) == len(own)
+
+
+def test_a_full_disk_stops_nothing_and_is_told_of(tmp_path: Path) -> None:
+    sufferers = [Sufferer(1, MOTOR1, "none", 22.0)]
+    with monitoring(tmp_path, [1]) as monitor:
+        sender = chaos.send(sufferers, f"udp:{monitor.udp}")
+        try:
+            waits(lambda: monitor.statuses.get(name_of(1), {}).get("samples", 0) > 100, "samples")
+            # No file may grow any more: writing fails like on a full disk, for the journal and the recordings.
+            resource.prlimit(monitor.process.pid, resource.RLIMIT_FSIZE, (4096, resource.RLIM_INFINITY))
+            waits(lambda: monitor.raised(1), "the motor's alarm while the disk is full")
+            waits(lambda: bool(monitor.statuses[name_of(1)]["reasons"]), "a reason in the status")
+            assert monitor.statuses[name_of(1)]["state"] == "degraded"
+            resource.prlimit(monitor.process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
+            waits(lambda: not monitor.statuses[name_of(1)]["reasons"], "all well again")
+            sender.communicate(timeout=60)
+        finally:
+            sender.kill()
+            sender.wait()
+        heard = monitor.hear()
+        assert [event.channel for event in monitor.raised(1)] == ["motor1"]
+        assert monitor.stop() == 0
+        assert places(monitor.journal()) >= places(heard)
+        # What no disk took is missing from the recording, which goes on in another file; the journal kept it.
+        assert len(list((tmp_path / "recordings" / name_of(1)).glob("*.mcap"))) == 2
