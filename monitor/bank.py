@@ -147,8 +147,11 @@ class Bank:
         self._residuals[:] = 0.0
         self._faults[:] = 0.0
 
-    def step(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-        """Advance all observers by one sample, u (s,) and y (p,), and choose the hypothesis to believe."""
+    def step(self, u: NDArray[np.float64], y: NDArray[np.float64], complete: bool = True) -> None:
+        """Advance all observers by one sample, u (s,) and y (p,), and choose the hypothesis to believe.
+
+        ``complete`` says whether the sample was measured, and not bridged across lost measurements.
+        """
         stack, keep = self._stack, self._keep
         stack.step(u, y)
         self._residuals *= keep
@@ -165,7 +168,7 @@ class Bank:
         self._give_back()
         self.speaks[self._comparison] = not self.unexplained
         for k, place, detector in self._edges:
-            self.evidence[place] = detector.update(float(stack.fault[stack.spans[k].start]), float(self.J[k]))
+            self.evidence[place] = detector.update(float(stack.fault[stack.spans[k].start]), float(self.J[k]), complete)
             if detector.held and self.J[k] <= self._floor:
                 self.unexplained = 0.0
 

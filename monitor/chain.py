@@ -140,7 +140,7 @@ class ObserverChain:
             self._command.restart(sample.u)
             self._uncertainty.restart()
         if measured:
-            estimator.step(sample.u, sample.y)
+            estimator.step(sample.u, sample.y, sample.complete)
             self._measured_ns = sample.vehicle_time_ns
         else:
             estimator.coast(sample.u)

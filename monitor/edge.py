@@ -4,7 +4,8 @@ A sensor fault is estimated without any assumption about how it moves, so it can
 estimate of a gyro bias takes up a failing motor as well. What a jump of the sensor does and a push on the plant cannot
 do is an edge: flat, then another level within a few samples, then flat again, while the hypothesis that it is this
 sensor leaves no more unexplained than healthy flight does. The size of the edge is held until an opposite one cancels
-it, at most ``hold_s``: how large the bias is afterwards only another sensor can tell.
+it, at most ``hold_s``: how large the bias is afterwards only another sensor can tell. Lines across lost measurements
+are flat and have corners: where more than three in five of the samples around an edge are such, it is none.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ _GAP_S = 0.03
 _FLAT_S = 0.1
 _SHARE = 0.25
 _CANCELLED = 0.5
+_BRIDGED = 0.6
 
 
 class EdgeDetector:
@@ -51,6 +53,7 @@ class EdgeDetector:
         self._size = self._back[-1] + self._flat + 1
         self._estimates: deque[float] = deque(maxlen=self._mean)
         self._means: deque[float] = deque(maxlen=self._size)
+        self._bridged: deque[bool] = deque(maxlen=self._size)
         self._loud = 0
         self._seen = 0
         self._quiet = 0
@@ -62,11 +65,16 @@ class EdgeDetector:
         """Forget the past."""
         self._estimates.clear()
         self._means.clear()
+        self._bridged.clear()
         self._loud = self._seen = self._quiet = self._age = 0
         self.edge = self.held = 0.0
 
-    def update(self, estimate: float, J: float) -> float:
-        """Take one sample's estimate and the J of its hypothesis; return what is held (or the edge)."""
+    def update(self, estimate: float, J: float, complete: bool = True) -> float:
+        """Take one sample's estimate and the J of its hypothesis; return what is held (or the edge).
+
+        ``complete`` says whether the sample was measured, and not bridged across lost measurements.
+        """
+        self._bridged.append(not complete)
         self._estimates.append(estimate)
         self._means.append(sum(self._estimates) / len(self._estimates))
         self._loud = self._size if self._limit < J else max(0, self._loud - 1)
@@ -89,7 +97,7 @@ class EdgeDetector:
 
     def _find(self) -> float:
         """Return the step from before the gap to after it, zero where the estimate is not flat on both sides."""
-        if self._loud or len(self._means) < self._size:
+        if self._loud or len(self._means) < self._size or sum(self._bridged) > _BRIDGED * self._size:
             return 0.0
         last, middle, after, before = (self._means[-1 - back] for back in self._back)
         step = after - before

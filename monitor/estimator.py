@@ -57,8 +57,9 @@ class JointEstimator:
         self._observer.restart(u, y)
         self._isolator.restart()
 
-    def step(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-        """Advance by one sample: u (s,) and y (p,)."""
+    def step(self, u: NDArray[np.float64], y: NDArray[np.float64], complete: bool = True) -> None:
+        """Advance by one sample, u (s,) and y (p,), whether or not it was bridged across lost measurements."""
+        del complete
         self._observer.step(u, y)
         self.evidence = self._isolator.update(self.fault).evidence
 

@@ -57,3 +57,16 @@ def test_without_a_smallest_size_each_edge_shows_and_none_is_held() -> None:
     edges = run(step(0.02), smallest=None)
     assert edges.max() == pytest.approx(0.02, abs=0.01)
     assert np.count_nonzero(edges) < 10
+
+
+def test_no_edge_is_found_among_samples_that_were_bridged_across_losses() -> None:
+    def held(bridged_every: int) -> float:
+        detector = EdgeDetector(100.0, 10.0, 0.05)
+        for index in range(200):
+            complete = index % bridged_every != 0 if bridged_every else True
+            detector.update(0.08 if index >= 100 else 0.0, 0.0, complete)
+        return detector.held
+
+    assert held(0) == pytest.approx(0.08)
+    assert held(4) == pytest.approx(0.08)
+    assert held(1) == 0.0
