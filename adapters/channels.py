@@ -98,8 +98,12 @@ class Channel:
 
 def _stamp(count: Any, unit_ns: int) -> int | None:
     if isinstance(count, Mapping):
-        seconds, rest = _stamp(count.get("sec"), 1_000_000_000), _stamp(count.get("nanosec"), 1)
+        seconds, rest = _whole(count.get("sec"), 1_000_000_000), _whole(count.get("nanosec"), 1)
         return None if seconds is None or rest is None else seconds + rest
+    return _whole(count, unit_ns)
+
+
+def _whole(count: Any, unit_ns: int) -> int | None:
     if isinstance(count, float) and isfinite(count * unit_ns):
         return round(count * unit_ns)
     return count * unit_ns if isinstance(count, int) and not isinstance(count, bool) else None

@@ -14,6 +14,8 @@ _PIECE_BYTES = 1 << 16
 # What a decompressor has put out of a piece is lost when it finds damage in it: pieces are kept small.
 _COMPRESSED_BYTES = 128
 _AUTO_GZIP = 31
+# What `xz -9` needs is 65 MB; a damaged head may ask for 4 GB.
+_DECOMPRESSOR_BYTES = 1 << 28
 
 
 class CompressedFile:
@@ -79,4 +81,6 @@ class CompressedFile:
             self.damaged = stream is not None
 
     def _decompressor(self) -> Any:
-        return lzma.LZMADecompressor() if self._path.suffix.lower() == ".xz" else zlib.decompressobj(_AUTO_GZIP)
+        if self._path.suffix.lower() == ".xz":
+            return lzma.LZMADecompressor(memlimit=_DECOMPRESSOR_BYTES)
+        return zlib.decompressobj(_AUTO_GZIP)

@@ -24,7 +24,8 @@ HEAD_BYTES = 3
 _START_1, _START_2 = 6, 10
 _SIGNED = 1
 _SIGNATURE_BYTES = 13
-_MAGIC = re.compile(b"[\xfd\xfe]")
+# Where a packet may begin; of version 2 only with flags that are understood, as far as the bytes are there.
+_MAGIC = re.compile(rb"\xfe|\xfd(?=.[\x00\x01]|.?\Z)", re.DOTALL)
 
 
 class MavlinkType:
@@ -54,7 +55,13 @@ class MavlinkType:
         self._places = places
 
     def intact(self, packet: bytes) -> bool:
-        """Return whether the packet's checksum is right."""
+        """Return whether the packet's checksum is right.
+
+        Version 1 knows no fields beyond the definition, so a payload longer than that is none and costs no checksum:
+        junk in which every byte could begin a packet stays cheap. Version 2 may carry fields of a newer definition.
+        """
+        if packet[1] > self._size and packet[0] == MAGIC_1:
+            return False
         end = _payload_start(packet) + packet[1]
         return self.checksum(packet[:end]) == packet[end] | packet[end + 1] << 8
 
@@ -167,9 +174,10 @@ class PacketParser:
         found: list[tuple[MavlinkType, bytes]] = []
         start, size = 0, len(buffer)
         while start < size:
-            if buffer[start] not in MAGICS:
-                magic = _MAGIC.search(buffer, start)
-                start = self._skip(start, magic.start() if magic else size)
+            magic = _MAGIC.search(buffer, start)
+            at = magic.start() if magic else size
+            if at > start:
+                start = self._skip(start, at)
                 continue
             if start + HEAD_BYTES > size:
                 break

@@ -61,7 +61,7 @@ class MavlinkProtobuf:
     def __init__(self, pb_class: Any) -> None:
         self.pb_class = pb_class
         fields = pb_class.DESCRIPTOR.fields
-        by_number = {field.number: field.name for field in fields}
+        by_number = {field.number: field.name for field in fields if field.number > 2 or _is_id(field)}
         if not {1, 2} <= by_number.keys():
             raise ValueError(f"{pb_class.DESCRIPTOR.full_name} lacks the sender's ids")
         self._system, self._component = by_number[1], by_number[2]
@@ -84,7 +84,7 @@ class MavlinkProtobuf:
         ids = {self._system: message.system, self._component: message.component}
         try:
             return bytes(self.pb_class(**ids, **message.fields).SerializeToString())
-        except TypeError as error:
+        except (TypeError, OverflowError) as error:
             raise ValueError(f"{message.name} does not fit its definition: {error}") from error
 
     def from_bytes(self, data: bytes, name: str, received_ns: int) -> Message:
@@ -110,6 +110,11 @@ class MavlinkProtobuf:
             system=getattr(decoded, self._system),
             component=getattr(decoded, self._component),
         )
+
+
+def _is_id(field: Any) -> bool:
+    """Return whether a field can hold the id of a sender; the schema of a damaged file may say anything."""
+    return field.type == field.TYPE_UINT32 and not field.is_repeated
 
 
 def mavlink_protobuf(name: str) -> MavlinkProtobuf | None:

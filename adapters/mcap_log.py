@@ -276,7 +276,8 @@ class MessageLogReader:
         """Take schemas and channels from a finished file's end; their own chunk may be damaged."""
         if self._path.suffix in (".xz", ".gz"):
             return
-        with contextlib.suppress(*_UNREADABLE, OSError), self._path.open("rb") as stream:
+        # a length that damage made up may be more than there is memory
+        with contextlib.suppress(*_UNREADABLE, MemoryError, OSError), self._path.open("rb") as stream:
             stream.seek(-len(MCAP0_MAGIC), os.SEEK_END)
             if stream.read() != MCAP0_MAGIC:
                 return

@@ -186,4 +186,7 @@ def _field(kind: str, name: str, found: re.Match[str]) -> MessageField:
         return MessageField(name, type_name, sequence=True, at_most=int(count))
     if not count:
         return MessageField(name, type_name, sequence=True)
+    if not int(count):
+        # No such array exists; elements of no bytes could be claimed without end.
+        raise TelemetryError(f"definition of {kind}: '{name}' is an array of no elements")
     return MessageField(name, type_name, size=int(count))

@@ -18,6 +18,8 @@ _JSON_SOURCES = ("zenoh", "clock", "operator", "journal")
 # viewers want some schema, and a JSON topic may carry anything
 _JSON_SCHEMA = Schema("fauio.Telemetry", "jsonschema", b'{"type": "object"}')
 
+_LARGEST_ID = 255
+
 Decode = Callable[[bytes, int], Message]
 
 
@@ -91,24 +93,24 @@ def _mavlink_schema(kind: MavlinkProtobuf) -> Schema:
 def _mavlink_from_json(data: bytes, name: str, time_ns: int) -> Message:
     record = _from_json(data)
     try:
-        return Message(
-            source="mavlink",
-            name=name,
-            received_ns=time_ns,
-            fields=record["fields"],
-            system=record["system_id"],
-            component=record["component_id"],
-        )
+        fields, ids = record["fields"], (record["system_id"], record["component_id"])
     except KeyError as error:
         raise ValueError(f"record of {name} lacks {error}") from error
+    if not isinstance(fields, dict):
+        raise ValueError(f"record of {name} has fields that are no JSON object")
+    return Message("mavlink", name, time_ns, fields, *_checked_ids(name, ids))
 
 
 def _link_from_json(data: bytes, name: str, time_ns: int) -> Message:
     fields = _from_json(data)
-    system, component = fields.pop("system_id", 0), fields.pop("component_id", 0)
-    if type(system) is not int or type(component) is not int:
-        raise ValueError(f"record of {name} has ids that are no integers")
-    return Message("link", name, time_ns, fields, system, component)
+    ids = fields.pop("system_id", 0), fields.pop("component_id", 0)
+    return Message("link", name, time_ns, fields, *_checked_ids(name, ids))
+
+
+def _checked_ids(name: str, ids: tuple[Any, Any]) -> tuple[int, int]:
+    if not all(type(number) is int and 0 <= number <= _LARGEST_ID for number in ids):
+        raise ValueError(f"record of {name} has ids that are no MAVLink ids")
+    return ids
 
 
 def _to_json(fields: Any) -> bytes:

@@ -13,7 +13,8 @@ from adapters.errors import TelemetryError
 from adapters.message_definition import canonical_type, find_definition
 
 _CDR = "application/cdr"
-_RMW_KEY = re.compile(r"\d+/(.+)/([^/]+::[^/]+)/RIHS\d+_[^/]+")
+# The type is looked at afterwards: two open ends in one chunk would be tried out against each other.
+_RMW_KEY = re.compile(r"\d+/(.+)/([^/]+)/RIHS\d+_[^/]+")
 _MAX_KEYS = 4096
 
 
@@ -98,6 +99,8 @@ class PayloadDecoder:
 
     def _classify(self, key: str, encoding: str) -> tuple[str, str | None]:
         ros = _RMW_KEY.fullmatch(key)
+        if ros and "::" not in ros[2]:
+            ros = None
         name = ros[1] if ros else key
         for expression, type_name in self._types:
             if expression.includes(key):

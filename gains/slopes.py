@@ -31,6 +31,8 @@ Interval = tuple[float, float]
 Box = tuple[Interval, ...]
 
 _BUDGET = 3000
+# Nodes evaluated in bounding one slope: a model from elsewhere shall not keep its reader waiting.
+_WORK = 400_000
 _TIGHTNESS = 1e-5
 _DECLARED_TOLERANCE = 1e-6
 _LARGEST = math.nextafter(math.inf, 0.0)
@@ -154,6 +156,7 @@ def _supremum(node: Node, box: Box, goal: float | None = None) -> _Supremum:
     """
     function = compile_node(node)
     split = sorted(argument_indices(node))
+    depends = frozenset(split)
     gradient = {i: derivative(node, i) for i in split} if is_smooth(node) else {}
     order = itertools.count()
     seen, least, point = -math.inf, math.inf, tuple(_middle(*side) for side in box)
@@ -166,7 +169,10 @@ def _supremum(node: Node, box: Box, goal: float | None = None) -> _Supremum:
         least = min(least, value)
 
     def ranked(part: Box) -> tuple[float, int, Box]:
-        for corner in itertools.product(*((_middle(*side), *map(_near, side)) for side in part)):
+        sides = [
+            (_middle(*side), *map(_near, side)) if i in depends else (_middle(*side),) for i, side in enumerate(part)
+        ]
+        for corner in itertools.product(*sides):
             look(corner)
         try:
             bound = min(enclosure(node, part)[1], _mean_value_bound(function, gradient, part))
@@ -174,8 +180,12 @@ def _supremum(node: Node, box: Box, goal: float | None = None) -> _Supremum:
             bound = math.inf
         return -bound, next(order), part
 
+    # Of the arguments that the tree does not depend on, any value is as good as another.
+    work = 3 ** len(split) * _size(node) + sum(map(_size, gradient.values()))
+    if work > _WORK:
+        raise ModelError("too much to bound its slope: use fewer arguments or a simpler expression")
     heap = [ranked(box)]
-    for _ in range(_BUDGET if split else 0):
+    for _ in range(min(_BUDGET, _WORK // work) if split else 0):
         bound = -heap[0][0]
         enough = seen + _TIGHTNESS * max(abs(seen), abs(least)) if goal is None else goal
         if bound <= enough or (goal is not None and seen > goal):
@@ -213,6 +223,15 @@ def _check_defined(node: Node, box: Box, text: str, arguments: Sequence[str]) ->
             middle = _middle(low, high)
             parts += [(*part[:widest], half, *part[widest + 1 :]) for half in ((low, middle), (middle, high))]
     raise ModelError(f"'{text}' has no value, or a pole, for some {_box_text(arguments, box)}: give a (smaller) range")
+
+
+def _size(node: Node) -> int:
+    """Return the number of nodes of a tree."""
+    if isinstance(node, Apply):
+        return 1 + _size(node.operand)
+    if isinstance(node, Number | Argument):
+        return 1
+    return 1 + _size(node.left) + _size(node.right)
 
 
 def _negative(node: Node) -> Node:

@@ -32,6 +32,8 @@ from monitor.trend import Trend
 _UPDATE_EVERY_NS = 1_000_000_000
 _UPDATE_SHARE = 0.15
 _COMES_AND_GOES = 3
+_LEAST = {"slow_s": 0.01}
+_LARGEST = 1e300
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,11 +96,13 @@ TUNABLE = (
 
 
 def retuned(rule: AlarmRule, values: Mapping[str, object]) -> AlarmRule:
-    """Return a rule with those of its sizes and times changed that are named and are numbers."""
+    """Return a rule with those of its sizes and times changed that are named and are numbers it can have."""
     found = {
         key: float(value)
         for key in TUNABLE
-        if isinstance(value := values.get(key), int | float) and not isinstance(value, bool) and value >= 0
+        if isinstance(value := values.get(key), int | float)
+        and not isinstance(value, bool)
+        and (_LEAST.get(key, 0.0) <= value <= _LARGEST or value == math.inf)
     }
     return replace(rule, **found)  # type: ignore[arg-type]
 
@@ -160,7 +164,8 @@ class Alarm:
         self._active = _Active(
             id=event.id,
             since_ns=event.since_ns,
-            threshold=event.threshold,
+            # JSON has no infinity, so a size may come back as nothing.
+            threshold=self.rule.threshold if event.threshold is None else event.threshold,
             peak=event.peak if event.peak is not None else estimate,
             severity=event.severity,
             reported=estimate,

@@ -127,9 +127,9 @@ def run_command(args: argparse.Namespace) -> int:
     """Ask a monitor to do something to an alarm, print what it did."""
     from adapters.zenoh_session import open_session
     from monitor.alarm_text import alarm_line, printable
+    from monitor.event import valid_event
     from monitor.operator_client import find_target, send_command
     from monitor.payload import to_json
-    from monitor.subscriber import valid_event
 
     details = {"by": args.by or _user(), "reason": args.reason, "minutes": getattr(args, "minutes", None)}
     endpoints = args.connect or [DEFAULT_CONNECT]

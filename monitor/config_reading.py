@@ -21,6 +21,7 @@ M = TypeVar("M", bound=BaseModel)
 
 _SHOWN = 60
 _NEAR = 0.7
+_DEEPEST = 32
 _AT_LINE = re.compile(r" \(at line (\d+), column (\d+)\)")
 _KINDS = {
     "string_type": "text in quotes",
@@ -119,7 +120,7 @@ def _text(path: str | Path) -> str:
 
 def _parsed(path: str | Path | None, text: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         at = _AT_LINE.search(str(error))
         line = at[1] if at else str(text.count("\n") + 1)
@@ -128,6 +129,15 @@ def _parsed(path: str | Path | None, text: str) -> dict[str, Any]:
         raise ProfileError(printable(f"{path}:{line}: not valid TOML at {column}: {what}")) from error
     except RecursionError as error:
         raise ProfileError(f"{path}: not valid TOML: nested too deeply") from error
+    except ValueError as error:
+        raise ProfileError(f"{path}: not valid TOML: a number in it is too long") from error
+    level: list[Any] = [content]
+    for _ in range(_DEEPEST):
+        level = [inner for outer in level for inner in (outer.values() if isinstance(outer, dict) else outer)]
+        level = [value for value in level if isinstance(value, dict | list)]
+    if level:
+        raise ProfileError(f"{path}: nested more than {_DEEPEST} levels deep; nothing here needs that")
+    return content
 
 
 def _mistakes(error: ValidationError, model: type[BaseModel], content: Mapping[str, Any]) -> list[_Mistake]:

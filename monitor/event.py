@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
-from typing import Any, Literal
+from typing import Any, Literal, TypeGuard
 
 Kind = Literal["actuator", "sensor", "residual", "stale", "security", "system"]
 State = Literal["raised", "updated", "acknowledged", "shelved", "cleared"]
@@ -14,6 +14,13 @@ Severity = Literal["warning", "critical"]
 UNNUMBERED = 0
 """Sequence number of an event that the vehicle's alarm desk has not seen yet."""
 
+_TEXTS = ("id", "vehicle", "observer", "channel", "kind", "state", "severity", "unit", "message")
+_COUNTS = ("time_ns", "vehicle_time_ms", "since_ns")
+_NUMBERS = ("estimate", "relative", "threshold", "peak")
+_FLAGS = ("acknowledged", "latched")
+# Beyond any time or size, and within what floats can express; numbers of events leave room to count on in 64 bits.
+_LARGEST = 1 << 100
+_LARGEST_SEQ = 1 << 62
 _CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 
 
@@ -99,6 +106,38 @@ def event_from_json(data: Mapping[str, Any]) -> AlarmEvent:
     if missing:
         raise ValueError(f"alarm event lacks '{missing[0]}'")
     return AlarmEvent(**{field.name: data[field.name] for field in fields(AlarmEvent) if field.name in data})
+
+
+def valid_event(payload: Any) -> AlarmEvent | None:
+    """Return the event a decoded payload holds, None where names, types or sizes are not those of an event."""
+    if not isinstance(payload, dict):
+        return None
+    try:
+        event = event_from_json(payload)
+    except ValueError:
+        return None
+    right = (
+        all(isinstance(getattr(event, name), str) for name in _TEXTS)
+        and all(_is_count(getattr(event, name)) for name in _COUNTS)
+        and all(_is_number(getattr(event, name)) for name in _NUMBERS)
+        and all(type(getattr(event, name)) is bool for name in _FLAGS)
+        and (event.shelved_until_ns is None or _is_count(event.shelved_until_ns))
+        and is_seq(event.seq)
+    )
+    return event if right else None
+
+
+def is_seq(value: object) -> TypeGuard[int]:
+    """Return whether a value can be the number of an event."""
+    return type(value) is int and 0 <= value <= _LARGEST_SEQ
+
+
+def _is_count(value: object) -> bool:
+    return type(value) is int and -_LARGEST <= value <= _LARGEST
+
+
+def _is_number(value: object) -> bool:
+    return value is None or type(value) is float or _is_count(value)
 
 
 def alarm_id(vehicle: str, observer: str, channel: str, since_ns: int) -> str:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from monitor.errors import ProfileError
-from monitor.event import AlarmEvent, event_from_json
+from monitor.event import AlarmEvent, valid_event
 from monitor.journal_file import DamagedError, open_database, read_connection, set_aside
 from monitor.payload import to_json
 
@@ -350,7 +350,7 @@ class Journal:
             alone = self._connection is None
             with contextlib.closing(read_connection(self._path, alone)) as connection:
                 return connection.execute(sql, values).fetchall()
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:
             raise OSError(f"{self._path}: journal cannot be read: {error}") from error
 
     def _readable(self, bodies: Iterable[str]) -> list[AlarmEvent]:
@@ -358,9 +358,13 @@ class Journal:
         events = []
         for body in bodies:
             try:
-                events.append(event_from_json(json.loads(body)))
-            except (ValueError, TypeError, AttributeError) as error:
-                self._last_error = f"{self._path}: event that cannot be read: {error}"
+                event = valid_event(json.loads(body))
+            except (ValueError, RecursionError):
+                event = None
+            if event is None:
+                self._last_error = f"{self._path}: event that cannot be read: {body:.80}"
+            else:
+                events.append(event)
         return events
 
     def _note(self, error: sqlite3.Error) -> None:

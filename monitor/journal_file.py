@@ -77,6 +77,9 @@ def open_database(path: Path) -> sqlite3.Connection:
             connection.close()
         if isinstance(error, sqlite3.DatabaseError):
             _explain(path, error)
+        if isinstance(error, UnicodeDecodeError):
+            # SQLite quotes what it stumbles over, and that is no longer text.
+            raise DamagedError("its tables have no readable names") from error
         raise
     return connection
 

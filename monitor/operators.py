@@ -74,6 +74,7 @@ class Operators:
         if command.verb == "shelve":
             minutes = fields.pop("minutes", None)
             given = isinstance(minutes, int | float) and not isinstance(minutes, bool) and minutes > 0
+            # Compared before anything is computed: a whole number may be too large for that.
             chosen = min(minutes, self._max_shelve_minutes) if given else self._shelve_minutes
             fields["until_ns"] = now_ns + round(chosen * _MINUTE_NS)
         return Message("operator", command.verb, now_ns, fields)

@@ -23,7 +23,7 @@ from monitor.chain import ObserverChain, Output
 from monitor.desk import AlarmDesk
 from monitor.desk_rule import DeskRule, desk_rule, rule_fields
 from monitor.estimate import Layout
-from monitor.event import AlarmEvent, event_from_json
+from monitor.event import AlarmEvent, is_seq, valid_event
 from monitor.excuse import Excuses
 from monitor.link_alarms import LinkAlarms
 from monitor.profile import Profile
@@ -199,7 +199,7 @@ class Pipeline:
                 if chain.layout.observer == event.observer:
                     chain.adopt(event)
         seq = fields.get("seq")
-        self._desk.seq = max(self._desk.seq, seq if isinstance(seq, int) else 0)
+        self._desk.seq = max(self._desk.seq, seq if is_seq(seq) else 0)
         return self._desk.adopt(events, watched, now_ns)
 
     def _retune(self, fields: Mapping[str, Any], now_ns: int) -> list[AlarmEvent]:
@@ -229,11 +229,6 @@ def standing_message(alarms: Sequence[AlarmEvent], seq: int, now_ns: int) -> Mes
 
 def standing_alarms(fields: Mapping[str, Any]) -> list[AlarmEvent]:
     """Return the alarms in such a message; what is none is left out."""
-    found = []
     alarms = fields.get("alarms")
-    for data in alarms if isinstance(alarms, list | tuple) else ():
-        try:
-            found.append(event_from_json(data))
-        except (TypeError, ValueError):
-            continue
-    return found
+    events = map(valid_event, alarms if isinstance(alarms, Sequence) else ())
+    return [event for event in events if event is not None]

@@ -348,7 +348,10 @@ def _source_table(source: Source) -> dict[str, Any]:
 
 
 def _channels(table: Table, names: Sequence[str]) -> tuple[Channel, ...]:
-    channels = tuple(parse_channel(name, table.table(name).raw(), f"{table.where(name)}") for name in names)
+    try:
+        channels = tuple(parse_channel(name, table.table(name).raw(), table.where(name)) for name in names)
+    except TelemetryError as error:
+        raise ProfileError(str(error)) from error
     table.done()
     return channels
 

@@ -11,7 +11,7 @@ from typing import Any
 import zenoh
 from zenoh import ext
 
-from monitor.event import AlarmEvent, event_from_json
+from monitor.event import AlarmEvent, valid_event
 from monitor.keys import ANY, vehicle_of, vehicle_root
 
 HELD_EVENTS = 10_000
@@ -19,11 +19,6 @@ MAX_PAYLOAD_BYTES = 1 << 24
 HISTORY_TIMEOUT_S = 1.0
 HISTORY_TRIES = 10
 HISTORY_PAUSE_S = 0.2
-
-_TEXTS = ("id", "vehicle", "observer", "channel", "kind", "state", "severity", "unit", "message")
-_COUNTS = ("time_ns", "vehicle_time_ms", "since_ns", "seq")
-_NUMBERS = ("estimate", "relative", "threshold", "peak")
-_FLAGS = ("acknowledged", "latched")
 
 
 class AlarmSubscriber:
@@ -183,21 +178,3 @@ def _decode(payload: zenoh.ZBytes) -> Any:
         return json.loads(payload.to_bytes())
     except (ValueError, RecursionError):
         return None
-
-
-def valid_event(payload: Any) -> AlarmEvent | None:
-    """Return the event a decoded payload holds, None where names or types are not those of an event."""
-    if not isinstance(payload, dict):
-        return None
-    try:
-        event = event_from_json(payload)
-    except ValueError:
-        return None
-    right = (
-        all(isinstance(getattr(event, name), str) for name in _TEXTS)
-        and all(type(getattr(event, name)) is int for name in _COUNTS)
-        and all(type(getattr(event, name)) in (int, float, type(None)) for name in _NUMBERS)
-        and all(type(getattr(event, name)) is bool for name in _FLAGS)
-        and type(event.shelved_until_ns) in (int, type(None))
-    )
-    return event if right else None

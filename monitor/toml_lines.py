@@ -15,6 +15,7 @@ _STRING = re.compile(
     r'"""(?:[^\\]|\\.)*?"{3,5}|' + r"'''.*?'{3,5}|" + r'"(?:[^"\\\n]|\\.)*"|' + r"'[^'\n]*'",
     re.DOTALL,
 )
+_DEEPEST = 100
 _SCALAR = re.compile(r"[^,\]}#\r\n]*")
 
 
@@ -24,7 +25,8 @@ def key_lines(text: str) -> dict[KeyPath, int]:
     Parameters
     ----------
     text : str
-        Valid TOML; of anything else the lines up to the first mistake are right.
+        Valid TOML; of anything else the lines up to the first mistake are right, and where tables and lists are nested
+        more than 100 levels deep those up to there.
 
     Returns
     -------
@@ -103,18 +105,25 @@ class _Scanner:
         return keys
 
     def _value(self, path: KeyPath) -> None:
+        if len(path) > _DEEPEST:
+            self._at = len(self._text)
+            return
         self._skip_blank()
         opening = self._text[self._at : self._at + 1]
+        # Below, an element that was not understood leaves the place where it is, and ends its list or table.
         if opening == "[":
             self._at += 1
-            index = 0
-            while self._more("]"):
+            index, before = 0, -1
+            while self._more("]") and self._at > before:
+                before = self._at
                 self._lines[(*path, index)] = self._line()
                 self._value((*path, index))
                 index += 1
         elif opening == "{":
             self._at += 1
-            while self._more("}"):
+            before = -1
+            while self._more("}") and self._at > before:
+                before = self._at
                 self._assignment(path)
         else:
             match = _STRING.match(self._text, self._at) or _SCALAR.match(self._text, self._at)
@@ -122,7 +131,6 @@ class _Scanner:
 
     def _more(self, closing: str) -> bool:
         """Skip what separates elements; return whether another one follows, else go past the end."""
-        before = self._at
         self._skip_blank()
         while self._text.startswith(",", self._at):
             self._at += 1
@@ -130,8 +138,7 @@ class _Scanner:
         if self._text.startswith(closing, self._at) or self._at >= len(self._text):
             self._at += 1
             return False
-        # an element that was not understood would otherwise be looked at for ever
-        return self._at > before or self._text[self._at - 1] in "[{"
+        return True
 
     def _skip_blank(self) -> None:
         match = _BLANK.match(self._text, self._at)

@@ -182,3 +182,10 @@ def test_a_period_is_read_and_written_and_has_to_be_positive() -> None:
     for bad in (0, -1.0, True, "360"):
         with pytest.raises(TelemetryError, match="'period' is not a positive number"):
             parse_channel("course", {**table, "period": bad}, "profile.toml: signals")
+
+
+def test_a_time_inside_a_time_is_none() -> None:
+    stamp: dict[str, Any] = {"sec": 1, "nanosec": 2}
+    for _ in range(2000):
+        stamp = {"sec": stamp, "nanosec": 2}
+    assert Channel("c", "M", ("x",)).stamp_ns({"header": {"stamp": stamp}}) is None

@@ -59,3 +59,10 @@ def test_a_file_that_is_not_there_is_reported_by_name(tmp_path: Path) -> None:
         read(tmp_path / "nothing.tlog")
     with pytest.raises(TelemetryError, match="directory"):
         read(tmp_path)
+
+
+def test_a_head_that_asks_for_all_memory_is_damage(tmp_path: Path) -> None:
+    path = tmp_path / "a.xz"
+    alone = lzma.compress(CONTENT, format=lzma.FORMAT_ALONE)
+    path.write_bytes(alone[:1] + b"\xff\xff\xff\xff" + alone[5:])
+    assert read(path) == (b"", True)

@@ -165,3 +165,34 @@ def test_unknown_incompatibility_flags_make_a_packet_unreadable(flags: int) -> N
     parser = PacketParser()
     assert parser.feed(bytes(packet) + attitude(1))[-1][1] == attitude(1)
     assert parser.damaged >= 1
+
+
+@pytest.mark.parametrize("junk", [b"\xfe", b"\xfd", b"\xfd\xff\0\0\0"], ids=["1", "2", "2 with a known id"])
+def test_junk_in_which_every_byte_could_begin_a_packet_costs_few_checksums(
+    junk: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    summed = 0
+
+    class Checksum:
+        crc = -1
+
+        def __init__(self, data: bytes) -> None:
+            nonlocal summed
+            summed += 1
+
+    for kind in mavlink_types().values():
+        monkeypatch.setattr(kind, "_checksum", Checksum)
+    parser = PacketParser()
+    parser.feed((junk * 65_507)[:65_507])
+    assert summed < 65_507 / 5
+    assert parser.skipped_bytes > 65_000
+
+
+@pytest.mark.parametrize("version_1", [False, True])
+def test_a_payload_longer_than_the_definition_is_a_packet_of_version_2_only(version_1: bool) -> None:
+    table = ardupilotmega.mavlink_map[30]
+    message = ardupilotmega.MAVLink_message(30, table.msgname)
+    body = b"\1" * (table.unpacker.size + 3)
+    packet = bytes(message._pack(link(), table.crc_extra, body, force_mavlink1=version_1))
+    found = PacketParser().feed(packet)
+    assert [kind.name for kind, _ in found] == ([] if version_1 else ["ATTITUDE"])

@@ -86,7 +86,7 @@ def test_a_message_of_another_dialect_is_refused_and_not_bent() -> None:
     assert mavlink_protobuf("UNKNOWN_4711") is None
 
 
-@pytest.mark.parametrize("value", [-1, 2**32, "text", 1.5])
+@pytest.mark.parametrize("value", [-1, 2**32, 10**400, "text", 1.5])
 def test_a_value_that_does_not_fit_is_refused(value: object) -> None:
     kind = mavlink_protobuf("SYSTEM_TIME")
     assert kind is not None
@@ -113,3 +113,11 @@ def test_identifiers_are_distinct_and_valid() -> None:
     found = identifiers(("f a", "f_a", "f-a", "1st", "", "aB", "a_b"))
     assert len(set(found)) == 7
     assert all(name.isidentifier() for name in found)
+
+
+def test_a_schema_whose_ids_are_no_numbers_is_refused() -> None:
+    from adapters.protobuf_types import Field, message_class
+
+    for second in (Field("component_id", "string"), Field("component_id", "uint32", repeated=True)):
+        with pytest.raises(ValueError, match="lacks the sender's ids"):
+            MavlinkProtobuf(message_class("mavlink", "ODD", (Field("system_id", "uint32"), second)))

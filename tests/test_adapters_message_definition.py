@@ -117,3 +117,10 @@ def test_a_broken_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "Outer.msg").write_text("what?\n")
     with pytest.raises(TelemetryError, match=r"Outer\.msg: definition of a/Outer: 'what\?' is no field"):
         find_definition("a/Outer", [tmp_path])
+
+
+@pytest.mark.parametrize("text", ["uint8[0] a", "Inner[0] inner"])
+def test_an_array_of_no_elements_is_refused(text: str) -> None:
+    """Sequences of what takes no bytes could claim four thousand million elements in four bytes."""
+    with pytest.raises(TelemetryError, match=r"definition of x_msgs/A: '(a|inner)' is an array of no elements"):
+        parse_definitions("x_msgs/A", text)

@@ -52,3 +52,20 @@ def test_a_finding_that_is_no_record_of_ours_is_refused(data: bytes) -> None:
     assert decode is not None
     with pytest.raises(ValueError):
         decode(data, 0)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b'{"system_id": 1, "component_id": 1, "fields": [1]}',
+        b'{"system_id": [1], "component_id": 1, "fields": {}}',
+        b'{"system_id": 1, "component_id": 256, "fields": {}}',
+        b'{"system_id": -1, "component_id": 1, "fields": {}}',
+        b'{"system_id": 1, "fields": {}}',
+    ],
+)
+def test_a_mavlink_message_that_is_no_record_of_ours_is_refused(data: bytes) -> None:
+    decode = decoder("/mavlink/ATTITUDE", "json", None)
+    assert decode is not None
+    with pytest.raises(ValueError, match="record of ATTITUDE"):
+        decode(data, 0)

@@ -136,3 +136,10 @@ def test_a_mapping_that_cannot_work_is_reported_at_the_start(
         PayloadDecoder(types, folders)
     assert str(caught.value).startswith(said)
     assert "\n" not in str(caught.value)
+
+
+def test_a_long_key_that_looks_like_one_of_ros_costs_no_more_than_its_length() -> None:
+    # As a pattern with the type's colons in it this took seconds, growing with the square of the length.
+    key = "0/a/" + "::" * 15_000
+    assert PayloadDecoder().decode(key, "", b"{}") == (key, {})
+    assert PayloadDecoder().decode("0/a/b/RIHS01_c", "", b"{}")[0] == "0/a/b/RIHS01_c"

@@ -88,3 +88,17 @@ def test_an_enclosure_holds_every_value_on_its_box(node: Node, low: list[float],
             value = g(*(a + part * (b - a) for part, (a, b) in zip((s, t), box, strict=True)))
             if math.isfinite(value):
                 assert least - tolerance * (1 + abs(value)) <= value <= largest + tolerance * (1 + abs(value))
+
+
+def test_an_expression_that_would_take_forever_is_refused() -> None:
+    names = tuple("abcdefghijkl")
+    text = "sin(" + "*".join(names) + ")"
+    with pytest.raises(ModelError, match="too much to bound its slope: use fewer arguments or a simpler expression"):
+        slope_bounds(text, names, [EVERYWHERE] * len(names))
+
+
+def test_arguments_that_an_expression_does_not_depend_on_cost_nothing() -> None:
+    names = tuple("abcdefghijklmnopqrst")
+    bounds = slope_bounds("sin(a)", names, [EVERYWHERE] * len(names))
+    assert bounds[0] == pytest.approx((-1.0, 1.0), abs=1e-4)
+    assert set(bounds[1:]) == {(0.0, 0.0)}

@@ -1,5 +1,6 @@
 """The alarm state machine: three paths, debounce by time, hysteresis, severity, latching, updates, identity."""
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -212,3 +213,17 @@ def test_a_rule_takes_numbers_that_make_sense_and_leaves_the_rest() -> None:
     }
     assert retuned(RULE, nonsense) == RULE
     assert retuned(RULE, {"threshold": 1, "slow": 0.5}) == replace(RULE, threshold=1.0, slow=0.5)
+
+
+def test_sizes_and_times_that_no_rule_can_have_change_nothing() -> None:
+    odd = {"threshold": 10**400, "raise_s": math.nan, "slow_s": 0.0, "clear": -1, "critical": True, "fast": "1"}
+    assert retuned(RULE, odd) == RULE
+    assert retuned(RULE, {"threshold": 1, "slow": math.inf}) == replace(RULE, threshold=1.0)
+
+
+def test_an_alarm_without_a_threshold_is_gone_on_from_with_the_rules_own() -> None:
+    before = run(new_alarm(), [0.05] * 20)[0]
+    alarm = new_alarm()
+    alarm.adopt(replace(before, threshold=None))  # type: ignore[arg-type]
+    events = run(alarm, [0.05] * 5 + [0.0] * 100)
+    assert [(event.state, event.threshold) for event in events][-1] == ("cleared", RULE.threshold)

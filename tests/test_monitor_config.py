@@ -293,3 +293,18 @@ def test_any_content_is_read_or_every_line_of_the_error_names_a_key(tmp_path: Pa
         read_config(path)
     except ProfileError as error:
         assert all(re.match(rf"{path}(:\d+)?: '[^']+", line) for line in str(error).splitlines())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a = " + "[" * 60 + "]" * 60, "nested more than 32 levels deep"),
+        ("a" + ".a" * 1500 + " = 1", "nested more than 32 levels deep"),
+        ("a = " + "[" * 5000, "not valid TOML: nested too deeply"),
+        ("a = " + "9" * 5000, "not valid TOML: a number in it is too long"),
+    ],
+    ids=["lists", "tables", "too deep to parse", "number"],
+)
+def test_absurd_toml_is_refused_in_one_line(tmp_path: Path, text: str, said: str) -> None:
+    (line,) = complaints(tmp_path, text)
+    assert said in line

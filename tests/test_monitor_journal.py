@@ -390,3 +390,14 @@ def test_the_write_ahead_log_stays_bounded(path: Path) -> None:
             journal.write(event(seq, message="x" * 500), {"y": [0.1] * 50})
         assert Path(f"{path}-wal").stat().st_size < 2 * 1000 * 4200
     assert not Path(f"{path}-wal").exists()
+
+
+def test_an_event_whose_fields_a_failing_disk_has_changed_is_left_out(path: Path) -> None:
+    with opened(path) as journal:
+        journal.write(event(1))
+        journal.write(event(2))
+    with contextlib.closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("UPDATE event SET body = replace(body, '\"seq\":1', '\"seq\":[]')")
+    with opened(path) as journal:
+        assert journal.events() == [event(2)]
+        assert "event that cannot be read" in str(journal.statistics().last_error)

@@ -2,8 +2,10 @@
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -220,3 +222,36 @@ def test_what_no_pipeline_understands_changes_nothing(quad_profile: Profile, fli
         Message("link", "signing", at_ns, {"forged": 1}, 77),
     ]
     assert events(quad_profile, [*nonsense, *flight]) == events(quad_profile, flight)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"flood_raised": 10**30},
+        {"flood_s": math.inf},
+        {"flood_s": 10**400},
+        {"alarms": {"motors": {"motor1": {"threshold": 10**400, "slow_s": 0.0}}}},
+        {"alarms": 5, "latched": [[1]], "out_of_service": 7},
+    ],
+)
+def test_rules_that_cannot_be_change_nothing(
+    quad_profile: Profile, flight: list[Message], fields: dict[str, Any]
+) -> None:
+    rules = Message("operator", "rules", flight[0].received_ns, fields)
+    assert outputs(quad_profile, [rules]) == []
+    assert events(quad_profile, [rules, *flight]) == events(quad_profile, flight)
+
+
+@pytest.mark.parametrize("alarms", [5, "x", [5, None, {}], [{"id": 1}]])
+def test_what_is_no_alarm_does_not_stand_after_a_restart(quad_profile: Profile, alarms: object) -> None:
+    standing = Message("journal", "standing", 1, {"seq": 10**400, "alarms": alarms})
+    assert outputs(quad_profile, [standing]) == []
+
+
+def test_an_alarm_with_fields_of_the_wrong_type_does_not_stand_after_a_restart(
+    quad_profile: Profile, flight: list[Message]
+) -> None:
+    first, *_ = events(quad_profile, flight)
+    for name, value in (("vehicle_time_ms", "x"), ("estimate", [1]), ("observer", {}), ("latched", 1)):
+        standing = Message("journal", "standing", 1, {"seq": 1, "alarms": [{**first.to_json(), name: value}]})
+        assert outputs(quad_profile, [standing]) == []

@@ -10,7 +10,7 @@ import pytest
 from loopback import Endpoint, event, matched, until
 
 from monitor.errors import ProfileError
-from monitor.event import AlarmEvent
+from monitor.event import AlarmEvent, valid_event
 from monitor.publisher import Publisher
 from monitor.subscriber import HELD_EVENTS, AlarmSubscriber
 
@@ -144,3 +144,12 @@ def test_a_broken_answer_to_the_history_question_is_counted(endpoint: Endpoint) 
 
 def ask_raw(session: Any) -> list[Any]:
     return list(session.get("fauio/copter-1/alarms", timeout=5.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("estimate", 10**400), ("time_ns", 1 << 101), ("seq", 1 << 63), ("seq", -1), ("peak", -(10**400))],
+)
+def test_a_number_that_nothing_can_hold_makes_no_event(name: str, value: int) -> None:
+    assert valid_event(GOOD) == event(1)
+    assert valid_event({**GOOD, name: value}) is None

@@ -97,3 +97,13 @@ def test_every_key_of_any_file_is_found_and_no_other(content: dict[str, Any], mu
 @given(st.text(alphabet="ab=.[]{},#\"'\\\n 1", max_size=60))
 def test_text_that_is_no_toml_ends_the_scan(text: str) -> None:
     assert all(1 <= line <= text.count("\n") + 1 for line in key_lines(text).values())
+
+
+@pytest.mark.parametrize("text", ["x = {a={`={a={a=", "x = [[`[[", "x = {[1", "x = [}, }"])
+def test_an_element_that_is_not_understood_ends_the_scan(text: str) -> None:
+    assert key_lines(f"first = 1\n{text}")[("first",)] == 1
+
+
+@pytest.mark.parametrize("text", ["a = " + "[" * 5000, "a = " + "{a=" * 5000, "a" + ".a" * 3000 + " = [1]"])
+def test_what_is_nested_without_end_is_looked_at_down_to_some_depth(text: str) -> None:
+    assert key_lines(f"first = 1\n{text}")[("first",)] == 1

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from loopback import START_NS, event
 
+from adapters.message import Message
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
@@ -91,3 +92,12 @@ def test_one_that_is_heard_after_both_were_apart_counts_though_its_numbers_are_s
     (again,) = said(monitor, START_NS + 4 * SECOND_NS)
     assert again.acknowledged
     assert again.seq > mine.seq
+
+
+def test_keys_without_end_do_not_fill_the_memory(arm_profile: Profile) -> None:
+    pipeline = Pipeline(arm_profile)
+    monitor = VehicleMonitor(pipeline, [], None, Heard().event, 1)
+    for k in range(1000):
+        monitor.take(Message("zenoh", f"arm/{k}", 1 + k, {}))
+    assert monitor.messages == 1000
+    assert len(monitor._heard) <= len(frozenset().union(*pipeline.needs.values()))
