@@ -175,7 +175,7 @@ class Health:
 def problems(health: Health) -> list[str]:
     """Return what keeps the monitor from doing its work now, one line each.
 
-    A vehicle that is silent, faulty or switched off is none: alarms say so.
+    A vehicle that is silent, faulty, switched off or lacks some telemetry is none: alarms and its status say so.
     """
     found = []
     process = health.process
@@ -184,8 +184,6 @@ def problems(health: Health) -> list[str]:
     if process.inbox_capacity and process.inbox_depth >= process.inbox_capacity:
         found.append(f"the inbox is full ({process.inbox_depth} messages): messages are dropped")
     for vehicle in health.vehicles:
-        if vehicle.state == "degraded":
-            found.append(f"{vehicle.name} is monitored in part only")
         if vehicle.recorder is not None and vehicle.recorder.trouble is not None:
             found.append(f"{vehicle.name} is not recorded: {vehicle.recorder.trouble}")
     journal = health.journal

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import chaos
 import pytest
@@ -61,16 +62,32 @@ def raised(profile: Profile, packets: Sequence[Due]) -> list[AlarmEvent]:
     return [event for event in events if event.state == "raised" and event.observer != "link"]
 
 
-@pytest.mark.parametrize("distortion", chaos.DISTORTIONS)
-@pytest.mark.parametrize(("flight", "stop_s"), [("healthy_vel_gusty", 60.0), ("wind_step", 15.0)])
-def test_a_healthy_flight_stays_quiet(
-    profile: Profile, data: Path, flight: str, stop_s: float, distortion: str
-) -> None:
+HEALTHY = ("healthy_vel_gusty", "wind_step")
+QUICK = {("healthy_vel_gusty", "loss"), ("wind_step", "reordering"), ("gyro1_bias", "loss"), ("gps_step25m", "bursts")}
+
+
+def cases(flights: Iterable[str], distortions: Iterable[str]) -> list[Any]:
+    """Return all pairs; of most flights all but a few run in the long suite only."""
+    return [
+        pytest.param(
+            flight,
+            distortion,
+            marks=() if flight == "motor3_090" or (flight, distortion) in QUICK else pytest.mark.long,
+        )
+        for flight in flights
+        for distortion in distortions
+    ]
+
+
+@pytest.mark.parametrize(("flight", "distortion"), cases(HEALTHY, chaos.DISTORTIONS))
+def test_a_healthy_flight_stays_quiet(profile: Profile, data: Path, flight: str, distortion: str) -> None:
+    stop_s = 60.0
     assert raised(profile, Sufferer(7, data / f"copter_{flight}.tlog.xz", distortion, stop_s).packets(START_NS)) == []
 
 
-@pytest.mark.parametrize("flight", FAULTS)
-@pytest.mark.parametrize("distortion", [name for name in chaos.DISTORTIONS if name != "none"])
+@pytest.mark.parametrize(
+    ("flight", "distortion"), cases(FAULTS, [name for name in chaos.DISTORTIONS if name != "none"])
+)
 def test_every_fault_is_found_and_nothing_else(profile: Profile, data: Path, flight: str, distortion: str) -> None:
     channel, onset_ms = FAULTS[flight]
     found = raised(profile, packets_of(data / f"copter_{flight}.tlog.xz", distortion))

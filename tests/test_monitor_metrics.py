@@ -132,7 +132,6 @@ def test_openmetrics_is_given_to_whoever_asks_for_it() -> None:
     [
         (Health(ProcessHealth(loop_age_s=7.0)), "the main loop has stood still for 7 s"),
         (Health(ProcessHealth(inbox_depth=5, inbox_capacity=5)), "the inbox is full (5 messages)"),
-        (Health(ProcessHealth(), (VehicleHealth("rover", "degraded"),)), "rover is monitored in part only"),
         (
             Health(ProcessHealth(), (VehicleHealth("rover", "stale", recorder=RecorderHealth(trouble="disk full")),)),
             "rover is not recorded: disk full",

@@ -88,7 +88,17 @@ def test_the_status_of_a_real_daemon_is_as_published(arm_profile: Profile, tmp_p
 def test_estimates_are_as_published() -> None:
     layout = Layout("motors", 100.0, ("u1",), ("y1",), ("x1",), ("motor1", "gps"), ("", "m"))
     sample = Sample(1, 7_000_000, 5, np.zeros(1), np.zeros(1), restart=False, complete=True)
-    made = Estimate("motors", sample, np.array([1.0]), np.array([np.nan, 2.0]), np.zeros(2), np.zeros(1), armed=True)
+    made = Estimate(
+        "motors",
+        sample,
+        np.array([1.0]),
+        np.array([np.nan, 2.0]),
+        np.zeros(2),
+        np.zeros(1),
+        True,
+        np.full(2, np.nan),
+        0.0,
+    )
     payload = estimate_json(layout, made)
     assert valid("estimate", to_json(payload))
     assert valid("estimate", to_json(payload | {"sd": {"motor1": 0.1}, "coasted_s": 0.2}))
