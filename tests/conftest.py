@@ -1,5 +1,7 @@
 """Profiles that several test modules share, made once per session."""
 
+import fcntl
+import os
 from pathlib import Path
 
 import pytest
@@ -32,9 +34,15 @@ def quad_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Fit a profile on the two healthy excerpts with the command a user types."""
     import fauio
 
-    folder = tmp_path_factory.mktemp("fit") / "quad"
-    healthy = [str(DATA / f"copter_healthy_{name}.tlog.xz") for name in ("square", "vel_gusty")]
-    assert fauio.main(["fit", "--vehicle", "multirotor", *healthy, "-o", str(folder)]) == 0
+    # Processes that share the suite share the fit: whoever comes first makes it, the others wait.
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    folder = shared / "fit" / "quad"
+    with (shared / "fit.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            healthy = [str(DATA / f"copter_healthy_{name}.tlog.xz") for name in ("square", "vel_gusty")]
+            assert fauio.main(["fit", "--vehicle", "multirotor", *healthy, "-o", str(folder)]) == 0
     return folder
 
 

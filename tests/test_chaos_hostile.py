@@ -18,6 +18,9 @@ STOP_S = 21.0
 SYSTEMS = {"clock": 11, "reboot": 12, "bits": 13, "noise": 14, "poison": 15, "forgery": 16}
 
 
+pytestmark = pytest.mark.long
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     sufferers = [Sufferer(system, MOTOR1, what, STOP_S) for what, system in SYSTEMS.items()]

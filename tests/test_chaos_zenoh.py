@@ -10,12 +10,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import chaos
+import pytest
 from chaos import Sufferer
 from chaos_run import MOTOR1, Monitor, monitoring, name_of, waits
 from loopback import free_port
 
 from adapters.zenoh_session import open_session
 from monitor.subscriber import AlarmSubscriber
+
+pytestmark = pytest.mark.long
 
 TEN_MB = 10_000_000
 STALLED = """
