@@ -14,11 +14,22 @@ _NO_AUTOPILOT = 8
 _LANDED: dict[int, Landed] = {1: "ground", 2: "air", 3: "takeoff", 4: "landing"}
 
 
+def is_autopilot_heartbeat(message: Message) -> bool:
+    """Return whether a message is the heartbeat of an autopilot.
+
+    Neither a ground station's (type 6) nor that of a component without one (autopilot 8: gimbals, cameras, companion
+    computers).
+    """
+    return (
+        message.name == "HEARTBEAT"
+        and message.source == "mavlink"
+        and message.fields.get("type") != _GROUND_STATION
+        and message.fields.get("autopilot") != _NO_AUTOPILOT
+    )
+
+
 class FlightPhase:
     """Follows HEARTBEAT and EXTENDED_SYS_STATE of the autopilot; other stations' heartbeats are ignored.
-
-    A heartbeat counts where it comes from an autopilot: neither from a ground station (type 6) nor from a
-    component without one (autopilot 8: gimbals, cameras, companion computers).
 
     Attributes
     ----------
@@ -46,5 +57,5 @@ class FlightPhase:
             self.landed = _LANDED.get(state) if isinstance(state, int) else None
             return
         mode = fields.get("base_mode")
-        if fields.get("type") != _GROUND_STATION and fields.get("autopilot") != _NO_AUTOPILOT and isinstance(mode, int):
+        if is_autopilot_heartbeat(message) and isinstance(mode, int):
             self.armed = bool(mode & _ARMED)

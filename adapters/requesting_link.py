@@ -8,9 +8,7 @@ from collections.abc import Collection, Mapping
 from adapters.mavlink_link import MavlinkLink
 from adapters.message import Message
 from adapters.message_rates import RateRequests, RateStatistics
-
-_NO_AUTOPILOT = 8
-_GROUND_STATION = 6
+from adapters.phase import is_autopilot_heartbeat
 
 
 class RequestingLink:
@@ -51,7 +49,7 @@ class RequestingLink:
         """Return the messages that are there, waiting at most ``timeout_s`` for the first; send what is due."""
         messages = self._link.receive(timeout_s)
         for message in messages:
-            if self._open and message.system not in self._asked and _from_autopilot(message, self._component):
+            if self._open and message.system not in self._asked and self._is_component(message):
                 self._ask(message.system)
             self._requests.heard(message)
         self._link.send(self._requests.requests(time.time_ns()))
@@ -65,12 +63,5 @@ class RequestingLink:
         self._asked.add(system)
         self._requests.ask(system, self._rates, self._component)
 
-
-def _from_autopilot(message: Message, component: int) -> bool:
-    return (
-        message.name == "HEARTBEAT"
-        and message.source == "mavlink"
-        and message.component == component
-        and message.fields.get("type") != _GROUND_STATION
-        and message.fields.get("autopilot") != _NO_AUTOPILOT
-    )
+    def _is_component(self, message: Message) -> bool:
+        return message.component == self._component and is_autopilot_heartbeat(message)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from adapters.message import Message
+from adapters.phase import is_autopilot_heartbeat
 from monitor.inbox import Arrival
 from monitor.vehicle_monitor import VehicleMonitor
 
-_GROUND_STATION = 6
-_NO_AUTOPILOT = 8
 _AUTOPILOT = 1
 
 NewVehicle = Callable[[int], VehicleMonitor | None]
@@ -77,7 +76,7 @@ class Fleet:
             if vehicle.pipeline.system == 0 and vehicle.pipeline.accepts(message):
                 self._by_system[message.system] = vehicle
                 return vehicle
-        if self._new_vehicle is None or not _is_autopilot(message):
+        if self._new_vehicle is None or not (message.component == _AUTOPILOT and is_autopilot_heartbeat(message)):
             return None
         made = self._new_vehicle(message.system)
         if made is None:
@@ -85,12 +84,3 @@ class Fleet:
             return None
         self.add(made)
         return made
-
-
-def _is_autopilot(message: Message) -> bool:
-    return (
-        message.name == "HEARTBEAT"
-        and message.component == _AUTOPILOT
-        and message.fields.get("type") != _GROUND_STATION
-        and message.fields.get("autopilot") != _NO_AUTOPILOT
-    )

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from adapters.message import Message
+from adapters.phase import is_autopilot_heartbeat
 from monitor.event import UNNUMBERED, AlarmEvent, Kind, Severity, State, alarm_id
 
 OBSERVER = "link"
@@ -17,8 +18,6 @@ HEARTBEAT = "link"
 _QUIET_NS = 10_000_000_000
 _HEARTBEAT_NS = 10_000_000_000
 _SECOND_NS = 1_000_000_000
-_GROUND_STATION = 6
-_NO_AUTOPILOT = 8
 
 
 class LinkAlarms:
@@ -51,7 +50,7 @@ class LinkAlarms:
         if message.source == "link" and message.name == "signing":
             return [*events, *self._attacked(message, now_ns)]
         if message.source == "mavlink":
-            if message.name == "HEARTBEAT" and _from_autopilot(message):
+            if is_autopilot_heartbeat(message):
                 self._heartbeat_ns = now_ns
                 if HEARTBEAT in self._standing:
                     events.append(self._clear(HEARTBEAT, now_ns, "the autopilot's heartbeat is back"))
@@ -146,10 +145,6 @@ class LinkAlarms:
         )
         self._standing[channel] = event
         return event
-
-
-def _from_autopilot(message: Message) -> bool:
-    return message.fields.get("type") != _GROUND_STATION and message.fields.get("autopilot") != _NO_AUTOPILOT
 
 
 def _count(value: object) -> int:

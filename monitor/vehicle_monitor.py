@@ -19,6 +19,8 @@ from monitor.latency import LatencyHistogram
 from monitor.payload import estimate_json
 from monitor.pipeline import Pipeline, standing_message
 
+# read once: it stands in a file of the installation
+_VERSION = version("fauio")
 _SILENCE_NS = 100_000_000
 _LACKING_NS = 5_000_000_000
 _BEHIND_S = 1.0
@@ -253,7 +255,7 @@ class VehicleMonitor:
             "out_of_service": sorted(self.pipeline.desk.rule.out_of_service),
             "observers": {name: asdict(counts) for name, counts in self.pipeline.statistics().items()},
             "profile": self.pipeline.profile.digest,
-            "versions": {"fauio": version("fauio")},
+            "versions": {"fauio": _VERSION},
         }
         self._second = _Second(now_ns)
         if self._voice is not None:
