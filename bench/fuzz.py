@@ -6,6 +6,7 @@
 
 Each target runs in a process of its own. What counts as a finding: an exception that is not the target's documented
 one, an input that takes longer than a second of processor time (more for models and whole flights), memory that grows.
+The minutes are those of a processor: what else the machine does costs no coverage.
 Inputs that were findings, and the slowest one, stay in the folder of the target (`--out`, default fuzz-out). Needs
 atheris: `pip install -e .[fuzz]`.
 """
@@ -37,7 +38,7 @@ GROWN_BLOCKS = 100_000
 MOST_FINDINGS = 40
 # Beyond what is mapped at the start: an allocation that a few bytes ask for fails instead of being reserved unseen.
 ADDRESS_SPACE = 2 << 30
-HEADINGS = ("target", "minutes (of a processor)", "executions", "slowest input", "growth", "findings")
+HEADINGS = ("target", "minutes of a processor (on the clock)", "executions", "slowest input", "growth", "findings")
 
 
 class Watch:
@@ -48,7 +49,9 @@ class Watch:
         self._folder = folder
         self._seconds = seconds
         self._slow_s = slow_s
-        self._start = self._told = time.monotonic()
+        self._start = time.monotonic()
+        self._used = time.process_time()
+        self._told = 0.0
         self._executions = 0
         self._slowest = (0.0, b"")
         self._warm: tuple[int, int] | None = None
@@ -67,13 +70,13 @@ class Watch:
             self._slowest = used, data
             if used > self._slow_s:
                 self._note(f"slow: {used:.1f} s of processor time", data)
-        now = time.monotonic()
+        now = time.process_time() - self._used
         if now - self._told < 1.0:
             return
         self._told = now
-        if self._warm is None and now - self._start > self._seconds / 5:
+        if self._warm is None and now > self._seconds / 5:
             self._warm = _memory()
-        if now - self._start > self._seconds:
+        if now > self._seconds:
             self.finish()
 
     def finish(self) -> None:
@@ -86,7 +89,7 @@ class Watch:
         (self._folder / "slowest").write_bytes(self._slowest[1])
         report = {
             "minutes": (time.monotonic() - self._start) / 60,
-            "processor_minutes": time.process_time() / 60,
+            "processor_minutes": (time.process_time() - self._used) / 60,
             "executions": self._executions,
             "slowest_ms": self._slowest[0] * 1e3,
             "slowest_bytes": len(self._slowest[1]),
@@ -170,7 +173,7 @@ def row(name: str, report: dict[str, Any]) -> str:
     if "minutes" not in report:
         return f"| {name} | | | | | {'; '.join(report['findings'])} |"
     return (
-        f"| {name} | {report['minutes']:.1f} ({report['processor_minutes']:.1f}) | {report['executions']:,} "
+        f"| {name} | {report['processor_minutes']:.1f} ({report['minutes']:.1f}) | {report['executions']:,} "
         f"| {report['slowest_ms']:.0f} ms ({report['slowest_bytes']:,} bytes) "
         f"| {report['grown_bytes'] / 1e6:+.1f} MB, {report['grown_blocks']:+,} blocks "
         f"| {'; '.join(report['findings']) or 'none'} |"
@@ -183,7 +186,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("targets", nargs="*", metavar="TARGET")
     parser.add_argument("--all", action="store_true", help="every target")
     parser.add_argument("--list", action="store_true", help="name the targets and end")
-    parser.add_argument("--minutes", type=float, default=10.0, help="for each target (default 10)")
+    parser.add_argument("--minutes", type=float, default=10.0, help="of a processor, for each target (default 10)")
     parser.add_argument("--jobs", type=int, default=1, help="targets at the same time (default 1)")
     parser.add_argument("--seed", type=int, default=1, help="of the fuzzer's random numbers (default 1)")
     parser.add_argument("--out", type=Path, default=Path("fuzz-out"), help="where inputs and logs are kept")
