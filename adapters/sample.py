@@ -1,7 +1,8 @@
-"""One (u, y) sample on the fixed-rate grid of the vehicle's clock: what the observer eats."""
+"""(u, y) samples on the fixed-rate grid of the vehicle's clock: what the observer eats, one by one or in stretches."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,3 +49,77 @@ class Sample:
     def later_ns(self) -> int:
         """By how much the sample was known later than its tick, nanoseconds."""
         return max(0, self.known_ns - self.vehicle_time_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """n consecutive samples as arrays, the fields those of :class:`Sample`.
+
+    Parameters
+    ----------
+    index, vehicle_time_ns, time_ns, known_ns : NDArray[np.int64]
+        (n,).
+    u, y : NDArray[np.float64]
+        One row per sample (n, s), (n, p).
+    restart, complete, measured : NDArray[np.bool_]
+        (n,).
+    """
+
+    index: NDArray[np.int64]
+    vehicle_time_ns: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    u: NDArray[np.float64]
+    y: NDArray[np.float64]
+    restart: NDArray[np.bool_]
+    complete: NDArray[np.bool_]
+    known_ns: NDArray[np.int64]
+    measured: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def one(self, row: int) -> Sample:
+        """Return one of the samples; its u and y are views."""
+        return Sample(
+            index=int(self.index[row]),
+            vehicle_time_ns=int(self.vehicle_time_ns[row]),
+            time_ns=int(self.time_ns[row]),
+            u=self.u[row],
+            y=self.y[row],
+            restart=bool(self.restart[row]),
+            complete=bool(self.complete[row]),
+            known_ns=int(self.known_ns[row]),
+            measured=bool(self.measured[row]),
+        )
+
+    def part(self, start: int, stop: int) -> Samples:
+        """Return the samples start <= row < stop, as views."""
+        rows = slice(start, stop)
+        return Samples(
+            self.index[rows],
+            self.vehicle_time_ns[rows],
+            self.time_ns[rows],
+            self.u[rows],
+            self.y[rows],
+            self.restart[rows],
+            self.complete[rows],
+            self.known_ns[rows],
+            self.measured[rows],
+        )
+
+
+def stacked(samples: Sequence[Sample], inputs: int, outputs: int) -> Samples:
+    """Return samples one by one as arrays; ``inputs`` and ``outputs`` give the width of u and y where there is none."""
+    times = np.array([(s.index, s.vehicle_time_ns, s.time_ns, s.known_ns) for s in samples], np.int64).reshape(-1, 4)
+    flags = np.array([(s.restart, s.complete, s.measured) for s in samples], np.bool_).reshape(-1, 3)
+    return Samples(
+        index=times[:, 0],
+        vehicle_time_ns=times[:, 1],
+        time_ns=times[:, 2],
+        u=np.array([s.u for s in samples], np.float64).reshape(-1, inputs),
+        y=np.array([s.y for s in samples], np.float64).reshape(-1, outputs),
+        restart=flags[:, 0],
+        complete=flags[:, 1],
+        known_ns=times[:, 3],
+        measured=flags[:, 2],
+    )

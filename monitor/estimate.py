@@ -1,4 +1,4 @@
-"""What the observer says at one tick, and the names of its entries."""
+"""What the observer says at one tick or over a stretch of ticks, and the names of its entries."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sample import Sample
+from adapters.sample import Sample, Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,3 +70,49 @@ class Estimate:
     armed: bool
     sd: NDArray[np.float64]
     coasted_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Estimates:
+    """Estimates at n consecutive samples of one observer as arrays, the fields those of :class:`Estimate`.
+
+    Parameters
+    ----------
+    observer : str
+        The observer's name.
+    samples : Samples
+        The samples they were computed from.
+    x, fault, isolated, residual, sd : NDArray[np.float64]
+        One row per sample.
+    armed : NDArray[np.bool_]
+        (n,).
+    coasted_s : NDArray[np.float64]
+        (n,).
+    """
+
+    observer: str
+    samples: Samples
+    x: NDArray[np.float64]
+    fault: NDArray[np.float64]
+    isolated: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    armed: NDArray[np.bool_]
+    sd: NDArray[np.float64]
+    coasted_s: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def one(self, row: int) -> Estimate:
+        """Return one of the estimates; its vectors are views."""
+        return Estimate(
+            observer=self.observer,
+            sample=self.samples.one(row),
+            x=self.x[row],
+            fault=self.fault[row],
+            isolated=self.isolated[row],
+            residual=self.residual[row],
+            armed=bool(self.armed[row]),
+            sd=self.sd[row],
+            coasted_s=float(self.coasted_s[row]),
+        )
