@@ -1,18 +1,23 @@
 """A stretch of telemetry by columns: what a recording holds of each message, as arrays, in the order of arrival.
 
 Recordings are read in blocks so that whatever is the same for thousands of messages is done once. A block says
-exactly what the messages say one by one: :func:`messages` gives them back.
+exactly what the messages say one by one: :func:`messages` gives them back, :func:`pack` makes blocks of messages.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adapters.message import Message
+
+# What comes from other sources acts on the pipeline, each in its own way.
+_TELEMETRY = ("mavlink", "zenoh")
+_DTYPES: Mapping[type, type[np.generic]] = {int: np.int64, float: np.float64, bool: np.bool_}
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,3 +114,71 @@ def cut(block: Block, start: int, stop: int) -> Block:
         )
     others = {place - start: message for place, message in block.others.items() if start <= place < stop}
     return Block(stop - start, tuple(columns), others)
+
+
+def pack(stretch: Sequence[Message]) -> Block:
+    """Return messages as a block.
+
+    Telemetry whose fields are numbers or lists of numbers, the same ones in each message of a name and sender and of
+    the same Python type and length, becomes columns of int64, float64 or bool; all else stays as messages.
+
+    Parameters
+    ----------
+    stretch : Sequence[Message]
+        The messages, in the order of arrival.
+    """
+    groups: dict[tuple[str, int, int], list[int]] = {}
+    for position, message in enumerate(stretch):
+        groups.setdefault((message.name, message.system, message.component), []).append(position)
+    columns: list[Columns] = []
+    others: dict[int, Message] = {}
+    for positions in groups.values():
+        found = _columns(positions, [stretch[position] for position in positions])
+        if found is None:
+            others.update((position, stretch[position]) for position in positions)
+        else:
+            columns.append(found)
+    return Block(len(stretch), tuple(columns), others)
+
+
+def _columns(positions: list[int], group: list[Message]) -> Columns | None:
+    first = group[0]
+    names = tuple(first.fields)
+    if first.source not in _TELEMETRY or any(one.source != first.source or tuple(one.fields) != names for one in group):
+        return None
+    arrays = [_numbers([one.fields[name] for one in group]) for name in names]
+    received_ns = _numbers([one.received_ns for one in group])
+    if received_ns is None:
+        return None
+    fields = {name: array for name, array in zip(names, arrays, strict=True) if array is not None}
+    if len(fields) != len(names):
+        return None
+    return Columns(
+        source=first.source,
+        name=first.name,
+        system=first.system,
+        component=first.component,
+        position=np.array(positions, np.int64),
+        received_ns=received_ns.astype(np.int64),
+        fields=fields,
+    )
+
+
+def _numbers(values: list[Any]) -> NDArray[np.generic] | None:
+    """Return an array whose rows give back the values exactly, None where there is none."""
+    kind = type(values[0])
+    if any(type(value) is not kind for value in values):
+        return None
+    if kind is list:
+        length = len(values[0])
+        parts = [part for value in values for part in value]
+        if any(len(value) != length for value in values) or (parts and type(parts[0]) not in _DTYPES):
+            return None
+        flat = _numbers(parts) if parts else np.empty(0)
+        return None if flat is None else flat.reshape(len(values), length)
+    if kind not in _DTYPES:
+        return None
+    try:
+        return np.array(values, _DTYPES[kind])
+    except OverflowError:
+        return None

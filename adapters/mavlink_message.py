@@ -21,9 +21,9 @@ MAX_PACKET_BYTES = 280
 # Bytes of a packet that say how long it is: magic, payload length, incompatibility flags.
 HEAD_BYTES = 3
 
-_START_1, _START_2 = 6, 10
+PAYLOAD_START_1, PAYLOAD_START_2 = 6, 10
+SIGNATURE_BYTES = 13
 _SIGNED = 1
-_SIGNATURE_BYTES = 13
 # Where a packet may begin; of version 2 only with flags that are understood, as far as the bytes are there.
 _MAGIC = re.compile(rb"\xfe|\xfd(?=.[\x00\x01]|.?\Z)", re.DOTALL)
 
@@ -35,16 +35,26 @@ class MavlinkType:
     ----------
     table : Any
         pymavlink's class of the message.
+
+    Attributes
+    ----------
+    table : Any
+        The same.
+    name : str
+        Name of the message.
+    size : int
+        Bytes of a payload from which nothing is cut off.
     """
 
     def __init__(self, table: Any) -> None:
         from pymavlink.generator.mavcrc import x25crc
 
+        self.table = table
         self.name: str = table.msgname
         self._checksum = x25crc
         self._extra = bytes([table.crc_extra])
         self._unpack: Callable[[bytes], tuple[Any, ...]] = table.unpacker.unpack
-        self._size: int = table.unpacker.size
+        self.size: int = table.unpacker.size
         self._names: list[str] = table.fieldnames
         places = []
         for order in table.orders:
@@ -60,7 +70,7 @@ class MavlinkType:
         Version 1 knows no fields beyond the definition, so a payload longer than that is none and costs no checksum:
         junk in which every byte could begin a packet stays cheap. Version 2 may carry fields of a newer definition.
         """
-        if packet[1] > self._size and packet[0] == MAGIC_1:
+        if packet[1] > self.size and packet[0] == MAGIC_1:
             return False
         end = _payload_start(packet) + packet[1]
         return self.checksum(packet[:end]) == packet[end] | packet[end + 1] << 8
@@ -77,8 +87,8 @@ class MavlinkType:
         """
         start = _payload_start(packet)
         payload = packet[start : start + packet[1]]
-        if len(payload) != self._size:
-            payload = payload[: self._size].ljust(self._size, b"\0")
+        if len(payload) != self.size:
+            payload = payload[: self.size].ljust(self.size, b"\0")
         values = self._unpack(payload)
         if self._pick is not None:
             fields = dict(zip(self._names, self._pick(values), strict=True))
@@ -98,7 +108,7 @@ def _field(values: tuple[Any, ...]) -> Any:
 
 
 def _payload_start(packet: bytes) -> int:
-    return _START_2 if packet[0] == MAGIC_2 else _START_1
+    return PAYLOAD_START_2 if packet[0] == MAGIC_2 else PAYLOAD_START_1
 
 
 def message_number(packet: bytes) -> int:
@@ -134,7 +144,7 @@ def packet_size(buffer: bytes, start: int) -> int | None:
         return length + 8
     if magic != MAGIC_2 or flags & ~_SIGNED:
         return None
-    return length + (12 + _SIGNATURE_BYTES if flags else 12)
+    return length + (12 + SIGNATURE_BYTES if flags else 12)
 
 
 @functools.cache

@@ -5,14 +5,19 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Container, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
+from adapters.block import Block, pack
 from adapters.errors import TelemetryError
 from adapters.message import Message
 
 RecordingKind = Literal["tlog", "mcap"]
 
+BLOCK_MESSAGES = 20_000
+
+_TYPICAL_RECORD_BYTES = 52
 _COMPRESSED = (".xz", ".gz")
 _SESSION_FILE = re.compile(r"(?P<vehicle>.+)-\d{8}T\d{6}Z-\d+", re.ASCII)
 
@@ -90,6 +95,38 @@ def read_recording(path: str | os.PathLike[str], only: Container[str] | None = N
 
     files = session_files(path) if Path(path).is_dir() else [Path(path)]
     return (message for file in files for message in read_mcap_messages(file) if only is None or message.name in only)
+
+
+def read_blocks(
+    path: str | os.PathLike[str], only: Container[str] | None = None, block_messages: int = BLOCK_MESSAGES
+) -> Iterator[Block]:
+    """Return the messages of a recording in blocks: those of :func:`read_recording`, in the same order.
+
+    Parameters
+    ----------
+    path : str | PathLike
+        The recording, or the folder of a session.
+    only : Container[str] | None
+        Names of the messages wanted; None wants all.
+    block_messages : int
+        How far to read ahead: about as many messages, wanted or not, of a telemetry log; as many wanted ones of
+        other recordings.
+
+    Raises
+    ------
+    TelemetryError
+        As :func:`read_recording`.
+    """
+    if recording_kind(path) == "tlog":
+        from adapters.tlog_columns import TlogBlocks
+
+        return iter(TlogBlocks(path, only, block_messages * _TYPICAL_RECORD_BYTES))
+    return _packed(read_recording(path, only), block_messages)
+
+
+def _packed(messages: Iterator[Message], count: int) -> Iterator[Block]:
+    while stretch := list(islice(messages, count)):
+        yield pack(stretch)
 
 
 def recorded_vehicle(path: str | os.PathLike[str]) -> str | None:

@@ -19,7 +19,8 @@ from fuzz_target import Run, Target, only
 from pymavlink.dialects.v20 import ardupilotmega
 from pymavlink.generator.mavcrc import x25crc
 
-from adapters import mavlink_link
+from adapters import mavlink_link, tlog_columns
+from adapters.block import messages
 from adapters.cdr import CdrDecoder, CdrError
 from adapters.channels import parse_channel
 from adapters.compressed import CompressedFile
@@ -32,6 +33,7 @@ from adapters.message_record import decoder, encode
 from adapters.record import Record, Schema
 from adapters.signing import SigningKey, read_key
 from adapters.tlog import TlogReader
+from adapters.tlog_columns import TlogBlocks
 from adapters.zenoh_payload import MalformedPayload, PayloadDecoder, UndefinedType
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
@@ -197,11 +199,15 @@ def _tlog(folder: Path) -> Run:
         suffix = ("", ".xz", ".gz", "")[packed % 4]
         path = folder / f"log.tlog{suffix}"
         path.write_bytes(content)
-        reader = TlogReader(path)
+        reader, blocks = TlogReader(path), TlogBlocks(path)
+        one_by_one, at_once = [], []
         with only(TelemetryError):
             for message in reader:
                 encode(message)
-        reader.statistics()
+                one_by_one.append(repr(message))
+        with only(TelemetryError), mock.patch.object(tlog_columns, "_FEW", 1):
+            at_once = [repr(message) for block in blocks for message in messages(block)]
+        assert (at_once, blocks.statistics()) == (one_by_one, reader.statistics())
 
     return run
 

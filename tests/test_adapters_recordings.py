@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from adapters.block import messages
 from adapters.errors import TelemetryError
 from adapters.mcap_log import MessageLogWriter
 from adapters.message import Message
-from adapters.recordings import read_recording, recording_kind
+from adapters.recordings import read_blocks, read_recording, recording_kind
 
 FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
 
@@ -26,6 +27,20 @@ def test_a_telemetry_log_and_its_mcap_hold_the_same_messages(tmp_path: Path) -> 
     assert len(expected) == 550
     for copy in (path, packed):
         assert list(read_recording(copy, {"ATTITUDE", "STATUSTEXT", "GPS_RAW_INT"})) == expected
+
+
+def test_blocks_hold_the_messages_of_any_recording(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    with MessageLogWriter(path) as log:
+        for message in read_recording(FLIGHT):
+            log.write(message)
+    for recording in (FLIGHT, path):
+        for only in (None, {"ATTITUDE", "STATUSTEXT"}):
+            blocks = list(read_blocks(recording, only, block_messages=1_000))
+            found = [message for block in blocks for message in messages(block)]
+            assert [repr(one) for one in found] == [repr(one) for one in read_recording(recording, only)]
+            assert {one.name for block in blocks for one in block.columns} >= {"ATTITUDE"}
+            assert max(block.count for block in blocks) < 2_000
 
 
 @pytest.mark.parametrize("name", ["a", "a.csv", "a.xz", "a.tlog.zip", "a.mcap.bz2", "tlog"])

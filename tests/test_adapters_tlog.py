@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from adapters import compressed
 from adapters.errors import TelemetryError
 from adapters.message import Message
 from adapters.tlog import TlogReader, TlogStatistics, read_tlog
@@ -148,6 +149,17 @@ def test_a_message_of_another_dialect_is_counted_and_passed_over(tmp_path: Path)
     messages, found = read(tmp_path, b"".join(RECORDS[:10]) + unknown + b"".join(RECORDS[10:20]))
     assert len(messages) == 20
     assert found == TlogStatistics(21, 1, 0, 0, broken_off=False)
+
+
+@pytest.mark.parametrize("piece_bytes", [5, 14, 1 << 16])
+def test_what_is_found_does_not_depend_on_how_the_file_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece_bytes: int
+) -> None:
+    monkeypatch.setattr(compressed, "_PIECE_BYTES", piece_bytes)
+    number = (59_999).to_bytes(3, "little")
+    unknown = RECORDS[0][:8] + bytes([0xFD, 255, 1, 0, 0, 1, 1]) + number + bytes(270)
+    _, found = read(tmp_path, RECORDS[0] + unknown * 20 + RECORDS[1])
+    assert found == TlogStatistics(22, 20, 0, 0, broken_off=False)
 
 
 @pytest.mark.parametrize("content", [b"", b"\x00", b"not a log at all, just text" * 100, bytes(5000), b"\xfd" * 5000])
