@@ -16,7 +16,8 @@ are given out with ``complete=False``, so an observer runs on through them, but 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from math import cos, exp, sin
 from typing import ClassVar
 
@@ -24,9 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.errors import TelemetryError
-from adapters.sample import Sample
+from adapters.kinematics import Real
+from adapters.sample import Sample, Samples
+from adapters.stretch import Given, first_order, in_parts, joined, mapped, one_by_one
 
 _SMALLEST_SCALE = 0.2
+
+Array = NDArray[np.float64]
 
 
 class SurfaceInputs:
@@ -89,39 +94,27 @@ class SurfaceInputs:
 
     def feed(self, sample: Sample) -> Sample | None:
         """Take one raw sample; return the sample it completes, None where the group is not full yet."""
-        (
-            *deflections,
-            throttle,
-            airspeed,
-            roll,
-            pitch,
-            roll_rate,
-            pitch_rate,
-            yaw_rate,
-            forward,
-            lateral,
-            vertical,
-        ) = sample.u.tolist()
+        values = sample.u.tolist()
+        (*deflections, throttle, airspeed, roll, pitch), rest = values[:7], values[7:]
         s = airspeed / self._reference
-        pressure = s * s
-        commands = [*(pressure * deflection for deflection in deflections), throttle]
-        path = max(s, _SMALLEST_SCALE)
-        u = [
-            *_lagged(self._lags, commands, sample.restart),
-            pressure,
-            (s - 1.0) * roll_rate,
-            (s - 1.0) * pitch_rate,
-            (s - 1.0) * yaw_rate,
-            s * roll_rate,
-            s * yaw_rate,
-            lateral,
-            vertical,
-            sin(roll) * cos(pitch) / path,
-            cos(roll) * cos(pitch) / path,
-            vertical * vertical / (path * path),
-        ]
-        y = [roll_rate, pitch_rate, yaw_rate, forward]
-        return self._groups.feed(sample, np.array(u), np.array(y), airspeed >= self._minimum)
+        turns = sin(roll), cos(roll), cos(pitch)
+        commands = _lagged(self._lags, _surface_commands(s, deflections, throttle), sample.restart)
+        u = [*commands, *_airframe(s, max(s, _SMALLEST_SCALE), turns, rest)]
+        return self._groups.feed(sample, np.array(u), np.array(rest[:4]), airspeed >= self._minimum)
+
+    def run(self, samples: Samples) -> Given:
+        """Take a stretch as :meth:`feed` takes samples one by one, to the same bits: a test holds them together."""
+        with np.errstate(all="ignore"):
+            return in_parts(samples, self._run, self.feed, (len(self.inputs), len(self.outputs)))
+
+    def _run(self, samples: Samples) -> Given:
+        signals = np.ascontiguousarray(samples.u.T)
+        (*deflections, throttle, airspeed, roll, pitch), rest = signals[:7], tuple(signals[7:])
+        s = airspeed / self._reference
+        turns = mapped(sin, roll), mapped(cos, roll), mapped(cos, pitch)
+        commands = _lagged_all(self._lags, _surface_commands(s, deflections, throttle), bool(samples.restart[0]))
+        u = np.column_stack([*commands, *_airframe(s, np.maximum(s, _SMALLEST_SCALE), turns, rest)])
+        return self._groups.run(samples, u, np.column_stack(rest[:4]), airspeed >= self._minimum)
 
 
 class DriveInputs:
@@ -166,12 +159,25 @@ class DriveInputs:
 
     def feed(self, sample: Sample) -> Sample | None:
         """Take one raw sample; return the sample it completes, None where the group is not full yet."""
-        steering, throttle, north, east, yaw, yaw_rate, forward = sample.u.tolist()
-        speed = north * cos(yaw) + east * sin(yaw)
+        steering, throttle, north, east, yaw, *y = sample.u.tolist()
+        speed = _speed_ahead(north, east, cos(yaw), sin(yaw))
         s = speed / self._reference
-        commands = [(steering + self._cubic * steering * steering * steering) * s, throttle]
+        commands = [_steering_effect(steering, s, self._cubic), throttle]
         u = [*_lagged(self._lags, commands, sample.restart), s]
-        return self._groups.feed(sample, np.array(u), np.array([yaw_rate, forward]), abs(speed) >= self._minimum)
+        return self._groups.feed(sample, np.array(u), np.array(y), abs(speed) >= self._minimum)
+
+    def run(self, samples: Samples) -> Given:
+        """Take a stretch as :meth:`feed` takes samples one by one, to the same bits: a test holds them together."""
+        with np.errstate(all="ignore"):
+            return in_parts(samples, self._run, self.feed, (len(self.inputs), len(self.outputs)))
+
+    def _run(self, samples: Samples) -> Given:
+        steering, throttle, north, east, yaw, *y = np.ascontiguousarray(samples.u.T)
+        speed = _speed_ahead(north, east, mapped(cos, yaw), mapped(sin, yaw))
+        s = speed / self._reference
+        commands = [_steering_effect(steering, s, self._cubic), throttle]
+        u = np.column_stack([*_lagged_all(self._lags, commands, bool(samples.restart[0])), s])
+        return self._groups.run(samples, u, np.column_stack(y), np.abs(speed) >= self._minimum)
 
 
 class _Lag:
@@ -194,6 +200,15 @@ class _Lag:
         delayed = (1.0 - self._part) * past[1] + self._part * past[0]
         self._value = self._keep * self._value + (1.0 - self._keep) * delayed
         return self._value
+
+    def run(self, values: Array) -> Array:
+        """Take and return a stretch (n,)."""
+        past = np.concatenate([self._past, values])
+        self._past.extend(past[-len(self._past) :].tolist())
+        delayed = (1.0 - self._part) * past[2 : len(values) + 2] + self._part * past[1 : len(values) + 1]
+        found = first_order(self._keep, (1.0 - self._keep) * delayed, self._value)
+        self._value = float(found[-1])
+        return found
 
 
 class _Groups:
@@ -240,6 +255,81 @@ class _Groups:
         self._restart = False
         return given
 
+    def run(self, samples: Samples, u: Array, y: Array, evidence: NDArray[np.bool_]) -> Given:
+        """Take consecutive samples, a restart at the first one at most, with their rows of u and y.
+
+        Those before the first whole group and from the last one on are fed, which leaves the state as it has to be.
+        """
+        size, count = self._size, len(samples)
+        self._restart |= bool(samples.restart[0])
+        first = min(int(-samples.index[0] % size), count)
+        groups = max((count - first) // size - 1, 0)
+        last = first + size * groups
+        ends = np.arange(first, last, size) + size - 1
+        fed = partial(self._fed, samples, u, y, evidence)
+        before = fed(0, first)
+        restart = np.zeros(groups, np.bool_)
+        if groups:
+            restart[0], self._restart = self._restart, False
+        whole = Samples(
+            index=samples.index[ends] // size,
+            vehicle_time_ns=samples.vehicle_time_ns[ends],
+            time_ns=samples.time_ns[ends],
+            u=_means(u[first:last], size),
+            y=_means(y[first:last], size),
+            restart=restart,
+            complete=np.all((samples.complete & evidence)[first:last].reshape(groups, size), axis=1),
+            known_ns=samples.known_ns[ends],
+            measured=np.ones(groups, np.bool_),
+        )
+        return joined([before, Given(whole, ends), fed(last, count)], (u.shape[1], y.shape[1]))
+
+    def _fed(self, samples: Samples, u: Array, y: Array, evidence: NDArray[np.bool_], start: int, stop: int) -> Given:
+        rows = iter(range(start, stop))
+
+        def feed(sample: Sample) -> Sample | None:
+            row = next(rows)
+            return self.feed(sample, u[row], y[row], bool(evidence[row]))
+
+        given = one_by_one(feed, samples.part(start, stop), (u.shape[1], y.shape[1]))
+        return Given(given.samples, given.rows + start)
+
+
+def _means(values: Array, size: int) -> Array:
+    """Return the means over groups of rows."""
+    return np.asarray(values.reshape(-1, size, values.shape[1]).mean(axis=1))
+
+
+def _surface_commands(s: Real, deflections: Sequence[Real], throttle: Real) -> list[Real]:
+    aileron, elevator, rudder = deflections
+    return [s * s * aileron, s * s * elevator, s * s * rudder, throttle]
+
+
+def _airframe(s: Real, path: Real, turns: tuple[Real, Real, Real], rest: Sequence[Real]) -> list[Real]:
+    """Return a plane's inputs after the actuators; ``turns`` are sine and cosine of roll, and cosine of pitch."""
+    roll_rate, pitch_rate, yaw_rate, _, lateral, vertical = rest
+    return [
+        s * s,
+        (s - 1.0) * roll_rate,
+        (s - 1.0) * pitch_rate,
+        (s - 1.0) * yaw_rate,
+        s * roll_rate,
+        s * yaw_rate,
+        lateral,
+        vertical,
+        turns[0] * turns[2] / path,
+        turns[1] * turns[2] / path,
+        vertical * vertical / (path * path),
+    ]
+
+
+def _speed_ahead(north: Real, east: Real, cosine: Real, sine: Real) -> Real:
+    return north * cosine + east * sine
+
+
+def _steering_effect(steering: Real, s: Real, cubic: float) -> Real:
+    return (steering + cubic * steering * steering * steering) * s
+
 
 def _parameter_names(actuators: tuple[str, ...]) -> set[str]:
     timing = {f"{actuator}_{key}" for actuator in actuators for key in ("delay_s", "lag_s")}
@@ -274,3 +364,10 @@ def _lagged(lags: list[_Lag], commands: list[float], restart: bool) -> list[floa
         for lag, command in zip(lags, commands, strict=True):
             lag.restart(command)
     return [lag.feed(command) for lag, command in zip(lags, commands, strict=True)]
+
+
+def _lagged_all(lags: list[_Lag], commands: list[Array], restart: bool) -> list[Array]:
+    if restart:
+        for lag, command in zip(lags, commands, strict=True):
+            lag.restart(float(command[0]))
+    return [lag.run(command) for lag, command in zip(lags, commands, strict=True)]

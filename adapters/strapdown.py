@@ -26,15 +26,17 @@ the first one.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
-from math import atan2, cos, exp, isfinite, pi, radians, sin, sqrt
-from typing import Generic, TypeVar
+from math import exp, isfinite
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adapters.errors import TelemetryError
-from adapters.sample import Sample
+from adapters.sample import Sample, Samples
+from adapters.strapdown_ticks import Sensors, Ticks
+from adapters.stretch import Given, first_order, in_parts, joined, since
 
 IMU = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "roll", "pitch", "yaw")
 GPS = ("lat", "lon", "gps_alt", "gps_speed", "gps_course")
@@ -52,15 +54,16 @@ DEFAULTS = {
     "compass_delay_s": 0.0,
 }
 
-STANDARD_GRAVITY = 9.80665
-_WGS84_A, _WGS84_E2 = 6_378_137.0, 6.694_379_990_14e-3
-_STEEPEST_COSINE = 0.05
-# An attitude that turns this much faster than the gyro says was reset (another estimator took over): no rotation.
-_RESET_RATE = 1.0
-_RESET_TICKS = 3
+Array = NDArray[np.float64]
 
-Vector = tuple[float, float, float]
-T = TypeVar("T")
+
+class _Start(NamedTuple):
+    """Where a period begins: its tick, and the integrals y there before washing."""
+
+    tick: int
+    vehicle_time_ns: int
+    time_ns: int
+    places: list[float]
 
 
 class Strapdown:
@@ -102,34 +105,33 @@ class Strapdown:
             raise TelemetryError(
                 f"strapdown: {signal_rate_hz:g} Hz of signals is no whole multiple of {rate_hz:g} Hz; change 'rate_hz'"
             )
-        self._gps, self._baro, self._mag = (values[key] > 0.0 for key in ("gps", "barometer", "magnetometer"))
-        self._hectopascal = values["barometer"] == 2.0
-        self.signals, self.inputs, self.outputs = _names(self._gps, self._baro, self._mag)
-        self._dt, period = 1.0 / signal_rate_hz, 1.0 / rate_hz
-        self._slow = _washout(values["washout_s"], period)
-        self._fast = _washout(values["velocity_washout_s"], period)
-        latest = max(values["gps_delay_s"] if self._gps else 0.0, values["baro_delay_s"] if self._baro else 0.0)
-        self._imu_ticks = round(latest * signal_rate_hz)
-        self._gps_ticks = round((latest - values["gps_delay_s"]) * signal_rate_hz)
-        self._baro_ticks = round((latest - values["baro_delay_s"]) * signal_rate_hz)
-        self._compass_ticks = round(values["compass_delay_s"] * signal_rate_hz) if self._mag else 0
-        self._longest = max(self._imu_ticks, self._compass_ticks) + self._count
+        gps, baro, mag = (values[key] > 0.0 for key in ("gps", "barometer", "magnetometer"))
+        self.signals, self.inputs, self.outputs = _names(gps, baro, mag)
+        period = 1.0 / rate_hz
+        slow, fast = _washout(values["washout_s"], period), _washout(values["velocity_washout_s"], period)
+        self._washouts = [fast if name.startswith("gps_velocity") else slow for name in self.outputs]
+        latest = max(values["gps_delay_s"] if gps else 0.0, values["baro_delay_s"] if baro else 0.0)
+        self._sensors = Sensors(
+            gps=gps,
+            baro=baro,
+            mag=mag,
+            hectopascal=values["barometer"] == 2.0,
+            dt=1.0 / signal_rate_hz,
+            imu_ticks=round(latest * signal_rate_hz),
+            gps_ticks=round((latest - values["gps_delay_s"]) * signal_rate_hz) if gps else 0,
+            baro_ticks=round((latest - values["baro_delay_s"]) * signal_rate_hz) if baro else 0,
+            compass_ticks=round(values["compass_delay_s"] * signal_rate_hz) if mag else 0,
+        )
+        self._longest = max(self._sensors.imu_ticks, self._sensors.compass_ticks) + self._count
+        self._widths = len(self.inputs), len(self.outputs)
         self._restart()
 
     def _restart(self) -> None:
-        self._motion = _Delay[Vector](self._imu_ticks)
-        self._fixes = _Delay[tuple[float, ...]](self._gps_ticks)
-        self._altitudes = _Delay[float](self._baro_ticks)
-        self._levels = _Delay[Vector](self._compass_ticks)
-        self._rotation: tuple[float, ...] | None = None
-        self._origin: tuple[float, float] | None = None
-        self._heading = 0.0
-        self._turned = [0.0, 0.0, 0.0]
-        self._resets = 0
+        self._ticks = Ticks(self._sensors)
         self._before: list[float] = []
+        self._start: _Start | None = None
         self._sum = [0.0] * len(self.inputs)
-        self._ticks = 0
-        self._start: tuple[Sample, list[float]] | None = None
+        self._summed = 0
         self._y = [0.0] * len(self.outputs)
         self._doubt = 0
         self._fresh = True
@@ -140,35 +142,45 @@ class Strapdown:
             self._restart()
         # Integrals bear straight lines over one or two lost measurements.
         self._doubt = max(self._doubt - 1, 0) if sample.measured else self._longest + 1
-        values = sample.u.tolist()
-        rates = self._inertial(values)
+        rates = self._ticks.feed(sample.u.tolist())
         if rates is None:
             return None
         now, places = rates
         if self._before and self._start is not None:
-            for i, (a, b) in enumerate(zip(self._before, now, strict=True)):
-                self._sum[i] += 0.5 * (a + b)
-            self._ticks += 1
+            self._add([0.5 * (a + b) for a, b in zip(self._before, now, strict=True)])
         self._before = now
         if sample.index % self._count:
             return None
         given = None
         if self._start is not None:
-            given = self._group(self._start[0])
-            self._advance(self._start[1], places)
-        self._start = sample, places
-        self._sum = [0.0] * len(self.inputs)
-        self._ticks = 0
+            given = self._group(self._start)
+            self._advance(self._start.places, places)
+        self._begin(_Start(sample.index, sample.vehicle_time_ns, sample.time_ns, places))
         return given
 
-    def _group(self, start: Sample) -> Sample:
+    def run(self, samples: Samples) -> Given:
+        """Take a stretch as :meth:`feed` takes samples one by one, to the same bits: a test holds them together."""
+        with np.errstate(all="ignore"):
+            return in_parts(samples, self._run, self.feed, self._widths)
+
+    def _begin(self, start: _Start) -> None:
+        self._start = start
+        self._sum = [0.0] * len(self.inputs)
+        self._summed = 0
+
+    def _add(self, means: list[float]) -> None:
+        """Add the means over one tick to those of the period."""
+        self._sum = [total + mean for total, mean in zip(self._sum, means, strict=True)]
+        self._summed += 1
+
+    def _group(self, start: _Start) -> Sample:
         """Return the sample of the period that began at ``start``."""
         restart, self._fresh = self._fresh, False
         return Sample(
-            index=start.index // self._count,
+            index=start.tick // self._count,
             vehicle_time_ns=start.vehicle_time_ns,
             time_ns=start.time_ns,
-            u=np.array(self._sum) / self._ticks,
+            u=np.array(self._sum) / self._summed,
             y=np.array(self._y),
             restart=restart,
             complete=self._doubt == 0,
@@ -177,137 +189,80 @@ class Strapdown:
     def _advance(self, start: list[float], places: list[float]) -> None:
         """Wash out the changes since the start of the period."""
         for i, (before, now) in enumerate(zip(start, places, strict=True)):
-            keep, gain = self._fast if self.outputs[i].startswith("gps_velocity") else self._slow
+            keep, gain = self._washouts[i]
             self._y[i] = keep * self._y[i] + gain * (now - before)
 
-    def _inertial(self, values: list[float]) -> tuple[list[float], list[float]] | None:
-        """Return u of this tick and the integrals y before washing; None before every delay line is full."""
-        force, rate, (roll, pitch, yaw) = values[0:3], values[3:6], values[6:9]
-        cosine = cos(pitch)
-        if abs(cosine) < _STEEPEST_COSINE:
-            cosine = _STEEPEST_COSINE if cosine >= 0.0 else -_STEEPEST_COSINE
-        yaw_rate = (rate[1] * sin(roll) + rate[2] * cos(roll)) / cosine
-        R = rotation_matrix(roll, pitch, yaw)
-        if self._rotation is not None:
-            angles = small_rotation(self._rotation, R)
-            steps = [value * self._dt for value in rate]
-            jumps = max(abs(a - b) for a, b in zip(angles, steps, strict=True)) > _RESET_RATE * self._dt
-            self._resets = self._resets + 1 if jumps else 0
-            for i, angle in enumerate(steps if 0 < self._resets <= _RESET_TICKS else angles):
-                self._turned[i] += angle
-        self._rotation = R
-        motion = self._motion.push(
-            (
-                R[0] * force[0] + R[1] * force[1] + R[2] * force[2],
-                R[3] * force[0] + R[4] * force[1] + R[5] * force[2],
-                R[6] * force[0] + R[7] * force[1] + R[8] * force[2] + STANDARD_GRAVITY,
-            )
+    def _run(self, samples: Samples) -> Given:
+        """Take finite, consecutive ticks, restarted at the first one at most."""
+        if samples.restart[0]:
+            self._restart()
+        doubt = np.maximum(self._longest + 1 - since(~samples.measured, self._longest + 1 - self._doubt), 0)
+        self._doubt = int(doubt[-1])
+        now, places = self._ticks.run(np.ascontiguousarray(samples.u.T))
+        first = len(samples) - now.shape[1]
+        if first == len(samples):
+            return joined((), self._widths)
+        means = 0.5 * (np.column_stack([self._before or now[:, 0], now[:, :-1]]) + now)
+        self._before = now[:, -1].tolist()
+        ends = np.arange(int(-samples.index[first] % self._count), now.shape[1], self._count)
+        if self._start is not None:
+            self._add_all(means[:, : ends[0] + 1] if len(ends) else means)
+        if not len(ends):
+            return joined((), self._widths)
+        last = int(ends[-1])
+        given = self._groups(samples, first + ends, means[:, ends[0] + 1 : last + 1], places[:, ends], doubt == 0)
+        self._begin(_start(samples, first + last, places[:, last]))
+        self._add_all(means[:, last + 1 :])
+        return given
+
+    def _add_all(self, means: Array) -> None:
+        for mean in means.T.tolist():
+            self._add(mean)
+
+    def _groups(
+        self, samples: Samples, ends: NDArray[np.intp], means: Array, places: Array, good: NDArray[np.bool_]
+    ) -> Given:
+        """Return the samples of the periods that end at rows ``ends``, and wash out what changed over them.
+
+        ``means`` over ticks reach from the first end to the last one, ``places`` are those at the ends. The period that
+        ends first is summed up already; where none has begun there is nothing at the first end.
+        """
+        begun = 0 if self._start is not None else 1
+        start = self._start or _start(samples, int(ends[0]), places[:, 0])
+        u = np.zeros((len(self.inputs), len(ends)))
+        for tick in range(self._count):
+            u[:, 1:] += means[:, tick :: self._count]
+        u[:, 1:] /= self._count
+        if not begun:
+            u[:, 0] = np.array(self._sum) / self._summed
+        changes = np.diff(places, axis=1, prepend=np.array(start.places)[:, None])[:, begun:]
+        y = np.empty_like(changes)
+        for i, (keep, gain) in enumerate(self._washouts):
+            washed = [self._y[i], *first_order(keep, gain * changes[i], self._y[i]).tolist()]
+            y[i] = washed[:-1]
+            self._y[i] = washed[-1]
+        restart = np.zeros(len(ends) - begun, np.bool_)
+        if len(restart):
+            restart[0], self._fresh = self._fresh, False
+        begins = ends[:-1]
+        given = Samples(
+            index=np.append(start.tick, samples.index[begins])[begun:] // self._count,
+            vehicle_time_ns=np.append(start.vehicle_time_ns, samples.vehicle_time_ns[begins])[begun:],
+            time_ns=np.append(start.time_ns, samples.time_ns[begins])[begun:],
+            u=np.ascontiguousarray(u[:, begun:].T),
+            y=np.ascontiguousarray(y.T),
+            restart=restart,
+            complete=good[ends[begun:]],
+            known_ns=np.zeros(len(restart), np.int64),
+            measured=np.ones(len(restart), np.bool_),
         )
-        rest = values[9:]
-        u: list[float] = []
-        y: list[float] = []
-        fix, altitude = None, None
-        if self._gps:
-            fix = self._fixes.push(self._fix(rest))
-            rest = rest[len(GPS) :]
-        if self._baro:
-            altitude = self._altitudes.push(pressure_altitude(rest[0]) if self._hectopascal else rest[0])
-            rest = rest[1:]
-        level = self._levels.push((roll, pitch, yaw_rate))
-        if motion is None or level is None or (self._gps and fix is None) or (self._baro and altitude is None):
-            return None
-        if fix is not None:
-            u += [fix[3], fix[4], motion[0], motion[1]]
-            y += [fix[0], fix[1], fix[3], fix[4], fix[2]]
-        if altitude is not None:
-            y.append(-altitude)
-        if y:
-            u.append(motion[2])
-        u += rate
-        y += self._turned
-        if self._mag:
-            u.append(level[2])
-            heading = magnetic_heading(level[0], level[1], rest)
-            self._heading += _wrapped(heading - self._heading)
-            y.append(self._heading)
-        return u, y
-
-    def _fix(self, values: list[float]) -> tuple[float, ...]:
-        """Return north, east and down in metres (of any origin), and the velocity north and east."""
-        latitude, longitude, altitude, speed, course = values[: len(GPS)]
-        if self._origin is None:
-            self._origin = latitude, longitude
-            self._metres = metres_per_degree(latitude)
-        course = radians(course)
-        north = (latitude - self._origin[0]) * self._metres[0]
-        east = _wrapped_degrees(longitude - self._origin[1]) * self._metres[1]
-        return north, east, -altitude, speed * cos(course), speed * sin(course)
+        return Given(given, ends[begun:])
 
 
-class _Delay(Generic[T]):
-    """A line that gives back what went in some ticks ago."""
-
-    def __init__(self, ticks: int) -> None:
-        self._line: deque[T] = deque(maxlen=ticks + 1)
-        self._full = ticks + 1
-
-    def push(self, value: T) -> T | None:
-        """Take a value; return the oldest, None while the line fills."""
-        self._line.append(value)
-        return self._line[0] if len(self._line) == self._full else None
-
-
-def rotation_matrix(roll: float, pitch: float, yaw: float) -> tuple[float, ...]:
-    """Return R (body to north, east, down) of the Euler angles, row by row."""
-    cr, sr, cp, sp, cy, sy = cos(roll), sin(roll), cos(pitch), sin(pitch), cos(yaw), sin(yaw)
-    return (
-        *(cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy),
-        *(cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy),
-        *(-sp, sr * cp, cr * cp),
+def _start(samples: Samples, row: int, places: Array) -> _Start:
+    return _Start(
+        int(samples.index[row]), int(samples.vehicle_time_ns[row]), int(samples.time_ns[row]), places.tolist()
     )
-
-
-def small_rotation(before: tuple[float, ...], after: tuple[float, ...]) -> Vector:
-    """Return the rotation from one attitude to the next about the body's axes (right to third order), radians."""
-
-    def turned(i: int, j: int) -> float:
-        return sum(before[3 * row + i] * after[3 * row + j] for row in range(3))
-
-    x, y, z = (
-        0.5 * (turned(2, 1) - turned(1, 2)),
-        0.5 * (turned(0, 2) - turned(2, 0)),
-        0.5 * (turned(1, 0) - turned(0, 1)),
-    )
-    stretch = 1.0 + (x * x + y * y + z * z) / 6.0
-    return x * stretch, y * stretch, z * stretch
-
-
-def magnetic_heading(roll: float, pitch: float, field: list[float]) -> float:
-    """Return the heading of the levelled magnetic field (from magnetic north, clockwise), radians."""
-    x, y, z = field
-    across = y * cos(roll) - z * sin(roll)
-    along = x * cos(pitch) + (y * sin(roll) + z * cos(roll)) * sin(pitch)
-    return atan2(-across, along)
-
-
-def metres_per_degree(latitude: float) -> tuple[float, float]:
-    """Return the length of a degree of latitude and of longitude on the WGS-84 ellipsoid."""
-    square = 1.0 - _WGS84_E2 * sin(radians(latitude)) ** 2
-    north = _WGS84_A * (1.0 - _WGS84_E2) / (square * sqrt(square))
-    return radians(north), radians(_WGS84_A / sqrt(square) * cos(radians(latitude)))
-
-
-def pressure_altitude(pressure_hpa: float) -> float:
-    """Return the altitude in the standard atmosphere, metres."""
-    return 44_330.77 * (1.0 - float((max(pressure_hpa, 0.0) / 1013.25) ** 0.190_263))
-
-
-def _wrapped(angle: float) -> float:
-    return (angle + pi) % (2.0 * pi) - pi
-
-
-def _wrapped_degrees(angle: float) -> float:
-    return (angle + 180.0) % 360.0 - 180.0
 
 
 def _washout(tau: float, period: float) -> tuple[float, float]:

@@ -14,10 +14,11 @@ from adapters.channels import Channel
 from adapters.clock import VehicleClock
 from adapters.errors import TelemetryError
 from adapters.message import Message
-from adapters.sample import Sample
+from adapters.sample import Sample, Samples
 from adapters.sampler import Sampler, SamplerStatistics
 from adapters.scaled_inputs import DriveInputs, SurfaceInputs
 from adapters.strapdown import Strapdown
+from adapters.stretch import Given
 
 
 class Transform(Protocol):
@@ -37,6 +38,13 @@ class Transform(Protocol):
 
     def feed(self, sample: Sample) -> Sample | None:
         """Take a sample of raw signals; return the observer's sample, None where there is none at this tick."""
+
+    def run(self, samples: Samples) -> Given:
+        """Take a stretch of raw signals as ``feed`` does; return what it gives, and at which rows of the stretch.
+
+        Outputs and state afterwards are those of ``feed`` to the bit, so both may be mixed. Each sample has the
+        ``known_ns`` of the raw one that completed it, which behind ``feed`` is filled in by the sampler.
+        """
 
 
 KINDS: Mapping[str, Callable[[Mapping[str, float], float, float], Transform]] = {

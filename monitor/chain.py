@@ -19,13 +19,13 @@ from adapters.phase import FlightPhase
 from adapters.sample import Sample
 from adapters.sampler import SamplerStatistics
 from monitor.alarm import Alarm, retuned
+from monitor.command_units import CommandUnits
 from monitor.effectiveness_stage import EffectivenessStage
 from monitor.estimate import Estimate, Layout
 from monitor.estimator import make_estimator
 from monitor.event import AlarmEvent
 from monitor.excuse import Excuses
 from monitor.gate import GatedSampler, GateRule
-from monitor.input_curve import fault_in_command
 from monitor.profile import ObserverProfile
 from monitor.settling import settling_s
 from monitor.uncertainty import Uncertainty
@@ -190,47 +190,3 @@ class ObserverChain:
             if event is not None:
                 outputs.append(event)
         return outputs
-
-
-class CommandUnits:
-    """Takes fault estimates from effect units to command units at the smoothed command.
-
-    Parameters
-    ----------
-    profile : ObserverProfile
-        Gives the input curves, which fault scales which input, and the smoothing of the estimates, which the
-        command has to share for their ratio to mean anything.
-    """
-
-    def __init__(self, profile: ObserverProfile) -> None:
-        gains = profile.gains[0]
-        self._curves = gains.input_curves
-        pairs = [(i, channel.input) for i, channel in enumerate(profile.faults) if channel.input is not None]
-        self._faults = np.array([fault for fault, _ in pairs], dtype=np.intp)
-        self._inputs = np.array([source for _, source in pairs], dtype=np.intp)
-        self._input_of = dict(pairs)
-        smoothing_s = profile.isolation.smoothing_s
-        self._keep = float(np.exp(-1.0 / (smoothing_s * gains.rate_hz))) if smoothing_s > 0 else 0.0
-        self._u = np.zeros(len(gains.inputs))
-
-    def restart(self, u: NDArray[np.float64]) -> None:
-        """Start the smoothed command at ``u`` (s,)."""
-        self._u[:] = u
-
-    def follow(self, u: NDArray[np.float64]) -> None:
-        """Take the command of one sample (s,)."""
-        self._u *= self._keep
-        self._u += (1.0 - self._keep) * u
-
-    def convert(self, faults: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return rows of fault estimates (k, a) in command units where a fault scales an input."""
-        if len(self._faults):
-            faults[:, self._faults] = fault_in_command(
-                faults[:, self._faults], self._u[self._inputs], self._curves[self._inputs]
-            )
-        return faults
-
-    def command(self, index: int) -> float | None:
-        """Return the smoothed command that a fault scales, None where it scales none."""
-        source = self._input_of.get(index)
-        return None if source is None else float(self._u[source])

@@ -27,11 +27,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import exp, inf, sqrt
 
-# An actuator cannot lose more than everything, and one that seems to deliver much more than commanded is out of trim.
-_LOSSES = (-0.25, 1.0)
-_ACQUITTAL = 2.0
-_CONTRADICTION = 9.0
-_SMALLEST_INFORMATION = 1e-30
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.stretch import first_order, since
+from monitor.effectiveness_run import ACQUITTAL, CONTRADICTION, LOSSES, SMALLEST_INFORMATION, Moments, heard_verdicts
+
+Array = NDArray[np.float64]
+
+_AHEAD = 256
+"""Samples judged at once before it is known whether an accusation is dropped among them: more where none is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +171,67 @@ class EffectivenessEstimator:
         relative = next((v.relative for v in said if v.relative is not None), None) if heard.evidence else None
         return replace(heard, evidence=self._standing(heard), relative=relative)
 
+    def run(self, fault: Array, command: Array, full: Array, taken: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Take a stretch as :meth:`update` and :meth:`skip` take samples, to the same bits: a test holds them together.
+
+        Parameters
+        ----------
+        fault, command, full : Array
+            As of :meth:`update`, one per sample (n,).
+        taken : NDArray[np.bool_]
+            Whether the sample is evidence, not skipped (n,).
+
+        Returns
+        -------
+        tuple[Array, Array]
+            ``evidence`` and ``share`` of each verdict (n,), not a number where that is None or there is no verdict.
+        """
+        u, m, speed = self._lagged(command, full, taken)
+        fault = np.where(taken, fault, 0.0)
+        evidence, share = np.full(len(fault), np.nan), np.full(len(fault), np.nan)
+        start, ahead = 0, _AHEAD
+        while start < len(fault):
+            rows = slice(start, start + ahead)
+            moments = [memory.run(fault[rows], u[rows], m[rows], speed[rows]) for memory in self._memories]
+            heard = heard_verdicts(self.rule, moments, taken[rows], [memory.size for memory in self._memories])
+            count = heard.contradicted + 1 if heard.contradicted is not None else len(taken[rows])
+            found = slice(start, start + count)
+            unconfirmed = np.minimum(since(heard.confirmed[:count], self._unconfirmed), self._longest_hold)
+            stands = heard.confirmed[:count] | ((unconfirmed < self._longest_hold) & (heard.evidence[:count] != 0.0))
+            evidence[found] = np.where(stands, heard.evidence[:count], 0.0)
+            if heard.contradicted is None:
+                self._unconfirmed = int(unconfirmed[-1])
+                for memory, held in zip(self._memories, moments, strict=True):
+                    memory.hold(held)
+            else:
+                evidence[start + count - 1] = 0.0
+                self._start_afresh()
+            accused = heard.is_loss[:count] & ~np.isnan(evidence[found]) & (evidence[found] != 0.0)
+            share[found] = np.where(
+                np.isnan(heard.relative[:count]) & accused, -heard.loss[:count], heard.relative[:count]
+            )
+            start, ahead = start + count, 2 * ahead if heard.contradicted is None else max(ahead // 4, 16)
+        evidence[~taken] = np.nan
+        return evidence, share
+
+    def _lagged(self, command: Array, full: Array, taken: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+        """Return u, m and the speed of u after each sample, all zero where it is skipped."""
+        u, m, gain = self._u, self._m, 1.0 - self._keep
+        found = []
+        for target, whole, use in zip(command.tolist(), full.tolist(), taken.tolist(), strict=True):
+            if not use:
+                found.append((0.0, 0.0, 0.0))
+                continue
+            if u is None:
+                u, m = target, whole
+            step = gain * (target - u)
+            u += step
+            m += gain * (whole - m)
+            found.append((u, m, step * self._rate_hz))
+        self._u, self._m = u, m
+        columns = np.array(found, np.float64).reshape(-1, 3).T
+        return columns[0], columns[1], columns[2]
+
     def skip(self) -> None:
         """Let the time of a sample pass that is no evidence."""
         self._unconfirmed = min(self._unconfirmed + 1, self._longest_hold)
@@ -197,6 +263,7 @@ class _Memory:
         # Noise that is slower than the memory does not average out in it, nor does it grow.
         self._inflation = min(rule.inflation, self._length)
         self._weight = 1.0 / (rule.noise**2 * self._inflation)
+        self.size = self._length, self._inflation
         self.clear()
 
     def clear(self) -> None:
@@ -214,11 +281,23 @@ class _Memory:
         self._su = forget * self._su + weight * u * speed
         self._sm = forget * self._sm + weight * m * speed
 
+    def run(self, fault: Array, u: Array, m: Array, speed: Array) -> Moments:
+        """Return the moments after each sample of a stretch; :meth:`hold` takes over the last."""
+        now, forget, of_u, of_m = self._moments(), self._forget, self._weight * u, self._weight * m
+        gained = Moments(of_u * u, -(of_u * m), of_m * m, -(of_u * fault), of_m * fault, of_u * speed, of_m * speed)
+        return Moments(*(first_order(forget, one, was) for one, was in zip(gained, now, strict=True)))
+
+    def hold(self, moments: Moments) -> None:
+        self._uu, self._um, self._mm, self._bu, self._bm, self._su, self._sm = (float(one[-1]) for one in moments)
+
+    def _moments(self) -> tuple[float, ...]:
+        return self._uu, self._um, self._mm, self._bu, self._bm, self._su, self._sm
+
     def contradicts(self, heard: Effectiveness) -> bool:
         """Return whether what this memory holds is explained worse by the accusation than by health."""
         if heard.is_loss:
-            return heard.loss * (heard.loss * self._uu - 2.0 * self._bu) > _CONTRADICTION
-        return heard.offset * (heard.offset * self._mm - 2.0 * self._bm) > _CONTRADICTION
+            return heard.loss * (heard.loss * self._uu - 2.0 * self._bu) > CONTRADICTION
+        return heard.offset * (heard.offset * self._mm - 2.0 * self._bm) > CONTRADICTION
 
     def reach(self, shortest: _Memory, heard: Effectiveness) -> float:
         """Return by how many standard errors the accusation would stand out here, if things went on as lately."""
@@ -235,10 +314,10 @@ class _Memory:
         matters = abs(loss) >= rule.least_loss if is_loss else abs(offset) >= rule.least_offset
         evidence: float | None = None
         if score >= rule.certainty and matters:
-            evidence = -loss * sqrt(self._uu / max(self._mm, _SMALLEST_INFORMATION)) if is_loss else offset
+            evidence = -loss * sqrt(self._uu / max(self._mm, SMALLEST_INFORMATION)) if is_loss else offset
         elif (
-            abs(loss) + _ACQUITTAL * loss_error < rule.least_loss
-            and abs(offset) + _ACQUITTAL * offset_error < rule.least_offset
+            abs(loss) + ACQUITTAL * loss_error < rule.least_loss
+            and abs(offset) + ACQUITTAL * offset_error < rule.least_offset
         ):
             evidence = 0.0
         return Effectiveness(
@@ -256,7 +335,7 @@ class _Memory:
         """Return -loss of the fit of both, where it is certain and plausible."""
         rule = self._rule
         determinant = self._uu * self._mm - self._um * self._um
-        if determinant <= _SMALLEST_INFORMATION:
+        if determinant <= SMALLEST_INFORMATION:
             return None
         beside = (self._mm * self._bu - self._um * self._bm) / determinant
         slip = rule.timing_s * (self._mm * self._su + self._um * self._sm) / determinant
@@ -266,10 +345,10 @@ class _Memory:
 
 def _single(moment: float, own: float, other: float, timing: float, doubt: float) -> tuple[float, float]:
     """Return one size fitted alone and its standard error; ``other`` and ``timing`` are moments of known doubts."""
-    if own <= _SMALLEST_INFORMATION:
+    if own <= SMALLEST_INFORMATION:
         return 0.0, inf
     return moment / own, sqrt(1.0 / own + doubt * doubt + (other / own) ** 2 + (timing / own) ** 2)
 
 
 def _plausible(loss: float, error: float) -> bool:
-    return error < inf and _LOSSES[0] <= loss <= _LOSSES[1] + _ACQUITTAL * error
+    return error < inf and LOSSES[0] <= loss <= LOSSES[1] + ACQUITTAL * error

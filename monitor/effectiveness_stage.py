@@ -6,16 +6,41 @@ They begin anew with the observer, and where evidence was missing for longer tha
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sample import Sample
+from adapters.sample import Sample, Samples
 from monitor.effectiveness import Effectiveness, EffectivenessEstimator, EffectivenessRule
 from monitor.profile import FaultChannel
 
 _ABSURD = 1e6
 """Effects are near 1; what a network sends need not be."""
+
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class EffectivenessRun:
+    """What is known about one of the faults after each sample of a stretch.
+
+    Parameters
+    ----------
+    evidence : Array
+        Evidence of the verdict (n,), not a number where it is None or there is no verdict.
+    share : Array
+        Its share (n,), not a number where there is none.
+    size : Array
+        Evidence last known (n,), as ``EffectivenessStage.sizes``.
+    """
+
+    evidence: Array
+    share: Array
+    size: Array
 
 
 class EffectivenessStage:
@@ -93,6 +118,81 @@ class EffectivenessStage:
             found[index] = estimator.update(*effects)
             self.sizes[index] = _known(found[index].evidence, self.sizes[index])
         return found
+
+    def run(self, samples: Samples, fault: Array, armed: Flags) -> dict[int, EffectivenessRun]:
+        """Take a stretch as :meth:`judge` takes samples one by one, to the same bits: a test holds them together.
+
+        Parameters
+        ----------
+        samples : Samples
+            The samples.
+        fault : Array
+            Fault estimates in effect units (n, a).
+        armed : Flags
+            Whether each sample is evidence (n,).
+        """
+        if not len(samples):
+            return {index: EffectivenessRun(*np.zeros((3, 0))) for index in self.sizes}
+        with np.errstate(all="ignore"):
+            return {
+                index: self._run(
+                    index,
+                    estimator,
+                    samples,
+                    (
+                        fault[:, index],
+                        samples.u[:, command],
+                        np.ones(len(samples)) if full is None else samples.u[:, full],
+                    ),
+                    armed,
+                )
+                for index, command, full, estimator in self._channels
+            }
+
+    def _run(
+        self,
+        index: int,
+        estimator: EffectivenessEstimator,
+        samples: Samples,
+        effects: tuple[Array, Array, Array],
+        armed: Flags,
+    ) -> EffectivenessRun:
+        """Take a stretch of one fault."""
+        heard = armed & np.all([np.abs(effect) < _ABSURD for effect in effects], axis=0)
+        anew = self._anew(index, samples, heard, estimator.rule.memories_s[-1] * 1e9)
+        evidence, share = np.full(len(samples), np.nan), np.full(len(samples), np.nan)
+        followed = np.flatnonzero(heard | ~anew)
+        begins = np.flatnonzero((heard & anew)[followed]).tolist()
+        for start, stop in pairwise([0, *begins, len(followed)]):
+            rows = followed[start:stop]
+            if not len(rows):
+                continue
+            if anew[rows[0]]:
+                estimator.restart()
+            fault, command, full = (effect[rows] for effect in effects)
+            evidence[rows], share[rows] = estimator.run(fault, command, full, heard[rows])
+        said = np.where(heard, evidence, np.where(anew, 0.0, np.nan))
+        last = np.maximum.accumulate(np.where(np.isnan(said), -1, np.arange(len(said))))
+        size = np.where(last < 0, self.sizes[index], said[last])
+        self.sizes[index] = float(size[-1])
+        return EffectivenessRun(evidence, share, size)
+
+    def _anew(self, index: int, samples: Samples, heard: Flags, limit_ns: float) -> Flags:
+        """Return where all begins anew, or would if the sample were heard; note when the fault was heard last."""
+        rows, times_ns = np.arange(len(heard)), samples.vehicle_time_ns
+        last = np.maximum.accumulate(np.where(heard, rows, -1))
+        before = np.concatenate([[-1], last[:-1]])
+        last_ns = np.where(before < 0, self._heard_ns.get(index, 0), times_ns[before])
+        anew = samples.restart | (times_ns - last_ns > limit_ns)
+        if index not in self._heard_ns:
+            anew |= before < 0
+        forgotten = np.maximum.accumulate(np.where(anew, rows, -1))
+        anew[1:] |= forgotten[:-1] > before[1:]
+        if anew[-1] and not heard[-1]:
+            self._heard_ns.pop(index, None)
+        elif last[-1] >= 0:
+            self._heard_ns[index] = int(times_ns[last[-1]])
+        return anew
 
 
 def _known(evidence: float | None, last: float) -> float:

@@ -32,7 +32,7 @@ def fault_in_command(
     fault : NDArray[np.float64]
         Faults in effect units, one per input, any number of rows at once (..., s).
     u : NDArray[np.float64]
-        Commands (s,).
+        Commands, of all rows or row by row (..., s).
     curve : NDArray[np.float64]
         Polynomial coefficients c1, c2, ... of each input (s, degree), no constant term.
 

@@ -34,6 +34,9 @@ from monitor.settling import unseen_states
 
 _BACK = 0.01
 _PRIOR_S = 1.0
+_LONGEST_COURSE = 10_000
+_AHEAD = 64
+"""Steps taken before it is looked at whether one of them came back to rest."""
 
 
 class Step(IntEnum):
@@ -94,25 +97,121 @@ class Uncertainty:
         self._P = self._rest
         self._sd_at_rest = self._read()
         self.sd = self._sd_at_rest
+        # A stretch steps from a restart to rest once: sd after each sample so far, P after the last, how many samples
+        # of it are behind, and how many of them P has not been taken through.
+        self._course = np.empty((0, len(faults)))
+        self._course_end = self._start
+        self._along: int | None = None
+        self._behind = 0
 
     def restart(self) -> None:
         """Take up the uncertainty of a restart, before its first sample."""
         self._coasted = False
         if self._known:
             self._P, self._at_rest = self._start, False
+            self._along, self._behind = None, 0
 
     def follow(self, measured: bool) -> None:
         """Take what is known of one sample: whether its outputs were measured."""
         if (self._at_rest and measured) or not self._known:
             return
+        if self._along is not None:
+            self._catch_up()
         step = Step.COASTED if not measured else Step.RESUMED if self._coasted else Step.MEASURED
         self._coasted = not measured
         A = self._A[:, step]
         self._P = A @ self._P @ A.swapaxes(1, 2) + self._Q[:, step]
         self.sd = self._read()
-        self._at_rest = measured and bool(np.all(np.abs(self.sd - self._sd_at_rest) <= _BACK * self._sd_at_rest))
+        self._at_rest = measured and bool(np.all(self._is_back(self.sd)))
         if self._at_rest:
             self._P, self.sd = self._rest, self._sd_at_rest
+
+    def run(self, measured: NDArray[np.bool_], restart: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Take a stretch of samples as :meth:`restart` and :meth:`follow` do; a test holds them together to the bit.
+
+        Parameters
+        ----------
+        measured : NDArray[np.bool_]
+            What :meth:`follow` is told of each sample (n,).
+        restart : NDArray[np.bool_]
+            Whether it is restarted before that (n,).
+
+        Returns
+        -------
+        NDArray[np.float64]
+            ``sd`` after each sample (n, a).
+        """
+        found = np.empty((len(measured), len(self.sd)))
+        if not self._known:
+            found[:] = self.sd
+            return found
+        eventful = np.flatnonzero(restart | ~measured)
+        row = 0
+        while row < len(measured):
+            if restart[row]:
+                self.restart()
+                self._along = 0
+            following = int(np.searchsorted(eventful, row, side="right"))
+            end = int(eventful[following]) if following < len(eventful) else len(measured)
+            if not measured[row] or self._coasted:
+                self.follow(bool(measured[row]))
+                found[row] = self.sd
+                row += 1
+            elif self._at_rest:
+                found[row:end] = self.sd
+                row = end
+            else:
+                steps = self._settle(min(end - row, _AHEAD))
+                found[row : row + len(steps)] = steps
+                row += len(steps)
+        return found
+
+    def _settle(self, count: int) -> NDArray[np.float64]:
+        """Take measured samples until at rest, ``count`` at most; return ``sd`` after each of one or more of them."""
+        if self._along is None:
+            return self._steps(count)
+        found = self._course[self._along : self._along + count]
+        if len(found):
+            self.sd = found[-1]
+            self._behind += len(found)
+        else:
+            found = self._steps(count)
+            self._course, self._course_end = np.concatenate([self._course, found]), self._P
+        self._along += len(found)
+        if self._along == len(self._course):
+            self._P, self._behind = self._course_end, 0
+            self._at_rest = self._P is self._rest
+            if self._at_rest or self._along >= _LONGEST_COURSE:
+                self._along = None
+        return found
+
+    def _catch_up(self) -> None:
+        """Step P through the samples for which the course was known."""
+        for _ in range(self._behind):
+            self._P = self._measured_step()
+        self._behind, self._along = 0, None
+
+    def _measured_step(self) -> NDArray[np.float64]:
+        A = self._A[:, Step.MEASURED]
+        return np.asarray(A @ self._P @ A.swapaxes(1, 2) + self._Q[:, Step.MEASURED])
+
+    def _steps(self, count: int) -> NDArray[np.float64]:
+        entries = []
+        for _ in range(count):
+            self._P = self._measured_step()
+            entries.append(self._P[self._hypothesis, self._entry, self._entry])
+        found = np.sqrt(np.maximum(np.stack(entries), 0.0))
+        back = np.flatnonzero(np.all(self._is_back(found), axis=1))
+        self._at_rest = len(back) > 0
+        if self._at_rest:
+            found = found[: back[0] + 1]
+            found[-1] = self._sd_at_rest
+            self._P = self._rest
+        self.sd = self._sd_at_rest if self._at_rest else found[-1].copy()
+        return found
+
+    def _is_back(self, sd: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return np.asarray(np.abs(sd - self._sd_at_rest) <= _BACK * self._sd_at_rest)
 
     def _read(self) -> NDArray[np.float64]:
         return np.asarray(np.sqrt(np.maximum(self._P[self._hypothesis, self._entry, self._entry], 0.0)))

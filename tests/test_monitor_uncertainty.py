@@ -2,6 +2,10 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from stretches import partitions
 from test_monitor_coasting import plant
 
 from gains.certificate import certify
@@ -75,3 +79,52 @@ def test_without_a_model_it_is_not_known(gains: Gains) -> None:
     shown.restart()
     shown.follow(False)
     assert np.isnan(shown.sd).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    parts=partitions(400),
+    restarts=st.lists(st.integers(0, 399), max_size=3),
+    lost=st.lists(st.tuples(st.integers(0, 399), st.integers(1, 4)), max_size=3),
+)
+def test_stretches_and_single_samples_mix_to_the_bit(
+    gains: Gains, parts: list[tuple[int, int, bool]], restarts: list[int], lost: list[tuple[int, int]]
+) -> None:
+    measured, restart = np.ones(400, np.bool_), np.zeros(400, np.bool_)
+    for start, length in lost:
+        measured[start : start + length] = False
+    restart[restarts] = True
+    one, other = uncertainty(gains), uncertainty(gains)
+    expected = singly(one, measured, restart)
+    for start, stop, by_one in parts:
+        take = singly if by_one else Uncertainty.run
+        found = take(other, measured[start:stop], restart[start:stop])
+        assert found.tobytes() == expected[start:stop].tobytes()
+    assert other.sd.tobytes() == one.sd.tobytes()
+    later = np.arange(300) != 7
+    assert singly(one, later, ~later).tobytes() == singly(other, later, ~later).tobytes()
+
+
+def singly(shown: Uncertainty, measured: NDArray[np.bool_], restart: NDArray[np.bool_]) -> NDArray[np.float64]:
+    said = []
+    for seen, anew in zip(measured.tolist(), restart.tolist(), strict=True):
+        if anew:
+            shown.restart()
+        shown.follow(seen)
+        said.append(shown.sd)
+    return np.array(said).reshape(-1, len(shown.sd))
+
+
+def test_what_follows_a_restart_is_stepped_once_and_can_be_left_anywhere(gains: Gains) -> None:
+    one, other = uncertainty(gains), uncertainty(gains)
+    restart = np.zeros(300, np.bool_)
+    restart[[0, 100]] = True
+    measured = np.ones(300, np.bool_)
+    measured[130] = False
+    for _ in range(3):
+        assert other.run(measured, restart).tobytes() == singly(one, measured, restart).tobytes()
+
+
+def test_without_a_model_no_stretch_is_known_either(gains: Gains) -> None:
+    shown = Uncertainty([gains], None, NAMES)
+    assert np.isnan(shown.run(np.ones(3, np.bool_), np.zeros(3, np.bool_))).all()
