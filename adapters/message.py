@@ -14,11 +14,13 @@ class Message:
     Parameters
     ----------
     source : str
-        Link family: ``"mavlink"`` or ``"zenoh"``; ``"clock"`` for :func:`silence`; ``"link"`` for what a link finds
+        Link family: ``"mavlink"`` or ``"zenoh"``; ``"ulog"`` or ``"dataflash"`` for records of onboard logs;
+        ``"clock"`` for :func:`silence`; ``"link"`` for what a link finds
         out itself (forged signatures), ``"operator"`` for acknowledgements and the like, ``"journal"`` for alarms
         that stood before a restart. Recordings keep all of them.
     name : str
-        MAVLink message name (``"ATTITUDE"``) or Zenoh key expression (``"arm/telemetry"``).
+        MAVLink message name (``"ATTITUDE"``), Zenoh key expression (``"arm/telemetry"``) or name of a log's record
+        (``"sensor_baro/1"``).
     received_ns : int
         Unix time of arrival, nanoseconds.
     fields : Mapping[str, Any]

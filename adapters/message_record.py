@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 from collections.abc import Callable
 from typing import Any
 
+from adapters.log_schema import LogProtobuf, to_protobuf
 from adapters.mavlink_schema import MavlinkProtobuf, mavlink_protobuf
 from adapters.message import Message
 from adapters.protobuf_types import class_from_descriptor_set, descriptor_set
@@ -14,6 +16,8 @@ from adapters.record import Record, Schema
 
 # Telemetry without MAVLink ids, and what else a pipeline is fed: time that passes, operators, the journal.
 _JSON_SOURCES = ("zenoh", "clock", "operator", "journal")
+# Records of onboard logs: protobuf by what they hold, JSON where that cannot be.
+_LOG_SOURCES = ("ulog", "dataflash")
 
 # viewers want some schema, and a JSON topic may carry anything
 _JSON_SCHEMA = Schema("fauio.Telemetry", "jsonschema", b'{"type": "object"}')
@@ -41,6 +45,9 @@ def encode(message: Message) -> Record:
         raise ValueError(f"{message.name} arrived at a time that no record can hold")
     if message.source == "link":
         return Record(topic, "json", _JSON_SCHEMA, _to_json({**message.fields, **ids}), message.received_ns)
+    if message.source in _LOG_SOURCES:
+        with contextlib.suppress(ValueError):
+            return Record(topic, "protobuf", *to_protobuf(message), message.received_ns)
     if message.source != "mavlink":
         return Record(topic, "json", _JSON_SCHEMA, _to_json(message.fields), message.received_ns)
     kind = mavlink_protobuf(message.name)
@@ -80,7 +87,10 @@ def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Deco
     source, _, name = topic.removeprefix("/").partition("/")
     if source == "link" and name and encoding == "json":
         return lambda data, time_ns: _link_from_json(data, name, time_ns)
-    if source in _JSON_SOURCES and name and encoding == "json":
+    if source in _LOG_SOURCES and name and encoding == "protobuf" and schema is not None:
+        log = LogProtobuf(*schema)
+        return lambda data, time_ns: Message(source, name, time_ns, log.fields(data))
+    if source in (*_JSON_SOURCES, *_LOG_SOURCES) and name and encoding == "json":
         return lambda data, time_ns: Message(source, name, time_ns, _from_json(data))
     return None
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 _KINDS = ("bias", "ramp", "scale", "freeze", "replay", "noise", "delay", "drop", "spoof", "loss")
-_LOG_HELP = "recording: .tlog or .mcap, plain or with .xz / .gz behind"
+_LOG_HELP = "recording: .tlog, .mcap, .ulg (PX4) or .bin (ArduPilot), plain or with .xz / .gz behind"
 _INJECT_TEXT = """\
 Put a fault or attack with exact truth onto a recording. Times are seconds of the vehicle's own clock since its first
 stamp in the log (--at-ms: that clock itself); measurements are altered by their stamp, whenever they arrived. What was

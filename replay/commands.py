@@ -18,7 +18,11 @@ if TYPE_CHECKING:
     from replay.player import Replay
 
 ALARMS_RAISED = 4
-_LOG_HELP = "recording: .tlog or .mcap, plain or with .xz / .gz behind, or a folder of a recorded session"
+_LOG_HELP = (
+    "recording: .tlog, .mcap, .ulg (PX4) or .bin (ArduPilot), plain or with .xz / .gz behind, "
+    "or a folder of a recorded session"
+)
+_MAPPING_HELP = "from which records of a .ulg or .bin MAVLink messages are made, where the guess is wrong"
 
 
 def add_parsers(subparsers: Any) -> None:
@@ -57,6 +61,7 @@ def _add_fit(subparsers: Any) -> None:
     parser.add_argument("--model", type=Path, metavar="MODEL.toml", help="model with free parameters (custom only)")
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=_LOG_HELP)
     parser.add_argument("-o", "--out", required=True, type=Path, metavar="PROFILE", help="profile folder to write")
+    parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=_MAPPING_HELP)
     parser.add_argument("--name", help="name of the vehicle in topics (default: the folder's name)")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     parser.set_defaults(handler=run_fit)
@@ -78,6 +83,7 @@ def _add_replay(subparsers: Any) -> None:
     parser.add_argument(
         "--vehicle", metavar="NAME", help="name in events (default: as recorded by a monitor, else the profile's)"
     )
+    parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=_MAPPING_HELP)
     parser.add_argument("--fail-on-alarm", action="store_true", help="exit with 4 where an alarm was raised")
     parser.add_argument("--json", action="store_true", help="print one JSON object per log")
     parser.set_defaults(handler=run_replay)
@@ -118,7 +124,7 @@ def run_fit(args: argparse.Namespace) -> int:
     wanted = custom_messages(args.model) if args.model else FIT_MESSAGES
 
     def log(path: Path) -> Iterator[Message]:
-        messages = read_recording(path, wanted)
+        messages = read_recording(path, wanted, args.mapping)
         return track(messages if args.model else of_one_vehicle(messages), f"reading {path.name}")
 
     logs = [lambda path=path: log(path) for path in args.logs]
@@ -152,7 +158,7 @@ def run_replay(args: argparse.Namespace) -> int:
     for path in args.logs:
         found = play(
             profile,
-            track(read_recording(path, only), path.name),
+            track(read_recording(path, only, args.mapping), path.name),
             vehicle=args.vehicle or recorded_vehicle(path),
             record=args.out,
             keep_traces=bool(args.plot or args.rrd),
@@ -196,11 +202,12 @@ def _verdict(found: Replay, profile: Profile) -> str:
 
 def run_convert(args: argparse.Namespace) -> int:
     """Run ``fauio convert``."""
-    from adapters.recordings import read_recording
+    from adapters.recordings import onboard_source, read_records
     from replay.convert import convert
     from replay.progress import track
 
-    count = convert(track(read_recording(args.log), args.log.name), args.log.name, args.out)
+    onboard = onboard_source(args.log)
+    count = convert(track(read_records(args.log), args.log.name), args.log.name, args.out, onboard)
     if args.json:
         _say(json.dumps({"log": str(args.log), "out": str(args.out), "messages": count}))
     else:

@@ -46,7 +46,7 @@ def test_blocks_hold_the_messages_of_any_recording(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["a", "a.csv", "a.xz", "a.tlog.zip", "a.mcap.bz2", "tlog"])
 def test_an_unknown_kind_is_reported_with_what_is_known(tmp_path: Path, name: str) -> None:
     (tmp_path / name).touch()
-    with pytest.raises(TelemetryError, match=f"{name}: unknown kind of recording; use .tlog or .mcap"):
+    with pytest.raises(TelemetryError, match=f"{name}: unknown kind of recording; use .tlog, .mcap, .ulg or .bin"):
         recording_kind(tmp_path / name)
 
 

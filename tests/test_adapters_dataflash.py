@@ -1,0 +1,200 @@
+"""Onboard logs of ArduPilot: the same values as pymavlink's DFReader reads, and all that damage leaves."""
+
+from __future__ import annotations
+
+import array
+import contextlib
+import gzip
+import lzma
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from dataflash_writer import DataflashWriter
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adapters.dataflash import CODES, DataflashReader, read_dataflash
+from adapters.errors import TelemetryError
+from adapters.log_bytes import LogStatistics
+from adapters.message import Message
+
+UNIX_S = 1_700_000_000
+
+
+def flight(count: int = 40, gps: bool = True) -> DataflashWriter:
+    """Return a log with every code there is."""
+    log = DataflashWriter()
+    log.define("IMU", "QBff", "TimeUS,I,GyrX,AccX", "s#--")
+    log.define("ALL1", "QabBghHiIfn", "TimeUS,a,b,B,g,h,H,i,I,f,n")
+    log.define("ALL2", "QNZcCeELdMq", "TimeUS,N,Z,c,C,e,E,L,d,M,q")
+    log.define("GPS", "QBBIH", "TimeUS,I,Status,GMS,GWk", "s#---")
+    log.define("FILE", "NZ", "FileName,Data")
+    log.define("NONE", "", "")
+    for step in range(count):
+        time_us = 2_000_000 + 2_500 * step
+        for instance in (0, 1, 2):
+            log.add("IMU", time_us + instance, instance, 0.25 * step, -9.8)
+        log.add("ALL1", time_us, list(range(-16, 16)), -1, 2, 0.5, -3, 4, -5, 6, 0.125, "abcd")
+        log.add("ALL2", time_us, "name", "text, ünd mehr", -1.23, 6.5, -7.77, 1e5, -35.1234567, 1e99, 5, -(2**60))
+        if gps and step % 4 == 0:
+            seconds = UNIX_S + 2 - 315_964_800 + 18
+            week, rest = divmod(seconds, 604_800)
+            log.add("GPS", time_us, 0, 3 if step > 4 else 1, rest * 1_000 + step * 5 // 2, week)
+        if step % 9 == 0:
+            log.add("NONE")
+    return log
+
+
+LOG = flight()
+FLIGHT = bytes(LOG.data)
+
+
+def read(folder: Path, data: bytes) -> tuple[list[Message], LogStatistics]:
+    path = folder / "a.bin"
+    path.write_bytes(data)
+    reader = DataflashReader(path, utc_minus_boot_ns=0)
+    return list(reader), reader.statistics()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("dataflash")
+
+
+@pytest.fixture(scope="module")
+def whole(folder: Path) -> list[Message]:
+    return read(folder, FLIGHT)[0]
+
+
+def key(message: Message) -> tuple[str, int, str]:
+    return message.name, message.received_ns, repr(message.fields)
+
+
+def test_values_times_and_instances_are_those_that_pymavlink_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MAVLINK20", "1")
+    monkeypatch.setenv("MAVLINK_DIALECT", os.environ.get("MAVLINK_DIALECT", "ardupilotmega"))
+    from pymavlink.DFReader import DFReader_binary
+
+    path = LOG.write(tmp_path / "a.bin")
+    theirs = DFReader_binary(str(path))
+    ours = list(read_dataflash(path))
+    for message in ours:
+        other = theirs.recv_msg()
+        fields = other.to_dict()
+        assert fields.pop("mavpackettype") == message.name.partition("/")[0]
+        named = {name: list(v) if isinstance(v, array.array) else v for name, v in fields.items()}
+        named = {name: list(v) if isinstance(v, bytes) else v for name, v in named.items()}
+        assert repr(dict(message.fields)) == repr(named)
+        if "TimeUS" in named:
+            assert message.received_ns / 1e9 == pytest.approx(other._timestamp, abs=1e-6)
+        if theirs.messages.get("IMU") is not None and message.name.startswith("IMU"):
+            assert message.name == ("IMU", "IMU/1", "IMU/2")[named["I"]]
+    assert theirs.recv_msg() is None
+    theirs.data_map.close()
+    theirs.filehandle.close()
+    assert len(ours) == len(LOG.ends)
+    imu = next(message for message in ours if message.name == "IMU")
+    assert imu.received_ns == (UNIX_S + 2) * 1_000_000_000
+    assert imu.source == "dataflash"
+
+
+def test_the_codes_are_those_of_pymavlink() -> None:
+    from pymavlink.DFReader import FORMAT_TO_STRUCT
+
+    theirs = {code: (form, times) for code, (form, times, _) in FORMAT_TO_STRUCT.items()}
+    assert {code: (form, None if by is None else 1 / by) for code, (form, by) in CODES.items()} == theirs
+
+
+def test_without_a_fix_boot_is_the_start_of_1970(tmp_path: Path) -> None:
+    found = [m for m in read_dataflash(flight(gps=False).write(tmp_path / "a.bin")) if m.name == "IMU"]
+    assert found[0].received_ns == 2_000_000_000
+
+
+def test_pieces_of_files_keep_every_byte(tmp_path: Path) -> None:
+    log = DataflashWriter()
+    log.define("FILE", "NZ", "FileName,Data")
+    log.add("FILE", "@SYS/x", "ab\0c")
+    assert read(tmp_path, bytes(log.data))[0][-1].fields == {"FileName": "@SYS/x", "Data": "ab\0c" + "\0" * 60}
+
+
+def test_only_the_wanted_records_are_read(tmp_path: Path, whole: list[Message]) -> None:
+    path = LOG.write(tmp_path / "a.bin")
+    wanted = {"IMU/1", "GPS"}
+    assert list(DataflashReader(path, wanted, 0)) == [message for message in whole if message.name in wanted]
+
+
+@pytest.mark.parametrize(("suffix", "pack"), [(".xz", lzma.compress), (".gz", gzip.compress)])
+def test_compressed_logs_read_like_plain_ones(tmp_path: Path, whole: list[Message], suffix: str, pack: Any) -> None:
+    path = tmp_path / f"a.bin{suffix}"
+    path.write_bytes(pack(FLIGHT))
+    reader = DataflashReader(path, utc_minus_boot_ns=0)
+    assert [key(m) for m in reader] == [key(m) for m in whole]
+    assert not reader.statistics().unreadable
+
+
+@settings(max_examples=60, deadline=None)
+@given(cut=st.integers(3, len(FLIGHT) - 1))
+def test_a_truncated_log_gives_every_message_before_the_end(folder: Path, whole: list[Message], cut: int) -> None:
+    found, statistics = read(folder, FLIGHT[:cut])
+    complete = sum(end <= cut for end in LOG.ends)
+    assert [key(m) for m in found] == [key(m) for m in whole[:complete]]
+    assert statistics.broken_off is (cut not in LOG.ends)
+    assert (statistics.records, statistics.damaged) == (complete, 0)
+    assert statistics.skipped_bytes == cut - max((end for end in LOG.ends if end <= cut), default=0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_damage_costs_no_message_before_it_and_reading_goes_on_behind_it(
+    folder: Path, whole: list[Message], data: st.DataObject
+) -> None:
+    place = data.draw(st.integers(LOG.ends[30], len(FLIGHT) - 600))
+    junk = data.draw(st.one_of(st.binary(min_size=1, max_size=300), st.integers(1, 300).map(bytes)))
+    found, _ = read(folder, FLIGHT[:place] + junk + FLIGHT[place + len(junk) :])
+    before = sum(end <= place for end in LOG.ends)
+    assert [key(m) for m in found[:before]] == [key(m) for m in whole[:before]]
+    assert key(found[-1]) == key(whole[-1])
+
+
+@settings(max_examples=40, deadline=None)
+@given(junk=st.binary(max_size=600))
+def test_whatever_stands_behind_the_first_format_is_no_crash(folder: Path, junk: bytes) -> None:
+    found, statistics = read(folder, FLIGHT[:89] + junk)
+    assert statistics.records == len(found)
+    with contextlib.suppress(TelemetryError):
+        read(folder, junk)
+
+
+@pytest.mark.parametrize("data", [b"", b"\xa3", bytes(5_000), b"\xa3\x94" + FLIGHT[2:], b"x" * 99])
+def test_a_file_that_is_no_such_log_is_refused_in_one_line(tmp_path: Path, data: bytes) -> None:
+    with pytest.raises(TelemetryError, match=r"a\.bin: not a DataFlash log") as error:
+        read(tmp_path, data)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("fill", [b"\xff", b"\0"])
+def test_what_fills_the_last_block_up_is_no_damage(tmp_path: Path, whole: list[Message], fill: bytes) -> None:
+    found, statistics = read(tmp_path, FLIGHT + 200 * fill)
+    assert [key(m) for m in found] == [key(m) for m in whole]
+    assert not statistics.unreadable
+
+
+def test_a_long_stretch_of_zeros_is_passed_over(tmp_path: Path, whole: list[Message]) -> None:
+    place = LOG.ends[40]
+    found, statistics = read(tmp_path, FLIGHT[:place] + bytes(300_000) + FLIGHT[place:])
+    assert [key(m) for m in found] == [key(m) for m in whole]
+    assert (statistics.damaged, statistics.skipped_bytes) == (1, 300_000)
+
+
+def test_a_format_that_contradicts_itself_is_damage(tmp_path: Path, whole: list[Message]) -> None:
+    log = DataflashWriter()
+    before = len(log.data)
+    log.define("BAD", "QB", "TimeUS")
+    log.data += FLIGHT[before:]
+    found, statistics = read(tmp_path, bytes(log.data))
+    assert statistics.damaged == 1
+    assert [key(m) for m in found] == [key(m) for m in whole]

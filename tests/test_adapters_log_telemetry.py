@@ -1,0 +1,146 @@
+"""Records of onboard logs become the MAVLink messages they stand for, in MAVLink's units and at the records' times."""
+
+from __future__ import annotations
+
+from math import cos, isnan, pi, sin
+from typing import Any
+
+import pytest
+
+from adapters.log_mapping import builtin_mapping, parse_mapping
+from adapters.log_telemetry import telemetry
+from adapters.message import Message
+
+MS = 1_000_000
+HALF = 0.5**0.5
+
+
+def record(name: str, ms: float, **fields: Any) -> Message:
+    return Message("ulog", name, round(ms * MS), {"timestamp": round(ms * 1000), **fields})
+
+
+def rates(ms: float, *xyz: float) -> Message:
+    return record("vehicle_angular_velocity", ms, xyz=list(xyz) or [0.1, 0.2, 0.3])
+
+
+def attitude(ms: float, *q: float) -> Message:
+    return record("vehicle_attitude", ms, q=list(q) or [1.0, 0.0, 0.0, 0.0])
+
+
+def made(records: list[Message], *names: str) -> list[Message]:
+    return [m for m in telemetry(records, builtin_mapping("ulog"), names) if m.source == "mavlink"]
+
+
+def test_a_message_has_the_time_and_the_type_of_what_makes_it() -> None:
+    found = made([attitude(1000.0), rates(1000.0)], "ATTITUDE")
+    assert [(m.name, m.received_ns, m.system, m.component) for m in found] == [("ATTITUDE", 1000 * MS, 1, 1)]
+    fields = found[0].fields
+    assert list(fields) == ["time_boot_ms", "roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed"]
+    assert fields["time_boot_ms"] == 1000
+    assert type(fields["time_boot_ms"]) is int
+    assert fields["rollspeed"] == pytest.approx(0.1)
+    assert fields["roll"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("q", "angles"),
+    [
+        ((HALF, HALF, 0.0, 0.0), (pi / 2, 0.0, 0.0)),
+        ((cos(0.25), 0.0, sin(0.25), 0.0), (0.0, 0.5, 0.0)),
+        ((HALF, 0.0, 0.0, -HALF), (0.0, 0.0, -pi / 2)),
+    ],
+)
+def test_a_quaternion_turns_into_angles(q: tuple[float, ...], angles: tuple[float, ...]) -> None:
+    fields = made([attitude(1.0, *q), rates(1.0)], "ATTITUDE")[0].fields
+    assert [fields[name] for name in ("roll", "pitch", "yaw")] == pytest.approx(angles, abs=1e-6)
+
+
+def test_what_is_joined_is_interpolated_the_shorter_way_round() -> None:
+    east_of_south, west_of_south = ((cos(angle), 0.0, 0.0, sin(angle)) for angle in (pi / 2 - 0.1, pi / 2 + 0.1))
+    records = [attitude(0.0, *east_of_south), rates(5.0), rates(15.0), attitude(20.0, *west_of_south), rates(19.0)]
+    found = made(records, "ATTITUDE")
+    assert [m.received_ns // MS for m in found] == [5, 15, 19]
+    yaws = [m.fields["yaw"] % (2 * pi) for m in found]
+    assert yaws == pytest.approx([pi - 0.2 + 0.4 * share for share in (0.25, 0.75, 0.95)], abs=1e-6)
+
+
+def test_a_message_does_not_wait_forever_for_what_is_joined() -> None:
+    records = [attitude(0.0), rates(0.0), *(rates(10.0 * step) for step in range(1, 300))]
+    found = made(records, "ATTITUDE")
+    assert [m.received_ns // MS for m in found] == [10 * step for step in range(300)]
+    assert isnan(found[1].fields["roll"])
+    assert found[-1].fields["rollspeed"] == pytest.approx(0.1)
+
+
+def test_nothing_is_interpolated_across_a_gap() -> None:
+    records = [attitude(0.0), rates(0.0), rates(2000.0), attitude(3000.0), rates(3000.0), attitude(3010.0)]
+    assert [m.received_ns // MS for m in made(records, "ATTITUDE")][-1] == 3000
+    assert not any(m.received_ns == 2000 * MS and m.fields["roll"] == 0.0 for m in made(records, "ATTITUDE"))
+
+
+def test_slow_sensors_keep_their_last_value_and_are_unknown_before() -> None:
+    imu = {"gyro_rad": [0.0] * 3, "accelerometer_m_s2": [0.0, 0.0, -9.81]}
+    air = record("vehicle_air_data", 5.0, baro_pressure_pa=95_000.0, baro_alt_meter=540.0)
+    found = made([record("sensor_combined", 0.0, **imu), air, record("sensor_combined", 9.0, **imu)], "HIGHRES_IMU")
+    assert isnan(found[0].fields["pressure_alt"])
+    assert [found[1].fields[name] for name in ("abs_pressure", "pressure_alt")] == [950.0, 540.0]
+    assert found[1].fields["time_usec"] == 9000
+
+
+def test_numbers_are_as_the_message_carries_them() -> None:
+    fix = {"fix_type": 3, "latitude_deg": 47.12345678, "longitude_deg": -8.5, "altitude_msl_m": 500.1234}
+    gps = record("vehicle_gps_position", 1.0, **fix, vel_m_s=3.456, cog_rad=-pi / 2, hdop=float("nan"), vdop=1e9)
+    fields = made([gps], "GPS_RAW_INT")[0].fields
+    assert (fields["lat"], fields["lon"], fields["alt"]) == (471234568, -85_000_000, 500123)
+    assert (fields["vel"], fields["cog"], fields["eph"], fields["epv"]) == (346, 27_000, 65_535, 65_535)
+    assert all(type(value) is int for name, value in fields.items())
+
+
+def test_a_state_is_told_again_every_second() -> None:
+    records = [record("vehicle_status", 0.0, arming_state=2, nav_state=4, system_type=2)]
+    records += [record("cpuload", 100.0 * step) for step in range(1, 35)]
+    found = made(records, "HEARTBEAT")
+    assert [m.received_ns // MS for m in found] == [0, 1000, 2000, 3000]
+    assert all(m.fields["base_mode"] & 128 and m.fields["type"] == 2 for m in found)
+
+
+def test_a_value_that_stands_for_nothing_makes_no_message() -> None:
+    mapping = builtin_mapping("dataflash")
+    events = [
+        Message("dataflash", "EV", 50 * n * MS, {"TimeUS": n, "Id": event}) for n, event in enumerate((15, 10, 28, 11))
+    ]
+    found = list(telemetry(events, mapping, ("HEARTBEAT", "EXTENDED_SYS_STATE")))
+    states = [(m.name, m.fields.get("base_mode", m.fields.get("landed_state"))) for m in found]
+    assert states == [("HEARTBEAT", 129), ("EXTENDED_SYS_STATE", 2), ("HEARTBEAT", 1)]
+
+
+def test_a_topic_that_comes_late_fills_its_messages_from_then_on() -> None:
+    records = [rates(1000.0 * step) for step in range(8)]
+    late = [one for step in range(8, 12) for one in (attitude(1000.0 * step), rates(1000.0 * step))]
+    assert [m.received_ns // (1000 * MS) for m in made(records + late, "ATTITUDE")] == [8, 9, 10, 11]
+
+
+def test_records_pass_where_they_are_wanted_and_always_without_a_choice() -> None:
+    records = [attitude(1.0), rates(1.0), record("cpuload", 2.0, load=0.5)]
+    mapping = builtin_mapping("ulog")
+    assert [m.name for m in telemetry(records, mapping, None)] == [
+        "vehicle_attitude",
+        "vehicle_angular_velocity",
+        "ATTITUDE",
+        "cpuload",
+    ]
+    assert [m.name for m in telemetry(records, mapping, ("cpuload",))] == ["cpuload"]
+
+
+def test_a_damaged_time_harms_no_other_message() -> None:
+    good = [one for step in range(20) for one in (attitude(10.0 * step), rates(10.0 * step))]
+    wild = [*good[:21], attitude(1e9), rates(1e9), *good[21:]]
+    found = [m.received_ns for m in made(wild, "ATTITUDE") if m.received_ns < 1e15]
+    expected = [m.received_ns for m in made(good, "ATTITUDE")]
+    assert len(set(expected) - set(found)) <= 1
+
+
+def test_a_table_of_ones_own_is_followed() -> None:
+    table = {"SCALED_PRESSURE": [{"topic": "tank", "press_abs": {"field": "p.raw[1]", "scale": 2.0, "offset": 1.0}}]}
+    found = list(telemetry([record("tank", 1.0, p={"raw": [1, 3]})], parse_mapping(table, "x"), ("SCALED_PRESSURE",)))
+    assert found[0].fields["press_abs"] == 7.0
