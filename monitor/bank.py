@@ -30,10 +30,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.sample import Samples
 from gains.gains_file import Gains
 from monitor.edge import EdgeDetector
+from monitor.estimator_run import EstimatorRun, empty_run, pieces
 from monitor.isolation_rule import BankRule
 from monitor.observer_stack import ObserverStack
+from monitor.smoothing import smooth
 from monitor.washout import Unwash
 
 _HEALTHY = 3.5
@@ -111,6 +114,7 @@ class Bank:
         ]
         common = set[int]().union(*map(set, self._places)).intersection(*(set(self._places[k]) for k in self._compared))
         self._own = [frozenset(places.tolist()) - common for places in self._places]
+        self._keepers = np.array([[place in own for own in self._own] for place, _, _ in self._washed], dtype=np.bool_)
         self._standing: set[int] = set()
         self._comparison = np.ones(len(faults), dtype=np.bool_)
         self._comparison[[place for _, place, _ in self._edges]] = False
@@ -159,7 +163,7 @@ class Bank:
         self._faults *= keep
         self._faults += (1.0 - keep) * stack.fault
         white = np.matmul(self._whitening, self._residuals[:, :, None])[:, :, 0]
-        self.J = np.einsum("kj,kj->k", white, white)
+        self.J = np.vecdot(white, white)
         self._choose()
         np.take(stack.fault, self._owned, out=self.fault)
         self.evidence[:] = 0.0
@@ -176,6 +180,103 @@ class Bank:
         """Advance all observers by one sample without measurements, u (s,): what is believed stands."""
         self._stack.coast(u)
         np.take(self._stack.fault, self._owned, out=self.fault)
+
+    def run(self, samples: Samples) -> EstimatorRun:
+        """Take N samples; return what the attributes hold after each, to the bits of taking them one by one.
+
+        A test holds the two together.
+        """
+        run = empty_run(len(samples), self._stack.x.shape[1], self._residuals.shape[1], len(self.fault))
+        for piece in pieces(samples):
+            rows, part = slice(piece.start, piece.stop), run.part(piece.start, piece.stop)
+            if piece.restart:
+                self.restart(samples.u[piece.start], samples.y[piece.start])
+            if piece.measured:
+                self._steps(samples.u[rows], samples.y[rows], samples.complete[rows], part)
+            else:
+                found = self._stack.coasted(samples.u[rows])
+                part.x[:], part.residual[:] = found.x[:, self.believed], found.residual[:, self.believed]
+                part.fault[:], part.evidence[:] = found.fault[:, self._owned], self.evidence
+                part.speaks[:], part.unexplained[:] = self.speaks, self.unexplained
+                self.fault[:] = part.fault[-1]
+        return run
+
+    def _steps(
+        self, u: NDArray[np.float64], y: NDArray[np.float64], complete: NDArray[np.bool_], run: EstimatorRun
+    ) -> None:
+        """Advance by N samples with measurements, as :meth:`step` does by one."""
+        count = len(u)
+        stack, rows = self._stack.run(u, y), np.arange(count)
+        residuals = smooth(stack.residual.reshape(count, -1), self._keep, self._residuals.reshape(-1))
+        faults = smooth(stack.fault, self._keep, self._faults)
+        white = np.matmul(self._whitening, residuals.reshape(*stack.residual.shape, 1))[..., 0]
+        J = np.vecdot(white, white)
+        sizes = [unwash.run(faults[:, self._owned[place]]) for place, unwash, _ in self._washed]
+        believed, unexplained = self._choices(J, faults, sizes)
+        explained = unexplained == 0.0
+        run.x[:], run.residual[:] = stack.x[rows, believed], stack.residual[rows, believed]
+        run.fault[:] = stack.fault[:, self._owned]
+        run.evidence[:] = 0.0
+        for k in np.unique(believed).tolist():
+            here = np.flatnonzero(explained & (believed == k))
+            run.evidence[np.ix_(here, self._places[k])] = faults[here, self._stack.spans[k]]
+            for (place, _, _), size in zip(self._washed, sizes, strict=True):
+                if place in self._places[k]:
+                    run.evidence[here, place] = size[here]
+        run.speaks[:] = True
+        run.speaks[:, self._comparison] = explained[:, None]
+        for k, place, detector in self._edges:
+            run.evidence[:, place], held = detector.run(stack.fault[:, self._stack.spans[k].start], J[:, k], complete)
+            unexplained = np.where((held != 0.0) & (J[:, k] <= self._floor), 0.0, unexplained)
+        run.unexplained[:] = unexplained
+        self.J, self.believed, self.unexplained = J[-1].copy(), int(believed[-1]), float(unexplained[-1])
+        self.fault[:], self.evidence[:], self.speaks[:] = run.fault[-1], run.evidence[-1], run.speaks[-1]
+
+    def _choices(
+        self, J: NDArray[np.float64], faults: NDArray[np.float64], sizes: Sequence[NDArray[np.float64]]
+    ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+        """Return who is believed (N,) and the score of what nobody explains (N,), as :meth:`_choose` chooses.
+
+        Whom each sample would have believed next is found for everyone who may have been believed before it.
+        """
+        rows, compared = np.arange(len(J)), J[:, self._compared]
+        share = self._share * compared.max(axis=1)
+        limit = np.where(share > self._floor, share, self._floor)
+        penalty = np.where(share > self._penalty, share, self._penalty)
+        more = np.add.reduceat((faults > 0.0) & self._scaling, self._first, axis=1) > 0
+        cost = J + np.where(more, penalty[:, None], 0.0)
+        explains = limit[:, None] >= J
+        stays = self._loyal(sizes, len(J)) & explains
+        best = self._compared[np.argmin(compared, axis=1)]
+        explained = np.zeros(len(J), dtype=np.bool_)
+        for group in self._groups:
+            explaining = explains[:, group]
+            first = explaining.any(axis=1) & ~explained
+            price = np.where(explaining, cost[:, group], np.inf)
+            least = price.min(axis=1)
+            cheapest = np.where(least < np.inf, np.argmin(price, axis=1), np.argmax(explaining, axis=1))
+            best = np.where(first, group[cheapest], best)
+            cheaper = (_LOYALTY * least)[:, None] < cost[:, group]
+            stays[:, group] |= first[:, None] & explaining & ~cheaper
+            explained |= first
+        chosen, believed = self.believed, []
+        for following in np.where(stays, np.arange(J.shape[1]), best[:, None]).tolist():
+            chosen = following[chosen]
+            believed.append(chosen)
+        found = np.array(believed, dtype=np.intp)
+        return found, np.where(explained, 0.0, np.sqrt(J[rows, found]))
+
+    def _loyal(self, sizes: Sequence[NDArray[np.float64]], count: int) -> NDArray[np.bool_]:
+        """Return which hypotheses stay while they explain (N, K): a washed-out fault of theirs stood before."""
+        standing = np.zeros((count + 1, len(self._washed)), dtype=np.bool_)
+        for column, (place, _, threshold), size in zip(standing.T, self._washed, sizes, strict=True):
+            column[0], column[1:] = place in self._standing, np.abs(size) > threshold
+        self._standing = {place for (place, _, _), stands in zip(self._washed, standing[-1], strict=True) if stands}
+        loyal = np.zeros((count, len(self._own)), dtype=np.bool_)
+        for stands, keepers in zip(standing[:-1].T, self._keepers, strict=True):
+            if stands.any():
+                loyal |= stands[:, None] & keepers
+        return loyal
 
     def _give_back(self) -> None:
         """Take washed-out faults back to their size, whichever hypothesis is believed, and show the believed one's."""

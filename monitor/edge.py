@@ -11,6 +11,11 @@ are flat and have corners: where more than three in five of the samples around a
 from __future__ import annotations
 
 from collections import deque
+from functools import reduce
+from operator import add
+
+import numpy as np
+from numpy.typing import NDArray
 
 _MEAN_S = 0.03
 _GAP_S = 0.03
@@ -46,7 +51,7 @@ class EdgeDetector:
         self._mean = max(1, round(_MEAN_S * rate_hz))
         self._gap = max(1, round(_GAP_S * rate_hz))
         self._flat = max(2, round(_FLAT_S * rate_hz))
-        self._hold = round(hold_s * rate_hz)
+        self._longest = round(hold_s * rate_hz)
         self._limit = limit
         self._smallest = smallest
         self._back = (0, self._flat // 2, self._flat, self._flat + self._gap + self._mean)
@@ -76,11 +81,12 @@ class EdgeDetector:
         """
         self._bridged.append(not complete)
         self._estimates.append(estimate)
-        self._means.append(sum(self._estimates) / len(self._estimates))
+        # Added one by one: what sum() does is another thing in other versions of Python.
+        self._means.append(reduce(add, self._estimates) / len(self._estimates))
         self._loud = self._size if self._limit < J else max(0, self._loud - 1)
         self._age += 1
         self._quiet = max(0, self._quiet - 1)
-        if self._age > self._hold:
+        if self._age > self._longest:
             self.held = 0.0
         found = self._find()
         self._seen = self._seen + 1 if found else 0
@@ -94,6 +100,88 @@ class EdgeDetector:
             if abs(self.held) < _CANCELLED * abs(self.edge):
                 self.held = 0.0
         return self.held
+
+    def run(
+        self, estimates: NDArray[np.float64], J: NDArray[np.float64], complete: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Take N samples (N,); return what :meth:`update` returns at each and ``held`` after each.
+
+        A test holds the two together.
+        """
+        count = len(estimates)
+        given, held = np.empty(count), np.empty(count)
+        filled = min(count, self._size - len(self._means))
+        for k in range(filled):
+            given[k] = self.update(float(estimates[k]), float(J[k]), bool(complete[k]))
+            held[k] = self.held
+        if filled < count:
+            # Floats by themselves say nothing of infinities either.
+            with np.errstate(over="ignore", invalid="ignore"):
+                steps = self._steps(estimates[filled:], J[filled:], complete[filled:])
+            self._hold(steps, given[filled:], held[filled:])
+        return given, held
+
+    def _steps(
+        self, estimates: NDArray[np.float64], J: NDArray[np.float64], complete: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """Return what :meth:`_find` finds at each of N samples (N,) after the first that fill the window."""
+        count, size = len(estimates), self._size
+        known = np.concatenate([self._estimates, estimates])
+        total = known[1 : count + 1]
+        for k in range(2, self._mean + 1):
+            total = total + known[k : count + k]
+        means = np.concatenate([self._means, total / self._mean])
+        last, middle, after, before = (means[size - back : size - back + count] for back in self._back)
+        step = after - before
+        swing = np.abs(last - after)
+        for other in (np.abs(middle - after), np.abs(before - means[1 : count + 1])):
+            swing = np.where(other > swing, other, swing)
+        bridged = np.concatenate([self._bridged, ~complete])
+        among = np.cumsum(bridged, dtype=np.int64)
+        loud = np.where(self._limit < J, np.arange(count), self._loud - size - 1)
+        since = np.arange(count) - np.maximum.accumulate(loud)
+        flat = (swing < _SHARE * np.abs(step)) & (since >= size)
+        flat &= among[size:] - among[:count] <= _BRIDGED * size
+        self._estimates.extend(known[count:].tolist())
+        self._means.extend(means[count:].tolist())
+        self._bridged.extend(bridged[count:].tolist())
+        self._loud = max(0, size - int(since[-1]))
+        return np.where(flat, step, 0.0)
+
+    def _hold(self, steps: NDArray[np.float64], given: NDArray[np.float64], held: NDArray[np.float64]) -> None:
+        """Write what is given and held at each of N samples (N,) with these steps."""
+        count, kept = len(steps), 0
+        last, quiet_until, since = -1, self._quiet - 1, -1 - self._age
+        self.edge = 0.0
+        given[:] = 0.0
+
+        def keep(stop: int) -> None:
+            end = min(max(since + self._longest + 1, kept), stop)
+            held[kept:end] = self.held
+            held[end:stop] = 0.0
+            if end < stop:
+                self.held = 0.0
+
+        for k in np.flatnonzero(steps).tolist():
+            self._seen = self._seen + 1 if k == last + 1 else 1
+            last = k
+            if self._seen < self._mean or k < quiet_until:
+                continue
+            edge = float(steps[k])
+            given[k] = edge
+            self.edge = edge if k == count - 1 else 0.0
+            if self._smallest is None or abs(edge) < self._smallest:
+                continue
+            keep(k + 1)
+            kept, quiet_until, since = k, k + self._gap + 2 * self._mean, k
+            self.held += edge
+            if abs(self.held) < _CANCELLED * abs(edge):
+                self.held = 0.0
+        keep(count)
+        self._seen = self._seen if last == count - 1 else 0
+        self._quiet, self._age = max(0, quiet_until - count + 1), count - 1 - since
+        if self._smallest is not None:
+            given[:] = held
 
     def _find(self) -> float:
         """Return the step from before the gap to after it, zero where the estimate is not flat on both sides."""

@@ -7,11 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.sample import Samples
 from gains.gains_file import Gains
 from monitor.bank import Bank
+from monitor.estimator_run import EstimatorRun, empty_run, pieces
 from monitor.isolation import IndependentChannels, SingleFaultIsolator
 from monitor.isolation_rule import BankRule, IndependentRule, IsolationRule, SingleRule
-from monitor.observer import Observer
+from monitor.observer_stack import ObserverStack
 
 
 class JointEstimator:
@@ -27,7 +29,7 @@ class JointEstimator:
     Attributes
     ----------
     x, fault, residual : NDArray[np.float64]
-        As of :class:`monitor.observer.Observer`: views that the next step overwrites.
+        As of :class:`monitor.observer_stack.ObserverStack`: views that the next step overwrites.
     evidence : NDArray[np.float64]
         What each channel is held responsible for (a,).
     unexplained : float
@@ -39,11 +41,11 @@ class JointEstimator:
     unexplained = 0.0
 
     def __init__(self, gains: Gains, rule: IndependentRule | SingleRule) -> None:
-        self._observer = Observer(gains)
+        self._observer = ObserverStack([gains])
         self._isolator = _isolator(gains, rule)
-        self.x = self._observer.x
+        self.x = self._observer.x[0]
         self.fault = self._observer.fault
-        self.residual = self._observer.residual
+        self.residual = self._observer.residual[0]
         self.evidence = np.zeros(len(gains.faults))
         self.speaks = np.ones(len(gains.faults), dtype=np.bool_)
 
@@ -66,6 +68,26 @@ class JointEstimator:
     def coast(self, u: NDArray[np.float64]) -> None:
         """Advance by one sample without measurements, u (s,): nothing is learned of who is responsible."""
         self._observer.coast(u)
+
+    def run(self, samples: Samples) -> EstimatorRun:
+        """Take N samples; return what the attributes hold after each, to the bits of taking them one by one."""
+        run = empty_run(len(samples), len(self.x), len(self.residual), len(self.fault))
+        run.speaks[:] = True
+        run.unexplained[:] = 0.0
+        for piece in pieces(samples):
+            rows = slice(piece.start, piece.stop)
+            u, y = samples.u[rows], samples.y[rows]
+            if piece.restart:
+                self.restart(u[0], y[0])
+            if piece.measured:
+                found = self._observer.run(u, y)
+                run.evidence[rows] = self._isolator.run(found.fault)
+                self.evidence = run.evidence[piece.stop - 1].copy()
+            else:
+                found = self._observer.coasted(u)
+                run.evidence[rows] = self.evidence
+            run.x[rows], run.fault[rows], run.residual[rows] = found.x[:, 0], found.fault, found.residual[:, 0]
+        return run
 
 
 Estimator = JointEstimator | Bank

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from monitor.smoothing import smooth
+
 _SMALLEST_WEIGHT = 1e-9
 
 
@@ -85,11 +87,38 @@ class SingleFaultIsolator:
         """Take the joint estimate f^ (a,) of one sample."""
         self._smoothed *= self._keep
         self._smoothed += (1.0 - self._keep) * fault
-        projected = self._information @ self._smoothed
+        projected = np.dot(self._information, self._smoothed)
         single = projected / self._weight
         score = single * projected
-        suspects = [int(np.argmax(score - self._penalty * (single > 0.0)))]
-        evidence = np.zeros_like(single)
+        suspect = int(np.argmax(score - self._penalty * (single > 0.0)))
+        return Isolation(single=single, evidence=self._evidence(projected, single, score, suspect))
+
+    def run(self, fault: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take the joint estimates of N samples (N, a); return the evidence (N, a) of each, to the same bits.
+
+        A test holds it together with :meth:`update`.
+        """
+        smoothed = smooth(fault, self._keep, self._smoothed)
+        # One call of BLAS for each sample: that of np.dot.
+        projected = np.matmul(self._information, smoothed[:, :, None])[:, :, 0]
+        single = projected / self._weight
+        score = single * projected
+        suspect = np.argmax(score - self._penalty * (single > 0.0), axis=1)
+        rows = np.arange(len(fault))
+        evidence: NDArray[np.float64] = np.zeros_like(single)
+        evidence[rows, suspect] = single[rows, suspect]
+        share = self._tolerance * np.sqrt(score[rows, suspect])
+        limit = np.where(share > self._floor, share, self._floor)
+        for row in np.flatnonzero(limit < np.sqrt(score.max(axis=1))).tolist():
+            evidence[row] = self._evidence(projected[row], single[row], score[row], int(suspect[row]))
+        return evidence
+
+    def _evidence(
+        self, projected: NDArray[np.float64], single: NDArray[np.float64], score: NDArray[np.float64], suspect: int
+    ) -> NDArray[np.float64]:
+        """Return what each channel is held responsible for (a,), beginning with the first suspect."""
+        suspects = [suspect]
+        evidence: NDArray[np.float64] = np.zeros_like(single)
         evidence[suspects] = single[suspects]
         limit = max(self._floor, self._tolerance * float(np.sqrt(score[suspects[0]])))
         while limit < float(np.sqrt(score.max())) and len(suspects) < len(single):
@@ -102,7 +131,7 @@ class SingleFaultIsolator:
             suspects.append(following)
             block = self._information[np.ix_(suspects, suspects)]
             evidence[suspects] = np.linalg.solve(block, projected[suspects])
-        return Isolation(single=single, evidence=evidence)
+        return evidence
 
     def _unexplained(
         self, projected: NDArray[np.float64], suspects: list[int]
@@ -140,3 +169,7 @@ class IndependentChannels:
         self._smoothed += (1.0 - self._keep) * fault
         value = self._smoothed.copy()
         return Isolation(single=value, evidence=value)
+
+    def run(self, fault: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take the joint estimates of N samples (N, a); return the evidence (N, a) of each, to the same bits."""
+        return smooth(fault, self._keep, self._smoothed)

@@ -16,6 +16,9 @@ every error of healthy operation; it is integrated while |f_w| says that somethi
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 _QUIET = 0.5
 _OVER = 0.1
 
@@ -67,3 +70,23 @@ class Unwash:
             self._integral = self.peak = 0.0
             return washed
         return 0.0 if over and self.peak > 0.0 else fault
+
+    def run(self, washed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take the estimates f_w of N samples (N,); return f (N,), as :meth:`update` gives it one by one."""
+        found = washed.copy()
+        if not len(washed):
+            return found
+        moving = np.flatnonzero(np.abs(washed) > _QUIET * self._threshold)
+        k = 0
+        while k < len(washed):
+            if self._integral == 0.0 and self.peak == 0.0:
+                following = int(np.searchsorted(moving, k))
+                if following == len(moving):
+                    break
+                if moving[following] > k:
+                    k = int(moving[following])
+                    self._before = float(washed[k - 1])
+            found[k] = self.update(float(washed[k]))
+            k += 1
+        self._before = float(washed[-1])
+        return found

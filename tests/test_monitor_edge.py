@@ -70,3 +70,34 @@ def test_no_edge_is_found_among_samples_that_were_bridged_across_losses() -> Non
     assert held(0) == pytest.approx(0.08)
     assert held(4) == pytest.approx(0.08)
     assert held(1) == 0.0
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    smallest=st.sampled_from([None, 0.05, 0.4]),
+    lengths=st.lists(st.integers(0, 120), min_size=1, max_size=12),
+)
+def test_a_stretch_gives_what_its_samples_give_one_by_one(
+    seed: int, smallest: float | None, lengths: list[int]
+) -> None:
+    rng = np.random.default_rng(seed)
+    count = sum(max(1, length) for length in lengths)
+    jumps = rng.choice([0.0, -0.3, 0.06, 0.3], p=[0.97, 0.01, 0.01, 0.01], size=count)
+    values = np.cumsum(jumps) + rng.choice([0.0, 0.002]) * rng.normal(size=count)
+    values[rng.random(count) < 0.002] = rng.choice([np.nan, np.inf, 1e308])
+    J = np.where(rng.random(count) < 0.005, 20.0, 1.0)
+    complete = rng.random(count) > 0.1
+    one, many = (EdgeDetector(RATE_HZ, 14.0, smallest, hold_s=0.5) for _ in range(2))
+    at = 0
+    for length in lengths:
+        rows = slice(at, at + max(1, length))
+        given_back, held = many.run(values[rows], J[rows], complete[rows])
+        for k in range(rows.start, rows.stop):
+            expected = one.update(float(values[k]), float(J[k]), bool(complete[k]))
+            assert (given_back[k - at], held[k - at]) == (expected, one.held)
+        assert many.edge == one.edge
+        if length == 0:
+            assert [len(part) for part in many.run(values[:0], J[:0], complete[:0])] == [0, 0]
+            for detector in (one, many):
+                detector.update(0.0, 1.0)
+        at = rows.stop

@@ -55,3 +55,19 @@ def test_smoothing_follows_a_step_with_its_time_constant() -> None:
     assert values[-1] == pytest.approx(1 - np.exp(-1))
     stage.restart()
     assert stage.update(np.zeros(1)).evidence[0] == 0.0
+
+
+@given(seed=st.integers(0, 10_000), lengths=st.lists(st.integers(0, 30), min_size=1, max_size=8))
+def test_a_stretch_gives_what_its_samples_give_one_by_one(seed: int, lengths: list[int]) -> None:
+    rng = np.random.default_rng(seed)
+    one, many = (SingleFaultIsolator(COVARIANCE, 0.05, 100.0, 0.2, 3.0, 25.0, LOSSES) for _ in range(2))
+    alike, together = (IndependentChannels(4, 0.05, 100.0) for _ in range(2))
+    for length in lengths:
+        fault = rng.choice([0.001, 0.01, 0.3]) * rng.normal(size=(length, 4)) + rng.normal(size=4) * rng.choice([0, 1])
+        expected = np.array([one.update(row).evidence for row in fault]).reshape(length, 4)
+        assert many.run(fault).tobytes() == expected.tobytes()
+        expected = np.array([alike.update(row).evidence for row in fault]).reshape(length, 4)
+        assert together.run(fault).tobytes() == expected.tobytes()
+        single = rng.normal(size=4)
+        assert many.update(single).evidence.tobytes() == one.update(single).evidence.tobytes()
+        assert together.update(single).evidence.tobytes() == alike.update(single).evidence.tobytes()

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from monitor.washout import Unwash
 
@@ -92,3 +94,21 @@ def test_a_restart_forgets() -> None:
     unwash.restart()
     assert unwash.peak == 0.0
     assert unwash.update(0.1) == 0.1
+
+
+@given(seed=st.integers(0, 10_000), lengths=st.lists(st.integers(0, 400), min_size=1, max_size=12))
+def test_a_stretch_gives_what_its_samples_give_one_by_one(seed: int, lengths: list[int]) -> None:
+    rng = np.random.default_rng(seed)
+    count = sum(max(1, length) for length in lengths)
+    fault = 3.0 * np.cumsum(rng.choice([0.0, -1.0, 1.0], p=[0.98, 0.01, 0.01], size=count))
+    washed = wash(fault) + rng.choice([0.0, 0.05, 0.2]) * rng.normal(size=count)
+    washed[rng.random(count) < 0.001] = rng.choice([np.nan, np.inf, -0.0])
+    one, many = (Unwash(TAU, RATE, THRESHOLD) for _ in range(2))
+    at = 0
+    for length in lengths:
+        rows = slice(at, at + max(1, length))
+        found = many.run(washed[rows]) if length else np.array([many.update(float(washed[at]))])
+        assert found.tobytes() == np.array([one.update(value) for value in washed[rows].tolist()]).tobytes()
+        assert repr(many.peak) == repr(one.peak)
+        assert not len(many.run(washed[:0]))
+        at = rows.stop
