@@ -18,8 +18,9 @@ _KEYS = {"message", "field", "where", "scale", "offset", "clock", "clock_unit_ns
 _CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
 # The difference of two values up to here is finite, so interpolation cannot overflow.
 _MAX_VALUE = 1e300
-# Where messages of ROS 2 have their time: seconds and nanoseconds.
+# Where messages of ROS 2, and those of Foxglove's schemas, have their time: seconds and nanoseconds.
 _ROS_STAMP = ("header", "stamp")
+_FOXGLOVE_STAMP = "timestamp"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +32,7 @@ class Channel:
     name : str
         The user's name of the channel, the same as in the plant model.
     message : str
-        MAVLink message name or Zenoh key the field is taken from.
+        MAVLink message name, Zenoh key or topic of ROS 2 (without its leading slash) the field is taken from.
     path : tuple[str | int, ...]
         Steps into the message's fields, ``"data[3]"`` being ``("data", 3)``. A name in place of a number,
         ``"position[elbow]"``, is looked up in the list ``name`` beside: the joints of a JointState, whose order may
@@ -43,8 +44,9 @@ class Channel:
         with ``port`` 0 and 1, DEBUG_FLOAT_ARRAY with different ``name``.
     clock : str | None
         Field with the measurement's time on the vehicle's clock, a number or seconds and nanoseconds as ROS 2
-        writes them (``sec``, ``nanosec``); None takes ``time_boot_ms``, ``time_usec``, ``time_ns`` or
-        ``header.stamp``, whichever the message has, and the newest vehicle time where it has none.
+        writes them (``sec``, ``nanosec``); None takes ``time_boot_ms``, ``time_usec``, ``time_ns``,
+        ``header.stamp`` or such a ``timestamp``, whichever the message has, and the newest vehicle time where it has
+        none.
     clock_unit_ns : int | None
         Nanoseconds per count of that field; None: known from the usual names.
     interpolation : {"linear", "previous"}
@@ -93,12 +95,15 @@ class Channel:
             stamp = _stamp(fields.get(name), self.clock_unit_ns or unit_ns)
             if stamp is not None:
                 return stamp
-        return _stamp(follow(fields, _ROS_STAMP), 1) if "header" in fields else None
+        if "header" in fields:
+            return _stamp(follow(fields, _ROS_STAMP), 1)
+        stamped = fields.get(_FOXGLOVE_STAMP)
+        return _stamp(stamped, 1) if isinstance(stamped, Mapping) else None
 
 
 def _stamp(count: Any, unit_ns: int) -> int | None:
     if isinstance(count, Mapping):
-        seconds, rest = _whole(count.get("sec"), 1_000_000_000), _whole(count.get("nanosec"), 1)
+        seconds, rest = _whole(count.get("sec"), 1_000_000_000), _whole(count.get("nanosec", count.get("nsec")), 1)
         return None if seconds is None or rest is None else seconds + rest
     return _whole(count, unit_ns)
 
@@ -146,8 +151,8 @@ def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
     name : str
         The channel's name.
     table : Mapping[str, Any]
-        Keys ``message`` and ``field`` (required), ``where``, ``scale``, ``offset``, ``clock``,
-        ``clock_unit_ns``, ``interpolation``, ``period``.
+        Keys ``message`` (a leading slash is dropped) and ``field`` (required), ``where``, ``scale``, ``offset``,
+        ``clock``, ``clock_unit_ns``, ``interpolation``, ``period``.
     where : str
         File and key of the table, for errors.
 
@@ -188,7 +193,7 @@ def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
         )
     return Channel(
         name=name,
-        message=str(table["message"]),
+        message=str(table["message"]).removeprefix("/") or "/",
         path=path,
         scale=float(table.get("scale", 1.0)),
         offset=float(table.get("offset", 0.0)),

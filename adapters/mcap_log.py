@@ -1,40 +1,21 @@
-"""Message logs in MCAP: written so that a crash loses nothing flushed, read in the order of writing."""
+"""Writes message logs in MCAP, so that a crash loses nothing flushed; :mod:`adapters.mcap_reader` reads them."""
 
 from __future__ import annotations
 
-import contextlib
 import os
-import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self, cast
 
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError, UnsupportedCompressionError
-from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, Metadata, Schema
-from mcap.stream_reader import get_chunk_data_stream
-from mcap.writer import MCAP0_MAGIC
-
-from adapters.compressed import CompressedFile
 from adapters.errors import TelemetryError
 from adapters.mcap_writer import McapWriter
 from adapters.message import Message
-from adapters.message_record import Decode, decoder, encode
+from adapters.message_record import encode
 from adapters.record import Record
 
 MAX_CHANNELS = 4096
-MAX_RECORD_BYTES = 512 * 1024 * 1024
-
-_RECORD_HEAD = struct.Struct("<BQ")
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-_UNREADABLE = (McapError, struct.error, ValueError, KeyError, OverflowError, zstandard.ZstdError)
-_Read = Callable[[int], bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,208 +148,3 @@ class MessageLogWriter:
         channel = self._writer.add_channel(record.topic, record.encoding, schema_id)
         self._channels[record.topic, record.encoding] = channel
         return channel
-
-
-@dataclass(frozen=True, slots=True)
-class ReaderStatistics:
-    """What a log reader found so far.
-
-    Parameters
-    ----------
-    messages : int
-        Messages returned.
-    other_records : int
-        Records of topics that are no telemetry, among them our own estimates and alarms.
-    damaged_chunks : int
-        Blocks of records that were lost because their checksum or compression does not hold.
-    damaged_records : int
-        Single records that cannot be decoded.
-    stopped_at : int | None
-        Byte at which an unfinished or broken file could not be read on; None after a proper end.
-    """
-
-    messages: int
-    other_records: int
-    damaged_chunks: int
-    damaged_records: int
-    stopped_at: int | None
-
-
-class MessageLogReader:
-    """Reads a log's telemetry in the order it was written, also from unfinished and damaged files.
-
-    Iterate over it once; :meth:`statistics` tells what was found and what was not.
-
-    Parameters
-    ----------
-    path : str | PathLike
-        A ``.mcap`` file, plain or with ``.xz`` or ``.gz`` behind.
-    """
-
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self._path = Path(path)
-        self._schemas: dict[int, Schema] = {}
-        self._decoders: dict[int, Decode | None] = {}
-        self._messages = 0
-        self._other_records = 0
-        self._damaged_chunks = 0
-        self._damaged_records = 0
-        self._stopped_at: int | None = None
-
-    def statistics(self) -> ReaderStatistics:
-        """Return the counts so far."""
-        return ReaderStatistics(
-            messages=self._messages,
-            other_records=self._other_records,
-            damaged_chunks=self._damaged_chunks,
-            damaged_records=self._damaged_records,
-            stopped_at=self._stopped_at,
-        )
-
-    def __iter__(self) -> Iterator[Message]:
-        """Return the messages.
-
-        Raises
-        ------
-        TelemetryError
-            The file cannot be opened, is no MCAP file or needs a compression that is not installed.
-        """
-        read = _open_log(self._path)
-        self._learn_from_index()
-        for opcode, body in self._records(read):
-            if opcode == Opcode.CHUNK:
-                yield from self._from_chunk(body)
-            elif (message := self._from_record(opcode, body)) is not None:
-                yield message
-
-    def metadata(self, *, ahead_only: bool = False) -> dict[str, dict[str, str]]:
-        """Return the metadata records by name; later entries of the same name and key win.
-
-        With ``ahead_only``, those that stand ahead of all data, for which the file need not be read to its end.
-        """
-        found: dict[str, dict[str, str]] = {}
-        for opcode, body in self._records(_open_log(self._path)):
-            if ahead_only and opcode in (Opcode.CHUNK, Opcode.MESSAGE):
-                break
-            if opcode == Opcode.METADATA:
-                with contextlib.suppress(*_UNREADABLE):
-                    record = Metadata.read(ReadDataStream(BytesIO(body)))
-                    found.setdefault(record.name, {}).update(record.metadata)
-        return found
-
-    def _records(self, read: _Read) -> Iterator[tuple[int, bytes]]:
-        """Return (opcode, body) of each record behind the magic, up to the footer or where it breaks off."""
-        at = len(MCAP0_MAGIC)
-        opcode = 0
-        while opcode != Opcode.FOOTER:
-            self._stopped_at = at
-            head = read(_RECORD_HEAD.size)
-            if len(head) < _RECORD_HEAD.size:
-                return
-            opcode, length = _RECORD_HEAD.unpack(head)
-            if not opcode or length > MAX_RECORD_BYTES or len(body := read(length)) < length:
-                return
-            at += len(head) + length
-            yield opcode, body
-        self._stopped_at = None
-
-    def _learn_from_index(self) -> None:
-        """Take schemas and channels from a finished file's end; their own chunk may be damaged."""
-        if self._path.suffix in (".xz", ".gz"):
-            return
-        # a length that damage made up may be more than there is memory
-        with contextlib.suppress(*_UNREADABLE, MemoryError, OSError), self._path.open("rb") as stream:
-            stream.seek(-len(MCAP0_MAGIC), os.SEEK_END)
-            if stream.read() != MCAP0_MAGIC:
-                return
-            stream.seek(0)
-            summary = SeekingReader(stream, record_size_limit=MAX_RECORD_BYTES).get_summary()
-            if summary is not None:
-                self._schemas.update(summary.schemas)
-                for channel in summary.channels.values():
-                    self._define(channel)
-
-    def _from_chunk(self, body: bytes) -> Iterator[Message]:
-        try:
-            data = _chunk_data(body)
-        except UnsupportedCompressionError as error:
-            raise TelemetryError(f"{self._path}: {error}; install it or convert the file to zstd") from error
-        except _UNREADABLE:
-            self._damaged_chunks += 1
-            return
-        at = 0
-        while at + _RECORD_HEAD.size <= len(data):
-            opcode, length = _RECORD_HEAD.unpack_from(data, at)
-            at += _RECORD_HEAD.size
-            if (message := self._from_record(opcode, data[at : at + length])) is not None:
-                yield message
-            at += length
-
-    def _from_record(self, opcode: int, body: bytes) -> Message | None:
-        """Take in one record; return the message where it is one of telemetry."""
-        try:
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(ReadDataStream(BytesIO(body)))
-                self._schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL:
-                self._define(Channel.read(ReadDataStream(BytesIO(body))))
-            elif opcode == Opcode.MESSAGE:
-                channel, _, log_time, _ = _MESSAGE_HEAD.unpack_from(body)
-                decode = self._decoders[channel]
-                if decode is None:
-                    self._other_records += 1
-                    return None
-                message = decode(body[_MESSAGE_HEAD.size :], log_time)
-                self._messages += 1
-                return message
-        except _UNREADABLE:
-            self._damaged_records += 1
-        return None
-
-    def _define(self, channel: Channel) -> None:
-        schema = self._schemas.get(channel.schema_id)
-        self._decoders[channel.id] = decoder(
-            channel.topic, channel.message_encoding, None if schema is None else (schema.name, schema.data)
-        )
-
-
-def read_mcap_messages(path: str | os.PathLike[str]) -> Iterator[Message]:
-    """Return a log's telemetry in the order it was written; see :class:`MessageLogReader`."""
-    return iter(MessageLogReader(path))
-
-
-def read_mcap_metadata(path: str | os.PathLike[str], *, ahead_only: bool = False) -> dict[str, dict[str, str]]:
-    """Return a log's metadata records by name; see :meth:`MessageLogReader.metadata`."""
-    return MessageLogReader(path).metadata(ahead_only=ahead_only)
-
-
-def _chunk_data(body: bytes) -> bytes:
-    """Return a chunk's records, decompressed and checked against its checksum."""
-    chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-    sizes = [chunk.uncompressed_size]
-    if chunk.compression == "zstd":
-        sizes.append(zstandard.frame_content_size(chunk.data))
-    if max(sizes) > MAX_RECORD_BYTES:
-        raise ValueError("chunk claims an absurd size")
-    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-    return stream.read(length)
-
-
-def _open_log(path: Path) -> _Read:
-    """Open a recording, plain or compressed, step over its magic, and return what reads on from there.
-
-    That returns as many bytes as asked for, fewer only where the file ends or its compression is damaged.
-    """
-    pieces = iter(CompressedFile(path))
-    held = bytearray()
-
-    def read(count: int) -> bytes:
-        while len(held) < count and (piece := next(pieces, None)) is not None:
-            held.extend(piece)
-        taken = bytes(held[:count])
-        del held[:count]
-        return taken
-
-    if read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-        raise TelemetryError(f"{path}: not an MCAP file although its name says so; check where it came from")
-    return read

@@ -8,8 +8,9 @@ import json
 from collections.abc import Callable
 from typing import Any
 
+from adapters.foreign_record import json_object
 from adapters.log_schema import LogProtobuf, to_protobuf
-from adapters.mavlink_schema import MavlinkProtobuf, mavlink_protobuf
+from adapters.mavlink_schema import PACKAGE, MavlinkProtobuf, mavlink_protobuf
 from adapters.message import Message
 from adapters.protobuf_types import class_from_descriptor_set, descriptor_set
 from adapters.record import Record, Schema
@@ -18,6 +19,7 @@ from adapters.record import Record, Schema
 _JSON_SOURCES = ("zenoh", "clock", "operator", "journal")
 # Records of onboard logs: protobuf by what they hold, JSON where that cannot be.
 _LOG_SOURCES = ("ulog", "dataflash")
+_SOURCES = ("mavlink", "link", *_JSON_SOURCES, *_LOG_SOURCES)
 
 # viewers want some schema, and a JSON topic may carry anything
 _JSON_SCHEMA = Schema("fauio.Telemetry", "jsonschema", b'{"type": "object"}')
@@ -62,8 +64,29 @@ def encode(message: Message) -> Record:
     return Record(topic, "json", _JSON_SCHEMA, data, message.received_ns, message.component)
 
 
+def recorded_name(topic: str, encoding: str, schema: str | None) -> str | None:
+    """Return the name of the messages on a topic of ours, None where others made the topic.
+
+    Parameters
+    ----------
+    topic, encoding : str
+        Topic and message encoding of the log's channel.
+    schema : str | None
+        Name of the channel's schema.
+    """
+    source, _, name = topic.removeprefix("/").partition("/")
+    if not name or source not in _SOURCES:
+        return None
+    if source == "mavlink" and encoding == "protobuf":
+        return name if schema is not None and schema.startswith(f"{PACKAGE}.") else None
+    if source in _LOG_SOURCES and encoding == "protobuf":
+        return name
+    ours = source == "zenoh" or schema is None or schema == _JSON_SCHEMA.name
+    return name if encoding == "json" and ours else None
+
+
 def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Decode | None:
-    """Return what turns a topic's records into messages, None where the topic is no telemetry.
+    """Return what turns a topic's records into messages, None where others made the topic.
 
     Parameters
     ----------
@@ -77,22 +100,21 @@ def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Deco
     ValueError
         The schema cannot be used.
     """
-    if topic.startswith("/mavlink/"):
-        name = topic.removeprefix("/mavlink/")
+    name = recorded_name(topic, encoding, None if schema is None else schema[0])
+    if name is None:
+        return None
+    source = topic.removeprefix("/").partition("/")[0]
+    if source == "mavlink":
         if encoding == "protobuf" and schema is not None:
             kind = MavlinkProtobuf(class_from_descriptor_set(schema[1], schema[0]))
             return lambda data, time_ns: kind.from_bytes(data, name, time_ns)
-        if encoding == "json":
-            return lambda data, time_ns: _mavlink_from_json(data, name, time_ns)
-    source, _, name = topic.removeprefix("/").partition("/")
-    if source == "link" and name and encoding == "json":
+        return lambda data, time_ns: _mavlink_from_json(data, name, time_ns)
+    if source == "link":
         return lambda data, time_ns: _link_from_json(data, name, time_ns)
-    if source in _LOG_SOURCES and name and encoding == "protobuf" and schema is not None:
+    if source in _LOG_SOURCES and encoding == "protobuf" and schema is not None:
         log = LogProtobuf(*schema)
         return lambda data, time_ns: Message(source, name, time_ns, log.fields(data))
-    if source in (*_JSON_SOURCES, *_LOG_SOURCES) and name and encoding == "json":
-        return lambda data, time_ns: Message(source, name, time_ns, _from_json(data))
-    return None
+    return lambda data, time_ns: Message(source, name, time_ns, json_object(data))
 
 
 @functools.cache
@@ -101,7 +123,7 @@ def _mavlink_schema(kind: MavlinkProtobuf) -> Schema:
 
 
 def _mavlink_from_json(data: bytes, name: str, time_ns: int) -> Message:
-    record = _from_json(data)
+    record = json_object(data)
     try:
         fields, ids = record["fields"], (record["system_id"], record["component_id"])
     except KeyError as error:
@@ -112,7 +134,7 @@ def _mavlink_from_json(data: bytes, name: str, time_ns: int) -> Message:
 
 
 def _link_from_json(data: bytes, name: str, time_ns: int) -> Message:
-    fields = _from_json(data)
+    fields = json_object(data)
     ids = fields.pop("system_id", 0), fields.pop("component_id", 0)
     return Message("link", name, time_ns, fields, *_checked_ids(name, ids))
 
@@ -128,13 +150,3 @@ def _to_json(fields: Any) -> bytes:
         return json.dumps(dict(fields), separators=(",", ":")).encode()
     except (TypeError, RecursionError) as error:
         raise ValueError(f"no JSON can hold this: {error}") from error
-
-
-def _from_json(data: bytes) -> dict[str, Any]:
-    try:
-        found = json.loads(data)
-    except RecursionError as error:
-        raise ValueError("nested too deeply") from error
-    if not isinstance(found, dict):
-        raise ValueError("not a JSON object")
-    return found

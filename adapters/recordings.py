@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from adapters.block import Block, pack
+from adapters.damage import Damage, scan_damage
 from adapters.errors import TelemetryError
 from adapters.message import Message
 
+if TYPE_CHECKING:
+    from adapters.log_mapping import LogMapping
+
 RecordingKind = Literal["tlog", "mcap", "ulog", "dataflash"]
+
+# Under this key of its metadata an MCAP file that was converted from an onboard log says which kind that was.
+ONBOARD_LOG = "onboard_log"
+
+ALARM_TOPIC = "/fauio/alarm_json"
 
 BLOCK_MESSAGES = 20_000
 
 _TYPICAL_RECORD_BYTES = 52
-# Under this key of its metadata an MCAP file that was converted from an onboard log says which kind that was.
-ONBOARD_LOG = "onboard_log"
 
 _KINDS: Mapping[str, RecordingKind] = {".tlog": "tlog", ".mcap": "mcap", ".ulg": "ulog", ".bin": "dataflash"}
 _COMPRESSED = (".xz", ".gz")
 _SESSION_FILE = re.compile(r"(?P<vehicle>.+)-\d{8}T\d{6}Z-\d+", re.ASCII)
+# a ROS 2 bag is a folder: its description, and files numbered without leading zeros
+_BAG_DESCRIPTION = "metadata.yaml"
+_BAG_FILE = re.compile(r"(?P<vehicle>.+)_(?P<number>\d{1,9})", re.ASCII)
 
 
 def recording_kind(path: str | os.PathLike[str]) -> RecordingKind:
@@ -51,8 +62,8 @@ def recording_kind(path: str | os.PathLike[str]) -> RecordingKind:
 def session_files(folder: str | os.PathLike[str]) -> list[Path]:
     """Return the files of a session that was recorded as ``<vehicle>-<UTC>-<number>.mcap``, in order.
 
-    A folder with a single MCAP file of any name is a session too. Empty files, begun in the moment of a crash, are
-    passed over.
+    A folder with a single MCAP file of any name is a session too, and so is the folder of a ROS 2 bag
+    (``<name>_<number>.mcap`` beside ``metadata.yaml``). Empty files, begun in the moment of a crash, are passed over.
 
     Raises
     ------
@@ -67,7 +78,12 @@ def session_files(folder: str | os.PathLike[str]) -> list[Path]:
         raise TelemetryError(f"{folder}: cannot be read: {error.strerror}") from error
     if not files:
         raise TelemetryError(f"{folder}: holds no .mcap file; give a recording or the folder of a recorded session")
-    found = {_vehicle(file): None for file in files}
+    if (Path(folder) / _BAG_DESCRIPTION).is_file():
+        files.sort(key=_bag_number)
+        name = _BAG_FILE
+    else:
+        name = _SESSION_FILE
+    found = {_vehicle(file, name): None for file in files}
     if len(found) > 1:
         names = ", ".join([*found][:4]) + (", ..." if len(found) > 4 else "")
         raise TelemetryError(
@@ -77,15 +93,10 @@ def session_files(folder: str | os.PathLike[str]) -> list[Path]:
     return files
 
 
-def read_recording(
-    path: str | os.PathLike[str],
-    only: Collection[str] | None = None,
-    mapping: str | os.PathLike[str] | None = None,
-) -> Iterator[Message]:
-    """Return the messages of a recording in the order they arrived, those of an onboard log as telemetry too.
+class Recording:
+    """The messages of a recording in the order they arrived, and then what of it could not be read.
 
-    Onboard logs of PX4 and ArduPilot, and what was converted from them, yield their own records and the MAVLink
-    messages that these stand for (:mod:`adapters.log_mapping`).
+    Iterate over it once. A file of a session that holds nothing of its kind is passed over where others do.
 
     Parameters
     ----------
@@ -100,17 +111,132 @@ def read_recording(
     Raises
     ------
     TelemetryError
-        See :func:`recording_kind`; the mapping cannot be used; on iteration, where a file holds nothing of its kind.
+        See :func:`recording_kind`; the mapping cannot be used; on iteration, where no file holds anything of its kind.
     """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        only: Collection[str] | None = None,
+        mapping: str | os.PathLike[str] | None = None,
+    ) -> None:
+        self._kind = recording_kind(path)
+        self._tables = _tables(path, mapping)
+        self._files = session_files(path) if Path(path).is_dir() else [Path(path)]
+        self._only = only
+        self._damage: list[Damage] = []
+
+    def __iter__(self) -> Iterator[Message]:
+        """Return the messages, those of an onboard log (PX4, ArduPilot, or converted from one) as telemetry too."""
+        if self._tables is None:
+            return self._read(self._only)
+        from adapters.log_telemetry import telemetry
+
+        wanted = None if self._only is None else self._tables.topics(self._only) | frozenset(self._only)
+        return telemetry(self._read(wanted), self._tables, self._only)
+
+    def blocks(self, count: int = BLOCK_MESSAGES) -> Iterator[Block]:
+        """Return the messages in blocks, in the same order.
+
+        ``count`` says how far to read ahead: about as many messages, wanted or not, of a telemetry log; as many wanted
+        ones of other recordings.
+        """
+        if self._kind != "tlog":
+            yield from packed(self, count)
+            return
+        from adapters.tlog_columns import TlogBlocks
+
+        for file in self._files:
+            blocks = TlogBlocks(file, self._only, count * _TYPICAL_RECORD_BYTES)
+            yield from blocks
+            found = scan_damage(file.name, blocks.statistics())
+            self._damage.extend([found] if found else [])
+
+    def records(self) -> Iterator[Message]:
+        """Return the messages as they stand in the files."""
+        return self._read(self._only)
+
+    def _read(self, only: Collection[str] | None) -> Iterator[Message]:
+        unread = 0
+        for file in self._files:
+            messages, damage = _open(self._kind, file, only)
+            try:
+                yield from messages
+            except TelemetryError as error:
+                unread += 1
+                if unread == len(self._files):
+                    raise
+                self._damage.append(Damage(file.name, (str(error).removeprefix(f"{file}: "),), 0))
+            else:
+                found = damage()
+                self._damage.extend([found] if found else [])
+
+    def damage(self) -> tuple[Damage, ...]:
+        """Return what could not be read of the files that were read to their end."""
+        return tuple(self._damage)
+
+
+def _open(
+    kind: RecordingKind, file: Path, only: Collection[str] | None
+) -> tuple[Iterable[Message], Callable[[], Damage | None]]:
+    """Return the messages of one file, and what says afterwards what of them is missing."""
+    if kind == "tlog":
+        from adapters.tlog import TlogReader
+
+        tlog = TlogReader(file, only)
+        return tlog, lambda: scan_damage(file.name, tlog.statistics())
+    if kind == "ulog":
+        from adapters.ulog import UlogReader
+
+        ulog = UlogReader(file, only)
+        return ulog, lambda: scan_damage(file.name, ulog.statistics())
+    if kind == "dataflash":
+        from adapters.dataflash import DataflashReader
+
+        dataflash = DataflashReader(file, only)
+        return dataflash, lambda: scan_damage(file.name, dataflash.statistics())
+    from adapters.mcap_reader import MessageLogReader
+
+    mcap = MessageLogReader(file, only)
+    return mcap, mcap.damage
+
+
+def _tables(path: str | os.PathLike[str], mapping: str | os.PathLike[str] | None) -> LogMapping | None:
+    """Return what an onboard log's records stand for, None where the recording is no onboard log."""
     source = onboard_source(path)
     if source is None:
-        return read_records(path, only)
+        return None
     from adapters.log_mapping import builtin_mapping, read_mapping
-    from adapters.log_telemetry import telemetry
 
-    tables = builtin_mapping(source) if mapping is None else read_mapping(mapping, source)
-    records = None if only is None else tables.topics(only) | frozenset(only)
-    return telemetry(read_records(path, records), tables, only)
+    return builtin_mapping(source) if mapping is None else read_mapping(mapping, source)
+
+
+def read_recording(
+    path: str | os.PathLike[str],
+    only: Collection[str] | None = None,
+    mapping: str | os.PathLike[str] | None = None,
+) -> Iterator[Message]:
+    """Return the messages of a recording in the order they arrived; see :class:`Recording`."""
+    return iter(Recording(path, only, mapping))
+
+
+def read_blocks(
+    path: str | os.PathLike[str], only: Collection[str] | None = None, count: int = BLOCK_MESSAGES
+) -> Iterator[Block]:
+    """Return the messages of a recording in blocks; see :meth:`Recording.blocks`."""
+    return Recording(path, only).blocks(count)
+
+
+def packed(messages: Iterable[Message], count: int = BLOCK_MESSAGES) -> Iterator[Block]:
+    """Return messages in blocks of ``count``, the last one shorter."""
+    messages = iter(messages)
+    while stretch := list(islice(messages, count)):
+        yield pack(stretch)
+
+
+def read_records(path: str | os.PathLike[str], only: Collection[str] | None = None) -> Iterator[Message]:
+    """Return the messages of a recording as they stand there; see :class:`Recording`."""
+    return Recording(path, only).records()
 
 
 def onboard_source(path: str | os.PathLike[str]) -> str | None:
@@ -124,61 +250,48 @@ def onboard_source(path: str | os.PathLike[str]) -> str | None:
     kind = recording_kind(path)
     if kind in ("ulog", "dataflash"):
         return kind
-    said = _said_ahead(path).get(ONBOARD_LOG)
+    said = recorded_metadata(path).get(ONBOARD_LOG)
     return said if said in ("ulog", "dataflash") else None
 
 
-def read_records(path: str | os.PathLike[str], only: Collection[str] | None = None) -> Iterator[Message]:
-    """Return the messages of a recording as they stand there; raises as :func:`read_recording`."""
-    kind = recording_kind(path)
-    if kind == "tlog":
-        from adapters.tlog import read_tlog
-
-        return read_tlog(path, only)
-    if kind == "ulog":
-        from adapters.ulog import read_ulog
-
-        return read_ulog(path, only)
-    if kind == "dataflash":
-        from adapters.dataflash import read_dataflash
-
-        return read_dataflash(path, only)
-    from adapters.mcap_log import read_mcap_messages
-
-    files = session_files(path) if Path(path).is_dir() else [Path(path)]
-    return (message for file in files for message in read_mcap_messages(file) if only is None or message.name in only)
-
-
-def read_blocks(
-    path: str | os.PathLike[str], only: Collection[str] | None = None, block_messages: int = BLOCK_MESSAGES
-) -> Iterator[Block]:
-    """Return the messages of a recording in blocks: those of :func:`read_recording`, in the same order.
-
-    Parameters
-    ----------
-    path : str | PathLike
-        The recording, or the folder of a session.
-    only : Collection[str] | None
-        Names of the messages wanted; None wants all.
-    block_messages : int
-        How far to read ahead: about as many messages, wanted or not, of a telemetry log; as many wanted ones of
-        other recordings.
+def recorded_alarms(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
+    """Return the alarm events that a monitor recorded, as JSON objects in their order; none where none did.
 
     Raises
     ------
     TelemetryError
-        As :func:`read_recording`.
+        See :func:`recording_kind`, or no file holds anything of its kind.
     """
-    if recording_kind(path) == "tlog":
-        from adapters.tlog_columns import TlogBlocks
+    if recording_kind(path) != "mcap":
+        return []
+    from adapters.foreign_record import json_object
+    from adapters.mcap_reader import MessageLogReader
 
-        return iter(TlogBlocks(path, only, block_messages * _TYPICAL_RECORD_BYTES))
-    return _packed(read_recording(path, only), block_messages)
+    found = []
+    for file in session_files(path) if Path(path).is_dir() else [Path(path)]:
+        with contextlib.suppress(TelemetryError):
+            for payload in MessageLogReader(file).payloads(ALARM_TOPIC):
+                with contextlib.suppress(ValueError):
+                    found.append(json_object(payload))
+    return found
 
 
-def _packed(messages: Iterator[Message], count: int) -> Iterator[Block]:
-    while stretch := list(islice(messages, count)):
-        yield pack(stretch)
+def recorded_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
+    """Return what a recording of ours says about itself ahead of its data; empty where others made it.
+
+    Raises
+    ------
+    TelemetryError
+        See :func:`recording_kind`.
+    """
+    if recording_kind(path) != "mcap":
+        return {}
+    from adapters.mcap_reader import read_mcap_metadata
+
+    for file in session_files(path) if Path(path).is_dir() else [Path(path)]:
+        with contextlib.suppress(TelemetryError):
+            return read_mcap_metadata(file, ahead_only=True).get("fauio", {})
+    return {}
 
 
 def recorded_vehicle(path: str | os.PathLike[str]) -> str | None:
@@ -189,17 +302,7 @@ def recorded_vehicle(path: str | os.PathLike[str]) -> str | None:
     TelemetryError
         See :func:`recording_kind`.
     """
-    return _said_ahead(path).get("vehicle")
-
-
-def _said_ahead(path: str | os.PathLike[str]) -> dict[str, str]:
-    """Return what an MCAP file says about itself ahead of its data; nothing of other recordings."""
-    if recording_kind(path) != "mcap":
-        return {}
-    from adapters.mcap_log import read_mcap_metadata
-
-    first = session_files(path)[0] if Path(path).is_dir() else path
-    return read_mcap_metadata(first, ahead_only=True).get("fauio", {})
+    return recorded_metadata(path).get("vehicle")
 
 
 def _plain(file: Path) -> Path:
@@ -207,8 +310,13 @@ def _plain(file: Path) -> Path:
     return file.with_suffix("") if file.suffix.lower() in _COMPRESSED else file
 
 
-def _vehicle(file: Path) -> str:
+def _vehicle(file: Path, name: re.Pattern[str]) -> str:
     """Return whose session a file belongs to; one of another name is a session of its own."""
     stem = _plain(file).stem
-    found = _SESSION_FILE.fullmatch(stem)
+    found = name.fullmatch(stem)
     return found["vehicle"] if found else stem
+
+
+def _bag_number(file: Path) -> int:
+    found = _BAG_FILE.fullmatch(_plain(file).stem)
+    return int(found["number"]) if found else 0

@@ -25,8 +25,10 @@ from adapters.cdr import CdrDecoder, CdrError
 from adapters.channels import parse_channel
 from adapters.compressed import CompressedFile
 from adapters.errors import TelemetryError
+from adapters.foreign_record import foreign_decoder
 from adapters.mavlink_message import PacketParser, mavlink_types
-from adapters.mcap_log import MessageLogReader, MessageLogWriter
+from adapters.mcap_log import MessageLogWriter
+from adapters.mcap_reader import MessageLogReader
 from adapters.message import Message
 from adapters.message_definition import SHIPPED, find_definition, parse_definitions
 from adapters.message_record import decoder, encode
@@ -341,10 +343,14 @@ def _record(folder: Path) -> Run:
         encoding, schema = draw.choice(("json", "json", "protobuf", "cdr")), draw.choice(schemas)
         if schema is not None and draw.number() % 4 == 0:
             schema = schema[0], draw.edited(schema[1])
+        payload, time_ns = draw.rest(), draw.number(8)
         with only(ValueError):
             decode = decoder(topic, encoding, schema)
             if decode is not None:
-                _plain_message(decode(draw.rest(), draw.number(8)))
+                _plain_message(decode(payload, time_ns))
+        found = None if schema is None else Schema(schema[0], "ros2msg", schema[1])
+        with only(ValueError):
+            _plain_message(foreign_decoder(topic, encoding, found)(payload, time_ns))
 
     return run
 

@@ -1,17 +1,18 @@
-"""Commands of this package: demo, fit, replay, convert; inject and detectability stand in a module of their own."""
+"""Commands of this package: demo, fit, replay, convert, info; inject and detectability have a module of their own."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from replay import attack_commands
 
 if TYPE_CHECKING:
+    from adapters.damage import Damage
     from adapters.message import Message
     from monitor.event import AlarmEvent
     from monitor.profile import Profile
@@ -31,6 +32,7 @@ def add_parsers(subparsers: Any) -> None:
     _add_fit(subparsers)
     _add_replay(subparsers)
     _add_convert(subparsers)
+    _add_info(subparsers)
     attack_commands.add_parsers(subparsers)
 
 
@@ -102,6 +104,19 @@ def _add_convert(subparsers: Any) -> None:
     parser.set_defaults(handler=run_convert)
 
 
+def _add_info(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "info",
+        help="what is in a recording, profile, model or gains file",
+        description="Say what is in a recording (vehicles, messages, what could be watched with them, alarms, damage), "
+        "a profile, a model or a gains file.",
+        epilog="example: fauio info flight.tlog.xz",
+    )
+    parser.add_argument("file", type=Path, metavar="FILE", help="recording, profile folder, MODEL.toml or GAINS.json")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(handler=run_info)
+
+
 def run_demo(args: argparse.Namespace) -> int:
     """Run ``fauio demo``."""
     from replay.demo import demo
@@ -111,7 +126,7 @@ def run_demo(args: argparse.Namespace) -> int:
 
 def run_fit(args: argparse.Namespace) -> int:
     """Run ``fauio fit``."""
-    from adapters.recordings import read_recording, recording_kind
+    from adapters.recordings import Recording, recording_kind
     from replay.fit import fit
     from replay.fit_custom import custom_messages
     from replay.progress import track
@@ -124,13 +139,16 @@ def run_fit(args: argparse.Namespace) -> int:
     wanted = custom_messages(args.model) if args.model else FIT_MESSAGES
 
     def log(path: Path) -> Iterator[Message]:
-        messages = read_recording(path, wanted, args.mapping)
-        return track(messages if args.model else of_one_vehicle(messages), f"reading {path.name}")
+        recording = Recording(path, wanted, args.mapping)
+        yield from track(recording if args.model else of_one_vehicle(recording), f"reading {path.name}")
+        damage[path] = recording.damage()
 
+    damage: dict[Path, tuple[Damage, ...]] = {}
     logs = [lambda path=path: log(path) for path in args.logs]
     report = fit(args.vehicle, logs, args.out, name, args.model)
+    found = _warn(one for path in args.logs for one in damage.get(path, ()))
     if args.json:
-        _say(json.dumps(report.to_json()))
+        _say(json.dumps(report.to_json() | {"damage": found}))
         return 0
     _say(f"{args.out}: profile of '{name}' from {len(args.logs)} logs")
     for line in report.text():
@@ -142,7 +160,7 @@ def run_fit(args: argparse.Namespace) -> int:
 def run_replay(args: argparse.Namespace) -> int:
     """Run ``fauio replay``."""
     from adapters.errors import TelemetryError
-    from adapters.recordings import read_recording, recorded_vehicle, recording_kind
+    from adapters.recordings import Recording, recorded_vehicle, recording_kind
     from monitor.alarm_text import alarm_line
     from monitor.profile import read_profile
     from replay.player import interests, play, write_events
@@ -156,9 +174,10 @@ def run_replay(args: argparse.Namespace) -> int:
     only = None if args.out else interests(profile)
     events: list[AlarmEvent] = []
     for path in args.logs:
+        recording = Recording(path, only, args.mapping)
         found = play(
             profile,
-            track(read_recording(path, only, args.mapping), path.name),
+            track(recording, path.name),
             vehicle=args.vehicle or recorded_vehicle(path),
             record=args.out,
             keep_traces=bool(args.plot or args.rrd),
@@ -166,8 +185,9 @@ def run_replay(args: argparse.Namespace) -> int:
         )
         events.extend(found.events)
         verdict = f"{path.name}: {_verdict(found, profile)}"
+        damage = _warn(recording.damage())
         if args.json:
-            summary = {"log": str(path), "samples": found.samples, "evidence": found.evidence}
+            summary = {"log": str(path), "samples": found.samples, "evidence": found.evidence, "damage": damage}
             summary["lacking"] = {name: list(lacks) for name, lacks in found.lacking.items()}
             _say(json.dumps(summary | {"alarms": [event.to_json() for event in found.events]}))
         else:
@@ -202,17 +222,36 @@ def _verdict(found: Replay, profile: Profile) -> str:
 
 def run_convert(args: argparse.Namespace) -> int:
     """Run ``fauio convert``."""
-    from adapters.recordings import onboard_source, read_records
+    from adapters.recordings import Recording, onboard_source
     from replay.convert import convert
     from replay.progress import track
 
-    onboard = onboard_source(args.log)
-    count = convert(track(read_records(args.log), args.log.name), args.log.name, args.out, onboard)
+    recording, onboard = Recording(args.log), onboard_source(args.log)
+    count = convert(track(recording.records(), args.log.name), args.log.name, args.out, onboard)
+    damage = _warn(recording.damage())
     if args.json:
-        _say(json.dumps({"log": str(args.log), "out": str(args.out), "messages": count}))
+        _say(json.dumps({"log": str(args.log), "out": str(args.out), "messages": count, "damage": damage}))
     else:
         _say(f"{args.out}: {count} messages")
     return 0
+
+
+def run_info(args: argparse.Namespace) -> int:
+    """Run ``fauio info``."""
+    from replay.info import info
+    from replay.info_text import info_text
+
+    found = info(args.file)
+    sys.stdout.write(json.dumps(found) + "\n" if args.json else info_text(found))
+    return 0
+
+
+def _warn(found: Iterable[Damage]) -> list[dict[str, Any]]:
+    """Say on stderr what of recordings could not be read, a line for each file; return it for JSON."""
+    damage = list(found)
+    for one in damage:
+        sys.stderr.write(f"fauio: {one.line()}; all else was read\n")
+    return [one.to_json() for one in damage]
 
 
 def _say(text: str) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.arm import SCENARIOS
-from adapters.mcap_log import read_mcap_messages
+from adapters.mcap_reader import read_mcap_messages
 from adapters.zenoh_session import open_session
 from monitor.errors import ProfileError
 from monitor.event import AlarmEvent

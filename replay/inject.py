@@ -9,7 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from adapters.mcap_log import MessageLogWriter, read_mcap_metadata
+from adapters.mcap_log import MessageLogWriter
+from adapters.mcap_reader import read_mcap_metadata
 from adapters.message import Message
 from adapters.recordings import read_recording, recording_kind
 from monitor.profile import read_profile

@@ -20,13 +20,8 @@ from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from adapters.errors import TelemetryError
-from adapters.mcap_log import (
-    MAX_CHANNELS,
-    MessageLogReader,
-    MessageLogWriter,
-    read_mcap_messages,
-    read_mcap_metadata,
-)
+from adapters.mcap_log import MAX_CHANNELS, MessageLogWriter
+from adapters.mcap_reader import MessageLogReader, read_mcap_messages, read_mcap_metadata
 from adapters.mcap_writer import CHUNK_BYTES
 from adapters.message import Message
 from adapters.record import Record, Schema
@@ -272,7 +267,7 @@ def test_metadata_comes_back_also_from_an_unfinished_log(tmp_path: Path) -> None
     assert read_mcap_metadata(path) == {"fauio": {"version": "1", "profile": "b"}}
 
 
-def test_topics_that_are_no_telemetry_are_passed_over(tmp_path: Path) -> None:
+def test_our_results_are_passed_over_and_json_that_is_no_object_is_counted(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     with MessageLogWriter(path) as log:
         log.write_record(Record("/fauio/alarm_json", "json", SCHEMA, b"{}", START_NS))
@@ -280,7 +275,8 @@ def test_topics_that_are_no_telemetry_are_passed_over(tmp_path: Path) -> None:
         log.write_record(Record("/other", "json", None, b"[]", START_NS))
     reader = MessageLogReader(path)
     assert list(reader) == [attitude(1)]
-    assert reader.statistics().other_records == 2
+    assert reader.statistics().other_records == 1
+    assert reader.statistics().damaged_records == 1
 
 
 def test_logs_without_chunks_are_read_too(tmp_path: Path) -> None:

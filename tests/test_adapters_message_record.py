@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from adapters.mcap_log import MessageLogReader, MessageLogWriter
+from adapters.mcap_log import MessageLogWriter
+from adapters.mcap_reader import MessageLogReader
 from adapters.message import Message, silence
 from adapters.message_record import decoder, encode
 

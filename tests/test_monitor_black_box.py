@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from test_monitor_recorder import LAYOUT, estimate
 
 from adapters.errors import TelemetryError
-from adapters.mcap_log import MessageLogReader, read_mcap_metadata
+from adapters.mcap_reader import MessageLogReader, read_mcap_metadata
 from adapters.message import Message
 from adapters.recordings import read_recording
 from monitor.black_box import MAX_OPEN_CLIPS, BlackBox

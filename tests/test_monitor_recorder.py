@@ -17,7 +17,7 @@ from loopback import START_NS, event
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from adapters.mcap_log import MessageLogReader, read_mcap_messages, read_mcap_metadata
+from adapters.mcap_reader import MessageLogReader, read_mcap_messages, read_mcap_metadata
 from adapters.message import Message
 from adapters.sample import Sample
 from monitor.estimate import Estimate, Layout

@@ -16,7 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fauio
-from adapters.mcap_log import MessageLogWriter, read_mcap_metadata
+from adapters.mcap_log import MessageLogWriter
+from adapters.mcap_reader import read_mcap_metadata
 from adapters.message import Message
 from adapters.recordings import read_recording
 from monitor.profile import Profile

@@ -1,0 +1,64 @@
+"""What of a recording could not be read, as lines for people: every reader says it the same way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """What of one file is missing.
+
+    Parameters
+    ----------
+    file : str
+        Name of the file.
+    found : tuple[str, ...]
+        What was found, each part of a sentence: ``"breaks off at byte 4711"``, ``"2 damaged blocks"``.
+    stopped_at : int | None
+        Byte from which on nothing could be read; None where the file was read to its end.
+    """
+
+    file: str
+    found: tuple[str, ...]
+    stopped_at: int | None = None
+
+    def line(self) -> str:
+        """Return the damage as one line."""
+        return f"{self.file}: {'; '.join(self.found)}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the damage as a JSON object."""
+        return {"file": self.file, "found": list(self.found), "stopped_at": self.stopped_at}
+
+
+def counted(number: int, noun: str) -> str:
+    """Return ``"1 damaged packet"``, ``"2 damaged packets"``."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+class Scan(Protocol):
+    """Counts of a reader that goes from one record to the next that stands."""
+
+    @property
+    def damaged(self) -> int:
+        """Places where the log was damaged."""
+
+    @property
+    def skipped_bytes(self) -> int:
+        """Bytes that belong to no intact record."""
+
+    @property
+    def broken_off(self) -> bool:
+        """Whether the log ends within a record."""
+
+
+def scan_damage(file: str, scan: Scan) -> Damage | None:
+    """Return the damage that such a reader found, None where it found none."""
+    found = []
+    if scan.damaged:
+        found.append(f"{counted(scan.damaged, 'damaged place')}, {counted(scan.skipped_bytes, 'byte')} unreadable")
+    if scan.broken_off:
+        found.append("breaks off at its end")
+    return Damage(file, tuple(found)) if found else None

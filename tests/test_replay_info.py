@@ -1,0 +1,195 @@
+"""``fauio info`` says what is in recordings, profiles, models and gains, as text and as one JSON object."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from foreign_logs import ARM_DEFINITION, ARM_TYPE, START_NS, arm_rows, ros2_bag, stamp
+
+import fauio
+from adapters.arm import SCENARIOS, simulate_arm
+from adapters.arm_source import arm_messages
+from adapters.mcap_log import MessageLogWriter
+from adapters.message import Message
+from adapters.recordings import read_recording
+from monitor.profile import Profile
+from replay.player import play
+
+FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
+START = 10**18
+
+
+def ask(capsys: pytest.CaptureFixture[str], path: object) -> dict[str, Any]:
+    assert fauio.main(["info", str(path), "--json"]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def told(capsys: pytest.CaptureFixture[str], path: object) -> str:
+    assert fauio.main(["info", str(path)]) == 0
+    return capsys.readouterr().out
+
+
+def profile_folder(profile: Profile, folder: Path) -> Path:
+    folder.mkdir()
+    for name, content in profile.files.items():
+        (folder / name).write_bytes(content)
+    return folder
+
+
+def test_a_flight_says_who_sent_what_and_what_could_be_watched(capsys: pytest.CaptureFixture[str]) -> None:
+    found = ask(capsys, FLIGHT)
+    assert (found["kind"], found["format"], found["count"]) == ("recording", "tlog", 2683)
+    assert found["start"] == "2026-11-21T09:04:20Z"
+    assert found["duration_s"] == pytest.approx(5.0, abs=0.1)
+    assert found["messages"]["HIGHRES_IMU"]["count"] == 500
+    assert found["messages"]["HIGHRES_IMU"]["rate_hz"] == pytest.approx(100.0, abs=1.0)
+    vehicle, *stations = found["systems"]
+    assert (vehicle["system"], vehicle["type"], vehicle["autopilot"]) == (1, "quadrotor", "ardupilotmega")
+    assert 3.0 < vehicle["armed_s"] < 5.1
+    assert [one["type"] for one in stations] == ["gcs", "gcs"]
+    assert (found["vehicle"]["system"], found["vehicle"]["likely"]) == (1, "multirotor")
+    fits = found["vehicle"]["fits"]
+    assert fits["multirotor"]["watches"] == ["motor1", "motor2", "motor3", "motor4", "gyro_x", "gyro_y", "gyro_z"]
+    assert fits["multirotor"]["channels"]["motor1"] == "SERVO_OUTPUT_RAW.servo1_raw"
+    assert fits["multirotor"]["rate_hz"] == 100.0
+    assert {"gps_north", "gps_down", "baro", "compass", "accel_z"} <= set(fits["inertial"]["watches"])
+    assert found["damage"] == found["alarms"] == []
+
+
+def test_what_is_missing_is_named_with_what_it_is_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "part.mcap"
+    with MessageLogWriter(path) as log:
+        for message in read_recording(FLIGHT):
+            if message.name not in ("SERVO_OUTPUT_RAW", "GPS_RAW_INT", "VFR_HUD"):
+                log.write(message)
+    fits = ask(capsys, path)["vehicle"]["fits"]
+    assert not fits["multirotor"]["possible"]
+    assert fits["multirotor"]["missing"] == ["no motor commands in every log; record SERVO_OUTPUT_RAW at 50 Hz or more"]
+    assert fits["inertial"]["missing"] == ["gps_*: no GPS_RAW_INT with position, speed and course"]
+    text = told(capsys, path)
+    assert "multirotor: not possible: no motor commands" in text
+    assert "lacks gps_*" in text
+    assert "plane" not in text
+
+
+def test_a_bag_of_another_kind_lists_the_fields_that_channels_can_take(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    joints = {"header": {"stamp": stamp(START_NS)}, "name": ["elbow", "wrist"], "position": [1.0, 2.0]}
+    run = simulate_arm(SCENARIOS["healthy"], 1.0, 100.0, "zero")
+    path = ros2_bag(
+        tmp_path / "bag.mcap",
+        {
+            "/arm/sample": (ARM_TYPE, ARM_DEFINITION, arm_rows(run)),
+            "/joints": ("sensor_msgs/msg/JointState", None, [(START_NS, joints)]),
+        },
+    )
+    found = ask(capsys, path)
+    assert found["vehicle"] is None
+    assert found["systems"] == []
+    assert found["fields"]["joints"][-2:] == ["position[elbow]", "position[wrist]"]
+    assert "y[2]" in found["fields"]["arm/sample"]
+    assert found["messages"]["arm/sample"]["rate_hz"] == pytest.approx(100.0)
+    assert "arm/sample: header.stamp.sec, header.stamp.nanosec, u[0], y[0]" in told(capsys, path)
+
+
+def test_a_recorded_session_tells_its_monitor_and_alarms(
+    arm_profile: Profile, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "session"
+    session.mkdir()
+    run = simulate_arm(SCENARIOS["case2"], 12.0, 100.0, "tracking")
+    record = session / "arm-20260101T000000Z-000001.mcap"
+    play(arm_profile, arm_messages(run, START), record=record)
+    found = ask(capsys, session)
+    assert found["recorded"]["vehicle"] == "arm"
+    assert [event["channel"] for event in found["alarms"]] == ["motor"]
+    text = told(capsys, session)
+    assert "recorded by a monitor of arm" in text
+    assert "1 alarm recorded:" in text
+    assert "arm/motor: " in text
+
+
+def test_damage_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(b"".join(_packets()))
+    path.write_bytes(path.read_bytes()[:-3])
+    found = ask(capsys, path)
+    assert found["damage"] == [{"file": "flight.tlog", "found": ["breaks off at its end"], "stopped_at": None}]
+    assert "damaged: flight.tlog: breaks off at its end" in told(capsys, path)
+
+
+def _packets() -> list[bytes]:
+    from adapters.tlog import TlogReader
+
+    return [(time_ns // 1000).to_bytes(8) + packet for time_ns, packet in TlogReader(FLIGHT).packets()]
+
+
+def test_a_recording_of_nothing_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with MessageLogWriter(tmp_path / "empty.mcap"):
+        pass
+    found = ask(capsys, tmp_path / "empty.mcap")
+    assert (found["count"], found["start_ns"], found["duration_s"]) == (0, None, 0.0)
+    assert "no messages" in told(capsys, tmp_path / "empty.mcap")
+
+
+def test_a_time_that_no_calendar_has_is_told_as_a_number(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with MessageLogWriter(tmp_path / "odd.mcap") as log:
+        log.write(Message("zenoh", "k", 2**64 - 1, {}))
+    assert ask(capsys, tmp_path / "odd.mcap")["start_ns"] == 2**64 - 1
+    assert "odd.mcap" in told(capsys, tmp_path / "odd.mcap")
+
+
+def test_a_profile_tells_observers_bounds_and_alarms(
+    arm_profile: Profile, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = profile_folder(arm_profile, tmp_path / "arm")
+    found = ask(capsys, folder)
+    assert (found["kind"], found["name"], found["messages"]) == ("profile", "arm", ["DEBUG_FLOAT_ARRAY"])
+    arm = found["observers"]["arm"]
+    assert (arm["rate_hz"], arm["certified"], arm["faults"]) == (100.0, True, ["motor", "encoder"])
+    assert arm["sqrt_mu"] > 0.0
+    [rule] = [rule for rule in arm_profile.observers[0].alarms if rule.channel == "motor"]
+    assert arm["alarms"]["motor"]["threshold"] == rule.threshold
+    assert ask(capsys, folder / "profile.toml")["digest"] == found["digest"]
+    text = told(capsys, folder)
+    assert "certificate holds" in text
+    assert "motor    from" in text
+
+
+def test_a_model_tells_its_names_and_whether_it_can_be_estimated(capsys: pytest.CaptureFixture[str]) -> None:
+    found = ask(capsys, "arm")
+    assert (found["kind"], len(found["states"]), found["estimable"]) == ("model", 4, True)
+    assert "check: arm: 2 faults, 3 outputs: all can be estimated together" in told(capsys, "arm")
+    free = Path(__file__).parent / "data" / "arm_free.toml"
+    assert ask(capsys, free)["parameters"] == ["stiffness", "ratio", "gain"]
+    assert "free parameters: stiffness, ratio, gain" in told(capsys, free)
+
+
+def test_gains_tell_what_they_estimate_and_their_bound(
+    arm_profile: Profile, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "gains.json"
+    path.write_bytes(arm_profile.files["arm.gains.json"])
+    found = ask(capsys, path)
+    assert (found["kind"], found["rate_hz"], found["certified"]) == ("gains", 100.0, True)
+    assert [fault["name"] for fault in found["faults"]] == ["motor", "encoder"]
+    assert "certificate holds" in told(capsys, path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"), [("a.toml", b"x ="), ("a.json", b"{}"), ("a.txt", b""), ("a.mcap", b"no"), ("a.tlog", b"no")]
+)
+def test_anything_else_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, content: bytes
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    assert fauio.main(["info", str(tmp_path / name)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert name in said.err
