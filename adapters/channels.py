@@ -15,9 +15,9 @@ Interpolation = Literal["linear", "previous"]
 
 _STEP = re.compile(r"([^.\[\]]+)|\[(?:(\d+)|([^\[\]]+))\]")
 _KEYS = {"message", "field", "where", "scale", "offset", "clock", "clock_unit_ns", "interpolation", "period"}
-_CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
+CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
 # The difference of two values up to here is finite, so interpolation cannot overflow.
-_MAX_VALUE = 1e300
+MAX_VALUE = 1e300
 # Where messages of ROS 2, and those of Foxglove's schemas, have their time: seconds and nanoseconds.
 _ROS_STAMP = ("header", "stamp")
 _FOXGLOVE_STAMP = "timestamp"
@@ -82,16 +82,16 @@ class Channel:
             value = self.scale * found + self.offset
         except OverflowError:
             return None
-        return value if -_MAX_VALUE <= value <= _MAX_VALUE else None
+        return value if -MAX_VALUE <= value <= MAX_VALUE else None
 
     def stamp_ns(self, fields: Mapping[str, Any]) -> int | None:
         """Return the measurement's time on the vehicle's clock in nanoseconds, None where it has none."""
         if self.clock is not None:
             found = fields.get(self.clock)
             if found is None:
-                found = follow(fields, _steps(self.clock))
-            return _stamp(found, self.clock_unit_ns or _CLOCK_UNITS_NS.get(self.clock, 1))
-        for name, unit_ns in _CLOCK_UNITS_NS.items():
+                found = follow(fields, field_steps(self.clock))
+            return _stamp(found, self.clock_unit_ns or CLOCK_UNITS_NS.get(self.clock, 1))
+        for name, unit_ns in CLOCK_UNITS_NS.items():
             stamp = _stamp(fields.get(name), self.clock_unit_ns or unit_ns)
             if stamp is not None:
                 return stamp
@@ -138,7 +138,7 @@ def _named(names: Any, values: list[Any], name: str) -> Any:
 
 
 @lru_cache(maxsize=1024)
-def _steps(field: str) -> tuple[str | int, ...]:
+def field_steps(field: str) -> tuple[str | int, ...]:
     """Return the steps of a field as it is written: names, and indices or names in brackets."""
     return tuple(int(index) if index else step or name for step, index, name in _STEP.findall(field))
 
@@ -186,7 +186,7 @@ def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
     if period is not None and (isinstance(period, bool) or not isinstance(period, int | float) or not period > 0):
         raise TelemetryError(f"{where}: 'period' is not a positive number")
     field = str(table["field"])
-    path = _steps(field)
+    path = field_steps(field)
     if not path:
         raise TelemetryError(
             f"{where}: 'field' is '{field}'; write it like 'rollspeed', 'data[3]' or 'position[elbow]'"

@@ -7,26 +7,26 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 _SECOND_NS = 1_000_000_000
-_BUCKET_NS = 5 * _SECOND_NS
+BUCKET_NS = 5 * _SECOND_NS
+TOLERANCE_NS = _SECOND_NS
+TURNS_NS = (1_000 << 32, 1_000_000 << 32)
 _BUCKETS = 12
-_TOLERANCE_NS = _SECOND_NS
 _JUMP_NS = 10 * _SECOND_NS
-_TURNS_NS = (1_000 << 32, 1_000_000 << 32)
 _LEAST_SPAN_NS = 15 * _SECOND_NS
 _LARGEST_SKEW = 500, 1_000_000
 
 
-class _Point(NamedTuple):
+class Point(NamedTuple):
     """Stamp of a packet and its delay: arrival minus stamp."""
 
     stamp_ns: int
     delay_ns: int
 
 
-class _Line(NamedTuple):
+class Line(NamedTuple):
     """Delay of a packet that nothing held up, over vehicle time: through a point, rise / run its slope."""
 
-    point: _Point
+    point: Point
     rise_ns: int = 0
     run_ns: int = 1
 
@@ -60,20 +60,24 @@ class VehicleClock:
         How often the clock started anew.
     newest_ns : int
         Newest believed vehicle time, nanoseconds; 0 before the first.
+    running : bool
+        Whether a stamp was believed since the clock started (anew).
+    line : Line
+        The delays of packets that nothing held up.
     """
 
     def __init__(self) -> None:
         self.boot = 0
         self.newest_ns = 0
-        self._running = False
+        self.running = False
         self._candidate_ns: int | None = None
-        self._points: deque[_Point] = deque()
-        self._line = _Line(_Point(0, 0))
-        self._doubtful: _Point | None = None
+        self._points: deque[Point] = deque()
+        self.line = Line(Point(0, 0))
+        self._doubtful: Point | None = None
 
     def near(self, stamp_ns: int) -> bool:
         """Return whether a stamp is close enough to the newest one to need no second opinion."""
-        return not self._running or -_TOLERANCE_NS <= stamp_ns - self.newest_ns <= _TOLERANCE_NS
+        return not self.running or -TOLERANCE_NS <= stamp_ns - self.newest_ns <= TOLERANCE_NS
 
     def unwrap(self, stamp_ns: int) -> int:
         """Return the stamp of a 32-bit counter with the full turns added that bring it near the newest stamp.
@@ -82,9 +86,9 @@ class VehicleClock:
         minutes, while other clocks of the vehicle go on. A stamp no whole number of turns away is left as it
         is.
         """
-        for turn_ns in _TURNS_NS:
+        for turn_ns in TURNS_NS:
             unwrapped = stamp_ns + round((self.newest_ns - stamp_ns) / turn_ns) * turn_ns
-            if stamp_ns < turn_ns and self._running and self.near(unwrapped):
+            if stamp_ns < turn_ns and self.running and self.near(unwrapped):
                 return unwrapped
         return stamp_ns
 
@@ -93,66 +97,80 @@ class VehicleClock:
         if not self.near(stamp_ns):
             if not self._confirmed(stamp_ns):
                 return False
-            if not -_TOLERANCE_NS <= stamp_ns - self.newest_ns <= _JUMP_NS:
+            if not -TOLERANCE_NS <= stamp_ns - self.newest_ns <= _JUMP_NS:
                 self._start_anew()
-        self._candidate_ns = None
-        if stamp_ns > self.newest_ns or not self._running:
-            self.newest_ns = stamp_ns
-            self._running = True
-        self._learn(_Point(stamp_ns, received_ns - stamp_ns))
+        self.advance(stamp_ns)
+        self.learn(Point(stamp_ns, received_ns - stamp_ns))
         return True
 
     def to_unix(self, vehicle_ns: int) -> int:
         """Return the Unix time of a vehicle time, nanoseconds."""
-        return vehicle_ns + self._line.at(vehicle_ns)
+        return vehicle_ns + self.line.at(vehicle_ns)
 
     @property
     def skew(self) -> float:
         """How much faster Unix time goes than the vehicle's clock, as a share: 1e-4 is 100 ppm."""
-        return self._line.rise_ns / self._line.run_ns
+        return self.line.rise_ns / self.line.run_ns
+
+    @property
+    def newest_point(self) -> Point:
+        """The newest of the points that define the line."""
+        return self._points[-1]
+
+    def advance(self, stamp_ns: int) -> None:
+        """Note that a stamp near the newest one is believed."""
+        self._candidate_ns = None
+        if stamp_ns > self.newest_ns or not self.running:
+            self.newest_ns = stamp_ns
+            self.running = True
+
+    def trust(self) -> None:
+        """Forget a doubtful time of arrival: another one is in line."""
+        self._doubtful = None
 
     def _confirmed(self, stamp_ns: int) -> bool:
         before = self._candidate_ns
         if before == stamp_ns:
             return False
         self._candidate_ns = stamp_ns
-        return before is not None and -_TOLERANCE_NS <= stamp_ns - before <= _JUMP_NS
+        return before is not None and -TOLERANCE_NS <= stamp_ns - before <= _JUMP_NS
 
     def _start_anew(self) -> None:
         self.boot += 1
-        self._running = False
+        self.running = False
         self._points.clear()
         self._doubtful = None
 
-    def _learn(self, point: _Point) -> None:
+    def learn(self, point: Point) -> None:
+        """Take the delay of a message whose stamp is believed."""
         points = self._points
-        early_ns = self._line.at(point.stamp_ns) - point.delay_ns
-        if points and early_ns > _TOLERANCE_NS:
+        early_ns = self.line.at(point.stamp_ns) - point.delay_ns
+        if points and early_ns > TOLERANCE_NS:
             before = self._doubtful
             self._doubtful = point
             if (
                 before is None
                 or before.stamp_ns == point.stamp_ns
-                or abs(before.delay_ns - point.delay_ns) > _TOLERANCE_NS
+                or abs(before.delay_ns - point.delay_ns) > TOLERANCE_NS
             ):
                 return
             points.clear()
         self._doubtful = None
-        number = point.stamp_ns // _BUCKET_NS
-        if not points or number > points[-1].stamp_ns // _BUCKET_NS:
+        number = point.stamp_ns // BUCKET_NS
+        if not points or number > points[-1].stamp_ns // BUCKET_NS:
             points.append(point)
-            while points[0].stamp_ns // _BUCKET_NS <= number - _BUCKETS:
+            while points[0].stamp_ns // BUCKET_NS <= number - _BUCKETS:
                 points.popleft()
-        elif early_ns > self._line.at(points[-1].stamp_ns) - points[-1].delay_ns:
+        elif early_ns > self.line.at(points[-1].stamp_ns) - points[-1].delay_ns:
             points[-1] = point
         else:
             return
-        self._line = _line_below(points)
+        self.line = _line_below(points)
 
 
-def _line_below(points: Iterable[_Point]) -> _Line:
+def _line_below(points: Iterable[Point]) -> Line:
     """Return the line below points in order of time, horizontal where their lower edge tells no skew."""
-    hull: list[_Point] = []
+    hull: list[Point] = []
     total_ns = count = 0
     for point in points:
         while len(hull) > 1 and not _turns_up(hull[-2], hull[-1], point):
@@ -160,17 +178,17 @@ def _line_below(points: Iterable[_Point]) -> _Line:
         hull.append(point)
         total_ns += point.stamp_ns
         count += 1
-    least = _Line(min(hull, key=lambda point: point.delay_ns))
+    least = Line(min(hull, key=lambda point: point.delay_ns))
     if hull[-1].stamp_ns - hull[0].stamp_ns < _LEAST_SPAN_NS:
         return least
     at = next(i for i in range(1, len(hull)) if hull[i].stamp_ns * count >= total_ns)
     left, right = hull[at - 1], hull[at]
     rise_ns, run_ns = right.delay_ns - left.delay_ns, right.stamp_ns - left.stamp_ns
     most, among = _LARGEST_SKEW
-    return _Line(right, rise_ns, run_ns) if abs(rise_ns) * among <= most * run_ns else least
+    return Line(right, rise_ns, run_ns) if abs(rise_ns) * among <= most * run_ns else least
 
 
-def _turns_up(first: _Point, middle: _Point, last: _Point) -> bool:
+def _turns_up(first: Point, middle: Point, last: Point) -> bool:
     """Return whether the middle point lies below the line from the first to the last."""
     before = (middle.delay_ns - first.delay_ns) * (last.stamp_ns - middle.stamp_ns)
     return before < (last.delay_ns - middle.delay_ns) * (middle.stamp_ns - first.stamp_ns)

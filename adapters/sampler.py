@@ -36,21 +36,21 @@ their order count:
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 
 import numpy as np
 
 from adapters.channels import Channel
 from adapters.clock import VehicleClock
+from adapters.grid import Grid
 from adapters.lane import Column, Lane, Stream
 from adapters.message import Message
-from adapters.sample import Sample
+from adapters.sample import Sample, Samples
 
+CAPACITY = 1 << 14
+MAX_STAMP_NS = 1 << 62
 _SECOND_NS = 1_000_000_000
-_CAPACITY = 1 << 14
-_MAX_STAMP_NS = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +103,8 @@ class Sampler:
         The vehicle's clock; several samplers may share it.
     max_gap_s : float
         Longest stretch bridged by interpolation, seconds (at least 10 periods of the channel in any case).
+
+    The attributes without an underscore are the state that :mod:`adapters.block_sampler` works on too.
     """
 
     def __init__(
@@ -118,38 +120,47 @@ class Sampler:
             raise ValueError("a sampler needs a channel and a positive rate")
         self._clock = clock
         self._boot = clock.boot
-        self._inputs = len(inputs)
+        self.inputs = len(inputs)
         # Raw signals of a transform count as inputs, and are all there is.
-        self._first_measured = len(inputs) if outputs else 0
-        self._size = len(channels)
-        self._grid = _Grid(rate_hz)
+        self.first_measured = len(inputs) if outputs else 0
+        self.size = len(channels)
+        self.grid = Grid(rate_hz)
         columns: dict[tuple[object, ...], list[Column]] = {}
         for position, channel in enumerate(channels):
             key = (channel.message, channel.where, channel.clock, channel.clock_unit_ns)
             columns.setdefault(key, []).append(Column(position, channel))
-        self._streams: dict[str, list[Stream]] = {}
+        self.streams: dict[str, list[Stream]] = {}
         for group in columns.values():
             channel = group[0].channel
             stream = Stream(channel, Lane(group, round(max_gap_s * _SECOND_NS), round(2.5 * _SECOND_NS / rate_hz)))
-            self._streams.setdefault(channel.message, []).append(stream)
-        self._lanes = [lane for streams in self._streams.values() for stream in streams for lane in stream.lanes]
-        self._waiting: Lane | None = None
+            self.streams.setdefault(channel.message, []).append(stream)
+        self.lanes = [lane for streams in self.streams.values() for stream in streams for lane in stream.lanes]
+        self.waiting: Lane | None = None
         self._held: tuple[Stream, Message, int] | None = None
-        self._next: int | None = None
-        self._tick_ns = self._due_ns = -1
-        self._restart = True
-        self._last_unix: tuple[int, int] | None = None
+        self.next_tick: int | None = None
+        self._tick_ns = self.due_ns = -1
+        self.restarting = True
+        self.last_unix: tuple[int, int] | None = None
         self._messages = self._duplicates = self._late = self._invalid = self._untimed = self._doubted = 0
         self._clock_restarts = self._samples = self._incomplete = self._restarts = self._skipped = 0
 
     @property
     def interests(self) -> frozenset[str]:
         """Names of the messages the channels come from; others are ignored."""
-        return frozenset(self._streams)
+        return frozenset(self.streams)
+
+    @property
+    def unsettled(self) -> bool:
+        """Whether the next message decides about one held back, or finds that the clock started anew."""
+        return self._held is not None or self._boot != self._clock.boot
+
+    def streams_of(self, names: Collection[str]) -> list[tuple[str, Stream]]:
+        """Return the streams of some messages, each with the message's name, in the order of messages and streams."""
+        return [(name, stream) for name, streams in self.streams.items() if name in names for stream in streams]
 
     def restart(self) -> None:
         """Mark the next sample as the first of a new stretch."""
-        self._restart = True
+        self.restarting = True
 
     def statistics(self) -> SamplerStatistics:
         """Return the counts so far."""
@@ -170,7 +181,7 @@ class Sampler:
     def feed(self, message: Message) -> list[Sample]:
         """Take one message; return the samples it completes, in order of time."""
         samples: list[Sample] = []
-        for stream in self._streams.get(message.name, ()):
+        for stream in self.streams.get(message.name, ()):
             if stream.where and not stream.channel.selects(message.fields):
                 continue
             self._messages += 1
@@ -184,13 +195,29 @@ class Sampler:
                 self._give_out(samples)
         return samples
 
+    def note(self, samples: Samples, messages: int, untimed: int, duplicates: int) -> None:
+        """Go on behind a stretch that was taken elsewhere, with the samples it gave."""
+        self._messages += messages
+        self._untimed += untimed
+        self._duplicates += duplicates
+        count = len(samples)
+        if not count:
+            return
+        self._samples += count
+        self._restarts += self.restarting
+        self._incomplete += count - int(np.count_nonzero(samples.complete))
+        self.restarting = False
+        self._tick_ns = int(samples.vehicle_time_ns[-1])
+        self.last_unix = self._tick_ns, int(samples.time_ns[-1])
+        self._go_to(int(samples.index[-1]) + 1)
+
     def _stamp(self, stream: Stream, message: Message) -> int | None:
         stamp_ns = stream.channel.stamp_ns(message.fields)
         newest_ns = self._clock.newest_ns
         stream.clockless = stamp_ns is None
         if stamp_ns is None:
             return newest_ns if stream.channel.clock is None and newest_ns > 0 else None
-        if not 0 <= stamp_ns < _MAX_STAMP_NS or (stamp_ns == 0 and message.source == "mavlink"):
+        if not 0 <= stamp_ns < MAX_STAMP_NS or (stamp_ns == 0 and message.source == "mavlink"):
             return None
         if stamp_ns < newest_ns - _SECOND_NS:
             return self._clock.unwrap(stamp_ns)
@@ -216,11 +243,11 @@ class Sampler:
     def _start_anew(self) -> None:
         self._boot = self._clock.boot
         self._clock_restarts += 1
-        for lane in self._lanes:
+        for lane in self.lanes:
             lane.clear()
-        self._waiting = self._next = self._last_unix = None
-        self._tick_ns = self._due_ns = -1
-        self._restart = True
+        self.waiting = self.next_tick = self.last_unix = None
+        self._tick_ns = self.due_ns = -1
+        self.restarting = True
 
     def _store(self, stream: Stream, message: Message, stamp_ns: int) -> None:
         for lane in tuple(stream.lanes):
@@ -240,11 +267,11 @@ class Sampler:
     def _split(self, stream: Stream, lane: Lane, row: Sequence[float | None]) -> Lane:
         """Part the channels that are in a message from those that are not; return the lane of the former."""
         present, absent = lane.split([value is not None for value in row])
-        for lanes in (stream.lanes, self._lanes):
+        for lanes in (stream.lanes, self.lanes):
             at = lanes.index(lane)
             lanes[at : at + 1] = [present, absent]
-        if self._waiting is lane:
-            self._waiting = None
+        if self.waiting is lane:
+            self.waiting = None
         return present
 
     def _insert(self, lane: Lane, stamp_ns: int, row: list[float]) -> None:
@@ -252,13 +279,13 @@ class Sampler:
         if not stamps or stamp_ns > stamps[-1]:
             stamps.append(stamp_ns)
             lane.rows.append(row)
-            if len(stamps) > _CAPACITY:
-                lane.drop(_CAPACITY // 2)
+            if len(stamps) > CAPACITY:
+                lane.drop(CAPACITY // 2)
             return
         place = bisect_left(stamps, stamp_ns)
         if stamps[place] == stamp_ns:
             self._duplicates += len(row)
-        elif stamp_ns <= self._tick_ns or len(stamps) >= _CAPACITY:
+        elif stamp_ns <= self._tick_ns or len(stamps) >= CAPACITY:
             self._late += len(row)
         else:
             stamps.insert(place, stamp_ns)
@@ -267,37 +294,37 @@ class Sampler:
     def _give_out(self, samples: list[Sample]) -> None:
         """Give out all ticks for which every lane has a measurement at or after them."""
         while (waiting := self._find_waiting()) is None:
-            if self._next is None:
-                for lane in self._lanes:
+            if self.next_tick is None:
+                for lane in self.lanes:
                     lane.settle()
-                self._go_to(self._grid.index_at(max(lane.stamps[0] for lane in self._lanes)))
+                self._go_to(self.grid.index_at(max(lane.stamps[0] for lane in self.lanes)))
             else:
-                self._tick(self._next, self._due_ns, samples)
+                self._tick(self.next_tick, self.due_ns, samples)
         self._give_up_waiting(waiting)
 
     def _find_waiting(self) -> Lane | None:
         """Return a lane without a measurement at or after the next tick; before the first, one not ready."""
-        if self._next is None:
-            return next((lane for lane in self._lanes if not lane.ready), None)
-        due_ns, lane = self._due_ns, self._waiting
+        if self.next_tick is None:
+            return next((lane for lane in self.lanes if not lane.ready), None)
+        due_ns, lane = self.due_ns, self.waiting
         if lane is None or lane.stamps[-1] >= due_ns:
-            for lane in self._lanes:
+            for lane in self.lanes:
                 if lane.stamps[-1] < due_ns:
                     break
             else:
                 lane = None
-            self._waiting = lane
+            self.waiting = lane
         return lane
 
     def _go_to(self, index: int) -> None:
-        self._next = index
-        self._due_ns = self._grid.time_ns(index)
+        self.next_tick = index
+        self.due_ns = self.grid.time_ns(index)
 
     def _tick(self, index: int, tick_ns: int, samples: list[Sample]) -> None:
         """Give out one tick, or skip the ticks of the gap it lies in."""
-        vector = [0.0] * self._size
+        vector = [0.0] * self.size
         complete, measured, known_ns = True, True, tick_ns
-        for lane in self._lanes:
+        for lane in self.lanes:
             stamps = lane.stamps
             if len(stamps) > 1 and stamps[1] <= tick_ns:
                 lane.pass_to(tick_ns)
@@ -307,16 +334,16 @@ class Sampler:
                     vector[place] = value
                 continue
             if left_ns > tick_ns:
-                self._skip_to(left_ns)
+                self.skip_to(left_ns)
                 return
             width_ns = stamps[1] - left_ns
             known_ns = max(known_ns, stamps[1])
             if width_ns > lane.loss_ns:
                 if width_ns > lane.gap_ns:
-                    self._skip_to(stamps[1])
+                    self.skip_to(stamps[1])
                     return
                 complete = False
-                if width_ns > lane.line_ns and lane.places[-1] >= self._first_measured:
+                if width_ns > lane.line_ns and lane.places[-1] >= self.first_measured:
                     measured = False
             lane.interpolate((tick_ns - left_ns) / width_ns, vector)
         values = np.array(vector)
@@ -325,28 +352,28 @@ class Sampler:
                 index=index,
                 vehicle_time_ns=tick_ns,
                 time_ns=self._unix(tick_ns),
-                u=values[: self._inputs],
-                y=values[self._inputs :],
-                restart=self._restart,
+                u=values[: self.inputs],
+                y=values[self.inputs :],
+                restart=self.restarting,
                 complete=complete,
                 known_ns=known_ns,
                 measured=measured,
             )
         )
         self._samples += 1
-        self._restarts += self._restart
+        self._restarts += self.restarting
         self._incomplete += not complete
-        self._restart = False
+        self.restarting = False
         self._tick_ns = tick_ns
         self._go_to(index + 1)
 
-    def _skip_to(self, time_ns: int) -> None:
+    def skip_to(self, time_ns: int) -> None:
         """Skip the ticks before a time."""
-        index = self._grid.index_at(time_ns)
-        if self._next is not None and index > self._next:
-            self._skipped += index - self._next
-            self._tick_ns = self._grid.time_ns(index - 1)
-            self._restart = True
+        index = self.grid.index_at(time_ns)
+        if self.next_tick is not None and index > self.next_tick:
+            self._skipped += index - self.next_tick
+            self._tick_ns = self.grid.time_ns(index - 1)
+            self.restarting = True
             self._go_to(index)
 
     def _give_up_waiting(self, lane: Lane) -> None:
@@ -354,35 +381,18 @@ class Sampler:
         horizon_ns = self._clock.newest_ns - lane.silence_ns
         if lane.stamps and lane.stamps[-1] >= horizon_ns:
             return
-        self._skip_to(horizon_ns)
-        for other in self._lanes:
+        self.skip_to(horizon_ns)
+        for other in self.lanes:
             if len(other.stamps) > 1 and other.stamps[1] <= horizon_ns:
                 other.pass_to(horizon_ns)
 
     def _unix(self, tick_ns: int) -> int:
         """Return a tick's Unix time, which never stands still while the clock's offset is being corrected."""
         unix_ns = self._clock.to_unix(tick_ns)
-        if self._last_unix is not None:
-            last_tick_ns, last_unix_ns = self._last_unix
+        if self.last_unix is not None:
+            last_tick_ns, last_unix_ns = self.last_unix
             least_ns = last_unix_ns + (tick_ns - last_tick_ns) // 2
             if 0 < least_ns - unix_ns < _SECOND_NS:
                 unix_ns = least_ns
-        self._last_unix = tick_ns, unix_ns
+        self.last_unix = tick_ns, unix_ns
         return unix_ns
-
-
-class _Grid:
-    """Ticks t_k = k / rate_hz in whole nanoseconds."""
-
-    def __init__(self, rate_hz: float) -> None:
-        period = _SECOND_NS / Fraction(rate_hz).limit_denominator(1_000_000)
-        self._numerator, self._denominator = period.numerator, period.denominator
-
-    def time_ns(self, index: int) -> int:
-        """Return the time of a tick."""
-        return (2 * index * self._numerator + self._denominator) // (2 * self._denominator)
-
-    def index_at(self, time_ns: int) -> int:
-        """Return the first tick at or after a time."""
-        index = -(-time_ns * self._denominator // self._numerator)
-        return index - 1 if self.time_ns(index - 1) >= time_ns else index

@@ -132,6 +132,11 @@ class TransformedSampler:
         self._transform = make_transform(rule, rate_hz)
 
     @property
+    def sampler(self) -> Sampler:
+        """The sampler of the raw signals."""
+        return self._sampler
+
+    @property
     def interests(self) -> frozenset[str]:
         """Names of the messages the signals come from."""
         return self._sampler.interests

@@ -335,7 +335,7 @@ def test_a_channel_that_stops_holds_up_neither_memory_nor_the_restart() -> None:
     longest = 0
     for t in range(1_000_000, 8_000_000, 1_000):
         assert [s for s in to.feed(message("A", t, speed=0.0)) if s.index > 100] == []
-        longest = max(longest, *(len(lane.stamps) for lane in to._lanes))
+        longest = max(longest, *(len(lane.stamps) for lane in to.lanes))
     assert longest <= 510
     samples = feed(to, telemetry(8_000_000, 9_000_000))
     assert [sample.index for sample in samples if sample.restart] == [801]
@@ -346,7 +346,7 @@ def test_a_channel_that_never_comes_costs_bounded_memory() -> None:
     to = sampler()
     for t in range(1_000, 20_000_000, 1_000):
         assert to.feed(message("A", t, speed=0.0)) == []
-    assert max(len(lane.stamps) for lane in to._lanes) <= 510
+    assert max(len(lane.stamps) for lane in to.lanes) <= 510
 
 
 def test_a_flood_of_stamps_costs_bounded_memory() -> None:
@@ -355,7 +355,7 @@ def test_a_flood_of_stamps_costs_bounded_memory() -> None:
         to.feed(Message("zenoh", "A", UNIX, {"time_ns": t, "speed": 0.0}))
     for t in range(1, 60_000):
         to.feed(Message("zenoh", "A", UNIX, {"time_ns": 1_000_000 - 10 * t, "speed": 0.0}))
-    assert max(len(lane.stamps) for lane in to._lanes) <= 1 << 14
+    assert max(len(lane.stamps) for lane in to.lanes) <= 1 << 14
 
 
 def test_a_reboot_starts_all_buffers_anew_without_losing_a_message() -> None:
