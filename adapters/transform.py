@@ -131,6 +131,10 @@ class TransformedSampler:
         self._sampler = Sampler(signals, (), rule.rate_hz, clock)
         self._transform = make_transform(rule, rate_hz)
 
+    def run(self, samples: Samples) -> Given:
+        """Take a stretch of raw samples; return the observer's samples and the rows that completed them."""
+        return self._transform.run(samples)
+
     @property
     def sampler(self) -> Sampler:
         """The sampler of the raw signals."""

@@ -149,9 +149,28 @@ class Alarm:
         """Whether the alarm stands."""
         return self._active is not None
 
+    @property
+    def idle(self) -> bool:
+        """Whether no alarm stands and none is on its way: evidence inside all sizes moves the mean, nothing else."""
+        return self._active is None and not self._counter_ns and not self._fast_ns
+
+    @property
+    def mean(self) -> float:
+        """Weighted mean of the evidence, for the slow path."""
+        return self._mean
+
+    @property
+    def last_ns(self) -> int | None:
+        """Vehicle time of the sample before, where it was evidence."""
+        return self._last_ns
+
     def pause(self) -> None:
         """Note that time passes without evidence."""
         self._last_ns = None
+
+    def rest(self, mean: float, last_ns: int | None) -> None:
+        """Go on where a stretch of evidence that caused nothing left mean and time (:mod:`monitor.alarm_stretch`)."""
+        self._mean, self._last_ns = mean, last_ns
 
     def adopt(self, event: AlarmEvent) -> None:
         """Go on from an event of this channel that another run of the monitor, or another monitor, made."""
@@ -201,7 +220,8 @@ class Alarm:
             self._trend = Trend()
         elif elapsed and rule.slow < math.inf:
             limited = max(-2.0 * rule.slow, min(evidence, 2.0 * rule.slow))
-            self._mean += (1.0 - math.exp(-elapsed / (rule.slow_s * 1e9))) * (limited - self._mean)
+            keep = math.exp(-elapsed / (rule.slow_s * 1e9))
+            self._mean = keep * self._mean + (1.0 - keep) * limited
         if self._active is not None:
             return self._while_active(self._active, sample, evidence, command, elapsed)
         size = abs(evidence)

@@ -7,7 +7,7 @@ is evidence again when what a wrong start does to its estimates has died away (:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 from adapters.clock import VehicleClock
 from adapters.message import Message
 from adapters.phase import FlightPhase
-from adapters.sample import Sample
-from adapters.sampler import SamplerStatistics
+from adapters.sample import Sample, Samples
+from adapters.sampler import Sampler, SamplerStatistics
 from monitor.alarm import Alarm, retuned
+from monitor.alarm_stretch import AlarmStretch
+from monitor.chain_stretch import ChainStretch, Evidence
 from monitor.command_units import CommandUnits
-from monitor.effectiveness_stage import EffectivenessStage
-from monitor.estimate import Estimate, Layout
+from monitor.effectiveness_stage import EffectivenessRun, EffectivenessStage
+from monitor.estimate import Estimate, Estimates, Layout
 from monitor.estimator import make_estimator
+from monitor.estimator_run import EstimatorRun
 from monitor.event import AlarmEvent
 from monitor.excuse import Excuses
 from monitor.gate import GatedSampler, GateRule
@@ -131,6 +134,82 @@ class ObserverChain:
         for sample, armed in self._sampler.feed(message, phase):
             outputs.extend(self.step(sample, armed))
         return outputs
+
+    @property
+    def sampler(self) -> Sampler:
+        """What turns messages into samples, of raw signals where a transform follows."""
+        return self._sampler.sampler
+
+    def enter(self, phase: FlightPhase) -> None:
+        """Begin a new stretch of samples where the phase has come to allow evidence."""
+        self._sampler.enter(phase)
+
+    def run(self, samples: Samples, position: NDArray[np.int64], phase: FlightPhase) -> ChainStretch:
+        """Take what :attr:`sampler` made of a stretch of messages; return estimates and evidence of all of it.
+
+        Bit for bit what :meth:`feed` makes of the messages one by one; the alarms are asked by
+        :func:`monitor.chain_stretch.events_in_order`.
+
+        Parameters
+        ----------
+        samples : Samples
+            The n samples that the messages completed.
+        position : NDArray[np.int64]
+            Place of the message that completed each (n,).
+        phase : FlightPhase
+            The vehicle's phase, the same over the stretch and entered before it.
+        """
+        samples, rows = self._sampler.run(samples)
+        armed = self._sampler.admitted(samples, phase)
+        found = self._estimator.run(samples)
+        measured = samples.measured | samples.restart
+        sd = self._uncertainty.run(measured, samples.restart)
+        effects = self._effectiveness.run(samples, found.fault, armed)
+        shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, sd)
+        for index, effect in effects.items():
+            shown.isolated[:, index] = effect.size
+        estimates = Estimates(
+            observer=self._name,
+            samples=samples,
+            x=found.x,
+            fault=shown.fault,
+            isolated=shown.isolated,
+            residual=found.residual,
+            armed=armed,
+            sd=shown.sd,
+            coasted_s=self._coasted_s(samples.vehicle_time_ns, measured),
+        )
+        evidence = self._evidence(estimates, found, effects, shown.commands)
+        return ChainStretch(estimates, position[rows], tuple(evidence))
+
+    def _coasted_s(self, times_ns: NDArray[np.int64], measured: NDArray[np.bool_]) -> NDArray[np.float64]:
+        last = np.maximum.accumulate(np.where(measured, np.arange(len(times_ns)), -1))
+        since_ns = np.where(last >= 0, times_ns[last], self._measured_ns)
+        if len(since_ns):
+            self._measured_ns = int(since_ns[-1])
+        return np.asarray((times_ns - since_ns) * 1e-9, np.float64)
+
+    def _evidence(
+        self,
+        estimates: Estimates,
+        found: EstimatorRun,
+        effects: Mapping[int, EffectivenessRun],
+        commands: Mapping[int, NDArray[np.float64]],
+    ) -> Iterator[Evidence]:
+        """Yield the evidence of each alarm over a stretch, in the order in which :meth:`step` asks them."""
+        times, restart, armed = estimates.samples.vehicle_time_ns, estimates.samples.restart, estimates.armed
+        for index, alarm in self._alarms:
+            size, speaking = estimates.isolated[:, index], armed & found.speaks[:, index]
+            command = relative = None
+            if (effect := effects.get(index)) is not None:
+                speaking, relative = speaking & ~np.isnan(effect.evidence), effect.share
+            else:
+                command = commands.get(index)
+            now = speaking & ~self._excuses.excused_rows(alarm.rule.channel, times)
+            yield Evidence(AlarmStretch(alarm, times, restart, size, now), size, speaking, command, relative)
+        for alarm in self._residual_alarms:
+            size = found.unexplained
+            yield Evidence(AlarmStretch(alarm, times, restart, size, armed), size, armed, excusable=False)
 
     def step(self, sample: Sample, armed: bool) -> list[Output]:
         """Take one sample, ``armed`` saying whether it is evidence; return its estimate and the events it causes."""

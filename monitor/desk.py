@@ -130,6 +130,15 @@ class AlarmDesk:
                 events.extend(self.take(_cleared(flood, until, "the flood of alarms is over")))
         return events
 
+    @property
+    def due_ns(self) -> int | None:
+        """Unix time from which on :meth:`tick` has something to do, None where that needs another event first."""
+        ends = [
+            max(until, self._flood_until_ns if key in self._held_back else 0) for key, until in self._shelved.items()
+        ]
+        ends += [self._flood_until_ns] * (FLOOD_KEY in self._standing)
+        return min(ends, default=None)
+
     def refusal(self, verb: str, fields: Mapping[str, object]) -> str | None:
         """Return why an operator's command cannot be carried out, None where it can."""
         if verb not in ("ack", "shelve", "unshelve", "reset"):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sample import Sample, Samples
+from adapters.sample import Sample, Samples, stacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,3 +116,19 @@ class Estimates:
             sd=self.sd[row],
             coasted_s=float(self.coasted_s[row]),
         )
+
+
+def alone(estimate: Estimate) -> Estimates:
+    """Return one estimate as a stretch of its own."""
+    sample = estimate.sample
+    return Estimates(
+        observer=estimate.observer,
+        samples=stacked([sample], len(sample.u), len(sample.y)),
+        x=estimate.x[None],
+        fault=estimate.fault[None],
+        isolated=estimate.isolated[None],
+        residual=estimate.residual[None],
+        armed=np.array([estimate.armed]),
+        sd=estimate.sd[None],
+        coasted_s=np.array([estimate.coasted_s]),
+    )

@@ -6,6 +6,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from monitor.errors import ProfileError
 from monitor.event import AlarmEvent
 from monitor.tables import Table
@@ -55,6 +58,22 @@ class Excuses:
             self._cleared_ns[event.channel] = event.vehicle_time_ms * 1_000_000
         else:
             standing.add(event.id)
+
+    def touched(self, cause: str) -> frozenset[str]:
+        """Return the channels whose excuse depends on alarms of ``cause``."""
+        return frozenset(name for name, rules in self._rules.items() if any(cause in rule.by for rule in rules))
+
+    def excused_rows(self, channel: str, vehicle_times_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return :meth:`excused` for many times at once, as long as no event is noted."""
+        found = np.zeros(len(vehicle_times_ns), np.bool_)
+        for rule in self._rules.get(channel, ()):
+            for cause in rule.by:
+                if self._active.get(cause):
+                    found[:] = True
+                elif (cleared_ns := self._cleared_ns.get(cause)) is not None:
+                    since = vehicle_times_ns - cleared_ns
+                    found |= (since >= 0) & (since <= rule.for_s * 1e9)
+        return found
 
     def excused(self, channel: str, vehicle_time_ns: int) -> bool:
         """Return whether a channel's evidence at a time is explained by another alarm."""

@@ -13,12 +13,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adapters.clock import VehicleClock
 from adapters.message import Message
 from adapters.phase import FlightPhase
-from adapters.sample import Sample
-from adapters.sampler import SamplerStatistics
+from adapters.sample import Sample, Samples
+from adapters.sampler import Sampler, SamplerStatistics
+from adapters.stretch import Given
 from adapters.transform import Source, make_sampler
 
 
@@ -62,6 +64,23 @@ class FlightGate:
         if self._since_ns is None:
             self._since_ns = sample.vehicle_time_ns
         return sample.vehicle_time_ns - self._since_ns >= self._rule.settle_s * 1e9
+
+    def admitted(self, phase: FlightPhase, samples: Samples, commands: bool = True) -> NDArray[np.bool_]:
+        """Return :meth:`admits` of each of the samples of a stretch (n,) in which the phase stays as it is."""
+        times = samples.vehicle_time_ns
+        holds = np.full(len(times), _allowed(self._rule, phase))
+        if self._rule.require_airborne and phase.landed is None and commands and len(times):
+            holds &= np.mean(samples.u, axis=1) >= self._rule.airborne_command
+        # Row at which the rules came to hold, for each row: the first of the stretch goes on from before it.
+        begins = holds.copy()
+        begins[1:] &= ~holds[:-1] | samples.restart[1:]
+        if len(times) and self._since_ns is not None and not samples.restart[0]:
+            begins[0] = False
+        since = np.maximum.accumulate(np.where(begins, np.arange(len(times)), -1))
+        since_ns = np.where(since >= 0, times[since], self._since_ns or 0)
+        if len(times):
+            self._since_ns = int(since_ns[-1]) if holds[-1] else None
+        return np.asarray(holds & (times - since_ns >= self._rule.settle_s * 1e9))
 
     def _holds(self, phase: FlightPhase, sample: Sample, commands: bool) -> bool:
         if not _allowed(self._rule, phase):
@@ -109,12 +128,31 @@ class GatedSampler:
         """Return what the sampler counted."""
         return self._sampler.statistics()
 
-    def feed(self, message: Message, phase: FlightPhase) -> list[GatedSample]:
-        """Take one message; return the samples it completes, in order of time."""
+    @property
+    def sampler(self) -> Sampler:
+        """What turns messages into samples, of raw signals where a transform follows."""
+        return self._sampler if isinstance(self._sampler, Sampler) else self._sampler.sampler
+
+    def enter(self, phase: FlightPhase) -> None:
+        """Begin a new stretch of samples where the phase has come to allow evidence."""
         allowed = _allowed(self._rule, phase)
         if allowed and not self._allowed:
             self._sampler.restart()
         self._allowed = allowed
+
+    def run(self, samples: Samples) -> Given:
+        """Return the observer's samples that a stretch of samples of :attr:`sampler` gives, and from which rows."""
+        if isinstance(self._sampler, Sampler):
+            return Given(samples, np.arange(len(samples)))
+        return self._sampler.run(samples)
+
+    def admitted(self, samples: Samples, phase: FlightPhase) -> NDArray[np.bool_]:
+        """Return which samples of a stretch are evidence (n,), the phase having been entered."""
+        return np.asarray(self._gate.admitted(phase, samples, self._commands) & samples.complete)
+
+    def feed(self, message: Message, phase: FlightPhase) -> list[GatedSample]:
+        """Take one message; return the samples it completes, in order of time."""
+        self.enter(phase)
         return [
             GatedSample(sample, self._gate.admits(phase, sample, self._commands) and sample.complete)
             for sample in self._sampler.feed(message)

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from adapters.message import Message
 from adapters.phase import is_autopilot_heartbeat
 from monitor.event import UNNUMBERED, AlarmEvent, Kind, Severity, State, alarm_id
@@ -58,6 +61,35 @@ class LinkAlarms:
                 text = "no heartbeat of the autopilot for 10 s while other telemetry goes on"
                 events.append(self._raise(HEARTBEAT, "stale", "warning", now_ns, None, "s", text))
         return events
+
+    def first_due(self, received_ns: NDArray[np.int64], heartbeat: NDArray[np.bool_]) -> int:
+        """Return the first of the messages that these alarms have to be told of one by one, their number where none is.
+
+        Parameters
+        ----------
+        received_ns : NDArray[np.int64]
+            Times of arrival of m MAVLink messages (m,).
+        heartbeat : NDArray[np.bool_]
+            Whether they are heartbeats of the autopilot (m,).
+        """
+        due = np.zeros(len(received_ns), np.bool_)
+        if SIGNING in self._standing:
+            due |= received_ns - self._attacked_ns >= _QUIET_NS
+        if HEARTBEAT in self._standing:
+            due |= heartbeat
+        else:
+            last = np.maximum.accumulate(np.where(heartbeat, np.arange(len(received_ns)), -1))
+            before = np.full(len(received_ns), self._heartbeat_ns or 0)
+            np.copyto(before, received_ns[last], where=last >= 0)
+            known = (last >= 0) | bool(self._heartbeat_ns)
+            due |= known & ~heartbeat & (received_ns - before >= _HEARTBEAT_NS)
+        return int(np.argmax(due)) if due.any() else len(received_ns)
+
+    def pass_over(self, heartbeat_ns: int | None, vehicle_ns: int) -> None:
+        """Note the newest heartbeat of messages that caused nothing, and the vehicle's time at the last of them."""
+        self._vehicle_ms = vehicle_ns // 1_000_000
+        if heartbeat_ns is not None:
+            self._heartbeat_ns = heartbeat_ns
 
     def quiet(self, now_ns: int) -> list[AlarmEvent]:
         """Note that Unix time has come to ``now_ns``; return the events that causes."""

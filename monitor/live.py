@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import signal
 import sys
 import threading
@@ -97,6 +98,9 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         daemon = Daemon(inbox, station.fleet, lambda: station.posts, station.troubles, every_turn)
         with _signals(daemon.stop, reload) as received:
             notifier.ready(f"monitoring {len(station.posts)} vehicles")
+            # What stands for weeks need not be searched for garbage again and again, which takes longer than an alarm.
+            gc.collect()
+            gc.freeze()
             daemon.run()
         notifier.stopping()
         for post in station.posts:

@@ -13,6 +13,11 @@ from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.block import Block, cut
+from adapters.block_sampler import sample_block
 from adapters.clock import VehicleClock
 from adapters.message import SILENCE, Message
 from adapters.phase import FlightPhase
@@ -20,19 +25,27 @@ from adapters.sampler import SamplerStatistics
 from monitor import link_alarms, stale
 from monitor.alarm import TUNABLE
 from monitor.chain import ObserverChain, Output
+from monitor.chain_stretch import events_in_order
 from monitor.desk import AlarmDesk
 from monitor.desk_rule import DeskRule, desk_rule, rule_fields
-from monitor.estimate import Layout
+from monitor.estimate import Estimate, Estimates, Layout, alone
 from monitor.event import AlarmEvent, is_seq, valid_event
 from monitor.excuse import Excuses
 from monitor.link_alarms import LinkAlarms
 from monitor.profile import Profile
 from monitor.stale import StaleAlarm
+from monitor.uniform import changes_phase, heartbeats, in_order, selected
 
 AUTOPILOT = 1
 RULES = "rules"
 STANDING = "standing"
 _OWN_SOURCES = ("clock", "link", "operator", "journal")
+_WORTH_IT = 64
+"""Messages from which on a stretch is worth what it costs to begin one."""
+_LOOK_AHEAD = 2048
+"""Messages looked at for a first stretch; more once one has held."""
+
+Stretch = Estimates | AlarmEvent
 
 
 class Pipeline:
@@ -162,6 +175,92 @@ class Pipeline:
                         outputs.append(output)
         return outputs
 
+    def run(self, block: Block) -> list[Stretch]:
+        """Take a whole block; return what feeding its messages one by one would return, estimates as arrays.
+
+        Stretches in which the messages do nothing but carry samples are taken at once, the others one by one. Within
+        what is returned the estimates of a stretch stand before its events.
+        """
+        outputs: list[Stretch] = []
+        if self._system == 0:
+            block = self._run_until_known(block, outputs)
+        chosen = selected(block, self._interests, self._system, self._component)
+        self.foreign += self._foreign_in(block)
+        order = in_order(chosen)
+        place, single, ahead = 0, 1, _LOOK_AHEAD
+        while place < chosen.count:
+            stop = min(place + ahead, chosen.count)
+            taken = self._run_uniform(cut(chosen, place, stop), outputs)
+            place += taken
+            if place == stop:
+                ahead *= 4
+                continue
+            # Where stretches end again and again, looking for them would cost more than they save.
+            ahead = _LOOK_AHEAD
+            single = 1 if taken > _WORTH_IT else min(2 * single, _WORTH_IT)
+            for at in range(place, min(place + single, chosen.count)):
+                outputs.extend(_as_stretches(self.feed(order.message(at))))
+            place = min(place + single, chosen.count)
+        return outputs
+
+    def _run_until_known(self, block: Block, outputs: list[Stretch]) -> Block:
+        """Feed messages one by one until the system that is monitored is known; return the rest of the block."""
+        order = in_order(block)
+        for place in range(block.count):
+            outputs.extend(_as_stretches(self.feed(order.message(place))))
+            if self._system:
+                return cut(block, place + 1, block.count)
+        return cut(block, 0, 0)
+
+    def _foreign_in(self, block: Block) -> int:
+        return sum(
+            len(one.position)
+            for one in block.columns
+            if one.source == "mavlink"
+            and (one.system != self._system or (self._component and one.component != self._component))
+        )
+
+    def _run_uniform(self, block: Block, outputs: list[Stretch]) -> int:
+        """Take the first messages of a block as far as they can be taken as a whole; return how many."""
+        order = in_order(block)
+        received_ns, heartbeat = order.received_ns, heartbeats(order)
+        wanted = np.array([*(one.name in self._wanted for one in block.columns), False])[order.column]
+        count = min(
+            changes_phase(order, self._phase),
+            self._stale.first_silent(received_ns, wanted),
+            self._link.first_due(received_ns, heartbeat),
+            self._desk_quiet(received_ns),
+        )
+        if count < _WORTH_IT:
+            return 0
+        before_ns = self._clock.newest_ns
+        for chain in self._chains:
+            chain.enter(self._phase)
+        taken = sample_block(self._clock, [chain.sampler for chain in self._chains], cut(block, 0, count))
+        count = taken.count
+        if not count:
+            return 0
+        newest_ns = np.concatenate(((before_ns,), taken.newest_ns))
+        if (heard := np.flatnonzero(wanted[:count])).size:
+            self._stale.pass_over(int(received_ns[heard].max()), int(newest_ns[heard[-1]]))
+        beats = np.flatnonzero(heartbeat[:count])
+        self._link.pass_over(int(received_ns[beats[-1]]) if beats.size else None, int(newest_ns[count - 1]))
+        stretches = [
+            chain.run(samples, position, self._phase)
+            for chain, samples, position in zip(self._chains, taken.samples, taken.position, strict=True)
+        ]
+        outputs.extend(one.estimates for one in stretches if len(one.estimates))
+        outputs.extend(self._tell(events_in_order(stretches, self._excuses)))
+        return count
+
+    def _desk_quiet(self, received_ns: NDArray[np.int64]) -> int:
+        """Return the first message at which the desk may have to speak by itself, also of what may come before it."""
+        until_ns = int(received_ns[0]) + round(self._desk.rule.flood_s * 1e9) if len(received_ns) else 0
+        if (due_ns := self._desk.due_ns) is not None:
+            until_ns = min(until_ns, due_ns)
+        late = received_ns >= until_ns
+        return int(np.argmax(late)) if late.any() else len(received_ns)
+
     def _feed_own(self, message: Message) -> list[AlarmEvent]:
         """Take a message that is no telemetry."""
         now_ns, fields = message.received_ns, message.fields
@@ -209,6 +308,10 @@ class Pipeline:
             if isinstance(rules, Mapping):
                 chain.retune({name: rule for name, rule in rules.items() if isinstance(rule, Mapping)})
         return self._desk.set_rule(desk_rule(fields, self._desk.rule), now_ns)
+
+
+def _as_stretches(outputs: Iterable[Output]) -> list[Stretch]:
+    return [alone(output) if isinstance(output, Estimate) else output for output in outputs]
 
 
 def rules_message(rule: DeskRule, profile: Profile, now_ns: int) -> Message:

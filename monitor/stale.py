@@ -6,6 +6,9 @@ and cleared by the next one; a replay finds the same two moments in the recordin
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from monitor.event import UNNUMBERED, AlarmEvent, State, alarm_id
 
 OBSERVER = "link"
@@ -67,6 +70,29 @@ class StaleAlarm:
                 f"no telemetry for {self._limit_ns / 1e9:g} s: nothing is being watched",
             )
         ]
+
+    def first_silent(self, received_ns: NDArray[np.int64], wanted: NDArray[np.bool_]) -> int:
+        """Return the first of the messages that this alarm has to be told of one by one, their number where none is.
+
+        Parameters
+        ----------
+        received_ns : NDArray[np.int64]
+            Times of arrival of m messages (m,).
+        wanted : NDArray[np.bool_]
+            Whether they carry a channel (m,).
+        """
+        if self._since_ns is not None or self._heard_ns is None:
+            return 0
+        heard_ns = np.maximum.accumulate(np.where(wanted, received_ns, self._heard_ns))
+        silent = received_ns[1:] - np.maximum(heard_ns[:-1], self._heard_ns) >= self._limit_ns
+        if len(received_ns) and received_ns[0] - self._heard_ns >= self._limit_ns:
+            return 0
+        return int(np.argmax(silent)) + 1 if silent.any() else len(received_ns)
+
+    def pass_over(self, received_ns: int, vehicle_ns: int) -> None:
+        """Note the newest of messages without silence between them, and the vehicle's time at the last of them."""
+        self._heard_ns = received_ns if self._heard_ns is None else max(received_ns, self._heard_ns)
+        self._vehicle_ns = vehicle_ns
 
     def adopt(self, event: AlarmEvent) -> None:
         """Go on from an event that another run of the monitor, or another monitor, made."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.estimate import Estimate, Layout
+from monitor.estimate import Estimate, Estimates, Layout, alone
 from monitor.event import AlarmEvent, Severity
 
 FIRST_ROWS = 4096
@@ -78,23 +78,39 @@ class TraceBuilder:
 
     def add(self, estimate: Estimate) -> None:
         """Take the next estimate."""
-        sample = estimate.sample
-        self._restart |= sample.restart
-        if self._skip:
-            self._skip -= 1
-            return
-        if self._rows == len(self._values):
-            self._make_room()
-        row = self._rows
-        np.concatenate(
-            (sample.u, sample.y, estimate.x, estimate.fault, estimate.isolated, estimate.residual, estimate.sd),
-            out=self._values[row],
+        self.extend(alone(estimate))
+
+    def extend(self, estimates: Estimates) -> None:
+        """Take the next estimates."""
+        samples = estimates.samples
+        values = (
+            samples.u,
+            samples.y,
+            estimates.x,
+            estimates.fault,
+            estimates.isolated,
+            estimates.residual,
+            estimates.sd,
         )
-        self._times[row] = sample.vehicle_time_ns, sample.time_ns
-        self._flags[row] = estimate.armed, self._restart
-        self._rows = row + 1
-        self._skip = self._stride - 1
-        self._restart = False
+        start, count = 0, len(estimates)
+        while start < count:
+            if self._skip >= count - start:
+                self._skip -= count - start
+                self._restart |= bool(samples.restart[start:].any())
+                return
+            if self._rows == len(self._values):
+                self._make_room()
+            rows = np.arange(start + self._skip, count, self._stride)[: len(self._values) - self._rows]
+            place = slice(self._rows, self._rows + len(rows))
+            np.concatenate([part[rows] for part in values], axis=1, out=self._values[place])
+            self._times[place, 0], self._times[place, 1] = samples.vehicle_time_ns[rows], samples.time_ns[rows]
+            stop = int(rows[-1]) + 1
+            restarts = np.logical_or.reduceat(samples.restart[start:stop], np.append(start, rows[:-1] + 1) - start)
+            restarts[0] |= self._restart
+            self._flags[place, 0], self._flags[place, 1] = estimates.armed[rows], restarts
+            self._rows += len(rows)
+            self._skip, self._restart = self._stride - 1, False
+            start = stop
 
     def build(self) -> Trace:
         """Return what was collected so far, as a copy."""

@@ -7,9 +7,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from adapters.block import Block
+from adapters.block import messages as messages_of
 from adapters.message import Message
-from monitor.estimate import Estimate
+from adapters.recordings import packed
+from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
@@ -51,22 +57,27 @@ class Replay:
     lacking: Mapping[str, tuple[str, ...]]
 
 
-def play(
+def play(profile: Profile, messages: Iterable[Message], **options: Any) -> Replay:
+    """Run recorded messages through the pipeline: :func:`play_blocks` of them."""
+    return play_blocks(profile, packed(messages), **options)
+
+
+def play_blocks(
     profile: Profile,
-    messages: Iterable[Message],
+    blocks: Iterable[Block],
     *,
     vehicle: str | None = None,
     record: Path | None = None,
     keep_traces: bool = False,
     on_event: Callable[[AlarmEvent], None] | None = None,
 ) -> Replay:
-    """Run recorded messages through the pipeline.
+    """Run a recording through the pipeline.
 
     Parameters
     ----------
     profile : Profile
         The vehicle's profile.
-    messages : Iterable[Message]
+    blocks : Iterable[Block]
         The recording.
     vehicle : str | None
         Name in events; None takes the profile's.
@@ -89,20 +100,23 @@ def play(
             if record is not None
             else None
         )
-        for message in messages:
-            count += 1
-            seen.add(message.name)
-            outputs = pipeline.feed(message)
-            if recorder is not None and pipeline.accepts(message):
-                recorder.message(message)
-            for output in outputs:
-                if isinstance(output, Estimate):
-                    samples += 1
-                    watched[output.observer] += output.armed
+        for block in blocks:
+            count += block.count
+            seen.update(one.name for one in block.columns)
+            seen.update(message.name for message in block.others.values())
+            if recorder is not None:
+                for message in messages_of(block):
+                    if pipeline.accepts(message):
+                        recorder.message(message)
+            for output in pipeline.run(block):
+                if isinstance(output, Estimates):
+                    samples += len(output)
+                    watched[output.observer] += int(np.count_nonzero(output.armed))
                     if recorder is not None:
-                        recorder.estimate(output)
+                        for row in range(len(output)):
+                            recorder.estimate(output.one(row))
                     if keep_traces:
-                        builders[output.observer].add(output)
+                        builders[output.observer].extend(output)
                     continue
                 events.append(output)
                 if recorder is not None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from loopback import START_NS
 from synthetic_run import LAYOUT, estimate, event
 
-from adapters.sample import Sample
-from monitor.estimate import Estimate, Layout
+from adapters.sample import Sample, stacked
+from monitor.estimate import Estimate, Estimates, Layout
 from monitor.trace import FIRST_ROWS, TraceBuilder, alarm_spans
 
 
@@ -111,3 +114,36 @@ def test_an_alarm_is_a_span_from_raised_to_cleared() -> None:
 
 def test_no_events_are_no_spans() -> None:
     assert alarm_spans([]) == []
+
+
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=8), st.sampled_from([4, 10, 64]), st.integers(0, 99))
+def test_it_does_not_matter_in_which_stretches_estimates_come(lengths: list[int], room: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    estimates = [estimate(tick, rng) for tick in range(sum(lengths))]
+    for one in rng.choice(len(estimates), 3):
+        estimates[one] = replace(estimates[one], sample=replace(estimates[one].sample, restart=True))
+    singly, together = TraceBuilder(LAYOUT, room), TraceBuilder(LAYOUT, room)
+    for one in estimates:
+        singly.add(one)
+    start = 0
+    for length in lengths:
+        together.extend(in_one(estimates[start : start + length]))
+        start += length
+    a, b = singly.build(), together.build()
+    for name in ("vehicle_ns", "unix_ns", "u", "y", "x", "fault", "isolated", "residual", "sd", "armed", "restart"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def in_one(estimates: list[Estimate]) -> Estimates:
+    samples = [one.sample for one in estimates]
+    return Estimates(
+        observer=estimates[0].observer,
+        samples=stacked(samples, len(samples[0].u), len(samples[0].y)),
+        x=np.array([one.x for one in estimates]),
+        fault=np.array([one.fault for one in estimates]),
+        isolated=np.array([one.isolated for one in estimates]),
+        residual=np.array([one.residual for one in estimates]),
+        armed=np.array([one.armed for one in estimates]),
+        sd=np.array([one.sd for one in estimates]),
+        coasted_s=np.array([one.coasted_s for one in estimates]),
+    )
