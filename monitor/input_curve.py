@@ -22,6 +22,24 @@ def effect_of_command(curve: NDArray[np.float64], u: NDArray[np.float64]) -> NDA
     return value
 
 
+def curve_columns(curve: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Return the coefficients of each power, the highest first, for :func:`effect_into`; nothing where v = u."""
+    if curve.shape[1] == 1 and np.all(curve == 1.0):
+        return ()
+    return tuple(np.ascontiguousarray(column) for column in curve.T[::-1])
+
+
+def effect_into(columns: tuple[NDArray[np.float64], ...], u: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """Write what :func:`effect_of_command` returns for u (s,), to the same bits, into ``out`` (s,)."""
+    if not columns:
+        out[:] = u
+        return
+    np.multiply(columns[0], u, out)
+    for column in columns[1:]:
+        np.add(out, column, out)
+        np.multiply(out, u, out)
+
+
 def fault_in_command(
     fault: NDArray[np.float64], u: NDArray[np.float64], curve: NDArray[np.float64]
 ) -> NDArray[np.float64]:

@@ -7,14 +7,12 @@ input nonlinearity, past v are part of the state s and carry motor lag and trans
     [s+; zeta^; fa^; yt] = step_matrix [s; v; y; 1; g(nu)],      s = [eta; q; v(k-1); ...]
 
 so a step is one small matrix product, and nothing is allocated in it. A run over arrays calls the same product
-in the same order and therefore gives the same bits. A sample without measurements is one product with another matrix
-(:mod:`monitor.coasting`), and so is the first one after it.
+in the same order and therefore gives the same bits; where rounding may differ, :mod:`monitor.whole_run` is many times
+faster. A sample without measurements is one product with another matrix (:mod:`monitor.coasting`), and so is the
+first one after it.
 """
 
 from __future__ import annotations
-
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,15 +20,8 @@ from numpy.typing import NDArray
 from gains.expression import compile_expression
 from gains.gains_file import Gains
 from monitor.coasting import StepMap, coasting_maps
-from monitor.input_curve import effect_of_command
-
-
-class ObserverRun(NamedTuple):
-    """Estimates over N samples: x (N, n), fault (N, a1 + a2) and residual (N, p)."""
-
-    x: NDArray[np.float64]
-    fault: NDArray[np.float64]
-    residual: NDArray[np.float64]
+from monitor.input_curve import curve_columns, effect_into
+from monitor.recursion import ObserverRun, argument_spans
 
 
 class Observer:
@@ -54,11 +45,12 @@ class Observer:
         total = gains.step_matrix.shape[0]
         ns = total - nz - a1 - p
         m = gains.step_matrix.shape[1] - ns - s - p - 1
-        self._M = np.ascontiguousarray(gains.step_matrix)
-        self._arguments = np.ascontiguousarray(gains.argument_matrix)
+        # Methods of the matrices: the same products as np.dot, without its search for other kinds of array.
+        self._step = np.ascontiguousarray(gains.step_matrix).dot
+        self._arguments = np.ascontiguousarray(gains.argument_matrix).dot
         self._initial = np.ascontiguousarray(gains.initial_matrix)
         self._g = [compile_expression(item.expression, item.arguments) for item in gains.nonlinearities]
-        self._spans = _argument_spans([len(item.arguments) for item in gains.nonlinearities])
+        self._spans = argument_spans(gains)
         self._coast, self._resume = coasting_maps(gains)
         self._coasted = False
         self._z = np.zeros(ns + s + p + 1 + m + len(gains.faults))
@@ -72,18 +64,18 @@ class Observer:
         self._nonlinear = self._z[ns + s + p + 1 : ns + s + p + 1 + m]
         self._out = np.zeros(total)
         self._next = self._out[:ns]
-        self._nu = np.zeros(self._arguments.shape[0])
-        self._curves = gains.input_curves
+        self._nu = np.zeros(len(gains.argument_matrix))
+        self._curves = curve_columns(gains.input_curves)
         self.x = self._out[ns : ns + n]
         self._fs = self._out[ns + n : ns + nz]
         self._fa = self._out[ns + nz : ns + nz + a1]
         self.residual = self._out[ns + nz + a1 :]
         self.fault = self._z[ns + s + p + 1 + m :]
-        self._a1 = a1
+        self._fault_a, self._fault_s = self.fault[:a1], self.fault[a1:]
 
     def restart(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """Forget the past: start at the state that (u, y) explain without a fault."""
-        self._v[:] = effect_of_command(self._curves, u)
+        effect_into(self._curves, u, self._v)
         self._y[:] = y
         np.dot(self._initial, self._measured, out=self._state)
         self.fault[:] = 0.0
@@ -91,21 +83,21 @@ class Observer:
 
     def step(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
         """Advance by one sample: u (s,) and y (p,) in the order of the gains file."""
-        self._v[:] = effect_of_command(self._curves, u)
+        effect_into(self._curves, u, self._v)
         self._y[:] = y
         if self._coasted:
             self._coasted = False
             self._take(self._resume)
             return
         if self._g:
-            np.dot(self._arguments, self._affine, out=self._nu)
+            self._arguments(self._affine, self._nu)
             self._evaluate()
-        np.dot(self._M, self._fed, out=self._out)
+        self._step(self._fed, self._out)
         self._advance()
 
     def coast(self, u: NDArray[np.float64]) -> None:
         """Advance by one sample without measurements, u (s,): by the model alone."""
-        self._v[:] = effect_of_command(self._curves, u)
+        effect_into(self._curves, u, self._v)
         self._coasted = True
         self._take(self._coast)
 
@@ -117,13 +109,14 @@ class Observer:
         self._advance()
 
     def _evaluate(self) -> None:
+        nu = self._nu.tolist()
         for i, (g, span) in enumerate(zip(self._g, self._spans, strict=True)):
-            self._nonlinear[i] = g(*self._nu[span].tolist())
+            self._nonlinear[i] = g(*nu[span])
 
     def _advance(self) -> None:
         self._state[:] = self._next
-        self.fault[: self._a1] = self._fa
-        self.fault[self._a1 :] = self._fs
+        self._fault_a[:] = self._fa
+        self._fault_s[:] = self._fs
 
     def run(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> ObserverRun:
         """Restart at the first sample and step through all: u (N, s), y (N, p)."""
@@ -139,8 +132,3 @@ class Observer:
             result.fault[k] = self.fault
             result.residual[k] = self.residual
         return result
-
-
-def _argument_spans(counts: list[int]) -> list[slice]:
-    ends = np.cumsum([0, *counts]).tolist()
-    return [slice(start, stop) for start, stop in pairwise(ends)]

@@ -15,6 +15,7 @@ ALLOWED = {
     "replay": {"adapters", "gains", "monitor"},
 }
 HEAVY = {
+    "numba",
     "numpy",
     "scipy",
     "cvxpy",

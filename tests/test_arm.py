@@ -5,8 +5,9 @@ import pytest
 
 from adapters.arm import SCENARIOS, ArmRun, simulate_arm
 from adapters.arm_source import arm_messages
-from monitor.observer import Observer, ObserverRun
+from monitor.observer import Observer
 from monitor.profile import Profile
+from monitor.recursion import ObserverRun
 from replay.player import play
 
 PAPER_RMSE = {"case1": (0.0076, 0.0078), "case2": (0.0340, 0.0295), "case3": (0.0189, 0.0120)}

@@ -1,0 +1,176 @@
+"""What bench/observer.py runs: observers, the textbook's loop over their equations, and the recursion in C."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
+
+from gains.augment import augment, error_model
+from gains.certificate import Certificate, certify
+from gains.compilation import compile_gains
+from gains.design import Design
+from gains.discretise import discretise
+from gains.gains_file import Gains
+from gains.model_file import builtin_model
+from gains.plant import Disturbance, Fault, Noise, Plant
+from gains.synthesis import design_convex
+from monitor.recursion import ObserverRun, recursion_of
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+from random_gains import random_gains
+
+Array = NDArray[np.float64]
+SOURCE = Path(__file__).with_name("recursion.c")
+
+
+@dataclass(frozen=True)
+class Case:
+    """An observer, the discrete plant it is of, and signals to run it on, (N, s) and (N, p)."""
+
+    name: str
+    plant: Plant
+    gains: Gains
+    u: Array
+    y: Array
+
+
+def arm_case(count: int) -> Case:
+    """Return the arm's observer at 100 Hz on the paper's second case, repeated."""
+    from adapters.arm import SCENARIOS, simulate_arm
+
+    plant = builtin_model("arm-disturbed")
+    design = design_convex(plant, 100.0, gain_weight=1e-6)
+    run = simulate_arm(SCENARIOS["case2"], 50.0, 100.0)
+    times = -(-count // len(run.u))
+    u, y = np.tile(run.u, (times, 1))[:count], np.tile(run.y, (times, 1))[:count]
+    return Case("arm", discretise(plant, 100.0), compile_gains(plant, design, certify(plant, design)), u, y)
+
+
+def linear_case(count: int, states: int = 12, actuators: int = 5, sensors: int = 5) -> Case:
+    """Return a linear observer with injection gains of a Kalman filter: made in no time, certified for nothing."""
+    plant = linear_plant(states, actuators, sensors)
+    augmentation = augment(plant)
+    model = error_model(plant, augmentation)
+    Sigma = solve_discrete_are(model.A[0].T, model.C.T, model.B @ model.B.T, model.D @ model.D.T, s=model.B @ model.D.T)
+    L = np.linalg.solve(
+        model.C @ Sigma @ model.C.T + model.D @ model.D.T, (model.A[0] @ Sigma @ model.C.T + model.B @ model.D.T).T
+    ).T
+    nz, p = augmentation.F.shape
+    K = L[:nz]
+    N = augmentation.L1 @ augmentation.A_z - K @ augmentation.C_b
+    design = Design(
+        method="convex",
+        rate_hz=100.0,
+        K=K,
+        L_i=L[nz:],
+        L_p=np.zeros((actuators, p)),
+        L1=augmentation.L1,
+        F=augmentation.F,
+        N=N,
+        J=N @ augmentation.F + K,
+        P=np.eye(len(L)),
+        mu=math.inf,
+    )
+    unproven = Certificate(True, "vertices", 0, math.nan, math.nan, math.nan, (), math.nan, math.nan)
+    rng = np.random.default_rng(0)
+    u, y = rng.normal(size=(count, actuators)), rng.normal(size=(count, states))
+    name = f"linear, {states} states, {actuators + sensors} faults"
+    return Case(name, plant, compile_gains(plant, design, unproven), u, y)
+
+
+def linear_plant(states: int, actuators: int, sensors: int) -> Plant:
+    """Return a stable discrete plant with a sensor for each state and random faults."""
+    rng = np.random.default_rng(states)
+    unit = np.eye(states)
+    return Plant(
+        name="linear",
+        domain="discrete",
+        rate_hz=100.0,
+        states=tuple(f"x{i}" for i in range(states)),
+        inputs=tuple(f"u{i}" for i in range(actuators)),
+        outputs=tuple(f"y{i}" for i in range(states)),
+        A=0.95 * np.linalg.qr(rng.normal(size=(states, states)))[0],
+        B=rng.normal(size=(states, actuators)),
+        C=unit,
+        faults=(
+            *(Fault(f"actuator{i}", "actuator", rng.normal(size=states)) for i in range(actuators)),
+            *(Fault(f"sensor{i}", "sensor", unit[i]) for i in range(sensors)),
+        ),
+        disturbances=tuple(Disturbance(f"d{i}", unit[i], 0.1) for i in range(states)),
+        noises=tuple(Noise(f"w{i}", unit[i], 0.1) for i in range(states)),
+    )
+
+
+def random_case(count: int, states: int, outputs: int, faults: int, nonlinear: int = 0) -> Case:
+    """Return an observer with random matrices of given sizes; there is no plant that it would be of."""
+    gains = random_gains(states, states, outputs, faults, inputs=4, nonlinearities=("sin(v)",) * nonlinear)
+    rng = np.random.default_rng(0)
+    return Case("random", linear_plant(1, 0, 0), gains, rng.normal(size=(count, 4)), rng.normal(size=(count, outputs)))
+
+
+def textbook(case: Case) -> Callable[[Array, Array], ObserverRun]:
+    """Return the loop over samples that writes the observer's equations as they stand in the theory."""
+    plant, gains = case.plant, case.gains
+    n, a1 = len(plant.states), len(plant.actuator_faults)
+    C_b = augment(plant).C_b
+    N, J, L1, F, L_p, L_i = gains.N, gains.J, gains.L1, gains.F, gains.L_p, gains.L_i
+    B, c, G, E_f = plant.B, plant.c, plant.G, plant.E_f
+    H = np.vstack([np.zeros((0, n)), *(g.rows for g in plant.nonlinearities)])
+    nonlinear = bool(plant.nonlinearities)
+
+    def run(u: Array, y: Array) -> ObserverRun:
+        start = gains.initial_matrix @ np.concatenate([u[0], y[0], [1.0]])
+        eta, q = start[: len(N)], start[len(N) : len(N) + a1]
+        found = ObserverRun(np.empty((len(u), n)), np.empty((len(u), len(gains.faults))), np.empty_like(y))
+        for k in range(len(u)):
+            zeta = eta + F @ y[k]
+            yt = y[k] - C_b @ zeta
+            fa = q + L_p @ yt
+            x = zeta[:n]
+            force = B @ u[k] + c + E_f @ fa
+            if nonlinear:
+                force = force + G @ np.sin(H @ x)
+            eta = N @ eta + J @ y[k] + L1 @ force
+            q = q + L_i @ yt
+            found.x[k] = x
+            found.fault[k] = np.concatenate([fa, zeta[n:]])
+            found.residual[k] = yt
+        return found
+
+    return run
+
+
+def in_c(case: Case, folder: Path) -> Callable[[Array, Array], ObserverRun] | None:
+    """Return the recursion compiled with ``cc -O2``, or None where there is no compiler."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        return None
+    library = folder / "recursion.so"
+    if not library.exists():
+        command = [compiler, "-O2", "-shared", "-fPIC", "-o", library, SOURCE, "-lm"]
+        subprocess.run(command, check=True)  # noqa: S603  # our own source, the system's compiler
+    function = ctypes.CDLL(str(library)).run
+    recursion, gains = recursion_of(case.gains), case.gains
+    step, arguments = np.ascontiguousarray(recursion.step.T), np.ascontiguousarray(recursion.arguments.T)
+    s, p, m = len(gains.inputs), len(gains.outputs), len(gains.nonlinearities)
+    sizes = [ctypes.c_long(size) for size in (recursion.ns, s, p, m, len(recursion.step))]
+
+    def run(u: Array, y: Array) -> ObserverRun:
+        state = gains.initial_matrix @ np.concatenate([u[0], y[0], [1.0]])
+        out = np.empty((len(u), len(recursion.step) - recursion.ns))
+        arrays = [ctypes.c_void_p(array.ctypes.data) for array in (step, arguments, state, u, y)]
+        failed = function(*sizes, *arrays, ctypes.c_long(len(u)), ctypes.c_void_p(out.ctypes.data))
+        assert not failed
+        return recursion.split(out)
+
+    return run
