@@ -30,13 +30,15 @@ class WriterStatistics:
         Messages left out because no record can hold them: values no JSON knows, a time before 1970, or more
         topics than :data:`MAX_CHANNELS`.
     written : int
-        Records handed to the operating system; the others wait in the current chunk, or were lost to a write
-        that failed.
+        Records handed to the operating system; the others wait in the current chunk, or were lost.
+    dropped : int
+        Records lost to writes that failed.
     """
 
     records: int
     unrecordable: int
     written: int
+    dropped: int = 0
 
 
 class MessageLogWriter:
@@ -56,7 +58,8 @@ class MessageLogWriter:
     TelemetryError
         The file cannot be created.
     OSError
-        A write failed, in any method. The file is whole up to the last chunk; only :meth:`close` is of use then.
+        A write failed, in any method. The file is whole up to the last chunk; only :meth:`close` and :meth:`resume`
+        are of use then.
     """
 
     def __init__(self, target: str | os.PathLike[str] | BinaryIO) -> None:
@@ -82,6 +85,16 @@ class MessageLogWriter:
     def size(self) -> int:
         """Bytes the file will have at most if it is closed now."""
         return self._writer.size
+
+    @property
+    def position(self) -> int:
+        """Records in the file and on their way to it: the number of the last one taken."""
+        return self._writer.position
+
+    @property
+    def failed(self) -> bool:
+        """Whether a write has failed and nothing was resumed since."""
+        return self._writer.failed
 
     def write(self, message: Message) -> None:
         """Record a telemetry message; one that cannot be recorded is counted and left out."""
@@ -116,6 +129,10 @@ class MessageLogWriter:
         if not self._closed:
             self._writer.flush()
 
+    def resume(self) -> None:
+        """Go on after a write that failed, behind what stands in the file."""
+        self._writer.resume()
+
     def close(self) -> None:
         """Finish the file with its index; a second call does nothing."""
         if self._closed:
@@ -129,7 +146,9 @@ class MessageLogWriter:
 
     def statistics(self) -> WriterStatistics:
         """Return the counts so far."""
-        return WriterStatistics(self._records, self._unrecordable, self._writer.written)
+        writer = self._writer
+        there = writer.written if writer.failed else writer.position
+        return WriterStatistics(self._records, self._unrecordable, writer.written, self._records - there)
 
     def __enter__(self) -> Self:
         return self

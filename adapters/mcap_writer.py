@@ -61,8 +61,8 @@ class McapWriter:
     Raises
     ------
     OSError
-        From every method that writes, and from then on from all of them but :meth:`finish`: what stands in the
-        file is whole up to the last chunk, the records after it are lost.
+        From every method that writes, and from then on from all of them but :meth:`finish` and :meth:`resume`: what
+        stands in the file is whole up to the last chunk, the records after it are lost.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -112,6 +112,16 @@ class McapWriter:
     def written(self) -> int:
         """Messages that were handed to the operating system."""
         return self._totals.message_count
+
+    @property
+    def position(self) -> int:
+        """Messages in the file and in the chunk in hand."""
+        return self._totals.message_count + self._chunk_messages
+
+    @property
+    def failed(self) -> bool:
+        """Whether a write has failed and nothing was resumed since."""
+        return self._failed is not None
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Define a schema; return its id."""
@@ -177,11 +187,29 @@ class McapWriter:
         self._end_chunk()
         self._stream.flush()
 
+    def resume(self) -> None:
+        """Go on behind the last whole chunk after a write that failed; what was added since is lost.
+
+        Raises
+        ------
+        OSError
+            What the failed write left behind cannot be cut off.
+        """
+        if self._failed is None:
+            return
+        self._stream.truncate(self._at)
+        self._stream.seek(self._at)
+        self._failed = None
+        self._begin_chunk()
+        # once more, for the first ones may be among what is lost
+        self._chunk += self._schemas + self._channels
+
     def finish(self) -> None:
         """Write what is left and the summary; after a failure the summary of what stands in the file."""
         if self._failed is None:
             self._end_chunk()
         self._failed = None
+        self._begin_chunk()
         self._write(_encoded(DataEnd(data_section_crc=0)) + self._summary(self._at + _RECORD_HEAD.size + 4))
         self._stream.flush()
 
@@ -225,6 +253,9 @@ class McapWriter:
         self._write(b"".join(parts))
         self._chunk_indexes += _encoded(index)
         self._count(first, last)
+        self._begin_chunk()
+
+    def _begin_chunk(self) -> None:
         self._chunk = bytearray()
         self._chunk_times = None
         self._chunk_messages = 0

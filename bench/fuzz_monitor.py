@@ -9,7 +9,7 @@ import json
 import shutil
 import socket
 import sqlite3
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -92,6 +92,9 @@ class _Sink:
     def write(self, event: AlarmEvent, frame: Any = None) -> None:
         to_json(event.to_json())
         to_json(frame or {})
+
+    def shelve(self, vehicle: str, channels: Mapping[str, int]) -> None:
+        to_json(channels)
 
     def flush(self) -> None:
         """Keep nothing back."""

@@ -180,6 +180,7 @@ class Alarm:
         self._counter_ns = self._fast_ns = 0
         self._trend = Trend()
         estimate = event.estimate or 0.0
+        self._mean = estimate if event.creeping else 0.0
         self._active = _Active(
             id=event.id,
             since_ns=event.since_ns,
@@ -189,8 +190,8 @@ class Alarm:
             severity=event.severity,
             reported=estimate,
             reported_ns=event.vehicle_time_ms * 1_000_000,
-            creeping=False,
-            latched=False,
+            creeping=event.creeping,
+            latched=event.recurring,
         )
 
     def update(
@@ -215,8 +216,10 @@ class Alarm:
         elapsed = 0 if self._last_ns is None else max(0, now - self._last_ns)
         self._last_ns = now
         if sample.restart:
-            self._mean = 0.0
-            # An observer that starts anew climbs back to a fault: no growth of the fault.
+            # An observer that starts anew climbs back to a fault: no growth of the fault. What keeps an alarm standing
+            # is not forgotten meanwhile, or the alarm would come back as another one.
+            if self._active is None or not self._active.creeping:
+                self._mean = 0.0
             self._trend = Trend()
         elif elapsed and rule.slow < math.inf:
             limited = max(-2.0 * rule.slow, min(evidence, 2.0 * rule.slow))
@@ -308,6 +311,8 @@ class Alarm:
             peak=active.peak,
             message=f"{message} (it comes and goes)" if active.latched and state != "cleared" else message,
             seq=UNNUMBERED,
+            creeping=active.creeping,
+            recurring=active.latched,
         )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -13,6 +15,9 @@ from monitor.event import AlarmEvent
 from monitor.record_encoder import RecordEncoder
 
 _PORTION = 400
+
+
+RETRY_S = 10.0
 
 
 class Recording(Protocol):
@@ -43,6 +48,8 @@ class ArchiveStatistics:
 class Archive:
     """Hands what one monitor sees and says to its recording and its black box; a disk that fails stops neither.
 
+    A recording that cannot be written is tried again every :data:`RETRY_S` seconds; it keeps alarm events until then.
+
     Parameters
     ----------
     encoder : RecordEncoder
@@ -51,13 +58,23 @@ class Archive:
         The recording, if any.
     black_box : BlackBox | None
         The black box, if any.
+    monotonic : Callable[[], float]
+        Clock of the retries, seconds.
     """
 
-    def __init__(self, encoder: RecordEncoder, recording: Recording | None, black_box: BlackBox | None) -> None:
+    def __init__(
+        self,
+        encoder: RecordEncoder,
+        recording: Recording | None,
+        black_box: BlackBox | None,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._encoder = encoder
         self._recording = recording
         self._black_box = black_box
+        self._monotonic = monotonic
         self._failed: str | None = None
+        self._retry_s = 0.0
 
     def message(self, message: Message) -> None:
         """Take a message of the vehicle."""
@@ -74,20 +91,22 @@ class Archive:
             self._black_box.alarm(event)
 
     def flush(self) -> None:
-        """Hand the recording to the operating system."""
-        if self._recording is not None:
-            try:
-                self._recording.flush()
-            except OSError as error:
-                self._give_up(error)
+        """Hand the recording to the operating system, as often as the disk takes it."""
+        if self._recording is None or (self._failed is not None and self._monotonic() < self._retry_s):
+            return
+        try:
+            self._recording.flush()
+            self._failed = None
+        except OSError as error:
+            self._note(error)
 
     def statistics(self) -> ArchiveStatistics:
         """Return the counts so far, and what is wrong."""
-        found = ArchiveStatistics(trouble=self._failed)
+        found = ArchiveStatistics()
         if self._recording is not None:
             counts = self._recording.statistics()
-            lost = counts.unrecordable + getattr(counts, "dropped", 0)
-            found = ArchiveStatistics(counts.records, lost, getattr(counts, "failed", None))
+            trouble = self._failed or getattr(counts, "failed", None)
+            found = ArchiveStatistics(counts.records, counts.unrecordable + counts.dropped, trouble)
         if self._black_box is not None and found.trouble is None:
             found = replace(found, trouble=self._black_box.statistics().failed)
         return found
@@ -97,16 +116,16 @@ class Archive:
         if self._black_box is not None:
             self._black_box.work(_PORTION, now_ns)
 
-    def _give_up(self, error: OSError) -> None:
-        """End a recording in one file whose disk failed: what was flushed stays readable."""
+    def _note(self, error: OSError) -> None:
         self._failed = f"recording stopped: {error.strerror or error}"
-        self._recording = None
+        self._retry_s = self._monotonic() + RETRY_S
 
     def _record(self, *records: Record) -> None:
         if self._recording is not None:
             try:
                 self._recording.record(*records)
             except OSError as error:
-                self._give_up(error)
+                if self._failed is None:
+                    self._note(error)
         if self._black_box is not None:
             self._black_box.record(*records)

@@ -30,6 +30,7 @@ def conflicts(config: Config) -> Iterator[Conflict]:
     yield from _sending(config)
     yield from _sizes(config)
     yield from _files(config)
+    yield from _channels(config)
 
 
 def _vehicles(config: Config) -> Iterator[Conflict]:
@@ -173,3 +174,33 @@ def _files(config: Config) -> Iterator[Conflict]:
     for path, file in files:
         if file is not None and not file.is_file():
             yield Conflict(path, f"is {file}: no such file; paths are relative to the configuration file")
+
+
+def _channels(config: Config) -> Iterator[Conflict]:
+    for k, vehicle in enumerate(config.vehicles):
+        named = [
+            (key, place, channel)
+            for key in ("out_of_service", "latched")
+            for place, channel in enumerate(getattr(vehicle, key))
+        ]
+        known = _channels_of(vehicle.profile) if named and vehicle.profile is not None else ()
+        for key, place, channel in named:
+            if known and channel not in known:
+                yield Conflict(
+                    ("vehicle", k, key, place),
+                    f"is '{channel}', which is no channel of {vehicle.profile}; its channels are {', '.join(known)}",
+                    (("profile",), ("vehicle", k, "profile")),
+                )
+
+
+def _channels_of(folder: Path) -> list[str]:
+    """Return everything that can be an alarm with a profile; nothing where it cannot be read, which the start says."""
+    from monitor.desk import FLOOD_KEY
+    from monitor.pipeline import Pipeline
+    from monitor.profile import read_profile
+
+    try:
+        pipeline = Pipeline(read_profile(folder))
+    except (ValueError, OSError):
+        return []
+    return sorted("/".join(key) for key in (*pipeline.channels, FLOOD_KEY))

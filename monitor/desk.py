@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 from monitor.desk_rule import DeskRule
@@ -72,6 +73,11 @@ class AlarmDesk:
     def shelved(self) -> Mapping[str, int]:
         """Shelved channels and the Unix times at which they speak again, nanoseconds."""
         return {_text(key): until for key, until in self._shelved.items()}
+
+    @property
+    def shelved_by_operators(self) -> Mapping[str, int]:
+        """The same without what a flood holds back."""
+        return {_text(key): until for key, until in self._shelved.items() if key not in self._held_back}
 
     def set_rule(self, rule: DeskRule, now_ns: int) -> list[AlarmEvent]:
         """Let another rule hold from now on; return what channels that go out of service or come back cause."""
@@ -187,7 +193,13 @@ class AlarmDesk:
         event = _cleared(entry.event, now_ns, _by("reset", fields))
         return [self._numbered(replace(event, latched=False))]
 
-    def adopt(self, alarms: Sequence[AlarmEvent], watched: Collection[Key], now_ns: int) -> list[AlarmEvent]:
+    def adopt(
+        self,
+        alarms: Sequence[AlarmEvent],
+        watched: Collection[Key],
+        now_ns: int,
+        shelved: Mapping[str, int] = MappingProxyType({}),
+    ) -> list[AlarmEvent]:
         """Go on from alarms that another run of the monitor, or another monitor, left standing.
 
         Parameters
@@ -198,6 +210,8 @@ class AlarmDesk:
             Channels that can still clear by themselves.
         now_ns : int
             Unix time.
+        shelved : Mapping[str, int]
+            Channels that keep quiet also where none of these alarms is theirs, and until when.
 
         Returns
         -------
@@ -213,6 +227,10 @@ class AlarmDesk:
             if known[event.observer, event.channel] is not event:
                 gone = replace(event, state="cleared", time_ns=now_ns, message="a later alarm took its place")
                 told.append(self._numbered(gone))
+        for name, until in shelved.items():
+            key = _key_of(name)
+            if key not in known and until > now_ns:
+                self._shelved.setdefault(key, min(until, now_ns + MAX_SHELVE_NS))
         for key, event in known.items():
             self._standing[key] = entry = _Standing(event, quiet=event.shelved_until_ns is not None)
             if event.shelved_until_ns is not None:
@@ -361,6 +379,11 @@ def _by(what: str, fields: Mapping[str, object]) -> str:
         + (f" by {by}" if isinstance(by, str) and by else "")
         + (f": {reason}" if isinstance(reason, str) and reason else "")
     )
+
+
+def _key_of(name: str) -> Key:
+    observer, _, channel = name.partition("/")
+    return observer, channel
 
 
 def _text(key: Key) -> str:

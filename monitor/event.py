@@ -17,7 +17,7 @@ UNNUMBERED = 0
 _TEXTS = ("id", "vehicle", "observer", "channel", "kind", "state", "severity", "unit", "message")
 _COUNTS = ("time_ns", "vehicle_time_ms", "since_ns")
 _NUMBERS = ("estimate", "relative", "threshold", "peak")
-_FLAGS = ("acknowledged", "latched")
+_FLAGS = ("acknowledged", "latched", "creeping", "recurring")
 # Beyond any time or size, and within what floats can express; numbers of events leave room to count on in 64 bits.
 _LARGEST = 1 << 100
 _LARGEST_SEQ = 1 << 62
@@ -66,6 +66,10 @@ class AlarmEvent:
         Whether the alarm stands although its cause is gone, until somebody resets it.
     shelved_until_ns : int | None
         Unix time at which a shelved alarm speaks again; None where it is not shelved.
+    creeping : bool
+        Whether only the mean over seconds shows it: ``estimate`` is that mean.
+    recurring : bool
+        Whether it comes and goes, and clears only after a long quiet.
     """
 
     id: str
@@ -88,6 +92,8 @@ class AlarmEvent:
     acknowledged: bool = False
     latched: bool = False
     shelved_until_ns: int | None = None
+    creeping: bool = False
+    recurring: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Return the event as the JSON object of the contract."""

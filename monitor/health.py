@@ -116,12 +116,15 @@ class LinkHealth:
         Messages received.
     losses : Mapping[str, int]
         What was lost or refused, by reason (``lost``, ``damaged``, ``unknown`` ...).
+    lost_by_system : Mapping[int, int]
+        Packets missing by their sequence numbers, of each MAVLink system that lost any.
     """
 
     name: str
     connected: bool = True
     messages: int = 0
     losses: Mapping[str, int] = field(default_factory=dict)
+    lost_by_system: Mapping[int, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,34 +21,14 @@ from typing import Any
 from monitor.errors import ProfileError
 from monitor.event import AlarmEvent, valid_event
 from monitor.journal_file import DamagedError, open_database, read_connection, set_aside
+from monitor.journal_rows import LARGEST, Row, bounded, insert, plain, prune, shelve
 from monitor.payload import to_json
 
 MAX_PENDING = 10_000
 MAX_FRAME_BYTES = 1 << 15
 MAX_ANSWER = 100_000
 RETRIED_AT_ONCE = 200
-PRUNED_AT_ONCE = 64
 
-_LARGEST = (1 << 63) - 1
-
-_INSERT = """
-INSERT INTO event (vehicle, seq, alarm, time_ns, body) VALUES (?, ?, ?, ?, ?) ON CONFLICT (vehicle, seq) DO NOTHING
-"""
-_NOTE_ALARM = """
-INSERT INTO alarm (id, vehicle, seq, latest, standing, frame) VALUES (?, ?, ?, ?, ?, ?)
-ON CONFLICT (id, vehicle) DO UPDATE SET
-    latest = iif(excluded.seq > seq, excluded.latest, latest),
-    standing = iif(excluded.seq > seq, excluded.standing, standing),
-    seq = max(seq, excluded.seq),
-    frame = coalesce(frame, excluded.frame)
-"""
-_NOTE_VEHICLE = """
-INSERT INTO vehicle (name, last_seq) VALUES (?, ?)
-ON CONFLICT (name) DO UPDATE SET last_seq = max(last_seq, excluded.last_seq)
-"""
-_OLDEST = """
-SELECT number FROM event WHERE number NOT IN (SELECT latest FROM alarm WHERE standing = 1) ORDER BY number LIMIT ?
-"""
 _ACTIVE = """
 SELECT body FROM alarm JOIN event ON event.number = alarm.latest
 WHERE alarm.standing = 1 AND alarm.vehicle = ? ORDER BY alarm.seq
@@ -98,19 +78,6 @@ class JournalStatistics:
     last_error: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class _Row:
-    """An event as the tables hold it."""
-
-    vehicle: str
-    seq: int
-    alarm: str
-    time_ns: int
-    standing: bool
-    body: str
-    frame: str | None
-
-
 class Journal:
     """Append-only journal of alarm events with one writer in this process and readers in any thread.
 
@@ -143,7 +110,8 @@ class Journal:
         self._path = Path(path)
         self._max_events = max_events
         self._lock = threading.Lock()
-        self._pending: deque[_Row] = deque()
+        self._pending: deque[Row] = deque()
+        self._shelved: dict[str, Mapping[str, int]] = {}
         self._counts = dict.fromkeys(("written", "duplicates", "conflicts", "rejected", "dropped", "pruned"), 0)
         self._last_error: str | None = None
         self._connection: sqlite3.Connection | None = None
@@ -174,6 +142,12 @@ class Journal:
                     self._counts["dropped"] += 1
                 self._pending.append(row)
 
+    def shelve(self, vehicle: str, channels: Mapping[str, int]) -> None:
+        """Remember which channels (``observer/channel``) operators have shelved, and until when; the last holds."""
+        with self._lock:
+            self._shelved[plain(vehicle)] = dict(channels)
+            self._commit_shelved()
+
     def retry(self) -> int:
         """Write some of the events that wait, the oldest first; return how many still do."""
         with self._lock:
@@ -186,6 +160,7 @@ class Journal:
             if batch and self._commit(batch):
                 for _ in batch:
                     self._pending.popleft()
+            self._commit_shelved()
             return len(self._pending)
 
     def sync(self) -> None:
@@ -224,11 +199,15 @@ class Journal:
         OSError
             The journal cannot be read; so do all queries.
         """
-        return self._readable(body for (body,) in self._query(_ACTIVE, (_text(vehicle),)))
+        return self._readable(body for (body,) in self._query(_ACTIVE, (plain(vehicle),)))
+
+    def shelved(self, vehicle: str) -> dict[str, int]:
+        """Return the channels of a vehicle that operators have shelved, and the Unix times at which that ends."""
+        return dict(self._query("SELECT channel, until_ns FROM shelved WHERE vehicle = ?", (plain(vehicle),)))
 
     def last_seq(self, vehicle: str) -> int:
         """Return the largest ``seq`` of a vehicle's events, 0 where it has none."""
-        rows = self._query("SELECT last_seq FROM vehicle WHERE name = ?", (_text(vehicle),))
+        rows = self._query("SELECT last_seq FROM vehicle WHERE name = ?", (plain(vehicle),))
         return int(rows[0][0]) if rows else 0
 
     def events(self, vehicle: str | None = None, since_ns: int = 0, limit: int = 1000) -> list[AlarmEvent]:
@@ -243,16 +222,16 @@ class Journal:
         limit : int
             At most so many, and never more than :data:`MAX_ANSWER`.
         """
-        since_ns, limit = _bounded(since_ns), max(0, min(limit, MAX_ANSWER))
+        since_ns, limit = bounded(since_ns), max(0, min(limit, MAX_ANSWER))
         if vehicle is None:
             rows = self._query(_EVENTS, (since_ns, limit))
         else:
-            rows = self._query(_EVENTS_OF_VEHICLE, (_text(vehicle), since_ns, limit))
+            rows = self._query(_EVENTS_OF_VEHICLE, (plain(vehicle), since_ns, limit))
         return self._readable(body for _, body in sorted(rows))
 
     def frame(self, alarm_id: str) -> dict[str, Any] | None:
         """Return the freeze frame of an alarm, None where there is none."""
-        rows = self._query("SELECT frame FROM alarm WHERE id = ? AND frame IS NOT NULL", (_text(alarm_id),))
+        rows = self._query("SELECT frame FROM alarm WHERE id = ? AND frame IS NOT NULL", (plain(alarm_id),))
         return dict(json.loads(rows[0][0])) if rows else None
 
     def close(self) -> None:
@@ -262,6 +241,7 @@ class Journal:
             before = waiting
             self.retry()
         with self._lock:
+            self._commit_shelved()
             if self._connection is not None:
                 with contextlib.suppress(sqlite3.Error):
                     self._connection.close()
@@ -280,20 +260,20 @@ class Journal:
         except sqlite3.Error as error:
             self._note(error)
 
-    def _row(self, event: AlarmEvent, frame: Mapping[str, Any] | None) -> _Row | None:
+    def _row(self, event: AlarmEvent, frame: Mapping[str, Any] | None) -> Row | None:
         """Return an event as a row; None, counted, where no row can hold it."""
-        if not isinstance(event.seq, int) or abs(event.seq) > _LARGEST:
+        if not isinstance(event.seq, int) or abs(event.seq) > LARGEST:
             self._reject(f"event of {event.vehicle} with seq {event.seq!r:.40}")
             return None
         try:
             body = to_json(event.to_json()).decode()
-            time_ns = _bounded(int(event.time_ns))
-            vehicle, alarm = _text(event.vehicle), _text(event.id)
+            time_ns = bounded(int(event.time_ns))
+            vehicle, alarm = plain(event.vehicle), plain(event.id)
         except (TypeError, ValueError, AttributeError, RecursionError, OverflowError) as error:
             self._reject(f"event {event.seq} of {event.vehicle!r:.80}: {error}")
             return None
         frozen = None if frame is None else self._frozen(event, frame)
-        return _Row(vehicle, event.seq, alarm, time_ns, event.state != "cleared", body, frozen)
+        return Row(vehicle, event.seq, alarm, time_ns, event.state != "cleared", body, frozen)
 
     def _frozen(self, event: AlarmEvent, frame: Mapping[str, Any]) -> str | None:
         try:
@@ -306,7 +286,7 @@ class Journal:
             return None
         return body.decode()
 
-    def _commit(self, rows: Sequence[_Row]) -> bool:
+    def _commit(self, rows: Sequence[Row]) -> bool:
         """Write rows in one transaction; return whether all are there."""
         if self._connection is None:
             return False
@@ -315,11 +295,11 @@ class Journal:
         try:
             self._connection.execute("BEGIN IMMEDIATE")
             for row in rows:
-                outcome = _insert(self._connection, row)
+                outcome = insert(self._connection, row)
                 counts[outcome] += 1
                 if outcome == "conflicts":
                     conflict = f"event {row.seq} of {row.vehicle} is there already, with another content"
-            counts["pruned"] = self._prune(self._connection, self._events + counts["written"] - self._max_events)
+            counts["pruned"] = prune(self._connection, self._events + counts["written"] - self._max_events)
             self._connection.execute("COMMIT")
         except sqlite3.Error as error:
             self._note(error)
@@ -334,16 +314,22 @@ class Journal:
         self._unsynced = self._unsynced or counts["written"] > 0
         return True
 
-    def _prune(self, connection: sqlite3.Connection, excess: int) -> int:
-        """Delete some of the oldest events, and cleared alarms of which none is left; return how many events."""
-        if excess <= 0:
-            return 0
-        numbers = connection.execute(_OLDEST, (min(excess, PRUNED_AT_ONCE),)).fetchall()
-        if not numbers:
-            return 0
-        connection.executemany("DELETE FROM event WHERE number = ?", numbers)
-        connection.execute("DELETE FROM alarm WHERE standing = 0 AND latest <= ?", numbers[-1])
-        return len(numbers)
+    def _commit_shelved(self) -> None:
+        """Write what is shelved, where that is not written yet."""
+        for vehicle, channels in list(self._shelved.items()):
+            if self._connection is None:
+                return
+            try:
+                self._connection.execute("BEGIN IMMEDIATE")
+                shelve(self._connection, vehicle, channels)
+                self._connection.execute("COMMIT")
+            except sqlite3.Error as error:
+                self._note(error)
+                with contextlib.suppress(sqlite3.Error):
+                    self._connection.rollback()
+                return
+            del self._shelved[vehicle]
+            self._unsynced = True
 
     def _query(self, sql: str, values: Sequence[Any]) -> list[Any]:
         try:
@@ -373,23 +359,3 @@ class Journal:
     def _reject(self, what: str) -> None:
         self._counts["rejected"] += 1
         self._last_error = f"{self._path}: cannot hold {what}"
-
-
-def _insert(connection: sqlite3.Connection, row: _Row) -> str:
-    """Write one row unless it is there; return what became of it."""
-    cursor = connection.execute(_INSERT, (row.vehicle, row.seq, row.alarm, row.time_ns, row.body))
-    if cursor.rowcount == 0:
-        there = connection.execute("SELECT body FROM event WHERE vehicle = ? AND seq = ?", (row.vehicle, row.seq))
-        return "duplicates" if there.fetchone()[0] == row.body else "conflicts"
-    standing = int(row.standing)
-    connection.execute(_NOTE_ALARM, (row.alarm, row.vehicle, row.seq, cursor.lastrowid, standing, row.frame))
-    connection.execute(_NOTE_VEHICLE, (row.vehicle, row.seq))
-    return "written"
-
-
-def _text(text: str) -> str:
-    return text.encode(errors="backslashreplace").decode()
-
-
-def _bounded(number: int) -> int:
-    return max(-_LARGEST, min(number, _LARGEST))

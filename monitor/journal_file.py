@@ -20,6 +20,14 @@ _SIDECARS = ("-wal", "-shm", "-journal")
 # what goes away by itself: no room, a failing disk, another process in the way
 _PASSING = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
 _DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+_SHELVED = """
+CREATE TABLE IF NOT EXISTS shelved (
+    vehicle TEXT NOT NULL,
+    channel TEXT NOT NULL,
+    until_ns INTEGER NOT NULL,
+    PRIMARY KEY (vehicle, channel)
+) STRICT
+"""
 # 'latest' is the number of the event with the largest seq, 'standing' whether that is another one than 'cleared'
 _SCHEMA = f"""
 BEGIN IMMEDIATE;
@@ -45,6 +53,7 @@ CREATE TABLE alarm (
 ) STRICT;
 CREATE INDEX alarm_standing ON alarm (standing, latest);
 CREATE TABLE vehicle (name TEXT PRIMARY KEY, last_seq INTEGER NOT NULL) STRICT;
+{_SHELVED};
 PRAGMA application_id = {APPLICATION_ID};
 PRAGMA user_version = {SCHEMA_VERSION};
 COMMIT;
@@ -169,6 +178,8 @@ def _prepare(path: Path, connection: sqlite3.Connection) -> None:
         raise DamagedError(" ".join(trouble.split()))
     # a read-only file opens; only a write says so
     connection.execute("BEGIN IMMEDIATE")
+    # journals of before there was such a table go on
+    connection.execute(_SHELVED)
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     connection.execute("COMMIT")
 

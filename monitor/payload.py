@@ -41,6 +41,8 @@ ALARM_SCHEMA: dict[str, Any] = {
         "acknowledged": {"type": "boolean", "description": "somebody has said that they know"},
         "latched": {"type": "boolean", "description": "it stands although its cause is gone, until it is reset"},
         "shelved_until_ns": {"type": ["integer", "null"], "description": "Unix time at which it speaks again"},
+        "creeping": {"type": "boolean", "description": "only the mean over seconds shows it; estimate is that mean"},
+        "recurring": {"type": "boolean", "description": "it comes and goes, and clears only after a long quiet"},
     },
 }
 ALARM_SCHEMA["required"] = list(ALARM_SCHEMA["properties"])

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -106,6 +107,16 @@ class Pipeline:
         return {
             (chain.layout.observer, name): size for chain in self._chains for name, size in chain.thresholds.items()
         }
+
+    @property
+    def channels(self) -> frozenset[tuple[str, str]]:
+        """Observer and channel of everything that can be an alarm, the desk's own left out."""
+        link = (link_alarms.SIGNING, link_alarms.HEARTBEAT)
+        return frozenset(
+            {(chain.layout.observer, channel) for chain in self._chains for channel in chain.channels}
+            | {(stale.OBSERVER, stale.CHANNEL)}
+            | {(link_alarms.OBSERVER, name) for name in link}
+        )
 
     @property
     def stale(self) -> bool:
@@ -286,9 +297,6 @@ class Pipeline:
 
     def _adopt(self, fields: Mapping[str, Any], now_ns: int) -> list[AlarmEvent]:
         events = [event for event in standing_alarms(fields) if event.vehicle == self.vehicle]
-        watched = {(chain.layout.observer, channel) for chain in self._chains for channel in chain.channels}
-        watched |= {(stale.OBSERVER, stale.CHANNEL)}
-        watched |= {(link_alarms.OBSERVER, name) for name in (link_alarms.SIGNING, link_alarms.HEARTBEAT)}
         for event in events:
             if event.latched:
                 continue
@@ -299,7 +307,7 @@ class Pipeline:
                     chain.adopt(event)
         seq = fields.get("seq")
         self._desk.seq = max(self._desk.seq, seq if is_seq(seq) else 0)
-        return self._desk.adopt(events, watched, now_ns)
+        return self._desk.adopt(events, self.channels, now_ns, shelved_channels(fields))
 
     def _retune(self, fields: Mapping[str, Any], now_ns: int) -> list[AlarmEvent]:
         alarms = fields.get("alarms")
@@ -325,9 +333,31 @@ def rules_message(rule: DeskRule, profile: Profile, now_ns: int) -> Message:
     return Message("operator", RULES, now_ns, {**rule_fields(rule), "alarms": alarms})
 
 
-def standing_message(alarms: Sequence[AlarmEvent], seq: int, now_ns: int) -> Message:
-    """Return the message that tells a pipeline which alarms stood when another one stopped, and its last number."""
-    return Message("journal", STANDING, now_ns, {"seq": seq, "alarms": [event.to_json() for event in alarms]})
+def standing_message(
+    alarms: Sequence[AlarmEvent], seq: int, now_ns: int, shelved: Mapping[str, int] = MappingProxyType({})
+) -> Message:
+    """Return the message that tells a pipeline what held when another one stopped.
+
+    Parameters
+    ----------
+    alarms : Sequence[AlarmEvent]
+        The last event of each alarm that stood.
+    seq : int
+        The last number given to an event.
+    now_ns : int
+        Unix time.
+    shelved : Mapping[str, int]
+        Channels (``observer/channel``) that operators had shelved, and the Unix times at which they speak again.
+    """
+    told = {"seq": seq, "alarms": [event.to_json() for event in alarms], "shelved": dict(shelved)}
+    return Message("journal", STANDING, now_ns, told)
+
+
+def shelved_channels(fields: Mapping[str, Any]) -> dict[str, int]:
+    """Return the shelved channels in such a message; what is none is left out."""
+    shelved = fields.get("shelved")
+    found = shelved.items() if isinstance(shelved, Mapping) else ()
+    return {name: until for name, until in found if isinstance(name, str) and "/" in name and type(until) is int}
 
 
 def standing_alarms(fields: Mapping[str, Any]) -> list[AlarmEvent]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -13,6 +13,7 @@ from monitor.archive import Archive
 from monitor.desk_rule import DeskRule
 from monitor.election import Election
 from monitor.event import AlarmEvent
+from monitor.health import LinkHealth
 from monitor.keys import vehicle_root
 from monitor.operators import Operators
 from monitor.pipeline import rules_message
@@ -35,6 +36,7 @@ class PastEvents(Protocol):
     """What a journal knows of a vehicle."""
 
     def active(self, vehicle: str) -> Sequence[AlarmEvent]: ...  # noqa: D102
+    def shelved(self, vehicle: str) -> Mapping[str, int]: ...  # noqa: D102
     def last_seq(self, vehicle: str) -> int: ...  # noqa: D102
     def events(self, vehicle: str, since_ns: int, limit: int) -> Sequence[AlarmEvent]: ...  # noqa: D102
 
@@ -85,6 +87,8 @@ class Post:
         What the vehicle is recorded in.
     closers : Sequence[Callable[[], None]]
         Closes what the vehicle records to, in order.
+    links : Callable[[], Sequence[LinkHealth]]
+        How the links are that its telemetry may come over.
     """
 
     def __init__(
@@ -96,6 +100,7 @@ class Post:
         journal: PastEvents | None = None,
         archive: Archive | None = None,
         closers: Sequence[Callable[[], None]] = (),
+        links: Callable[[], Sequence[LinkHealth]] = tuple,
     ) -> None:
         self.monitor = monitor
         self.last_status: dict[str, Any] = {}
@@ -104,6 +109,7 @@ class Post:
         self._journal = journal
         self.archive = archive
         self._closers = tuple(closers)
+        self._links = links
         self._operators: Operators | None = None
         self._election: Election | None = None
         self._others: AlarmSubscriber | None = None
@@ -134,7 +140,7 @@ class Post:
         if now_ns - self._status_ns >= _STATUS_NS:
             self._status_ns = now_ns
             trouble = None if self.archive is None else self.archive.statistics().trouble
-            self.last_status = self.monitor.status(now_ns, [*troubles, *([trouble] if trouble else [])])
+            self.last_status = self.monitor.status(now_ns, [*troubles, *([trouble] if trouble else [])], self._links())
 
     def close(self) -> None:
         """Fall silent and finish what is recorded."""
@@ -181,8 +187,7 @@ class Post:
         name, layouts = monitor.name, monitor.pipeline.layouts
         past = None if journal is None else functools.partial(journal.events, name, limit=_PAST_EVENTS)
         voice = Publisher(self._session, name, layouts, self._rule.prefix, self._rule.estimate_rate_hz, journal=past)
-        active, seq = _remembered(journal, name)
-        monitor.speak(voice, now_ns, active, seq)
+        monitor.speak(voice, now_ns, *_remembered(journal, name))
         limits = (self._rule.shelve_minutes, self._rule.max_shelve_minutes)
         self._operators = Operators(self._session, self._root, self._rule.commands, *limits)
 
@@ -198,13 +203,13 @@ class Post:
             operators.accept(command, events[-1] if events else None)
 
 
-def _remembered(journal: PastEvents | None, vehicle: str) -> tuple[Sequence[AlarmEvent], int]:
-    """Return the alarms that stood when the journal was last written, and the number of its last event."""
+def _remembered(journal: PastEvents | None, vehicle: str) -> tuple[Sequence[AlarmEvent], int, Mapping[str, int]]:
+    """Return the alarms that stood when the journal was last written, its last event's number, what was shelved."""
     if journal is None:
-        return (), 0
+        return (), 0, {}
     try:
-        return journal.active(vehicle), journal.last_seq(vehicle)
+        return journal.active(vehicle), journal.last_seq(vehicle), journal.shelved(vehicle)
     except OSError as error:
         logging.getLogger(__name__).warning("alarms from before the start are not known: %s", error)
         # Numbers that were used before would later be taken for events that are known.
-        return (), int(time.time())
+        return (), int(time.time()), {}

@@ -106,6 +106,8 @@ def _alarm_class() -> Any:
         Field("acknowledged", "bool"),
         Field("latched", "bool"),
         Field("shelved_until_ns", "int64", optional=True),
+        Field("creeping", "bool"),
+        Field("recurring", "bool"),
     )
     return message_class("fauio", "Alarm", fields)
 

@@ -16,6 +16,7 @@ from monitor.payload import ALARM_SCHEMA, to_json
 from monitor.protobuf_schema import EstimateType, SampleType, alarm_record
 
 OWN_TOPICS: Final = "/fauio/"
+ALARM_TOPICS: Final = frozenset({f"{OWN_TOPICS}alarm", f"{OWN_TOPICS}alarm_json"})
 
 _ALARM_JSON = Schema("fauio.Alarm", "jsonschema", json.dumps(ALARM_SCHEMA).encode())
 

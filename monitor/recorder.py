@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePath
 from types import TracebackType
 from typing import Self
@@ -14,6 +15,7 @@ from adapters.message import Message
 from adapters.record import Record
 from monitor.estimate import Estimate, Layout
 from monitor.event import AlarmEvent
+from monitor.owed import OwedEvents
 from monitor.record_encoder import RecordEncoder
 
 METADATA = "fauio"
@@ -65,8 +67,9 @@ def start_log(
 class Recorder:
     """Records everything one monitor sees and says in one file.
 
-    Topics and times are those of :class:`~monitor.record_encoder.RecordEncoder`. The caller flushes on a timer.
-    Not for several threads at once.
+    Topics and times are those of :class:`~monitor.record_encoder.RecordEncoder`. The caller flushes on a timer. A
+    write that fails costs what was not flushed, save alarm events: they are kept until :meth:`flush` can go on in the
+    same file. Not for several threads at once.
 
     Parameters
     ----------
@@ -96,6 +99,8 @@ class Recorder:
     ) -> None:
         self._encoder = RecordEncoder(layouts)
         self._log = start_log(path, metadata, profile_files)
+        self._owed = OwedEvents()
+        self._again = 0
 
     def message(self, message: Message) -> None:
         """Record telemetry as received."""
@@ -111,25 +116,54 @@ class Recorder:
 
     def record(self, *records: Record) -> None:
         """Record what is encoded already."""
+        failure = None
         for record in records:
-            self._log.write_record(record)
+            self._owed.sent(record, self._log.position + 1)
+            try:
+                self._log.write_record(record)
+            except OSError as error:
+                failure = error
+        if failure is not None:
+            raise failure
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
         """Add entries to the metadata record ``fauio``; a reader takes the latest of each key."""
         self._log.add_metadata(METADATA, metadata)
 
     def flush(self) -> None:
-        """Hand everything recorded so far to the operating system: it then survives ``kill -9``."""
+        """Hand everything recorded so far to the operating system: it then survives ``kill -9``.
+
+        After a write that failed, go on behind what stands in the file, with the alarm events that it lacks.
+        """
+        if self._log.failed:
+            self._owed.fail(self._log.statistics().written)
+            self._log.resume()
+            records = self._owed.send(self._log.position + 1)
+            self._again += len(records)
+            for record in records:
+                self._log.write_record(record)
         self._log.flush()
+        self._owed.settle()
 
     def close(self) -> None:
         """Finish the file with its index; a second call does nothing."""
-        self._log.close()
+        try:
+            if self._log.failed:
+                self.flush()
+        finally:
+            self._log.close()
 
     def statistics(self) -> WriterStatistics:
         """Return the counts so far."""
         found = self._log.statistics()
-        return WriterStatistics(found.records, found.unrecordable + self._encoder.unrecordable, found.written)
+        # what is written once more is counted once, and what waits is not lost
+        kept = self._again + (self._owed.lacking(found.written) if self._log.failed else 0)
+        return replace(
+            found,
+            records=found.records - self._again,
+            unrecordable=found.unrecordable + self._encoder.unrecordable,
+            dropped=found.dropped - kept,
+        )
 
     def __enter__(self) -> Self:
         return self

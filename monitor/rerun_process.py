@@ -1,7 +1,7 @@
 """Rerun in a process of its own, fed through its standard input: what becomes of it touches nobody else.
 
 Rerun's in-process server listens on all interfaces unless told otherwise, grows without bound behind a client that
-stalls, and then holds up the process that ends. A child can be killed.
+stalls, and then holds up the process that ends. A child can be killed, and a server does not outlive its parent.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ DEFAULT_PORT = 9876
 
 _PAGES_FILE = "/proc/{}/statm"
 _STOP_S = 1.0
+# waits for its standard input to end, as it does when whoever holds the other end is gone, however it went
+_KILL_AT_EOF = 'read -r _; kill -9 "$1"'
 _LEAVE_S = 0.3
 
 
@@ -62,6 +64,7 @@ class RerunProcess:
             env=environment,
             start_new_session=True,
         )
+        self._guard = self._guarded() if mode == "serve" else None
 
     def write(self, data: bytes) -> None:
         """Write bytes, waiting for a process that is slow.
@@ -91,6 +94,26 @@ class RerunProcess:
 
     def close(self) -> None:
         """End a server; leave a viewer open with what it has."""
+        try:
+            self._end()
+        finally:
+            if self._guard is not None:
+                self._guard.kill()
+                self._guard.communicate()
+
+    def _guarded(self) -> subprocess.Popen[bytes] | None:
+        """Start a process that ends the server when this one was killed and could not; None where there is none."""
+        with contextlib.suppress(OSError):
+            return subprocess.Popen(  # noqa: S603 - a constant script
+                ["/bin/sh", "-c", _KILL_AT_EOF, "sh", str(self._process.pid)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        return None
+
+    def _end(self) -> None:
         if self._process.stdin is not None:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()

@@ -19,6 +19,7 @@ from adapters.message import Message
 from adapters.record import Record
 from monitor.estimate import Estimate, Layout
 from monitor.event import AlarmEvent
+from monitor.owed import OwedEvents
 from monitor.record_encoder import OWN_TOPICS, RecordEncoder
 from monitor.recorder import METADATA, start_log
 from monitor.retention import Retention, file_stem
@@ -40,7 +41,8 @@ class RotationStatistics:
     unrecordable : int
         Messages, estimates and events that no record can hold.
     dropped : int
-        Records lost because no file could be written, those of the chunk a write failed on included.
+        Records lost because no file could be written, those of the chunk a write failed on included; alarm events
+        that wait for a file are not.
     failures : int
         Times that opening or writing a file failed.
     failed : str | None
@@ -68,8 +70,8 @@ class RotatingRecorder:
 
     Each file is complete in itself; read in lexical order they are one recording, whatever the clock did. The name's
     time is that of the telemetry it begins with. A disk that fails ends the file in hand, of which everything flushed
-    stays readable; a new one is tried every :data:`RETRY_S` seconds. No method raises after construction. The caller
-    flushes on a timer. Not for several threads at once.
+    stays readable; a new one is tried every :data:`RETRY_S` seconds and begins with the alarm events that no file has.
+    No method raises after construction. The caller flushes on a timer. Not for several threads at once.
 
     Parameters
     ----------
@@ -132,6 +134,7 @@ class RotatingRecorder:
         self._path: Path | None = None
         self._arrived_ns: int | None = None
         self._first_ns = self._file_records = 0
+        self._owed = OwedEvents()
         self._closed = False
         self._failed: str | None = None
         self._retry_s = 0.0
@@ -157,17 +160,17 @@ class RotatingRecorder:
             self._records += 1
             if not record.topic.startswith(OWN_TOPICS):
                 self._arrived_ns = record.time_ns
+            log = None
             try:
                 log = self._log_for(record)
-                if log is None:
-                    self._dropped += 1
-                else:
+                if log is not None:
+                    self._owed.sent(record, log.position + 1)
                     log.write_record(record)
                     self._file_records += 1
             except (OSError, TelemetryError) as error:
-                if self._log is None:
-                    self._dropped += 1
                 self._fail(error)
+            if log is None and not self._owed.keep(record):
+                self._dropped += 1
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
         """Add entries to the metadata record ``fauio`` of this file and those that follow."""
@@ -180,14 +183,23 @@ class RotatingRecorder:
 
     def flush(self) -> None:
         """Hand everything recorded so far to the operating system: it then survives ``kill -9``."""
-        if self._log is not None:
-            try:
+        try:
+            if self._log is None and self._owed and self._monotonic() >= self._retry_s:
+                self._start()
+            if self._log is not None:
                 self._log.flush()
-            except OSError as error:
-                self._fail(error)
+                self._owed.settle()
+        except (OSError, TelemetryError) as error:
+            self._fail(error)
 
     def close(self) -> None:
         """Finish the file with its index; a second call does nothing."""
+        if self._closed:
+            return
+        if self._owed:
+            # the last chance of what waits
+            self._retry_s = 0.0
+            self.flush()
         if (error := self._finish()) is not None:
             self._note(error)
         self._retention.wait()
@@ -226,7 +238,7 @@ class RotatingRecorder:
             self._note(error)
         if self._failed is not None and self._monotonic() < self._retry_s:
             return None
-        return self._start(record.time_ns if self._arrived_ns is None else self._arrived_ns)
+        return self._start(record.time_ns)
 
     def _is_full(self, log: MessageLogWriter, record: Record) -> bool:
         """Return whether the next record begins a new file.
@@ -241,7 +253,9 @@ class RotatingRecorder:
         schema_bytes = 2 * len(record.schema.data) if record.schema is not None else 0
         return log.size + len(record.data) + schema_bytes + _RECORD_MARGIN > self._file_bytes
 
-    def _start(self, time_ns: int) -> MessageLogWriter:
+    def _start(self, first_ns: int = 0) -> MessageLogWriter:
+        """Begin a file with the events that wait for one; where no telemetry tells the time, ``first_ns`` does."""
+        time_ns = first_ns if self._arrived_ns is None else self._arrived_ns
         self._retention.make_room(self._file_bytes)
         path = self._folder / self._next_name(time_ns)
         self._log = log = start_log(path, self._metadata, self._profile_files)
@@ -250,6 +264,9 @@ class RotatingRecorder:
         self._file_records = 0
         self._failed = None
         self._files += 1
+        for record in self._owed.send(1):
+            log.write_record(record)
+            self._file_records += 1
         return log
 
     def _next_name(self, time_ns: int) -> str:
@@ -274,8 +291,10 @@ class RotatingRecorder:
         except OSError as error:
             failed = error
         found = log.statistics()
-        self._dropped += found.records - found.written
         self._unrecordable += found.unrecordable
+        before = len(self._owed)
+        self._owed.fail(found.written)
+        self._dropped += max(0, found.dropped - (len(self._owed) - before))
         return failed
 
     def _fail(self, error: Exception) -> None:

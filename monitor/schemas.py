@@ -51,6 +51,20 @@ _ESTIMATE = _object(
     },
 )
 
+_LINK = {
+    "type": "object",
+    "properties": {
+        "connected": {"type": "boolean"},
+        "messages": _COUNT | {"description": "messages received since the start, of all vehicles"},
+        "losses": {
+            "type": "object",
+            "additionalProperties": _COUNT,
+            "description": "what was lost on the link or refused, by reason, as in fauio_link_losses_total",
+        },
+    },
+    "required": ["connected", "messages", "losses"],
+}
+
 _STATUS = _object(
     "Status",
     "How a vehicle's monitor is doing, once a second on PREFIX/VEHICLE/status.",
@@ -62,6 +76,12 @@ _STATUS = _object(
         "messages_per_s": _AMOUNT,
         "samples": _COUNT | {"description": "samples since the start"},
         "samples_per_s": _AMOUNT,
+        "lost": _COUNT | {"description": "packets of the vehicle missing by their sequence numbers, over all links"},
+        "links": {
+            "type": "object",
+            "additionalProperties": _LINK,
+            "description": "the links that its telemetry may come over, by URL or key expression",
+        },
         "latency_ms": {"type": "number", "description": "longest time from arrival to result in the last second"},
         "active_alarms": _COUNT,
         "observers": {

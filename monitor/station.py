@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import queue
 import threading
 import time
@@ -18,7 +19,7 @@ from monitor.desk_rule import DeskRule
 from monitor.errors import ProfileError
 from monitor.event import AlarmEvent
 from monitor.fleet import Fleet
-from monitor.health import Health, ProcessHealth
+from monitor.health import Health, LinkHealth, ProcessHealth
 from monitor.inbox import Inbox
 from monitor.journal import Journal
 from monitor.log import Log
@@ -92,6 +93,7 @@ class Station:
         self._journal = journal
         self._log = log
         self._links = links
+        self._shared_links = frozenset((*config.mavlink, *config.zenoh))
         self._live_view = live_view
         self._views: dict[str, VehicleView] = {}
         self._profiles: dict[Path, Profile] = {}
@@ -232,7 +234,8 @@ class Station:
                 standby_s=config.standby.takeover_s if config.standby.enabled else None,
             )
             closers = stack.pop_all()
-            post = Post(monitor, self._desk(vehicle), self._session, rule, self._journal, archive, [closers.close])
+            desk, links = self._desk(vehicle), functools.partial(self._links_of, vehicle)
+            post = Post(monitor, desk, self._session, rule, self._journal, archive, [closers.close], links)
         self._posts[pipeline.vehicle] = post
         self._log.say(
             "monitoring",
@@ -243,33 +246,32 @@ class Station:
         )
         return post
 
+    def _links_of(self, vehicle: Vehicle) -> tuple[LinkHealth, ...]:
+        """Return the links that all share, and the vehicle's own."""
+        names = self._shared_links | {vehicle.zenoh}
+        return tuple(link for link in self._health.links if link.name in names)
+
     def _archive(self, pipeline: Pipeline, profile: Profile, stack: ExitStack) -> Archive | None:
         config, name = self._config, pipeline.vehicle
         recording: Recorder | RotatingRecorder | None = None
         encoder = RecordEncoder(pipeline.layouts)
         if config.record is not None:
-            recording = stack.enter_context(
-                Recorder(config.record, pipeline.layouts, pipeline.metadata(), profile.files)
-            )
+            recording = Recorder(config.record, pipeline.layouts, pipeline.metadata(), profile.files)
         elif config.recording.folder is not None:
             table = config.recording
-            recording = stack.enter_context(
-                RotatingRecorder(
-                    config.recording.folder / name,
-                    name,
-                    pipeline.layouts,
-                    pipeline.metadata(),
-                    profile.files,
-                    file_bytes=round(table.file_mb * _MEGABYTE),
-                    file_s=table.file_minutes * 60.0,
-                    budget_bytes=round(table.budget_mb * _MEGABYTE),
-                    encoder=encoder,
-                )
+            recording = RotatingRecorder(
+                config.recording.folder / name,
+                name,
+                pipeline.layouts,
+                pipeline.metadata(),
+                profile.files,
+                file_bytes=round(table.file_mb * _MEGABYTE),
+                file_s=table.file_minutes * 60.0,
+                budget_bytes=round(table.budget_mb * _MEGABYTE),
+                encoder=encoder,
             )
         if recording is not None:
-            # what is known of the clock only at the end
-            end = recording
-            stack.callback(lambda: end.add_metadata(pipeline.metadata()))
+            stack.callback(self._finish, recording, pipeline)
         black_box = None
         if config.black_box.folder is not None:
             clips = config.black_box
@@ -284,6 +286,15 @@ class Station:
             )
             stack.callback(black_box.close)
         return None if recording is None and black_box is None else Archive(encoder, recording, black_box)
+
+    def _finish(self, recording: Recorder | RotatingRecorder, pipeline: Pipeline) -> None:
+        """End a recording with what is known of the clock only then; a disk that fails keeps nobody from ending."""
+        try:
+            with recording:
+                recording.flush()
+                recording.add_metadata(pipeline.metadata())
+        except OSError as error:
+            self._log.say("recording incomplete", level="error", vehicle=pipeline.vehicle, reason=str(error))
 
     def _desk(self, vehicle: Vehicle) -> DeskRule:
         flood = self._config.flood

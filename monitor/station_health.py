@@ -83,4 +83,4 @@ def _link(name: str, statistics: Any) -> LinkHealth:
     losses = {key: counts[key] for key in _LINK_LOSSES if key in counts}
     losses |= {key: value for key, value in counts.get("signing", {}).items() if isinstance(value, int)}
     connected = bool(counts.get("connected", counts.get("connections", 1)))
-    return LinkHealth(name, connected, counts.get("messages", 0), losses)
+    return LinkHealth(name, connected, counts.get("messages", 0), losses, counts.get("lost_by_system", {}))

@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
+from types import MappingProxyType
 from typing import Any, Protocol
 
 from adapters.message import Message, silence
 from monitor.chain import Output
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
+from monitor.health import LinkHealth
 from monitor.latency import LatencyHistogram
 from monitor.payload import estimate_json
 from monitor.pipeline import Pipeline, standing_message
@@ -44,6 +46,7 @@ class Journal(Protocol):
     """Where alarm events are kept."""
 
     def write(self, event: AlarmEvent, frame: Mapping[str, Any] | None = None) -> None: ...  # noqa: D102
+    def shelve(self, vehicle: str, channels: Mapping[str, int]) -> None: ...  # noqa: D102
 
 
 class Voice(Protocol):
@@ -98,6 +101,7 @@ class VehicleMonitor:
         self._voice: Voice | None = None
         self._theirs: dict[tuple[str, str], AlarmEvent] = {}
         self._their_seq = 0
+        self._shelved: Mapping[str, int] = {}
         self._layouts = {layout.observer: layout for layout in pipeline.layouts}
         self._latest: dict[str, Estimate] = {}
         self._heard: dict[str, int] = {}
@@ -118,7 +122,14 @@ class VehicleMonitor:
         """Whether this monitor speaks for the vehicle; otherwise it watches in silence."""
         return self._voice is not None
 
-    def speak(self, voice: Voice, now_ns: int, alarms: Sequence[AlarmEvent] = (), seq: int = 0) -> None:
+    def speak(
+        self,
+        voice: Voice,
+        now_ns: int,
+        alarms: Sequence[AlarmEvent] = (),
+        seq: int = 0,
+        shelved: Mapping[str, int] = MappingProxyType({}),
+    ) -> None:
         """Begin to speak, going on from alarms that a former run or another monitor left standing.
 
         Parameters
@@ -131,15 +142,17 @@ class VehicleMonitor:
             Last events of alarms in the journal; those heard from another monitor are known already.
         seq : int
             Number of the journal's last event.
+        shelved : Mapping[str, int]
+            Channels in the journal that operators had shelved, and until when.
         """
         self._voice = voice
         heard = [event for event in self._theirs.values() if event.state != "cleared"]
         standing = {event.id: event for event in (*alarms, *heard)}
         seq = max(seq, self._their_seq + _UNHEARD if self._theirs else 0)
         self._theirs = {}
-        if standing or seq or self.pipeline.desk.standing:
+        if standing or seq or shelved or self.pipeline.desk.standing:
             in_order = sorted(standing.values(), key=lambda event: event.seq)
-            self.take(standing_message(in_order, seq, now_ns))
+            self.take(standing_message(in_order, seq, now_ns, shelved))
 
     def hush(self) -> None:
         """Stop speaking; go on watching."""
@@ -179,6 +192,8 @@ class VehicleMonitor:
             for archive in self._archives:
                 archive.message(message)
         events = self._say(outputs)
+        if message.source in ("operator", "journal"):
+            self._note_shelved()
         if clock is not None and message.source in _LIVE_SOURCES:
             late_ns = clock() - message.received_ns
             self.latency.add(late_ns)
@@ -212,7 +227,7 @@ class VehicleMonitor:
             }
         return frame
 
-    def status(self, now_ns: int, troubles: Sequence[str] = ()) -> dict[str, Any]:
+    def status(self, now_ns: int, troubles: Sequence[str] = (), links: Sequence[LinkHealth] = ()) -> dict[str, Any]:
         """Return the status object and begin the next interval.
 
         Parameters
@@ -221,7 +236,10 @@ class VehicleMonitor:
             Unix time.
         troubles : Sequence[str]
             What is wrong around the vehicle: links, disks.
+        links : Sequence[LinkHealth]
+            The links that its telemetry may come over.
         """
+        self._note_shelved()
         elapsed_s = max((now_ns - self._second.started_ns) / 1e9, 1e-9)
         recent = self.latency.end_interval()
         # What it is behind with it cannot miss.
@@ -247,6 +265,11 @@ class VehicleMonitor:
             "samples": self.samples,
             "samples_per_s": round(self._second.samples / elapsed_s, 1),
             "foreign_messages": self.pipeline.foreign,
+            "lost": sum(link.lost_by_system.get(self.pipeline.system, 0) for link in links),
+            "links": {
+                link.name: {"connected": link.connected, "messages": link.messages, "losses": dict(link.losses)}
+                for link in links
+            },
             "latency_ms": round(recent.max_s * 1e3, 3),
             "latency_p99_ms": round(recent.p99_s * 1e3, 3),
             "alarm_latency_p99_ms": round(self.alarm_latency.statistics().p99_s * 1e3, 3),
@@ -294,6 +317,14 @@ class VehicleMonitor:
             voice.event(event)
             self._on_event(event)
         return events
+
+    def _note_shelved(self) -> None:
+        """Let the journal know what operators have shelved, where that changed."""
+        shelved = self.pipeline.desk.shelved_by_operators
+        if shelved != self._shelved:
+            self._shelved = shelved
+            if self._journal is not None:
+                self._journal.shelve(self.name, shelved)
 
     def _lacking(self, now_ns: int) -> list[str]:
         """Return what keeps which observer from watching."""

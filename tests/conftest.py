@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -23,10 +24,23 @@ def data() -> Path:
     return DATA
 
 
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """Return a folder that processes which share the suite share: whoever comes first makes it, the others wait."""
+    base = factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    folder = shared / "shared" / name
+    folder.parent.mkdir(exist_ok=True)
+    with (shared / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            make(folder)
+    return folder
+
+
 @pytest.fixture(scope="session")
 def arm_profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
     """Write the profile of the reference arm."""
-    return write_arm_profile(tmp_path_factory.mktemp("arm"))
+    return read_profile(made_once(tmp_path_factory, "arm", write_arm_profile))
 
 
 @pytest.fixture(scope="session")
@@ -34,16 +48,11 @@ def quad_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Fit a profile on the two healthy excerpts with the command a user types."""
     import fauio
 
-    # Processes that share the suite share the fit: whoever comes first makes it, the others wait.
-    base = tmp_path_factory.getbasetemp()
-    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
-    folder = shared / "fit" / "quad"
-    with (shared / "fit.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not folder.exists():
-            healthy = [str(DATA / f"copter_healthy_{name}.tlog.xz") for name in ("square", "vel_gusty")]
-            assert fauio.main(["fit", "--vehicle", "multirotor", *healthy, "-o", str(folder)]) == 0
-    return folder
+    def fit(folder: Path) -> None:
+        healthy = [str(DATA / f"copter_healthy_{name}.tlog.xz") for name in ("square", "vel_gusty")]
+        assert fauio.main(["fit", "--vehicle", "multirotor", *healthy, "-o", str(folder)]) == 0
+
+    return made_once(tmp_path_factory, "quad", fit)
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,7 @@
 """The reference plant: the arm under the paper's faults, estimates against the injected truth."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -14,8 +16,13 @@ PAPER_RMSE = {"case1": (0.0076, 0.0078), "case2": (0.0340, 0.0295), "case3": (0.
 SENSOR_NOISE_FLOOR = 0.00707
 
 
+@cache
+def simulated(scenario: str) -> ArmRun:
+    return simulate_arm(SCENARIOS[scenario], 50.0, 100.0)
+
+
 def estimated(profile: Profile, scenario: str) -> tuple[ArmRun, ObserverRun]:
-    run = simulate_arm(SCENARIOS[scenario], 50.0, 100.0)
+    run = simulated(scenario)
     return run, Observer(profile.observers[0].gains[0]).run(run.u, run.y)
 
 

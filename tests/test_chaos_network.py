@@ -53,11 +53,22 @@ def test_statuses_say_what_was_lost(run: Run) -> None:
     assert motors["loss"]["incomplete"] > 500
     sent = {what: run.sent[system] for what, system in SYSTEMS.items()}
     taken = {what: run.monitor.statuses[name_of(system)]["messages"] for what, system in SYSTEMS.items()}
+    lost = {what: run.monitor.statuses[name_of(system)]["lost"] for what, system in SYSTEMS.items()}
+    assert lost["none"] == 0
+    assert 0.25 < lost["loss"] / (lost["loss"] + sent["loss"]) < 0.35
+    (link,) = run.monitor.statuses[name_of(SYSTEMS["none"])]["links"].values()
+    assert link["losses"]["lost"] >= lost["loss"]
     # messages of the monitor's own come on top: rules at the start, time that passes in silence
     assert all(sent[what] <= taken[what] <= sent[what] + 5 for what in SYSTEMS)
 
 
-@pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
+@pytest.mark.parametrize(
+    "system",
+    [
+        pytest.param(system, id=what, marks=() if what in ("loss", "silence") else pytest.mark.long)
+        for what, system in SYSTEMS.items()
+    ],
+)
 def test_the_recording_replays_to_the_same_bits(run: Run, system: int, tmp_path: Path) -> None:
     assert_live_equals_replay(run, system, tmp_path)
 

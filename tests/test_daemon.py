@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+import fauio
 from adapters.recordings import read_recording
 from adapters.tlog import TlogReader
 from adapters.zenoh_session import open_session
@@ -144,7 +145,7 @@ def raised(events: list[AlarmEvent]) -> list[tuple[str, str]]:
 
 
 def test_vehicles_named_and_new_are_watched_commanded_recorded_and_journaled(
-    daemon: RunningDaemon, data: Path, quad_profile: Profile, quad_folder: Path
+    daemon: RunningDaemon, data: Path, quad_profile: Profile, quad_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     subscriber = AlarmSubscriber(daemon.session)
     until(lambda: "first" in subscriber.live)
@@ -193,8 +194,9 @@ def test_vehicles_named_and_new_are_watched_commanded_recorded_and_journaled(
     recording = daemon.folder / "recordings" / "first"
     assert len(list(recording.iterdir())) > 1
     assert list(play(quad_profile, read_recording(recording), vehicle="first").events) == history
-    command = [*FAUIO, "replay", str(quad_folder), str(recording), "--json"]
-    said = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
+    capsys.readouterr()
+    assert fauio.main(["replay", str(quad_folder), str(recording), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
     assert said["alarms"] == [event.to_json() for event in history]
     [clip] = (daemon.folder / "clips" / "first").glob(f"*{motor2}.mcap")
     again = play(quad_profile, read_recording(clip), vehicle="first").events

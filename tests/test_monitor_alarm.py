@@ -1,5 +1,6 @@
 """The alarm state machine: three paths, debounce by time, hysteresis, severity, latching, updates, identity."""
 
+import json
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -227,3 +228,39 @@ def test_an_alarm_without_a_threshold_is_gone_on_from_with_the_rules_own() -> No
     alarm.adopt(replace(before, threshold=None))  # type: ignore[arg-type]
     events = run(alarm, [0.05] * 5 + [0.0] * 100)
     assert [(event.state, event.threshold) for event in events][-1] == ("cleared", RULE.threshold)
+
+
+SLOW = replace(RULE, slow=0.008, slow_s=4.0, clear_s=0.5)
+
+
+def handed_over(events: list[AlarmEvent], rule: AlarmRule) -> Alarm:
+    """Return the alarm of a new process that goes on from the last event, as the journal has it."""
+    alarm = new_alarm(rule)
+    alarm.adopt(event_from_json(json.loads(json.dumps(events[-1].to_json()))))
+    return alarm
+
+
+def restarted(start: int) -> Sample:
+    return replace(sample(start), restart=True)
+
+
+def test_an_adopted_alarm_of_the_slow_path_stands_as_long_as_its_mean_does() -> None:
+    evidence = [0.009] * 2000
+    before = run(new_alarm(SLOW), evidence)
+    assert before[-1].creeping
+    after = handed_over(before, SLOW)
+    # a new process begins with an observer that starts anew
+    assert after.update(restarted(2000), 0.009, 0.5) is None
+    assert run(after, evidence, 2001) == []
+    (cleared,) = run(after, [0.0] * 2000, 4001)
+    assert (cleared.state, cleared.id) == ("cleared", before[0].id)
+
+
+def test_an_adopted_alarm_that_comes_and_goes_still_needs_its_long_quiet() -> None:
+    rule = replace(RULE, latch_s=5.0)
+    before = run(new_alarm(rule), ([0.05] * 20 + [0.0] * 60) * 2 + [0.05] * 20)
+    assert before[-1].recurring
+    after = handed_over(before, rule)
+    assert run(after, [0.0] * 400, 200) == []
+    (cleared,) = run(after, [0.0] * 200, 600)
+    assert (cleared.state, cleared.id) == ("cleared", before[-1].id)

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from monitor.config import Config, Vehicle, read_config
 from monitor.config_page import render
 from monitor.errors import ProfileError
+from monitor.profile import Profile
 
 ROOT = Path(__file__).parent.parent
 MAVLINK = 'mavlink = "udpin:127.0.0.1:14550"\n'
@@ -308,3 +309,22 @@ def test_any_content_is_read_or_every_line_of_the_error_names_a_key(tmp_path: Pa
 def test_absurd_toml_is_refused_in_one_line(tmp_path: Path, text: str, said: str) -> None:
     (line,) = complaints(tmp_path, text)
     assert said in line
+
+
+def test_channels_that_the_profile_does_not_have_are_told_with_those_it_has(
+    tmp_path: Path, arm_profile: Profile
+) -> None:
+    (tmp_path / "arm").mkdir()
+    for name, content in arm_profile.files.items():
+        (tmp_path / "arm" / name).write_bytes(content)
+    text = (
+        MAVLINK
+        + 'profile = "arm"\n[[vehicle]]\nname = "a"\nlatched = [\n  "arm/encoder",\n  "arm/encoders",\n]\n'
+        + 'out_of_service = ["link/telemetry", "monitor/flood", "motors/motor1"]\n'
+    )
+    latched, out_of_service = complaints(tmp_path, text)
+    known = "arm/encoder, arm/motor, link/link, link/signing, link/telemetry, monitor/flood"
+    wrong = f"which is no channel of {tmp_path / 'arm'}; its channels are {known}"
+    assert latched == f"7: 'vehicle[0].latched[1]' is 'arm/encoders', {wrong}"
+    assert out_of_service == f"9: 'vehicle[0].out_of_service[2]' is 'motors/motor1', {wrong}"
+    assert read(tmp_path, text.replace("encoders", "motor").replace("motors/motor1", "link/link")).vehicle

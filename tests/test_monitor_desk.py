@@ -346,3 +346,25 @@ def test_it_does_not_matter_how_often_somebody_looks_at_the_clock(raised: list[t
 
 def _severity(flag: bool) -> str:
     return "critical" if flag else "warning"
+
+
+def test_channels_shelved_without_an_alarm_stay_shelved_after_a_restart() -> None:
+    old = AlarmDesk("copter-1", DeskRule(flood_raised=1, flood_s=10.0))
+    operate(old, "shelve", "motor1", until_ns=at(60))
+    operate(old, "shelve", "motor2", until_ns=at(5))
+    for channel in ("motor3", "motor4"):
+        old.take(raw(channel, "raised"))
+    # what a flood holds back is not what operators have shelved
+    assert old.shelved_by_operators == {"motors/motor1": at(60), "motors/motor2": at(5)}
+    new = AlarmDesk("copter-1", DeskRule())
+    assert new.adopt([], WATCHED, at(10), old.shelved_by_operators) == []
+    assert new.shelved == {"motors/motor1": at(60)}
+    assert states(new.take(raw("motor1", "raised", 20.0))) == ["shelved"]
+    assert states(new.take(raw("motor2", "raised", 20.0))) == ["raised"]
+    assert states(new.tick(at(60))) == ["raised"]
+
+
+def test_a_channel_whose_alarm_was_unshelved_last_is_not_shelved_by_an_older_note() -> None:
+    desk = AlarmDesk("copter-1", DeskRule())
+    desk.adopt([raw("motor1", "raised")], WATCHED, at(1), {"motors/motor1": at(60)})
+    assert desk.shelved == {}

@@ -401,3 +401,39 @@ def test_an_event_whose_fields_a_failing_disk_has_changed_is_left_out(path: Path
     with opened(path) as journal:
         assert journal.events() == [event(2)]
         assert "event that cannot be read" in str(journal.statistics().last_error)
+
+
+def test_what_operators_have_shelved_is_remembered_as_it_was_last(path: Path) -> None:
+    with opened(path) as journal:
+        assert journal.shelved("copter-1") == {}
+        journal.shelve("copter-1", {"motors/motor1": 5, "motors/motor2": 1 << 70})
+        journal.shelve("copter-2", {"motors/motor1": 7})
+        journal.shelve("copter-1", {"motors/motor3": 6})
+    with opened(path) as journal:
+        assert journal.shelved("copter-1") == {"motors/motor3": 6}
+        assert journal.shelved("copter-2") == {"motors/motor1": 7}
+        journal.shelve("copter-2", {})
+        assert journal.shelved("copter-2") == {}
+
+
+def test_what_is_shelved_while_another_process_locks_the_journal_is_written_afterwards(path: Path) -> None:
+    with opened(path) as journal:
+        with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as other:
+            other.execute("BEGIN IMMEDIATE")
+            journal.shelve("copter-1", {"motors/motor1": 5})
+            assert "locked" in str(journal.statistics().last_error)
+            other.execute("ROLLBACK")
+        journal.retry()
+        assert journal.shelved("copter-1") == {"motors/motor1": 5}
+
+
+def test_a_journal_from_before_shelved_channels_were_kept_goes_on(path: Path) -> None:
+    with opened(path) as journal:
+        journal.write(event(1))
+    with contextlib.closing(sqlite3.connect(path)) as before:
+        before.execute("DROP TABLE shelved")
+        before.commit()
+    with opened(path) as journal:
+        assert seqs(journal) == [1]
+        journal.shelve("copter-1", {"motors/motor1": 5})
+        assert journal.shelved("copter-1") == {"motors/motor1": 5}

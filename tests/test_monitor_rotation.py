@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from chaos_run import own_records
 from loopback import START_NS, event, until
 from mcap.reader import make_reader
 from test_monitor_recorder import LAYOUT, estimate
@@ -296,9 +297,10 @@ while True:
 """
 
 
-def test_whatever_was_flushed_survives_kills_at_random_moments(tmp_path: Path) -> None:
+@pytest.mark.parametrize("attempts", [2, pytest.param(4, marks=pytest.mark.long)])
+def test_whatever_was_flushed_survives_kills_at_random_moments(tmp_path: Path, attempts: int) -> None:
     moments = random.Random(5)
-    folders = [tmp_path / str(attempt) for attempt in range(4)]
+    folders = [tmp_path / str(attempt) for attempt in range(attempts)]
     children = [
         subprocess.Popen(
             [sys.executable, "-c", CRASH, folder, Path(__file__).parent], stdout=subprocess.PIPE, text=True
@@ -332,3 +334,52 @@ def test_a_clock_gone_mad_costs_its_records_and_not_the_recording(tmp_path: Path
     # two messages, and both records of the estimate
     assert log.statistics().unrecordable == 4
     assert len(numbers(tmp_path)) == 3
+
+
+OWED = """
+import json, resource, sys
+sys.path.insert(0, sys.argv[2])
+from pathlib import Path
+from test_monitor_rotation import event, message, noise, recorder
+now = 0.0
+log = recorder(Path(sys.argv[1]), monotonic=lambda: now)
+def limit(size):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+log.message(message(0))
+log.event(event(1))
+log.flush()
+limit(1024)
+log.message(noise(1))
+log.event(event(2))
+log.flush()
+log.event(event(3))
+now = 11.0
+log.flush()
+log.message(message(2))
+full = log.statistics()
+limit(resource.RLIM_INFINITY)
+if sys.argv[3] == "later":
+    now = 22.0
+    log.flush()
+    log.event(event(4))
+log.close()
+after = log.statistics()
+print(json.dumps([full.failures, full.failed, full.dropped, after.failed, after.dropped, after.files]))
+"""
+
+
+@pytest.mark.parametrize("when", ["later", "at the end"])
+def test_alarm_events_from_while_the_disk_was_full_are_recorded_once_there_is_room(tmp_path: Path, when: str) -> None:
+    command = [sys.executable, "-c", OWED, tmp_path / "log", Path(__file__).parent, when]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    failures, full, dropped, failed, lost, begun = json.loads(done.stdout)
+    assert (failures, dropped) == (2, 2)
+    assert "File too large" in full
+    # the second could be begun, but took no events
+    assert (failed, lost, begun) == (None, 2, 3)
+    assert len(files(tmp_path / "log")) == 2
+    records = own_records(files(tmp_path / "log"))
+    expected = [1, 2, 3, 4] if when == "later" else [1, 2, 3]
+    assert [json.loads(data)["seq"] for data in records["/fauio/alarm_json"]] == expected
+    assert len(records["/fauio/alarm"]) == len(expected)
+    assert numbers(tmp_path / "log") == [0]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,7 +13,9 @@ from loopback import START_NS, event
 from adapters.message import Message
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
-from monitor.pipeline import Pipeline
+from monitor.health import LinkHealth
+from monitor.journal import Journal
+from monitor.pipeline import Pipeline, shelved_channels
 from monitor.profile import Profile
 from monitor.vehicle_monitor import VehicleMonitor
 
@@ -101,3 +105,39 @@ def test_keys_without_end_do_not_fill_the_memory(arm_profile: Profile) -> None:
         monitor.take(Message("zenoh", f"arm/{k}", 1 + k, {}))
     assert monitor.messages == 1000
     assert len(monitor._heard) <= len(frozenset().union(*pipeline.needs.values()))
+
+
+def test_a_channel_shelved_without_an_alarm_is_shelved_after_a_restart(arm_profile: Profile, tmp_path: Path) -> None:
+    until_ns = START_NS + 60 * SECOND_NS
+    shelve = Message("operator", "shelve", START_NS + 1, {"channel": "arm/encoder", "until_ns": until_ns})
+    with contextlib.closing(Journal(tmp_path / "journal.db")) as journal:
+        first = VehicleMonitor(Pipeline(arm_profile, "copter-1"), (), journal, lambda _: None, START_NS)
+        first.speak(Heard(), START_NS)
+        first.take(shelve)
+        assert journal.shelved("copter-1") == {"arm/encoder": until_ns}
+        second = VehicleMonitor(Pipeline(arm_profile, "copter-1"), (), journal, lambda _: None, START_NS)
+        later_ns = START_NS + 2 * SECOND_NS
+        second.speak(Heard(), later_ns, shelved=journal.shelved("copter-1"))
+        assert second.status(later_ns)["shelved"] == {"arm/encoder": until_ns}
+        second.take(Message("operator", "unshelve", later_ns, {"channel": "arm/encoder"}))
+        assert journal.shelved("copter-1") == {}
+
+
+def test_nonsense_about_shelved_channels_is_left_out() -> None:
+    shelved = {"arm/encoder": 5, "encoder": 6, "arm/torque": "soon", "arm/tip": True}
+    assert shelved_channels({"shelved": shelved}) == {"arm/encoder": 5}
+    assert shelved_channels({"shelved": ["arm/encoder"]}) == shelved_channels({}) == {}
+
+
+def test_the_status_says_what_the_links_lost_of_all_and_of_this_vehicle(arm_profile: Profile) -> None:
+    monitor = VehicleMonitor(Pipeline(arm_profile, "copter-1", 3), (), None, lambda _: None, START_NS)
+    links = [
+        LinkHealth("udpin:127.0.0.1:14550", True, 100, {"lost": 9, "damaged": 2}, {3: 4, 7: 5}),
+        LinkHealth("arm/**", False, 0, {"dropped": 1}),
+    ]
+    status = monitor.status(START_NS + SECOND_NS, (), links)
+    assert status["lost"] == 4
+    assert status["links"] == {
+        "udpin:127.0.0.1:14550": {"connected": True, "messages": 100, "losses": {"lost": 9, "damaged": 2}},
+        "arm/**": {"connected": False, "messages": 0, "losses": {"dropped": 1}},
+    }

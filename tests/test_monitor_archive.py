@@ -1,0 +1,71 @@
+"""What goes to disk: a full one costs a recording in one file telemetry, never an alarm event, and it goes on."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from chaos_run import own_records
+from test_monitor_rotation import numbers
+
+FULL = """
+import json, resource, sys
+sys.path.insert(0, sys.argv[2])
+from pathlib import Path
+from test_monitor_rotation import LAYOUT, estimate, event, message, noise
+from monitor.archive import RETRY_S, Archive
+from monitor.record_encoder import RecordEncoder
+from monitor.recorder import Recorder
+now = 0.0
+recorder = Recorder(Path(sys.argv[1]), [LAYOUT], {}, {})
+archive = Archive(RecordEncoder([LAYOUT]), recorder, None, monotonic=lambda: now)
+said = []
+def limit(size):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+def note():
+    counts = archive.statistics()
+    said.append([counts.records, counts.lost, counts.trouble])
+archive.message(message(0))
+archive.flush()
+limit(1024)
+archive.estimate(estimate(0))
+archive.message(noise(1))
+archive.event(event(1))
+archive.flush()
+archive.event(event(2))
+note()
+for now in (5.0, 11.0):
+    archive.message(message(2))
+    archive.flush()
+note()
+limit(resource.RLIM_INFINITY)
+now = 22.0
+archive.flush()
+note()
+archive.message(message(3))
+archive.estimate(estimate(1))
+archive.event(event(3))
+recorder.close()
+note()
+print(json.dumps(said))
+"""
+
+
+def test_a_recording_in_one_file_goes_on_when_the_disk_has_room_with_the_alarms_it_missed(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    command = [sys.executable, "-c", FULL, path, Path(__file__).parent]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    stopped = "recording stopped: File too large"
+    # eight taken, of which telemetry, sample and estimate are lost and the alarms wait
+    assert json.loads(done.stdout) == [[8, 3, stopped], [10, 5, stopped], [10, 5, None], [15, 5, None]]
+    assert numbers(path) == [0, 3]
+    records = own_records([path])
+    assert [json.loads(data)["seq"] for data in records["/fauio/alarm_json"]] == [1, 2, 3]
+    assert {topic: len(found) for topic, found in records.items()} == {
+        "/fauio/alarm": 3,
+        "/fauio/alarm_json": 3,
+        "/fauio/motors/sample": 1,
+        "/fauio/motors/estimate": 1,
+    }
