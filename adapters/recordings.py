@@ -25,7 +25,7 @@ ONBOARD_LOG = "onboard_log"
 
 ALARM_TOPIC = "/fauio/alarm_json"
 
-BLOCK_MESSAGES = 20_000
+BLOCK_MESSAGES = 40_000
 
 _TYPICAL_RECORD_BYTES = 52
 

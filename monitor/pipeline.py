@@ -44,7 +44,8 @@ _OWN_SOURCES = ("clock", "link", "operator", "journal")
 _WORTH_IT = 64
 """Messages from which on a stretch is worth what it costs to begin one."""
 _LOOK_AHEAD = 2048
-"""Messages looked at for a first stretch; more once one has held."""
+_LARGEST_LOOK = 1 << 17
+"""Messages looked at for a first stretch; up to so many once one has held."""
 
 Stretch = Estimates | AlarmEvent
 
@@ -83,6 +84,7 @@ class Pipeline:
         self._system = profile.system if system is None else system
         self._component = component
         self._interests = self.interests
+        self._ahead = _LOOK_AHEAD
         self.foreign = 0
 
     @property
@@ -198,16 +200,16 @@ class Pipeline:
         chosen = selected(block, self._interests, self._system, self._component)
         self.foreign += self._foreign_in(block)
         order = in_order(chosen)
-        place, single, ahead = 0, 1, _LOOK_AHEAD
+        place, single = 0, 1
         while place < chosen.count:
-            stop = min(place + ahead, chosen.count)
+            stop = min(place + self._ahead, chosen.count)
             taken = self._run_uniform(cut(chosen, place, stop), outputs)
             place += taken
             if place == stop:
-                ahead *= 4
+                self._ahead = min(4 * self._ahead, _LARGEST_LOOK)
                 continue
             # Where stretches end again and again, looking for them would cost more than they save.
-            ahead = _LOOK_AHEAD
+            self._ahead = _LOOK_AHEAD
             single = 1 if taken > _WORTH_IT else min(2 * single, _WORTH_IT)
             for at in range(place, min(place + single, chosen.count)):
                 outputs.extend(_as_stretches(self.feed(order.message(at))))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 
 def smooth(values: NDArray[np.float64], keep: float, state: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return m after each row of ``m *= keep; m += (1 - keep) * row``; ``state`` (m,) is left as after the last one.
+
+    Two vector operations a row: a filter routine is faster, but to load the package it is in takes longer than a
+    flight.
 
     Parameters
     ----------
@@ -19,17 +21,14 @@ def smooth(values: NDArray[np.float64], keep: float, state: NDArray[np.float64])
     state : NDArray[np.float64]
         m before the first sample (m,).
     """
-    gained = (1.0 - keep) * values
-    if not len(values):
-        return gained
-    if not (np.isfinite(gained).all() and np.isfinite(state).all()):
-        # The filter multiplies what it was given by a zero too, which infinity does not survive.
-        for row in gained:
-            state *= keep
-            state += row
-            row[:] = state
-        return gained
-    # With a gain of one the filter rounds as often as m does, also where its products and sums are fused.
-    found = np.ascontiguousarray(lfilter([1.0], [1.0, -keep], gained, axis=0, zi=(keep * state)[None])[0])
-    state[:] = found[-1]
+    found = (1.0 - keep) * values
+    if not len(found):
+        return found
+    before, kept = state, np.empty_like(state)
+    multiply, add = np.multiply, np.add
+    for row in found:
+        multiply(before, keep, kept)
+        add(kept, row, row)
+        before = row
+    state[:] = before
     return found

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,8 +19,10 @@ from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
-from monitor.recorder import Recorder
 from monitor.trace import Trace, TraceBuilder
+
+if TYPE_CHECKING:
+    from monitor.recorder import Recorder
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,11 +97,7 @@ def play_blocks(
     seen: set[str] = set()
     watched = dict.fromkeys((layout.observer for layout in pipeline.layouts), 0)
     with ExitStack() as stack:
-        recorder = (
-            stack.enter_context(Recorder(record, pipeline.layouts, pipeline.metadata(), profile.files))
-            if record is not None
-            else None
-        )
+        recorder = _recorder(stack, record, pipeline) if record is not None else None
         for block in blocks:
             count += block.count
             seen.update(one.name for one in block.columns)
@@ -135,6 +133,12 @@ def play_blocks(
         thresholds=pipeline.thresholds,
         lacking={observer: tuple(sorted(needs - seen)) for observer, needs in pipeline.needs.items() if needs - seen},
     )
+
+
+def _recorder(stack: ExitStack, path: Path, pipeline: Pipeline) -> Recorder:
+    from monitor.recorder import Recorder
+
+    return stack.enter_context(Recorder(path, pipeline.layouts, pipeline.metadata(), pipeline.profile.files))
 
 
 def interests(profile: Profile) -> frozenset[str]:
