@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import lzma
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,6 +17,12 @@ _COMPRESSED_BYTES = 128
 _AUTO_GZIP = 31
 # What `xz -9` needs is 65 MB; a damaged head may ask for 4 GB.
 _DECOMPRESSOR_BYTES = 1 << 28
+
+ON_BYTES: ContextVar[Callable[[int], None] | None] = ContextVar("ON_BYTES", default=None)
+"""Who wants to know how many bytes of files have been read, before decompression: whoever shows progress.
+
+A variable of the context, for between them and the files stand the readers of all kinds of recordings.
+"""
 
 
 class CompressedFile:
@@ -52,7 +59,7 @@ class CompressedFile:
             raise TelemetryError(f"{self._path}: cannot be opened: {error.strerror}") from error
         with file:
             if self._path.suffix.lower() not in (".xz", ".gz"):
-                while piece := file.read(_PIECE_BYTES):
+                while piece := _read(file, _PIECE_BYTES):
                     yield piece
                 return
             piece = b""
@@ -67,7 +74,7 @@ class CompressedFile:
     def _decompressed(self, file: BinaryIO) -> Iterator[bytes]:
         stream: Any = None
         try:
-            while piece := file.read(_COMPRESSED_BYTES):
+            while piece := _read(file, _COMPRESSED_BYTES):
                 while piece:
                     stream = stream or self._decompressor()
                     yield stream.decompress(piece)
@@ -84,3 +91,11 @@ class CompressedFile:
         if self._path.suffix.lower() == ".xz":
             return lzma.LZMADecompressor(memlimit=_DECOMPRESSOR_BYTES)
         return zlib.decompressobj(_AUTO_GZIP)
+
+
+def _read(file: BinaryIO, count: int) -> bytes:
+    piece = file.read(count)
+    on_bytes = ON_BYTES.get()
+    if on_bytes is not None:
+        on_bytes(len(piece))
+    return piece

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+
 from monitor.event import Severity
 
 BLUE = "#0072B2"
@@ -11,16 +14,65 @@ PURPLE = "#CC79A7"
 SKY = "#56B4E9"
 VERMILION = "#D55E00"
 BLACK = "#000000"
+WHITE = "#FFFFFF"
 YELLOW = "#F0E442"
 GREY = "#8C8C8C"
 
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION, BLACK, YELLOW)
 SEVERITY: dict[Severity, str] = {"warning": ORANGE, "critical": VERMILION}
+ANY_GROUND = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION)
+"""The colours that are seen on white as on black, for viewers that choose their own ground."""
+
+
+@dataclass(frozen=True, slots=True)
+class Theme:
+    """The same colours for a light or a dark ground; each place of one theme stands for the same in the other.
+
+    Parameters
+    ----------
+    paper, ink, muted : str
+        The ground, text and axes, and what recedes.
+    series : tuple[str, ...]
+        Series by number; the first is an estimate, the fifth the band within a threshold.
+    severity : Mapping[Severity, str]
+        Alarms.
+    """
+
+    paper: str
+    ink: str
+    muted: str
+    series: tuple[str, ...]
+    severity: Mapping[Severity, str]
+
+    @property
+    def estimate(self) -> str:
+        """Colour of estimates."""
+        return self.series[0]
+
+    @property
+    def band(self) -> str:
+        """Colour of what lies within a threshold."""
+        return self.series[4]
+
+
+LIGHT = Theme(WHITE, BLACK, GREY, SERIES, SEVERITY)
+DARK = Theme(
+    paper="#15181C",
+    ink="#E8EAED",
+    muted="#9AA0A6",
+    series=(SKY, ORANGE, "#1FBF92", PURPLE, "#2E86C8", "#F0742B", "#E8EAED", YELLOW),
+    severity={"warning": ORANGE, "critical": "#F0742B"},
+)
 
 
 def series_colour(index: int) -> str:
     """Return the colour of the series with this number; they repeat after eight."""
     return SERIES[index % len(SERIES)]
+
+
+def any_ground_colour(index: int) -> str:
+    """Return the same on a ground that is not known; they repeat after six."""
+    return ANY_GROUND[index % len(ANY_GROUND)]
 
 
 def rgba(colour: str, alpha: float = 1.0) -> tuple[int, int, int, int]:

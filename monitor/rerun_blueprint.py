@@ -22,6 +22,7 @@ def blueprint(
     roots: Sequence[Root] = ((),),
     *,
     follow: bool = False,
+    active: int = 0,
 ) -> rrb.Blueprint:
     """Return the layout of the viewer: tabs above the states and texts of all alarms.
 
@@ -33,6 +34,8 @@ def blueprint(
         What the entity paths of each vehicle begin with.
     follow : bool
         Whether the viewer follows the newest Unix time; otherwise it stands on the vehicle's time.
+    active : int
+        Which tab is open.
     """
     alarms = rrb.Horizontal(
         rrb.StateTimelineView(
@@ -46,7 +49,7 @@ def blueprint(
         ),
         column_shares=[3, 2],
     )
-    rows: list[Any] = [rrb.Tabs(*tabs), alarms] if tabs else [alarms]
+    rows: list[Any] = [rrb.Tabs(*tabs, active_tab=active), alarms] if tabs else [alarms]
     time_panel = (
         rrb.TimePanel(timeline="unix_time", play_state="following", state="collapsed")
         if follow
@@ -95,7 +98,7 @@ def observer_tab(
 
     faults = []
     for place in panels.alone:
-        parts = (entity_path(group, layout.faults[place]) for group in ("isolated", "threshold", "truth"))
+        parts = (entity_path(group, layout.faults[place]) for group in ("isolated", "threshold", "span", "truth"))
         faults.append(view(layout.faults[place], *parts, limits=limits.get(place)))
     rows: list[Any] = []
     if faults:

@@ -10,12 +10,13 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from monitor.event import AlarmEvent
-from monitor.palette import BLACK, BLUE, GREY, SEVERITY, rgba, series_colour
+from monitor.palette import BLUE, GREEN, GREY, SEVERITY, any_ground_colour, rgba
 from monitor.panels import Panels, Thresholds, Truth
-from monitor.trace import Trace
+from monitor.trace import AlarmSpan, Trace
 
 APPLICATION = "fauio"
 BATCH_ROWS = 1 << 16
+SPAN_WIDTH = 6.0
 
 _LEVELS = {"warning": rr.TextLogLevel.WARN, "critical": rr.TextLogLevel.CRITICAL}
 _QUIET_STATES = ("acknowledged", "shelved", "cleared")
@@ -32,9 +33,9 @@ class Scene:
 
     Time lines are ``vehicle_time`` (seconds of the vehicle's clock) and ``unix_time``. Entities per observer:
     ``<observer>/fault``, ``/residual``, ``/state``, ``/input`` and ``/output`` with one series per channel,
-    ``/isolated/<channel>``, ``/threshold/<channel>``, ``/truth/<channel>``, and ``/quiet`` for the channels that share
-    a view; alarms are states in ``alarms/<observer>/<channel>`` and lines of text in ``log``; telemetry is in
-    ``raw/<message>``, on ``unix_time`` only.
+    ``/isolated/<channel>``, ``/threshold/<channel>``, ``/span/<channel>``, ``/truth/<channel>``, and ``/quiet`` for the
+    channels that share a view; alarms are states in ``alarms/<observer>/<channel>`` and lines of text in ``log``;
+    telemetry is in ``raw/<message>``, on ``unix_time`` only.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ class Scene:
         if not shown_only:
             groups |= {"fault": (tuple(units), trace.fault), "state": (layout.states, trace.x)}
         for group, (names, values) in groups.items():
-            colours = [series_colour(index) for index in range(len(names))]
+            colours = [any_ground_colour(index) for index in range(len(names))]
             self._series(trace, (layout.observer, group), names, values, colours)
         for place in panels.alone if shown_only else range(len(layout.faults)):
             name = layout.faults[place]
@@ -81,12 +82,32 @@ class Scene:
             vehicle_ns = np.round(np.asarray(times) * 1e9).astype(np.int64)
             offset = int(trace.unix_ns[0] - trace.vehicle_ns[0])
             entity = (trace.layout.observer, "truth", name)
-            path = self._describe(entity, rr.SeriesLines(names=f"truth of {name}", colors=rgba(BLACK)))
+            path = self._describe(entity, rr.SeriesLines(names=f"truth of {name}", colors=rgba(GREEN)))
             self._send(
                 path,
                 _times(vehicle_ns, vehicle_ns + offset),
                 rr.Scalars.columns(scalars=np.asarray(values, dtype=np.float64)),
             )
+
+    def spans(self, trace: Trace, spans: Sequence[AlarmSpan], thresholds: Thresholds) -> None:
+        """Send when the alarms of an observer stood, as thick stretches of the lines of their thresholds."""
+        layout = trace.layout
+        for name in layout.faults:
+            own = [span for span in spans if (span.observer, span.channel) == (layout.observer, name)]
+            level = thresholds.get((layout.observer, name))
+            if not own or level is None or not len(trace.vehicle_ns):
+                continue
+            for severity, colour in SEVERITY.items():
+                stood = [span for span in own if span.severity == severity]
+                if not stood:
+                    continue
+                entity = (layout.observer, "span", name, severity)
+                style = rr.SeriesLines(
+                    names=[f"{severity} alarm of {name}"] * 2, colors=[rgba(colour)] * 2, widths=[SPAN_WIDTH] * 2
+                )
+                vehicle_ns, unix_ns, levels = _stretches(trace, stood, level)
+                path = self._describe(entity, style)
+                self._send(path, _times(vehicle_ns, unix_ns), rr.Scalars.columns(scalars=levels))
 
     def events(self, events: Sequence[AlarmEvent]) -> None:
         """Send alarms as states, which stand until the next, and every event as a line of text."""
@@ -105,7 +126,7 @@ class Scene:
 
     def raw(self, message: str, fields: Sequence[str], unix_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
         """Send a message's numeric fields: times of arrival (N,), values (N, fields)."""
-        colours = [rgba(series_colour(index)) for index in range(len(fields))]
+        colours = [rgba(any_ground_colour(index)) for index in range(len(fields))]
         path = self._describe(("raw", message), rr.SeriesLines(names=list(fields), colors=colours))
         self._send(path, [_unix(unix_ns)], rr.Scalars.columns(scalars=values))
 
@@ -116,7 +137,7 @@ class Scene:
         layout = trace.layout
         names = [layout.faults[place] for place in places]
         units = np.array([thresholds[layout.observer, name] for name in names])
-        colours = [series_colour(index) for index in range(len(names))]
+        colours = [any_ground_colour(index) for index in range(len(names))]
         self._series(
             trace, (layout.observer, "quiet", "estimate"), names, trace.isolated[:, list(places)] / units, colours
         )
@@ -165,6 +186,22 @@ class Scene:
 
     def _send(self, path: str, indexes: Sequence[rr.TimeColumn], columns: Any) -> None:
         self._recording.send_columns(path, indexes=indexes, columns=columns)
+
+
+def _stretches(
+    trace: Trace, spans: Sequence[AlarmSpan], level: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return vehicle's times, Unix times and values of two lines that are there while alarms stood, broken between."""
+    vehicle_ns: list[int] = []
+    unix_ns: list[int] = []
+    levels: list[list[float]] = []
+    for span in spans:
+        stop_vehicle_ns = trace.vehicle_ns[-1] if span.end_vehicle_ns is None else span.end_vehicle_ns
+        stop_ns = trace.unix_ns[-1] if span.end_ns is None else span.end_ns
+        vehicle_ns += [span.start_vehicle_ns, int(stop_vehicle_ns), int(stop_vehicle_ns) + 1]
+        unix_ns += [span.start_ns, int(stop_ns), int(stop_ns) + 1]
+        levels += [[level, -level], [level, -level], [np.nan, np.nan]]
+    return np.array(vehicle_ns, np.int64), np.array(unix_ns, np.int64), np.array(levels)
 
 
 def _state(event: AlarmEvent) -> str:

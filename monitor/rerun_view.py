@@ -11,7 +11,7 @@ from monitor.event import AlarmEvent
 from monitor.panels import Panels, Thresholds, Truth, choose_panels, fault_limits, same_scale
 from monitor.rerun_blueprint import Limits, blueprint, observer_tab
 from monitor.rerun_scene import APPLICATION, Scene
-from monitor.trace import Trace
+from monitor.trace import Trace, alarm_spans
 
 FLUSH_TIMEOUT_S = 30.0
 QUIET_LIMITS = (-1.3, 1.3)
@@ -26,7 +26,9 @@ def write_rrd(
 ) -> None:
     """Write a run to an ``.rrd`` file with its blueprint inside; :class:`monitor.rerun_scene.Scene` names its entities.
 
-    No viewer is needed. The blueprint has a tab per observer, faults scaled by what they were while alarms were armed.
+    No viewer is needed. The blueprint has a tab per observer that had a sample, that of the first alarm open, with the
+    thresholds of faults as lines which are thick while an alarm stands, scaled by what they were while alarms were
+    armed; below stand all alarms as states over time.
 
     Parameters
     ----------
@@ -42,18 +44,23 @@ def write_rrd(
         By fault channel: times on the vehicle's clock (s) and the true size at them.
     """
     truth = truth or {}
+    traces = [trace for trace in traces if len(trace.vehicle_ns)]
     alarmed = {(event.observer, event.channel) for event in events}
     chosen = choose_panels([trace.layout for trace in traces], alarmed, truth, thresholds)
     tabs = [
         observer_tab(trace.layout, panels, _limits(trace, panels, thresholds, truth), QUIET_LIMITS)
         for trace, panels in zip(traces, chosen, strict=True)
     ]
+    names = [trace.layout.observer for trace in traces]
+    active = next((names.index(event.observer) for event in events if event.observer in names), 0)
+    spans = alarm_spans(events)
     recording = rr.RecordingStream(APPLICATION)
     try:
-        recording.save(os.fspath(path), default_blueprint=blueprint(tabs))
+        recording.save(os.fspath(path), default_blueprint=blueprint(tabs, active=active))
         scene = Scene(recording)
         for trace, panels in zip(traces, chosen, strict=True):
             scene.trace(trace, panels, thresholds)
+            scene.spans(trace, spans, thresholds)
             scene.truth(trace, truth)
         scene.events(events)
         recording.flush(timeout_sec=FLUSH_TIMEOUT_S)

@@ -81,7 +81,9 @@ def _add_replay(subparsers: Any) -> None:
     parser.add_argument("-o", "--out", type=Path, metavar="OUT.mcap", help="record telemetry, estimates and alarms")
     parser.add_argument("--alarms", type=Path, metavar="OUT.jsonl", help="write the alarm events as JSON lines")
     parser.add_argument("--plot", type=Path, metavar="OUT.png", help="plot estimates, thresholds and alarms")
+    parser.add_argument("--dark", action="store_true", help="plot on a dark ground")
     parser.add_argument("--rrd", type=Path, metavar="OUT.rrd", help="write a Rerun recording")
+    parser.add_argument("--report", type=Path, metavar="OUT.html", help="write what was found, how sure, not checked")
     parser.add_argument(
         "--vehicle", metavar="NAME", help="name in events (default: as recorded by a monitor, else the profile's)"
     )
@@ -164,23 +166,25 @@ def run_replay(args: argparse.Namespace) -> int:
     from monitor.alarm_text import alarm_line
     from monitor.profile import read_profile
     from replay.player import interests, play, write_events
-    from replay.progress import track
+    from replay.progress import recording_bytes, track
+    from replay.recording_facts import RecordingMeter
 
     profile = read_profile(args.profile)
     for path in args.logs:
         recording_kind(path)
-    if len(args.logs) > 1 and (args.out or args.plot or args.rrd):
-        raise TelemetryError("-o, --plot and --rrd take one log at a time; give the logs one by one")
+    if len(args.logs) > 1 and (args.out or args.plot or args.rrd or args.report):
+        raise TelemetryError("-o, --plot, --rrd and --report take one log at a time; give the logs one by one")
     only = None if args.out else interests(profile)
     events: list[AlarmEvent] = []
     for path in args.logs:
-        recording = Recording(path, only, args.mapping)
+        recording, meter = Recording(path, only, args.mapping), RecordingMeter()
+        messages = track(recording, path.name, total_bytes=recording_bytes(path))
         found = play(
             profile,
-            track(recording, path.name),
+            meter.watch(messages) if args.report else messages,
             vehicle=args.vehicle or recorded_vehicle(path),
             record=args.out,
-            keep_traces=bool(args.plot or args.rrd),
+            keep_traces=bool(args.plot or args.rrd or args.report),
             on_event=None if args.json else lambda event: _say(alarm_line(event)),
         )
         events.extend(found.events)
@@ -193,13 +197,29 @@ def run_replay(args: argparse.Namespace) -> int:
         else:
             _say(verdict)
         if args.plot:
+            from replay.findings import effects
             from replay.plot import plot_png
 
-            plot_png(args.plot, found.traces, found.events, found.thresholds, title=verdict)
+            look = {"title": verdict, "dark": args.dark, "without_sd": effects(profile)}
+            plot_png(args.plot, found.traces, found.events, found.thresholds, **look)
         if args.rrd:
             from monitor.rerun_view import write_rrd
 
             write_rrd(args.rrd, found.traces, found.events, found.thresholds)
+        if args.report:
+            from replay.report import Run, write_report
+
+            run = Run(
+                profile=profile,
+                folder=args.profile,
+                log=path,
+                vehicle=args.vehicle or recorded_vehicle(path) or profile.name,
+                verdict=_verdict(found, profile),
+                replay=found,
+                recording=meter.facts(),
+                damage=recording.damage(),
+            )
+            write_report(args.report, run)
     if args.alarms:
         write_events(events, args.alarms)
     return ALARMS_RAISED if args.fail_on_alarm and any(event.state == "raised" for event in events) else 0
@@ -224,10 +244,11 @@ def run_convert(args: argparse.Namespace) -> int:
     """Run ``fauio convert``."""
     from adapters.recordings import Recording, onboard_source
     from replay.convert import convert
-    from replay.progress import track
+    from replay.progress import recording_bytes, track
 
     recording, onboard = Recording(args.log), onboard_source(args.log)
-    count = convert(track(recording.records(), args.log.name), args.log.name, args.out, onboard)
+    records = track(recording.records(), args.log.name, total_bytes=recording_bytes(args.log))
+    count = convert(records, args.log.name, args.out, onboard)
     damage = _warn(recording.damage())
     if args.json:
         _say(json.dumps({"log": str(args.log), "out": str(args.out), "messages": count, "damage": damage}))

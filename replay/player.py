@@ -15,6 +15,7 @@ from adapters.block import Block
 from adapters.block import messages as messages_of
 from adapters.message import Message
 from adapters.recordings import packed
+from adapters.sampler import SamplerStatistics
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
@@ -23,6 +24,34 @@ from monitor.trace import Trace, TraceBuilder
 
 if TYPE_CHECKING:
     from monitor.recorder import Recorder
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """How one observer fared over a recording.
+
+    Parameters
+    ----------
+    samples : int
+        Samples it took.
+    evidence, coasted : int
+        Those among them from which alarms could be raised, and those without measurements, stepped by its model alone.
+    rate_hz : float
+        Samples per second.
+    sampling : SamplerStatistics
+        What became of its messages.
+    """
+
+    samples: int
+    evidence: int
+    coasted: int
+    rate_hz: float
+    sampling: SamplerStatistics
+
+    @property
+    def watched_s(self) -> float:
+        """Time over which alarms could be raised, seconds."""
+        return self.evidence / self.rate_hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +76,10 @@ class Replay:
         Alarm thresholds by observer and channel.
     lacking : Mapping[str, tuple[str, ...]]
         Messages that the recording lacks, of each observer that therefore could watch nothing.
+    watches : Mapping[str, Watch]
+        How each observer fared.
+    foreign : int
+        Messages of other systems or components, which were left out.
     """
 
     events: tuple[AlarmEvent, ...]
@@ -57,6 +90,8 @@ class Replay:
     messages: int
     thresholds: Mapping[tuple[str, str], float]
     lacking: Mapping[str, tuple[str, ...]]
+    watches: Mapping[str, Watch]
+    foreign: int
 
 
 def play(profile: Profile, messages: Iterable[Message], **options: Any) -> Replay:
@@ -93,9 +128,10 @@ def play_blocks(
     pipeline = Pipeline(profile, vehicle)
     builders = {layout.observer: TraceBuilder(layout) for layout in pipeline.layouts} if keep_traces else {}
     events: list[AlarmEvent] = []
-    samples = count = 0
+    count = 0
     seen: set[str] = set()
-    watched = dict.fromkeys((layout.observer for layout in pipeline.layouts), 0)
+    names = tuple(layout.observer for layout in pipeline.layouts)
+    samples, watched, coasted = (dict.fromkeys(names, 0) for _ in range(3))
     with ExitStack() as stack:
         recorder = _recorder(stack, record, pipeline) if record is not None else None
         for block in blocks:
@@ -108,8 +144,9 @@ def play_blocks(
                         recorder.message(message)
             for output in pipeline.run(block):
                 if isinstance(output, Estimates):
-                    samples += len(output)
+                    samples[output.observer] += len(output)
                     watched[output.observer] += int(np.count_nonzero(output.armed))
+                    coasted[output.observer] += int(np.count_nonzero(output.coasted_s))
                     if recorder is not None:
                         for row in range(len(output)):
                             recorder.estimate(output.one(row))
@@ -123,15 +160,28 @@ def play_blocks(
                     on_event(output)
         if recorder is not None:
             recorder.add_metadata(pipeline.metadata())
+    sampling = pipeline.statistics()
+    watches = {
+        layout.observer: Watch(
+            samples=samples[layout.observer],
+            evidence=watched[layout.observer],
+            coasted=coasted[layout.observer],
+            rate_hz=layout.rate_hz,
+            sampling=sampling[layout.observer],
+        )
+        for layout in pipeline.layouts
+    }
     return Replay(
         events=tuple(events),
         traces=tuple(builder.build() for builder in builders.values()),
-        samples=samples,
+        samples=sum(samples.values()),
         evidence=sum(watched.values()),
-        watched_s=max((watched[layout.observer] / layout.rate_hz for layout in pipeline.layouts), default=0.0),
+        watched_s=max((watch.watched_s for watch in watches.values()), default=0.0),
         messages=count,
         thresholds=pipeline.thresholds,
         lacking={observer: tuple(sorted(needs - seen)) for observer, needs in pipeline.needs.items() if needs - seen},
+        watches=watches,
+        foreign=pipeline.foreign,
     )
 
 

@@ -1,35 +1,89 @@
-"""A progress line on a terminal, nothing in a pipe."""
+"""A progress bar on a terminal, with the time that is left where the end is known; nothing in a pipe."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
-from typing import TypeVar
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 
 _SHOW_EVERY = 2000
 
 
-def track(items: Iterable[T], what: str, unit: str = "messages") -> Iterator[T]:
-    """Yield the items; on a terminal say on stderr how many have gone by, and wipe the line at the end."""
+def track(
+    items: Iterable[T],
+    what: str,
+    unit: str = "messages",
+    *,
+    total_bytes: int = 0,
+    weigh: Callable[[T], int] | None = None,
+) -> Iterator[T]:
+    """Yield the items; on a terminal say on stderr how far they have come, and wipe the line at the end.
+
+    Parameters
+    ----------
+    items : Iterable[T]
+        What goes by.
+    what : str
+        Stands before the bar.
+    unit : str
+        What is counted.
+    total_bytes : int
+        Bytes of the recording the items are read from (:func:`recording_bytes`): the share of it that was read gives
+        per cent and the time that is left. 0: not known.
+    weigh : Callable[[T], int] | None
+        How many of the unit an item holds; None: one.
+    """
     if not sys.stderr.isatty():
         yield from items
         return
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from adapters.compressed import ON_BYTES
 
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        TextColumn("{task.completed:,.0f} " + unit),
+    with _bar(unit, total_bytes) as progress:
+        task = progress.add_task(what, total=total_bytes or None, count=0)
+        read = count = shown = 0
+
+        def note(more: int) -> None:
+            nonlocal read
+            read += more
+
+        ON_BYTES.set(note)
+        try:
+            for item in items:
+                yield item
+                count += 1 if weigh is None else weigh(item)
+                if unit != "messages" or count - shown >= _SHOW_EVERY:
+                    shown = count
+                    progress.update(task, completed=min(read, total_bytes) if total_bytes else count, count=count)
+        finally:
+            ON_BYTES.set(None)
+
+
+def recording_bytes(path: Path) -> int:
+    """Return the size of a recording, of all files in a folder; 0 where it cannot be told."""
+    try:
+        files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
+        return sum(file.stat().st_size for file in files)
+    except OSError:
+        return 0
+
+
+def _bar(unit: str, total_bytes: int) -> Any:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        SpinnerColumn,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
     )
-    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(what, total=None)
-        pending = 0
-        for item in items:
-            yield item
-            pending += 1
-            if pending == (_SHOW_EVERY if unit == "messages" else 1):
-                progress.advance(task, pending)
-                pending = 0
+
+    name = TextColumn("{task.description}", markup=False)
+    counted = TextColumn("{task.fields[count]:,.0f} " + unit)
+    known = (BarColumn(), TaskProgressColumn(), TextColumn("left:"), TimeRemainingColumn()) if total_bytes else ()
+    columns = (SpinnerColumn(), name, *known, counted, TimeElapsedColumn())
+    return Progress(*columns, console=Console(stderr=True), transient=True)

@@ -100,6 +100,31 @@ def test_quiet_channels_of_many_stand_in_units_of_their_thresholds(two_observers
     assert columns(two_observers, "/standby/quiet/estimate")["SeriesLines:names"] == [list(STANDBY.faults)]
 
 
+def test_a_threshold_is_thick_and_coloured_while_its_alarm_stands(written: Path) -> None:
+    span = columns(written, "/motors/span/motor1/critical")
+    assert span["Scalars:scalars"][:2] == [[0.015, -0.015]] * 2
+    assert np.isnan(span["Scalars:scalars"][2]).all()
+    assert span["vehicle_time"] == [10_200_000_000, 13_000_000_000, 13_000_000_001]
+    assert span["SeriesLines:widths"][0][0] > 2.0
+    assert columns(written, "/motors/span/motor2/critical") == {}
+
+
+def test_an_alarm_that_stands_at_the_end_is_shown_to_the_end(tmp_path: Path) -> None:
+    run = trace()
+    write_rrd(tmp_path / "run.rrd", [run], EVENTS[:1], THRESHOLDS)
+    span = columns(tmp_path / "run.rrd", "/motors/span/motor1/warning")
+    assert span["vehicle_time"][1] == run.vehicle_ns[-1]
+    assert span["unix_time"][1] == run.unix_ns[-1]
+
+
+def test_no_colour_is_lost_on_a_dark_or_a_light_ground(written: Path) -> None:
+    for chunk in RrdReader(written).stream():
+        colours = table(chunk).get("SeriesLines:colors") or [[]]
+        for colour in colours[0] or ():
+            red, green, blue = colour >> 24, colour >> 16 & 255, colour >> 8 & 255
+            assert 40 < 0.2126 * red + 0.7152 * green + 0.0722 * blue < 215
+
+
 def test_truth_is_there_where_it_is_known(written: Path) -> None:
     truth = np.ravel(columns(written, "/motors/truth/motor1")["Scalars:scalars"])
     assert set(truth) == {0.0, -0.03}
@@ -140,6 +165,23 @@ def test_the_blueprint_has_a_view_for_each_alarm_and_one_for_the_quiet_channels(
         assert view in text
     assert "standby / motor1" not in text
     assert "motors / motor2" not in text
+
+
+def test_the_tab_of_the_first_alarm_is_open_and_observers_without_samples_have_none(tmp_path: Path) -> None:
+    run = trace()
+    both = [replace(run, layout=STANDBY), run, TraceBuilder(replace(LAYOUT, observer="blind")).build()]
+    write_rrd(tmp_path / "run.rrd", both, EVENTS, BOTH_THRESHOLDS)
+    reader = RrdReader(tmp_path / "run.rrd")
+    [blueprint] = reader.blueprints()
+    containers = [(chunk.entity_path, table(chunk)) for chunk in reader.stream(store=blueprint)]
+    names = {path: found.get("ContainerBlueprint:display_name") for path, found in containers}
+    [active] = [found["ContainerBlueprint:active_tab"] for _, found in containers if _active(found)]
+    assert names[f"/{active[0][0].strip('/')}"] == [["motors"]]
+    assert "blind" not in blueprint_text(tmp_path / "run.rrd")
+
+
+def _active(found: dict[str, Any]) -> bool:
+    return bool((found.get("ContainerBlueprint:active_tab") or [None])[0])
 
 
 def test_a_run_without_samples_events_or_observers_is_written_too(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from replay.envelope import envelope
+from replay.envelope import band, envelope
 
 
 @given(
@@ -40,3 +40,16 @@ def test_a_long_recording_is_drawn_with_few_points() -> None:
     assert times.size < 3100
     assert drawn.max() == 50.0
     assert times[drawn.argmax()] == 123_456
+
+
+def test_a_band_keeps_its_ends_and_is_broken_where_there_is_nothing() -> None:
+    times = np.arange(1000.0)
+    low, high = -np.ones(1000), np.ones(1000)
+    low[500], high[77] = -9.0, 9.0
+    low[200:300] = high[200:300] = np.nan
+    thinned, below, above = band(times, low, high, 100)
+    assert len(thinned) == 100
+    assert (np.nanmin(below), np.nanmax(above)) == (-9.0, 9.0)
+    assert np.isnan(below[20:30]).all()
+    assert np.isfinite(np.delete(above, np.arange(20, 30))).all()
+    assert band(times, low, high, 5000)[0] is times

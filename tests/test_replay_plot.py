@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,17 +11,23 @@ import pytest
 from matplotlib import image
 from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, event, trace
 
-from monitor.palette import BLUE, SEVERITY, SKY, rgba
+from monitor.palette import BLUE, DARK, SEVERITY, SKY, rgba
 from monitor.trace import TraceBuilder
-from replay.plot import DPI, HIGHEST_IN, WIDTH_IN, plot_png
+from replay.plot import DPI, HIGHEST_IN, WIDTH_IN, colour_variables, plot_png, plot_svg
+from replay.plot_panels import DOUBT_ALPHA
 
 EVENTS = [event(1020, "raised"), event(1300, "cleared"), event(1400, "raised", id="02J", severity="critical")]
 
 
 def has_colour(path: Path, colour: str, alpha: float = 1.0) -> bool:
     """Return whether the picture has pixels of a colour laid over white, more than edges of other lines mix."""
+    return pixels(path, colour, alpha) > 50
+
+
+def pixels(path: Path, colour: str, alpha: float) -> int:
+    """Return how many pixels a picture has of a colour laid over white."""
     wanted = 1.0 + alpha * (np.array(rgba(colour)[:3]) / 255.0 - 1.0)
-    return bool((np.abs(image.imread(path)[:, :, :3] - wanted).max(axis=2) < 0.01).sum() > 50)
+    return int((np.abs(image.imread(path)[:, :, :3] - wanted).max(axis=2) < 0.01).sum())
 
 
 def test_estimates_and_alarms_are_drawn_in_their_colours(tmp_path: Path) -> None:
@@ -46,7 +53,6 @@ def test_quiet_channels_of_many_share_a_panel_with_a_band(tmp_path: Path) -> Non
     both = [run, replace(run, layout=STANDBY)]
     plot_png(tmp_path / "few.png", [run], EVENTS, THRESHOLDS)
     plot_png(tmp_path / "many.png", both, EVENTS, BOTH_THRESHOLDS)
-    assert not has_colour(tmp_path / "few.png", SKY, 0.22)
     assert has_colour(tmp_path / "many.png", SKY, 0.22)
     few, many = (image.imread(tmp_path / name).shape[0] for name in ("few.png", "many.png"))
     assert many < 2 * few
@@ -82,6 +88,73 @@ def test_no_pyplot_state_is_left_behind(tmp_path: Path) -> None:
     before = dict(matplotlib.rcParams)
     plot_png(tmp_path / "run.png", [trace(100)], [], {})
     assert dict(matplotlib.rcParams) == before
+
+
+def test_thresholds_are_bands_and_standard_deviations_are_shaded_unless_they_belong_to_something_else(
+    tmp_path: Path,
+) -> None:
+    run = trace()
+    run.sd[:] = 0.01
+    plot_png(tmp_path / "with.png", [run], [], THRESHOLDS)
+    plot_png(tmp_path / "without.png", [run], [], THRESHOLDS, without_sd={("motors", name) for name in LAYOUT.faults})
+    assert has_colour(tmp_path / "without.png", SKY, 0.22)
+    shaded, bare = (pixels(tmp_path / name, BLUE, DOUBT_ALPHA) for name in ("with.png", "without.png"))
+    assert shaded > 10_000
+    assert bare < 1_000
+
+
+def test_a_dark_picture_is_dark(tmp_path: Path) -> None:
+    plot_png(tmp_path / "run.png", [trace()], EVENTS, THRESHOLDS, title="a run", dark=True)
+    picture = image.imread(tmp_path / "run.png")[:, :, :3]
+    assert has_colour(tmp_path / "run.png", DARK.estimate)
+    assert np.median(picture) < 0.2
+    assert (picture > 0.99).all(axis=2).mean() < 0.001
+
+
+def test_an_observer_without_a_sample_has_no_panels(tmp_path: Path) -> None:
+    plot_png(tmp_path / "one.png", [trace(200)], [], THRESHOLDS)
+    plot_png(tmp_path / "same.png", [trace(200), TraceBuilder(STANDBY).build()], [], BOTH_THRESHOLDS)
+    one, same = (image.imread(tmp_path / name) for name in ("one.png", "same.png"))
+    assert one.shape == same.shape
+
+
+def test_names_from_outside_are_drawn_as_they_are(tmp_path: Path) -> None:
+    run = trace(200)
+    layout = replace(run.layout, faults=("$\\frac{$", "\x1b[2J", "\ud83d\ude81 \u65e0\u4eba\u673a", "<b>&amp;"))
+    plot_png(tmp_path / "run.png", [replace(run, layout=layout)], [], {}, title="$x^")
+    text = plot_svg(replace(run, layout=layout), [], {})
+    assert "$\\frac{$" in text
+    assert "&lt;b&gt;&amp;amp;" in text
+    assert "\x1b" not in text
+
+
+def test_a_picture_for_a_page_has_the_page_s_colours_and_fits_between_others() -> None:
+    one, two = plot_svg(trace(200), EVENTS, THRESHOLDS), plot_svg(replace(trace(200), layout=STANDBY), [], {})
+    assert one.startswith("<svg")
+    assert set(re.findall(r"var\((--\w+)\)", one)) <= set(colour_variables(DARK))
+    assert re.findall(r"(?:fill|stroke): #", one) == []
+    assert "<style" not in one
+    ids = [set(re.findall(r' id="(\w+)"', text)) for text in (one, two)]
+    assert all(ids)
+    assert not ids[0] & ids[1]
+    assert one == plot_svg(trace(200), EVENTS, THRESHOLDS)
+
+
+def test_other_observers_alarms_do_not_stand_in_a_picture_but_their_time_does() -> None:
+    one, other = replace(trace(300), layout=STANDBY), trace(1500)
+    alone, beside = plot_svg(one, EVENTS, BOTH_THRESHOLDS), plot_svg(one, EVENTS, BOTH_THRESHOLDS, [other])
+    assert "shaded: motor1 alarm" not in beside
+    assert ">14<" in beside
+    assert ">14<" not in alone
+
+
+def test_many_inputs_have_a_lane_each(tmp_path: Path) -> None:
+    run = trace(200)
+    wide = replace(run, layout=replace(LAYOUT, inputs=tuple(f"input{k}" for k in range(8))), u=np.tile(run.u, 2))
+    plot_png(tmp_path / "few.png", [run], [], {})
+    plot_png(tmp_path / "many.png", [wide], [], {})
+    few, many = (image.imread(tmp_path / name).shape[0] for name in ("few.png", "many.png"))
+    assert few < many < 2 * few
 
 
 @pytest.mark.parametrize("index", range(8))

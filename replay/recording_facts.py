@@ -1,0 +1,194 @@
+"""What a recording holds, measured while it is read: how often each message came, and where it failed to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.block import Block
+from adapters.message import Message
+
+GAP_S = 0.5
+GAP_PERIODS = 10.0
+"""A gap is longer than both: rare messages are no gaps, nor is the jitter of frequent ones."""
+MOST_GAPS = 1000
+
+_PERIODS_KEPT = 2000
+_PENDING = 512
+
+Key = tuple[str, str, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Time without a message that comes regularly.
+
+    Parameters
+    ----------
+    start_ns : int
+        Unix time of the last message before it.
+    seconds : float
+        How long it was.
+    """
+
+    start_ns: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class StreamFacts:
+    """One message of one sender.
+
+    Parameters
+    ----------
+    source, name : str
+        As of :class:`adapters.message.Message`.
+    system, component : int
+        MAVLink ids of the sender.
+    count : int
+        How many there were.
+    rate_hz : float
+        How many per second there were outside of gaps; 0 where there was but one.
+    gaps : tuple[Gap, ...]
+        Where it failed to come, the first :data:`MOST_GAPS`.
+    """
+
+    source: str
+    name: str
+    system: int
+    component: int
+    count: int
+    rate_hz: float
+    gaps: tuple[Gap, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingFacts:
+    """A recording.
+
+    Parameters
+    ----------
+    first_ns, last_ns : int | None
+        Unix times of the first and the last arrival, None where there was no message.
+    streams : tuple[StreamFacts, ...]
+        Its messages by name and sender.
+    """
+
+    first_ns: int | None
+    last_ns: int | None
+    streams: tuple[StreamFacts, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first arrival to the last."""
+        return 0.0 if self.first_ns is None or self.last_ns is None else (self.last_ns - self.first_ns) * 1e-9
+
+    @property
+    def messages(self) -> int:
+        """Number of messages."""
+        return sum(stream.count for stream in self.streams)
+
+
+class RecordingMeter:
+    """Measures a recording that passes by, in memory that does not grow with it."""
+
+    def __init__(self) -> None:
+        self._streams: dict[Key, _Stream] = {}
+
+    def watch(self, messages: Iterable[Message]) -> Iterator[Message]:
+        """Yield the messages and take note of each."""
+        for message in messages:
+            self.take(message)
+            yield message
+
+    def watch_blocks(self, blocks: Iterable[Block]) -> Iterator[Block]:
+        """Yield the blocks and take note of their messages."""
+        for block in blocks:
+            self.take_block(block)
+            yield block
+
+    def take(self, message: Message) -> None:
+        """Take note of a message."""
+        self._stream((message.source, message.name, message.system, message.component)).one(message.received_ns)
+
+    def take_block(self, block: Block) -> None:
+        """Take note of the messages of a block."""
+        for columns in block.columns:
+            key = (columns.source, columns.name, columns.system, columns.component)
+            self._stream(key).many(columns.received_ns)
+        for message in block.others.values():
+            self.take(message)
+
+    def facts(self) -> RecordingFacts:
+        """Return what was measured so far."""
+        streams = [(key, stream) for key, stream in sorted(self._streams.items()) if stream.flush()]
+        return RecordingFacts(
+            first_ns=min((stream.first_ns for _, stream in streams), default=None),
+            last_ns=max((stream.last_ns for _, stream in streams), default=None),
+            streams=tuple(
+                StreamFacts(*key, count=stream.count, rate_hz=stream.rate_hz(), gaps=stream.gaps())
+                for key, stream in streams
+            ),
+        )
+
+    def _stream(self, key: Key) -> _Stream:
+        found = self._streams.get(key)
+        if found is None:
+            found = self._streams[key] = _Stream()
+        return found
+
+
+class _Stream:
+    """Times of arrival of one message, each looked at once."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.first_ns = self.last_ns = 0
+        self._pending: list[int] = []
+        self._periods = np.empty(0, np.int64)
+        self._usual_ns = 0.0
+        self._gaps: list[Gap] = []
+
+    def one(self, received_ns: int) -> None:
+        self._pending.append(received_ns)
+        if len(self._pending) >= _PENDING:
+            self.flush()
+
+    def flush(self) -> bool:
+        """Look at what waits; return whether there was any message at all."""
+        pending, self._pending = self._pending, []
+        self._extend(np.array(pending, np.int64))
+        return self.count > 0
+
+    def many(self, received_ns: NDArray[np.int64]) -> None:
+        self.flush()
+        self._extend(received_ns)
+
+    def rate_hz(self) -> float:
+        gaps = self.gaps()
+        seconds = (self.last_ns - self.first_ns) * 1e-9 - sum(gap.seconds for gap in gaps)
+        return (self.count - 1 - len(gaps)) / seconds if seconds > 0 else 0.0
+
+    def gaps(self) -> tuple[Gap, ...]:
+        # the first ones were found before it was known how often the message comes
+        return tuple(gap for gap in self._gaps if gap.seconds * 1e9 > GAP_PERIODS * self._usual_ns)
+
+    def _extend(self, times: NDArray[np.int64]) -> None:
+        if not len(times):
+            return
+        if not self.count:
+            self.first_ns = self.last_ns = int(times[0])
+        before = np.concatenate(([self.last_ns], times[:-1]))
+        periods = (times - before)[0 if self.count else 1 :]
+        before = before[len(before) - len(periods) :]
+        if len(self._periods) < _PERIODS_KEPT and len(periods):
+            self._periods = np.concatenate((self._periods, periods[: _PERIODS_KEPT - len(self._periods)]))
+            self._usual_ns = float(np.median(self._periods))
+        for place in np.flatnonzero(periods > max(GAP_S * 1e9, GAP_PERIODS * self._usual_ns)):
+            if len(self._gaps) < MOST_GAPS:
+                self._gaps.append(Gap(int(before[place]), float(periods[place]) * 1e-9))
+        self.count += len(times)
+        self.last_ns = int(times[-1])
