@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
+from typing import Any
 
 import adapters.commands
 import gains.commands
@@ -27,11 +27,23 @@ def build_parser() -> argparse.ArgumentParser:
         epilog="example: fauio fit --vehicle multirotor healthy1.tlog healthy2.tlog -o quad/ && "
         "fauio replay quad/ flight.tlog --alarms alarms.jsonl",
     )
-    parser.add_argument("--version", action="version", version=f"fauio {version('fauio')}")
+    parser.add_argument(
+        "--version", action=_PrintVersions, nargs=0, help="print the versions of fauio, Python and libraries, and exit"
+    )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for package in (replay.commands, gains.commands, monitor.commands, adapters.commands):
         package.add_parsers(commands)
     return parser
+
+
+class _PrintVersions(argparse.Action):
+    """Print versions; they are looked up only when they are asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from monitor.versions import version_text
+
+        sys.stdout.write(version_text())
+        parser.exit()
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -18,8 +18,9 @@ from typing import Any, Protocol, cast
 
 from adapters.errors import TelemetryError
 
+UDP_BUFFER_BYTES = 1 << 22
+
 _READ_BYTES = 1 << 16
-_UDP_BUFFER_BYTES = 1 << 22
 _RETRY_S = 0.5
 _CONNECT_S = 1.0
 _BAUD = 57_600
@@ -165,7 +166,7 @@ class _Udp:
         self._socket = opened
         self._connected = connected
         # A burst has to fit while the reader is busy; the kernel cuts this down to what it allows.
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _UDP_BUFFER_BYTES)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, UDP_BUFFER_BYTES)
         self._dropped = 0
         if sys.platform == "linux":
             for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):

@@ -1,4 +1,4 @@
-"""Commands of the monitor: ``fauio run``, ``fauio alarms`` and what goes with it, ``fauio schema``."""
+"""Commands of the monitor: ``fauio run``, ``fauio alarms`` and what goes with it, ``fauio schema`` and ``doctor``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import functools
 from pathlib import Path
 
 from monitor.alarm_commands import add_alarms, add_schema
+from monitor.doctor import add_doctor
 
 
 def add_parsers(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -14,6 +15,7 @@ def add_parsers(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
     _add_run(subparsers)
     add_alarms(subparsers)
     add_schema(subparsers)
+    add_doctor(subparsers)
 
 
 def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

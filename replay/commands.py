@@ -1,4 +1,4 @@
-"""Commands of this package: demo, fit, replay, convert, info; inject and detectability have a module of their own."""
+"""Commands of this package: demo, fit, convert, info; replay, inject and detectability have modules of their own."""
 
 from __future__ import annotations
 
@@ -10,27 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from replay import attack_commands
+from replay.replay_command import LOG_HELP, MAPPING_HELP, add_replay
 
 if TYPE_CHECKING:
     from adapters.damage import Damage
     from adapters.message import Message
-    from monitor.event import AlarmEvent
-    from monitor.profile import Profile
-    from replay.player import Replay
-
-ALARMS_RAISED = 4
-_LOG_HELP = (
-    "recording: .tlog, .mcap, .ulg (PX4) or .bin (ArduPilot), plain or with .xz / .gz behind, "
-    "or a folder of a recorded session"
-)
-_MAPPING_HELP = "from which records of a .ulg or .bin MAVLink messages are made, where the guess is wrong"
 
 
 def add_parsers(subparsers: Any) -> None:
     """Add the commands to the command line."""
     _add_demo(subparsers)
     _add_fit(subparsers)
-    _add_replay(subparsers)
+    add_replay(subparsers)
     _add_convert(subparsers)
     _add_info(subparsers)
     attack_commands.add_parsers(subparsers)
@@ -61,36 +52,12 @@ def _add_fit(subparsers: Any) -> None:
     kinds = ["multirotor", "plane", "rover", "inertial", "custom"]
     parser.add_argument("--vehicle", required=True, choices=kinds, help="kind of vehicle")
     parser.add_argument("--model", type=Path, metavar="MODEL.toml", help="model with free parameters (custom only)")
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=_LOG_HELP)
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=LOG_HELP)
     parser.add_argument("-o", "--out", required=True, type=Path, metavar="PROFILE", help="profile folder to write")
-    parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=_MAPPING_HELP)
+    parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=MAPPING_HELP)
     parser.add_argument("--name", help="name of the vehicle in topics (default: the folder's name)")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     parser.set_defaults(handler=run_fit)
-
-
-def _add_replay(subparsers: Any) -> None:
-    parser = subparsers.add_parser(
-        "replay",
-        help="run recordings through a profile's monitor",
-        description="Run recordings through the very pipeline that runs live, and list the alarms.",
-        epilog="example: fauio replay quad/ flight.tlog --alarms alarms.jsonl --plot flight.png",
-    )
-    parser.add_argument("profile", type=Path, metavar="PROFILE", help="profile folder")
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=_LOG_HELP)
-    parser.add_argument("-o", "--out", type=Path, metavar="OUT.mcap", help="record telemetry, estimates and alarms")
-    parser.add_argument("--alarms", type=Path, metavar="OUT.jsonl", help="write the alarm events as JSON lines")
-    parser.add_argument("--plot", type=Path, metavar="OUT.png", help="plot estimates, thresholds and alarms")
-    parser.add_argument("--dark", action="store_true", help="plot on a dark ground")
-    parser.add_argument("--rrd", type=Path, metavar="OUT.rrd", help="write a Rerun recording")
-    parser.add_argument("--report", type=Path, metavar="OUT.html", help="write what was found, how sure, not checked")
-    parser.add_argument(
-        "--vehicle", metavar="NAME", help="name in events (default: as recorded by a monitor, else the profile's)"
-    )
-    parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=_MAPPING_HELP)
-    parser.add_argument("--fail-on-alarm", action="store_true", help="exit with 4 where an alarm was raised")
-    parser.add_argument("--json", action="store_true", help="print one JSON object per log")
-    parser.set_defaults(handler=run_replay)
 
 
 def _add_convert(subparsers: Any) -> None:
@@ -100,7 +67,7 @@ def _add_convert(subparsers: Any) -> None:
         description="Convert a recording to MCAP with typed messages, for Foxglove, Rerun and any MCAP tool.",
         epilog="example: fauio convert flight.tlog.xz -o flight.mcap",
     )
-    parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP)
+    parser.add_argument("log", type=Path, metavar="LOG", help=LOG_HELP)
     parser.add_argument("-o", "--out", required=True, type=Path, metavar="OUT.mcap", help="file to write")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.set_defaults(handler=run_convert)
@@ -157,87 +124,6 @@ def run_fit(args: argparse.Namespace) -> int:
         _say(line)
     _say("Thresholds stand in profile.toml and may be edited; fit.txt and fit.png tell what the fit is worth.")
     return 0
-
-
-def run_replay(args: argparse.Namespace) -> int:
-    """Run ``fauio replay``."""
-    from adapters.errors import TelemetryError
-    from adapters.recordings import Recording, recorded_vehicle, recording_kind
-    from monitor.alarm_text import alarm_line
-    from monitor.profile import read_profile
-    from replay.player import interests, play, write_events
-    from replay.progress import recording_bytes, track
-    from replay.recording_facts import RecordingMeter
-
-    profile = read_profile(args.profile)
-    for path in args.logs:
-        recording_kind(path)
-    if len(args.logs) > 1 and (args.out or args.plot or args.rrd or args.report):
-        raise TelemetryError("-o, --plot, --rrd and --report take one log at a time; give the logs one by one")
-    only = None if args.out else interests(profile)
-    events: list[AlarmEvent] = []
-    for path in args.logs:
-        recording, meter = Recording(path, only, args.mapping), RecordingMeter()
-        messages = track(recording, path.name, total_bytes=recording_bytes(path))
-        found = play(
-            profile,
-            meter.watch(messages) if args.report else messages,
-            vehicle=args.vehicle or recorded_vehicle(path),
-            record=args.out,
-            keep_traces=bool(args.plot or args.rrd or args.report),
-            on_event=None if args.json else lambda event: _say(alarm_line(event)),
-        )
-        events.extend(found.events)
-        verdict = f"{path.name}: {_verdict(found, profile)}"
-        damage = _warn(recording.damage())
-        if args.json:
-            summary = {"log": str(path), "samples": found.samples, "evidence": found.evidence, "damage": damage}
-            summary["lacking"] = {name: list(lacks) for name, lacks in found.lacking.items()}
-            _say(json.dumps(summary | {"alarms": [event.to_json() for event in found.events]}))
-        else:
-            _say(verdict)
-        if args.plot:
-            from replay.findings import effects
-            from replay.plot import plot_png
-
-            look = {"title": verdict, "dark": args.dark, "without_sd": effects(profile)}
-            plot_png(args.plot, found.traces, found.events, found.thresholds, **look)
-        if args.rrd:
-            from monitor.rerun_view import write_rrd
-
-            write_rrd(args.rrd, found.traces, found.events, found.thresholds)
-        if args.report:
-            from replay.report import Run, write_report
-
-            run = Run(
-                profile=profile,
-                folder=args.profile,
-                log=path,
-                vehicle=args.vehicle or recorded_vehicle(path) or profile.name,
-                verdict=_verdict(found, profile),
-                replay=found,
-                recording=meter.facts(),
-                damage=recording.damage(),
-            )
-            write_report(args.report, run)
-    if args.alarms:
-        write_events(events, args.alarms)
-    return ALARMS_RAISED if args.fail_on_alarm and any(event.state == "raised" for event in events) else 0
-
-
-def _verdict(found: Replay, profile: Profile) -> str:
-    """Return in a sentence what a replay found."""
-    from replay.player import interests
-
-    if not found.samples:
-        needed = ", ".join(sorted(interests(profile)))
-        return f"no samples; the log lacks channels of the profile (needed: {needed})"
-    if not found.evidence:
-        return "nothing was watched; the vehicle was never seen in flight (see [phase] in the profile)"
-    raised = sum(event.state == "raised" for event in found.events)
-    alarms = {0: "no alarm", 1: "1 alarm"}.get(raised, f"{raised} alarms")
-    blind = "".join(f"; {name} saw nothing (no {', '.join(lacks)})" for name, lacks in found.lacking.items())
-    return f"{alarms} in {found.watched_s:.0f} s of watched flight{blind}"
 
 
 def run_convert(args: argparse.Namespace) -> int:

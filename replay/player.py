@@ -196,6 +196,3 @@ def interests(profile: Profile) -> frozenset[str]:
     return Pipeline(profile).interests
 
 
-def write_events(events: Sequence[AlarmEvent], path: Path) -> None:
-    """Write alarm events as JSON lines."""
-    path.write_text("".join(json.dumps(event.to_json()) + "\n" for event in events))

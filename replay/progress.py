@@ -18,6 +18,7 @@ def track(
     unit: str = "messages",
     *,
     total_bytes: int = 0,
+    total: int | None = None,
     weigh: Callable[[T], int] | None = None,
 ) -> Iterator[T]:
     """Yield the items; on a terminal say on stderr how far they have come, and wipe the line at the end.
@@ -33,6 +34,8 @@ def track(
     total_bytes : int
         Bytes of the recording the items are read from (:func:`recording_bytes`): the share of it that was read gives
         per cent and the time that is left. 0: not known.
+    total : int | None
+        How many of the unit there will be, where that is known.
     weigh : Callable[[T], int] | None
         How many of the unit an item holds; None: one.
     """
@@ -41,8 +44,8 @@ def track(
         return
     from adapters.compressed import ON_BYTES
 
-    with _bar(unit, total_bytes) as progress:
-        task = progress.add_task(what, total=total_bytes or None, count=0)
+    with _bar(unit, known=bool(total_bytes or total)) as progress:
+        task = progress.add_task(what, total=total_bytes or total, count=0)
         read = count = shown = 0
 
         def note(more: int) -> None:
@@ -70,7 +73,7 @@ def recording_bytes(path: Path) -> int:
         return 0
 
 
-def _bar(unit: str, total_bytes: int) -> Any:
+def _bar(unit: str, *, known: bool) -> Any:
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -84,6 +87,8 @@ def _bar(unit: str, total_bytes: int) -> Any:
 
     name = TextColumn("{task.description}", markup=False)
     counted = TextColumn("{task.fields[count]:,.0f} " + unit)
-    known = (BarColumn(), TaskProgressColumn(), TextColumn("left:"), TimeRemainingColumn()) if total_bytes else ()
-    columns = (SpinnerColumn(), name, *known, counted, TimeElapsedColumn())
-    return Progress(*columns, console=Console(stderr=True), transient=True)
+    left = (BarColumn(), TaskProgressColumn(), TextColumn("left:"), TimeRemainingColumn()) if known else ()
+    columns = (SpinnerColumn(), name, *left, counted, TimeElapsedColumn())
+    # A file or pipe that takes the results is not for rich to write to the terminal instead.
+    redirect = sys.stdout.isatty()
+    return Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=redirect)

@@ -1,0 +1,31 @@
+"""One finding about the machine: all right, or what to do about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Verdict = Literal["ok", "warning", "failed"]
+VERDICTS: tuple[Verdict, ...] = ("ok", "warning", "failed")
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What one check found.
+
+    Parameters
+    ----------
+    name : str
+        What was checked.
+    verdict : {"ok", "warning", "failed"}
+        ``failed``: the monitor will not run, or not here; ``warning``: it will, with less than it could have.
+    found : str
+        What was found.
+    advice : str
+        What to do about it; empty where nothing is to be done.
+    """
+
+    name: str
+    verdict: Verdict
+    found: str
+    advice: str = ""

@@ -1,0 +1,72 @@
+"""Which versions of Python, of this program and of its libraries are installed, and what is missing."""
+
+from __future__ import annotations
+
+import platform
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+
+_REQUIREMENT = re.compile(
+    r"(?P<name>[\w.-]+)(\[[^]]*\])?\s*(>=(?P<least>[\d.]+))?[^;]*(;.*extra\s*==\s*['\"](?P<extra>\w+))?"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Library:
+    """A library that this program uses.
+
+    Parameters
+    ----------
+    name : str
+        Its distribution.
+    extra : str
+        Extra that it belongs to; empty where it is always needed.
+    least : str
+        Least version that will do; empty where any does.
+    installed : str | None
+        Version that is installed; None where none is.
+    """
+
+    name: str
+    extra: str
+    least: str
+    installed: str | None
+
+    @property
+    def will_do(self) -> bool:
+        """Whether it is installed and new enough."""
+        return self.installed is not None and _numbers(self.installed) >= _numbers(self.least)
+
+
+def libraries() -> Sequence[Library]:
+    """Return all libraries, as the installed package itself names them, those of extras behind."""
+    found = []
+    for text in requires("fauio") or ():
+        match = _REQUIREMENT.match(text)
+        if match is not None:
+            name = match["name"]
+            found.append(Library(name, match["extra"] or "", match["least"] or "", installed_version(name)))
+    return sorted(found, key=lambda library: (library.extra, library.name))
+
+
+def installed_version(name: str) -> str | None:
+    """Return the version of a distribution; None where it is not installed."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def version_text() -> str:
+    """Return what ``fauio --version`` prints: this program in the first line, a library in each of the others."""
+    lines = [f"fauio {version('fauio')} (Python {platform.python_version()}, {platform.system()} {platform.machine()})"]
+    installed = {one.name: one.installed for one in libraries() if one.installed is not None}
+    width = max(map(len, installed), default=0)
+    lines += [f"  {name:<{width}}  {number}" for name, number in sorted(installed.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in re.findall(r"\d+", re.match(r"[\d.]*", text)[0]))  # type: ignore[index]

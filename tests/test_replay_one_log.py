@@ -1,0 +1,72 @@
+"""One log replayed from file to files: what is told about it, also where something unforeseen goes wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from adapters.message import Message
+from adapters.recordings import read_recording
+from monitor.profile import Profile, read_profile
+from replay.one_log import LogTask, replay_log
+from replay.player import interests, play
+
+QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
+PROFILE = read_profile(QUAD)
+
+
+class AsItIs:
+    """Messages of a log without any pacing."""
+
+    def messages(self, profile: Profile, task: LogTask, vehicle: str | None) -> Iterator[Message]:
+        del vehicle
+        return read_recording(task.path, interests(profile))
+
+
+def test_a_log_is_told_as_it_plays_message_by_message(data: Path) -> None:
+    path = data / "copter_motor3_090.tlog.xz"
+    read = list(read_recording(path, interests(PROFILE)))
+    found = play(PROFILE, read)
+    for live in (None, AsItIs()):
+        outcome = replay_log(PROFILE, LogTask("the flight", path), live=live)
+        assert outcome.events == found.events
+        assert (outcome.samples, outcome.evidence) == (found.samples, found.evidence)
+        assert (outcome.start_ns, outcome.end_ns) == (read[0].received_ns, read[-1].received_ns)
+        assert (outcome.log, outcome.kind, outcome.error) == ("the flight", "tlog", None)
+        assert outcome.verdict.startswith("the flight: 1 alarm in 13 s of watched flight; inertial saw nothing")
+        assert outcome.processor_s > 0.0
+
+
+def test_outputs_are_written(data: Path, tmp_path: Path) -> None:
+    out = [tmp_path / name for name in ("out.mcap", "out.png", "out.rrd")]
+    outcome = replay_log(PROFILE, LogTask("a", data / "copter_5s.tlog.xz", "other", *out))
+    assert outcome.error is None
+    assert all(path.stat().st_size for path in out)
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (KeyError("time"), "flight.tlog: KeyError: 'time' (in test_replay_one_log.py, line "),
+        (MemoryError(), "flight.tlog: MemoryError: (in test"),
+        (
+            PermissionError(13, "Permission denied", "/somewhere/out.mcap"),
+            "flight.tlog: /somewhere/out.mcap: Permission denied",
+        ),
+        (OSError("two\nlines"), "flight.tlog: two lines"),
+    ],
+)
+def test_what_was_not_foreseen_is_one_line(
+    error: Exception, line: str, data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("replay.one_log.play", fail)
+    outcome = replay_log(PROFILE, LogTask("flight.tlog", data / "copter_5s.tlog.xz"))
+    assert outcome.error is not None
+    assert outcome.error.startswith(line)
+    assert "\n" not in outcome.error
+    assert outcome.to_json()["error"] == outcome.error
