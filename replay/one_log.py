@@ -30,28 +30,28 @@ class LogTask:
         The log as the user named it, for reports.
     path : Path
         Where it is.
-    profile : Path
-        The profile's folder, in which a report looks for what the fit said.
     vehicle : str | None
         Name in events; None: as recorded by a monitor, else the profile's.
-    mapping : Path | None
-        From which records of an onboard log messages are made, where the guess is wrong.
     record, plot, rrd, report : Path | None
         MCAP recording, plot, Rerun recording and page to write.
     dark : bool
         Whether to plot on a dark ground.
+    mapping : Path | None
+        From which records of an onboard log messages are made, where the guess is wrong.
+    folder : Path | None
+        The profile's, in which a report looks for what the fit said.
     """
 
     log: str
     path: Path
-    profile: Path
     vehicle: str | None = None
-    mapping: Path | None = None
     record: Path | None = None
     plot: Path | None = None
     rrd: Path | None = None
     report: Path | None = None
     dark: bool = False
+    mapping: Path | None = None
+    folder: Path | None = None
 
     @property
     def targets(self) -> tuple[Path, ...]:
@@ -192,7 +192,7 @@ def _replay(
 
         run = Run(
             profile=profile,
-            folder=task.profile,
+            folder=task.folder or Path(profile.name),
             log=task.path,
             vehicle=vehicle or profile.name,
             verdict=verdict,
@@ -225,8 +225,15 @@ def _write(profile: Profile, task: LogTask, found: Replay, title: str) -> None:
         from replay.findings import effects
         from replay.plot import plot_png
 
-        look = {"title": title, "dark": task.dark, "without_sd": effects(profile)}
-        plot_png(task.plot, found.traces, found.events, found.thresholds, **look)
+        plot_png(
+            task.plot,
+            found.traces,
+            found.events,
+            found.thresholds,
+            title=title,
+            dark=task.dark,
+            without_sd=effects(profile),
+        )
     if task.rrd:
         from monitor.rerun_view import write_rrd
 

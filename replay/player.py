@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -194,5 +193,3 @@ def _recorder(stack: ExitStack, path: Path, pipeline: Pipeline) -> Recorder:
 def interests(profile: Profile) -> frozenset[str]:
     """Return the names of the messages a profile's pipeline reads; skipping all others changes no result."""
     return Pipeline(profile).interests
-
-

@@ -44,7 +44,7 @@ def track(
         return
     from adapters.compressed import ON_BYTES
 
-    with _bar(unit, known=bool(total_bytes or total)) as progress:
+    with _bar(unit, total, known=bool(total_bytes or total)) as progress:
         task = progress.add_task(what, total=total_bytes or total, count=0)
         read = count = shown = 0
 
@@ -73,7 +73,7 @@ def recording_bytes(path: Path) -> int:
         return 0
 
 
-def _bar(unit: str, *, known: bool) -> Any:
+def _bar(unit: str, total: int | None, *, known: bool) -> Any:
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -86,7 +86,8 @@ def _bar(unit: str, *, known: bool) -> Any:
     )
 
     name = TextColumn("{task.description}", markup=False)
-    counted = TextColumn("{task.fields[count]:,.0f} " + unit)
+    of_all = f" of {total:,}" if total else ""
+    counted = TextColumn("{task.fields[count]:,.0f}" + of_all + f" {unit}")
     left = (BarColumn(), TaskProgressColumn(), TextColumn("left:"), TimeRemainingColumn()) if known else ()
     columns = (SpinnerColumn(), name, *left, counted, TimeElapsedColumn())
     # A file or pipe that takes the results is not for rich to write to the terminal instead.

@@ -156,10 +156,10 @@ def _tasks(args: argparse.Namespace, logs: Sequence[Log]) -> list[LogTask]:
         plot = target("--plot", args.plot, log, ".png", many=many)
         rrd = target("--rrd", args.rrd, log, ".rrd", many=many)
         report = target("--report", args.report, log, ".html", many=many)
-        path, mapping, profile = log.path, args.mapping, args.profile
+        path, mapping, folder = log.path, args.mapping, args.profile
         if args.dask is not None:
             # workers have another working directory
-            path, profile = path.absolute(), profile.absolute()
+            path, folder = path.absolute(), folder.absolute()
             record, plot, rrd, report, mapping = (
                 one and one.absolute() for one in (record, plot, rrd, report, mapping)
             )
@@ -167,19 +167,21 @@ def _tasks(args: argparse.Namespace, logs: Sequence[Log]) -> list[LogTask]:
             LogTask(
                 log=str(log.path),
                 path=path,
-                profile=profile,
                 vehicle=args.vehicle,
-                mapping=mapping,
                 record=record,
                 plot=plot,
-                dark=args.dark,
                 rrd=rrd,
                 report=report,
+                dark=args.dark,
+                mapping=mapping,
+                folder=folder,
             )
         )
     targets = [path for task in tasks for path in task.targets]
     if len({path.resolve() for path in targets}) < len(targets):
-        raise TelemetryError("-o, --plot, --rrd and --report name the same file twice; give each output a name of its own")
+        raise TelemetryError(
+            "-o, --plot, --rrd and --report name the same file twice; give each output a name of its own"
+        )
     forbid_overwriting(logs, [*targets, *(path for path in (args.alarms, args.table) if path is not None)])
     return tasks
 
