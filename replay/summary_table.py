@@ -31,6 +31,7 @@ COLUMNS: Mapping[str, type] = {
     "first_alarm_unit": str,
     "worst_severity": str,
     "lacking": str,
+    "damage": str,
     "processor_s": float,
     "times_real_time": float,
 }
@@ -66,6 +67,7 @@ def summary_row(outcome: LogOutcome) -> dict[str, Any]:
         "first_alarm_unit": first.unit if first else None,
         "worst_severity": max(severities, key=("warning", "critical").index) if severities else None,
         "lacking": "; ".join(lacking) or None,
+        "damage": "; ".join(one.line() for one in outcome.damage) or None,
         "processor_s": round(outcome.processor_s, 3),
         "times_real_time": round(duration_s / outcome.processor_s, 1) if duration_s and outcome.processor_s else None,
     }

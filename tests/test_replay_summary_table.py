@@ -10,6 +10,7 @@ import pyarrow.parquet
 import pytest
 from loopback import START_NS, event
 
+from adapters.damage import Damage
 from adapters.errors import TelemetryError
 from monitor.errors import ExtraMissingError
 from replay.one_log import LogOutcome
@@ -25,6 +26,7 @@ FOUND = LogOutcome(
     evidence=900,
     watched_s=9.0,
     lacking={"inertial": ("GPS_RAW_INT",)},
+    damage=(Damage("flight.tlog", ("breaks off at byte 4711",), 4711),),
     processor_s=0.1,
 )
 FAILED = LogOutcome(log='b, "c".tlog', error='b, "c".tlog: holds nothing')
@@ -41,6 +43,7 @@ def test_a_row_says_what_was_found() -> None:
     )
     assert (row["duration_s"], row["times_real_time"]) == (10.0, 100.0)
     assert row["lacking"] == "inertial: GPS_RAW_INT"
+    assert row["damage"] == "flight.tlog: breaks off at byte 4711"
     assert summary_row(LogOutcome(log="a", samples=5))["status"] == "unwatched"
 
 
