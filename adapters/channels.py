@@ -163,19 +163,19 @@ def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
     """
     unknown = sorted(set(table) - _KEYS)
     if unknown:
-        raise TelemetryError(f"{where}: unknown key '{unknown[0]}'; known are {', '.join(sorted(_KEYS))}")
+        raise TelemetryError(f"{where}: unknown key {unknown[0]!r}; known are {', '.join(sorted(_KEYS))}")
     for key in ("message", "field"):
         if not isinstance(table.get(key), str) or not table[key]:
             raise TelemetryError(f"{where}: '{key}' is missing or not text")
     for key in ("scale", "offset"):
-        if key in table and (isinstance(table[key], bool) or not isinstance(table[key], int | float)):
+        if key in table and not is_number(table[key]):
             raise TelemetryError(f"{where}: '{key}' is not a number")
     where_table = table.get("where", {})
     if not isinstance(where_table, Mapping) or not all(isinstance(v, (int, str)) for v in where_table.values()):
         raise TelemetryError(f"{where}: 'where' is not a table of fields and their values, like {{ port = 0 }}")
     interpolation = table.get("interpolation", "linear")
     if interpolation not in ("linear", "previous"):
-        raise TelemetryError(f"{where}: 'interpolation' is '{interpolation}'; use 'linear' or 'previous'")
+        raise TelemetryError(f"{where}: 'interpolation' is unknown; use 'linear' or 'previous'")
     clock = table.get("clock")
     if clock is not None and not isinstance(clock, str):
         raise TelemetryError(f"{where}: 'clock' is not the name of a field")
@@ -183,13 +183,13 @@ def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
     if unit is not None and (isinstance(unit, bool) or not isinstance(unit, int) or unit <= 0):
         raise TelemetryError(f"{where}: 'clock_unit_ns' is not a positive whole number of nanoseconds")
     period = table.get("period")
-    if period is not None and (isinstance(period, bool) or not isinstance(period, int | float) or not period > 0):
+    if period is not None and not (is_number(period) and period > 0):
         raise TelemetryError(f"{where}: 'period' is not a positive number")
     field = str(table["field"])
     path = field_steps(field)
     if not path:
         raise TelemetryError(
-            f"{where}: 'field' is '{field}'; write it like 'rollspeed', 'data[3]' or 'position[elbow]'"
+            f"{where}: 'field' is {field!r}; write it like 'rollspeed', 'data[3]' or 'position[elbow]'"
         )
     return Channel(
         name=name,
@@ -203,6 +203,14 @@ def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
         interpolation=interpolation,
         period=None if period is None else float(period),
     )
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a value of a TOML table is a finite number, whole or not."""
+    try:
+        return type(value) in (int, float) and isfinite(value)
+    except OverflowError:
+        return False
 
 
 def channel_table(channel: Channel) -> dict[str, Any]:

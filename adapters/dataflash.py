@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from adapters.errors import TelemetryError
 from adapters.log_bytes import LogStatistics, Window, text
-from adapters.message import Message
+from adapters.message import LATEST_NS, Message
 
 SOURCE: Final = "dataflash"
 
@@ -153,17 +153,18 @@ class DataflashReader:
                 continue
             name, fields = form.decode(body)
             if only is None or name in only:
-                yield Message(SOURCE, name, self._time_ns(fields) + self._offset_ns, fields)
+                yield Message(SOURCE, name, self._time_ns(fields, self._offset_ns), fields)
         self._broken_off = window.cut or window.left > 0
         self._skipped_bytes += window.left
 
-    def _time_ns(self, fields: dict[str, Any]) -> int:
+    def _time_ns(self, fields: dict[str, Any], offset_ns: int) -> int:
+        """Return the time of a record, that of the one before where it has none or a damaged one."""
         stamp, unit_ns = fields.get("TimeUS"), 1_000
         if stamp is None:
             stamp, unit_ns = fields.get("TimeMS"), 1_000_000
-        if type(stamp) is int:
+        if type(stamp) is int and 0 <= stamp * unit_ns + offset_ns < LATEST_NS:
             self._newest_ns = stamp * unit_ns
-        return self._newest_ns
+        return self._newest_ns + offset_ns
 
     def _learn_instances(self, form: _Format, body: bytes) -> None:
         """Learn from a record of units which field tells instances apart."""
@@ -274,7 +275,9 @@ def utc_minus_boot_ns(path: str | os.PathLike[str]) -> int | None:
         week, ms, boot_us, status = (_whole(message.fields.get(name)) for name in ("GWk", "GMS", "TimeUS", "Status"))
         if week > 0 and boot_us > 0 and status >= _FIX_3D:
             utc_ms = (_GPS_EPOCH_S + _WEEK_S * week - _LEAP_S) * 1_000 + ms
-            return utc_ms * 1_000_000 - boot_us * 1_000
+            found_ns = utc_ms * 1_000_000 - boot_us * 1_000
+            if 0 <= found_ns < LATEST_NS:
+                return found_ns
     return None
 
 

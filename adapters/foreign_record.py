@@ -116,11 +116,13 @@ class ProtobufFields:
 
         try:
             return self._read(self._class.FromString(data))
-        except DecodeError as error:
+        except (DecodeError, AttributeError, KeyError, TypeError) as error:
+            # also schemas that define protobuf's own types, or what a map is made of, as something else
             raise ValueError(f"{self._class.DESCRIPTOR.full_name}: {error}") from error
 
     def _read(self, message: Any) -> dict[str, Any]:
-        kind = message.DESCRIPTOR
+        # of the class: a field may bear these names
+        kind, has = type(message).DESCRIPTOR, type(message).HasField
         if kind.full_name in _MOMENTS:
             return {"sec": message.seconds, "nanosec": message.nanos}
         readers = self._known.get(kind.full_name)
@@ -129,9 +131,7 @@ class ProtobufFields:
                 (field.name, self._reader(field), field.has_presence) for field in kind.fields
             ]
         return {
-            name: read(getattr(message, name))
-            for name, read, optional in readers
-            if not optional or message.HasField(name)
+            name: read(getattr(message, name)) for name, read, optional in readers if not optional or has(message, name)
         }
 
     def _reader(self, field: Any) -> Callable[[Any], Any]:

@@ -13,11 +13,11 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from math import isfinite, nan
+from math import nan
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from adapters.channels import Channel, follow, parse_channel
+from adapters.channels import Channel, follow, is_number, parse_channel
 from adapters.errors import TelemetryError
 
 Angle = Literal["roll", "pitch", "yaw"]
@@ -178,7 +178,10 @@ def read_mapping(path: str | os.PathLike[str], source: str) -> LogMapping:
         content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise TelemetryError(f"{path}: cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except RecursionError as error:
+        raise TelemetryError(f"{path}: is nested too deeply") from error
+    except ValueError as error:
+        # also UnicodeDecodeError, and numbers of more digits than Python reads
         raise TelemetryError(f"{path}: is no TOML: {error}") from error
     return LogMapping({**builtin_mapping(source).rules, **parse_mapping(content, str(path)).rules})
 
@@ -195,7 +198,7 @@ def parse_mapping(content: Mapping[str, Any], where: str) -> LogMapping:
     for message, tables in content.items():
         kinds = _kinds(message)
         if kinds is None:
-            raise TelemetryError(f"{where}: '{message}' is no MAVLink message")
+            raise TelemetryError(f"{where}: {message!r} is no MAVLink message")
         if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
             raise TelemetryError(f"{where}: write [[{message}]], once for each way to fill it")
         rules[message] = tuple(_rule(message, kinds, table, f"{where}: {message}") for table in tables)
@@ -225,7 +228,7 @@ def _rule(message: str, kinds: Mapping[str, str], table: Mapping[str, Any], wher
         raise TelemetryError(f"{where}: 'repeat_s' is no number of seconds above zero")
     unknown = sorted(set(table) - kinds.keys() - set(_OF_RULES))
     if unknown:
-        raise TelemetryError(f"{where}: has no field '{unknown[0]}'")
+        raise TelemetryError(f"{where}: has no field {unknown[0]!r}")
     if any(code == "" for name, code in kinds.items() if name in table):
         raise TelemetryError(f"{where}: fields that are arrays or text cannot be filled")
     fields = tuple(
@@ -243,13 +246,13 @@ def _field(name: str, code: str, topic: str, table: Any, where: str) -> FieldRul
         raise TelemetryError(f'{where}: is no table, like {{ field = "xyz[0]", scale = 0.001 }}')
     wrong = sorted(set(table) - _KEYS)
     if wrong:
-        raise TelemetryError(f"{where}: unknown key '{wrong[0]}'; known are {', '.join(sorted(_KEYS))}")
+        raise TelemetryError(f"{where}: unknown key {wrong[0]!r}; known are {', '.join(sorted(_KEYS))}")
     constant, angle, values = table.get("value"), table.get("angle"), table.get("values")
     for key in ("value", "unknown"):
-        if key in table and (type(table[key]) not in (int, float) or not isfinite(table[key])):
+        if key in table and not is_number(table[key]):
             raise TelemetryError(f"{where}: '{key}' is no number")
     if angle is not None and angle not in _ANGLES:
-        raise TelemetryError(f"{where}: 'angle' is '{angle}'; use one of {', '.join(_ANGLES)}")
+        raise TelemetryError(f"{where}: 'angle' is none of {', '.join(_ANGLES)}")
     if values is not None and (not isinstance(values, Mapping) or not all(type(v) is int for v in values.values())):
         raise TelemetryError(f"{where}: 'values' is no table of whole numbers, like {{ 1 = 0, 2 = 128 }}")
     source = table.get("topic", topic)

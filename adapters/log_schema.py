@@ -103,7 +103,8 @@ class LogProtobuf:
 
 def _read(message: Any) -> dict[str, Any]:
     found: dict[str, Any] = {}
-    for field in message.DESCRIPTOR.fields:
+    # of the class: a field may bear this name
+    for field in type(message).DESCRIPTOR.fields:
         value = getattr(message, field.name)
         if field.message_type is not None:
             found[field.name] = [_read(one) for one in value] if field.is_repeated else _read(value)

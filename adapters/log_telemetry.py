@@ -6,7 +6,7 @@ import struct
 from collections import Counter, deque
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import chain, pairwise
-from math import asin, atan2
+from math import asin, atan2, isfinite
 from typing import Any
 
 from adapters.channels import follow
@@ -206,7 +206,8 @@ def _packed(packer: struct.Struct, rule: MessageRule, values: list[int | float])
             fitted.append(value)
             continue
         period = None if field.channel is None or code.islower() else field.channel.period
-        fitted.append(round(value if period is None else value % period))
+        wrapped = value if period is None else value % period
+        fitted.append(round(wrapped) if isfinite(wrapped) else field.unknown)
     try:
         return packer.pack(*fitted)
     except (struct.error, OverflowError):

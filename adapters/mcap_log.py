@@ -13,7 +13,7 @@ from adapters.errors import TelemetryError
 from adapters.mcap_writer import McapWriter
 from adapters.message import Message
 from adapters.message_record import encode
-from adapters.record import Record
+from adapters.record import Record, Schema
 
 MAX_CHANNELS = 4096
 
@@ -76,7 +76,7 @@ class MessageLogWriter:
             if self._owned is not None:
                 self._owned.close()
             raise
-        self._channels: dict[tuple[str, str], int] = {}
+        self._channels: dict[tuple[str, str, Schema | None], int] = {}
         self._records = 0
         self._unrecordable = 0
         self._closed = False
@@ -106,15 +106,15 @@ class MessageLogWriter:
         self.write_record(record)
 
     def write_record(self, record: Record) -> None:
-        """Record what is encoded already; the schema goes into the file with the topic's first record."""
+        """Record what is encoded already; a schema goes into the file with the topic's first record of that kind."""
         if self._closed:
             raise RuntimeError("the log is closed; open another one")
-        channel = self._channels.get((record.topic, record.encoding)) or self._register(record)
+        channel = self._channels.get((record.topic, record.encoding, record.schema)) or self._register(record)
         if channel is None or not 0 <= record.time_ns < 1 << 64:
             self._unrecordable += 1
             return
         self._records += 1
-        self._writer.add_message(channel, record.time_ns, record.data)
+        self._writer.add_message(channel, record.time_ns, record.data, record.publish_ns)
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record."""
@@ -165,5 +165,5 @@ class MessageLogWriter:
         schema = record.schema
         schema_id = 0 if schema is None else self._writer.add_schema(schema.name, schema.encoding, schema.data)
         channel = self._writer.add_channel(record.topic, record.encoding, schema_id)
-        self._channels[record.topic, record.encoding] = channel
+        self._channels[record.topic, record.encoding, schema] = channel
         return channel

@@ -22,9 +22,9 @@ from mcap.writer import MCAP0_MAGIC
 from adapters.damage import Damage, counted
 from adapters.foreign_record import described, foreign_decoder, foreign_name
 from adapters.mcap_records import RECORD_HEAD, UNREADABLE, McapRecords
-from adapters.message import Message
+from adapters.message import LATEST_NS, Message
 from adapters.message_record import Decode, decoder, recorded_name
-from adapters.record import Schema
+from adapters.record import Record, Schema
 
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 # the footer and the magic behind it; the checksum is over the summary and the footer up to itself
@@ -147,7 +147,7 @@ class MessageLogReader:
         TelemetryError
             The file cannot be opened, is no MCAP file or needs a compression that is not installed.
         """
-        for topic, time_ns, data in self._data():
+        for topic, time_ns, _, data in self._data():
             decode = topic.decode or self._decoder(topic)
             if decode is None:
                 self._other_records += 1
@@ -160,10 +160,16 @@ class MessageLogReader:
             self._messages += 1
             yield message
 
+    def records(self) -> Iterator[Record]:
+        """Return the wanted records as they stand in the file, readable or not; raises as iteration does."""
+        for topic, time_ns, publish_ns, data in self._data():
+            self._messages += 1
+            yield Record(topic.topic, topic.encoding, topic.schema, data, time_ns, publish_ns=publish_ns)
+
     def payloads(self, topic: str) -> Iterator[bytes]:
         """Return the records of one topic as they stand in the file; raises as iteration does."""
         self._topic = topic
-        for _, _, data in self._data():
+        for *_, data in self._data():
             self._other_records += 1
             yield data
 
@@ -182,8 +188,8 @@ class MessageLogReader:
                     found.setdefault(record.name, {}).update(record.metadata)
         return found
 
-    def _data(self) -> Iterator[tuple[_Topic, int, bytes]]:
-        """Return topic, log time and payload of the wanted messages."""
+    def _data(self) -> Iterator[tuple[_Topic, int, int, bytes]]:
+        """Return topic, log time, publish time and payload of the wanted messages."""
         self._learn_from_index()
         for opcode, body in self._records:
             if opcode == Opcode.CHUNK:
@@ -193,7 +199,7 @@ class MessageLogReader:
             else:
                 self._define(opcode, body)
 
-    def _from_chunk(self, data: bytes) -> Iterator[tuple[_Topic, int, bytes]]:
+    def _from_chunk(self, data: bytes) -> Iterator[tuple[_Topic, int, int, bytes]]:
         topics, at, last = self._topics, 0, len(data) - RECORD_HEAD.size
         while at <= last:
             opcode, length = RECORD_HEAD.unpack_from(data, at)
@@ -207,12 +213,12 @@ class MessageLogReader:
             if length < _MESSAGE_HEAD.size:
                 self._damaged_records += 1
                 continue
-            channel, _, time_ns, _ = _MESSAGE_HEAD.unpack_from(data, start)
+            channel, _, time_ns, publish_ns = _MESSAGE_HEAD.unpack_from(data, start)
             topic = topics.get(channel)
-            if topic is None:
+            if topic is None or time_ns >= LATEST_NS:
                 self._damaged_records += 1
             elif topic.wanted:
-                yield topic, time_ns, data[start + _MESSAGE_HEAD.size : at]
+                yield topic, time_ns, publish_ns, data[start + _MESSAGE_HEAD.size : at]
             else:
                 self._other_records += 1
 

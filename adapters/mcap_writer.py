@@ -140,8 +140,8 @@ class McapWriter:
         self._chunk += record
         return number
 
-    def add_message(self, channel: int, time_ns: int, data: bytes) -> None:
-        """Add a message, its log time and publish time being the same."""
+    def add_message(self, channel: int, time_ns: int, data: bytes, publish_ns: int | None = None) -> None:
+        """Add a message, its log time and publish time being the same where no other is given."""
         if self._failed is not None:
             raise _again(self._failed)
         entries = self._message_index.get(channel)
@@ -149,7 +149,12 @@ class McapWriter:
             entries = self._message_index[channel] = bytearray()
         entries += _INDEX_ENTRY.pack(time_ns, len(self._chunk))
         self._chunk += _MESSAGE.pack(
-            Opcode.MESSAGE, _MESSAGE.size - _RECORD_HEAD.size + len(data), channel, 0, time_ns, time_ns
+            Opcode.MESSAGE,
+            _MESSAGE.size - _RECORD_HEAD.size + len(data),
+            channel,
+            0,
+            time_ns,
+            time_ns if publish_ns is None else publish_ns,
         )
         self._chunk += data
         self._chunk_messages += 1

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
+
+# The year 2116: sums and differences of times below it fit into 64 bits.
+LATEST_NS: Final = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +25,7 @@ class Message:
         MAVLink message name (``"ATTITUDE"``), Zenoh key expression (``"arm/telemetry"``) or name of a log's record
         (``"sensor_baro/1"``).
     received_ns : int
-        Unix time of arrival, nanoseconds.
+        Unix time of arrival, nanoseconds; in recordings below :data:`LATEST_NS`, what says otherwise is damaged.
     fields : Mapping[str, Any]
         Decoded fields: numbers, strings, lists and (JSON only) nested mappings.
     system, component : int

@@ -11,7 +11,7 @@ from typing import Any
 from adapters.foreign_record import json_object
 from adapters.log_schema import LogProtobuf, to_protobuf
 from adapters.mavlink_schema import PACKAGE, MavlinkProtobuf, mavlink_protobuf
-from adapters.message import Message
+from adapters.message import LATEST_NS, Message
 from adapters.protobuf_types import class_from_descriptor_set, descriptor_set
 from adapters.record import Record, Schema
 
@@ -43,7 +43,7 @@ def encode(message: Message) -> Record:
     topic = f"/{message.source}/{message.name}"
     topic.encode()
     ids = {"system_id": message.system, "component_id": message.component}
-    if not 0 <= message.received_ns < 1 << 64:
+    if not 0 <= message.received_ns < LATEST_NS:
         raise ValueError(f"{message.name} arrived at a time that no record can hold")
     if message.source == "link":
         return Record(topic, "json", _JSON_SCHEMA, _to_json({**message.fields, **ids}), message.received_ns)

@@ -14,7 +14,7 @@ class Schema:
     name : str
         Full name of the type.
     encoding : str
-        ``"protobuf"`` (``data`` is a FileDescriptorSet) or ``"jsonschema"``.
+        ``"protobuf"`` (``data`` is a FileDescriptorSet) or ``"jsonschema"``; others use others.
     data : bytes
         The schema itself.
     """
@@ -31,17 +31,19 @@ class Record:
     Parameters
     ----------
     topic : str
-        Topic, unique together with ``encoding`` within a file.
+        Topic.
     encoding : str
-        ``"protobuf"`` or ``"json"``.
+        ``"protobuf"`` or ``"json"``; others use others.
     schema : Schema | None
-        The topic's schema; the one of the topic's first record goes into a file.
+        What ``data`` looks like.
     data : bytes
         The encoded record.
     time_ns : int
-        Log time and publish time, Unix nanoseconds.
+        Log time, Unix nanoseconds.
     component : int
         MAVLink component that sent it, 0 where there is none.
+    publish_ns : int | None
+        Publish time, Unix nanoseconds, where it is another than the log time.
     """
 
     topic: str
@@ -50,3 +52,4 @@ class Record:
     data: bytes
     time_ns: int
     component: int = 0
+    publish_ns: int | None = None

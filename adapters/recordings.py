@@ -17,6 +17,7 @@ from adapters.message import Message
 
 if TYPE_CHECKING:
     from adapters.log_mapping import LogMapping
+    from adapters.record import Record
 
 RecordingKind = Literal["tlog", "mcap", "ulog", "dataflash"]
 
@@ -156,10 +157,14 @@ class Recording:
         """Return the messages as they stand in the files."""
         return self._read(self._only)
 
-    def _read(self, only: Collection[str] | None) -> Iterator[Message]:
+    def entries(self) -> Iterator[Message | Record]:
+        """Return what a copy is made of: records of MCAP with schema, bytes and times as they are, else messages."""
+        return self._read(self._only, encoded=True)
+
+    def _read(self, only: Collection[str] | None, *, encoded: bool = False) -> Iterator[Any]:
         unread = 0
         for file in self._files:
-            messages, damage = _open(self._kind, file, only)
+            messages, damage = _open(self._kind, file, only, encoded)
             try:
                 yield from messages
             except TelemetryError as error:
@@ -177,9 +182,9 @@ class Recording:
 
 
 def _open(
-    kind: RecordingKind, file: Path, only: Collection[str] | None
-) -> tuple[Iterable[Message], Callable[[], Damage | None]]:
-    """Return the messages of one file, and what says afterwards what of them is missing."""
+    kind: RecordingKind, file: Path, only: Collection[str] | None, encoded: bool
+) -> tuple[Iterable[Message | Record], Callable[[], Damage | None]]:
+    """Return the messages of one file, of MCAP its records if asked to, and what says afterwards what is missing."""
     if kind == "tlog":
         from adapters.tlog import TlogReader
 
@@ -198,7 +203,7 @@ def _open(
     from adapters.mcap_reader import MessageLogReader
 
     mcap = MessageLogReader(file, only)
-    return mcap, mcap.damage
+    return mcap.records() if encoded else mcap, mcap.damage
 
 
 def _tables(path: str | os.PathLike[str], mapping: str | os.PathLike[str] | None) -> LogMapping | None:

@@ -23,13 +23,13 @@ from adapters.mavlink_message import (
     message_number,
     packet_size,
 )
-from adapters.message import Message
+from adapters.message import LATEST_NS, Message
 
 TIME_BYTES = 8
 _MIN_RECORD = TIME_BYTES + HEAD_BYTES
 _MAX_RECORD = TIME_BYTES + MAX_PACKET_BYTES
 _MAGIC = re.compile(b"[\xfd\xfe]")
-MAX_TIME_US = (1 << 63) // 1_000
+MAX_TIME_US = LATEST_NS // 1_000
 
 
 @dataclass(frozen=True, slots=True)

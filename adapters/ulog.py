@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from adapters.errors import TelemetryError
 from adapters.log_bytes import LogStatistics, Window, text
-from adapters.message import Message
+from adapters.message import LATEST_NS, Message
 from adapters.ulog_format import UlogField, UlogType, compile_type, decode_keyed, parse_format
 
 SOURCE: Final = "ulog"
@@ -155,16 +155,17 @@ class UlogReader:
         """Step over the head of the file."""
         if not window.fill(_FILE_HEAD.size) or not window.data.startswith(_MAGIC):
             raise TelemetryError(f"{self._path}: not a ULog file although its name says so; check where it came from")
-        _, _, self._newest_us = _FILE_HEAD.unpack_from(window.data)
+        self._note_time(_FILE_HEAD.unpack_from(window.data)[2])
         window.at = _FILE_HEAD.size
 
     def _message(self, name: str, fields: dict[str, Any]) -> Message:
-        stamp_us = fields.get("timestamp")
-        if type(stamp_us) is int:
+        self._note_time(fields.get("timestamp"))
+        return Message(SOURCE, name, (self._newest_us + (self._offset_us or 0)) * 1_000, fields)
+
+    def _note_time(self, stamp_us: Any) -> None:
+        """Take the time of a record, unless it is none or damaged."""
+        if type(stamp_us) is int and 0 <= stamp_us + (self._offset_us or 0) < LATEST_NS // 1_000:
             self._newest_us = stamp_us
-        else:
-            stamp_us = self._newest_us
-        return Message(SOURCE, name, (stamp_us + (self._offset_us or 0)) * 1_000, fields)
 
     def _skip(self, window: Window, count: int) -> None:
         taken = count if window.fill(count) else window.left
@@ -282,8 +283,9 @@ def utc_minus_boot_us(path: str | os.PathLike[str]) -> int | None:
     """Return UTC minus time since boot in microseconds, from the first position fix in a log; None without one."""
     for message in UlogReader(path, GPS_TOPICS, 0):
         utc_us, boot_us, fix, relative_us = (_whole(message.fields.get(name)) for name in _RELATION)
-        if fix >= _FIX_3D and utc_us > _YEAR_2001_US:
-            return utc_us - boot_us - relative_us
+        found_us = utc_us - boot_us - relative_us
+        if fix >= _FIX_3D and utc_us > _YEAR_2001_US and 0 <= found_us < LATEST_NS // 1_000:
+            return found_us
     return None
 
 

@@ -44,8 +44,9 @@ HEADINGS = ("target", "minutes of a processor (on the clock)", "executions", "sl
 class Watch:
     """Runs one target on input after input, and keeps what is to be reported."""
 
-    def __init__(self, run: Any, seconds: float, folder: Path, slow_s: float) -> None:
+    def __init__(self, run: Any, seconds: float, folder: Path, slow_s: float, arrays: bool) -> None:
         self._run = run
+        self._arrays = arrays
         self._folder = folder
         self._seconds = seconds
         self._slow_s = slow_s
@@ -84,7 +85,7 @@ class Watch:
         end = _memory()
         warm = self._warm or end
         grown = end[0] - warm[0], end[1] - warm[1]
-        if grown[0] > GROWN_BYTES or grown[1] > GROWN_BLOCKS:
+        if not self._arrays and (grown[0] > GROWN_BYTES or grown[1] > GROWN_BLOCKS):
             self._note(f"growth: {grown[0] / 1e6:.0f} MB, {grown[1]} blocks", b"")
         (self._folder / "slowest").write_bytes(self._slowest[1])
         report = {
@@ -141,7 +142,7 @@ def work(name: str, seconds: float, seed: int, folder: Path) -> None:
         one.mkdir(parents=True, exist_ok=True)
     for data in target.seeds():
         (corpus / hashlib.sha256(data).hexdigest()[:16]).write_bytes(data[: target.largest])
-    watch = Watch(target.make(scratch), seconds, folder, target.slow_s)
+    watch = Watch(target.make(scratch), seconds, folder, target.slow_s, target.arrays)
     mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (mapped + ADDRESS_SPACE, resource.RLIM_INFINITY))
     options = [f"-max_len={target.largest}", f"-seed={seed}", f"-timeout={HANG_S}", "-rss_limit_mb=0", "-verbosity=0"]

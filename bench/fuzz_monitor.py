@@ -108,13 +108,13 @@ def _monitor(profile: Profile, sink: _Sink) -> VehicleMonitor:
     return VehicleMonitor(pipeline, [sink], sink, sink.event, START_NS)
 
 
-def _flight() -> list[Message]:
+def flight() -> list[Message]:
     found = list(itertools.islice(TlogReader(DATA / "copter_5s.tlog.xz"), 1500))
     shift = START_NS - found[0].received_ns
     return [replace(message, received_ns=message.received_ns + shift) for message in found]
 
 
-def _changed(draw: Draw, message: Message) -> Message:
+def changed(draw: Draw, message: Message) -> Message:
     """Return a message with a field that is odd, gone or new, or from another time or sender."""
     how = draw.number() % 8
     if how == 0:
@@ -134,7 +134,7 @@ def _changed(draw: Draw, message: Message) -> Message:
     return replace(message, fields=fields)
 
 
-def _own(draw: Draw, now_ns: int) -> Message:
+def own(draw: Draw, now_ns: int) -> Message:
     """Return a message that is no telemetry, with arbitrary fields."""
     source, name = draw.choice(
         (
@@ -193,7 +193,7 @@ def _pipeline(profile: Profile, telemetry: Sequence[Message]) -> Run:
                     monitor.take(telemetry[at])
                     at = (at + 1) % len(telemetry)
             elif how < 10:
-                message = _changed(draw, telemetry[at])
+                message = changed(draw, telemetry[at])
                 for _ in range(1 + 4 * (draw.number() % 3)):
                     monitor.take(message)
                 at = (at + 1) % len(telemetry)
@@ -212,14 +212,14 @@ def _pipeline(profile: Profile, telemetry: Sequence[Message]) -> Run:
                 else:
                     monitor.speak(sink, now_ns)
             else:
-                monitor.take(_own(draw, now_ns))
+                monitor.take(own(draw, now_ns))
         monitor.status(now_ns)
 
     return run
 
 
 def _quad(folder: Path) -> Run:
-    return _pipeline(read_profile(QUAD), _flight())
+    return _pipeline(read_profile(QUAD), flight())
 
 
 def _arm(folder: Path) -> Run:
@@ -514,8 +514,9 @@ TARGETS = (
         _pipeline_seeds,
         256,
         slow_s=5.0,
+        arrays=True,
     ),
-    Target("pipeline-arm", "the same through the reference arm's", _arm, _pipeline_seeds, 256, slow_s=5.0),
+    Target("pipeline-arm", "the same through the reference arm's", _arm, _pipeline_seeds, 256, 5.0, arrays=True),
     Target("journal", "a damaged journal", _journal, lambda: random_inputs(60)),
     Target("metrics", "HTTP requests", _metrics, _http_seeds, 1 << 14),
     Target("config", "the daemon's configuration, and on which line of it keys stand", _toml, _toml_seeds, 1 << 13),

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import fuzz_adapters
+import fuzz_blocks
+import fuzz_logs
 import fuzz_monitor
 
-_ORDER = ("mavlink", "zenoh", "commands", "subscriber", "pipeline-quad", "cdr", "mcap", "tlog")
-_ALL = {target.name: target for target in (*fuzz_adapters.TARGETS, *fuzz_monitor.TARGETS)}
+_MODULES = (fuzz_adapters, fuzz_logs, fuzz_monitor, fuzz_blocks)
+_ORDER = ("mavlink", "zenoh", "commands", "subscriber", "pipeline-quad", "cdr", "mcap", "tlog", "foreign", "blocks")
+_ALL = {target.name: target for module in _MODULES for target in module.TARGETS}
 
 TARGETS = {name: _ALL[name] for name in (*_ORDER, *(name for name in _ALL if name not in _ORDER))}

@@ -226,7 +226,9 @@ class Pipeline:
         return cut(block, 0, 0)
 
     def _foreign_in(self, block: Block) -> int:
-        return sum(
+        """Return how many messages are another vehicle's; those that are fed one by one are counted there."""
+        unfed = (one for one in block.others.values() if one.name not in self._interests)
+        return sum(not self.accepts(one) for one in unfed) + sum(
             len(one.position)
             for one in block.columns
             if one.source == "mavlink"

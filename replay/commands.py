@@ -128,13 +128,16 @@ def run_fit(args: argparse.Namespace) -> int:
 
 def run_convert(args: argparse.Namespace) -> int:
     """Run ``fauio convert``."""
+    from adapters.errors import TelemetryError
     from adapters.recordings import Recording, onboard_source
     from replay.convert import convert
     from replay.progress import recording_bytes, track
 
     recording, onboard = Recording(args.log), onboard_source(args.log)
-    records = track(recording.records(), args.log.name, total_bytes=recording_bytes(args.log))
-    count = convert(records, args.log.name, args.out, onboard)
+    if args.out.exists() and args.out.samefile(args.log):
+        raise TelemetryError(f"{args.out}: is the recording itself; give -o another name")
+    entries = track(recording.entries(), args.log.name, total_bytes=recording_bytes(args.log))
+    count = convert(entries, args.log.name, args.out, onboard)
     damage = _warn(recording.damage())
     if args.json:
         _say(json.dumps({"log": str(args.log), "out": str(args.out), "messages": count, "damage": damage}))

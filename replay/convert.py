@@ -4,36 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from importlib.metadata import version
+from itertools import chain, islice
 from pathlib import Path
 
 from adapters.mcap_log import MessageLogWriter
 from adapters.message import Message
+from adapters.record import Record
 from adapters.recordings import ONBOARD_LOG
 
 
-def convert(messages: Iterable[Message], source: str, target: Path, onboard: str | None = None) -> int:
+def convert(entries: Iterable[Message | Record], source: str, target: Path, onboard: str | None = None) -> int:
     """Write all messages to an MCAP file; return how many were written.
 
     Parameters
     ----------
-    messages : Iterable[Message]
-        The recording.
+    entries : Iterable[Message | Record]
+        The recording; a record is written as it is.
     source : str
         Name of the recording, kept in the file's metadata.
     target : Path
-        File to create.
+        File to create, once the recording has shown that it can be read.
     onboard : str | None
         Kind of onboard log, where the recording is one: a reader has to know what its records stand for.
 
     Raises
     ------
     TelemetryError
-        The file cannot be written.
+        The recording cannot be read, or the file cannot be written.
     """
+    remaining = iter(entries)
+    first = list(islice(remaining, 1))
     with MessageLogWriter(target) as writer:
         if onboard is not None:
             writer.add_metadata("fauio", {ONBOARD_LOG: onboard})
-        for message in messages:
-            writer.write(message)
+        for entry in chain(first, remaining):
+            if isinstance(entry, Record):
+                writer.write_record(entry)
+            else:
+                writer.write(entry)
         writer.add_metadata("fauio", {"fauio": version("fauio"), "converted_from": source})
         return writer.statistics().records

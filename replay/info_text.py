@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from monitor.alarm_text import printable
+
 _FORMATS = {
     "tlog": "MAVLink telemetry log",
     "mcap": "MCAP",
@@ -19,14 +21,14 @@ _WIDTH = 110
 
 
 def info_text(found: Mapping[str, Any]) -> str:
-    """Return the lines for what :func:`replay.info.info` found."""
+    """Return the lines for what :func:`replay.info.info` found, names from a recording without control characters."""
     kinds: dict[str, Callable[[Mapping[str, Any]], Iterator[str]]] = {
         "recording": _recording,
         "profile": _profile,
         "gains": _gains,
         "model": _model,
     }
-    return "\n".join(kinds[found["kind"]](found)) + "\n"
+    return "\n".join(map(printable, kinds[found["kind"]](found))) + "\n"
 
 
 def _recording(found: Mapping[str, Any]) -> Iterator[str]:

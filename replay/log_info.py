@@ -88,13 +88,17 @@ def _note(sender: _Sender, message: Message) -> None:
     """Take a heartbeat: the autopilot's says what the vehicle is, any other what its sender is."""
     fields = message.fields
     if is_autopilot_heartbeat(message) or sender.autopilot is None:
-        sender.type, sender.autopilot = fields.get("type"), fields.get("autopilot")
+        sender.type, sender.autopilot = (_whole(fields.get(name)) for name in ("type", "autopilot"))
     mode = fields.get("base_mode")
     if not is_autopilot_heartbeat(message) or not isinstance(mode, int):
         return
     if sender.armed_since_ns is not None:
         sender.armed_ns += max(0, message.received_ns - sender.armed_since_ns)
     sender.armed_since_ns = message.received_ns if mode & _ARMED else None
+
+
+def _whole(value: Any) -> int | None:
+    return value if type(value) is int else None
 
 
 def log_info(path: Path) -> dict[str, Any]:
@@ -127,11 +131,8 @@ def log_info(path: Path) -> dict[str, Any]:
     }
 
 
-def _moment(time_ns: int) -> str | None:
-    try:
-        return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).isoformat().replace("+00:00", "Z")
-    except (OverflowError, ValueError, OSError):
-        return None
+def _moment(time_ns: int) -> str:
+    return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).isoformat().replace("+00:00", "Z")
 
 
 def _message(name: str, tally: _Tally, found: Survey) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
-from adapters.message import Message
+from adapters.message import LATEST_NS, Message
 from adapters.phase import FlightPhase
 from adapters.strapdown_channels import INERTIAL_MESSAGES
 
@@ -71,15 +71,16 @@ def survey(messages: Iterable[Message]) -> Survey:
         if armed and not (message.name == _GPS_MESSAGE and _UNKNOWN in map(message.fields.get, ("vel", "cog"))):
             examples[message.name] = message.fields
         stamp = clock.stamp_ns(message.fields)
-        if stamp:
+        if stamp and abs(stamp) < LATEST_NS:
             first, _ = spans.get(message.name, (stamp, stamp))
             spans[message.name] = (first, stamp)
         if message.name == "HEARTBEAT" and message.fields.get("autopilot") != 8:
-            armed = bool(int(message.fields.get("base_mode", 0)) & 128)
+            mode = message.fields.get("base_mode")
+            armed = isinstance(mode, int) and bool(mode & 128)
         elif message.name == MOTOR_MESSAGE and armed and not message.fields.get("port"):
             for number in range(1, _OUTPUTS_PER_MESSAGE + 1):
                 pulse = message.fields.get(f"servo{number}_raw")
-                if isinstance(pulse, int) and pulse > 0:
+                if isinstance(pulse, int) and 0 < pulse <= _UNKNOWN:
                     total = sums.setdefault(number, [0.0, 0.0, 0.0])
                     total[0] += 1
                     total[1] += pulse

@@ -11,6 +11,7 @@ import random
 import zlib
 from collections.abc import Callable, Iterator
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,13 +20,17 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Chunk, Message
 from mcap.stream_reader import breakup_chunk
+from onboard_flights import dataflash_of, ulog_of
 
 from adapters.arm import SCENARIOS, simulate_arm
 from adapters.arm_source import arm_messages, arm_packets
 from adapters.mcap_log import MessageLogWriter
+from adapters.message import Message as Telemetry
+from adapters.tlog import TlogReader
 
 START_NS = 1_795_251_917_000_000_000
 CHUNK_BYTES = 4000
+FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
 RUN = simulate_arm(SCENARIOS["healthy"], 6.0, 100.0, "zero")
 
 
@@ -39,6 +44,12 @@ def _ours(path: Path) -> None:
             log.write(message)
             if number % 50 == 0:
                 log.flush()
+
+
+def _onboard(write: Callable[[list[Telemetry], Path], Path]) -> Callable[[Path], None]:
+    # without a position fix: the times of all messages hang on the first one
+    flight = [one for one in islice(TlogReader(FLIGHT), 1300) if one.name != "GPS_RAW_INT"]
+    return lambda path: ignore(write(flight, path))
 
 
 def _ros2(compression: str) -> Callable[[Path], None]:
@@ -65,6 +76,8 @@ KINDS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "json": (".mcap", lambda path: ignore(json_log(path, ARM_TOPIC, arm_rows(RUN), chunk_bytes=CHUNK_BYTES))),
     "protobuf": (".mcap", lambda path: ignore(protobuf_log(path, arm_rows(RUN), "lz4", CHUNK_BYTES))),
     "unchunked": (".mcap", _unchunked),
+    "ulog": (".ulg", _onboard(ulog_of)),
+    "dataflash": (".bin", _onboard(dataflash_of)),
 }
 """Kinds of logs by name: what their files end in, and what writes one."""
 
@@ -142,16 +155,21 @@ def damaged_files(data: bytes, count: int, seed: int) -> Iterator[tuple[str, Dam
 
 
 class Block(NamedTuple):
-    """A stretch of an undamaged file that is read as a whole or not at all, and how many messages it holds."""
+    """A stretch of an undamaged file that is read as a whole or not at all, and how many messages it holds.
+
+    ``defines``: what stands behind may be readable only with it.
+    """
 
     start: int
     stop: int
     messages: int
+    defines: bool = False
 
 
 def blocks(suffix: str, data: bytes) -> list[Block]:
     """Return the blocks of a file, by the format's own lengths: packets, chunks, or messages outside of chunks."""
-    return [*(_packets(data) if suffix == ".tlog" else _records(data))]
+    found = {".tlog": _packets, ".mcap": _records, ".ulg": _ulog_records, ".bin": _dataflash_records}[suffix]
+    return [*found(data)]
 
 
 def _packets(data: bytes) -> Iterator[Block]:
@@ -172,6 +190,26 @@ def _records(data: bytes) -> Iterator[Block]:
         elif data[at] == Opcode.CHUNK:
             records = breakup_chunk(Chunk.read(ReadDataStream(BytesIO(data[at + 9 : stop]))))
             yield Block(at, stop, sum(isinstance(record, Message) for record in records))
+        at = stop
+
+
+def _ulog_records(data: bytes) -> Iterator[Block]:
+    yield Block(0, 16, 0, defines=True)
+    at = 16
+    while at < len(data):
+        stop = at + 3 + int.from_bytes(data[at : at + 2], "little")
+        kind = data[at + 2 : at + 3]
+        yield Block(at, stop, kind not in b"ABFRS", kind in b"ABF")
+        at = stop
+
+
+def _dataflash_records(data: bytes) -> Iterator[Block]:
+    at, lengths = 0, {128: 89}
+    while at < len(data):
+        stop = at + lengths[data[at + 2]]
+        if data[at + 2] == 128:
+            lengths[data[at + 3]] = data[at + 4]
+        yield Block(at, stop, 1, data[at + 2] == 128)
         at = stop
 
 

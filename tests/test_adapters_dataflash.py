@@ -198,3 +198,12 @@ def test_a_format_that_contradicts_itself_is_damage(tmp_path: Path, whole: list[
     found, statistics = read(tmp_path, bytes(log.data))
     assert statistics.damaged == 1
     assert [key(m) for m in found] == [key(m) for m in whole]
+
+
+def test_a_damaged_time_is_that_of_the_record_before(tmp_path: Path) -> None:
+    log = DataflashWriter()
+    log.define("A", "Q", "TimeUS")
+    for time_us in (5, (1 << 64) - 1, 7):
+        log.add("A", time_us)
+    found = [message.received_ns for message in read_dataflash(log.write(tmp_path / "log.bin"), ("A",))]
+    assert found == [5_000, 5_000, 7_000]

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from foreign_logs import ARM_DEFINITION, ARM_TYPE, START_NS, arm_protobuf, mcap_log, ros2_bag, stamp
+from google.protobuf import descriptor_pb2
 
 from adapters.channels import parse_channel
 from adapters.foreign_record import foreign_decoder
@@ -140,3 +141,25 @@ def test_topics_of_others_are_not_taken_for_ours(tmp_path: Path) -> None:
         path = mcap_log(tmp_path / "log.mcap", topic, ("other.Type", "jsonschema", b"{}"), "json", [(START_NS, b"{}")])
         [message] = read_mcap_messages(path)
         assert (message.source, message.name) == ("zenoh", topic[1:])
+
+
+def hostile(*fields: tuple[str, int, int, str], name: str = "p.M") -> Schema:
+    """Return a schema of one message: name, type, label and type name of its fields."""
+    package, _, short = name.rpartition(".")
+    file = descriptor_pb2.FileDescriptorProto(name="a", package=package, syntax="proto2")
+    kind = file.message_type.add(name=short)
+    for number, (field, of, label, type_name) in enumerate(fields, 1):
+        kind.field.add(name=field, number=number, type=of, label=label, type_name=type_name or None)
+    return Schema(name, "protobuf", descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString())
+
+
+@pytest.mark.parametrize("name", ["HasField", "DESCRIPTOR", "FromString", "None", "self"])
+def test_a_protobuf_field_may_bear_any_name(name: str) -> None:
+    decode = foreign_decoder("/a", "protobuf", hostile((name, 5, 1, ""), ("other", 5, 1, "")))
+    assert decode(b"\x08\x07", 1).fields == {name: 7}
+
+
+def test_a_time_that_is_none_is_an_error_of_the_record() -> None:
+    schema = hostile(("a", 5, 1, ""), name="google.protobuf.Timestamp")
+    with pytest.raises(ValueError, match="Timestamp"):
+        foreign_decoder("/a", "protobuf", schema)(b"\x08\x07", 1)

@@ -144,3 +144,11 @@ def test_a_table_of_ones_own_is_followed() -> None:
     table = {"SCALED_PRESSURE": [{"topic": "tank", "press_abs": {"field": "p.raw[1]", "scale": 2.0, "offset": 1.0}}]}
     found = list(telemetry([record("tank", 1.0, p={"raw": [1, 3]})], parse_mapping(table, "x"), ("SCALED_PRESSURE",)))
     assert found[0].fields["press_abs"] == 7.0
+
+
+def test_what_overflows_between_two_records_is_left_unknown() -> None:
+    table = {"topic": "a", "cog": {"topic": "b", "field": "v", "interpolation": "linear", "unknown": 7}}
+    mapping = parse_mapping({"GPS_RAW_INT": [table]}, "")
+    records = [record("b", 0, v=-1e300), record("a", 400), record("b", 900, v=1e300)]
+    [found] = telemetry(records, mapping, {"GPS_RAW_INT"})
+    assert found.fields["cog"] == 7

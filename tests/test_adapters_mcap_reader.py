@@ -12,7 +12,7 @@ from mcap.writer import CompressionType, Writer
 
 from adapters.mcap_log import MessageLogWriter
 from adapters.mcap_reader import MessageLogReader, read_mcap_messages
-from adapters.message import Message
+from adapters.message import LATEST_NS, Message
 from adapters.recordings import Recording
 
 
@@ -158,3 +158,10 @@ def test_a_ros_2_bag_of_many_files_is_read_in_the_order_of_their_numbers(tmp_pat
     for number in range(12):
         json_log(tmp_path / f"rosbag2_2026_01_01-10_00_00_{number}.mcap", "/k", [(START_NS, {"n": number})])
     assert [message.fields["n"] for message in Recording(tmp_path)] == [*range(12)]
+
+
+def test_a_record_of_an_impossible_time_is_damaged(tmp_path: Path) -> None:
+    rows = [(START_NS, b"{}"), ((1 << 64) - 1, b"{}"), (LATEST_NS, b"{}"), (START_NS + 1, b"{}")]
+    reader = MessageLogReader(mcap_log(tmp_path / "log.mcap", "/a", ("a", "jsonschema", b"{}"), "json", rows))
+    assert [message.received_ns for message in reader] == [START_NS, START_NS + 1]
+    assert reader.statistics().damaged_records == 2

@@ -252,3 +252,23 @@ def test_a_long_stretch_of_zeros_is_passed_over(tmp_path: Path, whole: list[Mess
     assert found == whole
     assert (statistics.damaged, statistics.skipped_bytes) == (1, 300_000)
     assert statistics.unreadable == "damaged in 1 place, 300000 bytes unreadable"
+
+
+def test_a_damaged_time_is_that_of_the_record_before(tmp_path: Path) -> None:
+    log = UlogWriter(start_us=(1 << 64) - 1)
+    log.define("a", "uint64_t timestamp")
+    number = log.subscribe("a")
+    for time_us in (5, (1 << 64) - 1, 7):
+        log.add(number, "a", {"timestamp": time_us})
+    assert [message.received_ns for message in read_ulog(log.write(tmp_path / "log.ulg"))] == [5_000, 5_000, 7_000]
+
+
+@pytest.mark.parametrize(("boot_us", "utc_us"), [((1 << 64) - 1, UTC_US), (0, (1 << 64) - 1)])
+def test_a_position_fix_of_a_damaged_time_sets_no_clock(tmp_path: Path, boot_us: int, utc_us: int) -> None:
+    log = UlogWriter()
+    log.define("vehicle_gps_position", GPS)
+    number = log.subscribe("vehicle_gps_position")
+    for time_us, told_us in ((boot_us, utc_us), (1_000, UTC_US + 1_000)):
+        values = {"timestamp": time_us, "time_utc_usec": told_us, "fix_type": 3}
+        log.add(number, "vehicle_gps_position", values)
+    assert list(read_ulog(log.write(tmp_path / "log.ulg")))[-1].received_ns == (UTC_US + 1_000) * 1_000

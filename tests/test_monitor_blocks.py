@@ -191,3 +191,13 @@ def test_it_does_not_matter_where_blocks_end(cuts: list[int], seed: int, which: 
 def test_blocks_give_the_bits_of_single_messages_on_the_arm(arm_profile: Profile) -> None:
     messages = list(arm_messages(simulate_arm(SCENARIOS["case2"], 45.0, 100.0), 10**18))
     assert_same(one_by_one(arm_profile, messages), in_blocks(arm_profile, messages), arm_profile)
+
+
+def test_messages_of_strangers_are_counted_whether_they_are_columns_or_not(quad: Profile, data: Path) -> None:
+    messages = list(read_recording(data / "copter_5s.tlog.xz"))
+    for place in (600, 400):
+        messages.insert(place, Message("mavlink", "STATUSTEXT", messages[place].received_ns, {"text": "x"}, 9, 1))
+        messages.insert(place, Message("mavlink", "ATTITUDE", messages[place].received_ns, {"roll": "x"}, 9, 1))
+    plain = one_by_one(quad, messages)
+    assert plain[2].foreign >= 4
+    assert_same(plain, in_blocks(quad, messages), quad)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +15,8 @@ import fauio
 from adapters.arm import SCENARIOS, simulate_arm
 from adapters.arm_source import arm_messages
 from adapters.mcap_log import MessageLogWriter
-from adapters.message import Message
 from adapters.recordings import read_recording
+from adapters.tlog import TlogReader
 from monitor.profile import Profile
 from replay.player import play
 
@@ -137,10 +139,23 @@ def test_a_recording_of_nothing_is_told(tmp_path: Path, capsys: pytest.CaptureFi
     assert "no messages" in told(capsys, tmp_path / "empty.mcap")
 
 
-def test_a_time_that_no_calendar_has_is_told_as_a_number(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"type": {"a": 1}, "autopilot": [3], "base_mode": [128]},
+        {"time_boot_ms": 10**400, "base_mode": "x"},
+        {"servo1_raw": 10**400, "port": 0, "time_usec": -(10**300)},
+    ],
+)
+@pytest.mark.parametrize("name", ["HEARTBEAT", "SERVO_OUTPUT_RAW"])
+def test_fields_of_any_type_and_size_are_told(
+    fields: dict[str, Any], name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with MessageLogWriter(tmp_path / "odd.mcap") as log:
-        log.write(Message("zenoh", "k", 2**64 - 1, {}))
-    assert ask(capsys, tmp_path / "odd.mcap")["start_ns"] == 2**64 - 1
+        for number, message in enumerate(islice(TlogReader(FLIGHT), 400)):
+            odd = message.name == name and number % 3
+            log.write(replace(message, fields={**message.fields, **fields}) if odd else message)
+    assert ask(capsys, tmp_path / "odd.mcap")["count"] == 400
     assert "odd.mcap" in told(capsys, tmp_path / "odd.mcap")
 
 
