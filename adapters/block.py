@@ -6,8 +6,8 @@ exactly what the messages say one by one: :func:`messages` gives them back, :fun
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -114,6 +114,25 @@ def cut(block: Block, start: int, stop: int) -> Block:
         )
     others = {place - start: message for place, message in block.others.items() if start <= place < stop}
     return Block(stop - start, tuple(columns), others)
+
+
+def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Block:
+    """Return columns and messages, all at places of their own, as a block; where there is none, places close up.
+
+    Columns of a name and sender that came before become messages.
+    """
+    kept: dict[tuple[str, int, int], Columns] = {}
+    others = dict(single)
+    for one in columns:
+        if one is not kept.setdefault((one.name, one.system, one.component), one):
+            others.update((int(one.position[row]), one_message(one, row)) for row in range(len(one.position)))
+    places = np.concatenate([np.array([*others], np.int64), *(one.position for one in kept.values())])
+    places.sort()
+    closed = tuple(
+        replace(one, position=np.searchsorted(places, one.position).astype(np.int64)) for one in kept.values()
+    )
+    at = np.searchsorted(places, [*others]).tolist()
+    return Block(len(places), closed, dict(zip(at, others.values(), strict=True)))
 
 
 def pack(stretch: Sequence[Message]) -> Block:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
 
+from adapters.block import Columns
 from adapters.message import Message
+from adapters.protobuf_rows import ProtobufRows
 from adapters.protobuf_types import Field, Scalar, message_class
 
 PACKAGE = "mavlink"
@@ -70,6 +75,10 @@ class MavlinkProtobuf:
         self._single = tuple(field.name for field in body if not field.is_repeated)
         self._repeated = tuple(field.name for field in body if field.is_repeated)
         self._order = tuple(field.name for field in body)
+        try:
+            self._rows: ProtobufRows | None = ProtobufRows(pb_class)
+        except ValueError:
+            self._rows = None
 
     def to_bytes(self, message: Message) -> bytes:
         """Return the serialized protobuf message.
@@ -110,6 +119,55 @@ class MavlinkProtobuf:
             system=getattr(decoded, self._system),
             component=getattr(decoded, self._component),
         )
+
+    def rows_to_bytes(self, columns: Columns) -> list[bytes]:
+        """Return what :meth:`to_bytes` does of each message.
+
+        Raises
+        ------
+        ValueError
+            They have to be taken one by one.
+        """
+        if self._rows is None:
+            raise ValueError(f"{columns.name} is no message of numbers alone")
+        count = len(columns.position)
+        ids = {self._system: np.full(count, columns.system), self._component: np.full(count, columns.component)}
+        return self._rows.encode({**ids, **columns.fields}, count)
+
+    def rows_from_bytes(
+        self, data: Sequence[bytes], name: str, received_ns: NDArray[np.int64], position: NDArray[np.int64]
+    ) -> list[Columns] | None:
+        """Return what :meth:`from_bytes` does of each record, by sender; None where they have to be taken one by one.
+
+        Parameters
+        ----------
+        data : Sequence[bytes]
+            The n records.
+        name : str
+            Name of the message.
+        received_ns, position : NDArray[np.int64]
+            Their times and places in the block (n,).
+        """
+        found = None if self._rows is None else self._rows.decode(data)
+        if found is None:
+            return None
+        system, component = found.pop(self._system), found.pop(self._component)
+        sender = system.astype(np.int64) << 32 | component.astype(np.int64)
+        columns = []
+        for one in np.unique(sender).tolist():
+            rows = sender == one
+            columns.append(
+                Columns(
+                    source="mavlink",
+                    name=name,
+                    system=one >> 32,
+                    component=one & 0xFFFFFFFF,
+                    position=position[rows],
+                    received_ns=received_ns[rows],
+                    fields={field: found[field][rows] for field in self._order},
+                )
+            )
+        return columns
 
 
 def _is_id(field: Any) -> bool:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self, cast
 
+import numpy as np
+
 from adapters.errors import TelemetryError
 from adapters.mcap_writer import McapWriter
 from adapters.message import Message
 from adapters.message_record import encode
-from adapters.record import Record, Schema
+from adapters.record import Record, Records, Schema
 
 MAX_CHANNELS = 4096
 
@@ -109,12 +111,35 @@ class MessageLogWriter:
         """Record what is encoded already; a schema goes into the file with the topic's first record of that kind."""
         if self._closed:
             raise RuntimeError("the log is closed; open another one")
-        channel = self._channels.get((record.topic, record.encoding, record.schema)) or self._register(record)
+        channel = self._channel(record.topic, record.encoding, record.schema)
         if channel is None or not 0 <= record.time_ns < 1 << 64:
             self._unrecordable += 1
             return
         self._records += 1
         self._writer.add_message(channel, record.time_ns, record.data, record.publish_ns)
+
+    def write_together(self, topics: Sequence[Records]) -> None:
+        """Record many records of several topics, by their places."""
+        if self._closed:
+            raise RuntimeError("the log is closed; open another one")
+        channels: list[int] = []
+        times_ns: list[int] = []
+        data: list[bytes] = []
+        for one in topics:
+            if one.data:
+                number = self._channel(one.topic, one.encoding, one.schema)
+                channels += [number or 0] * len(one.data)
+                times_ns += one.time_ns.tolist()
+                data += one.data
+        if not data:
+            return
+        add = self._writer.add_message
+        for k in np.argsort(np.concatenate([one.place for one in topics]), kind="stable").tolist():
+            if not channels[k] or times_ns[k] < 0:
+                self._unrecordable += 1
+                continue
+            self._records += 1
+            add(channels[k], times_ns[k], data[k])
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record."""
@@ -158,12 +183,12 @@ class MessageLogWriter:
     ) -> None:
         self.close()
 
-    def _register(self, record: Record) -> int | None:
-        """Return the id of a new channel, None where the file has too many already."""
-        if len(self._channels) >= MAX_CHANNELS:
-            return None
-        schema = record.schema
+    def _channel(self, topic: str, encoding: str, schema: Schema | None) -> int | None:
+        """Return the id of a channel, None where it would be new and the file has too many already."""
+        known = self._channels.get((topic, encoding, schema))
+        if known is not None or len(self._channels) >= MAX_CHANNELS:
+            return known
         schema_id = 0 if schema is None else self._writer.add_schema(schema.name, schema.encoding, schema.data)
-        channel = self._writer.add_channel(record.topic, record.encoding, schema_id)
-        self._channels[record.topic, record.encoding, schema] = channel
+        channel = self._writer.add_channel(topic, encoding, schema_id)
+        self._channels[topic, encoding, schema] = channel
         return channel

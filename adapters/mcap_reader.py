@@ -6,12 +6,14 @@ import contextlib
 import os
 import struct
 import zlib
-from collections.abc import Container, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -19,14 +21,18 @@ from mcap.records import Channel, Metadata, Statistics
 from mcap.records import Schema as McapSchema
 from mcap.writer import MCAP0_MAGIC
 
+from adapters.block import Block, Columns, gathered, pack
 from adapters.damage import Damage, counted
 from adapters.foreign_record import described, foreign_decoder, foreign_name
 from adapters.mcap_records import RECORD_HEAD, UNREADABLE, McapRecords
 from adapters.message import LATEST_NS, Message
-from adapters.message_record import Decode, decoder, recorded_name
+from adapters.message_record import Decode, MavlinkRecords, decoder, recorded_name
 from adapters.record import Record, Schema
 
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
+# head of a record, then of a message
+_MESSAGE = struct.Struct("<BQHIQQ")
+_RECORD_HEAD_BYTES = RECORD_HEAD.size
+_MESSAGE_HEAD_BYTES = _MESSAGE.size - RECORD_HEAD.size
 # the footer and the magic behind it; the checksum is over the summary and the footer up to itself
 _END = struct.Struct("<BQQQI8s")
 _CHECKED_FOOTER_BYTES = 25
@@ -148,17 +154,57 @@ class MessageLogReader:
             The file cannot be opened, is no MCAP file or needs a compression that is not installed.
         """
         for topic, time_ns, _, data in self._data():
-            decode = topic.decode or self._decoder(topic)
-            if decode is None:
-                self._other_records += 1
-                continue
-            try:
-                message = decode(data, time_ns)
-            except UNREADABLE:
-                self._damaged_records += 1
-                continue
-            self._messages += 1
-            yield message
+            message = self._decoded(topic, time_ns, data)
+            if message is not None:
+                yield message
+
+    def _decoded(self, topic: _Topic, time_ns: int, data: bytes) -> Message | None:
+        """Return a message and count it, None where it cannot be decoded."""
+        decode = topic.decode or self._decoder(topic)
+        if decode is None:
+            self._other_records += 1
+            return None
+        try:
+            message = decode(data, time_ns)
+        except UNREADABLE:
+            self._damaged_records += 1
+            return None
+        self._messages += 1
+        return message
+
+    def blocks(self, count: int) -> Iterator[Block]:
+        """Return the messages in blocks of ``count``, fewer where some cannot be read; raises as iteration does."""
+        data = self._data()
+        while stretch := list(islice(data, count)):
+            by_topic: dict[int, tuple[_Topic, list[int]]] = {}
+            for place, (topic, *_) in enumerate(stretch):
+                by_topic.setdefault(id(topic), (topic, []))[1].append(place)
+            columns: list[Columns] = []
+            places: list[int] = []
+            for topic, group in by_topic.values():
+                found = self._columns(topic, [stretch[place] for place in group], group)
+                columns += found or ()
+                places += () if found else group
+            single = {}
+            for place in sorted(places):
+                topic, time_ns, _, record = stretch[place]
+                message = self._decoded(topic, time_ns, record)
+                if message is not None:
+                    single[place] = message
+            if columns or single:
+                yield _block(columns, single)
+
+    def _columns(
+        self, topic: _Topic, group: Sequence[tuple[_Topic, int, int, bytes]], places: Sequence[int]
+    ) -> list[Columns] | None:
+        """Return the messages of a topic and count them, None where they have to be taken one by one."""
+        decode = topic.decode or self._decoder(topic)
+        if not isinstance(decode, MavlinkRecords):
+            return None
+        times_ns = np.array([time_ns for _, time_ns, _, _ in group], np.int64)
+        found = decode.columns([data for *_, data in group], times_ns, np.array(places))
+        self._messages += len(group) if found else 0
+        return found
 
     def records(self) -> Iterator[Record]:
         """Return the wanted records as they stand in the file, readable or not; raises as iteration does."""
@@ -200,25 +246,28 @@ class MessageLogReader:
                 self._define(opcode, body)
 
     def _from_chunk(self, data: bytes) -> Iterator[tuple[_Topic, int, int, bytes]]:
-        topics, at, last = self._topics, 0, len(data) - RECORD_HEAD.size
+        topics, at, end = self._topics, 0, len(data)
+        last = end - RECORD_HEAD.size
+        unpack_from, message, head_bytes = _MESSAGE.unpack_from, int(Opcode.MESSAGE), _MESSAGE.size
+        # every record is looked at as if it were a message: the last one may be shorter
+        data += bytes(_MESSAGE_HEAD_BYTES)
         while at <= last:
-            opcode, length = RECORD_HEAD.unpack_from(data, at)
-            start = at + RECORD_HEAD.size
-            at = start + length
-            if at > len(data):
+            opcode, length, channel, _, time_ns, publish_ns = unpack_from(data, at)
+            start = at
+            at += _RECORD_HEAD_BYTES + length
+            if at > end:
                 return
-            if opcode != Opcode.MESSAGE:
-                self._define(opcode, data[start:at])
+            if opcode != message:
+                self._define(opcode, data[start + _RECORD_HEAD_BYTES : at])
                 continue
-            if length < _MESSAGE_HEAD.size:
+            if length < _MESSAGE_HEAD_BYTES:
                 self._damaged_records += 1
                 continue
-            channel, _, time_ns, publish_ns = _MESSAGE_HEAD.unpack_from(data, start)
             topic = topics.get(channel)
             if topic is None or time_ns >= LATEST_NS:
                 self._damaged_records += 1
             elif topic.wanted:
-                yield topic, time_ns, publish_ns, data[start + _MESSAGE_HEAD.size : at]
+                yield topic, time_ns, publish_ns, data[start + head_bytes : at]
             else:
                 self._other_records += 1
 
@@ -274,6 +323,13 @@ class MessageLogReader:
 
     def _seen(self) -> int:
         return self._messages + self._other_records + self._damaged_records
+
+
+def _block(columns: list[Columns], single: Mapping[int, Message]) -> Block:
+    """Return what was decoded together and one by one as a block; of the latter, what can be, as columns too."""
+    packed, place = pack([*single.values()]), np.array([*single], np.int64)
+    columns += (replace(one, position=place[one.position]) for one in packed.columns)
+    return gathered(columns, {int(place[at]): message for at, message in packed.others.items()})
 
 
 def read_mcap_messages(path: str | os.PathLike[str], only: Container[str] | None = None) -> Iterator[Message]:

@@ -45,6 +45,11 @@ _RECORD_HEAD = struct.Struct("<BQ")
 _INDEX_ENTRY = struct.Struct("<QQ")
 _FOOTER = struct.Struct("<BQQQ")
 _FOOTER_BYTES = 20
+# what is the same for each message, looked up once
+_MESSAGE_OPCODE = int(Opcode.MESSAGE)
+_MESSAGE_BYTES = _MESSAGE.size - _RECORD_HEAD.size
+_pack_message, _pack_entry = _MESSAGE.pack, _INDEX_ENTRY.pack
+_NEVER_NS = 1 << 64
 # footer, statistics and summary offsets, apart from the channels' counts
 _SUMMARY_BYTES = 1024
 
@@ -71,7 +76,7 @@ class McapWriter:
         self._at = 0
         self._compressor = zstandard.ZstdCompressor()
         self._chunk = bytearray()
-        self._chunk_times: tuple[int, int] | None = None
+        self._chunk_first_ns, self._chunk_last_ns = _NEVER_NS, 0
         self._chunk_messages = 0
         self._message_index: dict[int, bytearray] = {}
         self._schemas = bytearray()
@@ -144,23 +149,20 @@ class McapWriter:
         """Add a message, its log time and publish time being the same where no other is given."""
         if self._failed is not None:
             raise _again(self._failed)
+        chunk = self._chunk
         entries = self._message_index.get(channel)
         if entries is None:
             entries = self._message_index[channel] = bytearray()
-        entries += _INDEX_ENTRY.pack(time_ns, len(self._chunk))
-        self._chunk += _MESSAGE.pack(
-            Opcode.MESSAGE,
-            _MESSAGE.size - _RECORD_HEAD.size + len(data),
-            channel,
-            0,
-            time_ns,
-            time_ns if publish_ns is None else publish_ns,
-        )
-        self._chunk += data
+        entries += _pack_entry(time_ns, len(chunk))
+        published_ns = time_ns if publish_ns is None else publish_ns
+        chunk += _pack_message(_MESSAGE_OPCODE, _MESSAGE_BYTES + len(data), channel, 0, time_ns, published_ns)
+        chunk += data
         self._chunk_messages += 1
-        first, last = self._chunk_times or (time_ns, time_ns)
-        self._chunk_times = (min(first, time_ns), max(last, time_ns))
-        if len(self._chunk) > CHUNK_BYTES:
+        if time_ns < self._chunk_first_ns:  # noqa: PLR1730 - a call of min takes as long as all else here
+            self._chunk_first_ns = time_ns
+        if time_ns > self._chunk_last_ns:  # noqa: PLR1730 - here too
+            self._chunk_last_ns = time_ns
+        if len(chunk) > CHUNK_BYTES:
             self._end_chunk()
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
@@ -219,9 +221,9 @@ class McapWriter:
         self._stream.flush()
 
     def _end_chunk(self) -> None:
-        if self._chunk_times is None:
+        if not self._chunk_messages:
             return
-        first, last = self._chunk_times
+        first, last = self._chunk_first_ns, self._chunk_last_ns
         packed = self._compressor.compress(self._chunk)
         head = _CHUNK.pack(
             Opcode.CHUNK,
@@ -262,7 +264,7 @@ class McapWriter:
 
     def _begin_chunk(self) -> None:
         self._chunk = bytearray()
-        self._chunk_times = None
+        self._chunk_first_ns, self._chunk_last_ns = _NEVER_NS, 0
         self._chunk_messages = 0
         self._message_index = {}
 

@@ -5,15 +5,20 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.block import Columns
 from adapters.foreign_record import json_object
 from adapters.log_schema import LogProtobuf, to_protobuf
 from adapters.mavlink_schema import PACKAGE, MavlinkProtobuf, mavlink_protobuf
 from adapters.message import LATEST_NS, Message
 from adapters.protobuf_types import class_from_descriptor_set, descriptor_set
-from adapters.record import Record, Schema
+from adapters.record import Record, Records, Schema
 
 # Telemetry without MAVLink ids, and what else a pipeline is fed: time that passes, operators, the journal.
 _JSON_SOURCES = ("zenoh", "clock", "operator", "journal")
@@ -64,6 +69,19 @@ def encode(message: Message) -> Record:
     return Record(topic, "json", _JSON_SCHEMA, data, message.received_ns, message.component)
 
 
+def encode_columns(columns: Columns) -> Records | None:
+    """Return messages as :func:`encode` does, None where they have to be taken one by one."""
+    kind = mavlink_protobuf(columns.name) if columns.source == "mavlink" else None
+    if kind is None or (columns.received_ns < 0).any():
+        return None
+    try:
+        data = kind.rows_to_bytes(columns)
+    except ValueError:
+        return None
+    topic = f"/{columns.source}/{columns.name}"
+    return Records(topic, "protobuf", _mavlink_schema(kind), data, columns.received_ns, columns.position)
+
+
 def recorded_name(topic: str, encoding: str, schema: str | None) -> str | None:
     """Return the name of the messages on a topic of ours, None where others made the topic.
 
@@ -107,7 +125,7 @@ def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Deco
     if source == "mavlink":
         if encoding == "protobuf" and schema is not None:
             kind = MavlinkProtobuf(class_from_descriptor_set(schema[1], schema[0]))
-            return lambda data, time_ns: kind.from_bytes(data, name, time_ns)
+            return MavlinkRecords(kind, name)
         return lambda data, time_ns: _mavlink_from_json(data, name, time_ns)
     if source == "link":
         return lambda data, time_ns: _link_from_json(data, name, time_ns)
@@ -115,6 +133,32 @@ def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Deco
         log = LogProtobuf(*schema)
         return lambda data, time_ns: Message(source, name, time_ns, log.fields(data))
     return lambda data, time_ns: Message(source, name, time_ns, json_object(data))
+
+
+@dataclass(frozen=True, slots=True)
+class MavlinkRecords:
+    """Decodes the records of one MAVLink message, one by one when called, or many at once.
+
+    Parameters
+    ----------
+    kind : MavlinkProtobuf
+        Their type.
+    name : str
+        The message's name.
+    """
+
+    kind: MavlinkProtobuf
+    name: str
+
+    def __call__(self, data: bytes, time_ns: int) -> Message:
+        """Return one of them as a message; see :meth:`MavlinkProtobuf.from_bytes`."""
+        return self.kind.from_bytes(data, self.name, time_ns)
+
+    def columns(
+        self, data: Sequence[bytes], time_ns: NDArray[np.int64], position: NDArray[np.int64]
+    ) -> list[Columns] | None:
+        """Return them all as columns; see :meth:`MavlinkProtobuf.rows_from_bytes`."""
+        return self.kind.rows_from_bytes(data, self.name, time_ns, position)
 
 
 @functools.cache

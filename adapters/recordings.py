@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from adapters.block import Block, pack
 from adapters.damage import Damage, scan_damage
@@ -18,6 +18,8 @@ from adapters.message import Message
 if TYPE_CHECKING:
     from adapters.log_mapping import LogMapping
     from adapters.record import Record
+
+T = TypeVar("T")
 
 RecordingKind = Literal["tlog", "mcap", "ulog", "dataflash"]
 
@@ -142,16 +144,9 @@ class Recording:
         ``count`` says how far to read ahead: about as many messages, wanted or not, of a telemetry log; as many wanted
         ones of other recordings.
         """
-        if self._kind != "tlog":
-            yield from packed(self, count)
-            return
-        from adapters.tlog_columns import TlogBlocks
-
-        for file in self._files:
-            blocks = TlogBlocks(file, self._only, count * _TYPICAL_RECORD_BYTES)
-            yield from blocks
-            found = scan_damage(file.name, blocks.statistics())
-            self._damage.extend([found] if found else [])
+        if self._kind == "tlog" or (self._kind == "mcap" and self._tables is None):
+            return self._through(lambda file: _open_blocks(self._kind, file, self._only, count))
+        return packed(self, count)
 
     def records(self) -> Iterator[Message]:
         """Return the messages as they stand in the files."""
@@ -159,14 +154,18 @@ class Recording:
 
     def entries(self) -> Iterator[Message | Record]:
         """Return what a copy is made of: records of MCAP with schema, bytes and times as they are, else messages."""
-        return self._read(self._only, encoded=True)
+        return self._through(lambda file: _open_entries(self._kind, file, self._only))
 
-    def _read(self, only: Collection[str] | None, *, encoded: bool = False) -> Iterator[Any]:
+    def _read(self, only: Collection[str] | None) -> Iterator[Message]:
+        return self._through(lambda file: _open(self._kind, file, only))
+
+    def _through(self, opened: Callable[[Path], tuple[Iterable[T], Callable[[], Damage | None]]]) -> Iterator[T]:
+        """Yield what the files hold, one file after the other, and keep what of them could not be read."""
         unread = 0
         for file in self._files:
-            messages, damage = _open(self._kind, file, only, encoded)
+            items, damage = opened(file)
             try:
-                yield from messages
+                yield from items
             except TelemetryError as error:
                 unread += 1
                 if unread == len(self._files):
@@ -182,9 +181,9 @@ class Recording:
 
 
 def _open(
-    kind: RecordingKind, file: Path, only: Collection[str] | None, encoded: bool
-) -> tuple[Iterable[Message | Record], Callable[[], Damage | None]]:
-    """Return the messages of one file, of MCAP its records if asked to, and what says afterwards what is missing."""
+    kind: RecordingKind, file: Path, only: Collection[str] | None
+) -> tuple[Iterable[Message], Callable[[], Damage | None]]:
+    """Return the messages of one file, and what says afterwards what of it is missing."""
     if kind == "tlog":
         from adapters.tlog import TlogReader
 
@@ -203,7 +202,34 @@ def _open(
     from adapters.mcap_reader import MessageLogReader
 
     mcap = MessageLogReader(file, only)
-    return mcap.records() if encoded else mcap, mcap.damage
+    return mcap, mcap.damage
+
+
+def _open_entries(
+    kind: RecordingKind, file: Path, only: Collection[str] | None
+) -> tuple[Iterable[Message | Record], Callable[[], Damage | None]]:
+    """Return the records of an MCAP file, the messages of any other, and what says afterwards what is missing."""
+    if kind != "mcap":
+        return _open(kind, file, only)
+    from adapters.mcap_reader import MessageLogReader
+
+    mcap = MessageLogReader(file, only)
+    return mcap.records(), mcap.damage
+
+
+def _open_blocks(
+    kind: RecordingKind, file: Path, only: Collection[str] | None, count: int
+) -> tuple[Iterable[Block], Callable[[], Damage | None]]:
+    """Return the blocks of a telemetry log or MCAP file, and what says afterwards what of it is missing."""
+    if kind == "tlog":
+        from adapters.tlog_columns import TlogBlocks
+
+        tlog = TlogBlocks(file, only, count * _TYPICAL_RECORD_BYTES)
+        return tlog, lambda: scan_damage(file.name, tlog.statistics())
+    from adapters.mcap_reader import MessageLogReader
+
+    mcap = MessageLogReader(file, only)
+    return mcap.blocks(count), mcap.damage
 
 
 def _tables(path: str | os.PathLike[str], mapping: str | os.PathLike[str] | None) -> LogMapping | None:

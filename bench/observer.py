@@ -4,6 +4,7 @@
     python bench/observer.py --json      print the same as JSON
     python bench/observer.py --write     write docs/observer-cost.md and its figure
     python bench/observer.py --long      up to 1e8 samples instead of 1e7
+    python bench/observer.py --quick     up to 1e5 samples
 
 Times are processor time, the best of several runs on one core. The textbook's loop is the observer's equations as
 NumPy expressions, one sample after the other.
@@ -287,8 +288,9 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print JSON instead of Markdown")
     parser.add_argument("--write", action="store_true", help="write docs/observer-cost.md and its figure")
     parser.add_argument("--long", action="store_true", help="up to 1e8 samples")
+    parser.add_argument("--quick", action="store_true", help="up to 1e5 samples")
     arguments = parser.parse_args()
-    found = measure([10**k for k in range(3, 9 if arguments.long else 8)])
+    found = measure([10**k for k in range(3, 9 if arguments.long else 6 if arguments.quick else 8)])
     if arguments.write:
         draw(found, ROOT / "docs/images/observer-cost.png")
         (ROOT / "docs/observer-cost.md").write_text(page(found), encoding="utf-8")

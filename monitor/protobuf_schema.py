@@ -6,11 +6,13 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from adapters.protobuf_rows import Columns, ProtobufRows
 from adapters.protobuf_types import TIMESTAMP, Field, identifiers, message_class
-from adapters.sample import Sample
-from monitor.estimate import Estimate, Layout
+from adapters.sample import Sample, Samples
+from monitor.estimate import Estimate, Estimates, Layout
 from monitor.event import AlarmEvent
 
 _TIMES = (Field("time", TIMESTAMP), Field("vehicle_time_ns", "int64"), Field("index", "int64"))
@@ -31,6 +33,7 @@ class SampleType:
         flags = (Field("restart", "bool"), Field("complete", "bool"), Field("measured", "bool"))
         fields = (*_TIMES, Field("u", _numbers(self._u)), Field("y", _numbers(self._y)), *flags)
         self.pb_class = message_class(_package(layout), "Sample", fields)
+        self._rows = ProtobufRows(self.pb_class)
 
     def record(self, sample: Sample) -> Any:
         """Return the protobuf message of a sample."""
@@ -42,6 +45,18 @@ class SampleType:
             complete=sample.complete,
             measured=sample.measured,
         )
+
+    def rows(self, samples: Samples) -> list[bytes]:
+        """Return the serialized protobuf messages of samples."""
+        columns: Columns = {
+            **_columns_of_times(samples),
+            "u": _columns(self._u, samples.u),
+            "y": _columns(self._y, samples.y),
+            "restart": samples.restart,
+            "complete": samples.complete,
+            "measured": samples.measured,
+        }
+        return self._rows.encode(columns, len(samples))
 
 
 class EstimateType:
@@ -68,6 +83,7 @@ class EstimateType:
             Field("coasted_s", "double"),
         )
         self.pb_class = message_class(_package(layout), "Estimate", fields)
+        self._rows = ProtobufRows(self.pb_class)
 
     def record(self, estimate: Estimate) -> Any:
         """Return the protobuf message of an estimate."""
@@ -81,6 +97,20 @@ class EstimateType:
             sd=_values(self._fault, estimate.sd),
             coasted_s=estimate.coasted_s,
         )
+
+    def rows(self, estimates: Estimates) -> list[bytes]:
+        """Return the serialized protobuf messages of estimates."""
+        columns: Columns = {
+            **_columns_of_times(estimates.samples),
+            "x": _columns(self._x, estimates.x),
+            "fault": _columns(self._fault, estimates.fault),
+            "isolated": _columns(self._fault, estimates.isolated),
+            "residual": _columns(self._residual, estimates.residual),
+            "armed": estimates.armed,
+            "sd": _columns(self._fault, estimates.sd),
+            "coasted_s": estimates.coasted_s,
+        }
+        return self._rows.encode(columns, len(estimates))
 
 
 def alarm_record(event: AlarmEvent) -> Any:
@@ -128,3 +158,13 @@ def _times(sample: Sample) -> dict[str, Any]:
 
 def _values(names: Sequence[str], values: NDArray[Any]) -> dict[str, float]:
     return dict(zip(names, values.tolist(), strict=True))
+
+
+def _columns_of_times(samples: Samples) -> Columns:
+    seconds, nanos = np.divmod(samples.time_ns, 1_000_000_000)
+    time = {"seconds": seconds, "nanos": nanos}
+    return {"time": time, "vehicle_time_ns": samples.vehicle_time_ns, "index": samples.index}
+
+
+def _columns(names: Sequence[str], values: NDArray[np.float64]) -> Columns:
+    return dict(zip(names, values.T, strict=True))

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
+import numpy as np
+
+from adapters.block import Block, one_message
 from adapters.message import Message
-from adapters.message_record import encode
+from adapters.message_record import encode, encode_columns
 from adapters.protobuf_types import descriptor_set
-from adapters.record import Record, Schema
-from monitor.estimate import Estimate, Layout
+from adapters.record import Record, Records, Schema, single
+from monitor.estimate import Estimate, Estimates, Layout
 from monitor.event import AlarmEvent
 from monitor.payload import ALARM_SCHEMA, to_json
 from monitor.protobuf_schema import EstimateType, SampleType, alarm_record
@@ -70,6 +73,30 @@ class RecordEncoder:
             Record(f"{OWN_TOPICS}{name}/sample", "protobuf", self._sample_schemas[name], _bytes(sample), time_ns),
             Record(f"{OWN_TOPICS}{name}/estimate", "protobuf", self._estimate_schemas[name], _bytes(found), time_ns),
         )
+
+    def block(self, block: Block) -> list[Records]:
+        """Return the records of a stretch of telemetry by topic."""
+        found: list[Records] = []
+        for columns in block.columns:
+            records = encode_columns(columns)
+            if records is not None:
+                found.append(records)
+            else:
+                places = enumerate(columns.position.tolist())
+                found += self._singly((place, one_message(columns, row)) for row, place in places)
+        return [*found, *self._singly(block.others.items())]
+
+    def _singly(self, messages: Iterable[tuple[int, Message]]) -> list[Records]:
+        return [single(record, place) for place, message in messages for record in self.message(message)]
+
+    def estimates(self, estimates: Estimates) -> list[Records]:
+        """Return the samples that estimates were computed from, and the estimates, as :meth:`estimate` does."""
+        name, time_ns = estimates.observer, estimates.samples.time_ns
+        place = 2 * np.arange(len(estimates))
+        topic, schema = f"{OWN_TOPICS}{name}/sample", self._sample_schemas[name]
+        samples = Records(topic, "protobuf", schema, self._samples[name].rows(estimates.samples), time_ns, place)
+        topic, schema = f"{OWN_TOPICS}{name}/estimate", self._estimate_schemas[name]
+        return [samples, Records(topic, "protobuf", schema, self._estimates[name].rows(estimates), time_ns, place + 1)]
 
     def event(self, event: AlarmEvent) -> tuple[Record, ...]:
         """Return an alarm event as protobuf and as JSON."""

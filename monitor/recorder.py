@@ -10,10 +10,11 @@ from pathlib import Path, PurePath
 from types import TracebackType
 from typing import Self
 
+from adapters.block import Block
 from adapters.mcap_log import MessageLogWriter, WriterStatistics
 from adapters.message import Message
 from adapters.record import Record
-from monitor.estimate import Estimate, Layout
+from monitor.estimate import Estimate, Estimates, Layout
 from monitor.event import AlarmEvent
 from monitor.owed import OwedEvents
 from monitor.record_encoder import RecordEncoder
@@ -125,6 +126,14 @@ class Recorder:
                 failure = error
         if failure is not None:
             raise failure
+
+    def block(self, block: Block) -> None:
+        """Record a stretch of telemetry as received."""
+        self._log.write_together(self._encoder.block(block))
+
+    def estimates(self, estimates: Estimates) -> None:
+        """Record estimates and the samples they were computed from."""
+        self._log.write_together(self._encoder.estimates(estimates))
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
         """Add entries to the metadata record ``fauio``; a reader takes the latest of each key."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adapters.block import Block
+from adapters.block import Block, cut, one_message
 from adapters.block import messages as messages_of
 from adapters.message import Message
 from adapters.recordings import packed
@@ -138,17 +138,14 @@ def play_blocks(
             seen.update(one.name for one in block.columns)
             seen.update(message.name for message in block.others.values())
             if recorder is not None:
-                for message in messages_of(block):
-                    if pipeline.accepts(message):
-                        recorder.message(message)
+                _record(recorder, pipeline, block)
             for output in pipeline.run(block):
                 if isinstance(output, Estimates):
                     samples[output.observer] += len(output)
                     watched[output.observer] += int(np.count_nonzero(output.armed))
                     coasted[output.observer] += int(np.count_nonzero(output.coasted_s))
                     if recorder is not None:
-                        for row in range(len(output)):
-                            recorder.estimate(output.one(row))
+                        recorder.estimates(output)
                     if keep_traces:
                         builders[output.observer].extend(output)
                     continue
@@ -182,6 +179,23 @@ def play_blocks(
         watches=watches,
         foreign=pipeline.foreign,
     )
+
+
+def _record(recorder: Recorder, pipeline: Pipeline, block: Block) -> None:
+    """Record what of a block comes from the monitored vehicle, ahead of the pipeline's taking it."""
+    place = 0
+    if not pipeline.system:
+        # each message may be the one that says who it is
+        for message in messages_of(block):
+            place += 1
+            if pipeline.accepts(message):
+                recorder.message(message)
+            if pipeline.system:
+                break
+    rest = cut(block, place, block.count)
+    columns = tuple(one for one in rest.columns if pipeline.accepts(one_message(one, 0)))
+    others = {at: message for at, message in rest.others.items() if pipeline.accepts(message)}
+    recorder.block(Block(rest.count, columns, others))
 
 
 def _recorder(stack: ExitStack, path: Path, pipeline: Pipeline) -> Recorder:

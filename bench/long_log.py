@@ -1,0 +1,137 @@
+"""A flight repeated into a telemetry log of any length: every clock in it moves on from one copy to the next.
+
+The packets are those of the flight; only time stamps and, with them, checksums are others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.compressed import CompressedFile
+from adapters.mavlink_columns import PADDING, heads, kinds
+from adapters.mavlink_message import MAGIC_1
+from adapters.tlog import TIME_BYTES
+
+# Fields of the vehicle's clock and of Unix time, and their units in a microsecond.
+_CLOCKS = {"time_boot_ms": 1_000, "time_usec": 1, "time_unix_usec": 1}
+_PAUSE_US = 1_000_000
+_CHECKSUM_BYTES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Clock:
+    """Where one clock field stands in the packets of one kind."""
+
+    at: NDArray[np.int64]
+    kind: np.dtype[np.unsignedinteger[np.generic]]
+    unit_us: int
+
+
+class LongLog:
+    """A flight and its copies, each later than the one before by the flight's length and a second.
+
+    Parameters
+    ----------
+    path : Path
+        A healthy telemetry log, plain or compressed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._data = np.frombuffer(b"".join(CompressedFile(path)) + bytes(PADDING), np.uint8)
+        starts, size = [], len(self._data) - PADDING
+        at = 0
+        while at + TIME_BYTES + 8 <= size:
+            magic, length = int(self._data[at + 8]), int(self._data[at + 9])
+            signed = magic != MAGIC_1 and self._data[at + 10] & 1
+            starts.append(at)
+            at += TIME_BYTES + length + (8 if magic == MAGIC_1 else 12 + 13 * int(signed))
+        self._starts = np.array(starts if at <= size else starts[:-1], np.int64)
+        stamps = self._stamps(self._data)
+        self.duration_s = float(stamps[-1] - stamps[0]) / 1e6
+        # whole milliseconds: all of the vehicle's clocks move by the same time
+        self._period_us = -(-int(stamps[-1] - stamps[0]) // 1_000) * 1_000 + _PAUSE_US
+        self._find_clocks()
+
+    @property
+    def messages(self) -> int:
+        """Packets in one copy."""
+        return len(self._starts)
+
+    @property
+    def period_s(self) -> float:
+        """From the begin of one copy to that of the next."""
+        return self._period_us / 1e6
+
+    def copies(self, count: int) -> Iterator[bytes]:
+        """Yield the flight and its copies, ``count`` in all."""
+        for number in range(count):
+            yield self._moved(number * self._period_us)
+
+    def write(self, path: Path, count: int) -> None:
+        """Write the flight and its copies to a file."""
+        with path.open("wb") as stream:
+            stream.writelines(self.copies(count))
+
+    def _stamps(self, data: NDArray[np.uint8]) -> NDArray[np.uint64]:
+        rows = self._starts[:, None] + np.arange(TIME_BYTES)
+        return data[rows].view(">u8")[:, 0].astype(np.uint64)
+
+    def _find_clocks(self) -> None:
+        packets = heads(self._data, self._starts + TIME_BYTES)
+        self._clocks: list[_Clock] = []
+        changed = np.zeros(len(self._starts), np.bool_)
+        for kind in np.unique(packets.kind[packets.kind >= 0]).tolist():
+            table = kinds()[kind].table
+            types = dict(zip(table.fieldnames, table.fieldtypes, strict=True))
+            offset = 0
+            codes = table.native_format.decode()[1:]
+            for name, code, length in zip(table.ordered_fieldnames, codes, table.lengths, strict=True):
+                width = np.dtype(code).itemsize
+                if name in _CLOCKS and types[name] in ("uint32_t", "uint64_t"):
+                    # zeros at a packet's end are not sent
+                    rows = (packets.kind == kind) & (packets.length >= offset + width)
+                    self._clocks.append(_Clock(packets.payload[rows] + offset, np.dtype(f"<{code}"), _CLOCKS[name]))
+                    changed |= rows
+                offset += width * length
+        ends = packets.payload + packets.length
+        extra = np.array([kind.table.crc_extra for kind in kinds()], np.uint8)[packets.kind]
+        size = ends - self._starts - TIME_BYTES - 1
+        self._checked = [
+            (self._starts[rows] + TIME_BYTES + 1, int(one), extra[rows])
+            for one in np.unique(size[changed])
+            if (rows := changed & (size == one)).any()
+        ]
+
+    def _moved(self, later_us: int) -> bytes:
+        if later_us == 0:
+            return self._data[:-PADDING].tobytes()
+        data = self._data.copy()
+        stamps = (self._stamps(data) + np.uint64(later_us)).astype(">u8")
+        data[self._starts[:, None] + np.arange(TIME_BYTES)] = stamps[:, None].view(np.uint8)
+        for clock in self._clocks:
+            places = clock.at[:, None] + np.arange(clock.kind.itemsize)
+            values = data[places].view(clock.kind)
+            # microseconds of 32 bits begin anew after 72 minutes, in the autopilot too
+            later = clock.kind.type(later_us // clock.unit_us % (1 << 8 * clock.kind.itemsize))
+            data[places] = (values + later).astype(clock.kind).view(np.uint8)
+        for starts, size, extra in self._checked:
+            crc = np.full(len(starts), 0xFFFF, np.uint16)
+            for k in range(size):
+                crc = _accumulated(crc, data[starts + k])
+            crc = _accumulated(crc, extra)
+            data[starts + size] = crc & 0xFF
+            data[starts + size + 1] = crc >> 8
+        return data[:-PADDING].tobytes()
+
+
+def _accumulated(crc: NDArray[np.uint16], byte: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Return the X.25 checksums with one byte more each."""
+    low = byte ^ crc.astype(np.uint8)
+    low ^= low << 4
+    wide = low.astype(np.uint16)
+    return (crc >> 8) ^ (wide << 8) ^ (wide << 3) ^ (wide >> 4)

@@ -1,0 +1,123 @@
+"""Many protobuf messages at once are, byte for byte, what protobuf writes one by one."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adapters.protobuf_rows import ProtobufRows
+from adapters.protobuf_types import TIMESTAMP, Field, message_class
+
+RANGES = {
+    "int32": (-(1 << 31), (1 << 31) - 1),
+    "uint32": (0, (1 << 32) - 1),
+    "int64": (-(1 << 63), (1 << 63) - 1),
+    "uint64": (0, (1 << 64) - 1),
+}
+DTYPES = {"uint64": np.uint64, "double": np.float64, "float": np.float32, "bool": np.bool_}
+KINDS = ("bool", "double", "float", "int32", "uint32", "int64", "uint64")
+# numbers beyond 15 take tags of two bytes
+FLAT = message_class(
+    "t",
+    "Flat",
+    (
+        *(Field(f"{kind}_{k}", kind) for k in range(3) for kind in KINDS),
+        *(Field(f"many_{kind}", kind, repeated=True) for kind in KINDS),
+    ),
+)
+NESTED = message_class(
+    "t",
+    "Nested",
+    (Field("time", TIMESTAMP), Field("x", (Field("a", "double"), Field("b", "double"))), Field("index", "int64")),
+)
+
+
+def numbers(kind: str) -> st.SearchStrategy[Any]:
+    if kind == "bool":
+        return st.booleans()
+    if kind in ("double", "float"):
+        # of what is no number only the usual one: conversion may change the bits of others
+        usual = st.floats(width=32 if kind == "float" else 64, allow_nan=False)
+        return st.one_of(usual, st.sampled_from([0.0, -0.0, math.nan]))
+    least, most = RANGES[kind]
+    return st.one_of(st.integers(least, most), st.sampled_from([0, 1, 127, 128, least, most]))
+
+
+@st.composite
+def flat_rows(draw: st.DrawFn) -> list[dict[str, Any]]:
+    length = draw(st.integers(0, 3))
+    row = {f"{kind}_{k}": numbers(kind) for k in range(3) for kind in KINDS}
+    row |= {f"many_{kind}": st.lists(numbers(kind), min_size=length, max_size=length) for kind in KINDS}
+    return draw(st.lists(st.fixed_dictionaries(row), min_size=1, max_size=5))
+
+
+def columns(rows: list[dict[str, Any]]) -> dict[str, np.ndarray[Any, Any]]:
+    found = {}
+    for name in rows[0]:
+        kind = name.removeprefix("many_").partition("_")[0]
+        values = np.array([row[name] for row in rows], DTYPES.get(kind, np.int64))
+        found[name] = values.reshape(len(rows), -1) if name.startswith("many_") else values
+    return found
+
+
+@given(flat_rows())
+def test_flat_messages_are_written_as_protobuf_writes_them_and_read_back(rows: list[dict[str, Any]]) -> None:
+    expected = [FLAT(**row).SerializeToString() for row in rows]
+    kinds = ProtobufRows(FLAT)
+    assert kinds.encode(columns(rows), len(rows)) == expected
+    found = kinds.decode(expected)
+    assert found is not None
+    for k, row in enumerate(rows):
+        assert repr({name: found[name][k].tolist() for name in row}) == repr(row)
+
+
+@given(st.lists(st.tuples(numbers("int64"), numbers("int32"), numbers("double"), numbers("int64")), min_size=1))
+def test_nested_messages_are_written_as_protobuf_writes_them(rows: list[tuple[int, int, float, int]]) -> None:
+    expected = [
+        NESTED(time={"seconds": s, "nanos": n}, x={"a": a, "b": 0.0}, index=k).SerializeToString()
+        for s, n, a, k in rows
+    ]
+    seconds, nanos, a, index = (np.array(column) for column in zip(*rows, strict=True))
+    times = {"seconds": seconds.astype(np.int64), "nanos": nanos.astype(np.int64)}
+    found = {"time": times, "x": {"a": a, "b": np.zeros(len(rows))}, "index": index.astype(np.int64)}
+    assert ProtobufRows(NESTED).encode(found, len(rows)) == expected
+
+
+@given(flat_rows(), st.data())
+def test_damaged_messages_are_read_as_protobuf_does_or_refused(rows: list[dict[str, Any]], data: st.DataObject) -> None:
+    message = bytearray(FLAT(**rows[0]).SerializeToString())
+    for _ in range(data.draw(st.integers(0, 3))):
+        if message:
+            message[data.draw(st.integers(0, len(message) - 1))] = data.draw(st.integers(0, 255))
+    message = message[: data.draw(st.integers(0, len(message)))]
+    found = ProtobufRows(FLAT).decode([bytes(message), b""])
+    if found is None:
+        return
+    expected = FLAT.FromString(bytes(message))
+    for name, values in found.items():
+        theirs = getattr(expected, name)
+        ours = values[0].tolist()
+        assert repr(ours) == repr(list(theirs) if isinstance(ours, list) else theirs)
+
+
+def test_values_out_of_range_or_of_another_kind_are_refused() -> None:
+    rows = ProtobufRows(message_class("t", "Small", (Field("n", "uint32"),)))
+    for values in (np.array([-1]), np.array([1 << 32]), np.array([1.0]), np.array([True]), np.array([[1]])):
+        with pytest.raises(ValueError, match="field"):
+            rows.encode({"n": values}, 1)
+    with pytest.raises(ValueError, match="columns"):
+        rows.encode({}, 1)
+
+
+def test_a_length_beyond_the_message_is_refused() -> None:
+    rows = ProtobufRows(message_class("t", "Many", (Field("n", "uint32", repeated=True),)))
+    for length in (b"\x7f", b"\xff\xff\xff\xff\xff\xff\xff\xff\x7f", b"\xff" * 9 + b"\x01"):
+        assert rows.decode([b"\x0a" + length + b"\x01"]) is None
+
+
+def test_types_with_texts_are_refused() -> None:
+    with pytest.raises(ValueError, match="no plain number"):
+        ProtobufRows(message_class("t", "Text", (Field("n", "string"),)))

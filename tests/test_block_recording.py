@@ -1,0 +1,109 @@
+"""Recordings in blocks hold, and give back, what recordings message by message do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from mcap.reader import NonSeekingReader
+
+from adapters.block import Block, messages
+from adapters.mcap_log import MessageLogWriter
+from adapters.mcap_reader import MessageLogReader
+from adapters.message import Message
+from adapters.recordings import packed, read_blocks, read_recording
+from adapters.tlog import read_tlog
+from monitor.estimate import Estimates
+from monitor.pipeline import Pipeline
+from monitor.profile import read_profile
+from monitor.recorder import Recorder
+from replay.player import play, play_blocks
+
+START_NS = 1_790_000_000_000_000_000
+FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
+PROFILE = Path(__file__).parent.parent / "replay" / "data" / "quad"
+# another vehicle, a text, numbers that the definition does not allow, a key that a MAVLink message has too
+ODD = (
+    Message("mavlink", "ATTITUDE", START_NS, {"roll": 1.0}, 1, 1),
+    Message("zenoh", "ATTITUDE", START_NS + 1, {"roll": 1.5}),
+    Message("mavlink", "SYSTEM_TIME", START_NS + 2, {"time_unix_usec": (1 << 64) - 1, "time_boot_ms": 1}, 1, 1),
+    Message("mavlink", "SYSTEM_TIME", START_NS + 3, {"time_unix_usec": 5, "time_boot_ms": -1}, 1, 1),
+    Message("mavlink", "SYSTEM_TIME", START_NS + 4, {"time_unix_usec": 5, "time_boot_ms": 2}, 0, 0),
+    Message("zenoh", "SYSTEM_TIME", START_NS + 5, {"time_unix_usec": 5, "time_boot_ms": 3}),
+    Message("operator", "acknowledge", START_NS + 6, {"channel": "motor1"}),
+    Message("zenoh", "arm/telemetry", START_NS + 7, {"y": [1.0, 2.0], "n": 3}),
+)
+
+
+def records(path: Path) -> list[Any]:
+    with path.open("rb") as stream:
+        found = NonSeekingReader(stream).iter_messages(log_time_order=False)
+        return [(channel.topic, schema and schema.data, one.log_time, one.data) for schema, channel, one in found]
+
+
+def all_messages(blocks: list[Block]) -> list[str]:
+    return [repr(message) for block in blocks for message in messages(block)]
+
+
+def test_blocks_of_a_recording_are_its_messages(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with MessageLogWriter(path) as log:
+        for number, message in enumerate(read_tlog(FLIGHT)):
+            log.write(message)
+            if number % 200 == 0:
+                log.write(ODD[number // 200 % len(ODD)])
+    expected = [repr(message) for message in read_recording(path)]
+    assert len(expected) > 1000
+    for count in (1, 170, 1 << 20):
+        assert all_messages([*read_blocks(path, count=count)]) == expected
+    only = {"ATTITUDE", "HEARTBEAT"}
+    assert all_messages([*read_blocks(path, only)]) == [repr(message) for message in read_recording(path, only)]
+
+
+def test_blocks_pass_over_what_cannot_be_decoded_and_count_it(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with MessageLogWriter(path) as log:
+        for message in ODD:
+            log.write(message)
+    data = path.read_bytes()
+    [*whole] = MessageLogReader(path)
+    assert len(whole) == len(ODD)
+    path.write_bytes(data[: len(data) // 2])
+    one_by_one, together = MessageLogReader(path), MessageLogReader(path)
+    assert all_messages([*together.blocks(3)]) == [repr(message) for message in one_by_one]
+    assert together.statistics() == one_by_one.statistics()
+    assert together.damage() == one_by_one.damage()
+
+
+def test_a_replay_records_in_blocks_what_a_monitor_records_one_by_one(tmp_path: Path) -> None:
+    profile = read_profile(PROFILE)
+    odd = [*ODD, Message("mavlink", "ATTITUDE", START_NS, {"roll": 1.0}, 7, 1)]
+    stretch = [*read_tlog(FLIGHT)]
+    stretch[40:40] = odd
+    one_by_one, together = tmp_path / "single.mcap", tmp_path / "together.mcap"
+    pipeline = Pipeline(profile)
+    with Recorder(one_by_one, pipeline.layouts, pipeline.metadata(), profile.files) as recorder:
+        for block in packed(stretch, 700):
+            for message in messages(block):
+                if pipeline.accepts(message):
+                    recorder.message(message)
+            for output in pipeline.run(block):
+                if isinstance(output, Estimates):
+                    for row in range(len(output)):
+                        recorder.estimate(output.one(row))
+                else:
+                    recorder.event(output)
+        recorder.add_metadata(pipeline.metadata())
+    play_blocks(profile, packed(stretch, 700), record=together)
+    expected, found = records(one_by_one), records(together)
+    assert {topic for topic, *_ in expected} >= {"/fauio/motors/estimate", "/mavlink/ATTITUDE", "/zenoh/ATTITUDE"}
+    assert found == expected
+
+
+def test_a_recording_replays_in_blocks_as_its_messages_do(tmp_path: Path) -> None:
+    profile = read_profile(PROFILE)
+    path = tmp_path / "flight.mcap"
+    expected = play_blocks(profile, read_blocks(FLIGHT), record=path)
+    found, single = play_blocks(profile, read_blocks(path)), play(profile, read_recording(path))
+    assert found.events == single.events == expected.events
+    assert found.samples == single.samples == expected.samples > 0
