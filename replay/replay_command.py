@@ -224,10 +224,11 @@ def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:
     """Say what was found in a log."""
     from monitor.alarm_text import alarm_line
 
-    for damage in outcome.damage:
-        sys.stderr.write(f"fauio: {damage.line()}; all else was read\n")
+    damage = [one.line() for one in outcome.damage]
     if outcome.error is not None:
-        sys.stderr.write(f"fauio: {outcome.error}\n")
+        sys.stderr.write(f"fauio: {'; '.join([outcome.error, *damage])}\n")
+    else:
+        sys.stderr.writelines(f"fauio: {line}; all else was read\n" for line in damage)
     if as_json:
         _say(json.dumps(outcome.to_json()))
     elif outcome.error is None:

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adapters.log_schema import LogProtobuf, to_protobuf
-from adapters.mcap_log import MessageLogWriter, read_mcap_messages
+from adapters.mcap_log import MessageLogWriter
+from adapters.mcap_reader import read_mcap_messages
 from adapters.message import Message
 from adapters.message_record import encode
 

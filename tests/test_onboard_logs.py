@@ -138,8 +138,8 @@ def test_a_mapping_of_ones_own_decides_what_the_records_stand_for(
     mapping.write_text("SERVO_OUTPUT_RAW = []")
     quad = str(Path(fauio.__file__).parent / "replay" / "data" / "quad")
     log = str(logs["motor2_080.motors"])
-    assert fauio.main(["replay", quad, log, "--mapping", str(mapping)]) == 0
-    assert "no samples" in capsys.readouterr().out
+    assert fauio.main(["replay", quad, log, "--mapping", str(mapping)]) == 2
+    assert "no samples" in capsys.readouterr().err
     mapping.write_text("SERVO_OUTPUT_RAW = 3")
     assert fauio.main(["replay", quad, log, "--mapping", str(mapping)]) == 2
 
