@@ -269,7 +269,9 @@ class Alarm:
         self._trend.update(shown, elapsed)
         size = max(abs(shown), self._trend.size_in(rule.critical_ahead_s) if rule.critical_ahead_s > 0 else 0.0)
         worse: Severity = "critical" if size >= rule.critical else active.severity
-        self._active = replace(active, peak=max(active.peak, shown, key=abs), severity=worse, creeping=creeping)
+        peak = max(active.peak, shown, key=abs)
+        if peak is not active.peak or worse != active.severity or creeping != active.creeping:
+            self._active = replace(active, peak=peak, severity=worse, creeping=creeping)
         if abs(evidence) < rule.clear and not (creeping and abs(self._mean) >= 0.5 * rule.slow):
             self._counter_ns += elapsed
             if self._counter_ns >= (rule.latch_s if active.latched else rule.clear_s) * 1e9:
@@ -283,7 +285,7 @@ class Alarm:
         moved = abs(shown - active.reported) > max(_UPDATE_SHARE * abs(active.reported), active.threshold / 2)
         due = not 0 <= now - active.reported_ns < _UPDATE_EVERY_NS
         if worse != active.severity or (moved and due):
-            self._active = replace(self._active, reported=shown, reported_ns=now)
+            self._active = replace(self._active or active, reported=shown, reported_ns=now)
             return self._event(sample, "updated", shown, command)
         return None
 

@@ -88,21 +88,27 @@ def events_in_order(chains: Sequence[ChainStretch], excuses: Excuses) -> list[Al
     events = []
     while queue:
         key, version = heapq.heappop(queue)
-        _, k, row, order = key
+        k, order = key[1], key[3]
         if version != versions[k, order]:
             continue
         evidence = chains[k].evidence[order]
-        if not evidence.alarm.due:
-            evidence.alarm.go_on()
-        else:
-            event = _ask(evidence, chains[k].estimates, row)
-            if event is not None:
+        alarm = evidence.alarm
+        while True:
+            if not alarm.due:
+                alarm.go_on()
+            elif (event := _ask(evidence, chains[k].estimates, alarm.row)) is not None:
                 events.append(event)
                 excuses.note(event)
                 for other in _touched(chains, event, excuses):
                     _excuse(chains[other[0]], other, key, excuses)
                     enqueue(*other)
-        enqueue(k, order)
+            if alarm.row == len(alarm):
+                break
+            # An alarm that stands is asked row after row: through the queue only where another one comes first.
+            key = positions[k][alarm.row], k, alarm.row, order
+            if queue and queue[0][0] < key:
+                enqueue(k, order)
+                break
     for chain in chains:
         for evidence in chain.evidence:
             evidence.alarm.pass_to(len(evidence.alarm))
