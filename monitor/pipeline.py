@@ -195,7 +195,7 @@ class Pipeline:
         what is returned the estimates of a stretch stand before its events.
         """
         outputs: list[Stretch] = []
-        if self._system == 0:
+        if self._system == 0 and any(one.source == "mavlink" for one in block.columns):
             block = self._run_until_known(block, outputs)
         chosen = selected(block, self._interests, self._system, self._component)
         self.foreign += self._foreign_in(block)
