@@ -471,7 +471,7 @@ TARGETS = (
     Target("cdr", "CDR payloads of every shipped type", _cdr, _cdr_seeds),
     Target("definition", "message definitions, and CDR by them", _definition, _definition_seeds),
     Target("tlog", "telemetry logs, plain and compressed", _tlog, _tlog_seeds, 1 << 13, arrays=True),
-    Target("mcap", "MCAP logs: damaged, unfinished, with any records", _mcap, _mcap_seeds, 1 << 13),
+    Target("mcap", "MCAP logs: damaged, unfinished, with any records", _mcap, _mcap_seeds, 1 << 13, arrays=True),
     Target("record", "records of logs to messages", _record, _record_seeds, arrays=True),
     Target("compressed", ".xz and .gz", _compressed, _compressed_seeds, 1 << 13),
     Target(
