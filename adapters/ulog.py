@@ -34,6 +34,7 @@ _APPENDED = 1
 _DATA, _SUBSCRIPTION = ord("D"), ord("A")
 _KINDS = frozenset(b"ABCDFILMOPQRS")
 _LARGEST_UNKNOWN = 10_000
+_CHAINED = 3
 _LEVELS = range(ord("0"), ord("8"))
 # Where reading may go on after damage: a topic's record or a mark for this very purpose.
 _RESUMES = re.compile(rb"[DS]")
@@ -131,7 +132,7 @@ class UlogReader:
                     yield self._message(topic[0], topic[1].decode(body[_ID.size :]))
                 continue
             if kind not in self._take:
-                if size == 0 or size > _LARGEST_UNKNOWN or not self._stands(window, length):
+                if size == 0 or size > _LARGEST_UNKNOWN or not self._stands(window, length, _CHAINED):
                     self._resume(window)
                     continue
                 self._unknown += 1
@@ -172,13 +173,18 @@ class UlogReader:
         window.at += taken
         self._skipped_bytes += taken
 
-    def _stands(self, window: Window, ahead: int) -> bool:
-        """Return whether a record of a known kind, or the end, stands so many bytes ahead."""
+    def _stands(self, window: Window, ahead: int, behind: int = 0) -> bool:
+        """Return whether a topic's record, or the end, stands so many bytes ahead.
+
+        A record of another known kind will do too, with so many such ``behind`` it: hardly more than one byte tells
+        those from garbage.
+        """
         if not window.fill(ahead + _HEAD.size):
             return window.left == ahead
         size, kind = _HEAD.unpack_from(window.data, window.at + ahead)
         if kind != _DATA:
-            return kind in _KINDS
+            known = kind in _KINDS and size > 0
+            return known and (behind == 0 or self._stands(window, ahead + _HEAD.size + size, behind - 1))
         if not window.fill(ahead + _HEAD.size + _ID.size):
             return False
         topic = self._topics.get(_ID.unpack_from(window.data, window.at + ahead + _HEAD.size)[0])

@@ -65,7 +65,9 @@ def check(kind: str, packed: str, folder: Path, count: int, seed: int) -> None:
             assert len(numbers) == len(found), what
         if kind not in _UNPROTECTED or not packed:
             # decompressors make of zeros what stood before, again and again, and check it at the very end
-            assert numbers == sorted(set(numbers)), what
+            assert numbers == sorted(numbers), what
+            # a record whose instance was hit may equal that of the sensor beside it
+            assert len(numbers) - len(set(numbers)) <= (kind in _MOST_TAKEN_IN), what
 
 
 @pytest.mark.parametrize("packed", PACKED)
