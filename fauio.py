@@ -40,7 +40,7 @@ class _PrintVersions(argparse.Action):
     """Print versions; they are looked up only when they are asked for."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from monitor.versions import version_text
+        from monitor.diagnosis.versions import version_text
 
         sys.stdout.write(version_text())
         parser.exit()

@@ -57,10 +57,10 @@ def _simulate_arm(args: argparse.Namespace) -> int:
     import sys
     import time
 
-    from adapters.arm import SCENARIOS as KNOWN
-    from adapters.arm import ArmScenario, parse_fault, simulate_arm
     from adapters.errors import TelemetryError
-    from adapters.zenoh_session import DEFAULT_ENDPOINT
+    from adapters.simulation.arm import SCENARIOS as KNOWN
+    from adapters.simulation.arm import ArmScenario, parse_fault, simulate_arm
+    from adapters.zenoh.zenoh_session import DEFAULT_ENDPOINT
 
     name = args.scenario or ("healthy" if args.fault else DEFAULT_SCENARIO)
     base = KNOWN[name]
@@ -69,8 +69,8 @@ def _simulate_arm(args: argparse.Namespace) -> int:
         raise TelemetryError("--connect goes with --zenoh only")
     run = simulate_arm(scenario, args.duration, args.rate, args.torque)
     if args.output:
-        from adapters.arm_source import arm_messages
-        from adapters.mcap_log import MessageLogWriter
+        from adapters.logs.mcap_log import MessageLogWriter
+        from adapters.simulation.arm_source import arm_messages
 
         sent = 0
         with MessageLogWriter(args.output) as log:
@@ -78,11 +78,11 @@ def _simulate_arm(args: argparse.Namespace) -> int:
                 log.write(message)
                 sent += 1
     elif args.mavlink:
-        from adapters.arm_source import send_arm
+        from adapters.simulation.arm_source import send_arm
 
         sent = send_arm(run, args.mavlink, args.speed)
     else:
-        from adapters.arm_source import publish_arm
+        from adapters.simulation.arm_source import publish_arm
 
         sent = publish_arm(run, args.zenoh, args.connect or [DEFAULT_ENDPOINT], args.speed)
     target = args.output or args.mavlink or args.zenoh

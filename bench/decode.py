@@ -24,9 +24,9 @@ os.environ.setdefault("MAVLINK_DIALECT", "ardupilotmega")
 from pymavlink import mavutil
 
 from adapters.block import messages
-from adapters.compressed import CompressedFile
-from adapters.recordings import read_blocks
-from adapters.tlog import read_tlog
+from adapters.logs.compressed import CompressedFile
+from adapters.logs.recordings import read_blocks
+from adapters.logs.tlog import read_tlog
 
 LOG = Path(__file__).parent.parent / "replay" / "data" / "copter_motor1.tlog.xz"
 WANTED = frozenset({"HEARTBEAT", "ATTITUDE", "SERVO_OUTPUT_RAW", "HIGHRES_IMU", "LOCAL_POSITION_NED"})

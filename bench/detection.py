@@ -39,9 +39,9 @@ from flights import Fault, Flight, read_flights
 from numpy.typing import NDArray
 
 from monitor.trace import Trace
-from replay.fit import KINDS, fit
+from replay.fitting.fit import KINDS, fit
+from replay.fitting.survey import FIT_MESSAGES
 from replay.player import interests
-from replay.survey import FIT_MESSAGES
 
 ROOT = Path(__file__).parent.parent
 AUTOPILOT = "autopilot"

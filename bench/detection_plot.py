@@ -9,7 +9,7 @@ from pathlib import Path
 from accounting import Result
 from flights import Fault
 
-from monitor.palette import BLACK, BLUE, ORANGE, PURPLE, SKY
+from monitor.views.palette import BLACK, BLUE, ORANGE, PURPLE, SKY
 
 STYLES = (("X", BLACK), ("o", BLUE), ("s", ORANGE), ("^", PURPLE), ("D", SKY))
 _APART_POINTS = 7.0

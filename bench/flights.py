@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.message import Message
-from replay.survey import of_one_vehicle
+from replay.fitting.survey import of_one_vehicle
 
 LOUD = 4
 """Largest MAVLink severity that is an announcement: warning."""
@@ -136,7 +136,7 @@ class Flight:
 
     def messages(self, only: frozenset[str]) -> Iterator[Message]:
         """Return the vehicle's messages of these names, up to touchdown."""
-        from adapters.recordings import read_recording
+        from adapters.logs.recordings import read_recording
 
         return until(of_one_vehicle(read_recording(self.log, only)), self.touchdown_ms)
 

@@ -19,24 +19,25 @@ from fuzz_target import Run, Target, only
 from pymavlink.dialects.v20 import ardupilotmega
 from pymavlink.generator.mavcrc import x25crc
 
-from adapters import mavlink_link, tlog_columns
 from adapters.block import messages
-from adapters.cdr import CdrDecoder, CdrError
 from adapters.channels import parse_channel
-from adapters.compressed import CompressedFile
+from adapters.encoding.cdr import CdrDecoder, CdrError
+from adapters.encoding.foreign_record import foreign_decoder
+from adapters.encoding.message_definition import SHIPPED, find_definition, parse_definitions
+from adapters.encoding.message_record import decoder, encode
+from adapters.encoding.record import Record, Schema
 from adapters.errors import TelemetryError
-from adapters.foreign_record import foreign_decoder
-from adapters.mavlink_message import PacketParser, mavlink_types
-from adapters.mcap_log import MessageLogWriter
-from adapters.mcap_reader import MessageLogReader
+from adapters.logs import tlog_columns
+from adapters.logs.compressed import CompressedFile
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.mcap_reader import MessageLogReader
+from adapters.logs.tlog import TlogReader
+from adapters.logs.tlog_columns import TlogBlocks
+from adapters.mavlink import mavlink_link
+from adapters.mavlink.mavlink_message import PacketParser, mavlink_types
+from adapters.mavlink.signing import SigningKey, read_key
 from adapters.message import Message
-from adapters.message_definition import SHIPPED, find_definition, parse_definitions
-from adapters.message_record import decoder, encode
-from adapters.record import Record, Schema
-from adapters.signing import SigningKey, read_key
-from adapters.tlog import TlogReader
-from adapters.tlog_columns import TlogBlocks
-from adapters.zenoh_payload import MalformedPayload, PayloadDecoder, UndefinedType
+from adapters.zenoh.zenoh_payload import MalformedPayload, PayloadDecoder, UndefinedType
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
 START_NS = 1_795_251_917_000_000_000

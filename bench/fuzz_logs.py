@@ -22,20 +22,20 @@ from fuzz_target import Run, Target, only
 from onboard_flights import dataflash_of, ulog_of
 from ulog_writer import SYNC, UlogWriter
 
-from adapters.dataflash import CODES, DataflashReader
+from adapters.encoding.foreign_record import foreign_decoder
+from adapters.encoding.message_record import decoder, encode
+from adapters.encoding.record import Record, Schema
 from adapters.errors import TelemetryError
-from adapters.foreign_record import foreign_decoder
-from adapters.log_mapping import SOURCES, LogMapping, builtin_mapping, parse_mapping, read_mapping
-from adapters.log_telemetry import telemetry
-from adapters.mcap_log import MessageLogWriter
-from adapters.mcap_reader import MessageLogReader
+from adapters.logs.dataflash import CODES, DataflashReader
+from adapters.logs.log_mapping import SOURCES, LogMapping, builtin_mapping, parse_mapping, read_mapping
+from adapters.logs.log_telemetry import telemetry
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.mcap_reader import MessageLogReader
+from adapters.logs.tlog import TlogReader
+from adapters.logs.ulog import UlogReader
 from adapters.message import Message
-from adapters.message_record import decoder, encode
-from adapters.record import Record, Schema
-from adapters.tlog import TlogReader
-from adapters.ulog import UlogReader
-from replay.info_text import info_text
-from replay.log_info import log_info
+from replay.inspection.info_text import info_text
+from replay.inspection.log_info import log_info
 
 # How protobuf's own classes name what every message has: a field may bear any of these names too.
 _TAKEN_NAMES = ("DESCRIPTOR", "HasField", "FromString", "SerializeToString", "None", "self", "Clear", "ListFields")

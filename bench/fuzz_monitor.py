@@ -19,28 +19,28 @@ from fuzz_adapters import DATA, START_NS
 from fuzz_input import ODD_VALUES, Draw, random_inputs
 from fuzz_target import Run, Target, only
 
-from adapters.arm import SCENARIOS, simulate_arm
-from adapters.arm_source import arm_messages
+from adapters.logs.tlog import TlogReader
 from adapters.message import Message, silence
-from adapters.tlog import TlogReader
+from adapters.simulation.arm import SCENARIOS, simulate_arm
+from adapters.simulation.arm_source import arm_messages
 from gains.errors import ModelError
-from gains.gains_file import read_gains
-from gains.model_file import read_model
-from monitor.alarm_text import alarm_line
-from monitor.config import read_config
+from gains.plants.model_file import read_model
+from gains.synthesis.gains_file import read_gains
+from monitor.bus.alarm_text import alarm_line
+from monitor.bus.operators import VERBS, Operators
+from monitor.bus.payload import estimate_json, to_json
+from monitor.configuration.config import read_config
+from monitor.configuration.toml_lines import key_lines
 from monitor.errors import ProfileError
 from monitor.event import AlarmEvent, valid_event
-from monitor.health import Health, ProcessHealth
-from monitor.journal import Journal
-from monitor.metrics_server import MetricsServer
-from monitor.operators import VERBS, Operators
-from monitor.payload import estimate_json, to_json
 from monitor.pipeline import Pipeline, standing_message
 from monitor.profile import Profile, read_profile
-from monitor.record_encoder import RecordEncoder
-from monitor.toml_lines import key_lines
-from monitor.vehicle_monitor import VehicleMonitor
-from replay.arm_profile import write_arm_profile
+from monitor.recording.journal import Journal
+from monitor.recording.record_encoder import RecordEncoder
+from monitor.service.health import Health, ProcessHealth
+from monitor.service.metrics_server import MetricsServer
+from monitor.service.vehicle_monitor import VehicleMonitor
+from replay.demonstration.arm_profile import write_arm_profile
 
 ROOT = Path(__file__).parents[1]
 QUAD = ROOT / "replay" / "data" / "quad"

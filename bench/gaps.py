@@ -18,10 +18,10 @@ from unittest.mock import patch
 
 import numpy as np
 
+from adapters.logs.recordings import read_recording
 from adapters.message import Message
-from adapters.recordings import read_recording
-from gains.gains_file import Gains
-from monitor.coasting import CoastingMaps, StepMap, coasting_maps
+from gains.synthesis.gains_file import Gains
+from monitor.estimation.coasting import CoastingMaps, StepMap, coasting_maps
 from monitor.profile import read_profile
 from replay.player import Replay, play
 
@@ -71,9 +71,9 @@ def ruled(first: int, resumed: bool) -> Iterator[None]:
         return CoastingMaps(coast, StepMap(np.pad(gains.step_matrix, more), np.pad(gains.argument_matrix, nu)))
 
     with (
-        patch("adapters.lane._LINE_PERIODS", first),
-        patch("monitor.observer_stack.coasting_maps", maps),
-        patch("monitor.observer.coasting_maps", maps),
+        patch("adapters.sampling.lane._LINE_PERIODS", first),
+        patch("monitor.estimation.observer_stack.coasting_maps", maps),
+        patch("monitor.estimation.observer.coasting_maps", maps),
     ):
         yield
 

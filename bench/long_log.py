@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.compressed import CompressedFile
-from adapters.mavlink_columns import PADDING, heads, kinds
-from adapters.mavlink_message import MAGIC_1
-from adapters.tlog import TIME_BYTES
+from adapters.logs.compressed import CompressedFile
+from adapters.logs.tlog import TIME_BYTES
+from adapters.mavlink.mavlink_columns import PADDING, heads, kinds
+from adapters.mavlink.mavlink_message import MAGIC_1
 
 # Fields of the vehicle's clock and of Unix time, and their units in a microsecond.
 _CLOCKS = {"time_boot_ms": 1_000, "time_usec": 1, "time_unix_usec": 1}

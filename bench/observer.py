@@ -29,11 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 from observer_cases import Case, arm_case, in_c, linear_case, random_case, textbook
 
-from monitor.observer import Observer
-from monitor.observer_stack import ObserverStack
-from monitor.palette import BLUE, GREEN, ORANGE, VERMILION
-from monitor.recursion import ObserverRun
-from monitor.whole_run import WholeRun, run_whole
+from monitor.estimation.observer import Observer
+from monitor.estimation.observer_stack import ObserverStack
+from monitor.estimation.recursion import ObserverRun
+from monitor.estimation.whole_run import WholeRun, run_whole
+from monitor.views.palette import BLUE, GREEN, ORANGE, VERMILION
 
 ROOT = Path(__file__).parent.parent
 STEPS, SAMPLES, REPEATS = 5_000, 100_000, 7
@@ -270,7 +270,7 @@ INTRODUCTION = """# What the observer costs
 
 makes this page: processor time on one core, the best of several runs. "Largest difference" is that of any estimate
 from the live observer's over 100 000 samples, relative to the largest of its kind. The live step is what the monitor
-does for each sample; whole runs take recordings as arrays (`monitor.whole_run`), compiled with the extra
+does for each sample; whole runs take recordings as arrays (`monitor.estimation.whole_run`), compiled with the extra
 `fauio[fast]`. C is the same recursion in `bench/recursion.c`, the textbook's loop the observer's equations as NumPy
 expressions.
 

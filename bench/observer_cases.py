@@ -15,16 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from gains.augment import augment, error_model
-from gains.certificate import Certificate, certify
-from gains.compilation import compile_gains
-from gains.design import Design
-from gains.discretise import discretise
-from gains.gains_file import Gains
-from gains.model_file import builtin_model
-from gains.plant import Disturbance, Fault, Noise, Plant
-from gains.synthesis import design_convex
-from monitor.recursion import ObserverRun, recursion_of
+from gains.analysis.augment import augment, error_model
+from gains.plants.discretise import discretise
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Disturbance, Fault, Noise, Plant
+from gains.synthesis.certificate import Certificate, certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from gains.synthesis.design import Design
+from gains.synthesis.gains_file import Gains
+from monitor.estimation.recursion import ObserverRun, recursion_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from random_gains import random_gains
@@ -46,7 +46,7 @@ class Case:
 
 def arm_case(count: int) -> Case:
     """Return the arm's observer at 100 Hz on the paper's second case, repeated."""
-    from adapters.arm import SCENARIOS, simulate_arm
+    from adapters.simulation.arm import SCENARIOS, simulate_arm
 
     plant = builtin_model("arm-disturbed")
     design = design_convex(plant, 100.0, gain_weight=1e-6)

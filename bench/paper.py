@@ -19,26 +19,26 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.arm import SCENARIOS, ArmRun, simulate_arm
-from gains.baseline_chen2006 import design_chen2006
-from gains.baseline_ekf import design_ekf
-from gains.baseline_gao2016 import design_gao2016
-from gains.baseline_gao2022 import design_gao2022
-from gains.baseline_zhang2008 import design_zhang2008
-from gains.certificate import certify
-from gains.compilation import compile_gains
-from gains.continuous_observer import ContinuousObserver, compile_continuous, fauio_observer
-from gains.continuous_synthesis import design_continuous
-from gains.error_system import ErrorNorm, Inputs, NoisePath, error_norm
+from adapters.simulation.arm import SCENARIOS, ArmRun, simulate_arm
+from gains.analysis.floor import floor_sqrt_mu
+from gains.baselines.chen2006 import design_chen2006
+from gains.baselines.gao2016 import design_gao2016
+from gains.baselines.gao2022 import design_gao2022
+from gains.baselines.kalman import design_ekf
+from gains.baselines.zhang2008 import design_zhang2008
 from gains.errors import InfeasibleError
-from gains.floor import floor_sqrt_mu
-from gains.gains_file import Gains
-from gains.model_file import builtin_model
-from gains.plant import Plant
-from gains.synthesis import design_convex
-from gains.theorem import design_theorem
-from monitor.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILION
-from monitor.whole_run import run_whole
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Plant
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.continuous_observer import ContinuousObserver, compile_continuous, fauio_observer
+from gains.synthesis.continuous_synthesis import design_continuous
+from gains.synthesis.convex import design_convex
+from gains.synthesis.error_system import ErrorNorm, Inputs, NoisePath, error_norm
+from gains.synthesis.gains_file import Gains
+from gains.synthesis.theorem import design_theorem
+from monitor.estimation.whole_run import run_whole
+from monitor.views.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILION
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from paper_gains import BETA, PRINTED

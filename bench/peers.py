@@ -28,17 +28,17 @@ from numpy.typing import NDArray
 from observer_cases import Case, linear_case
 from scipy.signal import dlsim
 
-from gains.baseline_ekf import ExtendedKalmanFilter, design_ekf, filter_model
-from gains.certificate import certify
-from gains.compilation import compile_gains
-from gains.discretise import discretise
-from gains.model_file import builtin_model
-from gains.plant import Plant
-from gains.simulation import linearised
-from gains.synthesis import design_convex
-from monitor.observer import Observer
-from monitor.recursion import recursion_of
-from monitor.whole_run import run_whole
+from gains.baselines.kalman import ExtendedKalmanFilter, design_ekf, filter_model
+from gains.identification.simulation import linearised
+from gains.plants.discretise import discretise
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Plant
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from monitor.estimation.observer import Observer
+from monitor.estimation.recursion import recursion_of
+from monitor.estimation.whole_run import run_whole
 
 RATE_HZ, COUNT, REPEATS = 100.0, 5_000, 3
 FAULT_RATE = 20.0
@@ -138,7 +138,7 @@ def kalman_filters() -> dict[str, Any]:
 
     ways: dict[str, tuple[Callable[[], Array], str | None]] = {
         "filterpy, full": (lambda: theirs(True), None),
-        "ours, full (gains.baseline_ekf)": (ours, "filterpy, full"),
+        "ours, full (gains.baselines.kalman)": (ours, "filterpy, full"),
         "filterpy, steady state": (lambda: theirs(False), None),
         "ours, steady state, stepped": (lambda: stepped(steady), "filterpy, steady state"),
         "ours, steady state, whole": (lambda: at_once(steady), "filterpy, steady state"),

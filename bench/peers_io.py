@@ -24,19 +24,19 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from adapters.block import messages
-from adapters.compressed import CompressedFile
-from adapters.mcap_reader import read_mcap_messages
-from adapters.mcap_writer import CHUNK_BYTES, McapWriter
-from adapters.message_record import encode
-from adapters.record import Record
-from adapters.recordings import read_blocks
-from adapters.tlog import read_tlog
+from adapters.encoding.message_record import encode
+from adapters.encoding.record import Record
+from adapters.logs.compressed import CompressedFile
+from adapters.logs.mcap_reader import read_mcap_messages
+from adapters.logs.mcap_writer import CHUNK_BYTES, McapWriter
+from adapters.logs.recordings import read_blocks
+from adapters.logs.tlog import read_tlog
 
 Writing = Callable[[Sequence[Record], Path], None]
 
 
 def by_us(records: Sequence[Record], path: Path) -> None:
-    """Write records as :class:`adapters.mcap_log.MessageLogWriter` does."""
+    """Write records as :class:`adapters.logs.mcap_log.MessageLogWriter` does."""
     channels: dict[tuple[str, str], int] = {}
     with path.open("wb", buffering=0) as stream:
         writer = McapWriter(stream)

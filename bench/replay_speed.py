@@ -26,7 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from long_log import LongLog
 
-from adapters.recordings import read_blocks, read_recording
+from adapters.logs.recordings import read_blocks, read_recording
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile, read_profile

@@ -31,9 +31,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from long_log import LongLog
 
-from adapters.recordings import read_blocks
-from monitor.palette import BLUE, GREY, ORANGE
+from adapters.logs.recordings import read_blocks
 from monitor.profile import Profile, read_profile
+from monitor.views.palette import BLUE, GREY, ORANGE
 from replay.player import interests, play_blocks
 
 ROOT = Path(__file__).parent.parent

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soak_expected import Expected, expected
 
-from adapters.fleet_sender import Flight, read_flight
+from adapters.simulation.fleet_sender import Flight, read_flight
 from monitor.profile import read_profile
 
 ROOT = Path(__file__).parent.parent
@@ -232,7 +232,7 @@ def soak(setup: Setup, minutes: float) -> dict[str, Any]:
     ):
         show("waiting for the daemon")
         wait_for(lambda: set(last_statuses(lines_of(setup.heard))) == set(names), daemon, START_S, "a status of each")
-        send = ["-m", "adapters.fleet_sender", f"udp:{setup.udp}", "--seconds", str(seconds)]
+        send = ["-m", "adapters.simulation.fleet_sender", f"udp:{setup.udp}", "--seconds", str(seconds)]
         send += ["--times", str(setup.times), *(f"{system}={log}" for system, log in enumerate(setup.logs, 1))]
         begin = time.monotonic()
         with running(send, folder / "sender.log", stdout=subprocess.PIPE) as sender:

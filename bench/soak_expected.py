@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
-from adapters.fleet_sender import Flight, fleet_packets
-from adapters.mavlink_message import PacketParser
+from adapters.mavlink.mavlink_message import PacketParser
+from adapters.simulation.fleet_sender import Flight, fleet_packets
 from monitor.estimate import Estimate
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile

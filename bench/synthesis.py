@@ -3,8 +3,8 @@
     python bench/synthesis.py [--straight-multirotor]
 
 Prints a Markdown table for the arm from 10 Hz to 1 kHz and for a multirotor of 12 states, 4 motors and 3 sloped
-nonlinearities. "Straight" is min mu under the unreduced inequality of gains/certificate.py at every vertex, in the
-user's units, Clarabel at its defaults: for the multirotor that takes very long and is left out unless asked for.
+nonlinearities. "Straight" is min mu under the unreduced inequality of gains/synthesis/certificate.py at every vertex,
+in the user's units, Clarabel at its defaults: for the multirotor that takes very long and is left out unless asked for.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ import cvxpy as cp
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from gains.augment import augment, error_model
-from gains.certificate import certify
-from gains.discretise import discretise
-from gains.model_file import builtin_model
-from gains.plant import Plant
-from gains.synthesis import design_convex
+from gains.analysis.augment import augment, error_model
+from gains.plants.discretise import discretise
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Plant
+from gains.synthesis.certificate import certify
+from gains.synthesis.convex import design_convex
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from gains_samples import flying_multirotor

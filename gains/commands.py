@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from gains.errors import InaccurateError, InfeasibleError, ModelError
 
 if TYPE_CHECKING:
-    from gains.continuous_design import ContinuousDesign
-    from gains.plant import Plant
+    from gains.plants.plant import Plant
+    from gains.synthesis.continuous_design import ContinuousDesign
 
 
 _THEOREMS = ("theorem1", "theorem2")
@@ -127,7 +127,7 @@ def run_design(args: argparse.Namespace) -> int:
     """Run ``fauio design``."""
     from dataclasses import replace
 
-    from gains.model_file import load_model, model_hash
+    from gains.plants.model_file import load_model, model_hash
 
     model = load_model(args.model)
     plant = model
@@ -150,7 +150,7 @@ def run_design(args: argparse.Namespace) -> int:
     if args.json:
         _print_json(found)
     else:
-        from gains.design_text import text
+        from gains.synthesis.design_text import text
 
         sys.stdout.write(text(found, args.out))
     return 0
@@ -164,7 +164,7 @@ def _only(plant: Plant, names: str) -> Plant:
     ModelError
         One is no fault of the model.
     """
-    from gains.estimability import restricted
+    from gains.analysis.estimability import restricted
 
     wanted = tuple(name.strip() for name in names.split(","))
     known = [fault.name for fault in plant.faults]
@@ -217,9 +217,9 @@ def _add_check(subparsers: Any) -> None:
 
 def run_check(args: argparse.Namespace) -> int:
     """Run ``fauio check``."""
-    from gains.check import check_plant, report
-    from gains.check_text import text
-    from gains.model_file import load_model
+    from gains.analysis.check import check_plant, report
+    from gains.analysis.check_text import text
+    from gains.plants.model_file import load_model
 
     check = check_plant(load_model(args.model), args.rate)
     if args.json:
@@ -243,10 +243,10 @@ def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str
         raise ModelError(f"{plant.name}: --{stray[0].replace('_', '-')} belongs to a continuous design (--continuous)")
     from dataclasses import replace
 
-    from gains.certificate import certify, report
-    from gains.compilation import common_matrix, compile_gains
-    from gains.gains_file import read_gains, write_gains
-    from gains.synthesis import GAIN_WEIGHT, design_convex
+    from gains.synthesis.certificate import certify, report
+    from gains.synthesis.compilation import common_matrix, compile_gains
+    from gains.synthesis.convex import GAIN_WEIGHT, design_convex
+    from gains.synthesis.gains_file import read_gains, write_gains
 
     P = None
     if args.common_p is not None:
@@ -278,8 +278,8 @@ def _design_baseline(plant: Plant, args: argparse.Namespace, model_hash: str) ->
     """Design a baseline and compile it for the rate, if one is given."""
     from dataclasses import replace
 
-    from gains.baselines import design_baseline
-    from gains.gains_file import write_gains
+    from gains.baselines.catalogue import design_baseline
+    from gains.synthesis.gains_file import write_gains
 
     gains, found = design_baseline(plant, args.method, args.rate)
     if args.out is not None:
@@ -293,9 +293,9 @@ def _design_continuous(plant: Plant, args: argparse.Namespace, model_hash: str) 
     """Design in continuous time and compile for the rate, if one is given."""
     from dataclasses import replace
 
-    from gains.continuous_certificate import certify_continuous, continuous_report
-    from gains.continuous_observer import compile_continuous
-    from gains.gains_file import write_gains
+    from gains.synthesis.continuous_certificate import certify_continuous, continuous_report
+    from gains.synthesis.continuous_observer import compile_continuous
+    from gains.synthesis.gains_file import write_gains
 
     if args.pole_radius != 1.0:
         raise ModelError(f"{plant.name}: a pole radius belongs to a discrete design; use --decay-rates")
@@ -312,8 +312,8 @@ def _design_continuous(plant: Plant, args: argparse.Namespace, model_hash: str) 
 
 
 def _continuous_design(plant: Plant, args: argparse.Namespace) -> ContinuousDesign:
-    from gains.continuous_synthesis import design_continuous
-    from gains.theorem import design_theorem
+    from gains.synthesis.continuous_synthesis import design_continuous
+    from gains.synthesis.theorem import design_theorem
 
     scalars = {name: value for name in _SCALARS if (value := getattr(args, name)) is not None}
     if args.method == "convex":
@@ -363,7 +363,7 @@ def _failure(plant: Plant, args: argparse.Namespace, error: ValueError) -> dict[
 
 def _floor(plant: Plant, found: dict[str, Any]) -> float | None:
     """Return the sqrt(mu) that no observer of the plant can beat; None where it has no bound."""
-    from gains.floor import floor_sqrt_mu
+    from gains.analysis.floor import floor_sqrt_mu
 
     rate_hz = found["rate_hz"] if found["domain"] == "discrete" else None
     floor = floor_sqrt_mu(plant, rate_hz, found.get("integrator_order", 1))

@@ -2,7 +2,7 @@
 
 A sample whose outputs were lost (``measured`` of :class:`adapters.sample.Sample`) is coasted: the model goes on alone,
 what was believed stands, the uncertainty grows. After a gap that is too long for that the observer starts afresh, and
-is evidence again when what a wrong start does to its estimates has died away (:mod:`monitor.settling`).
+is evidence again when what a wrong start does to its estimates has died away (:mod:`monitor.estimation.settling`).
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.clock import VehicleClock
 from adapters.message import Message
-from adapters.phase import FlightPhase
 from adapters.sample import Sample, Samples
-from adapters.sampler import Sampler, SamplerStatistics
-from monitor.alarm import Alarm, retuned
-from monitor.alarm_stretch import AlarmStretch
+from adapters.sampling.clock import VehicleClock
+from adapters.sampling.phase import FlightPhase
+from adapters.sampling.sampler import Sampler, SamplerStatistics
+from monitor.alarms.alarm import Alarm, retuned
+from monitor.alarms.alarm_stretch import AlarmStretch
+from monitor.alarms.excuse import Excuses
+from monitor.alarms.gate import GatedSampler, GateRule
 from monitor.chain_stretch import ChainStretch, Evidence
 from monitor.command_units import CommandUnits
 from monitor.effectiveness_stage import EffectivenessRun, EffectivenessStage
 from monitor.estimate import Estimate, Estimates, Layout
-from monitor.estimator import make_estimator
-from monitor.estimator_run import EstimatorRun
+from monitor.estimation.estimator import make_estimator
+from monitor.estimation.estimator_run import EstimatorRun
+from monitor.estimation.settling import settling_s
+from monitor.estimation.uncertainty import Uncertainty
 from monitor.event import AlarmEvent
-from monitor.excuse import Excuses
-from monitor.gate import GatedSampler, GateRule
 from monitor.profile import ObserverProfile
-from monitor.settling import settling_s
-from monitor.uncertainty import Uncertainty
 
 Output = Estimate | AlarmEvent
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.alarm_stretch import AlarmStretch
+from monitor.alarms.alarm_stretch import AlarmStretch
+from monitor.alarms.excuse import Excuses
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
-from monitor.excuse import Excuses
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.stretch import first_order
-from monitor.input_curve import fault_in_command
+from adapters.sampling.stretch import first_order
+from monitor.estimation.input_curve import fault_in_command
 from monitor.profile import ObserverProfile
 
 

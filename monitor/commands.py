@@ -6,8 +6,8 @@ import argparse
 import functools
 from pathlib import Path
 
-from monitor.alarm_commands import add_alarms, add_schema
-from monitor.doctor import add_doctor
+from monitor.console.alarm_commands import add_alarms, add_schema
+from monitor.diagnosis.doctor import add_doctor
 
 
 def add_parsers(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -62,8 +62,8 @@ def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def run_run(args: argparse.Namespace) -> int:
     """Run the daemon until it is told to stop."""
-    from monitor.config import read_config
-    from monitor.live import run_live
+    from monitor.configuration.config import read_config
+    from monitor.service.live import run_live
 
     names = ("profile", "vehicle", "listen", "connect", "prefix", "record")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.sample import Sample, Samples
-from monitor.effectiveness import Effectiveness, EffectivenessEstimator, EffectivenessRule
+from monitor.estimation.effectiveness import Effectiveness, EffectivenessEstimator, EffectivenessRule
 from monitor.profile import FaultChannel
 
 _ABSURD = 1e6

@@ -18,23 +18,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.block import Block, cut
-from adapters.block_sampler import sample_block
-from adapters.clock import VehicleClock
 from adapters.message import SILENCE, Message
-from adapters.phase import FlightPhase
-from adapters.sampler import SamplerStatistics
-from monitor import link_alarms, stale
-from monitor.alarm import TUNABLE
+from adapters.sampling.block_sampler import sample_block
+from adapters.sampling.clock import VehicleClock
+from adapters.sampling.phase import FlightPhase
+from adapters.sampling.sampler import SamplerStatistics
+from monitor.alarms import link_alarms, stale
+from monitor.alarms.alarm import TUNABLE
+from monitor.alarms.desk import AlarmDesk
+from monitor.alarms.desk_rule import DeskRule, desk_rule, rule_fields
+from monitor.alarms.excuse import Excuses
+from monitor.alarms.link_alarms import LinkAlarms
+from monitor.alarms.stale import StaleAlarm
 from monitor.chain import ObserverChain, Output
 from monitor.chain_stretch import events_in_order
-from monitor.desk import AlarmDesk
-from monitor.desk_rule import DeskRule, desk_rule, rule_fields
 from monitor.estimate import Estimate, Estimates, Layout, alone
 from monitor.event import AlarmEvent, is_seq, valid_event
-from monitor.excuse import Excuses
-from monitor.link_alarms import LinkAlarms
 from monitor.profile import Profile
-from monitor.stale import StaleAlarm
 from monitor.uniform import changes_phase, heartbeats, in_order, selected
 
 AUTOPILOT = 1

@@ -18,18 +18,18 @@ from typing import Any, Literal, NamedTuple
 
 from adapters.channels import Channel, channel_table, parse_channel
 from adapters.errors import TelemetryError
-from adapters.transform import Source, TransformRule, make_transform
+from adapters.sampling.transform import Source, TransformRule, make_transform
 from gains.errors import ModelError
-from gains.gains_file import Gains, read_gains
-from gains.model_file import model_hash, read_model
-from gains.plant import Plant
-from monitor.alarm import AlarmRule
-from monitor.effectiveness import EffectivenessRule
-from monitor.effectiveness_rule import effectiveness_table, read_effectiveness
+from gains.plants.model_file import model_hash, read_model
+from gains.plants.plant import Plant
+from gains.synthesis.gains_file import Gains, read_gains
+from monitor.alarms.alarm import AlarmRule
+from monitor.alarms.excuse import ExcuseRule, excuse_tables, read_excuses
+from monitor.alarms.gate import GateRule
 from monitor.errors import ProfileError
-from monitor.excuse import ExcuseRule, excuse_tables, read_excuses
-from monitor.gate import GateRule
-from monitor.isolation_rule import (
+from monitor.estimation.effectiveness import EffectivenessRule
+from monitor.estimation.effectiveness_rule import effectiveness_table, read_effectiveness
+from monitor.estimation.isolation_rule import (
     IsolationRule,
     gains_file_names,
     isolation_table,
@@ -73,7 +73,7 @@ class ObserverProfile:
         What raises alarms.
     settle_s : float
         Wait before its samples are evidence, seconds, where that is longer than the gate's; 0: as long as its gains
-        take to forget a wrong start (:mod:`monitor.settling`).
+        take to forget a wrong start (:mod:`monitor.estimation.settling`).
     effectiveness : Mapping[str, EffectivenessRule]
         Faults whose evidence is read against the deflection at which they arise, by name.
     model : Plant | None

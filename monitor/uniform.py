@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from adapters.block import Block, Columns, one_message
 from adapters.message import Message
-from adapters.phase import FlightPhase, is_autopilot_heartbeat
+from adapters.sampling.phase import FlightPhase, is_autopilot_heartbeat
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,7 +106,7 @@ def _add_detectability(subparsers: Any) -> None:
 
 def run_inject(args: argparse.Namespace) -> int:
     """Run ``fauio inject``."""
-    from replay.inject import Order, inject_recording, truth_path
+    from replay.attacks.inject import Order, inject_recording, truth_path
     from replay.progress import track
 
     order = Order(
@@ -136,9 +136,9 @@ def run_inject(args: argparse.Namespace) -> int:
 
 def run_detectability(args: argparse.Namespace) -> int:
     """Run ``fauio detectability``."""
-    from replay.detectability import Sweep, detectability
-    from replay.detectability_text import result_json, result_lines
     from replay.progress import track
+    from replay.sensitivity.detectability import Sweep, detectability
+    from replay.sensitivity.detectability_text import result_json, result_lines
 
     sweep = Sweep(
         channels=tuple(args.channel or ()),
@@ -155,7 +155,7 @@ def run_detectability(args: argparse.Namespace) -> int:
     else:
         _say("\n".join(result_lines(found)))
     if args.plot:
-        from replay.detectability_plot import plot_detectability
+        from replay.sensitivity.detectability_plot import plot_detectability
 
         plot_detectability(args.plot, found)
     return 0

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from replay import attack_commands
-from replay.replay_command import LOG_HELP, MAPPING_HELP, add_replay
+from replay.runs.replay_command import LOG_HELP, MAPPING_HELP, add_replay
 
 if TYPE_CHECKING:
-    from adapters.damage import Damage
+    from adapters.logs.damage import Damage
     from adapters.message import Message
 
 
@@ -88,18 +88,18 @@ def _add_info(subparsers: Any) -> None:
 
 def run_demo(args: argparse.Namespace) -> int:
     """Run ``fauio demo``."""
-    from replay.demo import demo
+    from replay.demonstration.demo import demo
 
     return demo(args.vehicle, args.out, args.speed)
 
 
 def run_fit(args: argparse.Namespace) -> int:
     """Run ``fauio fit``."""
-    from adapters.recordings import Recording, recording_kind
-    from replay.fit import fit
-    from replay.fit_custom import custom_messages
+    from adapters.logs.recordings import Recording, recording_kind
+    from replay.fitting.fit import fit
+    from replay.fitting.fit_custom import custom_messages
+    from replay.fitting.survey import FIT_MESSAGES, of_one_vehicle
     from replay.progress import track
-    from replay.survey import FIT_MESSAGES, of_one_vehicle
 
     for path in args.logs:
         recording_kind(path)
@@ -129,7 +129,7 @@ def run_fit(args: argparse.Namespace) -> int:
 def run_convert(args: argparse.Namespace) -> int:
     """Run ``fauio convert``."""
     from adapters.errors import TelemetryError
-    from adapters.recordings import Recording, onboard_source
+    from adapters.logs.recordings import Recording, onboard_source
     from replay.convert import convert
     from replay.progress import recording_bytes, track
 
@@ -148,8 +148,8 @@ def run_convert(args: argparse.Namespace) -> int:
 
 def run_info(args: argparse.Namespace) -> int:
     """Run ``fauio info``."""
-    from replay.info import info
-    from replay.info_text import info_text
+    from replay.inspection.info import info
+    from replay.inspection.info_text import info_text
 
     found = info(args.file)
     sys.stdout.write(json.dumps(found) + "\n" if args.json else info_text(found))

@@ -7,10 +7,10 @@ from importlib.metadata import version
 from itertools import chain, islice
 from pathlib import Path
 
-from adapters.mcap_log import MessageLogWriter
+from adapters.encoding.record import Record
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.recordings import ONBOARD_LOG
 from adapters.message import Message
-from adapters.record import Record
-from adapters.recordings import ONBOARD_LOG
 
 
 def convert(entries: Iterable[Message | Record], source: str, target: Path, onboard: str | None = None) -> int:

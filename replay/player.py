@@ -12,9 +12,9 @@ import numpy as np
 
 from adapters.block import Block, cut, one_message
 from adapters.block import messages as messages_of
+from adapters.logs.recordings import packed
 from adapters.message import Message
-from adapters.recordings import packed
-from adapters.sampler import SamplerStatistics
+from adapters.sampling.sampler import SamplerStatistics
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
@@ -22,7 +22,7 @@ from monitor.profile import Profile
 from monitor.trace import Trace, TraceBuilder
 
 if TYPE_CHECKING:
-    from monitor.recorder import Recorder
+    from monitor.recording.recorder import Recorder
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +199,7 @@ def _record(recorder: Recorder, pipeline: Pipeline, block: Block) -> None:
 
 
 def _recorder(stack: ExitStack, path: Path, pipeline: Pipeline) -> Recorder:
-    from monitor.recorder import Recorder
+    from monitor.recording.recorder import Recorder
 
     return stack.enter_context(Recorder(path, pipeline.layouts, pipeline.metadata(), pipeline.profile.files))
 

@@ -42,7 +42,7 @@ def track(
     if not sys.stderr.isatty():
         yield from items
         return
-    from adapters.compressed import ON_BYTES
+    from adapters.logs.compressed import ON_BYTES
 
     with _bar(unit, total, known=bool(total_bytes or total)) as progress:
         task = progress.add_task(what, total=total_bytes or total, count=0)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from adapters.block import Block, Columns
-from adapters.clock import VehicleClock
 from adapters.message import Message
 from adapters.sample import Sample, Samples
-from adapters.sampler import Sampler
+from adapters.sampling.clock import VehicleClock
+from adapters.sampling.sampler import Sampler
 
 
 def pack(messages: Sequence[Message], types: dict[str, Any] | None = None) -> Block:

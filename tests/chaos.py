@@ -20,10 +20,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega
 
-from adapters.fleet_sender import Due, fleet_packets, read_flight, send_fleet
-from adapters.mavlink_message import message_number
-from adapters.packet_edit import checksummed, signed
-from adapters.signing import SigningKey, unix_stamp
+from adapters.mavlink.mavlink_message import message_number
+from adapters.mavlink.packet_edit import checksummed, signed
+from adapters.mavlink.signing import SigningKey, unix_stamp
+from adapters.simulation.fleet_sender import Due, fleet_packets, read_flight, send_fleet
 
 ROOT = Path(__file__).parent.parent
 KEY = SigningKey(bytes(range(32)))

@@ -21,12 +21,12 @@ from loopback import free_port
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 
-from adapters.recordings import read_recording, session_files
-from adapters.zenoh_session import open_session
+from adapters.logs.recordings import read_recording, session_files
+from adapters.zenoh.zenoh_session import open_session
+from monitor.bus.subscriber import AlarmSubscriber
 from monitor.event import AlarmEvent
-from monitor.journal import Journal
 from monitor.profile import read_profile
-from monitor.subscriber import AlarmSubscriber
+from monitor.recording.journal import Journal
 from replay.player import play
 
 ROOT = Path(__file__).parent.parent

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import settings
 
 from monitor.profile import Profile, read_profile
-from replay.arm_profile import write_arm_profile
+from replay.demonstration.arm_profile import write_arm_profile
 
 DATA = Path(__file__).parent / "data"
 

@@ -22,11 +22,11 @@ from mcap.records import Chunk, Message
 from mcap.stream_reader import breakup_chunk
 from onboard_flights import dataflash_of, ulog_of
 
-from adapters.arm import SCENARIOS, simulate_arm
-from adapters.arm_source import arm_messages, arm_packets
-from adapters.mcap_log import MessageLogWriter
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.tlog import TlogReader
 from adapters.message import Message as Telemetry
-from adapters.tlog import TlogReader
+from adapters.simulation.arm import SCENARIOS, simulate_arm
+from adapters.simulation.arm_source import arm_messages, arm_packets
 
 START_NS = 1_795_251_917_000_000_000
 CHUNK_BYTES = 4000

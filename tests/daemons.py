@@ -17,9 +17,9 @@ from typing import Any, NamedTuple, Self
 
 import zenoh
 
-from adapters.pacing import paced
-from adapters.tlog import TlogReader
-from adapters.zenoh_session import open_session
+from adapters.logs.tlog import TlogReader
+from adapters.simulation.pacing import paced
+from adapters.zenoh.zenoh_session import open_session
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = ROOT / "examples"

@@ -14,8 +14,8 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto as Kind
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.writer import Writer as Ros2Writer
 
-from adapters.arm import ArmRun
-from adapters.message_definition import find_definition
+from adapters.encoding.message_definition import find_definition
+from adapters.simulation.arm import ArmRun
 from monitor.profile import Profile
 
 START_NS = 1_795_251_917_000_000_000

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import strategies as st
 
-from gains.expression import Apply, Argument, Node, Number, binary
-from gains.plant import Disturbance, Fault, FloatArray, Noise, Nonlinearity, Plant
+from gains.plants.expression import Apply, Argument, Node, Number, binary
+from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Nonlinearity, Plant
 
 PRINTED = {
     "A": [[0, 1, 0, 0], [-48.6, -1.25, 48.6, 0], [0, 0, 0, 1], [19.5, 0, -19.5, 0]],

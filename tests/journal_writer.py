@@ -6,7 +6,7 @@ from pathlib import Path
 
 from loopback import event
 
-from monitor.journal import Journal
+from monitor.recording.journal import Journal
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import zenoh
 
-from adapters.zenoh_session import open_session
+from adapters.zenoh.zenoh_session import open_session
 from monitor.event import AlarmEvent
 
 START_NS = 1_795_251_917_265_689_600

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gains.plant import FloatArray
+from gains.plants.plant import FloatArray
 
 
 class Printed(NamedTuple):

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from gains.gains_file import Gains, ScalarNonlinearity
-from gains.plant import FloatArray
+from gains.plants.plant import FloatArray
+from gains.synthesis.gains_file import Gains, ScalarNonlinearity
 
 
 def random_gains(

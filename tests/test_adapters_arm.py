@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from adapters import arm
-from adapters.arm import SCENARIOS, ArmFault, ArmRun, ArmScenario, make_fault, parse_fault, simulate_arm
 from adapters.errors import TelemetryError
+from adapters.simulation import arm
+from adapters.simulation.arm import SCENARIOS, ArmFault, ArmRun, ArmScenario, make_fault, parse_fault, simulate_arm
 
 A = np.array([[0, 1, 0, 0], [-48.6, -1.25, 48.6, 0], [0, 0, 0, 1], [19.5, 0, -19.5, 0]])
 B = np.array([0, 21.6, 0, 0])

@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 
 import adapters.commands
-from adapters.arm import SCENARIOS, ArmRun, ArmScenario, make_fault, simulate_arm
-from adapters.arm_source import arm_messages, arm_packets, publish_arm, send_arm
 from adapters.channels import Channel
-from adapters.clock import VehicleClock
 from adapters.errors import TelemetryError
-from adapters.mavlink_link import MavlinkLink
+from adapters.logs.recordings import read_recording
+from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.message import Message
-from adapters.phase import FlightPhase
-from adapters.recordings import read_recording
 from adapters.sample import Sample
-from adapters.sampler import Sampler
-from adapters.zenoh_link import ZenohLink
-from adapters.zenoh_session import open_session
+from adapters.sampling.clock import VehicleClock
+from adapters.sampling.phase import FlightPhase
+from adapters.sampling.sampler import Sampler
+from adapters.simulation.arm import SCENARIOS, ArmRun, ArmScenario, make_fault, simulate_arm
+from adapters.simulation.arm_source import arm_messages, arm_packets, publish_arm, send_arm
+from adapters.zenoh.zenoh_link import ZenohLink
+from adapters.zenoh.zenoh_session import open_session
 
 UNIX = 1_795_251_917_000_000_000
 ARRAY = "DEBUG_FLOAT_ARRAY"

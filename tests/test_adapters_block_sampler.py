@@ -16,13 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adapters.block import cut
-from adapters.block_sampler import sample_block
 from adapters.channels import Channel
-from adapters.clock import VehicleClock
+from adapters.logs.tlog import read_tlog
 from adapters.message import Message
-from adapters.sampler import Sampler
-from adapters.strapdown_channels import strapdown_channels
-from adapters.tlog import read_tlog
+from adapters.sampling.block_sampler import sample_block
+from adapters.sampling.clock import VehicleClock
+from adapters.sampling.sampler import Sampler
+from adapters.sampling.strapdown_channels import strapdown_channels
 
 DATA = Path(__file__).parent / "data"
 MS = 1_000_000

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import pytest
 from loopback import free_port, until
 
-from adapters.byte_link import ByteLink, open_byte_link
 from adapters.errors import TelemetryError
+from adapters.mavlink.byte_link import ByteLink, open_byte_link
 
 
 @contextlib.contextmanager

@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap_ros2._dynamic import generate_dynamic, serialize_dynamic
 
-from adapters.cdr import CdrDecoder, CdrError
+from adapters.encoding.cdr import CdrDecoder, CdrError
+from adapters.encoding.message_definition import find_definition
 from adapters.errors import TelemetryError
-from adapters.message_definition import find_definition
 
 TYPES = {
     name: find_definition(name, [])

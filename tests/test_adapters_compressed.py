@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from adapters.compressed import CompressedFile
 from adapters.errors import TelemetryError
+from adapters.logs.compressed import CompressedFile
 
 CONTENT = b"".join(bytes(4) + random.Random(k).randbytes(8) for k in range(20_000))
 PACKERS = {".xz": lzma.compress, ".gz": gzip.compress, "": bytes}

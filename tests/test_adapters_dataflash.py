@@ -15,9 +15,9 @@ from dataflash_writer import DataflashWriter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.dataflash import CODES, DataflashReader, read_dataflash
 from adapters.errors import TelemetryError
-from adapters.log_bytes import LogStatistics
+from adapters.logs.dataflash import CODES, DataflashReader, read_dataflash
+from adapters.logs.log_bytes import LogStatistics
 from adapters.message import Message
 
 UNIX_S = 1_700_000_000

@@ -16,12 +16,12 @@ import pytest
 from loopback import until
 
 from adapters.errors import TelemetryError
-from adapters.fleet_sender import Signer, fleet_packets, main, read_flight, send_fleet
-from adapters.mavlink_link import MavlinkLink
-from adapters.mavlink_message import packet_sender, packet_sequence
+from adapters.logs.tlog import read_tlog
+from adapters.mavlink.mavlink_link import MavlinkLink
+from adapters.mavlink.mavlink_message import packet_sender, packet_sequence
+from adapters.mavlink.signing import SigningKey
 from adapters.message import Message
-from adapters.signing import SigningKey
-from adapters.tlog import read_tlog
+from adapters.simulation.fleet_sender import Signer, fleet_packets, main, read_flight, send_fleet
 
 ROOT = Path(__file__).parent.parent
 FLIGHT = ROOT / "tests" / "data" / "copter_5s.tlog.xz"
@@ -85,7 +85,7 @@ def test_a_link_receives_all_of_all_vehicles(port: int) -> None:
 
 
 def test_another_process_counts_what_it_sent_when_it_is_stopped(port: int, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "adapters.fleet_sender", f"udp:127.0.0.1:{port}"]
+    command = [sys.executable, "-m", "adapters.simulation.fleet_sender", f"udp:127.0.0.1:{port}"]
     options = ["--seconds", "600", "--times", str(tmp_path), "--stop", "0.5"]
     with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
         process = subprocess.Popen(

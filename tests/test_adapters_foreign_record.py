@@ -11,9 +11,9 @@ from foreign_logs import ARM_DEFINITION, ARM_TYPE, START_NS, arm_protobuf, mcap_
 from google.protobuf import descriptor_pb2
 
 from adapters.channels import parse_channel
-from adapters.foreign_record import foreign_decoder
-from adapters.mcap_reader import MessageLogReader, read_mcap_messages
-from adapters.record import Schema
+from adapters.encoding.foreign_record import foreign_decoder
+from adapters.encoding.record import Schema
+from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages
 
 HEADER = {"stamp": stamp(START_NS + 5), "frame_id": "base"}
 VECTOR = {"x": 1.0, "y": -2.0, "z": 0.5}

@@ -10,11 +10,11 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.log_schema import LogProtobuf, to_protobuf
-from adapters.mcap_log import MessageLogWriter
-from adapters.mcap_reader import read_mcap_messages
+from adapters.encoding.log_schema import LogProtobuf, to_protobuf
+from adapters.encoding.message_record import encode
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.mcap_reader import read_mcap_messages
 from adapters.message import Message
-from adapters.message_record import encode
 
 SCALARS = st.one_of(
     st.integers(-(2**63), 2**63 - 1), st.floats(allow_nan=False), st.booleans(), st.text(st.characters(codec="utf-8"))

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from adapters.log_mapping import builtin_mapping, parse_mapping
-from adapters.log_telemetry import telemetry
+from adapters.logs.log_mapping import builtin_mapping, parse_mapping
+from adapters.logs.log_telemetry import telemetry
 from adapters.message import Message
 
 MS = 1_000_000

@@ -15,10 +15,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega
 
 from adapters.errors import TelemetryError
-from adapters.mavlink_link import MavlinkLink
+from adapters.mavlink.mavlink_link import MavlinkLink
+from adapters.mavlink.message_rates import RateRequests
+from adapters.mavlink.signing import SigningKey, unix_stamp
 from adapters.message import Message
-from adapters.message_rates import RateRequests
-from adapters.signing import SigningKey, unix_stamp
 
 KEY = SigningKey(bytes(range(32)))
 
@@ -240,7 +240,7 @@ def test_the_largest_datagrams_are_taken_whole_be_they_packets_or_noise() -> Non
 
 
 def test_a_flood_of_junk_does_not_keep_the_caller_waiting_for_a_message(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("adapters.mavlink_link._BATCH", 8)
+    monkeypatch.setattr("adapters.mavlink.mavlink_link._BATCH", 8)
     with udp() as (link, send):
         for _ in range(20):
             send(b"junk")

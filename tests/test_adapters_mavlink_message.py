@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega
 
-from adapters.mavlink_message import (
+from adapters.mavlink.mavlink_message import (
     PacketParser,
     mavlink_types,
     message_number,

@@ -10,9 +10,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from adapters.mavlink_schema import MavlinkProtobuf, mavlink_protobuf
+from adapters.encoding.mavlink_schema import MavlinkProtobuf, mavlink_protobuf
+from adapters.encoding.protobuf_types import class_from_descriptor_set, descriptor_set, identifiers
 from adapters.message import Message
-from adapters.protobuf_types import class_from_descriptor_set, descriptor_set, identifiers
 
 TABLES = tuple(dialect.mavlink_map.values())
 LARGEST = max(table.unpacker.size for table in TABLES)
@@ -95,8 +95,8 @@ def test_a_value_that_does_not_fit_is_refused(value: object) -> None:
 
 
 def test_a_message_with_a_field_system_id_keeps_both() -> None:
-    from adapters.mavlink_schema import _fields
-    from adapters.protobuf_types import message_class
+    from adapters.encoding.mavlink_schema import _fields
+    from adapters.encoding.protobuf_types import message_class
 
     class Table:
         fieldnames = ordered_fieldnames = ("system_id", "value")
@@ -116,7 +116,7 @@ def test_identifiers_are_distinct_and_valid() -> None:
 
 
 def test_a_schema_whose_ids_are_no_numbers_is_refused() -> None:
-    from adapters.protobuf_types import Field, message_class
+    from adapters.encoding.protobuf_types import Field, message_class
 
     for second in (Field("component_id", "string"), Field("component_id", "uint32", repeated=True)):
         with pytest.raises(ValueError, match="lacks the sender's ids"):

@@ -19,12 +19,12 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
+from adapters.encoding.record import Record, Schema
 from adapters.errors import TelemetryError
-from adapters.mcap_log import MAX_CHANNELS, MessageLogWriter
-from adapters.mcap_reader import MessageLogReader, read_mcap_messages, read_mcap_metadata
-from adapters.mcap_writer import CHUNK_BYTES
+from adapters.logs.mcap_log import MAX_CHANNELS, MessageLogWriter
+from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages, read_mcap_metadata
+from adapters.logs.mcap_writer import CHUNK_BYTES
 from adapters.message import Message
-from adapters.record import Record, Schema
 
 START_NS = 1_795_251_917_000_000_000
 SCHEMA = Schema("fauio.Alarm", "jsonschema", b'{"type": "object"}')
@@ -151,7 +151,7 @@ def test_everything_flushed_survives_sigkill(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     program = """
 import sys
-from adapters.mcap_log import MessageLogWriter
+from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
 log = MessageLogWriter(sys.argv[1])
 number = 0

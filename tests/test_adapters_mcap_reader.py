@@ -10,10 +10,10 @@ import pytest
 from foreign_logs import START_NS, json_log, mcap_log
 from mcap.writer import CompressionType, Writer
 
-from adapters.mcap_log import MessageLogWriter
-from adapters.mcap_reader import MessageLogReader, read_mcap_messages
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages
+from adapters.logs.recordings import Recording
 from adapters.message import LATEST_NS, Message
-from adapters.recordings import Recording
 
 
 def two_topics(path: Path) -> Path:

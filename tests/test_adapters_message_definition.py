@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.errors import TelemetryError
-from adapters.message_definition import (
+from adapters.encoding.message_definition import (
     SHIPPED,
     MessageField,
     canonical_type,
     find_definition,
     parse_definitions,
 )
+from adapters.errors import TelemetryError
 
 
 @pytest.mark.parametrize(

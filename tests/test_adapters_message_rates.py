@@ -9,10 +9,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from adapters.errors import TelemetryError
-from adapters.mavlink_message import PacketParser
+from adapters.mavlink.mavlink_message import PacketParser
+from adapters.mavlink.message_rates import RateRequests, RequestedRate
+from adapters.mavlink.signing import SignatureVerifier, SigningKey, Verdict
 from adapters.message import Message
-from adapters.message_rates import RateRequests, RequestedRate
-from adapters.signing import SignatureVerifier, SigningKey, Verdict
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_795_251_917 * SECOND_NS

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from adapters.mcap_log import MessageLogWriter
-from adapters.mcap_reader import MessageLogReader
+from adapters.encoding.message_record import decoder, encode
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.mcap_reader import MessageLogReader
 from adapters.message import Message, silence
-from adapters.message_record import decoder, encode
 
 
 @pytest.mark.parametrize(

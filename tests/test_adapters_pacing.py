@@ -7,7 +7,7 @@ import time
 import pytest
 
 from adapters.errors import TelemetryError
-from adapters.pacing import paced
+from adapters.simulation.pacing import paced
 
 
 def test_items_come_in_order_and_none_before_its_time() -> None:

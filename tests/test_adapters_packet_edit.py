@@ -9,10 +9,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega
 
 from adapters.errors import TelemetryError
-from adapters.mavlink_message import MAGIC_1, PacketParser
-from adapters.packet_edit import checksummed, readdressed, signed
-from adapters.signing import SignatureVerifier, SigningKey, Verdict, unix_stamp
-from adapters.tlog import TlogReader
+from adapters.logs.tlog import TlogReader
+from adapters.mavlink.mavlink_message import MAGIC_1, PacketParser
+from adapters.mavlink.packet_edit import checksummed, readdressed, signed
+from adapters.mavlink.signing import SignatureVerifier, SigningKey, Verdict, unix_stamp
 
 NOW_NS = 1_795_251_917_265_689_600
 KEY = SigningKey(bytes(range(32)))

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.protobuf_rows import ProtobufRows
-from adapters.protobuf_types import TIMESTAMP, Field, message_class
+from adapters.encoding.protobuf_rows import ProtobufRows
+from adapters.encoding.protobuf_types import TIMESTAMP, Field, message_class
 
 RANGES = {
     "int32": (-(1 << 31), (1 << 31) - 1),

@@ -9,9 +9,9 @@ import pytest
 
 from adapters.block import messages
 from adapters.errors import TelemetryError
-from adapters.mcap_log import MessageLogWriter
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.recordings import read_blocks, read_recording, recording_kind
 from adapters.message import Message
-from adapters.recordings import read_blocks, read_recording, recording_kind
 
 FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
 

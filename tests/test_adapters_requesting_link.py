@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from adapters.mavlink_link import MavlinkLink
-from adapters.message_rates import RateRequests
-from adapters.requesting_link import RequestingLink
+from adapters.mavlink.mavlink_link import MavlinkLink
+from adapters.mavlink.message_rates import RateRequests
+from adapters.mavlink.requesting_link import RequestingLink
 
 PATIENCE_S = 20.0
 

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adapters.channels import Channel
-from adapters.clock import VehicleClock
 from adapters.message import Message
 from adapters.sample import Sample
-from adapters.sampler import Sampler
+from adapters.sampling.clock import VehicleClock
+from adapters.sampling.sampler import Sampler
 
 MS = 1_000_000
 UNIX = 1_795_251_917_000 * MS

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega
 
 from adapters.errors import TelemetryError
-from adapters.signing import (
+from adapters.mavlink.signing import (
     SignatureVerifier,
     SigningGuard,
     SigningKey,

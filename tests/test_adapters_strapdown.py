@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import strapdown_truth as truth
 
-from adapters.clock import VehicleClock
 from adapters.errors import TelemetryError
-from adapters.kinematics import levelled_field, pressure_altitude
 from adapters.message import Message
-from adapters.sampler import Sampler
-from adapters.strapdown import GPS, Strapdown
-from adapters.strapdown_channels import strapdown_channels
+from adapters.sampling.clock import VehicleClock
+from adapters.sampling.kinematics import levelled_field, pressure_altitude
+from adapters.sampling.sampler import Sampler
+from adapters.sampling.strapdown import GPS, Strapdown
+from adapters.sampling.strapdown_channels import strapdown_channels
 
 EXAMPLES: dict[str, dict[str, Any]] = {
     "ATTITUDE": {"roll": 0.0, "pitch": 0.0, "yaw": 0.0},

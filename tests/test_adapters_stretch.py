@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from stretches import in_stretches, one_by_one, partitions
 
 from adapters.sample import Samples, stacked
-from adapters.scaled_inputs import DriveInputs, SurfaceInputs
-from adapters.strapdown import Strapdown
-from adapters.stretch import first_order, joined, since
-from adapters.transform import Transform
+from adapters.sampling.scaled_inputs import DriveInputs, SurfaceInputs
+from adapters.sampling.strapdown import Strapdown
+from adapters.sampling.stretch import first_order, joined, since
+from adapters.sampling.transform import Transform
 
 COUNT = 90
 DELAYS = {"gps_delay_s": 0.074, "baro_delay_s": 0.045, "compass_delay_s": 0.099}

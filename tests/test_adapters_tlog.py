@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters import compressed
 from adapters.errors import TelemetryError
+from adapters.logs import compressed
+from adapters.logs.tlog import TlogReader, TlogStatistics, read_tlog
 from adapters.message import Message
-from adapters.tlog import TlogReader, TlogStatistics, read_tlog
 
 FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
 RAW = lzma.decompress(FLIGHT.read_bytes())

@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters import compressed, tlog_columns
 from adapters.block import messages
 from adapters.errors import TelemetryError
-from adapters.mavlink_message import mavlink_types
+from adapters.logs import compressed, tlog_columns
+from adapters.logs.tlog import TlogReader, TlogStatistics
+from adapters.logs.tlog_columns import TlogBlocks
+from adapters.mavlink.mavlink_message import mavlink_types
 from adapters.message import Message
-from adapters.tlog import TlogReader, TlogStatistics
-from adapters.tlog_columns import TlogBlocks
 
 DATA = Path(__file__).parent / "data"
 FLIGHT = DATA / "copter_5s.tlog.xz"

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from adapters.errors import TelemetryError
-from adapters.mavlink_link import MavlinkLink
+from adapters.logs.tlog import read_tlog
+from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.message import Message
-from adapters.tlog import read_tlog
-from adapters.tlog_sender import main, send_tlog
+from adapters.simulation.tlog_sender import main, send_tlog
 
 ROOT = Path(__file__).parent.parent
 FLIGHT = ROOT / "tests" / "data" / "copter_5s.tlog.xz"
@@ -58,7 +58,7 @@ def test_another_process_sends_from_the_command_line(port: int) -> None:
     command = [
         sys.executable,
         "-m",
-        "adapters.tlog_sender",
+        "adapters.simulation.tlog_sender",
         str(FLIGHT),
         f"udp:127.0.0.1:{port}",
         "--speed",

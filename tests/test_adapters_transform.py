@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from adapters.channels import Channel
-from adapters.clock import VehicleClock
 from adapters.errors import TelemetryError
 from adapters.message import Message
-from adapters.sampler import Sampler
-from adapters.strapdown import IMU
-from adapters.transform import Source, TransformedSampler, TransformRule, make_sampler, make_transform
+from adapters.sampling.clock import VehicleClock
+from adapters.sampling.sampler import Sampler
+from adapters.sampling.strapdown import IMU
+from adapters.sampling.transform import Source, TransformedSampler, TransformRule, make_sampler, make_transform
 
 SIGNALS = tuple(Channel(name, "HIGHRES_IMU", (name,)) for name in IMU)
 RULE = TransformRule("strapdown", 100.0, {"gps": 0.0, "barometer": 0.0, "magnetometer": 0.0})

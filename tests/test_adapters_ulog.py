@@ -18,9 +18,9 @@ from pyulog import ULog
 from ulog_writer import UlogWriter
 
 from adapters.errors import TelemetryError
-from adapters.log_bytes import LogStatistics
+from adapters.logs.log_bytes import LogStatistics
+from adapters.logs.ulog import DROPOUT, INFORMATION, PARAMETER, PARAMETER_DEFAULT, TEXT, UlogReader, read_ulog
 from adapters.message import Message
-from adapters.ulog import DROPOUT, INFORMATION, PARAMETER, PARAMETER_DEFAULT, TEXT, UlogReader, read_ulog
 
 WHOLE = LogStatistics(0, 0, 0, 0, broken_off=False)
 UTC_US = 1_700_000_000_000_000

@@ -17,12 +17,12 @@ from loopback import free_port, until
 from mcap_ros2._dynamic import serialize_dynamic
 
 from adapters.channels import parse_channel
+from adapters.encoding.message_definition import find_definition
 from adapters.errors import TelemetryError
 from adapters.message import Message
-from adapters.message_definition import find_definition
-from adapters.zenoh_link import MAX_PAYLOAD_BYTES, ZenohLink
-from adapters.zenoh_payload import PayloadDecoder
-from adapters.zenoh_session import open_session
+from adapters.zenoh.zenoh_link import MAX_PAYLOAD_BYTES, ZenohLink
+from adapters.zenoh.zenoh_payload import PayloadDecoder
+from adapters.zenoh.zenoh_session import open_session
 
 ROOT = Path(__file__).parent.parent
 
@@ -181,8 +181,8 @@ def test_telemetry_resumes_when_its_router_comes_back(endpoint: str, tmp_path: P
 
 SHARD = """
 import sys
-from adapters.zenoh_link import ZenohLink
-from adapters.zenoh_session import open_session
+from adapters.zenoh.zenoh_link import ZenohLink
+from adapters.zenoh.zenoh_session import open_session
 with open_session(config_file=sys.argv[1]) as session, ZenohLink(session, sys.argv[2]) as link:
     names = set()
     while "end" not in {name.rpartition("/")[2] for name in names}:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adapters.errors import TelemetryError
-from adapters.zenoh_payload import MalformedPayload, PayloadDecoder, UndefinedType
+from adapters.zenoh.zenoh_payload import MalformedPayload, PayloadDecoder, UndefinedType
 
 HASH = "RIHS01_" + "7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b"
 ARRAY = b"\0\1\0\0" + struct.pack("<IIIxxxxdd", 0, 0, 2, 1.5, 2.5)
@@ -111,7 +111,7 @@ def test_any_sample_is_a_message_or_refused(key: str, encoding: str, payload: by
 
 
 def test_keys_without_end_do_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("adapters.zenoh_payload._MAX_KEYS", 10)
+    monkeypatch.setattr("adapters.zenoh.zenoh_payload._MAX_KEYS", 10)
     decoder = PayloadDecoder()
     for k in range(100):
         with pytest.raises(UndefinedType):

@@ -13,8 +13,8 @@ import zenoh
 from loopback import free_port, until
 
 from adapters.errors import TelemetryError
-from adapters.zenoh_link import ZenohLink
-from adapters.zenoh_session import open_session
+from adapters.zenoh.zenoh_link import ZenohLink
+from adapters.zenoh.zenoh_session import open_session
 
 ROOT = Path(__file__).parent.parent
 
@@ -38,7 +38,7 @@ def test_a_session_waits_in_the_background_for_what_it_cannot_reach_yet(endpoint
 LISTENING = """
 import os, sys
 from pathlib import Path
-from adapters.zenoh_session import open_session
+from adapters.zenoh.zenoh_session import open_session
 with open_session(connect=sys.argv[1:2], listen=sys.argv[2:]):
     handles = [Path("/proc/self/fd", fd) for fd in os.listdir("/proc/self/fd")]
     sockets = {os.readlink(handle) for handle in handles if handle.is_symlink()}

@@ -5,11 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from adapters.arm import SCENARIOS, ArmRun, simulate_arm
-from adapters.arm_source import arm_messages
-from monitor.observer import Observer
+from adapters.simulation.arm import SCENARIOS, ArmRun, simulate_arm
+from adapters.simulation.arm_source import arm_messages
+from monitor.estimation.observer import Observer
+from monitor.estimation.recursion import ObserverRun
 from monitor.profile import Profile
-from monitor.recursion import ObserverRun
 from replay.player import play
 
 PAPER_RMSE = {"case1": (0.0076, 0.0078), "case2": (0.0340, 0.0295), "case3": (0.0189, 0.0120)}

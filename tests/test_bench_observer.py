@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monitor.observer import Observer
+from monitor.estimation.observer import Observer
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
 from observer_cases import arm_case, in_c, linear_case, textbook

@@ -8,15 +8,15 @@ from typing import Any
 from mcap.reader import NonSeekingReader
 
 from adapters.block import Block, messages
-from adapters.mcap_log import MessageLogWriter
-from adapters.mcap_reader import MessageLogReader
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.mcap_reader import MessageLogReader
+from adapters.logs.recordings import packed, read_blocks, read_recording
+from adapters.logs.tlog import read_tlog
 from adapters.message import Message
-from adapters.recordings import packed, read_blocks, read_recording
-from adapters.tlog import read_tlog
 from monitor.estimate import Estimates
 from monitor.pipeline import Pipeline
 from monitor.profile import read_profile
-from monitor.recorder import Recorder
+from monitor.recording.recorder import Recorder
 from replay.player import play, play_blocks
 
 START_NS = 1_790_000_000_000_000_000

@@ -10,10 +10,10 @@ import chaos
 import pytest
 from chaos import Sufferer
 
-from adapters.fleet_sender import Due
-from adapters.mavlink_message import PacketParser
+from adapters.mavlink.mavlink_message import PacketParser
+from adapters.mavlink.signing import SigningGuard
 from adapters.message import silence
-from adapters.signing import SigningGuard
+from adapters.simulation.fleet_sender import Due
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile, read_profile

@@ -15,15 +15,15 @@ from chaos import Sufferer
 from chaos_run import MOTOR1, Monitor, monitoring, name_of, waits
 from loopback import free_port
 
-from adapters.zenoh_session import open_session
-from monitor.subscriber import AlarmSubscriber
+from adapters.zenoh.zenoh_session import open_session
+from monitor.bus.subscriber import AlarmSubscriber
 
 pytestmark = pytest.mark.long
 
 TEN_MB = 10_000_000
 STALLED = """
 import sys, time
-from adapters.zenoh_session import open_session
+from adapters.zenoh.zenoh_session import open_session
 session = open_session(connect=[sys.argv[1]])
 def stall(sample):
     print("stalled", flush=True)
@@ -33,7 +33,7 @@ time.sleep(3600)
 """
 ROUTER = """
 import sys, time
-from adapters.zenoh_session import open_session
+from adapters.zenoh.zenoh_session import open_session
 session = open_session(listen=[sys.argv[1]], mode="router")
 print("routing", flush=True)
 time.sleep(3600)

@@ -14,7 +14,7 @@ from foreign_logs import write_foreign_profile
 
 import fauio
 from adapters.errors import TelemetryError
-from adapters.recordings import Recording
+from adapters.logs.recordings import Recording
 from monitor.profile import Profile
 
 # Messages of these have no checksum but that of whole blocks, or none at all.

@@ -14,13 +14,13 @@ from typing import Any
 import pytest
 
 import fauio
-from adapters.recordings import read_recording
-from adapters.tlog import TlogReader
-from adapters.zenoh_session import open_session
+from adapters.logs.recordings import read_recording
+from adapters.logs.tlog import TlogReader
+from adapters.zenoh.zenoh_session import open_session
+from monitor.bus.subscriber import AlarmSubscriber
 from monitor.event import AlarmEvent
-from monitor.journal import Journal
 from monitor.profile import Profile
-from monitor.subscriber import AlarmSubscriber
+from monitor.recording.journal import Journal
 from replay.player import play
 
 FAUIO = (sys.executable, "-m", "fauio")
@@ -241,8 +241,8 @@ def relay(log: str, address: str, system: int, speed: float) -> None:
     """Send a log under another system id, paced."""
     from pymavlink.generator.mavcrc import x25crc
 
-    from adapters.mavlink_message import mavlink_types, message_number
-    from adapters.pacing import paced
+    from adapters.mavlink.mavlink_message import mavlink_types, message_number
+    from adapters.simulation.pacing import paced
 
     host, _, port = address.rpartition(":")
     types = mavlink_types()

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import fauio
-from adapters.recordings import read_recording
-from gains.model_file import read_model
+from adapters.logs.recordings import read_recording
+from gains.plants.model_file import read_model
 from monitor.profile import Profile, read_profile
 from replay.player import Replay, play
 
@@ -97,7 +97,7 @@ def test_what_the_fit_says_will_be_detected_is_seen_in_flights_with_faults(quad_
 def test_a_log_without_motor_commands_is_refused_with_what_is_missing(
     tmp_path: Path, data: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from adapters.mcap_log import MessageLogWriter
+    from adapters.logs.mcap_log import MessageLogWriter
 
     path = tmp_path / "poor.mcap"
     with MessageLogWriter(path) as writer:
@@ -141,7 +141,7 @@ def test_a_recorded_replay_replays_to_the_same_bits(quad_profile: Profile, tmp_p
 
 
 def test_other_vehicles_in_a_log_do_not_enter_the_fit(data: Path) -> None:
-    from replay.survey import of_one_vehicle
+    from replay.fitting.survey import of_one_vehicle
 
     flight = list(read_recording(data / "copter_5s.tlog.xz"))
     assert {message.system for message in flight} > {1}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gains_samples import random_plant, sine
 
-from gains.augment import (
+from gains.analysis.augment import (
     LARGEST_VERTEX_COUNT,
     SAMPLE_COUNT,
     augment,
@@ -15,9 +15,9 @@ from gains.augment import (
     slope_vertices,
     sloped_dynamics,
 )
-from gains.discretise import discretise
 from gains.errors import InfeasibleError
-from gains.model_file import builtin_model
+from gains.plants.discretise import discretise
+from gains.plants.model_file import builtin_model
 
 
 def test_L1_T_plus_F_Cb_is_the_identity() -> None:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from gains_samples import hexacopter, integrator_with_drift
 
-from gains.bank import admissible_hypotheses, design_bank
-from gains.certificate import certify
 from gains.errors import InfeasibleError
-from gains.model_file import builtin_model
-from gains.plant import Fault
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Fault
+from gains.synthesis.bank import admissible_hypotheses, design_bank
+from gains.synthesis.certificate import certify
 
 
 def test_every_single_motor_of_the_hexacopter_is_a_hypothesis_with_a_certified_observer() -> None:

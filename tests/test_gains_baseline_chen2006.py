@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gains.baseline_chen2006 import design_chen2006
-from gains.continuous_observer import compile_continuous
-from gains.error_system import error_norm
+from gains.baselines.chen2006 import design_chen2006
 from gains.errors import InaccurateError, InfeasibleError
-from gains.model_file import builtin_model
-from gains.plant import Plant
-from monitor.observer import Observer
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Plant
+from gains.synthesis.continuous_observer import compile_continuous
+from gains.synthesis.error_system import error_norm
+from monitor.estimation.observer import Observer
 
 
 def arm_with(lipschitz: float) -> Plant:

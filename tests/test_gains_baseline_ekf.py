@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from gains_samples import integrator_with_drift, multirotor, with_rates
 
-from adapters.arm import SCENARIOS, simulate_arm
-from gains.baseline_ekf import ExtendedKalmanFilter, design_ekf, filter_model
+from adapters.simulation.arm import SCENARIOS, simulate_arm
+from gains.baselines.kalman import ExtendedKalmanFilter, design_ekf, filter_model
 from gains.errors import InfeasibleError, ModelError
-from gains.gains_file import read_gains, write_gains
-from gains.model_file import builtin_model
-from gains.plant import FloatArray, Plant
-from monitor.observer import Observer
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import FloatArray, Plant
+from gains.synthesis.gains_file import read_gains, write_gains
+from monitor.estimation.observer import Observer
 
 
 def rmse(error: FloatArray) -> float:

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gains.baseline_gao2016 import design_gao2016
-from gains.error_system import error_norm, error_system
+from gains.baselines.gao2016 import design_gao2016
 from gains.errors import InfeasibleError
-from gains.model_file import builtin_model
+from gains.plants.model_file import builtin_model
+from gains.synthesis.error_system import error_norm, error_system
 
 
 def test_without_decoupling_the_bound_lies_where_it_was_seen_and_the_norm_confirms_it() -> None:

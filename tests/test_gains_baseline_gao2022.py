@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from gains_samples import multirotor
 
-from adapters.arm import SCENARIOS, simulate_arm
-from gains.baseline_gao2022 import design_gao2022
-from gains.continuous_observer import compile_continuous
-from gains.error_system import error_norm
+from adapters.simulation.arm import SCENARIOS, simulate_arm
+from gains.baselines.gao2022 import design_gao2022
 from gains.errors import InfeasibleError
-from gains.model_file import builtin_model
-from monitor.observer import Observer
+from gains.plants.model_file import builtin_model
+from gains.synthesis.continuous_observer import compile_continuous
+from gains.synthesis.error_system import error_norm
+from monitor.estimation.observer import Observer
 
 
 @pytest.mark.parametrize(("sigma", "bound"), [(1.0, 0.633), (10.0, 0.145)])

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adapters.arm import ArmScenario, make_fault, simulate_arm
-from gains.baseline_zhang2008 import design_zhang2008
-from gains.continuous_observer import compile_continuous
-from gains.error_system import error_norm
+from adapters.simulation.arm import ArmScenario, make_fault, simulate_arm
+from gains.baselines.zhang2008 import design_zhang2008
 from gains.errors import InfeasibleError
-from gains.model_file import builtin_model
-from monitor.observer import Observer
+from gains.plants.model_file import builtin_model
+from gains.synthesis.continuous_observer import compile_continuous
+from gains.synthesis.error_system import error_norm
+from monitor.estimation.observer import Observer
 
 
 def test_a_sensor_fault_is_refused_by_name() -> None:

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gains.blocks import block_plant, blocks_of, design_blocks
-from gains.certificate import certify
 from gains.errors import ModelError
-from gains.plant import Disturbance, Fault, Noise, Plant
-from gains.synthesis import design_convex
+from gains.plants.plant import Disturbance, Fault, Noise, Plant
+from gains.synthesis.blocks import block_plant, blocks_of, design_blocks
+from gains.synthesis.certificate import certify
+from gains.synthesis.convex import design_convex
 
 
 def two_blocks() -> Plant:

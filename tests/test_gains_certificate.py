@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from gains_samples import random_plant
 
-from gains.certificate import certify, grid_norm, report
-from gains.design import Design
-from gains.model_file import builtin_model
-from gains.plant import Plant
-from gains.synthesis import design_convex
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Plant
+from gains.synthesis.certificate import certify, grid_norm, report
+from gains.synthesis.convex import design_convex
+from gains.synthesis.design import Design
 
 
 @pytest.fixture(scope="module")

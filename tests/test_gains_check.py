@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fauio
-from gains.check import check_plant, report
-from gains.check_text import text
+from gains.analysis.check import check_plant, report
+from gains.analysis.check_text import text
+from gains.analysis.existence import check_existence
 from gains.errors import ModelError
-from gains.existence import check_existence
-from gains.model_file import builtin_model, write_model
-from gains.plant import Fault, FloatArray, Plant
+from gains.plants.model_file import builtin_model, write_model
+from gains.plants.plant import Fault, FloatArray, Plant
 
 
 def messages(plant: Plant) -> list[str]:

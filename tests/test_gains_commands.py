@@ -9,8 +9,8 @@ import pytest
 from gains_samples import integrator_with_drift
 
 import fauio
-from gains.gains_file import read_gains
-from gains.model_file import builtin_model, model_hash, write_model
+from gains.plants.model_file import builtin_model, model_hash, write_model
+from gains.synthesis.gains_file import read_gains
 
 
 def test_design_prints_the_json_of_the_contract(capsys: pytest.CaptureFixture[str]) -> None:

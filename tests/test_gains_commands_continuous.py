@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 import fauio
-from adapters.arm import SCENARIOS, simulate_arm
-from gains.gains_file import read_gains
-from gains.model_file import builtin_model, model_hash
-from monitor.observer import Observer
+from adapters.simulation.arm import SCENARIOS, simulate_arm
+from gains.plants.model_file import builtin_model, model_hash
+from gains.synthesis.gains_file import read_gains
+from monitor.estimation.observer import Observer
 
 
 def test_a_continuous_design_prints_the_json_of_the_contract(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from gains_samples import multirotor, random_plant
 
-from gains.certificate import certify
-from gains.compilation import compile_gains
-from gains.design import Design
-from gains.discretise import discretise
 from gains.errors import InaccurateError
-from gains.gains_file import Gains
-from gains.model_file import builtin_model, model_hash
-from gains.plant import FloatArray, Plant
-from gains.synthesis import design_convex
+from gains.plants.discretise import discretise
+from gains.plants.model_file import builtin_model, model_hash
+from gains.plants.plant import FloatArray, Plant
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from gains.synthesis.design import Design
+from gains.synthesis.gains_file import Gains
 
 PLANTS = {
     "arm": replace(builtin_model("arm-disturbed"), c=np.array([0.1, -0.2, 0.3, -0.4])),

@@ -7,13 +7,13 @@ import pytest
 from gains_samples import continuous_plant
 from paper_gains import BETA, DISTURBED, UNDISTURBED, Printed
 
-from gains.augment import augment, error_model
-from gains.continuous_certificate import certify_continuous, continuous_report
-from gains.continuous_design import ContinuousDesign, FaultState, closed_error_system
-from gains.continuous_observer import fauio_gains
-from gains.continuous_synthesis import design_continuous
-from gains.model_file import builtin_model
-from gains.plant import Plant
+from gains.analysis.augment import augment, error_model
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Plant
+from gains.synthesis.continuous_certificate import certify_continuous, continuous_report
+from gains.synthesis.continuous_design import ContinuousDesign, FaultState, closed_error_system
+from gains.synthesis.continuous_observer import fauio_gains
+from gains.synthesis.continuous_synthesis import design_continuous
 
 
 def printed_design(printed: Printed) -> tuple[Plant, ContinuousDesign]:

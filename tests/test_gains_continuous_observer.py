@@ -8,13 +8,13 @@ import pytest
 from gains_samples import multirotor
 from paper_gains import BETA, DISTURBED, UNDISTURBED, Printed
 
-from adapters.arm import SCENARIOS, simulate_arm
-from gains.continuous_observer import ContinuousObserver, compile_continuous, fauio_observer
+from adapters.simulation.arm import SCENARIOS, simulate_arm
 from gains.errors import ModelError
-from gains.gains_file import read_gains, write_gains
-from gains.model_file import builtin_model, model_hash
-from gains.plant import FloatArray
-from monitor.observer import Observer
+from gains.plants.model_file import builtin_model, model_hash
+from gains.plants.plant import FloatArray
+from gains.synthesis.continuous_observer import ContinuousObserver, compile_continuous, fauio_observer
+from gains.synthesis.gains_file import read_gains, write_gains
+from monitor.estimation.observer import Observer
 
 
 def printed_observer(printed: Printed = DISTURBED) -> ContinuousObserver:

@@ -10,16 +10,16 @@ from gains_samples import continuous_plant, multirotor, with_rates
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import gains.continuous_synthesis
-from adapters.arm import SCENARIOS, simulate_arm
-from gains.continuous_certificate import ContinuousCertificate, certify_continuous
-from gains.continuous_design import ContinuousDesign
-from gains.continuous_observer import compile_continuous
-from gains.continuous_synthesis import design_continuous
+import gains.synthesis.continuous_synthesis
+from adapters.simulation.arm import SCENARIOS, simulate_arm
 from gains.errors import InaccurateError, InfeasibleError, ModelError
-from gains.model_file import builtin_model
-from gains.plant import Fault, Plant
-from monitor.observer import Observer
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Fault, Plant
+from gains.synthesis.continuous_certificate import ContinuousCertificate, certify_continuous
+from gains.synthesis.continuous_design import ContinuousDesign
+from gains.synthesis.continuous_observer import compile_continuous
+from gains.synthesis.continuous_synthesis import design_continuous
+from monitor.estimation.observer import Observer
 
 FLOOR = 0.13628
 
@@ -150,6 +150,6 @@ def test_gains_that_no_certificate_confirms_are_never_returned(monkeypatch: pyte
     def rejecting(plant: Plant, design: ContinuousDesign) -> ContinuousCertificate:
         return replace(certify_continuous(plant, design), holds=False)
 
-    monkeypatch.setattr(gains.continuous_synthesis, "certify_continuous", rejecting)
+    monkeypatch.setattr(gains.synthesis.continuous_synthesis, "certify_continuous", rejecting)
     with pytest.raises(InaccurateError, match="no gains it found could be certified"):
         design_continuous(builtin_model("arm-disturbed"))

@@ -7,9 +7,9 @@ import pytest
 from gains_samples import multirotor
 from scipy.integrate import solve_ivp
 
-from gains.discretise import discretise
 from gains.errors import ModelError
-from gains.model_file import builtin_model
+from gains.plants.discretise import discretise
+from gains.plants.model_file import builtin_model
 
 
 def test_held_signals_move_the_sampled_plant_as_they_move_the_continuous_one() -> None:

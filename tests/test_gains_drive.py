@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from simulated_vehicles import DRIVE, RATE_HZ, STEERING, ride
 
-from adapters.scaled_inputs import DriveInputs
-from gains.drive import drive_plant, identify_drive
+from adapters.sampling.scaled_inputs import DriveInputs
 from gains.errors import ModelError
-from gains.multirotor import Segment
+from gains.identification.drive import drive_plant, identify_drive
+from gains.identification.multirotor import Segment
 
 
 def test_steering_and_throttle_are_recovered_also_in_reverse() -> None:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from paper_gains import BETA, PRINTED
 
-from gains.augment import augment
-from gains.continuous_observer import ContinuousObserver, fauio_observer
-from gains.error_system import error_norm, error_system, slope_matrix
+from gains.analysis.augment import augment
 from gains.errors import ModelError
-from gains.model_file import builtin_model
-from gains.plant import Plant
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Plant
+from gains.synthesis.continuous_observer import ContinuousObserver, fauio_observer
+from gains.synthesis.error_system import error_norm, error_system, slope_matrix
 
 
 def printed(name: str) -> tuple[Plant, ContinuousObserver]:

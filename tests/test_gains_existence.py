@@ -8,12 +8,12 @@ from gains_samples import integrator_with_drift, multirotor, random_plant, sine
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gains.check import check_plant
-from gains.discretise import discretise
+from gains.analysis.check import check_plant
+from gains.analysis.existence import check_existence
 from gains.errors import InfeasibleError, ModelError
-from gains.existence import check_existence
-from gains.model_file import builtin_model
-from gains.plant import Fault, Plant
+from gains.plants.discretise import discretise
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Fault, Plant
 
 
 @pytest.mark.parametrize("rate", [1.0, 100.0, 10_000.0])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gains.errors import ModelError
-from gains.expression import (
+from gains.plants.expression import (
     FUNCTIONS,
     Apply,
     Argument,

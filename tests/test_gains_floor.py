@@ -9,10 +9,10 @@ from gains_samples import integrator_with_drift, multirotor, random_plant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gains.certificate import certify
-from gains.floor import floor_sqrt_mu
-from gains.model_file import builtin_model
-from gains.synthesis import design_convex
+from gains.analysis.floor import floor_sqrt_mu
+from gains.plants.model_file import builtin_model
+from gains.synthesis.certificate import certify
+from gains.synthesis.convex import design_convex
 
 
 def test_the_disturbed_arm_has_the_floor_of_the_theory() -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gains.errors import ModelError
-from gains.free_model import FreeModel, read_free_model
-from gains.model_file import builtin_model, read_model, write_model
-from gains.simulation import dynamics_of
+from gains.identification.free_model import FreeModel, read_free_model
+from gains.identification.simulation import dynamics_of
+from gains.plants.model_file import builtin_model, read_model, write_model
 
 TEXT = """
 name = "cart"

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from gains_samples import multirotor, random_plant
 
-from gains.certificate import certify
-from gains.compilation import compile_gains
 from gains.errors import ModelError
-from gains.gains_file import Gains, read_gains, write_gains
-from gains.plant import Plant
-from gains.synthesis import design_convex
+from gains.plants.plant import Plant
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from gains.synthesis.gains_file import Gains, read_gains, write_gains
 
 
 def compiled(plant: Plant, integrator_order: int = 1) -> Gains:

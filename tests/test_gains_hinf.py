@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gains.certificate import grid_norm
-from gains.hinf import gains_at, hinf_norm
-from gains.plant import FloatArray
+from gains.analysis.hinf import gains_at, hinf_norm
+from gains.plants.plant import FloatArray
+from gains.synthesis.certificate import grid_norm
 
 System = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 

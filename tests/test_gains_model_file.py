@@ -10,9 +10,9 @@ from gains_samples import PRINTED, multirotor, random_plant
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gains.discretise import discretise
 from gains.errors import ModelError
-from gains.model_file import (
+from gains.plants.discretise import discretise
+from gains.plants.model_file import (
     BUILTIN_MODELS,
     LARGEST_BYTES,
     builtin_model,
@@ -21,7 +21,7 @@ from gains.model_file import (
     read_model,
     write_model,
 )
-from gains.plant import Disturbance, Fault, Noise, Nonlinearity, Plant
+from gains.plants.plant import Disturbance, Fault, Noise, Nonlinearity, Plant
 
 TEXT = """
 name = "small"

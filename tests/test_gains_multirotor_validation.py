@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gains.multirotor import MultirotorFit, Segment, identify_multirotor, multirotor_plant
-from gains.multirotor_validation import (
+from gains.identification.multirotor import MultirotorFit, Segment, identify_multirotor, multirotor_plant
+from gains.identification.multirotor_validation import (
     explained_change,
     motor_effect,
     motor_uncertainty,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gains.noise_scales import fit_noise_scales
+from gains.identification.noise_scales import fit_noise_scales
 
 A = np.array([[1.0, 0.02], [-0.5, 0.97]])
 C = np.array([[1.0, 0.0]])

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from gains.errors import ModelError
-from gains.fitted_plant import fitted_plant, parameter_uncertainty
-from gains.free_model import FreeModel, read_free_model
-from gains.multirotor import Segment
-from gains.output_error import OutputErrorFit, identify
-from gains.shooting import split_segments
-from gains.simulation import Stepper, dynamics_of
+from gains.identification.fitted_plant import fitted_plant, parameter_uncertainty
+from gains.identification.free_model import FreeModel, read_free_model
+from gains.identification.multirotor import Segment
+from gains.identification.output_error import OutputErrorFit, identify
+from gains.identification.shooting import split_segments
+from gains.identification.simulation import Stepper, dynamics_of
 
 RATE_HZ = 50.0
 LAG, GAIN = 0.15, 3.0

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from gains_samples import multirotor, random_plant, sine
 
-from gains.augment import augment
+from gains.analysis.augment import augment
 from gains.errors import ModelError
-from gains.plant import Disturbance, Fault, Noise, Plant
+from gains.plants.plant import Disturbance, Fault, Noise, Plant
 
 
 def small(**changes: Any) -> Plant:

@@ -7,8 +7,8 @@ from gains_samples import trees
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gains.expression import FUNCTIONS, Node, compile_node, parse_expression
-from gains.postfix import evaluate, postfix
+from gains.plants.expression import FUNCTIONS, Node, compile_node, parse_expression
+from gains.plants.postfix import evaluate, postfix
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 1e-300, 1e300, -1e300, 710.0, math.inf, -math.inf, math.nan]
 numbers = st.one_of(st.sampled_from(SPECIAL), st.floats(-5, 5))

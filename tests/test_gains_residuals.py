@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gains.residuals import residual_statistics
+from gains.identification.residuals import residual_statistics
 
 
 def test_white_normal_residuals_are_called_so() -> None:

@@ -8,9 +8,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from gains.errors import ModelError
-from gains.model_file import builtin_model
-from gains.plant import Plant
-from gains.simulation import Stepper, dynamics_of, linearised
+from gains.identification.simulation import Stepper, dynamics_of, linearised
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Plant
 
 
 def run(plant: Plant, u: np.ndarray, start: np.ndarray, rate_hz: float, hold: str = "first") -> np.ndarray:

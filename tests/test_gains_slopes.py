@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gains.errors import ModelError
-from gains.expression import Node, compile_node
-from gains.slopes import check_slopes, enclosure, slope_bounds
+from gains.plants.expression import Node, compile_node
+from gains.plants.slopes import check_slopes, enclosure, slope_bounds
 
 EVERYWHERE = (-math.inf, math.inf)
 

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from simulated_vehicles import DELAY_S, LAG_S, PITCH, RATE_HZ, ROLL, THRUST, YAW, flight
 
-from adapters.scaled_inputs import SurfaceInputs
-from gains.certificate import certify
-from gains.compilation import compile_gains
+from adapters.sampling.scaled_inputs import SurfaceInputs
 from gains.errors import ModelError
-from gains.gains_file import Gains
-from gains.multirotor import Segment
-from gains.regression import lagged
-from gains.surfaces import SurfacesFit, identify_surfaces, surfaces_plant
-from gains.synthesis import design_convex
-from monitor.observer import Observer
+from gains.identification.multirotor import Segment
+from gains.identification.regression import lagged
+from gains.identification.surfaces import SurfacesFit, identify_surfaces, surfaces_plant
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from gains.synthesis.gains_file import Gains
+from monitor.estimation.observer import Observer
 
 
 @pytest.fixture(scope="module")

@@ -11,17 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_lyapunov
 
-import gains.synthesis
-from gains.augment import augment, error_model
-from gains.certificate import Certificate, certify, report
-from gains.compilation import compile_gains
-from gains.design import Design
-from gains.discretise import discretise
+import gains.synthesis.convex
+from gains.analysis.augment import augment, error_model
+from gains.analysis.floor import floor_sqrt_mu
 from gains.errors import InaccurateError, InfeasibleError, ModelError
-from gains.floor import floor_sqrt_mu
-from gains.model_file import builtin_model
-from gains.plant import Disturbance, Fault, FloatArray, Plant
-from gains.synthesis import design_convex
+from gains.plants.discretise import discretise
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Disturbance, Fault, FloatArray, Plant
+from gains.synthesis.certificate import Certificate, certify, report
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from gains.synthesis.design import Design
 
 LONG = pytest.mark.long
 """For more of the same."""
@@ -125,7 +125,7 @@ def test_multipliers_give_proven_gains_close_to_those_of_the_vertices(
 ) -> None:
     plant = random_plant(seed, 1, 1, nonlinear=2)
     least = design_convex(plant, vertices=True).sqrt_mu
-    monkeypatch.setattr(gains.synthesis, "_LARGEST_CONE", 0)
+    monkeypatch.setattr(gains.synthesis.convex, "_LARGEST_CONE", 0)
     design = design_convex(plant)
     assert_proven(plant, design)
     assert 0.999 * least <= design.sqrt_mu <= 1.1 * least
@@ -477,7 +477,7 @@ def rejecting(times: int) -> Any:
 def test_a_rejected_optimum_is_solved_again_a_little_inside(monkeypatch: pytest.MonkeyPatch) -> None:
     plant = builtin_model("arm-disturbed")
     optimum = design_convex(plant, 100.0)
-    monkeypatch.setattr(gains.synthesis, "certify", rejecting(1))
+    monkeypatch.setattr(gains.synthesis.convex, "certify", rejecting(1))
     design = design_convex(plant, 100.0)
     assert_proven(plant, design)
     assert optimum.mu < design.mu < 1.01 * optimum.mu
@@ -486,14 +486,14 @@ def test_a_rejected_optimum_is_solved_again_a_little_inside(monkeypatch: pytest.
 def test_a_point_a_little_inside_keeps_its_share_of_h2(monkeypatch: pytest.MonkeyPatch) -> None:
     plant = builtin_model("arm-disturbed")
     optimum = design_convex(plant, 100.0, h2=0.5)
-    monkeypatch.setattr(gains.synthesis, "certify", rejecting(1))
+    monkeypatch.setattr(gains.synthesis.convex, "certify", rejecting(1))
     design = design_convex(plant, 100.0, h2=0.5)
     assert optimum.mu < design.mu < 1.01 * optimum.mu
     assert assert_proven(plant, design).h2 < 1.01 * certify(plant, optimum).h2
 
 
 def test_gains_that_no_certificate_confirms_are_never_returned(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gains.synthesis, "certify", rejecting(100))
+    monkeypatch.setattr(gains.synthesis.convex, "certify", rejecting(100))
     with pytest.raises(InaccurateError, match="no gains it found could be certified") as caught:
         design_convex(builtin_model("arm-disturbed"), 100.0)
     assert caught.value.exit_status == 3

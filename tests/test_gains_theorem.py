@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from gains_samples import continuous_plant, multirotor
 
-from gains.continuous_certificate import ContinuousCertificate, certify_continuous
-from gains.continuous_design import ContinuousDesign
-from gains.continuous_observer import compile_continuous
 from gains.errors import InfeasibleError, ModelError
-from gains.model_file import builtin_model
-from gains.plant import Nonlinearity, Plant
-from gains.theorem import Theorem, design_theorem
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Nonlinearity, Plant
+from gains.synthesis.continuous_certificate import ContinuousCertificate, certify_continuous
+from gains.synthesis.continuous_design import ContinuousDesign
+from gains.synthesis.continuous_observer import compile_continuous
+from gains.synthesis.theorem import Theorem, design_theorem
 
 
 def assert_proven(plant: Plant, design: ContinuousDesign) -> ContinuousCertificate:

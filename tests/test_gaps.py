@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters.arm import SCENARIOS, simulate_arm
-from adapters.arm_source import arm_messages
+from adapters.logs.recordings import read_recording
 from adapters.message import Message
-from adapters.recordings import read_recording
+from adapters.simulation.arm import SCENARIOS, simulate_arm
+from adapters.simulation.arm_source import arm_messages
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
@@ -74,7 +74,7 @@ def test_bursts_on_a_healthy_flight_are_coasted_closer_than_a_straight_line_and_
     whole = play(quad_profile, gusty, keep_traces=True).traces[0]
     errors = []
     for first in (3, 1_000_000):
-        monkeypatch.setattr("adapters.lane._LINE_PERIODS", first)
+        monkeypatch.setattr("adapters.sampling.lane._LINE_PERIODS", first)
         found = play(quad_profile, with_bursts_lost(gusty, 0.08, seed), keep_traces=True)
         if first == 3:
             assert found.events == ()

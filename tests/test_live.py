@@ -13,11 +13,11 @@ from typing import NamedTuple
 import pytest
 
 import fauio
-from adapters.recordings import read_recording
-from adapters.zenoh_session import open_session
+from adapters.logs.recordings import read_recording
+from adapters.zenoh.zenoh_session import open_session
+from monitor.bus.subscriber import AlarmSubscriber
 from monitor.event import AlarmEvent, event_from_json
 from monitor.profile import Profile
-from monitor.subscriber import AlarmSubscriber
 from replay.player import play
 
 FAUIO = (sys.executable, "-m", "fauio")
@@ -66,7 +66,7 @@ def send(live: Live, log: Path, speed: float) -> None:
     command = [
         sys.executable,
         "-m",
-        "adapters.tlog_sender",
+        "adapters.simulation.tlog_sender",
         str(log),
         f"udp:{live.udp}",
         "--speed",

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adapters.sample import Sample
-from monitor.alarm import Alarm, AlarmRule, retuned
+from monitor.alarms.alarm import Alarm, AlarmRule, retuned
 from monitor.event import AlarmEvent, event_from_json
 
 STEP_NS = 10_000_000

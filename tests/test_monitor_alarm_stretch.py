@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from adapters.sample import Sample
-from monitor.alarm import Alarm, AlarmRule
-from monitor.alarm_stretch import AlarmStretch
+from monitor.alarms.alarm import Alarm, AlarmRule
+from monitor.alarms.alarm_stretch import AlarmStretch
 from monitor.event import AlarmEvent
 
 STEP_NS = 10_000_000

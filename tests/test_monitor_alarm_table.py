@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loopback import START_NS, event
 
-from monitor.alarm_table import MAX_ALARMS, AlarmTable, age
+from monitor.console.alarm_table import MAX_ALARMS, AlarmTable, age
 from monitor.event import AlarmEvent
 
 SECOND = 1_000_000_000

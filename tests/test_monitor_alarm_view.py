@@ -19,9 +19,9 @@ import pytest
 from loopback import START_NS, Endpoint, event
 from rich.console import Console
 
-from monitor.alarm_table import AlarmTable
-from monitor.alarm_view import draw
-from monitor.publisher import Publisher
+from monitor.bus.publisher import Publisher
+from monitor.console.alarm_table import AlarmTable
+from monitor.console.alarm_view import draw
 
 ROOT = Path(__file__).parent.parent
 HOUR_NS = 3600 * 1_000_000_000

@@ -15,9 +15,9 @@ import json, resource, sys
 sys.path.insert(0, sys.argv[2])
 from pathlib import Path
 from test_monitor_rotation import LAYOUT, estimate, event, message, noise
-from monitor.archive import RETRY_S, Archive
-from monitor.record_encoder import RecordEncoder
-from monitor.recorder import Recorder
+from monitor.recording.archive import RETRY_S, Archive
+from monitor.recording.record_encoder import RecordEncoder
+from monitor.recording.recorder import Recorder
 now = 0.0
 recorder = Recorder(Path(sys.argv[1]), [LAYOUT], {}, {})
 archive = Archive(RecordEncoder([LAYOUT]), recorder, None, monotonic=lambda: now)

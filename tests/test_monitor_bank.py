@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gains.bank import compile_bank, design_bank
-from gains.gains_file import Gains
-from gains.plant import Disturbance, Fault, Noise, Plant
-from monitor.bank import Bank
-from monitor.isolation_rule import BankRule
+from gains.plants.plant import Disturbance, Fault, Noise, Plant
+from gains.synthesis.bank import compile_bank, design_bank
+from gains.synthesis.gains_file import Gains
+from monitor.estimation.bank import Bank
+from monitor.estimation.isolation_rule import BankRule
 
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-0.7, 0.7))
 NAMES = ("left", "right", "both")

@@ -12,15 +12,15 @@ from mcap.reader import make_reader
 from test_monitor_recorder import LAYOUT, estimate
 
 from adapters.errors import TelemetryError
-from adapters.mcap_reader import MessageLogReader, read_mcap_metadata
+from adapters.logs.mcap_reader import MessageLogReader, read_mcap_metadata
+from adapters.logs.recordings import read_recording
 from adapters.message import Message
-from adapters.recordings import read_recording
-from monitor.black_box import MAX_OPEN_CLIPS, BlackBox
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent, alarm_id
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
-from monitor.record_encoder import RecordEncoder
+from monitor.recording.black_box import MAX_OPEN_CLIPS, BlackBox
+from monitor.recording.record_encoder import RecordEncoder
 from replay.player import play
 
 SECOND = 1_000_000_000

@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.arm import SCENARIOS, simulate_arm
-from adapters.arm_source import arm_messages
+from adapters.logs.recordings import packed, read_recording
 from adapters.message import Message, silence
-from adapters.recordings import packed, read_recording
-from monitor.desk_rule import DeskRule
+from adapters.simulation.arm import SCENARIOS, simulate_arm
+from adapters.simulation.arm_source import arm_messages
+from monitor.alarms.desk_rule import DeskRule
 from monitor.estimate import Estimate, Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, rules_message

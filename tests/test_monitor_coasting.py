@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gains.bank import compile_bank, design_bank
-from gains.certificate import certify
-from gains.compilation import compile_gains
-from gains.gains_file import Gains
-from gains.model_file import builtin_model
-from gains.plant import Disturbance, Fault, Noise, Plant
-from gains.synthesis import design_convex
-from monitor.coasting import coasting_maps
-from monitor.observer import Observer
-from monitor.observer_stack import ObserverStack
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Disturbance, Fault, Noise, Plant
+from gains.synthesis.bank import compile_bank, design_bank
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from gains.synthesis.gains_file import Gains
+from monitor.estimation.coasting import coasting_maps
+from monitor.estimation.observer import Observer
+from monitor.estimation.observer_stack import ObserverStack
 
 
 def plant() -> Plant:

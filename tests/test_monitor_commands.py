@@ -13,10 +13,10 @@ from typing import IO
 import pytest
 from loopback import Endpoint, event
 
-from monitor.alarm_text import alarm_line
+from monitor.bus.alarm_text import alarm_line
+from monitor.bus.payload import to_json
+from monitor.bus.publisher import Publisher
 from monitor.event import AlarmEvent, event_from_json
-from monitor.payload import to_json
-from monitor.publisher import Publisher
 
 ROOT = Path(__file__).parent.parent
 

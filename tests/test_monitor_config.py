@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from monitor.config import Config, Vehicle, read_config
-from monitor.config_page import render
+from monitor.configuration.config import Config, Vehicle, read_config
+from monitor.configuration.config_page import render
 from monitor.errors import ProfileError
 from monitor.profile import Profile
 
@@ -250,7 +250,9 @@ def test_the_worked_example_is_right_and_shows_every_key(tmp_path: Path) -> None
 
 
 def test_the_reference_page_is_up_to_date() -> None:
-    assert (ROOT / "docs/config.md").read_text() == render(), "run python -m monitor.config_page > docs/config.md"
+    assert (ROOT / "docs/config.md").read_text() == render(), (
+        "run python -m monitor.configuration.config_page > docs/config.md"
+    )
 
 
 def test_every_key_has_a_description_and_an_example_that_is_right(tmp_path: Path) -> None:

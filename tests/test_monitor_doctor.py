@@ -12,12 +12,12 @@ from daemons import free_ports
 from loopback import Endpoint, free_port
 
 import fauio
-from monitor.doctor import checks_text, version_checks, worst
-from monitor.doctor_check import Check
-from monitor.doctor_machine import buffer_check, clock_checks, disk_check, folder_check, serial_checks
-from monitor.doctor_network import mavlink_check, metrics_check, round_trip_check, zenoh_port_check
-from monitor.publisher import Publisher
-from monitor.versions import Library
+from monitor.bus.publisher import Publisher
+from monitor.diagnosis.doctor import checks_text, version_checks, worst
+from monitor.diagnosis.doctor_check import Check
+from monitor.diagnosis.doctor_machine import buffer_check, clock_checks, disk_check, folder_check, serial_checks
+from monitor.diagnosis.doctor_network import mavlink_check, metrics_check, round_trip_check, zenoh_port_check
+from monitor.diagnosis.versions import Library
 
 QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
 
@@ -133,7 +133,7 @@ def test_a_receive_buffer_that_is_too_small_is_told(tmp_path: Path) -> None:
 
 def test_a_clock_that_was_never_set_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [check.name for check in clock_checks()] == ["clock", "ntp"]
-    monkeypatch.setattr("monitor.doctor_machine.time.time", lambda: 0.0)
+    monkeypatch.setattr("monitor.diagnosis.doctor_machine.time.time", lambda: 0.0)
     [found] = clock_checks()
     assert (found.verdict, found.found) == ("failed", "it shows 1970-01-01")
 
@@ -147,7 +147,7 @@ def test_libraries_that_are_missing_or_too_old_fail(monkeypatch: pytest.MonkeyPa
         Library("mcap", "", "1.6", None),
         Library("numba", "fast", "", None),
     ]
-    monkeypatch.setattr("monitor.versions.libraries", lambda: found)
+    monkeypatch.setattr("monitor.diagnosis.versions.libraries", lambda: found)
     failed = [check for check in version_checks() if check.verdict == "failed"]
     assert [check.found for check in failed] == ["numpy 1.26.4 is too old", "mcap is not installed"]
     assert failed[0].advice == "pip install 'numpy>=2.0'"

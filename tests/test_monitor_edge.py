@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.edge import EdgeDetector
+from monitor.estimation.edge import EdgeDetector
 
 RATE_HZ = 100.0
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from monitor.effectiveness import Effectiveness, EffectivenessEstimator, EffectivenessRule
+from monitor.estimation.effectiveness import Effectiveness, EffectivenessEstimator, EffectivenessRule
 
 RATE_HZ = 50.0
 RULE = EffectivenessRule(noise=0.01, inflation=2.0, lag_s=0.0, loss_doubt=0.02, offset_doubt=0.002, certainty=5.0)

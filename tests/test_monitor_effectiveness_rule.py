@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from monitor.effectiveness import EffectivenessRule
-from monitor.effectiveness_rule import effectiveness_table, read_effectiveness
 from monitor.errors import ProfileError
+from monitor.estimation.effectiveness import EffectivenessRule
+from monitor.estimation.effectiveness_rule import effectiveness_table, read_effectiveness
 from monitor.tables import Table
 
 INPUTS = ("steering", "throttle", "speed")

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from stretches import bits, partitions
 
 from adapters.sample import Sample, Samples
-from monitor.effectiveness import Effectiveness, EffectivenessRule
 from monitor.effectiveness_stage import EffectivenessStage
+from monitor.estimation.effectiveness import Effectiveness, EffectivenessRule
 from monitor.profile import FaultChannel
 
 Array = NDArray[np.float64]

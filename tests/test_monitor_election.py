@@ -12,13 +12,13 @@ import pytest
 import zenoh
 from loopback import free_port, until
 
-from monitor.election import Election
+from monitor.service.election import Election
 
 ROOT = "fauio/copter-1"
 TAKEN_OVER_S = 2.0
 CANDIDATE = """
 import sys, time, zenoh
-from monitor.election import Election
+from monitor.service.election import Election
 session = zenoh.open(zenoh.Config.from_json5(sys.argv[1]))
 election = Election(session, sys.argv[2])
 while not election.leads:

@@ -10,15 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adapters.sample import Samples
-from gains.bank import Hypothesis, compile_bank
-from gains.estimability import restricted
-from gains.gains_file import Gains
-from gains.plant import Disturbance, Fault, Noise, Plant
-from gains.synthesis import design_convex
-from monitor.bank import Bank
-from monitor.estimator import Estimator, JointEstimator, make_estimator
-from monitor.estimator_run import EstimatorRun, pieces
-from monitor.isolation_rule import BankRule, IndependentRule, SingleRule
+from gains.analysis.estimability import restricted
+from gains.plants.plant import Disturbance, Fault, Noise, Plant
+from gains.synthesis.bank import Hypothesis, compile_bank
+from gains.synthesis.convex import design_convex
+from gains.synthesis.gains_file import Gains
+from monitor.estimation.bank import Bank
+from monitor.estimation.estimator import Estimator, JointEstimator, make_estimator
+from monitor.estimation.estimator_run import EstimatorRun, pieces
+from monitor.estimation.isolation_rule import BankRule, IndependentRule, SingleRule
 
 NAMES = ("left", "right", "gyro")
 THRESHOLDS = dict.fromkeys(NAMES, 0.05)

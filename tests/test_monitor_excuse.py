@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from monitor.alarms.excuse import ExcuseRule, Excuses, excuse_tables, read_excuses
 from monitor.errors import ProfileError
 from monitor.event import AlarmEvent, State
-from monitor.excuse import ExcuseRule, Excuses, excuse_tables, read_excuses
 from monitor.tables import Table
 
 RULE = ExcuseRule(("gps_velocity_north",), ("gyro_x", "gyro_y"), 20.0)

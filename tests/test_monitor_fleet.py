@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 
 from adapters.message import Message
-from monitor.fleet import Fleet
-from monitor.inbox import Arrival
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
-from monitor.vehicle_monitor import VehicleMonitor
+from monitor.service.fleet import Fleet
+from monitor.service.inbox import Arrival
+from monitor.service.vehicle_monitor import VehicleMonitor
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from loopback import until
 
 from adapters.message import Message
-from monitor.inbox import Arrival, Inbox
+from monitor.service.inbox import Arrival, Inbox
 
 
 def message(number: int) -> Message:

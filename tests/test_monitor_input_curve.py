@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.input_curve import effect_of_command, fault_in_command, relative_loss
+from monitor.estimation.input_curve import effect_of_command, fault_in_command, relative_loss
 
 CURVE = np.array([[0.4, 0.6], [0.4, 0.6]])
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.isolation import IndependentChannels, SingleFaultIsolator
+from monitor.estimation.isolation import IndependentChannels, SingleFaultIsolator
 
 GUST = np.ones(4) / 2
 COVARIANCE = 1e-6 * np.eye(4) + 1e-2 * np.outer(GUST, GUST)

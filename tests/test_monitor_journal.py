@@ -18,10 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loopback import event
 
-from monitor import journal as module
 from monitor.errors import ProfileError
-from monitor.journal import Journal
-from monitor.journal_file import APPLICATION_ID, read_connection
+from monitor.recording import journal as module
+from monitor.recording.journal import Journal
+from monitor.recording.journal_file import APPLICATION_ID, read_connection
 
 TESTS = Path(__file__).parent
 ROOT = TESTS.parent
@@ -160,7 +160,7 @@ def test_with_a_full_disk_events_wait_in_order_and_are_written_when_there_is_roo
 FILE_LIMIT = """
 import resource, sys
 from loopback import event
-from monitor.journal import Journal
+from monitor.recording.journal import Journal
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
 journal = Journal(sys.argv[1])
 for seq in range(1, 301):

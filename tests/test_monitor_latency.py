@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.latency import LatencyHistogram, LatencyStatistics
+from monitor.service.latency import LatencyHistogram, LatencyStatistics
 
 LATENCIES = st.lists(st.integers(0, 1 << 39), min_size=1, max_size=60)
 

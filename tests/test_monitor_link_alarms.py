@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adapters.message import Message
+from monitor.alarms.link_alarms import LinkAlarms
 from monitor.event import AlarmEvent
-from monitor.link_alarms import LinkAlarms
 
 SECOND = 1_000_000_000
 T0 = 1_795_251_917 * SECOND

@@ -14,7 +14,7 @@ from loopback import START_NS
 from synthetic_run import LAYOUT, THRESHOLDS, estimate, event
 
 from adapters.message import Message
-from monitor.live_buffer import MAX_EVENTS, MAX_FIELDS, MAX_ROWS, VehicleView
+from monitor.views.live_buffer import MAX_EVENTS, MAX_FIELDS, MAX_ROWS, VehicleView
 
 RNG = np.random.default_rng(3)
 SAMPLE = estimate(0, RNG)

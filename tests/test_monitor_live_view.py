@@ -21,14 +21,14 @@ from loopback import free_port, until
 from rerun.chunk import RrdReader
 from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, estimate, event
 
+from adapters.logs.recordings import read_recording
 from adapters.message import Message
-from adapters.recordings import read_recording
 from monitor.estimate import Estimate
-from monitor.live_buffer import VehicleView
-from monitor.live_view import LiveView
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
-from monitor.rerun_process import LiveViewError, rerun_binary
+from monitor.views.live_buffer import VehicleView
+from monitor.views.live_view import LiveView
+from monitor.views.rerun_process import LiveViewError, rerun_binary
 
 EVENTS = [event(1020, "raised"), event(1100, "updated", severity="critical"), event(1300, "cleared")]
 
@@ -230,7 +230,7 @@ def test_a_port_that_is_taken_and_a_missing_executable_are_said_in_one_line(monk
 
 def test_a_process_with_a_view_that_nobody_looks_at_ends_by_itself() -> None:
     program = f"""
-from monitor.live_view import LiveView
+from monitor.views.live_view import LiveView
 live = LiveView("serve", port={free_port()})
 live.vehicle("a", (), {{}}, ())
 live.close()

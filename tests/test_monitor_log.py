@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loopback import event, until
 
-from monitor import log as module
-from monitor.log import Log
+from monitor.service import log as module
+from monitor.service.log import Log
 
 ROOT = Path(__file__).parent.parent
 SECOND = 1_000_000_000
@@ -180,7 +180,7 @@ def test_a_pipe_that_nobody_reads_does_not_stop_the_monitor() -> None:
 def test_a_pipe_whose_reader_is_gone_does_not_stop_the_monitor() -> None:
     code = """
 import sys
-from monitor.log import Log
+from monitor.service.log import Log
 log = Log(as_json=True)
 sys.stdin.read()
 log.say("unheard")

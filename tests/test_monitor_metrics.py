@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from prometheus_client import CollectorRegistry
 from prometheus_client.parser import text_string_to_metric_families
 
-from monitor.health import (
+from monitor.recording.journal import JournalStatistics
+from monitor.service.health import (
     Health,
     LinkHealth,
     ObserverHealth,
@@ -18,9 +19,8 @@ from monitor.health import (
     health_json,
     problems,
 )
-from monitor.journal import JournalStatistics
-from monitor.latency import LatencyHistogram
-from monitor.metrics import METRICS, HealthCollector, metrics_table, render
+from monitor.service.latency import LatencyHistogram
+from monitor.service.metrics import METRICS, HealthCollector, metrics_table, render
 
 ROOT = Path(__file__).parent.parent
 UNITS = ("_total", "_seconds", "_bytes", "_info", "_messages", "_events", "_alarms")

@@ -10,10 +10,10 @@ from http.client import HTTPConnection
 import pytest
 from loopback import free_port, until
 
-from monitor import metrics_server as module
 from monitor.errors import ProfileError
-from monitor.health import Health, ProcessHealth, VehicleHealth
-from monitor.metrics_server import MetricsServer
+from monitor.service import metrics_server as module
+from monitor.service.health import Health, ProcessHealth, VehicleHealth
+from monitor.service.metrics_server import MetricsServer
 
 WELL = Health(ProcessHealth(), (VehicleHealth("copter-1", "monitoring"),))
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_gains import random_gains
 
-from monitor.input_curve import curve_columns, effect_into, effect_of_command
-from monitor.observer import Observer
+from monitor.estimation.input_curve import curve_columns, effect_into, effect_of_command
+from monitor.estimation.observer import Observer
 
 
 def test_a_step_allocates_no_arrays() -> None:

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gains.bank import compile_bank, design_bank
-from gains.gains_file import Gains
-from gains.model_file import builtin_model
-from gains.plant import Fault, Plant
-from monitor.observer import Observer
-from monitor.observer_stack import ObserverStack
-from monitor.stack_layout import stack_layout
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Fault, Plant
+from gains.synthesis.bank import compile_bank, design_bank
+from gains.synthesis.gains_file import Gains
+from monitor.estimation.observer import Observer
+from monitor.estimation.observer_stack import ObserverStack
+from monitor.estimation.stack_layout import stack_layout
 
 
 @pytest.fixture(scope="module")

@@ -14,14 +14,14 @@ import zenoh
 from jsonschema import Draft202012Validator
 from loopback import Endpoint, event
 
-from adapters.zenoh_session import open_session
-from monitor import operator_client
-from monitor.alarm_text import alarm_line
+from adapters.zenoh.zenoh_session import open_session
+from monitor.bus.alarm_text import alarm_line
+from monitor.bus.payload import to_json
+from monitor.bus.publisher import Publisher
+from monitor.bus.schemas import SCHEMAS
+from monitor.console import operator_client
+from monitor.console.operator_client import Target, find_target, send_command
 from monitor.errors import ProfileError
-from monitor.operator_client import Target, find_target, send_command
-from monitor.payload import to_json
-from monitor.publisher import Publisher
-from monitor.schemas import SCHEMAS
 
 ROOT = Path(__file__).parent.parent
 ULID = "01J0000000000000000000ABCD"

@@ -8,7 +8,7 @@ import pytest
 import zenoh
 from loopback import START_NS, Endpoint, event, until
 
-from monitor.operators import Operators
+from monitor.bus.operators import Operators
 
 ROOT = "fauio/copter-1"
 MINUTE_NS = 60_000_000_000

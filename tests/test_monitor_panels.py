@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, trace
 
-from monitor.panels import Panels, choose_panels, fault_limits, input_limits, same_scale
 from monitor.trace import TraceBuilder
+from monitor.views.panels import Panels, choose_panels, fault_limits, input_limits, same_scale
 
 ALL = (0, 1, 2, 3)
 

@@ -9,16 +9,16 @@ from typing import Any
 
 import pytest
 
+from adapters.logs.recordings import read_recording
 from adapters.message import Message, silence
-from adapters.phase import FlightPhase
-from adapters.recordings import read_recording
+from adapters.sampling.phase import FlightPhase
+from monitor.alarms.desk_rule import DeskRule
 from monitor.chain import Output
-from monitor.desk_rule import DeskRule
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, rules_message, standing_message
 from monitor.profile import Profile
-from monitor.recorder import Recorder
+from monitor.recording.recorder import Recorder
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 import pytest
 from loopback import Endpoint, until
 
-from monitor.desk_rule import DeskRule
-from monitor.election import Election
+from monitor.alarms.desk_rule import DeskRule
 from monitor.pipeline import Pipeline
-from monitor.post import Post, PostRule
 from monitor.profile import Profile
-from monitor.vehicle_monitor import VehicleMonitor
+from monitor.service.election import Election
+from monitor.service.post import Post, PostRule
+from monitor.service.vehicle_monitor import VehicleMonitor
 
 VEHICLE = "copter-1"
 SECOND_NS = 1_000_000_000

@@ -9,7 +9,7 @@ import pytest
 
 import fauio
 from monitor.errors import ProfileError
-from monitor.isolation_rule import BankRule
+from monitor.estimation.isolation_rule import BankRule
 from monitor.profile import read_profile
 
 

@@ -13,10 +13,10 @@ from loopback import START_NS, Endpoint, event, matched, until
 from zenoh import ext
 
 from adapters.sample import Sample
+from monitor.bus.publisher import HISTORY_EVENTS, Publisher
 from monitor.errors import ProfileError
 from monitor.estimate import Estimate, Layout
 from monitor.event import AlarmEvent, event_from_json
-from monitor.publisher import HISTORY_EVENTS, Publisher
 
 LAYOUT = Layout("motors", 100.0, ("u",), ("r",), ("p",), ("motor1", "motor 2"), ("m", "m"))
 

@@ -17,13 +17,13 @@ from loopback import START_NS, event
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from adapters.mcap_reader import MessageLogReader, read_mcap_messages, read_mcap_metadata
+from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages, read_mcap_metadata
 from adapters.message import Message
 from adapters.sample import Sample
+from monitor.bus.payload import ALARM_SCHEMA
 from monitor.estimate import Estimate, Layout
 from monitor.event import event_from_json
-from monitor.payload import ALARM_SCHEMA
-from monitor.recorder import Recorder
+from monitor.recording.recorder import Recorder
 
 LAYOUT = Layout(
     observer="motors",

@@ -15,8 +15,8 @@ import rerun as rr
 from rerun.chunk import RrdReader
 from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, event, trace
 
-from monitor.rerun_view import write_rrd
 from monitor.trace import TraceBuilder
+from monitor.views.rerun_view import write_rrd
 
 EVENTS = [event(1020, "raised"), event(1100, "updated", severity="critical"), event(1300, "cleared")]
 
@@ -196,7 +196,7 @@ def test_the_writer_needs_no_viewer_and_its_process_ends(tmp_path: Path) -> None
 import sys
 sys.path.insert(0, sys.argv[2])
 from synthetic_run import THRESHOLDS, event, trace
-from monitor.rerun_view import write_rrd
+from monitor.views.rerun_view import write_rrd
 write_rrd(sys.argv[1], [trace(50)], [event(10, "raised")], THRESHOLDS)
 """
     command = [sys.executable, "-W", "error", "-c", program, tmp_path / "run.rrd", Path(__file__).parent]

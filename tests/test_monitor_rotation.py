@@ -23,12 +23,12 @@ from mcap.reader import make_reader
 from test_monitor_recorder import LAYOUT, estimate
 
 from adapters.errors import TelemetryError
-from adapters.mcap_reader import MessageLogReader, read_mcap_metadata
+from adapters.logs.mcap_reader import MessageLogReader, read_mcap_metadata
+from adapters.logs.recordings import read_recording, recording_kind
 from adapters.message import Message
-from adapters.recordings import read_recording, recording_kind
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
-from monitor.rotation import RETRY_S, RotatingRecorder
+from monitor.recording.rotation import RETRY_S, RotatingRecorder
 from replay.player import play
 
 SECOND = 1_000_000_000

@@ -17,11 +17,11 @@ from loopback import event, free_port
 
 import fauio
 from adapters.sample import Sample
-from adapters.zenoh_session import open_session
+from adapters.zenoh.zenoh_session import open_session
+from monitor.bus.payload import estimate_json, to_json
+from monitor.bus.schemas import SCHEMAS, schema_text
 from monitor.estimate import Estimate, Layout
-from monitor.payload import estimate_json, to_json
 from monitor.profile import Profile
-from monitor.schemas import SCHEMAS, schema_text
 
 ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "docs/schemas"
@@ -34,7 +34,9 @@ def valid(name: str, payload: bytes) -> bool:
 def test_the_published_files_are_those_of_the_package() -> None:
     assert {path.name for path in FOLDER.iterdir()} == {f"{name}.json" for name in SCHEMAS}
     for name in SCHEMAS:
-        assert (FOLDER / f"{name}.json").read_text() == schema_text(name), "run python -m monitor.schemas docs/schemas"
+        assert (FOLDER / f"{name}.json").read_text() == schema_text(name), (
+            "run python -m monitor.bus.schemas docs/schemas"
+        )
 
 
 @pytest.mark.parametrize("name", SCHEMAS)

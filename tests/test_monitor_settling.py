@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from test_monitor_coasting import plant
 
-from gains.certificate import certify
-from gains.compilation import compile_gains
-from gains.synthesis import design_convex
-from monitor.observer import Observer
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from monitor.estimation.observer import Observer
+from monitor.estimation.settling import settling_s
 from monitor.profile import Profile
-from monitor.settling import settling_s
 
 
 def test_an_observer_of_measured_states_has_nothing_to_forget() -> None:

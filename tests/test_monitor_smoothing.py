@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.smoothing import smooth
+from monitor.estimation.smoothing import smooth
 
 
 @given(

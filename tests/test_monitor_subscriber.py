@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 from loopback import Endpoint, event, matched, until
 
+from monitor.bus.publisher import Publisher
+from monitor.bus.subscriber import HELD_EVENTS, AlarmSubscriber
 from monitor.errors import ProfileError
 from monitor.event import AlarmEvent, valid_event
-from monitor.publisher import Publisher
-from monitor.subscriber import HELD_EVENTS, AlarmSubscriber
 
 KEY = "fauio/copter-1/alarm/motors/motor1"
 

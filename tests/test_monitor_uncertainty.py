@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from stretches import partitions
 from test_monitor_coasting import plant
 
-from gains.certificate import certify
-from gains.compilation import compile_gains
-from gains.gains_file import Gains
-from gains.synthesis import design_convex
-from monitor.observer import Observer
-from monitor.uncertainty import Uncertainty
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from gains.synthesis.gains_file import Gains
+from monitor.estimation.observer import Observer
+from monitor.estimation.uncertainty import Uncertainty
 
 NAMES = ("motor", "sensor")
 RUNS = 250

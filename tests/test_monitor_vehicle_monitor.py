@@ -13,11 +13,11 @@ from loopback import START_NS, event
 from adapters.message import Message
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
-from monitor.health import LinkHealth
-from monitor.journal import Journal
 from monitor.pipeline import Pipeline, shelved_channels
 from monitor.profile import Profile
-from monitor.vehicle_monitor import VehicleMonitor
+from monitor.recording.journal import Journal
+from monitor.service.health import LinkHealth
+from monitor.service.vehicle_monitor import VehicleMonitor
 
 SECOND_NS = 1_000_000_000
 

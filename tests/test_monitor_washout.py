@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.washout import Unwash
+from monitor.estimation.washout import Unwash
 
 RATE, TAU, THRESHOLD = 25.0, 30.0, 0.5
 

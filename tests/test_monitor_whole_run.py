@@ -10,17 +10,17 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from random_gains import random_gains
 
-from adapters.arm import SCENARIOS, simulate_arm
-from gains.certificate import certify
-from gains.compilation import compile_gains
-from gains.gains_file import Gains
-from gains.model_file import builtin_model
-from gains.synthesis import design_convex
-from monitor import compiled_run
+from adapters.simulation.arm import SCENARIOS, simulate_arm
+from gains.plants.model_file import builtin_model
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from gains.synthesis.gains_file import Gains
 from monitor.errors import ExtraMissingError
-from monitor.observer import Observer
-from monitor.recursion import ObserverRun, recursion_of
-from monitor.whole_run import AGREEMENT, WholeRun, run_whole
+from monitor.estimation import compiled_run
+from monitor.estimation.observer import Observer
+from monitor.estimation.recursion import ObserverRun, recursion_of
+from monitor.estimation.whole_run import AGREEMENT, WholeRun, run_whole
 
 PATHS = pytest.mark.parametrize("compiled", [False, True], ids=["numpy", "compiled"])
 SHAPES = ("sin(v)", "tanh(v)", "0.1*v*abs(v)/(1+v**2)", "atan(v)-0.5*cos(v)", "exp(-v**2)", "log(2+sin(v))")
@@ -176,7 +176,7 @@ def test_without_numba_compiled_code_names_what_to_install(monkeypatch: pytest.M
 
 def test_without_numba_a_run_that_leaves_the_choice_open_takes_plain_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "numba", None)
-    monkeypatch.setattr("monitor.whole_run._WORTH_LOADING", 1)
+    monkeypatch.setattr("monitor.estimation.whole_run._WORTH_LOADING", 1)
     gains = random_gains(0)
     u, y = signals(gains, 0, 50)
     assert_agree(gains, u, y, run_whole(gains, u, y))

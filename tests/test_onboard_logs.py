@@ -15,11 +15,11 @@ from mcap_protobuf.decoder import DecoderFactory
 from onboard_flights import BOOT_US, dataflash_of, ulog_of
 
 import fauio
-from adapters.recordings import read_recording, read_records, recording_kind
-from adapters.strapdown_channels import strapdown_channels
+from adapters.logs.recordings import read_recording, read_records, recording_kind
+from adapters.sampling.strapdown_channels import strapdown_channels
 from monitor.profile import Profile, read_profile
+from replay.fitting.survey import FIT_MESSAGES, common_rate_hz, multirotor_channels, of_one_vehicle, survey
 from replay.player import Replay, interests, play
-from replay.survey import FIT_MESSAGES, common_rate_hz, multirotor_channels, of_one_vehicle, survey
 
 KINDS = (".ulg", ".bin")
 

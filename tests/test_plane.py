@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import fauio
-from adapters.recordings import read_recording
+from adapters.logs.recordings import read_recording
 from monitor.profile import Profile, read_profile
 from replay.player import play
 

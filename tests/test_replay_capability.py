@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.arm import SCENARIOS, TORQUES, simulate_arm
-from adapters.arm_source import arm_messages
-from adapters.recordings import read_recording
-from gains.model_file import builtin_model, read_model
-from monitor.gate import GatedSample
+from adapters.logs.recordings import read_recording
+from adapters.simulation.arm import SCENARIOS, TORQUES, simulate_arm
+from adapters.simulation.arm_source import arm_messages
+from gains.plants.model_file import builtin_model, read_model
+from monitor.alarms.gate import GatedSample
 from monitor.profile import Profile
-from replay.calibrate import flight_samples
-from replay.capability import (
+from replay.fitting.calibrate import flight_samples
+from replay.fitting.capability import (
     Capability,
     Detection,
     capability,

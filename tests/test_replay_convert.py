@@ -24,9 +24,9 @@ from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 
 import fauio
-from adapters.arm import SCENARIOS, simulate_arm
-from adapters.mcap_log import MessageLogWriter
+from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
+from adapters.simulation.arm import SCENARIOS, simulate_arm
 from monitor.profile import Profile
 
 RUN = simulate_arm(SCENARIOS["case2"], 12.0, 100.0, "tracking")

@@ -15,19 +15,19 @@ from hypothesis import strategies as st
 from matplotlib import image
 
 import fauio
-from adapters.arm import SCENARIOS, simulate_arm
-from adapters.arm_source import arm_messages
-from adapters.mcap_log import MessageLogWriter
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.recordings import read_recording
 from adapters.message import Message
-from adapters.recordings import read_recording
-from monitor.palette import BLUE, ORANGE, rgba
+from adapters.simulation.arm import SCENARIOS, simulate_arm
+from adapters.simulation.arm_source import arm_messages
 from monitor.profile import Profile
-from replay.attack import Attack, InjectionError
-from replay.detectability import Detectability, Row, Sweep, detectability
-from replay.detectability_plot import plot_detectability
-from replay.detectability_text import result_lines
-from replay.trial import Task, run_task
-from replay.windows import onsets, stamps, window
+from monitor.views.palette import BLUE, ORANGE, rgba
+from replay.attacks.attack import Attack, InjectionError
+from replay.sensitivity.detectability import Detectability, Row, Sweep, detectability
+from replay.sensitivity.detectability_plot import plot_detectability
+from replay.sensitivity.detectability_text import result_lines
+from replay.sensitivity.trial import Task, run_task
+from replay.sensitivity.windows import onsets, stamps, window
 
 LOG = Path(__file__).parent / "data" / "copter_healthy_square.tlog.xz"
 ROW = Row("motor1", "loss", 0.1, "share of the command", 5, 0, 1, 0.2, None, 0.5, ("motor2",), 0.01)
@@ -101,8 +101,8 @@ def test_a_window_that_raises_by_itself_says_nothing_about_the_fault(
 
 
 def test_delays_count_misses_as_never() -> None:
-    from replay.detectability import _row
-    from replay.trial import Outcome
+    from replay.sensitivity.detectability import _row
+    from replay.sensitivity.trial import Outcome
 
     attack = Attack("motor1", "loss", 0, 1, size=0.1)
     seen = [Outcome(delay, frozenset(), 0.1) for delay in (0.4, 0.1, 0.2)]

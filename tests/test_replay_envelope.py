@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from replay.envelope import band, envelope
+from replay.reports.envelope import band, envelope
 
 
 @given(

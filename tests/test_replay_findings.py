@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from synthetic_run import event, trace
 
-from monitor.effectiveness import EffectivenessRule
+from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.event import AlarmEvent
 from monitor.profile import Profile
 from monitor.trace import Trace
-from replay.findings import FIT_FILE, effects, findings, watched_channels
+from replay.reports.findings import FIT_FILE, effects, findings, watched_channels
 
 EFFECT = EffectivenessRule(noise=0.01, inflation=1.0, lag_s=0.0, loss_doubt=0.0, offset_doubt=0.0, certainty=5.0)
 EVENTS = [

@@ -12,17 +12,17 @@ from typing import Any
 import pytest
 
 import fauio
-from adapters.arm import SCENARIOS, ArmFault, ArmRun, ArmScenario, simulate_arm
-from adapters.arm_source import arm_messages
 from adapters.errors import TelemetryError
-from adapters.mcap_log import MessageLogWriter
+from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
+from adapters.simulation.arm import SCENARIOS, ArmFault, ArmRun, ArmScenario, simulate_arm
+from adapters.simulation.arm_source import arm_messages
 from gains.errors import ModelError
-from gains.model_file import read_model
-from monitor.isolation_rule import BankRule
+from gains.plants.model_file import read_model
+from monitor.estimation.isolation_rule import BankRule
 from monitor.profile import UNEXPLAINED, read_profile
-from replay.fit import fit
-from replay.fit_custom import custom_messages, fit_custom
+from replay.fitting.fit import fit
+from replay.fitting.fit_custom import custom_messages, fit_custom
 from replay.player import play
 
 MODEL = Path(__file__).parent / "data" / "arm_free.toml"

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gains.excitation import Verdict
-from gains.residuals import residual_statistics
-from replay.fit_report import Comparison, comparison_lines, draw_comparison, parameter_lines
+from gains.identification.excitation import Verdict
+from gains.identification.residuals import residual_statistics
+from replay.fitting.fit_report import Comparison, comparison_lines, draw_comparison, parameter_lines
 
 
 def comparison() -> Comparison:

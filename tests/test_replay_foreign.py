@@ -25,10 +25,10 @@ from foreign_logs import (
 from mcap_ros2._dynamic import serialize_dynamic
 
 import fauio
-from adapters.arm import SCENARIOS, ArmFault, ArmRun, ArmScenario, simulate_arm
-from adapters.mcap_reader import read_mcap_messages
+from adapters.logs.mcap_reader import read_mcap_messages
 from adapters.message import Message
-from adapters.zenoh_payload import PayloadDecoder
+from adapters.simulation.arm import SCENARIOS, ArmFault, ArmRun, ArmScenario, simulate_arm
+from adapters.zenoh.zenoh_payload import PayloadDecoder
 from monitor.profile import Profile, read_profile
 from replay.player import play
 

@@ -12,11 +12,11 @@ import pytest
 from foreign_logs import ARM_DEFINITION, ARM_TYPE, START_NS, arm_rows, ros2_bag, stamp
 
 import fauio
-from adapters.arm import SCENARIOS, simulate_arm
-from adapters.arm_source import arm_messages
-from adapters.mcap_log import MessageLogWriter
-from adapters.recordings import read_recording
-from adapters.tlog import TlogReader
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.recordings import read_recording
+from adapters.logs.tlog import TlogReader
+from adapters.simulation.arm import SCENARIOS, simulate_arm
+from adapters.simulation.arm_source import arm_messages
 from monitor.profile import Profile
 from replay.player import play
 
@@ -126,7 +126,7 @@ def test_damage_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
 
 
 def _packets() -> list[bytes]:
-    from adapters.tlog import TlogReader
+    from adapters.logs.tlog import TlogReader
 
     return [(time_ns // 1000).to_bytes(8) + packet for time_ns, packet in TlogReader(FLIGHT).packets()]
 

@@ -16,15 +16,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fauio
-from adapters.mcap_log import MessageLogWriter
-from adapters.mcap_reader import read_mcap_metadata
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.mcap_reader import read_mcap_metadata
+from adapters.logs.recordings import read_recording
 from adapters.message import Message
-from adapters.recordings import read_recording
 from monitor.profile import Profile
-from replay.attack import KINDS, Attack, InjectionError
-from replay.injector import Injector, inject, plan
-from replay.instruments import INSTRUMENTS, metres_per_degree, pressure_altitude
-from replay.plant_response import PlantResponse, find_fault
+from replay.attacks.attack import KINDS, Attack, InjectionError
+from replay.attacks.injector import Injector, inject, plan
+from replay.attacks.instruments import INSTRUMENTS, metres_per_degree, pressure_altitude
+from replay.attacks.plant_response import PlantResponse, find_fault
 from replay.player import play
 
 LOG = Path(__file__).parent / "data" / "copter_5s.tlog.xz"

@@ -16,14 +16,14 @@ import zenoh
 from loopback import free_port, until
 
 import fauio
-from adapters.mcap_log import MessageLogWriter
-from adapters.recordings import read_recording
-from adapters.tlog import TlogReader
-from adapters.zenoh_session import open_session
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.recordings import read_recording
+from adapters.logs.tlog import TlogReader
+from adapters.zenoh.zenoh_session import open_session
+from monitor.bus.schemas import SCHEMAS
 from monitor.profile import read_profile
-from monitor.schemas import SCHEMAS
-from replay.live_replay import LiveReplay
-from replay.one_log import LogTask
+from replay.runs.live_replay import LiveReplay
+from replay.runs.one_log import LogTask
 
 QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
 
@@ -85,8 +85,8 @@ def test_packets_go_out_as_they_came_and_when_they_are_due(
     log = data / "copter_5s.tlog.xz"
     packets = list(TlogReader(log).packets())
     naps: list[float] = []
-    monkeypatch.setattr("adapters.pacing.time.sleep", naps.append)
-    monkeypatch.setattr("adapters.pacing.time.monotonic_ns", lambda: round(1e9 * sum(naps)))
+    monkeypatch.setattr("adapters.simulation.pacing.time.sleep", naps.append)
+    monkeypatch.setattr("adapters.simulation.pacing.time.monotonic_ns", lambda: round(1e9 * sum(naps)))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
         receiver.bind(("127.0.0.1", 0))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from adapters.errors import TelemetryError
-from replay.log_list import Log, find_logs, forbid_overwriting, target
+from replay.runs.log_list import Log, find_logs, forbid_overwriting, target
 
 
 @pytest.fixture

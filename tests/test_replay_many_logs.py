@@ -18,8 +18,8 @@ from loopback import until
 
 import fauio
 from monitor.profile import read_profile
-from replay.many_logs import profile_of, replay_in_processes
-from replay.one_log import LogTask
+from replay.runs.many_logs import profile_of, replay_in_processes
+from replay.runs.one_log import LogTask
 
 QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
 FLIGHTS = ("copter_gps_step25m", "copter_motor2_080", "copter_motor3_090")

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from adapters.logs.recordings import read_recording
 from adapters.message import Message
-from adapters.recordings import read_recording
 from monitor.profile import Profile, read_profile
-from replay.one_log import LogTask, replay_log
 from replay.player import interests, play
+from replay.runs.one_log import LogTask, replay_log
 
 QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
 PROFILE = read_profile(QUAD)
@@ -64,7 +64,7 @@ def test_what_was_not_foreseen_is_one_line(
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("replay.one_log.play_blocks", fail)
+    monkeypatch.setattr("replay.runs.one_log.play_blocks", fail)
     outcome = replay_log(PROFILE, LogTask("flight.tlog", data / "copter_5s.tlog.xz"))
     assert outcome.error is not None
     assert outcome.error.startswith(line)

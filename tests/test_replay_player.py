@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import fauio
-from adapters.arm import SCENARIOS, simulate_arm
-from adapters.arm_source import arm_messages
-from adapters.mcap_log import MessageLogWriter
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.simulation.arm import SCENARIOS, simulate_arm
+from adapters.simulation.arm_source import arm_messages
 from monitor.profile import Profile
 from replay.player import play
 

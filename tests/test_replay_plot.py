@@ -11,10 +11,10 @@ import pytest
 from matplotlib import image
 from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, event, trace
 
-from monitor.palette import BLUE, DARK, SEVERITY, SKY, rgba
 from monitor.trace import TraceBuilder
-from replay.plot import DPI, HIGHEST_IN, WIDTH_IN, colour_variables, plot_png, plot_svg
-from replay.plot_panels import DOUBT_ALPHA
+from monitor.views.palette import BLUE, DARK, SEVERITY, SKY, rgba
+from replay.reports.plot import DPI, HIGHEST_IN, WIDTH_IN, colour_variables, plot_png, plot_svg
+from replay.reports.plot_panels import DOUBT_ALPHA
 
 EVENTS = [event(1020, "raised"), event(1300, "cleared"), event(1400, "raised", id="02J", severity="critical")]
 
@@ -159,6 +159,6 @@ def test_many_inputs_have_a_lane_each(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("index", range(8))
 def test_the_palette_gives_bytes(index: int) -> None:
-    from monitor.palette import series_colour
+    from monitor.views.palette import series_colour
 
     assert all(0 <= part <= 255 for part in rgba(series_colour(index), 0.5))

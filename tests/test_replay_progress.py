@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from adapters.compressed import ON_BYTES, CompressedFile
+from adapters.logs.compressed import ON_BYTES, CompressedFile
 from replay.progress import recording_bytes, track
 
 

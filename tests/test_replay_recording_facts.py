@@ -6,7 +6,7 @@ import pytest
 
 from adapters.block import pack
 from adapters.message import Message
-from replay.recording_facts import MOST_GAPS, RecordingFacts, RecordingMeter
+from replay.reports.recording_facts import MOST_GAPS, RecordingFacts, RecordingMeter
 
 S = 1_000_000_000
 

@@ -14,7 +14,7 @@ import pytest
 from daemons import ENVIRONMENT, FAUIO
 
 import fauio
-from adapters.mcap_log import MessageLogWriter
+from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
 
 QUAD = str(Path(__file__).parent.parent / "replay" / "data" / "quad")

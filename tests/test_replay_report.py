@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 
 import fauio
-from adapters.arm import SCENARIOS, simulate_arm
-from adapters.arm_source import arm_messages
-from adapters.mcap_log import MessageLogWriter
+from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
+from adapters.simulation.arm import SCENARIOS, simulate_arm
+from adapters.simulation.arm_source import arm_messages
 from monitor.profile import Profile
 from replay.player import play
-from replay.recording_facts import RecordingMeter
-from replay.report import Run, report
+from replay.reports.recording_facts import RecordingMeter
+from replay.reports.report import Run, report
 
 DURATION_S = 30.0
 START_NS = 10**18

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from replay.report_html import Html, element, facts, page, table, text
+from replay.reports.report_html import Html, element, facts, page, table, text
 
 
 @given(st.text())

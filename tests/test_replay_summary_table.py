@@ -10,11 +10,11 @@ import pyarrow.parquet
 import pytest
 from loopback import START_NS, event
 
-from adapters.damage import Damage
 from adapters.errors import TelemetryError
+from adapters.logs.damage import Damage
 from monitor.errors import ExtraMissingError
-from replay.one_log import LogOutcome
-from replay.summary_table import COLUMNS, SummaryTable, summary_row
+from replay.runs.one_log import LogOutcome
+from replay.runs.summary_table import COLUMNS, SummaryTable, summary_row
 
 FOUND = LogOutcome(
     log="a.tlog",

@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.clock import VehicleClock
-from adapters.recordings import read_recording
+from adapters.logs.recordings import read_recording
+from adapters.sampling.clock import VehicleClock
+from monitor.alarms.gate import GatedSample
 from monitor.chain import ObserverChain
 from monitor.estimate import Estimate
-from monitor.gate import GatedSample
 from monitor.profile import Profile
-from replay.calibrate import flight_samples
-from replay.fitted import bare_rule
-from replay.thresholds import Times, calibrated, healthy_evidence, healthy_levels, plain_only, weighted_mean
+from replay.fitting.calibrate import flight_samples
+from replay.fitting.fitted import bare_rule
+from replay.fitting.thresholds import Times, calibrated, healthy_evidence, healthy_levels, plain_only, weighted_mean
 
 RATE_HZ = 50.0
 BARE = bare_rule("motors", "motor1", "actuator", "share")

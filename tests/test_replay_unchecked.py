@@ -7,15 +7,15 @@ from dataclasses import replace
 import pytest
 from synthetic_run import event
 
-from adapters.arm import SCENARIOS, simulate_arm
-from adapters.arm_source import arm_messages
-from adapters.damage import Damage
-from monitor.excuse import ExcuseRule
+from adapters.logs.damage import Damage
+from adapters.simulation.arm import SCENARIOS, simulate_arm
+from adapters.simulation.arm_source import arm_messages
+from monitor.alarms.excuse import ExcuseRule
 from monitor.profile import Profile
-from replay.findings import findings
 from replay.player import Replay, play
-from replay.recording_facts import Gap, RecordingFacts, StreamFacts
-from replay.unchecked import _exclusive, unchecked
+from replay.reports.findings import findings
+from replay.reports.recording_facts import Gap, RecordingFacts, StreamFacts
+from replay.reports.unchecked import _exclusive, unchecked
 
 NOTHING = RecordingFacts(None, None, ())
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import fauio
-from adapters.mcap_log import MessageLogWriter
-from adapters.recordings import read_recording
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.recordings import read_recording
 from monitor.event import AlarmEvent
 from monitor.profile import Profile, read_profile
 from replay.player import play

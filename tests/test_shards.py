@@ -14,9 +14,9 @@ import pytest
 from daemons import ENVIRONMENT, FAUIO, DaemonProcess, Flight, Watcher, filled_in, free_ports
 from loopback import until
 
-from adapters.zenoh_session import open_session
-from monitor.journal import Journal
+from adapters.zenoh.zenoh_session import open_session
 from monitor.profile import PROFILE_FILE, Profile
+from monitor.recording.journal import Journal
 
 TELEMETRY = "telemetry/shard-b/arm-1"
 

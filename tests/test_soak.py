@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
 from soak import Reading, broken, drops, memory_growth, outside_latencies
 from soak_expected import Expected, expected
 
-from adapters.fleet_sender import fleet_packets, read_flight
+from adapters.simulation.fleet_sender import fleet_packets, read_flight
 from monitor.profile import read_profile
 
 ROOT = Path(__file__).parent.parent

@@ -14,10 +14,10 @@ import pytest
 from daemons import DaemonProcess, Flight, Watcher, filled_in, free_ports
 from loopback import until
 
-from adapters.recordings import read_recording
+from adapters.logs.recordings import read_recording
 from monitor.event import AlarmEvent, event_from_json
-from monitor.journal import Journal
 from monitor.profile import Profile
+from monitor.recording.journal import Journal
 from replay.player import play
 
 VEHICLE = "copter-1"

@@ -13,10 +13,10 @@ import trustme
 import zenoh
 from loopback import event, free_port, until
 
-from adapters.zenoh_link import ZenohLink
-from adapters.zenoh_session import open_session
-from monitor.publisher import Publisher
-from monitor.subscriber import AlarmSubscriber
+from adapters.zenoh.zenoh_link import ZenohLink
+from adapters.zenoh.zenoh_session import open_session
+from monitor.bus.publisher import Publisher
+from monitor.bus.subscriber import AlarmSubscriber
 
 EXAMPLES = Path(__file__).parent.parent / "examples/zenoh"
 ALARM = "fauio/copter-1/alarm/motors/motor1"

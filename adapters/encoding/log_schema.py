@@ -1,0 +1,120 @@
+"""Protobuf types of onboard logs' records, taken from the records themselves: whole, typed, and the way back."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from typing import Any, Final
+
+from google.protobuf.message import DecodeError
+
+from adapters.encoding.protobuf_types import (
+    Field,
+    Scalar,
+    class_from_descriptor_set,
+    descriptor_set,
+    identifiers,
+    message_class,
+)
+from adapters.encoding.record import Schema
+from adapters.message import Message
+
+# One field's name and what it holds; of a nested type, its fields.
+Shape = tuple[tuple[str, str | tuple[Any, ...], bool], ...]
+
+_SCALARS: Final[Mapping[type, Scalar]] = {bool: "bool", int: "int64", float: "double", str: "string"}
+
+
+def shape(fields: Mapping[str, Any]) -> Shape:
+    """Return what fields look like; the records of one topic look alike.
+
+    Raises
+    ------
+    ValueError
+        A value, or a name, is none that a typed record can hold.
+    """
+    if identifiers(tuple(fields)) != tuple(fields):
+        raise ValueError("names that protobuf does not know")
+    return tuple((name, *_kind(value)) for name, value in fields.items())
+
+
+def _kind(value: Any) -> tuple[str | tuple[Any, ...], bool]:
+    if isinstance(value, list):
+        kinds = {_kind(element) for element in value}
+        if len(kinds) != 1 or (found := kinds.pop())[1]:
+            raise ValueError("a list of nothing, of lists or of unlike things")
+        return found[0], True
+    if isinstance(value, dict):
+        return shape(value), False
+    kind = _SCALARS.get(type(value))
+    if kind is None:
+        raise ValueError(f"no value of a record: {value!r}")
+    return kind, False
+
+
+@functools.lru_cache(maxsize=4096)
+def _class(source: str, name: str, form: Shape) -> tuple[Any, Schema]:
+    kind = message_class(source, "".join(c if c.isalnum() else "_" for c in name), _fields(form))
+    return kind, Schema(str(kind.DESCRIPTOR.full_name), "protobuf", descriptor_set(kind))
+
+
+def _fields(form: Shape) -> list[Field]:
+    return [
+        Field(name, kind if isinstance(kind, str) else tuple(_fields(kind)), repeated)  # type: ignore[arg-type]
+        for name, kind, repeated in form
+    ]
+
+
+def to_protobuf(message: Message) -> tuple[Schema, bytes]:
+    """Return the schema of a record of an onboard log, and the record in it.
+
+    Whole numbers become int64, others double (which holds a float exactly), arrays repeated, nested types messages.
+
+    Raises
+    ------
+    ValueError
+        A value or a name is none that a typed record can hold.
+    """
+    kind, schema = _class(message.source, message.name.partition("/")[0], shape(message.fields))
+    try:
+        return schema, bytes(kind(**message.fields).SerializeToString())
+    except (TypeError, OverflowError) as error:
+        raise ValueError(f"{message.name} does not fit its type: {error}") from error
+
+
+class LogProtobuf:
+    """Reads the records of one topic back.
+
+    Parameters
+    ----------
+    name, data : str, bytes
+        Name and data of the schema.
+    """
+
+    def __init__(self, name: str, data: bytes) -> None:
+        self._class = class_from_descriptor_set(data, name)
+
+    def fields(self, data: bytes) -> dict[str, Any]:
+        """Return the fields that :func:`to_protobuf` wrote.
+
+        Raises
+        ------
+        ValueError
+            The bytes are no such record.
+        """
+        try:
+            return _read(self._class.FromString(data))
+        except DecodeError as error:
+            raise ValueError(f"{self._class.DESCRIPTOR.full_name}: {error}") from error
+
+
+def _read(message: Any) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    # of the class: a field may bear this name
+    for field in type(message).DESCRIPTOR.fields:
+        value = getattr(message, field.name)
+        if field.message_type is not None:
+            found[field.name] = [_read(one) for one in value] if field.is_repeated else _read(value)
+        else:
+            found[field.name] = list(value) if field.is_repeated else value
+    return found

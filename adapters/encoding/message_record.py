@@ -1,0 +1,196 @@
+"""One telemetry message as a record of a log: its topic, its bytes, and the way back."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.block import Columns
+from adapters.encoding.foreign_record import json_object
+from adapters.encoding.log_schema import LogProtobuf, to_protobuf
+from adapters.encoding.mavlink_schema import PACKAGE, MavlinkProtobuf, mavlink_protobuf
+from adapters.encoding.protobuf_types import class_from_descriptor_set, descriptor_set
+from adapters.encoding.record import Record, Records, Schema
+from adapters.message import LATEST_NS, Message
+
+# Telemetry without MAVLink ids, and what else a pipeline is fed: time that passes, operators, the journal.
+_JSON_SOURCES = ("zenoh", "clock", "operator", "journal")
+# Records of onboard logs: protobuf by what they hold, JSON where that cannot be.
+_LOG_SOURCES = ("ulog", "dataflash")
+_SOURCES = ("mavlink", "link", *_JSON_SOURCES, *_LOG_SOURCES)
+
+# viewers want some schema, and a JSON topic may carry anything
+_JSON_SCHEMA = Schema("fauio.Telemetry", "jsonschema", b'{"type": "object"}')
+
+_LARGEST_ID = 255
+
+Decode = Callable[[bytes, int], Message]
+
+
+def encode(message: Message) -> Record:
+    """Return a message as a record.
+
+    MAVLink messages are protobuf, as JSON only where the fields are not those of pymavlink's definition.
+    NaN and infinity stay literals in JSON, which JSON proper lacks: a replay has to see what the monitor saw.
+
+    Raises
+    ------
+    ValueError
+        No record can hold the message's name, time or fields.
+    """
+    topic = f"/{message.source}/{message.name}"
+    topic.encode()
+    ids = {"system_id": message.system, "component_id": message.component}
+    if not 0 <= message.received_ns < LATEST_NS:
+        raise ValueError(f"{message.name} arrived at a time that no record can hold")
+    if message.source == "link":
+        return Record(topic, "json", _JSON_SCHEMA, _to_json({**message.fields, **ids}), message.received_ns)
+    if message.source in _LOG_SOURCES:
+        with contextlib.suppress(ValueError):
+            return Record(topic, "protobuf", *to_protobuf(message), message.received_ns)
+    if message.source != "mavlink":
+        return Record(topic, "json", _JSON_SCHEMA, _to_json(message.fields), message.received_ns)
+    kind = mavlink_protobuf(message.name)
+    if kind is not None:
+        try:
+            data = kind.to_bytes(message)
+        except ValueError:
+            pass
+        else:
+            return Record(topic, "protobuf", _mavlink_schema(kind), data, message.received_ns, message.component)
+    data = _to_json({**ids, "fields": message.fields})
+    return Record(topic, "json", _JSON_SCHEMA, data, message.received_ns, message.component)
+
+
+def encode_columns(columns: Columns) -> Records | None:
+    """Return messages as :func:`encode` does, None where they have to be taken one by one."""
+    kind = mavlink_protobuf(columns.name) if columns.source == "mavlink" else None
+    if kind is None or (columns.received_ns < 0).any():
+        return None
+    try:
+        data = kind.rows_to_bytes(columns)
+    except ValueError:
+        return None
+    topic = f"/{columns.source}/{columns.name}"
+    return Records(topic, "protobuf", _mavlink_schema(kind), data, columns.received_ns, columns.position)
+
+
+def recorded_name(topic: str, encoding: str, schema: str | None) -> str | None:
+    """Return the name of the messages on a topic of ours, None where others made the topic.
+
+    Parameters
+    ----------
+    topic, encoding : str
+        Topic and message encoding of the log's channel.
+    schema : str | None
+        Name of the channel's schema.
+    """
+    source, _, name = topic.removeprefix("/").partition("/")
+    if not name or source not in _SOURCES:
+        return None
+    if source == "mavlink" and encoding == "protobuf":
+        return name if schema is not None and schema.startswith(f"{PACKAGE}.") else None
+    if source in _LOG_SOURCES and encoding == "protobuf":
+        return name
+    ours = source == "zenoh" or schema is None or schema == _JSON_SCHEMA.name
+    return name if encoding == "json" and ours else None
+
+
+def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Decode | None:
+    """Return what turns a topic's records into messages, None where others made the topic.
+
+    Parameters
+    ----------
+    topic, encoding : str
+        Topic and message encoding of the log's channel.
+    schema : tuple[str, bytes] | None
+        Name and data of the channel's schema.
+
+    Raises
+    ------
+    ValueError
+        The schema cannot be used.
+    """
+    name = recorded_name(topic, encoding, None if schema is None else schema[0])
+    if name is None:
+        return None
+    source = topic.removeprefix("/").partition("/")[0]
+    if source == "mavlink":
+        if encoding == "protobuf" and schema is not None:
+            kind = MavlinkProtobuf(class_from_descriptor_set(schema[1], schema[0]))
+            return MavlinkRecords(kind, name)
+        return lambda data, time_ns: _mavlink_from_json(data, name, time_ns)
+    if source == "link":
+        return lambda data, time_ns: _link_from_json(data, name, time_ns)
+    if source in _LOG_SOURCES and encoding == "protobuf" and schema is not None:
+        log = LogProtobuf(*schema)
+        return lambda data, time_ns: Message(source, name, time_ns, log.fields(data))
+    return lambda data, time_ns: Message(source, name, time_ns, json_object(data))
+
+
+@dataclass(frozen=True, slots=True)
+class MavlinkRecords:
+    """Decodes the records of one MAVLink message, one by one when called, or many at once.
+
+    Parameters
+    ----------
+    kind : MavlinkProtobuf
+        Their type.
+    name : str
+        The message's name.
+    """
+
+    kind: MavlinkProtobuf
+    name: str
+
+    def __call__(self, data: bytes, time_ns: int) -> Message:
+        """Return one of them as a message; see :meth:`MavlinkProtobuf.from_bytes`."""
+        return self.kind.from_bytes(data, self.name, time_ns)
+
+    def columns(
+        self, data: Sequence[bytes], time_ns: NDArray[np.int64], position: NDArray[np.int64]
+    ) -> list[Columns] | None:
+        """Return them all as columns; see :meth:`MavlinkProtobuf.rows_from_bytes`."""
+        return self.kind.rows_from_bytes(data, self.name, time_ns, position)
+
+
+@functools.cache
+def _mavlink_schema(kind: MavlinkProtobuf) -> Schema:
+    return Schema(str(kind.pb_class.DESCRIPTOR.full_name), "protobuf", descriptor_set(kind.pb_class))
+
+
+def _mavlink_from_json(data: bytes, name: str, time_ns: int) -> Message:
+    record = json_object(data)
+    try:
+        fields, ids = record["fields"], (record["system_id"], record["component_id"])
+    except KeyError as error:
+        raise ValueError(f"record of {name} lacks {error}") from error
+    if not isinstance(fields, dict):
+        raise ValueError(f"record of {name} has fields that are no JSON object")
+    return Message("mavlink", name, time_ns, fields, *_checked_ids(name, ids))
+
+
+def _link_from_json(data: bytes, name: str, time_ns: int) -> Message:
+    fields = json_object(data)
+    ids = fields.pop("system_id", 0), fields.pop("component_id", 0)
+    return Message("link", name, time_ns, fields, *_checked_ids(name, ids))
+
+
+def _checked_ids(name: str, ids: tuple[Any, Any]) -> tuple[int, int]:
+    if not all(type(number) is int and 0 <= number <= _LARGEST_ID for number in ids):
+        raise ValueError(f"record of {name} has ids that are no MAVLink ids")
+    return ids
+
+
+def _to_json(fields: Any) -> bytes:
+    try:
+        return json.dumps(dict(fields), separators=(",", ":")).encode()
+    except (TypeError, RecursionError) as error:
+        raise ValueError(f"no JSON can hold this: {error}") from error

@@ -1,0 +1,1 @@
+"""Recordings in, whole or damaged, and message logs out."""

@@ -1,0 +1,362 @@
+"""Reads message logs in MCAP, ours and others', finished or not, and says what of them is missing."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import struct
+import zlib
+from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from io import BytesIO
+from itertools import islice
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Statistics
+from mcap.records import Schema as McapSchema
+from mcap.writer import MCAP0_MAGIC
+
+from adapters.block import Block, Columns, gathered, pack
+from adapters.encoding.foreign_record import described, foreign_decoder, foreign_name
+from adapters.encoding.message_record import Decode, MavlinkRecords, decoder, recorded_name
+from adapters.encoding.record import Record, Schema
+from adapters.logs.damage import Damage, counted
+from adapters.logs.mcap_records import RECORD_HEAD, UNREADABLE, McapRecords
+from adapters.message import LATEST_NS, Message
+
+# head of a record, then of a message
+_MESSAGE = struct.Struct("<BQHIQQ")
+_RECORD_HEAD_BYTES = RECORD_HEAD.size
+_MESSAGE_HEAD_BYTES = _MESSAGE.size - RECORD_HEAD.size
+# the footer and the magic behind it; the checksum is over the summary and the footer up to itself
+_END = struct.Struct("<BQQQI8s")
+_CHECKED_FOOTER_BYTES = 25
+_DATA_END = RECORD_HEAD.pack(Opcode.DATA_END, 4)
+_CHECKSUM_BYTES = 4
+_MOST_SUMMARY_BYTES = 1 << 24
+# samples, estimates and alarms of a monitor: no telemetry
+_OUR_RESULTS = "/fauio/"
+
+
+@dataclass(frozen=True, slots=True)
+class ReaderStatistics:
+    """What a log reader found so far.
+
+    Parameters
+    ----------
+    messages : int
+        Messages returned.
+    other_records : int
+        Records that are no telemetry (our own estimates and alarms), not wanted, or of topics that cannot be read.
+    damaged_chunks : int
+        Blocks of records that were lost because their checksum or compression does not hold.
+    damaged_records : int
+        Single records that cannot be decoded.
+    lost_ways : int
+        How often the next record had to be searched for.
+    stopped_at : int | None
+        Byte at which an unfinished or broken file could not be read on; None after a proper end.
+    broken_off : bool
+        Whether something unreadable stands there; an unfinished file may end between two records.
+    unread : Mapping[str, str]
+        Wanted topics that cannot be read, and why.
+    """
+
+    messages: int
+    other_records: int
+    damaged_chunks: int
+    damaged_records: int
+    lost_ways: int
+    stopped_at: int | None
+    broken_off: bool
+    unread: Mapping[str, str]
+
+
+@dataclass(slots=True)
+class _Topic:
+    """A channel of the file; what decodes it is made when its first message comes."""
+
+    topic: str
+    encoding: str
+    schema: Schema | None
+    wanted: bool
+    decode: Decode | None = None
+
+
+class MessageLogReader:
+    """Reads a log's telemetry in the order it was written, also from unfinished and damaged files.
+
+    Topics are those of :class:`MessageLogWriter`, and those of others (:mod:`adapters.encoding.foreign_record`).
+    Iterate over it once; :meth:`statistics` tells what was found and what was not.
+
+    Parameters
+    ----------
+    path : str | PathLike
+        A ``.mcap`` file, plain or with ``.xz`` or ``.gz`` behind.
+    only : Container[str] | None
+        Names of the messages wanted, no others are decoded; None wants all.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], only: Container[str] | None = None) -> None:
+        self._path = Path(path)
+        self._only = only
+        self._topic: str | None = None
+        self._records = McapRecords(self._path)
+        self._schemas: dict[int, Schema] = {}
+        self._topics: dict[int, _Topic] = {}
+        self._unread: dict[str, str] = {}
+        self._messages = self._other_records = self._damaged_records = 0
+        self._expected: int | None = None
+
+    def statistics(self) -> ReaderStatistics:
+        """Return the counts so far."""
+        found = self._records.statistics()
+        return ReaderStatistics(
+            messages=self._messages,
+            other_records=self._other_records,
+            damaged_chunks=found.damaged_chunks,
+            damaged_records=self._damaged_records,
+            lost_ways=found.lost_ways,
+            stopped_at=found.stopped_at,
+            broken_off=found.broken_off,
+            unread=dict(self._unread),
+        )
+
+    def damage(self) -> Damage | None:
+        """Return what could not be read, None where all could; call it after the last message."""
+        said = self.statistics()
+        found = list(described(said.unread))
+        if said.broken_off:
+            found.append(f"cannot be read from byte {said.stopped_at} on")
+        elif said.stopped_at is not None:
+            found.append(f"was not finished, ends without an index at byte {said.stopped_at}")
+        if said.damaged_chunks:
+            found.append(counted(said.damaged_chunks, "damaged block"))
+        elif said.lost_ways > said.broken_off:
+            found.append(counted(said.lost_ways - said.broken_off, "damaged place"))
+        if said.damaged_records:
+            found.append(f"{counted(said.damaged_records, 'message')} cannot be decoded")
+        if self._expected is not None and (lost := self._expected - self._seen()) > 0:
+            found.append(f"{lost} of {counted(self._expected, 'message')} lost")
+        return Damage(self._path.name, tuple(found), said.stopped_at) if found else None
+
+    def __iter__(self) -> Iterator[Message]:
+        """Return the messages.
+
+        Raises
+        ------
+        TelemetryError
+            The file cannot be opened, is no MCAP file or needs a compression that is not installed.
+        """
+        for topic, time_ns, _, data in self._data():
+            message = self._decoded(topic, time_ns, data)
+            if message is not None:
+                yield message
+
+    def _decoded(self, topic: _Topic, time_ns: int, data: bytes) -> Message | None:
+        """Return a message and count it, None where it cannot be decoded."""
+        decode = topic.decode or self._decoder(topic)
+        if decode is None:
+            self._other_records += 1
+            return None
+        try:
+            message = decode(data, time_ns)
+        except UNREADABLE:
+            self._damaged_records += 1
+            return None
+        self._messages += 1
+        return message
+
+    def blocks(self, count: int) -> Iterator[Block]:
+        """Return the messages in blocks of ``count``, fewer where some cannot be read; raises as iteration does."""
+        data = self._data()
+        while stretch := list(islice(data, count)):
+            by_topic: dict[int, tuple[_Topic, list[int]]] = {}
+            for place, (topic, *_) in enumerate(stretch):
+                by_topic.setdefault(id(topic), (topic, []))[1].append(place)
+            columns: list[Columns] = []
+            places: list[int] = []
+            for topic, group in by_topic.values():
+                found = self._columns(topic, [stretch[place] for place in group], group)
+                columns += found or ()
+                places += () if found else group
+            single = {}
+            for place in sorted(places):
+                topic, time_ns, _, record = stretch[place]
+                message = self._decoded(topic, time_ns, record)
+                if message is not None:
+                    single[place] = message
+            if columns or single:
+                yield _block(columns, single)
+
+    def _columns(
+        self, topic: _Topic, group: Sequence[tuple[_Topic, int, int, bytes]], places: Sequence[int]
+    ) -> list[Columns] | None:
+        """Return the messages of a topic and count them, None where they have to be taken one by one."""
+        decode = topic.decode or self._decoder(topic)
+        if not isinstance(decode, MavlinkRecords):
+            return None
+        times_ns = np.array([time_ns for _, time_ns, _, _ in group], np.int64)
+        found = decode.columns([data for *_, data in group], times_ns, np.array(places))
+        self._messages += len(group) if found else 0
+        return found
+
+    def records(self) -> Iterator[Record]:
+        """Return the wanted records as they stand in the file, readable or not; raises as iteration does."""
+        for topic, time_ns, publish_ns, data in self._data():
+            self._messages += 1
+            yield Record(topic.topic, topic.encoding, topic.schema, data, time_ns, publish_ns=publish_ns)
+
+    def payloads(self, topic: str) -> Iterator[bytes]:
+        """Return the records of one topic as they stand in the file; raises as iteration does."""
+        self._topic = topic
+        for *_, data in self._data():
+            self._other_records += 1
+            yield data
+
+    def metadata(self, *, ahead_only: bool = False) -> dict[str, dict[str, str]]:
+        """Return the metadata records by name; later entries of the same name and key win.
+
+        With ``ahead_only``, those that stand ahead of all data, for which the file need not be read to its end.
+        """
+        found: dict[str, dict[str, str]] = {}
+        for opcode, body in self._records:
+            if ahead_only and opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+                break
+            if opcode == Opcode.METADATA:
+                with contextlib.suppress(*UNREADABLE, McapError):
+                    record = Metadata.read(ReadDataStream(BytesIO(body)))
+                    found.setdefault(record.name, {}).update(record.metadata)
+        return found
+
+    def _data(self) -> Iterator[tuple[_Topic, int, int, bytes]]:
+        """Return topic, log time, publish time and payload of the wanted messages."""
+        self._learn_from_index()
+        for opcode, body in self._records:
+            if opcode == Opcode.CHUNK:
+                yield from self._from_chunk(body)
+            elif opcode == Opcode.MESSAGE:
+                yield from self._from_chunk(RECORD_HEAD.pack(opcode, len(body)) + body)
+            else:
+                self._define(opcode, body)
+
+    def _from_chunk(self, data: bytes) -> Iterator[tuple[_Topic, int, int, bytes]]:
+        topics, at, end = self._topics, 0, len(data)
+        last = end - RECORD_HEAD.size
+        unpack_from, message, head_bytes = _MESSAGE.unpack_from, int(Opcode.MESSAGE), _MESSAGE.size
+        # every record is looked at as if it were a message: the last one may be shorter
+        data += bytes(_MESSAGE_HEAD_BYTES)
+        while at <= last:
+            opcode, length, channel, _, time_ns, publish_ns = unpack_from(data, at)
+            start = at
+            at += _RECORD_HEAD_BYTES + length
+            if at > end:
+                return
+            if opcode != message:
+                self._define(opcode, data[start + _RECORD_HEAD_BYTES : at])
+                continue
+            if length < _MESSAGE_HEAD_BYTES:
+                self._damaged_records += 1
+                continue
+            topic = topics.get(channel)
+            if topic is None or time_ns >= LATEST_NS:
+                self._damaged_records += 1
+            elif topic.wanted:
+                yield topic, time_ns, publish_ns, data[start + head_bytes : at]
+            else:
+                self._other_records += 1
+
+    def _define(self, opcode: int, body: bytes) -> None:
+        """Take in a record that says something about the others."""
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = McapSchema.read(ReadDataStream(BytesIO(body)))
+                self._schemas[schema.id] = Schema(schema.name, schema.encoding, schema.data)
+            elif opcode == Opcode.CHANNEL:
+                self._add(Channel.read(ReadDataStream(BytesIO(body))))
+        except (*UNREADABLE, McapError):
+            self._damaged_records += 1
+
+    def _add(self, channel: Channel) -> None:
+        topic, encoding = channel.topic, channel.message_encoding
+        schema = self._schemas.get(channel.schema_id)
+        known = self._topics.get(channel.id)
+        if known is not None and (known.topic, known.encoding, known.schema) == (topic, encoding, schema):
+            return
+        if self._topic is not None:
+            wanted = topic == self._topic
+        else:
+            name = recorded_name(topic, encoding, schema.name if schema else None) or foreign_name(topic)
+            wanted = not topic.startswith(_OUR_RESULTS) and (self._only is None or name in self._only)
+        self._topics[channel.id] = _Topic(topic, encoding, schema, wanted)
+
+    def _decoder(self, topic: _Topic) -> Decode | None:
+        """Make what decodes a topic; where that is not possible the topic is wanted no more."""
+        schema = topic.schema
+        try:
+            own = decoder(topic.topic, topic.encoding, None if schema is None else (schema.name, schema.data))
+            topic.decode = own or foreign_decoder(topic.topic, topic.encoding, schema)
+        except UNREADABLE as error:
+            self._unread[topic.topic] = str(error)
+            topic.wanted = False
+        return topic.decode
+
+    def _learn_from_index(self) -> None:
+        """Take schemas, channels and the number of messages from a finished file's end; their chunk may be damaged."""
+        if self._path.suffix.lower() in (".xz", ".gz"):
+            return
+        # a length that damage made up may be more than there is memory
+        with contextlib.suppress(*UNREADABLE, McapError, MemoryError, OSError), self._path.open("rb") as stream:
+            summary, at = _summary(stream), 0
+            while at < len(summary):
+                opcode, length = RECORD_HEAD.unpack_from(summary, at)
+                body = summary[at + RECORD_HEAD.size : at + RECORD_HEAD.size + length]
+                if opcode == Opcode.STATISTICS:
+                    self._expected = Statistics.read(ReadDataStream(BytesIO(body))).message_count
+                self._define(opcode, body)
+                at += RECORD_HEAD.size + length
+
+    def _seen(self) -> int:
+        return self._messages + self._other_records + self._damaged_records
+
+
+def _block(columns: list[Columns], single: Mapping[int, Message]) -> Block:
+    """Return what was decoded together and one by one as a block; of the latter, what can be, as columns too."""
+    packed, place = pack([*single.values()]), np.array([*single], np.int64)
+    columns += (replace(one, position=place[one.position]) for one in packed.columns)
+    return gathered(columns, {int(place[at]): message for at, message in packed.others.items()})
+
+
+def read_mcap_messages(path: str | os.PathLike[str], only: Container[str] | None = None) -> Iterator[Message]:
+    """Return a log's telemetry in the order it was written; see :class:`MessageLogReader`."""
+    return iter(MessageLogReader(path, only))
+
+
+def read_mcap_metadata(path: str | os.PathLike[str], *, ahead_only: bool = False) -> dict[str, dict[str, str]]:
+    """Return a log's metadata records by name; see :meth:`MessageLogReader.metadata`."""
+    return MessageLogReader(path).metadata(ahead_only=ahead_only)
+
+
+def _summary(stream: BinaryIO) -> bytes:
+    """Return the summary at a finished file's end, checked; none where there is none.
+
+    It starts where the footer says, or, where bytes were lost or added before it, behind the end of the data.
+    """
+    end = stream.seek(-_END.size, os.SEEK_END)
+    opcode, _, start, _, crc, magic = _END.unpack(stream.read())
+    if opcode != Opcode.FOOTER or magic != MCAP0_MAGIC or not start:
+        return b""
+    stream.seek(start)
+    found = stream.read(max(0, end + _CHECKED_FOOTER_BYTES - start))
+    if crc and zlib.crc32(found) != crc:
+        stream.seek(max(0, end - _MOST_SUMMARY_BYTES))
+        data, _, found = stream.read(end + _CHECKED_FOOTER_BYTES - stream.tell()).rpartition(_DATA_END)
+        found = found[_CHECKSUM_BYTES:]
+        if not data or zlib.crc32(found) != crc:
+            return b""
+    return found[:-_CHECKED_FOOTER_BYTES]

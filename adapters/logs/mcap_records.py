@@ -1,0 +1,345 @@
+"""The records of an MCAP file in the order they stand there, from unfinished and damaged files too.
+
+A record is trusted where its length leads to another record, a chunk where its own lengths agree and its checksum
+holds. Behind damage the next chunk is searched for by its shape (in files without chunks: two records, one right behind
+the other), so that damage costs what it hit and nothing behind it. Of a chunk that the file's end or a run of zeros
+cuts off, as much is read as can be decompressed. The format: https://mcap.dev/spec
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import zstandard
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
+
+from adapters.errors import TelemetryError
+from adapters.logs.compressed import CompressedFile
+
+MAX_RECORD_BYTES = 512 * 1024 * 1024
+RECORD_HEAD = struct.Struct("<BQ")
+UNREADABLE = (struct.error, ValueError, KeyError, OverflowError, EOFError, RuntimeError, zstandard.ZstdError)
+"""What decompressing and decoding damaged bytes raises."""
+
+# start and end time, uncompressed size, checksum, length of the compression's name
+_CHUNK_HEAD = struct.Struct("<QQQII")
+_LENGTH = struct.Struct("<Q")
+_LONGEST_NAME = 16
+# bytes of each kind of record where its texts and lists are empty
+_LEAST_BYTES: dict[int, int] = {
+    Opcode.HEADER: 8,
+    Opcode.FOOTER: 20,
+    Opcode.SCHEMA: 14,
+    Opcode.CHANNEL: 16,
+    Opcode.MESSAGE: 22,
+    Opcode.CHUNK: 40,
+    Opcode.MESSAGE_INDEX: 6,
+    Opcode.CHUNK_INDEX: 60,
+    Opcode.ATTACHMENT: 36,
+    Opcode.ATTACHMENT_INDEX: 48,
+    Opcode.STATISTICS: 46,
+    Opcode.METADATA: 8,
+    Opcode.METADATA_INDEX: 20,
+    Opcode.SUMMARY_OFFSET: 17,
+    Opcode.DATA_END: 4,
+}
+_FIXED = (Opcode.FOOTER, Opcode.SUMMARY_OFFSET, Opcode.DATA_END)
+_PRIVATE = 0x80
+# what has no checksum is believed where another record follows, and searched for no further than this
+_MAX_SEARCHED_BYTES = 1 << 24
+_ZEROS = bytes(16)
+
+_CHUNKS = re.compile(
+    rb"\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd).{4}\0{4}|\x0f\x04\0{7}.{4}[\x02-\x0e].{4}\0{4}", re.DOTALL
+)
+_RECORDS = re.compile(rb"[\x01-\x0f].{4}\0{4}", re.DOTALL)
+# no match is longer, so none is missed between two pieces of a file
+_LONGEST_MATCH = 64
+
+
+class RecordStatistics(NamedTuple):
+    """What was found in a file's structure.
+
+    Parameters
+    ----------
+    damaged_chunks : int
+        Chunks whose checksum or compression does not hold.
+    lost_ways : int
+        How often the next record had to be searched for.
+    skipped_bytes : int
+        Bytes passed over in these searches.
+    stopped_at : int | None
+        Byte from which on nothing could be read; None after a proper end.
+    broken_off : bool
+        Whether something unreadable stands there.
+    """
+
+    damaged_chunks: int
+    lost_ways: int
+    skipped_bytes: int
+    stopped_at: int | None
+    broken_off: bool
+
+
+class McapRecords:
+    """Iterates once over (opcode, body) of a file's records; the body of a chunk is its records, decompressed.
+
+    Parameters
+    ----------
+    path : Path
+        The file; ``.xz`` and ``.gz`` are decompressed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._window = _Window(path)
+        self._damaged_chunks = self._lost_ways = self._skipped_bytes = 0
+        self._stopped_at: int | None = 0
+        self._broken_off = self._chunked = False
+
+    def statistics(self) -> RecordStatistics:
+        """Return the counts so far."""
+        return RecordStatistics(
+            self._damaged_chunks, self._lost_ways, self._skipped_bytes, self._stopped_at, self._broken_off
+        )
+
+    def __iter__(self) -> Iterator[tuple[int, bytes]]:
+        """Return the records.
+
+        Raises
+        ------
+        TelemetryError
+            The file cannot be opened, holds nothing of an MCAP file, or needs a compression that is not installed.
+        """
+        window = self._window
+        if window.peek(0, len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+            window.drop(len(MCAP0_MAGIC))
+        elif not self._search(0):
+            raise TelemetryError(f"{self._path}: not an MCAP file although its name says so; check where it came from")
+        while True:
+            self._stopped_at = window.offset
+            head = window.peek(0, RECORD_HEAD.size)
+            if len(head) < RECORD_HEAD.size:
+                self._broken_off |= bool(head)
+                return
+            opcode, length = RECORD_HEAD.unpack(head)
+            size = RECORD_HEAD.size + length
+            if not _plausible(opcode, length):
+                body, size = None, 0
+            elif opcode == Opcode.CHUNK:
+                body, size = self._chunk(size)
+            else:
+                body, size = self._record(opcode, size)
+            if body is not None:
+                yield opcode, body
+            if opcode == Opcode.FOOTER and body is not None:
+                self._stopped_at = None
+                return
+            if size:
+                window.drop(size)
+            elif not self._search(1):
+                self._broken_off = True
+                return
+
+    def _record(self, opcode: int, size: int) -> tuple[bytes | None, int]:
+        """Return a record's body, None where the file ends within it, and its size, 0 where no record follows."""
+        body = self._window.peek(RECORD_HEAD.size, size)
+        if len(body) < size - RECORD_HEAD.size:
+            return None, 0
+        # where none follows either length may be wrong: the body may do, the way on has to be searched for
+        return body, size if opcode == Opcode.FOOTER else self._way_on(size)
+
+    def _way_on(self, size: int) -> int:
+        """Return how far ahead the record behind one of this size is, 0 where it has to be searched for."""
+        if not self._followed(size):
+            return 0
+        if len(self._window.peek(size, size + RECORD_HEAD.size)) < RECORD_HEAD.size or self._believable(size):
+            return size
+        # the next one is damaged, or this one's length is wrong and what stands there looks like a record by chance
+        at = 1
+        while (found := self._window.search(self._pattern, at)) is not None and found < size:
+            if self._believable(found):
+                self._lost_ways += 1
+                return found
+            at = found + 1
+        return size
+
+    def _chunk(self, size: int) -> tuple[bytes | None, int]:
+        """Return a chunk's records as far as they can be read, and its size, 0 where it cannot be believed."""
+        shape = self._shape(0)
+        if shape is None:
+            return None, 0
+        self._chunked = True
+        data = self._window.peek(shape.start, size)
+        cut = len(data) < size - shape.start
+        if not cut:
+            try:
+                return _decompressed(shape, data), size
+            except ImportError as error:
+                raise TelemetryError(f"{self._path}: needs {shape.compression}, which is not installed") from error
+            except UNREADABLE:
+                self._damaged_chunks += 1
+        behind = self._window.peek(size, size + RECORD_HEAD.size)
+        if cut or (data.endswith(_ZEROS) and not behind.strip(b"\0")):
+            return _beginning(shape, data.rstrip(b"\0") if not cut else data), 0
+        # the damage may have moved what follows: more is asked of it than of what follows a sound record
+        return None, size if len(behind) < RECORD_HEAD.size or self._believable(size) else 0
+
+    def _shape(self, at: int) -> _Shape | None:
+        """Return what a chunk ``at`` bytes ahead says of itself, None where its lengths contradict each other."""
+        at += RECORD_HEAD.size
+        head = self._window.peek(at, at + _CHUNK_HEAD.size)
+        if len(head) < _CHUNK_HEAD.size:
+            return None
+        *_, size, crc, named = _CHUNK_HEAD.unpack(head)
+        start = at + _CHUNK_HEAD.size + named + _LENGTH.size
+        name = self._window.peek(at + _CHUNK_HEAD.size, start) if named <= _LONGEST_NAME else b""
+        _, length = RECORD_HEAD.unpack(self._window.peek(at - RECORD_HEAD.size, at))
+        if len(name) < named + _LENGTH.size or size > MAX_RECORD_BYTES:
+            return None
+        if _LENGTH.unpack_from(name, named)[0] != length - (start - at):
+            return None
+        return _Shape(name[:named].decode("latin-1"), size, crc, start)
+
+    def _followed(self, size: int) -> bool:
+        """Return whether another record, or the end of the file, comes ``size`` bytes ahead."""
+        head = self._window.peek(size, size + RECORD_HEAD.size)
+        return len(head) < RECORD_HEAD.size or _plausible(*RECORD_HEAD.unpack(head))
+
+    @property
+    def _pattern(self) -> re.Pattern[bytes]:
+        """What to search for: in a file of chunks nothing that might be found inside one."""
+        return _CHUNKS if self._chunked else _RECORDS
+
+    def _search(self, start: int) -> bool:
+        """Go to the next record at least ``start`` bytes ahead; return whether there is one."""
+        window = self._window
+        self._lost_ways += 1
+        passed, at = window.offset, start
+        while True:
+            found = window.search(self._pattern, at)
+            if found is None:
+                window.drop(max(at, window.held - _LONGEST_MATCH))
+                at = 0
+                if not window.more():
+                    return False
+            elif self._believable(found):
+                window.drop(found)
+                self._skipped_bytes += window.offset - passed
+                return True
+            else:
+                at = found + 1
+
+    def _believable(self, at: int) -> bool:
+        """Return whether what looks like a record ``at`` bytes ahead is one."""
+        head = self._window.peek(at, at + RECORD_HEAD.size)
+        if len(head) < RECORD_HEAD.size:
+            return False
+        opcode, length = RECORD_HEAD.unpack(head)
+        if opcode == Opcode.CHUNK:
+            return self._shape(at) is not None
+        if not _plausible(opcode, length) or length > _MAX_SEARCHED_BYTES:
+            return False
+        end = at + RECORD_HEAD.size + length
+        return len(self._window.peek(end - 1, end)) == 1 and self._followed(end)
+
+
+class _Shape(NamedTuple):
+    compression: str
+    size: int
+    crc: int
+    start: int
+
+
+class _Window:
+    """The bytes of a file from where the reader stands, as far ahead as it looks."""
+
+    def __init__(self, path: Path) -> None:
+        self.offset = 0
+        self._pieces = iter(CompressedFile(path))
+        self._data = b""
+        self._at = 0
+
+    @property
+    def held(self) -> int:
+        """Bytes that are in memory."""
+        return len(self._data) - self._at
+
+    def peek(self, start: int, stop: int) -> bytes:
+        """Return the bytes from ``start`` to ``stop`` ahead, fewer where the file ends."""
+        if stop > self.held:
+            pieces, missing = [self._data[self._at :]], stop - self.held
+            while missing > 0 and (piece := next(self._pieces, None)) is not None:
+                pieces.append(piece)
+                missing -= len(piece)
+            if len(pieces) > 1:
+                self._data, self._at = b"".join(pieces), 0
+        return self._data[self._at + start : self._at + stop]
+
+    def more(self) -> bool:
+        """Read on; return whether there was something."""
+        held = self.held
+        self.peek(0, held + 1)
+        return self.held > held
+
+    def drop(self, count: int) -> None:
+        """Go on by as many bytes, at most those that are held."""
+        count = min(count, self.held)
+        self._at += count
+        self.offset += count
+
+    def search(self, pattern: re.Pattern[bytes], start: int) -> int | None:
+        """Return how far ahead the first match is among the bytes held."""
+        found = pattern.search(self._data, self._at + start)
+        return None if found is None else found.start() - self._at
+
+
+def _plausible(opcode: int, length: int) -> bool:
+    """Return whether there are records of this kind and length."""
+    if opcode >= _PRIVATE:
+        return length <= MAX_RECORD_BYTES
+    least = _LEAST_BYTES.get(opcode)
+    if least is None or length > MAX_RECORD_BYTES:
+        return False
+    return length == least if opcode in _FIXED else length >= least
+
+
+def _decompressed(shape: _Shape, data: bytes) -> bytes:
+    """Return a chunk's records.
+
+    Raises
+    ------
+    ValueError
+        Checksum, size or compression do not hold; other errors of :data:`UNREADABLE` too.
+    """
+    found = _expand(shape, data)
+    if len(found) != shape.size or (shape.crc and zlib.crc32(found) != shape.crc):
+        raise ValueError("the chunk is damaged")
+    return found
+
+
+def _beginning(shape: _Shape, data: bytes) -> bytes | None:
+    """Return the records of a chunk that is cut off, as far as they can be had."""
+    try:
+        return _expand(shape, data)
+    except (ImportError, *UNREADABLE):
+        return None
+
+
+def _expand(shape: _Shape, data: bytes) -> bytes:
+    """Decompress as much as there is, at most what the chunk says it holds."""
+    if not shape.compression:
+        return data
+    if shape.compression == "zstd":
+        return zstandard.ZstdDecompressor().stream_reader(data).read(shape.size)
+    if shape.compression == "lz4":
+        import lz4.frame
+
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=shape.size))
+    raise ValueError(f"unknown compression {shape.compression}")

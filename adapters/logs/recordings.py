@@ -1,0 +1,353 @@
+"""Opens a recording of any known kind as messages: a file by its suffix, a folder as the files of one session."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+from adapters.block import Block, pack
+from adapters.errors import TelemetryError
+from adapters.logs.damage import Damage, scan_damage
+from adapters.message import Message
+
+if TYPE_CHECKING:
+    from adapters.encoding.record import Record
+    from adapters.logs.log_mapping import LogMapping
+
+T = TypeVar("T")
+
+RecordingKind = Literal["tlog", "mcap", "ulog", "dataflash"]
+
+# Under this key of its metadata an MCAP file that was converted from an onboard log says which kind that was.
+ONBOARD_LOG = "onboard_log"
+
+ALARM_TOPIC = "/fauio/alarm_json"
+
+BLOCK_MESSAGES = 40_000
+
+_TYPICAL_RECORD_BYTES = 52
+
+_KINDS: Mapping[str, RecordingKind] = {".tlog": "tlog", ".mcap": "mcap", ".ulg": "ulog", ".bin": "dataflash"}
+_COMPRESSED = (".xz", ".gz")
+_SESSION_FILE = re.compile(r"(?P<vehicle>.+)-\d{8}T\d{6}Z-\d+", re.ASCII)
+# a ROS 2 bag is a folder: its description, and files numbered without leading zeros
+_BAG_DESCRIPTION = "metadata.yaml"
+_BAG_FILE = re.compile(r"(?P<vehicle>.+)_(?P<number>\d{1,9})", re.ASCII)
+
+
+def recording_kind(path: str | os.PathLike[str]) -> RecordingKind:
+    """Return what kind of recording a file, or a folder of files, is.
+
+    Raises
+    ------
+    TelemetryError
+        The suffix is none of ``.tlog``, ``.mcap``, ``.ulg`` (PX4) and ``.bin`` (ArduPilot), plain or with ``.xz`` or
+        ``.gz`` behind; there is no such file; or a folder that is no recorded session (:func:`session_files`).
+    """
+    file = Path(path)
+    if file.is_dir():
+        session_files(file)
+        return "mcap"
+    kind = _KINDS.get(_plain(file).suffix.lower())
+    if kind is None:
+        known = ", ".join([*_KINDS][:-1]) + f" or {[*_KINDS][-1]}"
+        raise TelemetryError(f"{path}: unknown kind of recording; use {known}, plain or with .xz or .gz behind")
+    if not file.is_file():
+        raise TelemetryError(f"{path}: no such file")
+    return kind
+
+
+def session_files(folder: str | os.PathLike[str]) -> list[Path]:
+    """Return the files of a session that was recorded as ``<vehicle>-<UTC>-<number>.mcap``, in order.
+
+    A folder with a single MCAP file of any name is a session too, and so is the folder of a ROS 2 bag
+    (``<name>_<number>.mcap`` beside ``metadata.yaml``). Empty files, begun in the moment of a crash, are passed over.
+
+    Raises
+    ------
+    TelemetryError
+        The folder holds no MCAP file, or files of more than one vehicle or recording.
+    """
+    try:
+        files = sorted(
+            file for file in Path(folder).iterdir() if _plain(file).suffix.lower() == ".mcap" and file.stat().st_size
+        )
+    except OSError as error:
+        raise TelemetryError(f"{folder}: cannot be read: {error.strerror}") from error
+    if not files:
+        raise TelemetryError(f"{folder}: holds no .mcap file; give a recording or the folder of a recorded session")
+    if (Path(folder) / _BAG_DESCRIPTION).is_file():
+        files.sort(key=_bag_number)
+        name = _BAG_FILE
+    else:
+        name = _SESSION_FILE
+    found = {_vehicle(file, name): None for file in files}
+    if len(found) > 1:
+        names = ", ".join([*found][:4]) + (", ..." if len(found) > 4 else "")
+        raise TelemetryError(
+            f"{folder}: holds recordings of {len(found)} vehicles or sessions ({names}); "
+            "give one file, or put the files of one vehicle into a folder of their own"
+        )
+    return files
+
+
+class Recording:
+    """The messages of a recording in the order they arrived, and then what of it could not be read.
+
+    Iterate over it once. A file of a session that holds nothing of its kind is passed over where others do.
+
+    Parameters
+    ----------
+    path : str | PathLike
+        The recording, or the folder of a session: its files one after the other.
+    only : Collection[str] | None
+        Names of the messages wanted; None wants all.
+    mapping : str | PathLike | None
+        TOML file that says for some messages from which records of an onboard log they come; the others, and all
+        where there is none, are guessed.
+
+    Raises
+    ------
+    TelemetryError
+        See :func:`recording_kind`; the mapping cannot be used; on iteration, where no file holds anything of its kind.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        only: Collection[str] | None = None,
+        mapping: str | os.PathLike[str] | None = None,
+    ) -> None:
+        self._kind = recording_kind(path)
+        self._tables = _tables(path, mapping)
+        self._files = session_files(path) if Path(path).is_dir() else [Path(path)]
+        self._only = only
+        self._damage: list[Damage] = []
+
+    def __iter__(self) -> Iterator[Message]:
+        """Return the messages, those of an onboard log (PX4, ArduPilot, or converted from one) as telemetry too."""
+        if self._tables is None:
+            return self._read(self._only)
+        from adapters.logs.log_telemetry import telemetry
+
+        wanted = None if self._only is None else self._tables.topics(self._only) | frozenset(self._only)
+        return telemetry(self._read(wanted), self._tables, self._only)
+
+    def blocks(self, count: int = BLOCK_MESSAGES) -> Iterator[Block]:
+        """Return the messages in blocks, in the same order.
+
+        ``count`` says how far to read ahead: about as many messages, wanted or not, of a telemetry log; as many wanted
+        ones of other recordings.
+        """
+        if self._kind == "tlog" or (self._kind == "mcap" and self._tables is None):
+            return self._through(lambda file: _open_blocks(self._kind, file, self._only, count))
+        return packed(self, count)
+
+    def records(self) -> Iterator[Message]:
+        """Return the messages as they stand in the files."""
+        return self._read(self._only)
+
+    def entries(self) -> Iterator[Message | Record]:
+        """Return what a copy is made of: records of MCAP with schema, bytes and times as they are, else messages."""
+        return self._through(lambda file: _open_entries(self._kind, file, self._only))
+
+    def _read(self, only: Collection[str] | None) -> Iterator[Message]:
+        return self._through(lambda file: _open(self._kind, file, only))
+
+    def _through(self, opened: Callable[[Path], tuple[Iterable[T], Callable[[], Damage | None]]]) -> Iterator[T]:
+        """Yield what the files hold, one file after the other, and keep what of them could not be read."""
+        unread = 0
+        for file in self._files:
+            items, damage = opened(file)
+            try:
+                yield from items
+            except TelemetryError as error:
+                unread += 1
+                if unread == len(self._files):
+                    raise
+                self._damage.append(Damage(file.name, (str(error).removeprefix(f"{file}: "),), 0))
+            else:
+                found = damage()
+                self._damage.extend([found] if found else [])
+
+    def damage(self) -> tuple[Damage, ...]:
+        """Return what could not be read of the files that were read to their end."""
+        return tuple(self._damage)
+
+
+def _open(
+    kind: RecordingKind, file: Path, only: Collection[str] | None
+) -> tuple[Iterable[Message], Callable[[], Damage | None]]:
+    """Return the messages of one file, and what says afterwards what of it is missing."""
+    if kind == "tlog":
+        from adapters.logs.tlog import TlogReader
+
+        tlog = TlogReader(file, only)
+        return tlog, lambda: scan_damage(file.name, tlog.statistics())
+    if kind == "ulog":
+        from adapters.logs.ulog import UlogReader
+
+        ulog = UlogReader(file, only)
+        return ulog, lambda: scan_damage(file.name, ulog.statistics())
+    if kind == "dataflash":
+        from adapters.logs.dataflash import DataflashReader
+
+        dataflash = DataflashReader(file, only)
+        return dataflash, lambda: scan_damage(file.name, dataflash.statistics())
+    from adapters.logs.mcap_reader import MessageLogReader
+
+    mcap = MessageLogReader(file, only)
+    return mcap, mcap.damage
+
+
+def _open_entries(
+    kind: RecordingKind, file: Path, only: Collection[str] | None
+) -> tuple[Iterable[Message | Record], Callable[[], Damage | None]]:
+    """Return the records of an MCAP file, the messages of any other, and what says afterwards what is missing."""
+    if kind != "mcap":
+        return _open(kind, file, only)
+    from adapters.logs.mcap_reader import MessageLogReader
+
+    mcap = MessageLogReader(file, only)
+    return mcap.records(), mcap.damage
+
+
+def _open_blocks(
+    kind: RecordingKind, file: Path, only: Collection[str] | None, count: int
+) -> tuple[Iterable[Block], Callable[[], Damage | None]]:
+    """Return the blocks of a telemetry log or MCAP file, and what says afterwards what of it is missing."""
+    if kind == "tlog":
+        from adapters.logs.tlog_columns import TlogBlocks
+
+        tlog = TlogBlocks(file, only, count * _TYPICAL_RECORD_BYTES)
+        return tlog, lambda: scan_damage(file.name, tlog.statistics())
+    from adapters.logs.mcap_reader import MessageLogReader
+
+    mcap = MessageLogReader(file, only)
+    return mcap.blocks(count), mcap.damage
+
+
+def _tables(path: str | os.PathLike[str], mapping: str | os.PathLike[str] | None) -> LogMapping | None:
+    """Return what an onboard log's records stand for, None where the recording is no onboard log."""
+    source = onboard_source(path)
+    if source is None:
+        return None
+    from adapters.logs.log_mapping import builtin_mapping, read_mapping
+
+    return builtin_mapping(source) if mapping is None else read_mapping(mapping, source)
+
+
+def read_recording(
+    path: str | os.PathLike[str],
+    only: Collection[str] | None = None,
+    mapping: str | os.PathLike[str] | None = None,
+) -> Iterator[Message]:
+    """Return the messages of a recording in the order they arrived; see :class:`Recording`."""
+    return iter(Recording(path, only, mapping))
+
+
+def read_blocks(
+    path: str | os.PathLike[str], only: Collection[str] | None = None, count: int = BLOCK_MESSAGES
+) -> Iterator[Block]:
+    """Return the messages of a recording in blocks; see :meth:`Recording.blocks`."""
+    return Recording(path, only).blocks(count)
+
+
+def packed(messages: Iterable[Message], count: int = BLOCK_MESSAGES) -> Iterator[Block]:
+    """Return messages in blocks of ``count``, the last one shorter."""
+    messages = iter(messages)
+    while stretch := list(islice(messages, count)):
+        yield pack(stretch)
+
+
+def read_records(path: str | os.PathLike[str], only: Collection[str] | None = None) -> Iterator[Message]:
+    """Return the messages of a recording as they stand there; see :class:`Recording`."""
+    return Recording(path, only).records()
+
+
+def onboard_source(path: str | os.PathLike[str]) -> str | None:
+    """Return which onboard log a recording is or was converted from: ``"ulog"``, ``"dataflash"``, None for none.
+
+    Raises
+    ------
+    TelemetryError
+        See :func:`recording_kind`.
+    """
+    kind = recording_kind(path)
+    if kind in ("ulog", "dataflash"):
+        return kind
+    said = recorded_metadata(path).get(ONBOARD_LOG)
+    return said if said in ("ulog", "dataflash") else None
+
+
+def recorded_alarms(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
+    """Return the alarm events that a monitor recorded, as JSON objects in their order; none where none did.
+
+    Raises
+    ------
+    TelemetryError
+        See :func:`recording_kind`, or no file holds anything of its kind.
+    """
+    if recording_kind(path) != "mcap":
+        return []
+    from adapters.encoding.foreign_record import json_object
+    from adapters.logs.mcap_reader import MessageLogReader
+
+    found = []
+    for file in session_files(path) if Path(path).is_dir() else [Path(path)]:
+        with contextlib.suppress(TelemetryError):
+            for payload in MessageLogReader(file).payloads(ALARM_TOPIC):
+                with contextlib.suppress(ValueError):
+                    found.append(json_object(payload))
+    return found
+
+
+def recorded_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
+    """Return what a recording of ours says about itself ahead of its data; empty where others made it.
+
+    Raises
+    ------
+    TelemetryError
+        See :func:`recording_kind`.
+    """
+    if recording_kind(path) != "mcap":
+        return {}
+    from adapters.logs.mcap_reader import read_mcap_metadata
+
+    for file in session_files(path) if Path(path).is_dir() else [Path(path)]:
+        with contextlib.suppress(TelemetryError):
+            return read_mcap_metadata(file, ahead_only=True).get("fauio", {})
+    return {}
+
+
+def recorded_vehicle(path: str | os.PathLike[str]) -> str | None:
+    """Return the name under which a monitor recorded its vehicle, None where no monitor made the recording.
+
+    Raises
+    ------
+    TelemetryError
+        See :func:`recording_kind`.
+    """
+    return recorded_metadata(path).get("vehicle")
+
+
+def _plain(file: Path) -> Path:
+    """Return a file's name without the suffix of its compression."""
+    return file.with_suffix("") if file.suffix.lower() in _COMPRESSED else file
+
+
+def _vehicle(file: Path, name: re.Pattern[str]) -> str:
+    """Return whose session a file belongs to; one of another name is a session of its own."""
+    stem = _plain(file).stem
+    found = name.fullmatch(stem)
+    return found["vehicle"] if found else stem
+
+
+def _bag_number(file: Path) -> int:
+    found = _BAG_FILE.fullmatch(_plain(file).stem)
+    return int(found["number"]) if found else 0

@@ -1,0 +1,1 @@
+"""MAVLink: bytes of links, packets to messages, signing, rates."""

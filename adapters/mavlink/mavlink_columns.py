@@ -1,0 +1,187 @@
+"""Many MAVLink packets at once, as arrays over one buffer of bytes: heads, checksums, fields.
+
+The same as :mod:`adapters.mavlink.mavlink_message` says packet by packet, and from the same tables; the tests hold the
+two together. Places are offsets into the buffer, which ends with :data:`PADDING` bytes that belong to no packet.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.mavlink.mavlink_message import (
+    MAGIC_1,
+    MAX_PACKET_BYTES,
+    PAYLOAD_START_1,
+    PAYLOAD_START_2,
+    MavlinkType,
+    mavlink_types,
+)
+
+PADDING = 255
+
+_CHECKSUM_BYTES = 2
+_LAST_BYTES = 16
+# Largest id of version 2, plus one.
+_NUMBERS = 1 << 24
+
+
+@dataclass(frozen=True, slots=True)
+class Heads:
+    """What n packets say of themselves.
+
+    Parameters
+    ----------
+    place : NDArray[np.int64]
+        Where each begins (n,).
+    version_1 : NDArray[np.bool_]
+        Whether it is of MAVLink 1 (n,).
+    payload, length : NDArray[np.int64]
+        Where the payload begins, and its bytes (n,).
+    kind : NDArray[np.int16]
+        The message as index into :func:`kinds`; -1 where it is unknown (n,).
+    sender : NDArray[np.uint16]
+        256 times the id of the system plus that of the component (n,).
+    """
+
+    place: NDArray[np.int64]
+    version_1: NDArray[np.bool_]
+    payload: NDArray[np.int64]
+    length: NDArray[np.int64]
+    kind: NDArray[np.int16]
+    sender: NDArray[np.uint16]
+
+
+@functools.cache
+def kinds() -> tuple[MavlinkType, ...]:
+    """Return the messages of the dialect in the order of their ids."""
+    return tuple(kind for _, kind in sorted(mavlink_types().items()))
+
+
+def heads(data: NDArray[np.uint8], place: NDArray[np.int64]) -> Heads:
+    """Return the heads of the packets at n places (n,) of a buffer."""
+    version_1 = data[place] == MAGIC_1
+    payload = place + np.where(version_1, PAYLOAD_START_1, PAYLOAD_START_2)
+    # Both versions end their heads alike, but for the number of bytes of the message's id.
+    at = payload - np.where(version_1, 1, 3)
+    high = (data[payload - 1].astype(np.int64) << 16) | (data[payload - 2].astype(np.int64) << 8)
+    number = np.where(version_1, 0, high) | data[at]
+    found = np.searchsorted(_numbers(), number).astype(np.int16)
+    return Heads(
+        place=place,
+        version_1=version_1,
+        payload=payload,
+        length=data[place + 1].astype(np.int64),
+        kind=np.where(_numbers()[found] == number, found, np.int16(-1)),
+        sender=data[at - 2] * np.uint16(256) + data[at - 1],
+    )
+
+
+@functools.cache
+def _numbers() -> NDArray[np.int64]:
+    """Return the ids of :func:`kinds`, and one that no packet has."""
+    return np.array([*sorted(mavlink_types()), _NUMBERS])
+
+
+def intact(data: NDArray[np.uint8], packets: Heads) -> NDArray[np.bool_]:
+    """Return which packets of known messages carry a right checksum (n,), as :meth:`MavlinkType.intact` does.
+
+    The checksum is the remainder of the packet as a polynomial over GF(2), modulo P(x) = x^16 + x^12 + x^5 + 1.
+    As squaring is linear there, P^8 = x^128 + x^96 + x^40 + 1: a byte 16 or more before the end can be added to
+    those 4, 11 and 16 places behind it. That leaves 16 bytes of each packet to be divided one by one. The start
+    value 0xFFFF is a summand that depends on the length alone.
+    """
+    # Behind the payload follow the byte that stands for the definition, and the checksum.
+    size = packets.payload + packets.length - packets.place + _CHECKSUM_BYTES
+    # Longest first: the packets that have a byte at a given distance from the end stand in front.
+    order = np.argsort(-size.astype(np.int16), kind="stable")
+    size, kind = size[order], packets.kind[order]
+    last = packets.place[order] + size - 1
+    extra = _definitions()[0][kind]
+    having = len(size) - np.searchsorted(size[::-1], np.arange(int(size[0]) if len(size) else 0), side="right")
+    rest = np.zeros((_LAST_BYTES, len(size)), np.uint8)
+    at = np.empty_like(last)
+    for distance in range(len(having) - 1, -1, -1):
+        count = having[distance]
+        if distance == _CHECKSUM_BYTES:
+            byte = extra
+        else:
+            behind = distance - 1 if distance > _CHECKSUM_BYTES else distance
+            byte = data.take(np.subtract(last[:count], behind, out=at[:count]), mode="clip")
+        row = rest[distance % _LAST_BYTES, :count]
+        row ^= byte
+        if distance >= _LAST_BYTES:
+            rest[(distance - 4) % _LAST_BYTES, :count] ^= row
+            rest[(distance - 11) % _LAST_BYTES, :count] ^= row
+    right = np.empty(len(size), np.bool_)
+    right[order] = _remainder(rest) == _start_values()[size]
+    too_long = packets.version_1 & (packets.length > _definitions()[1][packets.kind])
+    return right & ~too_long & (packets.kind >= 0)
+
+
+def _remainder(rows: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Return the remainders of n polynomials, given by their bytes (bytes, n), the last one first."""
+    remainder = np.zeros(rows.shape[1], np.uint16)
+    for row in rows[::-1]:
+        low = remainder.astype(np.uint8) ^ row
+        low ^= low << 4
+        wide = low.astype(np.uint16)
+        remainder >>= 8
+        remainder ^= wide << 8
+        remainder ^= wide << 3
+        remainder ^= wide >> 4
+    return remainder
+
+
+@functools.cache
+def _start_values() -> NDArray[np.uint16]:
+    """Return what the start value leaves of 0, 1, ... zero bytes."""
+    from pymavlink.generator.mavcrc import x25crc
+
+    return np.array([x25crc(bytes(size)).crc for size in range(MAX_PACKET_BYTES)], np.uint16)
+
+
+@functools.cache
+def _definitions() -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Return the byte behind each of :func:`kinds` in the checksum, and the bytes of its payload."""
+    extra = np.array([kind.table.crc_extra for kind in kinds()], np.uint8)
+    return extra, np.array([kind.size for kind in kinds()])
+
+
+@functools.cache
+def payload_layout(kind: MavlinkType) -> np.dtype[np.void] | None:
+    """Return where pymavlink's table has the fields in a payload, in the order of their names; None with text."""
+    table = kind.table
+    if "char" in table.fieldtypes:
+        return None
+    types = table.native_format.decode()[1:]
+    parts = zip(table.ordered_fieldnames, types, table.lengths, strict=True)
+    packed = np.dtype([(name, f"<{type_}", (length,) if length > 1 else ()) for name, type_, length in parts])
+    return packed[table.fieldnames]
+
+
+def fields(
+    data: NDArray[np.uint8], layout: np.dtype[np.void], payload: NDArray[np.int64], length: NDArray[np.int64]
+) -> dict[str, NDArray[np.generic]]:
+    """Return the fields of n payloads by name (n,), array fields as (n, their length).
+
+    Parameters
+    ----------
+    data : NDArray[np.uint8]
+        The buffer.
+    layout : np.dtype
+        Of the message (:func:`payload_layout`).
+    payload, length : NDArray[np.int64]
+        Where the payloads begin, and their bytes (n,); what is cut off at their ends is zero.
+    """
+    size = layout.itemsize
+    # Every place of the buffer as the begin of a payload: taking from that copies payload by payload.
+    payloads = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
+    content = payloads[payload].view(np.uint8).reshape(-1, size)
+    if (length < size).any():
+        content *= np.arange(size) < length[:, None]
+    record = content.reshape(-1).view(layout)
+    return {name: np.ascontiguousarray(record[name]) for name in layout.names or ()}

@@ -1,0 +1,215 @@
+"""Live MAVLink: packets from a UDP, TCP or serial link -> messages. It sends only where it may."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections import OrderedDict
+from collections.abc import Hashable, Iterable, Mapping
+from dataclasses import dataclass
+
+from adapters.errors import TelemetryError
+from adapters.mavlink.byte_link import open_byte_link
+from adapters.mavlink.mavlink_message import PacketParser, mavlink_types, packet_sender, packet_sequence
+from adapters.mavlink.signing import SigningGuard, SigningKey, SigningStatistics
+from adapters.message import Message
+
+# Senders whose unfinished packets are kept apart; more are unlikely, and none can exhaust memory.
+_SENDERS = 64
+_BATCH = 1024
+_ANSWER_NS = 10_000_000_000
+# Further behind than networks reorder, a packet is the first after a restart or a long gap.
+_REORDERED = 32
+_SETTLING_NS = 1_000_000_000
+# It carries the secret that packets are signed with, and everything given out here is recorded.
+_SECRET = "SETUP_SIGNING"  # noqa: S105 - the name of a message
+
+
+@dataclass(frozen=True, slots=True)
+class MavlinkLinkStatistics:
+    """What came over a link so far.
+
+    Parameters
+    ----------
+    messages : int
+        Messages received, refused ones not among them.
+    lost : int
+        Packets missing by the sequence numbers of each system and component. A router that passes on only some of
+        the messages makes the others count as lost; a gap of more than 127 packets counts as none.
+    lost_by_system : Mapping[int, int]
+        The same of each system that lost any.
+    unknown : int
+        Packets of messages that are not in the dialect.
+    damaged, skipped_bytes : int
+        Places with bytes that belong to no intact packet, and those bytes.
+    connections : int
+        How often a connection was made.
+    overruns : int
+        UDP datagrams that the kernel dropped because they were not read in time.
+    signing : SigningStatistics
+        Packets refused for their signature; all zero without a key.
+    """
+
+    messages: int
+    lost: int
+    lost_by_system: Mapping[int, int]
+    unknown: int
+    damaged: int
+    skipped_bytes: int
+    connections: int
+    overruns: int
+    signing: SigningStatistics
+
+
+class MavlinkLink:
+    """An open link.
+
+    Parameters
+    ----------
+    url : str
+        See :func:`adapters.mavlink.byte_link.open_byte_link`.
+    key : SigningKey | None
+        Packets with a signature that is not this key's, and old ones sent again, are refused. Without a key signed
+        packets are taken unverified.
+    require_signed : bool
+        Whether unsigned packets are refused too, but for what telemetry radios add.
+    may_send : bool
+        Whether :meth:`send` is allowed.
+
+    Raises
+    ------
+    TelemetryError
+        The link cannot be opened, or signatures are required but there is no key to verify them with.
+    """
+
+    def __init__(
+        self, url: str, key: SigningKey | None = None, require_signed: bool = False, may_send: bool = False
+    ) -> None:
+        if require_signed and key is None:
+            raise TelemetryError(f"{url}: signed packets are required but there is no key to verify them with")
+        self._url = url
+        self._may_send = may_send
+        # Half a second of work that the first packet would have to wait for.
+        mavlink_types()
+        self._link = open_byte_link(url, may_send)
+        self._guard = None if key is None else SigningGuard(key, require_signed)
+        self._parsers: OrderedDict[Hashable, PacketParser] = OrderedDict()
+        self._retired = PacketParser()
+        # By system and component id, -1 where nothing came yet: what strangers claim to be costs no memory.
+        self._sequence = array("h", [-1]) * (1 << 16)
+        self._lost_by_system = [0] * 256
+        self._heard_ns: OrderedDict[Hashable, int] = OrderedDict()
+        self._received_ns = 0
+        self._messages = 0
+
+    def receive(self, timeout_s: float) -> list[Message]:
+        """Return all messages that are there; wait for the first one at most ``timeout_s`` seconds.
+
+        Packets that were refused for their signature are told of by :meth:`SigningGuard.findings
+        <adapters.mavlink.signing.SigningGuard.findings>` among the messages.
+        """
+        until = time.monotonic() + timeout_s
+        messages: list[Message] = []
+        # Pieces are counted and not messages: a flood of junk must not keep the caller here.
+        for _ in range(_BATCH):
+            piece = self._link.read(0.0 if messages else until - time.monotonic())
+            if piece is not None:
+                self._take(*piece, messages)
+            elif messages or time.monotonic() >= until:
+                break
+        self._messages += len(messages)
+        if self._guard is not None:
+            messages += self._guard.findings(self._received_ns if messages else self._arrival(time.time_ns()))
+        return messages
+
+    def send(self, packets: Iterable[bytes]) -> None:
+        """Send packets to the other side: on a UDP port to all who lately sent telemetry to it.
+
+        What the network does not take is lost. Another thread than that of :meth:`receive` may call it.
+
+        Raises
+        ------
+        TelemetryError
+            The link was opened only to listen.
+        """
+        if not self._may_send:
+            raise TelemetryError(f"{self._url}: this link was opened only to listen")
+        now_ns = time.time_ns()
+        senders = [sender for sender, heard_ns in list(self._heard_ns.items()) if now_ns - heard_ns < _ANSWER_NS]
+        for packet in packets:
+            self._link.write(packet, senders)
+
+    def _arrival(self, received_ns: int) -> int:
+        """Return a time of arrival that is not before an earlier one, unless the clock was set back."""
+        if not 0 < self._received_ns - received_ns < _SETTLING_NS:
+            self._received_ns = received_ns
+        return self._received_ns
+
+    def _take(self, sender: Hashable, data: bytes, received_ns: int, messages: list[Message]) -> None:
+        received_ns = self._arrival(received_ns)
+        guard = self._guard
+        taken = False
+        for kind, packet in self._parser(sender).feed(data):
+            if guard is not None and not guard.admits(packet, received_ns):
+                continue
+            taken = True
+            self._count(packet)
+            if kind.name != _SECRET:
+                messages.append(kind.decode(packet, received_ns))
+        if taken and self._may_send:
+            self._heard_ns[sender] = received_ns
+            self._heard_ns.move_to_end(sender)
+            if len(self._heard_ns) > _SENDERS:
+                self._heard_ns.popitem(last=False)
+
+    def _count(self, packet: bytes) -> None:
+        system, component = packet_sender(packet)
+        sequence = packet_sequence(packet)
+        place = system << 8 | component
+        before = self._sequence[place]
+        ahead = (sequence - before) & 0xFF
+        if before < 0 or 128 <= ahead < 256 - _REORDERED:
+            self._sequence[place] = sequence
+        elif 0 < ahead < 128:
+            self._lost_by_system[system] += ahead - 1
+            self._sequence[place] = sequence
+
+    def _parser(self, sender: Hashable) -> PacketParser:
+        parser = self._parsers.get(sender)
+        if parser is None:
+            parser = self._parsers[sender] = PacketParser()
+            if len(self._parsers) > _SENDERS:
+                self._retire(self._parsers.popitem(last=False)[1])
+        else:
+            self._parsers.move_to_end(sender)
+        return parser
+
+    def _retire(self, parser: PacketParser) -> None:
+        self._retired.unknown += parser.unknown
+        self._retired.damaged += parser.damaged
+        self._retired.skipped_bytes += parser.skipped_bytes
+
+    def statistics(self) -> MavlinkLinkStatistics:
+        """Return the counts so far."""
+        parsers = (self._retired, *self._parsers.values())
+        return MavlinkLinkStatistics(
+            messages=self._messages,
+            lost=sum(self._lost_by_system),
+            lost_by_system={system: lost for system, lost in enumerate(self._lost_by_system) if lost},
+            unknown=sum(parser.unknown for parser in parsers),
+            damaged=sum(parser.damaged for parser in parsers),
+            skipped_bytes=sum(parser.skipped_bytes for parser in parsers),
+            connections=self._link.connections,
+            overruns=self._link.overruns,
+            signing=SigningStatistics() if self._guard is None else self._guard.statistics(),
+        )
+
+    def close(self) -> None:
+        """Close the link."""
+        self._link.close()
+
+    def __enter__(self) -> MavlinkLink:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,219 @@
+"""MAVLink packets (versions 1 and 2) -> messages by pymavlink's tables, the same for links and recordings.
+
+The tables of message definitions are pymavlink's and so are the values: the tests hold every message of the
+dialect against pymavlink's own decoder. Signatures are skipped here; :mod:`adapters.mavlink.signing` verifies them.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable
+from operator import itemgetter
+from typing import Any
+
+from adapters.message import Message
+
+MAGIC_1 = 0xFE
+MAGIC_2 = 0xFD
+MAGICS = (MAGIC_1, MAGIC_2)
+MAX_PACKET_BYTES = 280
+# Bytes of a packet that say how long it is: magic, payload length, incompatibility flags.
+HEAD_BYTES = 3
+
+PAYLOAD_START_1, PAYLOAD_START_2 = 6, 10
+SIGNATURE_BYTES = 13
+_SIGNED = 1
+# Where a packet may begin; of version 2 only with flags that are understood, as far as the bytes are there.
+_MAGIC = re.compile(rb"\xfe|\xfd(?=.[\x00\x01]|.?\Z)", re.DOTALL)
+
+
+class MavlinkType:
+    """What is needed of one message definition to check and decode its packets.
+
+    Parameters
+    ----------
+    table : Any
+        pymavlink's class of the message.
+
+    Attributes
+    ----------
+    table : Any
+        The same.
+    name : str
+        Name of the message.
+    size : int
+        Bytes of a payload from which nothing is cut off.
+    """
+
+    def __init__(self, table: Any) -> None:
+        from pymavlink.generator.mavcrc import x25crc
+
+        self.table = table
+        self.name: str = table.msgname
+        self._checksum = x25crc
+        self._extra = bytes([table.crc_extra])
+        self._unpack: Callable[[bytes], tuple[Any, ...]] = table.unpacker.unpack
+        self.size: int = table.unpacker.size
+        self._names: list[str] = table.fieldnames
+        places = []
+        for order in table.orders:
+            first = sum(table.lengths[:order])
+            places.append((first, first + table.lengths[order]))
+        plain = all(end == first + 1 for first, end in places) and "char" not in table.fieldtypes
+        self._pick = itemgetter(*table.orders) if plain and len(places) > 1 else None
+        self._places = places
+
+    def intact(self, packet: bytes) -> bool:
+        """Return whether the packet's checksum is right.
+
+        Version 1 knows no fields beyond the definition, so a payload longer than that is none and costs no checksum:
+        junk in which every byte could begin a packet stays cheap. Version 2 may carry fields of a newer definition.
+        """
+        if packet[1] > self.size and packet[0] == MAGIC_1:
+            return False
+        end = _payload_start(packet) + packet[1]
+        return self.checksum(packet[:end]) == packet[end] | packet[end + 1] << 8
+
+    def checksum(self, packet: bytes) -> int:
+        """Return the checksum that belongs behind a packet's head and payload."""
+        return int(self._checksum(packet[1:] + self._extra).crc)
+
+    def decode(self, packet: bytes, received_ns: int) -> Message:
+        """Return the message in an intact packet.
+
+        Numbers are int or float, arrays lists, text ends at its first zero byte. Zeros that version 2 cuts
+        off at the end of the payload, and fields that version 1 does not send, are zero.
+        """
+        start = _payload_start(packet)
+        payload = packet[start : start + packet[1]]
+        if len(payload) != self.size:
+            payload = payload[: self.size].ljust(self.size, b"\0")
+        values = self._unpack(payload)
+        if self._pick is not None:
+            fields = dict(zip(self._names, self._pick(values), strict=True))
+        else:
+            fields = {
+                name: _field(values[first:end]) for name, (first, end) in zip(self._names, self._places, strict=True)
+            }
+        return Message("mavlink", self.name, received_ns, fields, *packet_sender(packet))
+
+
+def _field(values: tuple[Any, ...]) -> Any:
+    if len(values) > 1:
+        return list(values)
+    if isinstance(values[0], bytes):
+        return values[0].split(b"\0", 1)[0].decode("ascii", errors="replace")
+    return values[0]
+
+
+def _payload_start(packet: bytes) -> int:
+    return PAYLOAD_START_2 if packet[0] == MAGIC_2 else PAYLOAD_START_1
+
+
+def message_number(packet: bytes) -> int:
+    """Return the id of the message in a packet."""
+    if packet[0] == MAGIC_2:
+        return packet[7] | packet[8] << 8 | packet[9] << 16
+    return packet[5]
+
+
+def packet_sender(packet: bytes) -> tuple[int, int]:
+    """Return system and component id of a packet's sender."""
+    first = 5 if packet[0] == MAGIC_2 else 3
+    return packet[first], packet[first + 1]
+
+
+def packet_sequence(packet: bytes) -> int:
+    """Return the sequence number of a packet, which its sender counts modulo 256."""
+    return packet[4 if packet[0] == MAGIC_2 else 2]
+
+
+def packet_signed(packet: bytes) -> bool:
+    """Return whether a packet says that it is signed."""
+    return packet[0] == MAGIC_2 and bool(packet[2] & _SIGNED)
+
+
+def packet_size(buffer: bytes, start: int) -> int | None:
+    """Return the length of the packet that starts in a buffer, None where none of a known kind starts.
+
+    The buffer has to hold at least :data:`HEAD_BYTES` from there on.
+    """
+    magic, length, flags = buffer[start], buffer[start + 1], buffer[start + 2]
+    if magic == MAGIC_1:
+        return length + 8
+    if magic != MAGIC_2 or flags & ~_SIGNED:
+        return None
+    return length + (12 + SIGNATURE_BYTES if flags else 12)
+
+
+@functools.cache
+def mavlink_types() -> dict[int, MavlinkType]:
+    """Return the messages of the ardupilotmega dialect (common included) by id."""
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    return {number: MavlinkType(table) for number, table in ardupilotmega.mavlink_map.items()}
+
+
+class PacketParser:
+    """Finds the intact packets in a stream of bytes that may be cut anywhere and hold anything.
+
+    After a wrong checksum the search goes on at the next byte, so damage costs no intact packet.
+
+    Attributes
+    ----------
+    unknown : int
+        Packets of unknown messages: they cannot be checked, and are left out.
+    damaged : int
+        Places where bytes that belong to no intact packet were skipped.
+    skipped_bytes : int
+        Those bytes.
+    """
+
+    def __init__(self) -> None:
+        self.unknown = 0
+        self.damaged = 0
+        self.skipped_bytes = 0
+        self._rest = b""
+        self._in_noise = False
+
+    def feed(self, data: bytes) -> list[tuple[MavlinkType, bytes]]:
+        """Take the next bytes; return the packets they complete, each with its message type."""
+        buffer = self._rest + data if self._rest else data
+        types = mavlink_types()
+        found: list[tuple[MavlinkType, bytes]] = []
+        start, size = 0, len(buffer)
+        while start < size:
+            magic = _MAGIC.search(buffer, start)
+            at = magic.start() if magic else size
+            if at > start:
+                start = self._skip(start, at)
+                continue
+            if start + HEAD_BYTES > size:
+                break
+            length = packet_size(buffer, start)
+            if length is None:
+                start = self._skip(start, start + 1)
+                continue
+            end = start + length
+            if end > size:
+                break
+            packet = buffer[start:end]
+            kind = types.get(message_number(packet))
+            if kind is not None and kind.intact(packet):
+                found.append((kind, packet))
+            elif kind is None and (end == size or buffer[end] in MAGICS):
+                self.unknown += 1
+            else:
+                start = self._skip(start, start + 1)
+                continue
+            self._in_noise = False
+            start = end
+        self._rest = buffer[start:]
+        return found
+
+    def _skip(self, start: int, end: int) -> int:
+        self.damaged += not self._in_noise
+        self._in_noise = True
+        self.skipped_bytes += end - start
+        return end

@@ -1,0 +1,311 @@
+"""Message rates asked of vehicles: what to send, where sending is allowed, and what came of it.
+
+Logic without clock and socket: the times are given, the packets are returned. The monitor presents itself as an onboard
+computer with a system id of its own and not as the ground station, whose loss the vehicle has to notice: PX4 takes any
+heartbeat of a ground station for that, ArduPilot any of system 255.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from adapters.errors import TelemetryError
+from adapters.mavlink.signing import SigningKey, unix_stamp
+from adapters.message import Message
+
+AUTOPILOT = 1
+"""Component id of autopilots."""
+
+OWN_IDS = (245, 191)
+"""System and component id that requests are sent under: an onboard computer that is no vehicle."""
+
+_SECOND_NS = 1_000_000_000
+_ENOUGH = 0.7
+# A rate is measured over so many messages, and over no less than the time.
+_MEASURED_MESSAGES = 5
+_MEASURED_S = 2.0
+_ACK_NS = 1_500_000_000
+_FIRST_RETRY_NS = 2 * _SECOND_NS
+_LAST_RETRY_NS = 64 * _SECOND_NS
+_SILENT_NS = 3 * _SECOND_NS
+_LARGEST_HZ = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class RequestedRate:
+    """What became of one request.
+
+    Parameters
+    ----------
+    system, component : int
+        The vehicle's autopilot.
+    name : str
+        The message.
+    asked_hz, measured_hz : float
+        Its rate as asked for, and as last measured.
+    requests : int
+        How often it was asked for.
+    refused : bool
+        Whether the vehicle said that it will not; it is not asked again.
+    """
+
+    system: int
+    component: int
+    name: str
+    asked_hz: float
+    measured_hz: float
+    requests: int
+    refused: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RateStatistics:
+    """What was sent so far, and what came of it.
+
+    Parameters
+    ----------
+    heartbeats : int
+        Heartbeats sent.
+    rates : tuple[RequestedRate, ...]
+        The requests.
+    """
+
+    heartbeats: int
+    rates: tuple[RequestedRate, ...]
+
+
+@dataclass(slots=True)
+class _Request:
+    """One message of one vehicle, and its present measurement."""
+
+    name: str
+    number: int
+    asked_hz: float
+    measured_hz: float = 0.0
+    requests: int = 0
+    refused: bool = False
+    low: bool = False
+    heard: int = 0
+    since_ns: int = 0
+    retry_ns: int = _FIRST_RETRY_NS
+    not_before_ns: int = 0
+
+    def measure(self, now_ns: int) -> None:
+        elapsed_s = (now_ns - self.since_ns) / 1e9
+        if elapsed_s < max(_MEASURED_S, _MEASURED_MESSAGES / self.asked_hz):
+            return
+        self.measured_hz = self.heard / elapsed_s
+        self.low = self.measured_hz < _ENOUGH * self.asked_hz
+        if not self.low:
+            self.retry_ns, self.not_before_ns = _FIRST_RETRY_NS, 0
+        self.restart(now_ns)
+
+    def restart(self, now_ns: int) -> None:
+        self.heard, self.since_ns = 0, now_ns
+
+    def sent(self, now_ns: int) -> None:
+        self.requests += 1
+        self.low = False
+        self.not_before_ns = now_ns + self.retry_ns
+        self.retry_ns = min(2 * self.retry_ns, _LAST_RETRY_NS)
+        self.restart(now_ns)
+
+
+@dataclass(slots=True)
+class _Vehicle:
+    """One vehicle; an acknowledgement does not say which message it is about, so only one request is open at a time."""
+
+    component: int
+    requests: dict[str, _Request]
+    heard_ns: int | None = None
+    heard_anew: bool = False
+    waiting: _Request | None = None
+    waiting_until_ns: int = 0
+
+
+class RateRequests:
+    """Asks the vehicles of one link for message rates, and sends a heartbeat every second.
+
+    A vehicle is asked for a message while it is heard and the message comes at less than 70 % of the rate, again and
+    again at growing intervals of at most about a minute, unless it has refused.
+
+    Parameters
+    ----------
+    key : SigningKey | None
+        What packets are signed with; None leaves them unsigned.
+    ids : tuple[int, int]
+        System and component id to send under.
+    """
+
+    def __init__(self, key: SigningKey | None = None, ids: tuple[int, int] = OWN_IDS) -> None:
+        self._dialect = _dialect()
+        self._ids = ids
+        self._packer = self._dialect.MAVLink(None, *ids)
+        if key is not None:
+            self._packer.signing.secret_key = key.secret
+            self._packer.signing.sign_outgoing = True
+        self._vehicles: dict[int, _Vehicle] = {}
+        self._now_ns = 0
+        self._heartbeat_ns: int | None = None
+        self._heartbeats = 0
+
+    def ask(self, system: int, rates: Mapping[str, float], component: int = AUTOPILOT) -> None:
+        """Ask one vehicle for these rates from now on, in place of earlier ones.
+
+        Parameters
+        ----------
+        system, component : int
+            MAVLink ids of its autopilot.
+        rates : Mapping[str, float]
+            Rate in hertz by MAVLink message name.
+
+        Raises
+        ------
+        TelemetryError
+            There is no such message, id or rate.
+        """
+        if not (0 < system < 256 and 0 < component < 256):
+            raise TelemetryError(f"system {system}, component {component}: MAVLink ids are 1 to 255")
+        numbers = _message_numbers()
+        for name, rate_hz in rates.items():
+            if name not in numbers:
+                raise TelemetryError(f"message rate of {name}: no such MAVLink message; names are like ATTITUDE")
+            if not (math.isfinite(rate_hz) and 0.0 < rate_hz <= _LARGEST_HZ):
+                raise TelemetryError(f"message rate of {name}: {rate_hz} is not above 0 and at most {_LARGEST_HZ:g} Hz")
+        requests = {name: _Request(name, numbers[name], rate_hz) for name, rate_hz in rates.items()}
+        self._vehicles[system] = _Vehicle(component, requests)
+
+    def heard(self, message: Message) -> None:
+        """Take note of a message that came; only those of the vehicles asked matter."""
+        vehicle = self._vehicles.get(message.system)
+        if vehicle is None or message.source != "mavlink" or message.component != vehicle.component:
+            return
+        if vehicle.heard_ns is None or message.received_ns - vehicle.heard_ns > _SILENT_NS:
+            for request in vehicle.requests.values():
+                request.restart(message.received_ns)
+        vehicle.heard_ns, vehicle.heard_anew = message.received_ns, True
+        if (counted := vehicle.requests.get(message.name)) is not None:
+            counted.heard += 1
+        if message.name == "COMMAND_ACK" and vehicle.waiting is not None and self._for_us(message.fields):
+            refusals = (self._dialect.MAV_RESULT_DENIED, self._dialect.MAV_RESULT_UNSUPPORTED)
+            vehicle.waiting.refused = message.fields.get("result") in refusals
+            vehicle.waiting = None
+
+    def _for_us(self, fields: Mapping[str, Any]) -> bool:
+        addressed = (fields.get("target_system"), fields.get("target_component"))
+        # Version 1 has no room for the address.
+        to_us = all(found in (0, own) for found, own in zip(addressed, self._ids, strict=True))
+        return to_us and fields.get("command") == self._dialect.MAV_CMD_SET_MESSAGE_INTERVAL
+
+    def requests(self, now_ns: int) -> list[bytes]:
+        """Return the packets to send at this Unix time; to be called several times a second."""
+        if now_ns < self._now_ns:
+            self._start_anew()
+        self._now_ns = now_ns
+        packets = []
+        if self._heartbeat_ns is None or now_ns - self._heartbeat_ns >= _SECOND_NS:
+            self._heartbeat_ns = now_ns
+            self._heartbeats += 1
+            packets.append(self._heartbeat(now_ns))
+        for system, vehicle in self._vehicles.items():
+            request = _next_request(vehicle, now_ns)
+            if request is not None:
+                packets.append(self._set_interval(system, vehicle.component, request, now_ns))
+        return packets
+
+    def _start_anew(self) -> None:
+        """Forget all times: the clock was set back."""
+        self._heartbeat_ns = None
+        for vehicle in self._vehicles.values():
+            vehicle.heard_ns = vehicle.waiting = None
+            for request in vehicle.requests.values():
+                request.not_before_ns = 0
+
+    def _heartbeat(self, now_ns: int) -> bytes:
+        names = self._dialect
+        return self._pack(
+            names.MAVLink_heartbeat_message(
+                type=names.MAV_TYPE_ONBOARD_CONTROLLER,
+                autopilot=names.MAV_AUTOPILOT_INVALID,
+                base_mode=0,
+                custom_mode=0,
+                system_status=names.MAV_STATE_ACTIVE,
+                mavlink_version=3,
+            ),
+            now_ns,
+        )
+
+    def _set_interval(self, system: int, component: int, request: _Request, now_ns: int) -> bytes:
+        return self._pack(
+            self._dialect.MAVLink_command_long_message(
+                system,
+                component,
+                self._dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
+                0,
+                request.number,
+                round(1e6 / request.asked_hz),
+                *[0] * 5,
+            ),
+            now_ns,
+        )
+
+    def _pack(self, message: Any, now_ns: int) -> bytes:
+        signing = self._packer.signing
+        signing.timestamp = max(signing.timestamp, unix_stamp(now_ns))
+        packet = bytes(message.pack(self._packer))
+        self._packer.seq = (self._packer.seq + 1) % 256
+        return packet
+
+    def statistics(self) -> RateStatistics:
+        """Return the counts so far."""
+        return RateStatistics(
+            heartbeats=self._heartbeats,
+            rates=tuple(
+                RequestedRate(
+                    system=system,
+                    component=vehicle.component,
+                    name=request.name,
+                    asked_hz=request.asked_hz,
+                    measured_hz=request.measured_hz,
+                    requests=request.requests,
+                    refused=request.refused,
+                )
+                for system, vehicle in self._vehicles.items()
+                for request in vehicle.requests.values()
+            ),
+        )
+
+
+def _next_request(vehicle: _Vehicle, now_ns: int) -> _Request | None:
+    """Measure a vehicle's rates; return the request that is due."""
+    # Only when it was just heard: that nothing comes any more is no low rate but silence.
+    if not vehicle.heard_anew:
+        return None
+    vehicle.heard_anew = False
+    for request in vehicle.requests.values():
+        request.measure(now_ns)
+    if vehicle.waiting is not None and now_ns < vehicle.waiting_until_ns:
+        return None
+    vehicle.waiting = None
+    due = [one for one in vehicle.requests.values() if one.low and not one.refused and now_ns >= one.not_before_ns]
+    if not due:
+        return None
+    request = min(due, key=lambda one: one.not_before_ns)
+    request.sent(now_ns)
+    vehicle.waiting, vehicle.waiting_until_ns = request, now_ns + _ACK_NS
+    return request
+
+
+def _dialect() -> Any:
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    return ardupilotmega
+
+
+@functools.cache
+def _message_numbers() -> dict[str, int]:
+    return {table.msgname: number for number, table in _dialect().mavlink_map.items()}

@@ -1,0 +1,270 @@
+"""MAVLink 2 signing: the shared key, and which packets are let in.
+
+After the MAVLink guide (https://mavlink.io/en/guide/message_signing.html), with two differences. The hash is verified
+before anything of the packet is believed: a forged packet cannot move a stream's time stamp and so lock its owner out.
+And what comes twice or out of order within a second or two is refused like any replay, but not called one, since
+networks do that without malice.
+
+A vehicle without a clock stamps its packets with the time that it last knew; until a ground station with the same key
+has told it better, its first packets are too old and refused as replayed, as the guide has it.
+"""
+
+from __future__ import annotations
+
+import enum
+import hashlib
+import hmac
+import os
+import stat
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from adapters.errors import TelemetryError
+from adapters.mavlink.mavlink_message import message_number, packet_sender, packet_signed
+from adapters.message import Message
+
+SIGNING = "signing"
+"""Name of the messages of source ``link`` that tell of refused packets."""
+
+_KEY_BYTES = 32
+_HASH_BYTES = 6
+_STAMP_BYTES = 6
+_EPOCH_NS = 1_420_070_400_000_000_000
+_STAMP_NS = 10_000
+_MINUTE = 6_000_000
+_LARGEST_KEY_FILE = 4096
+# Only holders of the key get a stream; of more than these the longest silent one is forgotten.
+_STREAMS = 1024
+_LATE_NS = 1_000_000_000
+_REPORT_NS = 1_000_000_000
+# RADIO_STATUS and RADIO: radios add them on the way and have no key.
+_FROM_RADIOS = frozenset((109, 166))
+_FINDINGS = ("forged", "replayed", "unsigned")
+
+
+@dataclass(frozen=True, slots=True)
+class SigningKey:
+    """The secret that both ends of a link share; it does not show when printed.
+
+    Parameters
+    ----------
+    secret : bytes
+        32 bytes.
+
+    Raises
+    ------
+    TelemetryError
+        It is not 32 bytes.
+    """
+
+    secret: bytes = field(repr=False)
+
+    def __post_init__(self) -> None:
+        if len(self.secret) != _KEY_BYTES:
+            raise TelemetryError(f"a signing key has {_KEY_BYTES} bytes, not {len(self.secret)}")
+
+    def signature(self, signed: bytes) -> bytes:
+        """Return the six bytes that sign a packet up to and including its time stamp."""
+        return hashlib.sha256(self.secret + signed).digest()[:_HASH_BYTES]
+
+
+def read_key(path: str | os.PathLike[str]) -> SigningKey:
+    """Read a key file.
+
+    Parameters
+    ----------
+    path : str | PathLike
+        A file with 64 hexadecimal digits, or with a passphrase on one line, of which the key is the SHA-256 hash as
+        in Mission Planner, QGroundControl and MAVProxy, or with 32 bytes that are no such text.
+
+    Raises
+    ------
+    TelemetryError
+        The file cannot be read, holds no key, or every user of the machine may read it.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            open_to_all = os.name == "posix" and os.fstat(file.fileno()).st_mode & (stat.S_IROTH | stat.S_IWOTH)
+            content = file.read(_LARGEST_KEY_FILE + 1)
+    except OSError as error:
+        raise TelemetryError(f"{path}: signing key cannot be read: {error.strerror}") from error
+    if open_to_all:
+        raise TelemetryError(f"{path}: every user may read or change this signing key; say 'chmod o-rwx {path}'")
+    try:
+        line = content.decode().rstrip("\r\n")
+    except UnicodeDecodeError:
+        line = ""
+    if line.isprintable() and line.strip() and len(content) <= _LARGEST_KEY_FILE:
+        digits = line.strip()
+        if len(digits) == 2 * _KEY_BYTES and all(digit in "0123456789abcdefABCDEF" for digit in digits):
+            return SigningKey(bytes.fromhex(digits))
+        return SigningKey(hashlib.sha256(line.encode()).digest())
+    if len(content) == _KEY_BYTES:
+        return SigningKey(content)
+    raise TelemetryError(
+        f"{path}: holds no signing key: give 64 hexadecimal digits, a passphrase on one line, or 32 bytes"
+    )
+
+
+def unix_stamp(now_ns: int) -> int:
+    """Return a Unix time in nanoseconds as a signature's time stamp: 10 microseconds since 2015."""
+    return max(0, (now_ns - _EPOCH_NS) // _STAMP_NS)
+
+
+class Verdict(enum.Enum):
+    """What a packet's signature says."""
+
+    VALID = enum.auto()
+    UNSIGNED = enum.auto()
+    FORGED = enum.auto()
+    REPLAYED = enum.auto()
+    LATE = enum.auto()
+
+
+class _Stream:
+    """Time stamps of one (link, system, component)."""
+
+    __slots__ = ("before", "newest", "recent", "since_ns")
+
+    def __init__(self, oldest: int, now_ns: int) -> None:
+        self.newest = self.recent = self.before = oldest
+        self.since_ns = now_ns
+
+    def take(self, stamp: int, now_ns: int) -> Verdict:
+        age_ns = now_ns - self.since_ns
+        if not 0 <= age_ns < _LATE_NS:
+            # Kept by time of arrival: the stamps of a vehicle without a clock only count its packets.
+            self.before = self.recent if 0 <= age_ns < 2 * _LATE_NS else self.newest
+            self.recent = self.newest
+            self.since_ns = now_ns
+        if stamp > self.newest:
+            self.newest = stamp
+            return Verdict.VALID
+        return Verdict.LATE if stamp > self.before else Verdict.REPLAYED
+
+
+class SignatureVerifier:
+    """Verifies the packets of one link; its memory is bounded.
+
+    Parameters
+    ----------
+    key : SigningKey
+        The key that valid packets are signed with.
+    """
+
+    def __init__(self, key: SigningKey) -> None:
+        self._key = key
+        self._streams: OrderedDict[tuple[int, int, int], _Stream] = OrderedDict()
+        self._newest = 0
+
+    def check(self, packet: bytes, now_ns: int) -> Verdict:
+        """Return the verdict on an intact packet that came at a Unix time.
+
+        A stream's time stamps have to increase; its first may be at most a minute behind the present time or the
+        newest valid stamp of all streams.
+        """
+        if not packet_signed(packet):
+            return Verdict.UNSIGNED
+        if not hmac.compare_digest(self._key.signature(packet[:-_HASH_BYTES]), packet[-_HASH_BYTES:]):
+            return Verdict.FORGED
+        stamp_at = len(packet) - _HASH_BYTES - _STAMP_BYTES
+        stamp = int.from_bytes(packet[stamp_at : stamp_at + _STAMP_BYTES], "little")
+        name = (packet[stamp_at - 1], *packet_sender(packet))
+        stream = self._streams.get(name)
+        if stream is None:
+            oldest = max(unix_stamp(now_ns), self._newest) - _MINUTE - 1
+            if stamp <= oldest:
+                return Verdict.REPLAYED
+            stream = self._streams[name] = _Stream(oldest, now_ns)
+            if len(self._streams) > _STREAMS:
+                self._streams.popitem(last=False)
+        else:
+            self._streams.move_to_end(name)
+        self._newest = max(self._newest, stamp)
+        return stream.take(stamp, now_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class SigningStatistics:
+    """Packets refused so far.
+
+    Parameters
+    ----------
+    forged : int
+        The signature is not the key's.
+    replayed : int
+        A valid packet of earlier.
+    unsigned : int
+        Not signed where that is required.
+    late : int
+        A valid packet that came twice or behind its successor within a second or two.
+    """
+
+    forged: int = 0
+    replayed: int = 0
+    unsigned: int = 0
+    late: int = 0
+
+
+class SigningGuard:
+    """Lets in the packets of one link that may be trusted, and tells of the others, system by system.
+
+    Parameters
+    ----------
+    key : SigningKey
+        The key of the link.
+    require_signed : bool
+        Whether unsigned packets are refused. The reports that telemetry radios add themselves (RADIO_STATUS, RADIO)
+        never are.
+    """
+
+    def __init__(self, key: SigningKey, require_signed: bool = False) -> None:
+        self._verifier = SignatureVerifier(key)
+        self._require_signed = require_signed
+        self._late = 0
+        # By claimed system id, which is one byte: this cannot grow past 256 entries.
+        self._refused: dict[int, dict[str, int]] = {}
+        self._reported_ns: dict[int, int] = {}
+        self._unreported: set[int] = set()
+
+    def admits(self, packet: bytes, now_ns: int) -> bool:
+        """Return whether an intact packet is let in; count it where not."""
+        verdict = self._verifier.check(packet, now_ns)
+        if verdict is Verdict.VALID:
+            return True
+        if verdict is Verdict.LATE:
+            self._late += 1
+            return False
+        if verdict is Verdict.UNSIGNED and (not self._require_signed or message_number(packet) in _FROM_RADIOS):
+            return True
+        system, _ = packet_sender(packet)
+        counts = self._refused.setdefault(system, dict.fromkeys(_FINDINGS, 0))
+        counts[verdict.name.lower()] += 1
+        self._unreported.add(system)
+        return False
+
+    def findings(self, now_ns: int) -> list[Message]:
+        """Return what is new about each system, at most once a second.
+
+        Returns
+        -------
+        list[Message]
+            Of source ``link`` and name ``signing``, from the system that the refused packets claimed to come from;
+            ``forged``, ``replayed`` and ``unsigned`` count them since the link was opened.
+        """
+        due = [
+            system
+            for system in sorted(self._unreported)
+            if not 0 <= now_ns - self._reported_ns.get(system, now_ns - _REPORT_NS) < _REPORT_NS
+        ]
+        for system in due:
+            self._reported_ns[system] = now_ns
+            self._unreported.discard(system)
+        return [Message("link", SIGNING, now_ns, dict(self._refused[system]), system=system) for system in due]
+
+    def statistics(self) -> SigningStatistics:
+        """Return the counts so far."""
+        refused = list(self._refused.values())
+        totals = {name: sum(counts[name] for counts in refused) for name in _FINDINGS}
+        return SigningStatistics(**totals, late=self._late)

@@ -1,0 +1,160 @@
+"""The simulated arm's telemetry: MAVLink packets, messages for recordings, and live publishing.
+
+MAVLink: HEARTBEAT once a second and, for each sample, DEBUG_FLOAT_ARRAY with ``name`` "arm", ``time_usec``
+the simulated time, ``data[0]`` the torque u, ``data[1..3]`` the outputs y, and the truth in ``data[4]`` (f_a)
+and ``data[5]`` (f_s). Floats have 32 bits there. Zenoh: ``{"time_ns", "u": [1], "y": [3], "f_a": [1], "f_s":
+[1]}``.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from adapters.errors import TelemetryError
+from adapters.mavlink.byte_link import resolve
+from adapters.mavlink.mavlink_message import mavlink_types, message_number
+from adapters.message import Message
+from adapters.simulation.arm import ArmRun
+from adapters.simulation.pacing import paced
+
+SYSTEM = 1
+COMPONENT = 1
+ARRAY_NAME = "arm"
+
+_HEARTBEAT_NS = 1_000_000_000
+_ARMED = 128
+_ACTIVE = 4
+_MAVLINK_VERSION = 3
+_FLOATS = 58
+# Publishing waits for a subscriber at most this long, so that none misses the start.
+_SUBSCRIBER_S = 5.0
+
+
+def arm_packets(run: ArmRun) -> Iterator[tuple[int, bytes]]:
+    """Return simulated time, nanoseconds, and bytes of each MAVLink packet."""
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    link = ardupilotmega.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
+    heartbeat = ardupilotmega.MAVLink_heartbeat_message(0, 0, _ARMED, 0, _ACTIVE, _MAVLINK_VERSION)
+
+    def pack(packed: ardupilotmega.MAVLink_message) -> bytes:
+        packet = bytes(packed.pack(link))
+        link.seq = (link.seq + 1) % 256
+        return packet
+
+    heartbeat_ns = 0
+    for k, time_s in enumerate(run.t.tolist()):
+        time_ns = round(time_s * 1e9)
+        if time_ns >= heartbeat_ns:
+            yield time_ns, pack(heartbeat)
+            heartbeat_ns += _HEARTBEAT_NS
+        data = [*run.u[k].tolist(), *run.y[k].tolist(), *run.f_a[k].tolist(), *run.f_s[k].tolist()]
+        data += [0.0] * (_FLOATS - len(data))
+        array = ardupilotmega.MAVLink_debug_float_array_message(time_ns // 1000, ARRAY_NAME.encode(), 0, data)
+        yield time_ns, pack(array)
+
+
+def arm_messages(run: ArmRun, start_unix_ns: int) -> Iterator[Message]:
+    """Return the run as the messages that a MAVLink link without delay would receive.
+
+    Parameters
+    ----------
+    run : ArmRun
+        The run.
+    start_unix_ns : int
+        Unix time of simulated time 0.
+    """
+    for time_ns, packet in arm_packets(run):
+        yield mavlink_types()[message_number(packet)].decode(packet, start_unix_ns + time_ns)
+
+
+def arm_payloads(run: ArmRun) -> Iterator[tuple[int, bytes]]:
+    """Return simulated time, nanoseconds, and Zenoh payload of each sample."""
+    for k, time_s in enumerate(run.t.tolist()):
+        time_ns = round(time_s * 1e9)
+        sample = {
+            "time_ns": time_ns,
+            "u": run.u[k].tolist(),
+            "y": run.y[k].tolist(),
+            "f_a": run.f_a[k].tolist(),
+            "f_s": run.f_s[k].tolist(),
+        }
+        yield time_ns, json.dumps(sample).encode()
+
+
+def send_arm(run: ArmRun, url: str, speed: float = 1.0) -> int:
+    """Send the run as MAVLink over UDP in real time; return the number of packets.
+
+    Parameters
+    ----------
+    run : ArmRun
+        The run.
+    url : str
+        ``udpout:HOST:PORT``.
+    speed : float
+        Times real time.
+
+    Raises
+    ------
+    TelemetryError
+        The URL is not understood.
+    """
+    kind, _, rest = url.partition(":")
+    if kind not in ("udp", "udpout"):
+        raise TelemetryError(f"{url}: the arm sends over UDP only; use udpout:HOST:PORT")
+    family, address = resolve(url, rest)
+    count = 0
+    with socket.socket(family, socket.SOCK_DGRAM) as out:
+        for packet in paced(arm_packets(run), speed):
+            out.sendto(packet, address)
+            count += 1
+    return count
+
+
+def publish_arm(run: ArmRun, key: str, connect: Sequence[str], speed: float = 1.0) -> int:
+    """Publish the run as JSON over Zenoh in real time; return the number of samples.
+
+    Starts when somebody subscribes, at the latest after 5 s.
+
+    Parameters
+    ----------
+    run : ArmRun
+        The run.
+    key : str
+        Key to publish under.
+    connect : Sequence[str]
+        Endpoints to connect to.
+    speed : float
+        Times real time.
+
+    Raises
+    ------
+    TelemetryError
+        The key or an endpoint is not understood.
+    """
+    import zenoh
+
+    from adapters.zenoh.zenoh_session import open_session
+
+    count = 0
+    with open_session(connect=connect) as session:
+        try:
+            publisher = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
+        except zenoh.ZError as error:
+            raise TelemetryError(f"'{key}' is not a Zenoh key to publish under") from error
+        until = time.monotonic() + _SUBSCRIBER_S
+        while not _has_subscriber(publisher) and time.monotonic() < until:
+            time.sleep(0.01)
+        for payload in paced(arm_payloads(run), speed):
+            publisher.put(payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+            count += 1
+    return count
+
+
+def _has_subscriber(publisher: Any) -> bool:
+    # Zenoh's type stub calls it a bool; it is an object.
+    return bool(publisher.matching_status.matching)

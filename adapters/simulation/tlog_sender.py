@@ -1,0 +1,87 @@
+"""Sends a telemetry log over UDP as if live: ``python -m adapters.simulation.tlog_sender FLIGHT udp:HOST:PORT``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import socket
+import sys
+from collections.abc import Iterator, Sequence
+
+from adapters.errors import TelemetryError
+from adapters.logs.tlog import TlogReader
+from adapters.mavlink.byte_link import resolve
+from adapters.simulation.pacing import paced
+
+
+def send_tlog(
+    path: str | os.PathLike[str],
+    host: str,
+    port: int,
+    speed: float = 1.0,
+    *,
+    start_s: float = 0.0,
+    stop_s: float | None = None,
+) -> int:
+    """Send a log's packets, byte for byte, one per datagram; return their number.
+
+    Parameters
+    ----------
+    path : str | PathLike
+        The log, plain or compressed.
+    host, port : str, int
+        Where to.
+    speed : float
+        Times real time.
+    start_s, stop_s : float, float | None
+        Part of the log to send, seconds after its first packet.
+
+    Raises
+    ------
+    TelemetryError
+        The log cannot be read, the host is not known, or the speed is not positive.
+    """
+    family, address = resolve(f"udp:{host}:{port}", f"{host}:{port}")
+    count = 0
+    with socket.socket(family, socket.SOCK_DGRAM) as out:
+        for packet in paced(_part(path, start_s, stop_s), speed):
+            out.sendto(packet, address)
+            count += 1
+    return count
+
+
+def _part(path: str | os.PathLike[str], start_s: float, stop_s: float | None) -> Iterator[tuple[int, bytes]]:
+    first_ns: int | None = None
+    for received_ns, packet in TlogReader(path).packets():
+        first_ns = received_ns if first_ns is None else first_ns
+        since_s = (received_ns - first_ns) / 1e9
+        if stop_s is not None and since_s >= stop_s:
+            return
+        if since_s >= start_s:
+            yield received_ns, packet
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run from the command line; return the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m adapters.simulation.tlog_sender", description=__doc__)
+    parser.add_argument("log", help="telemetry log (.tlog, .tlog.xz, .tlog.gz)")
+    parser.add_argument("to", help="udp:HOST:PORT")
+    parser.add_argument("--speed", type=float, default=1.0, help="times real time (default 1)")
+    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="seconds to leave out")
+    parser.add_argument("--stop", type=float, metavar="S", help="second to stop at")
+    args = parser.parse_args(argv)
+    kind, _, rest = args.to.partition(":")
+    host, _, port = rest.rpartition(":")
+    try:
+        if kind not in ("udp", "udpout") or not port.isdecimal():
+            raise TelemetryError(f"{args.to}: use udp:HOST:PORT")
+        count = send_tlog(args.log, host, int(port), args.speed, start_s=args.start, stop_s=args.stop)
+    except TelemetryError as error:
+        print(f"tlog_sender: {error}", file=sys.stderr)  # noqa: T201 - the command line speaks here
+        return error.exit_status
+    print(f"{count} packets sent", file=sys.stderr)  # noqa: T201 - the command line speaks here
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

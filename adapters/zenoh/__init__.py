@@ -1,0 +1,1 @@
+"""Zenoh: sessions, and telemetry from them."""

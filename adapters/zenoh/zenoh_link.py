@@ -1,0 +1,163 @@
+"""Live telemetry over Zenoh: JSON objects and CDR under a key expression -> messages.
+
+A callback takes each sample off the network thread at once, notes its time of arrival and queues it; a full
+queue drops its oldest sample. So neither a slow reader nor a flood of telemetry can stall the session, and
+both show in the counts. A connection that is lost comes back by itself
+(:func:`adapters.zenoh.zenoh_session.open_session`), and the subscription with it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from adapters.errors import TelemetryError
+from adapters.message import Message
+from adapters.zenoh.zenoh_payload import MalformedPayload, PayloadDecoder, UndefinedType
+
+if TYPE_CHECKING:
+    import zenoh
+
+MAX_PAYLOAD_BYTES = 1 << 20
+
+_QUEUE = 4096
+_QUEUE_BYTES = 1 << 24
+
+
+@dataclass(frozen=True, slots=True)
+class ZenohLinkStatistics:
+    """What came over a link so far.
+
+    Parameters
+    ----------
+    messages : int
+        Messages received.
+    dropped : int
+        Samples dropped because the queue was full.
+    oversized : int
+        Samples of more than :data:`MAX_PAYLOAD_BYTES`.
+    malformed : int
+        Samples that are no JSON object, or not CDR of their type.
+    undefined : int
+        Samples in CDR whose type is not known, or has no definition.
+    connected : int
+        Other Zenoh nodes (routers, peers) that the session is connected to now.
+    reconnections : int
+        How often the session found a node after it had lost all.
+    """
+
+    messages: int
+    dropped: int
+    oversized: int
+    malformed: int
+    undefined: int = 0
+    connected: int = 0
+    reconnections: int = 0
+
+
+class ZenohLink:
+    """A subscription to telemetry.
+
+    Parameters
+    ----------
+    session : zenoh.Session
+        An open session; it stays the caller's to close.
+    keyexpr : str
+        Key expression to subscribe to.
+    decoder : PayloadDecoder | None
+        Knows the types of CDR payloads; None: those that samples name themselves and that are shipped.
+
+    Raises
+    ------
+    TelemetryError
+        The key expression is not valid.
+    """
+
+    def __init__(self, session: zenoh.Session, keyexpr: str, decoder: PayloadDecoder | None = None) -> None:
+        import zenoh
+
+        self._decoder = decoder or PayloadDecoder()
+        self._queue: deque[tuple[str, str, bytes, int]] = deque()
+        self._queued_bytes = 0
+        self._arrived = threading.Condition()
+        self._messages = self._dropped = self._oversized = self._malformed = 0
+        self._undefined = self._connected = self._reconnections = 0
+        self._lost_all = False
+        try:
+            self._subscriber: Any = session.declare_subscriber(keyexpr, self._take)
+        except zenoh.ZError as error:
+            raise TelemetryError(f"'{keyexpr}' is not a Zenoh key expression") from error
+        self._transports: Any = session.info.declare_transport_events_listener(self._count_transport, history=True)
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        received_ns = time.time_ns()
+        size = len(sample.payload)
+        with self._arrived:
+            if size > MAX_PAYLOAD_BYTES:
+                self._oversized += 1
+                return
+            self._queue.append((str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes(), received_ns))
+            self._queued_bytes += size
+            while len(self._queue) > _QUEUE or self._queued_bytes > _QUEUE_BYTES:
+                self._queued_bytes -= len(self._queue.popleft()[2])
+                self._dropped += 1
+            self._arrived.notify()
+
+    def _count_transport(self, event: zenoh.TransportEvent) -> None:
+        import zenoh
+
+        with self._arrived:
+            if event.kind == zenoh.SampleKind.PUT:
+                self._connected += 1
+                self._reconnections += self._lost_all
+                self._lost_all = False
+            else:
+                self._connected -= 1
+                self._lost_all = self._connected == 0
+
+    def receive(self, timeout_s: float) -> list[Message]:
+        """Return all messages that are there; wait for the first one at most ``timeout_s`` seconds."""
+        with self._arrived:
+            if not self._queue:
+                self._arrived.wait(timeout_s)
+            arrived = tuple(self._queue)
+            self._queue.clear()
+            self._queued_bytes = 0
+        messages = []
+        for key, encoding, payload, received_ns in arrived:
+            try:
+                name, fields = self._decoder.decode(key, encoding, payload)
+            except MalformedPayload:
+                self._malformed += 1
+            except UndefinedType:
+                self._undefined += 1
+            else:
+                messages.append(Message("zenoh", name, received_ns, fields))
+        self._messages += len(messages)
+        return messages
+
+    def statistics(self) -> ZenohLinkStatistics:
+        """Return the counts so far."""
+        return ZenohLinkStatistics(
+            messages=self._messages,
+            dropped=self._dropped,
+            oversized=self._oversized,
+            malformed=self._malformed,
+            undefined=self._undefined,
+            connected=self._connected,
+            reconnections=self._reconnections,
+        )
+
+    def close(self) -> None:
+        """End the subscription."""
+        self._transports.undeclare()
+        self._subscriber.undeclare()
+
+    def __enter__(self) -> ZenohLink:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,1 @@
+"""What can be estimated with which sensors, and the bounds that no observer beats."""

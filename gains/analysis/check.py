@@ -1,0 +1,281 @@
+"""What can be estimated with a plant's sensors, why not all of it, and what would mend that."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from gains.analysis.augment import sloped_dynamics
+from gains.analysis.estimability import (
+    Estimability,
+    Problem,
+    estimability,
+    hides_at_every_frequency,
+    late_faults,
+    problem_of,
+    restricted,
+)
+from gains.analysis.hidden_modes import signal_scales, step_matrix
+from gains.analysis.zeros import Zero, invariant_zeros
+from gains.errors import ModelError
+from gains.plants.discretise import discretise
+from gains.plants.plant import FloatArray, Plant, first_dependent
+
+Effect = Literal["steady", "change", "ramp", "none"]
+
+LEAK_S = 60.0
+_MOST_EXPLAINED = 20
+_EFFECT_TOLERANCE = 1e-11
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """A problem and what mends it.
+
+    Parameters
+    ----------
+    problem : Problem
+        A smallest set of faults that cannot be estimated together.
+    sensors : tuple[str, ...]
+        States of which an additional, unattacked sensor would mend it.
+    leak : tuple[str, ...]
+        States on which a leak of 1/LEAK_S per second would; empty where it would not.
+    shown_elsewhere : bool
+        Whether an output without these faults shows one of the states that move.
+    """
+
+    problem: Problem
+    sensors: tuple[str, ...]
+    leak: tuple[str, ...]
+    shown_elsewhere: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two faults that cannot be told apart: at any frequency (strong) or when they are constant only (weak)."""
+
+    faults: tuple[str, str]
+    strength: Literal["strong", "weak"]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """The findings about a plant.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant as it was looked at.
+    estimability : Estimability
+        The largest sets of faults that can be estimated together and the smallest that cannot.
+    explanations : tuple[Explanation, ...]
+        Those problems with what mends them, at most the first 20.
+    sensors : tuple[str, ...]
+        States of which one additional sensor would make all faults estimable together.
+    pairs : tuple[Pair, ...]
+        Pairs that cannot be told apart.
+    late : tuple[str, ...]
+        Actuator faults that, in some set, are not seen in the first sample after they act (Cb L1 E_f lacks rank).
+    zeros : tuple[Zero, ...]
+        Invariant zeros.
+    structure : dict[str, dict[str, Effect]]
+        Effect of each fault on each output: a constant fault shifts it (steady), moves it without end (ramp) or
+        does not show in it although a change does (change).
+    """
+
+    plant: Plant
+    estimability: Estimability
+    explanations: tuple[Explanation, ...]
+    sensors: tuple[str, ...]
+    pairs: tuple[Pair, ...]
+    late: tuple[str, ...]
+    zeros: tuple[Zero, ...]
+    structure: dict[str, dict[str, Effect]]
+
+    @property
+    def estimable(self) -> bool:
+        """Whether all declared faults can be estimated together."""
+        return self.estimability.sets[:1] == (tuple(fault.name for fault in self.plant.faults),)
+
+
+def check_plant(plant: Plant, rate_hz: float | None = None) -> Check:
+    """Look at a plant.
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous or discrete; its faults may depend on each other.
+    rate_hz : float | None
+        Samples per second a continuous model is observed at; None looks at the model as it is.
+
+    Raises
+    ------
+    ModelError
+        The plant has no faults or cannot be sampled at that rate.
+    InfeasibleError
+        Too many slopes vary.
+    """
+    if not plant.faults:
+        raise ModelError(f"{plant.name}: 'fault' is empty; there is nothing to estimate")
+    if rate_hz is not None:
+        plant = discretise(plant, rate_hz)
+    found = estimability(plant)
+    everything = tuple(fault.name for fault in plant.faults)
+    fixing = _mending_sensors(plant, everything) if found.sets != (everything,) else ()
+    late = {name for part in found.sets[:_MOST_EXPLAINED] for name in late_faults(restricted(plant, part))}
+    return Check(
+        plant=plant,
+        estimability=found,
+        explanations=tuple(_explanation(plant, problem) for problem in found.problems[:_MOST_EXPLAINED]),
+        sensors=fixing,
+        pairs=tuple(_pairs(plant)),
+        late=tuple(name for name in everything if name in late),
+        zeros=invariant_zeros(plant) if first_dependent(plant.D_f) is None else (),
+        structure=structure_matrix(plant),
+    )
+
+
+def structure_matrix(plant: Plant) -> dict[str, dict[str, Effect]]:
+    """Return the effect of each fault on each output, at the mean slopes."""
+    A = sloped_dynamics(plant)[0][0]
+    n = len(plant.states)
+    states = signal_scales(plant)[:n]
+    step = step_matrix(A, plant.domain) / states[:, None] * states
+    size = float(np.linalg.norm(step, 2)) or 1.0
+    paces = np.abs(np.linalg.eigvals(step))
+    slowest = float(np.min(paces[paces > 1e-6 * size], initial=size))
+    points = np.array([1e-3 * slowest, 1e-2 * slowest, 0.7 * size, 1.3 * size]) * np.exp(1.1j)
+    resolvents = np.linalg.inv(points[:, None, None] * np.eye(n) - step)
+    rows = plant.C * states
+    matrix: dict[str, dict[str, Effect]] = {}
+    for fault in plant.faults:
+        if fault.kind == "sensor":
+            effects: list[Effect] = ["steady" if entry else "none" for entry in fault.column]
+        else:
+            column = fault.column / states
+            reach = np.linalg.norm(resolvents, 2, axis=(1, 2)) * np.linalg.norm(column)
+            moved = resolvents @ column
+            effects = [_effect(np.abs(moved @ row), reach * np.linalg.norm(row)) for row in rows]
+        matrix[fault.name] = dict(zip(plant.outputs, effects, strict=True))
+    return matrix
+
+
+def report(check: Check) -> dict[str, Any]:
+    """Return the findings as the JSON object of the command line."""
+    from gains.analysis.check_text import sentence
+
+    plant = check.plant
+    return {
+        "model": plant.name,
+        "domain": plant.domain,
+        "rate_hz": plant.rate_hz,
+        "estimable": check.estimable,
+        "faults": [fault.name for fault in plant.faults],
+        "outputs": list(plant.outputs),
+        "sets": [list(found) for found in check.estimability.sets],
+        "complete": check.estimability.complete,
+        "problems": [
+            {
+                "faults": list(found.problem.faults),
+                "condition": found.problem.condition,
+                "states": list(found.problem.states),
+                "mode": _complex(found.problem.mode),
+                "at_every_frequency": found.problem.at_every_frequency,
+                "add_sensor_of": list(found.sensors),
+                "leak_s": LEAK_S if found.leak else None,
+                "leak_on": list(found.leak),
+                "message": sentence(found, plant),
+            }
+            for found in check.explanations
+        ],
+        "add_sensor_of": list(check.sensors),
+        "pairs": [{"faults": list(pair.faults), "strength": pair.strength} for pair in check.pairs],
+        "late": list(check.late),
+        "zeros": [
+            {
+                "s": _complex(zero.s),
+                "hz": abs(zero.s.imag) / (2.0 * math.pi),
+                "time_constant_s": 1.0 / abs(zero.s.real) if zero.s.real and math.isfinite(zero.s.real) else None,
+                "of": zero.of,
+                "faults": list(zero.faults),
+                "states": list(zero.states),
+            }
+            for zero in check.zeros
+        ],
+        "structure": check.structure,
+    }
+
+
+def _complex(s: complex) -> list[float] | None:
+    return [s.real, s.imag] if math.isfinite(s.real) else None
+
+
+def _explanation(plant: Plant, problem: Problem) -> Explanation:
+    attacked = [f.column != 0.0 for f in plant.sensor_faults if f.name in problem.faults]
+    clean = ~np.any(attacked, axis=0) if attacked else np.ones(len(plant.outputs), dtype=bool)
+    moving = [plant.states.index(state) for state in problem.states]
+    leak: tuple[str, ...] = ()
+    for states in (*((state,) for state in problem.states), problem.states):
+        if not leak and states and problem_of(_with_leak(plant, states), problem.faults) is None:
+            leak = states
+    return Explanation(
+        problem=problem,
+        sensors=_mending_sensors(plant, problem.faults),
+        leak=leak,
+        shown_elsewhere=bool(np.any(plant.C[clean][:, moving])),
+    )
+
+
+def _mending_sensors(plant: Plant, faults: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(state for state in plant.states if problem_of(_with_sensor(plant, state), faults) is None)
+
+
+def _with_sensor(plant: Plant, state: str) -> Plant:
+    """Return the plant with one more output, which shows a state and which no fault enters."""
+    name = next(f"added{i}" for i in itertools.count() if f"added{i}" not in plant.outputs)
+    row = np.array([[float(other == state) for other in plant.states]])
+    return replace(
+        plant,
+        outputs=(*plant.outputs, name),
+        C=np.vstack([plant.C, row]),
+        faults=tuple(
+            replace(fault, column=np.append(fault.column, 0.0)) if fault.kind == "sensor" else fault
+            for fault in plant.faults
+        ),
+        noises=(),
+    )
+
+
+def _with_leak(plant: Plant, states: tuple[str, ...]) -> Plant:
+    leak = np.diag([float(state in states) / LEAK_S / (plant.rate_hz or 1.0) for state in plant.states])
+    return replace(plant, A=plant.A - leak)
+
+
+def _pairs(plant: Plant) -> Iterator[Pair]:
+    """Yield pairs that cannot be told apart although each of the two can be estimated, or that never can."""
+    A = sloped_dynamics(plant)[0][0]
+    alone = {fault.name: problem_of(plant, (fault.name,)) is None for fault in plant.faults}
+    for first, second in itertools.combinations(alone, 2):
+        part = restricted(plant, (first, second))
+        if hides_at_every_frequency(part, A) and not any(
+            hides_at_every_frequency(restricted(plant, (name,)), A) for name in (first, second)
+        ):
+            yield Pair((first, second), "strong")
+        elif alone[first] and alone[second] and problem_of(plant, (first, second)) is not None:
+            yield Pair((first, second), "weak")
+
+
+def _effect(gains: FloatArray, reach: FloatArray) -> Effect:
+    """Return the effect from the gains at two low and two higher frequencies, and how large they could be."""
+    shows = gains > _EFFECT_TOLERANCE * reach
+    if not np.any(shows[2:]):
+        return "none"
+    if not shows[0]:
+        return "change"
+    slope = math.log10(gains[1] / gains[0])
+    return "change" if slope > 0.5 else "ramp" if slope < -0.5 else "steady"

@@ -1,0 +1,265 @@
+"""Which faults of a plant can be estimated together, and the smallest sets that cannot.
+
+A set S of faults can be estimated when, at every slope vertex and at their mean (existence conditions of the theory),
+
+    rank E_f(S), D_f(S)     the directions of its faults are independent
+    (A, C)                  the plant without faults hides no mode that stays
+    (L1 A_z, Cb)            no invariant zero of (A, 0; C, D_f(S)) with |z| >= 1 (Re s >= 0)
+    condition II            no constant faults S with states that stand still and outputs that are zero
+
+With Pi a basis of the outputs that the sensor faults leave alone (Pi D_f = 0) the third says that (A, Pi C) has
+no hidden mode that stays, and the fourth that ([A, E_f; 0, I], [Pi C, 0]) has none (continuous: 0 for I).
+What can be estimated can be estimated in part: sets are built up one fault at a time, and a set all of whose
+parts are estimable while it is not is a smallest reason.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from gains.analysis.augment import sloped_dynamics
+from gains.analysis.hidden_modes import HiddenMode, hidden_modes, kernel, row_norms, signal_scales, step_matrix
+from gains.plants.plant import FloatArray, Plant, first_dependent
+
+Condition = Literal["hidden mode", "rank of E_f", "rank of D_f", "detectability of (L1 A_z, Cb)", "condition II"]
+
+LARGEST_TEST_COUNT = 5000
+_MOST_GROWN = 20
+_SEEN_TOLERANCE = 1e-6
+_SHARE = 0.05
+_GENERIC_TOLERANCE = 1e-9
+_GENERIC = (0.37 + 0.61j, 0.83 - 0.29j)
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """A smallest set of faults that cannot be estimated together, and why.
+
+    Parameters
+    ----------
+    faults : tuple[str, ...]
+        The set; empty where the plant itself hides a mode.
+    condition : Condition
+        The existence condition that fails.
+    mode : complex
+        The hidden mode in the continuous sense, radians per second (0: constant).
+    states : tuple[str, ...]
+        States that move with the faults while every output is zero, the largest first.
+    at_every_frequency : bool
+        Whether other motions of the faults hide in the same way, not this mode alone.
+    """
+
+    faults: tuple[str, ...]
+    condition: Condition
+    mode: complex
+    states: tuple[str, ...]
+    at_every_frequency: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Estimability:
+    """What can be estimated.
+
+    Parameters
+    ----------
+    sets : tuple[tuple[str, ...], ...]
+        The largest sets of faults that can be estimated together, each in the order of the model.
+    problems : tuple[Problem, ...]
+        The smallest sets that cannot.
+    complete : bool
+        Whether all sets were looked at; else the search stopped after ``LARGEST_TEST_COUNT`` tests of a set at a
+        combination of slopes, and there may be more of both.
+    """
+
+    sets: tuple[tuple[str, ...], ...]
+    problems: tuple[Problem, ...]
+    complete: bool = True
+
+
+def restricted(plant: Plant, faults: Iterable[str]) -> Plant:
+    """Return the plant with these faults only; all else stays."""
+    kept = set(faults)
+    return replace(plant, faults=tuple(fault for fault in plant.faults if fault.name in kept))
+
+
+def estimability(plant: Plant) -> Estimability:
+    """Return which of the declared faults can be estimated together, and why not all of them.
+
+    Raises
+    ------
+    InfeasibleError
+        Too many slopes vary.
+    """
+    names = tuple(fault.name for fault in plant.faults)
+    if problem_of(plant, names) is None:
+        return Estimability((names,), ())
+    problem = problem_of(plant, ())
+    if problem is not None:
+        return Estimability((), (problem,))
+    problems: list[Problem] = []
+    sets: list[tuple[str, ...]] = []
+    level: list[tuple[str, ...]] = [()]
+    slopes, tests = len(sloped_dynamics(plant)[0]), 0
+    while level:
+        known, larger = set(level), []
+        for smaller, name in itertools.product(level, names):
+            if tests >= LARGEST_TEST_COUNT or (smaller and names.index(name) <= names.index(smaller[-1])):
+                continue
+            found = (*smaller, name)
+            if not all(part in known for part in itertools.combinations(found, len(smaller))):
+                continue
+            tests += slopes
+            problem = problem_of(plant, found)
+            if problem is None:
+                larger.append(found)
+            else:
+                problems.append(problem)
+        covered = {part for found in larger for part in itertools.combinations(found, len(found) - 1)}
+        sets += [found for found in level if found and found not in covered]
+        level = larger
+    if tests >= LARGEST_TEST_COUNT:
+        sets = list(dict.fromkeys(_grown(plant, found, names) for found in sets[:_MOST_GROWN]))
+        problems = problems or [_smallest_problem(plant, names)]
+    sets.sort(key=lambda found: (-len(found), [names.index(name) for name in found]))
+    return Estimability(tuple(sets), tuple(problems), tests < LARGEST_TEST_COUNT)
+
+
+def _grown(plant: Plant, faults: tuple[str, ...], names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return an estimable set with every fault added that leaves it so."""
+    for name in names:
+        if name not in faults and problem_of(plant, (*faults, name)) is None:
+            faults = (*faults, name)
+    return tuple(name for name in names if name in faults)
+
+
+def _smallest_problem(plant: Plant, faults: tuple[str, ...]) -> Problem:
+    """Return the problem of a set that cannot be estimated, without the faults that do not matter for it."""
+    for name in faults:
+        fewer = tuple(other for other in faults if other != name)
+        if problem_of(plant, fewer) is not None:
+            faults = fewer
+    problem = problem_of(plant, faults)
+    assert problem is not None  # noqa: S101 - for mypy: the loop keeps only sets with a problem
+    return problem
+
+
+def problem_of(plant: Plant, faults: Iterable[str]) -> Problem | None:
+    """Return why these faults cannot be estimated together, None where they can.
+
+    The problem names all of them; of a set that is not a smallest one it gives the first reason found.
+    """
+    part = restricted(plant, faults)
+    names = tuple(fault.name for fault in part.faults)
+    if first_dependent(part.E_f / part.state_errors[:, None]) is not None:
+        return Problem(names, "rank of E_f", 0j, (), at_every_frequency=True)
+    if first_dependent(part.D_f) is not None:
+        return Problem(names, "rank of D_f", 0j, (), at_every_frequency=True)
+    for A in sloped_dynamics(part)[0]:
+        for condition, found in conditions(part, A):
+            if found and found[0].stays:
+                return Problem(
+                    faults=names,
+                    condition=condition,
+                    mode=continuous_mode(found[0].eigenvalue, plant),
+                    states=moving_states(plant, found[0]),
+                    at_every_frequency=hides_at_every_frequency(part, A),
+                )
+    return None
+
+
+def moving_states(plant: Plant, mode: HiddenMode) -> tuple[str, ...]:
+    """Return the states that take part in a mode, the largest first in units of the errors that matter."""
+    sizes = mode.direction[: len(plant.states)] / plant.state_errors
+    order = np.argsort(-sizes, kind="stable")
+    return tuple(plant.states[i] for i in order if sizes[i] >= _SHARE * np.max(sizes) > 0.0)
+
+
+def continuous_mode(eigenvalue: complex, plant: Plant) -> complex:
+    """Return an eigenvalue as s in radians per second; minus infinity for what is over after one sample."""
+    if plant.rate_hz is None:
+        return eigenvalue
+    if abs(eigenvalue) < 1e-12:
+        return complex(-np.inf)
+    s = plant.rate_hz * complex(np.log1p(eigenvalue - 1.0))
+    return 0j if abs(s) < 1e-7 * plant.rate_hz else s
+
+
+def conditions(plant: Plant, A: FloatArray) -> Iterator[tuple[Condition, list[HiddenMode]]]:
+    """Yield the hidden modes that each existence condition is about, at given slopes: of x, or of [x; f_a]."""
+    n, a1, a2 = len(plant.states), len(plant.actuator_faults), len(plant.sensor_faults)
+    scales = signal_scales(plant)
+    yield "hidden mode", hidden_modes(A, plant.C, scales[:n], plant.domain)
+    outputs = unattacked_outputs(plant)
+    if a2:
+        yield "detectability of (L1 A_z, Cb)", hidden_modes(A, outputs, scales[:n], plant.domain)
+    if a1:
+        held = np.eye(n + a1) if plant.domain == "discrete" else np.zeros((n + a1, n + a1))
+        held[:n, :n], held[:n, n:] = A, plant.E_f
+        outputs = np.hstack([outputs, np.zeros((len(outputs), a1))])
+        yield "condition II", hidden_modes(held, outputs, np.concatenate([scales[:n], scales[n + a2 :]]), plant.domain)
+
+
+def unattacked_outputs(plant: Plant) -> FloatArray:
+    """Return Pi C: combinations of outputs, each in units of its own row, that no sensor fault enters.
+
+    A combination that shows next to nothing of the states shows rounding errors, and becomes zero.
+    """
+    states = signal_scales(plant)[: len(plant.states)]
+    rows = row_norms(plant.C * states)
+    directions = plant.D_f / rows[:, None]
+    directions = directions / np.linalg.norm(directions, axis=0)
+    combined = np.asarray(kernel(directions.T).T @ (plant.C / rows[:, None]), dtype=np.float64)
+    combined[np.linalg.norm(combined * states, axis=1) < _GENERIC_TOLERANCE] = 0.0
+    return combined
+
+
+def late_faults(plant: Plant) -> tuple[str, ...]:
+    """Return the actuator faults that move while Cb L1 E_f f_a is zero: no output that is not attacked jumps.
+
+    Cb L1 E_f has the kernel of Pi C E_f, where Pi D_f = 0.
+    """
+    if not plant.actuator_faults:
+        return ()
+    size = plant.state_errors
+    through, into = unattacked_outputs(plant) * size, plant.E_f / size[:, None]
+    seen = through @ into / row_norms(through)[:, None] / np.linalg.norm(into, axis=0)
+    _, singular, right = np.linalg.svd(seen)
+    unseen = right[int(np.sum(singular > _SEEN_TOLERANCE)) :]
+    moving = np.max(np.abs(unseen), axis=0, initial=0.0) > _SHARE
+    return tuple(fault.name for fault, late in zip(plant.actuator_faults, moving, strict=True) if late)
+
+
+def hides_at_every_frequency(plant: Plant, A: FloatArray) -> bool:
+    """Return whether the pencil of the faults loses rank wherever it is looked at."""
+    if len(plant.faults) > len(plant.outputs):
+        return True
+    pencil, size, _ = fault_pencil(plant, A)
+    n = len(plant.states)
+    return all(smallest_singular_value(pencil, n, point * size)[0] < _GENERIC_TOLERANCE for point in _GENERIC)
+
+
+def fault_pencil(plant: Plant, A: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+    """Return [A, 0, E_f; C, D_f, 0] (discrete: A - I) in units of the signals, the size of A, and those units."""
+    n, a2, scales = len(plant.states), len(plant.sensor_faults), signal_scales(plant)
+    pencil = np.zeros((n + len(plant.outputs), len(scales)))
+    pencil[:n, :n], pencil[n:, :n] = step_matrix(A, plant.domain), plant.C
+    pencil[n:, n : n + a2], pencil[:n, n + a2 :] = plant.D_f, plant.E_f
+    pencil *= scales
+    pencil[:n] /= scales[:n, None]
+    pencil[n:] /= row_norms(pencil[n:, :n])[:, None]
+    return pencil, float(np.linalg.norm(pencil[:n, :n], 2)) or 1.0, scales
+
+
+def smallest_singular_value(pencil: FloatArray, n: int, s: complex) -> tuple[float, FloatArray]:
+    """Return how far a pencil is from losing rank at s, with its rows and columns brought to one size, and where to."""
+    shifted = pencil.astype(np.complex128)
+    shifted[range(n), range(n)] -= s
+    shifted = shifted / row_norms(np.abs(shifted))[:, None]
+    columns = row_norms(np.abs(shifted).T)
+    _, singular, right = np.linalg.svd(shifted / columns)
+    return float(singular[-1]), np.abs(right[-1]) / columns

@@ -1,0 +1,155 @@
+"""The bound that no observer of a model can beat: disturbances that hide faults and states from every output.
+
+At a frequency s = j omega the signals in the null space of
+
+    [ A + G Delta H - s I   0     E_f   E_1   0   ]
+    [ C                     D_f   0     0     D_1 ]        unknowns [x; f_s; f_a; w_1; w_2]
+
+leave the outputs at zero, and so do the same signals with the opposite sign. An observer answers both with
+the same estimate, so that for one of the two its error is at least [x; f_s; f_a], be it linear or not,
+causal or not. The largest |e-weighted [x; f_s; f_a]| over |scaled [w; s w; s f_a]| (discrete: z = exp(j omega),
+[w; z w; (z - 1) f_a]) in that null space is therefore a floor of sqrt(mu).
+
+A certified sqrt(mu) holds for every g within its slopes, hence for the linear g of any constant slopes Delta
+there, even if the observer knew them: the largest floor over some constant slopes is a floor of every
+certificate. For the model's own g alone it is one where g attains these slopes, in small motions around there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gains.analysis.augment import sloped_dynamics
+from gains.analysis.hidden_modes import row_norms, step_matrix
+from gains.plants.discretise import discretise
+from gains.plants.plant import FloatArray, Plant
+
+_GRID = 160
+_DECADES = 8.0
+_REFINEMENTS = 40
+_RANK_TOLERANCE = 1e-11
+_TIE = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Floor:
+    """No observer has a smaller certified sqrt(mu).
+
+    Parameters
+    ----------
+    value : float
+        The floor; zero where nothing hides, infinite where the faults cannot be estimated at all.
+    omega : float
+        Frequency in radians per second where it is.
+    slopes : tuple[float, ...]
+        Constant slopes of the nonlinearities where it is.
+    """
+
+    value: float
+    omega: float
+    slopes: tuple[float, ...] = ()
+
+
+def floor_sqrt_mu(plant: Plant, rate_hz: float | None = None, integrator_order: int = 1) -> Floor:
+    """Return the floor of sqrt(mu) over frequency and over the mean of the slopes and their vertices.
+
+    Every number it looks at is a floor, so leaving out frequencies or vertices (a sample of them will do) makes
+    it smaller but never wrong.
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous or discrete model.
+    rate_hz : float | None
+        Samples per second a continuous model is observed at; None takes the model as it is.
+    integrator_order : int
+        With 2 the rate of an actuator fault bounds f_a'' in place of f_a': s^2 f_a stands for s f_a.
+
+    Raises
+    ------
+    ModelError
+        The model cannot be sampled at that rate.
+    """
+    if rate_hz is not None:
+        plant = discretise(plant, rate_hz)
+    dynamics, slopes = sloped_dynamics(plant, sampled=True)
+    best = Floor(0.0, 0.0)
+    for A, slope in zip(dynamics, slopes, strict=True):
+        value, omega = _highest(plant, A, integrator_order)
+        if value > best.value * (1.0 + _TIE):
+            best = Floor(value, omega, tuple(slope.tolist()))
+    return best
+
+
+def _highest(plant: Plant, A: FloatArray, order: int) -> tuple[float, float]:
+    """Return the floor at the highest point of a frequency grid, refined by golden section."""
+    if plant.rate_hz is not None:
+        grid = math.pi * plant.rate_hz * np.geomspace(10.0**-_DECADES, 1.0, _GRID)
+    else:
+        rates = np.abs(np.linalg.eigvals(A))
+        fastest = max(float(rates.max(initial=0.0)), 1.0)
+        grid = fastest * np.geomspace(10.0**-_DECADES, 1e3, _GRID)
+    omega = np.concatenate([[0.0], grid])
+    floors = _floors(plant, A, omega, order)
+    top = int(np.argmax(floors >= np.max(floors) * (1.0 - _TIE)))
+    best, where = float(floors[top]), float(omega[top])
+    low, high = float(omega[max(top - 1, 0)]), float(omega[min(top + 1, len(omega) - 1)])
+    ratio = (math.sqrt(5.0) - 1.0) / 2.0
+    for _ in range(_REFINEMENTS if 0.0 < best < math.inf else 0):
+        inner = np.array([high - ratio * (high - low), low + ratio * (high - low)])
+        found = _floors(plant, A, inner, order)
+        better = int(np.argmax(found))
+        if found[better] > best * (1.0 + _TIE):
+            best, where = float(found[better]), float(inner[better])
+        low, high = (low, float(inner[1])) if better == 0 else (float(inner[0]), high)
+    return best, where
+
+
+def _floors(plant: Plant, A: FloatArray, omega: FloatArray, order: int) -> FloatArray:
+    """Return the floor at each frequency."""
+    n, p = plant.C.shape[1], len(plant.C)
+    a1, a2 = len(plant.actuator_faults), len(plant.sensor_faults)
+    a, q1, q2 = a1 + a2, len(plant.disturbances), len(plant.noises)
+    errors = [fault.error for fault in (*plant.sensor_faults, *plant.actuator_faults)]
+    unit = np.concatenate([plant.state_errors, errors, np.ones(q1 + q2)])
+    constant = np.zeros((n + p, n + a + q1 + q2))
+    constant[:n, :n], constant[n:, :n] = step_matrix(A, plant.domain), plant.C
+    constant[n:, n : n + a2], constant[:n, n + a2 : n + a] = plant.D_f, plant.E_f
+    constant[:n, n + a : n + a + q1] = plant.E_1 * [w.scale for w in plant.disturbances]
+    constant[n:, n + a + q1 :] = plant.D_1 * [w.scale for w in plant.noises]
+    # exp(j omega h) - 1 without the cancellation that would cost the low frequencies their digits
+    turn = 1j * omega if plant.rate_hz is None else np.expm1(1j * omega / plant.rate_hz)
+    shift = 1j * omega if plant.rate_hz is None else 1.0 + turn
+    rate = np.array([fault.rate / (plant.rate_hz or 1.0) ** order for fault in plant.actuator_faults])
+    values = np.zeros(len(omega))
+    for i in range(len(omega)):
+        pencil = constant.astype(np.complex128)
+        pencil[range(n), range(n)] -= turn[i]
+        pencil = pencil * unit
+        pencil = pencil / row_norms(np.abs(pencil))[:, None]
+        columns = row_norms(np.abs(pencil).T)
+        _, singular, right = np.linalg.svd(pencil / columns)
+        hidden = right[int(np.sum(singular > _RANK_TOLERANCE)) :].conj().T / columns[:, None]
+        if not hidden.shape[1]:
+            continue
+        w, f_a = hidden[n + a :], hidden[n + a2 : n + a] * (unit[n + a2 : n + a] / rate)[:, None]
+        cause = np.vstack([w, shift[i] * w, turn[i] ** order * f_a])
+        values[i] = _largest_ratio(hidden[: n + a], cause)
+    return values
+
+
+def _largest_ratio(effect: FloatArray, cause: FloatArray) -> float:
+    """Return the largest |effect c| / |cause c|; infinite where a cause of nothing has an effect."""
+    scale = 1.0 / row_norms(np.vstack([np.abs(effect), np.abs(cause)]).T)
+    effect, cause = effect * scale, cause * scale
+    _, singular, right = np.linalg.svd(cause)
+    rank = int(np.sum(singular > _RANK_TOLERANCE))
+    free = effect @ right[rank:].conj().T
+    if np.any(np.abs(free) > math.sqrt(_RANK_TOLERANCE)):
+        return math.inf
+    if not rank:
+        return 0.0
+    return float(np.linalg.norm(effect @ right[:rank].conj().T / singular[:rank], 2))

@@ -1,0 +1,108 @@
+"""Modes that no output shows, found without regard to units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gains.plants.plant import Domain, FloatArray, Plant
+
+_RANK_TOLERANCE = 1e-10
+_STABILITY_TOLERANCE = 1e-8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HiddenMode:
+    """An eigenvalue that no output shows.
+
+    Parameters
+    ----------
+    eigenvalue : complex
+        z in discrete time, s in continuous time.
+    motion : NDArray[np.complex128]
+        How each signal moves in it.
+    decay : float
+        1 - |z|, or -Re s over the size of A.
+    """
+
+    eigenvalue: complex
+    motion: NDArray[np.complex128]
+    decay: float
+
+    @property
+    def direction(self) -> FloatArray:
+        """Size of each signal that moves in it."""
+        return np.abs(self.motion)
+
+    @property
+    def stays(self) -> bool:
+        """Whether it does not decay by itself."""
+        return self.decay <= _STABILITY_TOLERANCE
+
+
+def hidden_modes(A: FloatArray, C: FloatArray, scales: FloatArray, domain: Domain) -> list[HiddenMode]:
+    """Return the modes of A in the unobservable subspace of (A, C), those that decay least first.
+
+    The subspace is the largest one inside the kernel of C that A maps into itself; it is found from A - I,
+    which has the same invariant subspaces and stays well scaled at high rates.
+
+    Parameters
+    ----------
+    A, C : FloatArray
+        (n, n) and (p, n).
+    scales : FloatArray
+        Sizes of the signals (n,): rank decisions are made in units of them.
+    domain : {"continuous", "discrete"}
+        Whether A is that of x' or of x+.
+    """
+    step = step_matrix(A, domain) / scales[:, None] * scales
+    size = float(np.linalg.norm(step, 2)) or 1.0
+    step = step / size
+    outputs = C * scales
+    basis = kernel(outputs / row_norms(outputs)[:, None])
+    while basis.shape[1]:
+        image = step @ basis
+        inside = kernel(image - basis @ (basis.T @ image))
+        if inside.shape[1] == basis.shape[1]:
+            break
+        basis = basis @ inside
+    if not basis.shape[1]:
+        return []
+    values, vectors = np.linalg.eig(basis.T @ (A / scales[:, None] * scales) @ basis)
+    decay = 1.0 - np.abs(values) if domain == "discrete" else -values.real / size
+    return [
+        HiddenMode(complex(values[i]), scales * (basis @ vectors[:, i]), float(decay[i]))
+        for i in np.argsort(decay, kind="stable")
+    ]
+
+
+def signal_scales(plant: Plant) -> FloatArray:
+    """Return sizes of [x; f_s; f_a] that make rank decisions independent of units."""
+    from scipy.linalg import matrix_balance
+
+    step = step_matrix(plant.A, plant.domain)
+    _, (states, _) = matrix_balance(step, permute=False, separate=True)
+    size = np.linalg.norm(step / states[:, None] * states, 2) or 1.0
+    rows = row_norms(plant.C * states)
+    sensor = 1.0 / np.linalg.norm(plant.D_f / rows[:, None], axis=0)
+    actuator = size / np.linalg.norm(plant.E_f / states[:, None], axis=0)
+    return np.concatenate([states, sensor, actuator])
+
+
+def step_matrix(A: FloatArray, domain: Domain) -> FloatArray:
+    """Return what A adds to a state: A - I in discrete time, A itself in continuous time."""
+    return A - np.eye(len(A)) if domain == "discrete" else A
+
+
+def kernel(matrix: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of the kernel as columns."""
+    _, singular, right = np.linalg.svd(matrix)
+    return right[int(np.sum(singular > _RANK_TOLERANCE)) :].T
+
+
+def row_norms(matrix: FloatArray) -> FloatArray:
+    """Return the length of each row, one for a row of zeros."""
+    norms = np.linalg.norm(matrix, axis=1)
+    return np.where(norms > 0.0, norms, 1.0)

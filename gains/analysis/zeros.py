@@ -1,0 +1,119 @@
+"""Invariant zeros of a plant with its faults: motions of states and faults that leave every output at zero.
+
+The zeros of (A, 0; C, D_f) are modes of the error that no gain moves: with Re s < 0 the estimates settle at that
+pace at best. The zeros of the whole, [A - sI, 0, E_f; C, D_f, 0], are motions of the faults that stay unseen at
+that s alone; at 0 they forbid an observer, elsewhere they limit how well fast faults are followed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gains.analysis.augment import sloped_dynamics
+from gains.analysis.estimability import (
+    continuous_mode,
+    fault_pencil,
+    hides_at_every_frequency,
+    moving_states,
+    smallest_singular_value,
+    unattacked_outputs,
+)
+from gains.analysis.hidden_modes import hidden_modes, signal_scales
+from gains.plants.plant import FloatArray, Plant
+
+_LARGEST = 1e4
+_ZERO_TOLERANCE = 1e-8
+_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Zero:
+    """An invariant zero.
+
+    Parameters
+    ----------
+    s : complex
+        In radians per second; of a conjugate pair the one above the real axis.
+    faults, states : tuple[str, ...]
+        What moves in it, the largest first.
+    of : {"sensor faults", "all faults"}
+        Whether actuator faults are held at zero or take part.
+    """
+
+    s: complex
+    faults: tuple[str, ...]
+    states: tuple[str, ...]
+    of: str
+
+
+def invariant_zeros(plant: Plant) -> tuple[Zero, ...]:
+    """Return the zeros with the sensor faults and those with all faults, at the mean slopes.
+
+    The latter only where the faults can be told apart at all, or every s would be a zero.
+    """
+    A = sloped_dynamics(plant)[0][0]
+    found = _sensor_zeros(plant, A) if plant.sensor_faults else []
+    if plant.actuator_faults and not hides_at_every_frequency(plant, A):
+        found += _fault_zeros(plant, A)
+    return tuple(sorted(found, key=lambda zero: (-zero.s.real, zero.s.imag)))
+
+
+def mode_text(s: complex) -> str:
+    """Return how a mode moves, in words."""
+    if math.isinf(s.real):
+        return "gone after one sample"
+    if abs(s) < 1e-9:
+        return "constant"
+    settles = "" if abs(s.real) < 1e-9 * abs(s) else f" with time constant {1.0 / abs(s.real):.3g} s"
+    if abs(s.imag) < 1e-9 * abs(s):
+        return f"{'decays' if s.real < 0.0 else 'grows'}{settles}"
+    pace = "undamped" if not settles else ("decaying" if s.real < 0.0 else "growing") + settles
+    return f"oscillates at {abs(s.imag) / (2.0 * math.pi):.3g} Hz, {pace}"
+
+
+def _sensor_zeros(plant: Plant, A: FloatArray) -> list[Zero]:
+    n = len(plant.states)
+    modes = hidden_modes(A, unattacked_outputs(plant), signal_scales(plant)[:n], plant.domain)
+    into = np.linalg.pinv(plant.D_f)
+    zeros = []
+    for mode in modes:
+        if mode.eigenvalue.imag >= 0.0:
+            # The direction holds sizes only; which faults answer is read from each one's share of C x.
+            sizes = np.abs(into) @ (np.abs(plant.C) @ mode.direction)
+            faults = _largest([fault.name for fault in plant.sensor_faults], sizes)
+            zeros.append(
+                Zero(continuous_mode(mode.eigenvalue, plant), faults, moving_states(plant, mode), "sensor faults")
+            )
+    return zeros
+
+
+def _fault_zeros(plant: Plant, A: FloatArray) -> list[Zero]:
+    """Return the zeros of the tall pencil: those of a random square part of it at which it loses rank itself."""
+    from scipy.linalg import eigvals
+
+    n, a = len(plant.states), len(plant.faults)
+    pencil, size, scales = fault_pencil(plant, A)
+    mix, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(len(plant.outputs), a)))
+    square = np.vstack([pencil[:n], mix.T @ pencil[n:]])
+    alpha, beta = eigvals(square, np.diag(np.repeat([1.0, 0.0], [n, a])), homogeneous_eigvals=True)
+    finite = np.abs(alpha) < _LARGEST * size * np.abs(beta)
+    zeros: list[Zero] = []
+    names = [fault.name for fault in (*plant.sensor_faults, *plant.actuator_faults)]
+    for eigenvalue in alpha[finite] / beta[finite]:
+        distance, right = smallest_singular_value(pencil, n, complex(eigenvalue))
+        if distance > _ZERO_TOLERANCE or eigenvalue.imag < -1e-12 * size:
+            continue
+        direction = right * scales
+        s = continuous_mode(complex(eigenvalue) + (1.0 if plant.domain == "discrete" else 0.0), plant)
+        faults = _largest(names, direction[n:])
+        states = _largest(plant.states, direction[:n] / plant.state_errors)
+        zeros.append(Zero(0j if abs(s) < 1e-9 * size else s, faults, states, "all faults"))
+    return zeros
+
+
+def _largest(names: tuple[str, ...] | list[str], sizes: FloatArray) -> tuple[str, ...]:
+    order = [i for i in np.argsort(-sizes, kind="stable") if sizes[i] >= _SHARE * np.max(sizes) > 0.0]
+    return tuple(names[i] for i in order)

@@ -1,0 +1,1 @@
+"""Reconstructions of earlier observers and a Kalman filter, to compare with."""

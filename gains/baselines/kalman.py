@@ -1,0 +1,264 @@
+"""Baseline: augmented-state (extended) Kalman filter with random-walk faults: what a user would pick instead.
+
+xa = [x; f_s; f_a] in discrete time, faults as random walks and all scales as standard deviations per sample:
+
+    x+   = A x + B v + c + G g(H x) + E_f f_a + E_1 w_1        f+ = f + rate / rate_hz * white noise
+    y    = C x + D_f f_s + D_1 w_2
+
+The walk of f_s is an ASSUMPTION that the filter needs and FAUIO does not: a sensor fault with a rate too small is
+followed late, with one too large it tells the filter nothing. Noise and states get a floor (``FLOOR`` of what the
+outputs show of the one-sample uncertainty), for a noise that spares an output would make it exact.
+
+:func:`design_ekf` is the steady-state filter at the middle of the slopes, with the true g in its prediction; it
+compiles to the same gains as every observer, in the current form x^(k|k). :class:`ExtendedKalmanFilter` linearises
+anew in each sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gains.errors import InfeasibleError, ModelError
+from gains.plants.discretise import discretise
+from gains.plants.expression import compile_expression, compile_node, derivative, parse_expression
+from gains.plants.model_file import model_hash
+from gains.plants.plant import FloatArray, Plant
+from gains.synthesis.compilation import input_curves
+from gains.synthesis.error_system import argument_rows, slope_matrix
+from gains.synthesis.gains_file import Gains, ScalarNonlinearity
+
+FLOOR = 1e-2
+_STABILITY_TOLERANCE = 1e-7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilterModel:
+    """The augmented discrete model: xa = [x; f_s; f_a].
+
+    Parameters
+    ----------
+    plant : Plant
+        The discrete plant.
+    A, C : FloatArray
+        (na, na) without the nonlinearity, and (p, na).
+    G, H : FloatArray
+        (na, m) and (arguments, na).
+    Q, R : FloatArray
+        Covariances per sample (na, na) and (p, p).
+    """
+
+    plant: Plant
+    A: FloatArray
+    C: FloatArray
+    G: FloatArray
+    H: FloatArray
+    Q: FloatArray
+    R: FloatArray
+
+
+def filter_model(plant: Plant, rate_hz: float | None = None) -> FilterModel:
+    """Return the augmented model of a plant at a rate.
+
+    Raises
+    ------
+    ModelError
+        A continuous model without a rate, or a discrete one with another.
+    """
+    rate_hz = plant.rate_hz if rate_hz is None else rate_hz
+    if rate_hz is None:
+        raise ModelError(f"{plant.name}: a continuous model needs a rate in samples per second")
+    discrete = discretise(plant, rate_hz)
+    n, p, m = len(plant.states), len(plant.outputs), len(plant.nonlinearities)
+    faults = (*discrete.sensor_faults, *discrete.actuator_faults)
+    nz, na = n + len(discrete.sensor_faults), n + len(faults)
+    A, C, G = np.eye(na), np.zeros((p, na)), np.zeros((na, m))
+    A[:n, :n], A[:n, nz:], G[:n] = discrete.A, discrete.E_f, discrete.G
+    C[:, :n], C[:, n:nz] = discrete.C, discrete.D_f
+    E_1 = discrete.E_1 * [w.scale for w in discrete.disturbances]
+    D_1 = discrete.D_1 * [w.scale for w in discrete.noises]
+    Q = np.zeros((na, na))
+    Q[:n, :n] = E_1 @ E_1.T
+    Q[n:, n:] = np.diag([(fault.rate / rate_hz) ** 2 for fault in faults])
+    spread = C @ (Q + A @ Q @ A.T) @ C.T + D_1 @ D_1.T
+    size = np.diag(spread)
+    floor = np.where(size > 0.0, size, np.max(size, initial=0.0) or 1.0)
+    Q[:n, :n] += FLOOR**2 * np.diag(np.diag((A @ Q @ A.T)[:n, :n]))
+    rows = argument_rows(plant)
+    return FilterModel(
+        plant=discrete,
+        A=A,
+        C=C,
+        G=G,
+        H=np.hstack([rows, np.zeros((len(rows), na - n))]),
+        Q=Q,
+        R=D_1 @ D_1.T + FLOOR**2 * np.diag(floor),
+    )
+
+
+def design_ekf(plant: Plant, rate_hz: float | None = None) -> Gains:
+    """Return the compiled steady-state filter.
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous model (sampled at ``rate_hz``) or discrete model.
+    rate_hz : float | None
+        Samples per second; None takes the rate of a discrete model.
+
+    Returns
+    -------
+    Gains
+        Recursion for the monitor; its residual is the innovation y - Cb xa^(k|k-1). It claims no bound.
+
+    Raises
+    ------
+    ModelError
+        The model cannot be sampled at that rate.
+    InfeasibleError
+        The Riccati equation has no stabilising solution: a fault with a random walk shows in no output.
+    """
+    from scipy.linalg import solve_discrete_are
+
+    model = filter_model(plant, rate_hz)
+    discrete, C = model.plant, model.C
+    middle = np.concatenate([np.zeros(0), *(g.slopes.mean(axis=1) for g in discrete.nonlinearities)])
+    A = model.A + model.G @ slope_matrix(discrete, middle) @ model.H
+    failed = InfeasibleError(
+        f"{plant.name}: the Kalman filter has no steady state: some fault or state shows in no output"
+    )
+    try:
+        Sigma = solve_discrete_are(A.T, C.T, model.Q, model.R)
+    except np.linalg.LinAlgError as error:
+        raise failed from error
+    K = np.linalg.solve(C @ Sigma @ C.T + model.R, C @ Sigma).T
+    if np.max(np.abs(np.linalg.eigvals(A - A @ K @ C))) >= 1.0 - _STABILITY_TOLERANCE:
+        raise failed
+    return _compiled(plant, model, np.asarray(K, dtype=np.float64))
+
+
+class ExtendedKalmanFilter:
+    """The filter that linearises at its own estimate in every sample.
+
+    After :meth:`step`, ``x`` (n,), ``fault`` (a1 + a2,) = [fa^; fs^] and ``residual`` (p,), the innovation, hold the
+    estimate at that sample. v is taken as the command (no curves, no delays).
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous or discrete model.
+    rate_hz : float | None
+        Samples per second.
+
+    Raises
+    ------
+    ModelError
+        As :func:`filter_model`; or the model has input delays or curves.
+    """
+
+    def __init__(self, plant: Plant, rate_hz: float | None = None) -> None:
+        self.model = filter_model(plant, rate_hz)
+        discrete = self.model.plant
+        if len(discrete.taps) > 1 or any(curve != (1.0,) for curve in discrete.curves):
+            raise ModelError(f"{plant.name}: the extended Kalman filter takes models without input delays and curves")
+        self._g = [compile_expression(g.expression, g.arguments) for g in discrete.nonlinearities]
+        self._slopes = [
+            [compile_node(derivative(parse_expression(g.expression, g.arguments), j)) for j in range(len(g.arguments))]
+            for g in discrete.nonlinearities
+        ]
+        counts = [len(g.arguments) for g in discrete.nonlinearities]
+        ends = np.cumsum([0, *counts]).tolist()
+        self._spans = [slice(start, start + count) for start, count in zip(ends, counts, strict=False)]
+        self._n, self._nz = len(discrete.states), len(discrete.states) + len(discrete.sensor_faults)
+        self.x = np.zeros(self._n)
+        self.fault = np.zeros(len(discrete.faults))
+        self.residual = np.zeros(len(discrete.outputs))
+        self._predicted = np.zeros(len(self.model.A))
+        self._Sigma = self.model.Q.copy()
+
+    def restart(self, y: FloatArray) -> None:
+        """Forget the past: start at the state that y (p,) explains without a fault, uncertain by what matters."""
+        discrete = self.model.plant
+        self._predicted[:] = 0.0
+        self._predicted[: self._n] = np.linalg.pinv(discrete.C) @ y
+        errors = [fault.error for fault in (*discrete.sensor_faults, *discrete.actuator_faults)]
+        self._Sigma = np.diag(np.concatenate([discrete.state_errors, errors]) ** 2)
+
+    def step(self, u: FloatArray, y: FloatArray) -> None:
+        """Advance by one sample: u (s,) and y (p,)."""
+        model, discrete, C = self.model, self.model.plant, self.model.C
+        self.residual = y - C @ self._predicted
+        K = np.linalg.solve(C @ self._Sigma @ C.T + model.R, C @ self._Sigma).T
+        estimate = self._predicted + K @ self.residual
+        kept = np.eye(len(estimate)) - K @ C
+        Sigma = kept @ self._Sigma @ kept.T + K @ model.R @ K.T
+        self.x = estimate[: self._n]
+        self.fault = np.concatenate([estimate[self._nz :], estimate[self._n : self._nz]])
+        arguments = model.H @ estimate
+        values = np.array([g(*arguments[span]) for g, span in zip(self._g, self._spans, strict=True)])
+        slopes = [d(*arguments[span]) for ds, span in zip(self._slopes, self._spans, strict=True) for d in ds]
+        A = model.A + model.G @ slope_matrix(discrete, np.array(slopes)) @ model.H
+        self._predicted = model.A @ estimate + model.G @ values
+        self._predicted[: self._n] += discrete.B @ u + discrete.c
+        self._Sigma = A @ Sigma @ A.T + model.Q
+
+
+def _compiled(plant: Plant, model: FilterModel, K: FloatArray) -> Gains:
+    """Return the recursion s = [xa^(k|k-1); v(k-1); ...] with xa^ = s + K (y - Cb s)."""
+    discrete = model.plant
+    (na, p), n, s, m = K.shape, len(plant.states), len(plant.inputs), len(plant.nonlinearities)
+    a1, delays = len(plant.actuator_faults), len(discrete.taps) - 1
+    nz, ns = na - a1, na + s * delays
+    select = np.eye(ns + s + p + 1 + m)
+    predicted = select[:na]
+    past = [select[na + d * s : na + (d + 1) * s] for d in range(delays)]
+    v, y, one, g = np.split(select[ns:], np.cumsum([s, p, 1]))
+    innovation = y - model.C @ predicted
+    estimate = predicted + K @ innovation
+    effect = sum((h * v_d for h, v_d in zip(discrete.taps, [v, *past], strict=True)), start=np.zeros_like(v))
+    following = model.A @ estimate + model.G @ g
+    following[:n] += discrete.B @ effect + np.outer(discrete.c, one)
+    step = [following, *[v, *past][:delays], estimate, innovation]
+    faults = (*plant.actuator_faults, *plant.sensor_faults)
+    closed = model.A @ (np.eye(na) - K @ model.C)
+    initial = np.zeros((ns, s + p + 1))
+    initial[:n, s : s + p] = np.linalg.pinv(plant.C)
+    initial[na:, :s] = np.vstack([np.zeros((0, s)), *[np.eye(s)] * delays])
+    report: dict[str, Any] = {
+        "model": plant.name,
+        "method": "ekf",
+        "domain": "discrete",
+        "rate_hz": discrete.rate_hz,
+        "sqrt_mu": None,
+        "notes": ["f_s is assumed to be a random walk of its rate; no bound is claimed"],
+    }
+    return Gains(
+        model=plant.name,
+        model_hash=model_hash(plant),
+        method="ekf",
+        domain="discrete",
+        rate_hz=float(discrete.rate_hz or 0.0),
+        states=plant.states,
+        inputs=plant.inputs,
+        outputs=plant.outputs,
+        faults=tuple(fault.name for fault in faults),
+        fault_kinds=("actuator",) * a1 + ("sensor",) * (nz - n),
+        fault_units=tuple(fault.unit for fault in faults),
+        fault_inputs=tuple(None if fault.input is None else plant.inputs.index(fault.input) for fault in faults),
+        input_taps=discrete.taps,
+        input_curves=input_curves(discrete),
+        nonlinearities=tuple(ScalarNonlinearity(g.expression, g.arguments) for g in plant.nonlinearities),
+        step_matrix=np.vstack(step),
+        argument_matrix=model.H @ estimate[:, : ns + s + p + 1],
+        initial_matrix=initial,
+        K=K[:nz],
+        L_i=K[nz:],
+        L_p=K[nz:],
+        L1=np.eye(nz, n),
+        F=K[:nz],
+        N=closed[:nz, :nz],
+        J=(model.A @ K)[:nz],
+        report=report,
+    )

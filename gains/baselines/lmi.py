@@ -1,0 +1,187 @@
+"""What the reconstructed baselines share: scaled matrices of a continuous plant, Lipschitz rows and the solver.
+
+The inequalities are written with E, D, the identity that weighs the errors and the unit rate of fa' replaced by their
+scaled versions, so that every bound speaks of the same [w; w'; fa'] and e as ours.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gains.analysis.augment import augment
+from gains.errors import InaccurateError, InfeasibleError
+from gains.plants.plant import FloatArray, Plant
+from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
+from gains.synthesis.error_system import Inputs, NoisePath, argument_rows, error_norm
+
+SLACK = 1e-4
+ALLOWANCE = 1e-2
+SMALLEST = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scaled:
+    """Matrices of a continuous plant in units of its scales.
+
+    Parameters
+    ----------
+    L1, F, A_z, C_b : FloatArray
+        The augmentation of :mod:`gains.analysis.augment`.
+    E, D : FloatArray
+        (n, q) and (p, q) for w = [w_1; w_2], each in units of its scale.
+    zeta_weights, fault_weights : FloatArray
+        One over the error that matters of [x; f_s] and of f_a.
+    rates : FloatArray
+        Rate of each actuator fault (a1,).
+    lipschitz : FloatArray
+        Rows such that |g(H x) - g(H x^)| <= |rows (x - x^)| (arguments, n).
+    """
+
+    L1: FloatArray
+    F: FloatArray
+    A_z: FloatArray
+    C_b: FloatArray
+    E: FloatArray
+    D: FloatArray
+    zeta_weights: FloatArray
+    fault_weights: FloatArray
+    rates: FloatArray
+    lipschitz: FloatArray
+
+
+def scaled(plant: Plant) -> Scaled:
+    """Return the scaled matrices of a plant.
+
+    Raises
+    ------
+    ModelError
+        The model is discrete.
+    """
+    check_continuous(plant)
+    augmentation = augment(plant)
+    n, p = len(plant.states), len(plant.outputs)
+    disturbance = np.array([w.scale for w in plant.disturbances])
+    noise = np.array([w.scale for w in plant.noises])
+    sensor_errors = [fault.error for fault in plant.sensor_faults]
+    return Scaled(
+        L1=augmentation.L1,
+        F=augmentation.F,
+        A_z=augmentation.A_z,
+        C_b=augmentation.C_b,
+        E=np.hstack([plant.E_1 * disturbance, np.zeros((n, len(noise)))]),
+        D=np.hstack([np.zeros((p, len(disturbance))), plant.D_1 * noise]),
+        zeta_weights=1.0 / np.concatenate([plant.state_errors, sensor_errors]),
+        fault_weights=1.0 / np.array([fault.error for fault in plant.actuator_faults]),
+        rates=np.array([fault.rate for fault in plant.actuator_faults]),
+        lipschitz=lipschitz_rows(plant),
+    )
+
+
+def lipschitz_rows(plant: Plant) -> FloatArray:
+    """Return H with each row times its largest slope, and times sqrt(k) where g_i has k arguments."""
+    sizes = [
+        math.sqrt(len(g.arguments)) * np.max(np.abs(g.slopes), axis=1) for g in plant.nonlinearities if len(g.slopes)
+    ]
+    return np.concatenate([np.zeros(0), *sizes])[:, None] * argument_rows(plant)
+
+
+def lipschitz_constant(plant: Plant) -> float:
+    """Return a Lipschitz constant of x -> G g(H x)."""
+    if not plant.nonlinearities:
+        return 0.0
+    return float(np.linalg.norm(plant.G, 2) * np.linalg.norm(lipschitz_rows(plant), 2))
+
+
+def block_matrix(blocks: Sequence[Sequence[Any]]) -> Any:
+    """Return the symmetric matrix whose upper triangle, row by row from the diagonal, is given.
+
+    Rows and columns of size zero (no nonlinearity, no disturbance) are left out.
+    """
+    import cvxpy as cp
+
+    size = len(blocks)
+    kept = [i for i in range(size) if blocks[i][0].shape[0] > 0]
+    full = [[blocks[i][j - i] if j >= i else blocks[j][i - j].T for j in kept] for i in kept]
+    return cp.bmat(full)
+
+
+def gain_energy(P: Any, Y: Any) -> tuple[Any, Any]:
+    """Return trace(Z) and the constraint Z >= Y' P^-1 Y: the energy that an innovation of size one puts into V."""
+    import cvxpy as cp
+
+    p = Y.shape[1]
+    Z = cp.Variable((p, p), symmetric=True)
+    return cp.trace(Z), block_matrix([[Z, Y.T], [P]]) >> 0
+
+
+def solve_tempered(
+    mu: Any, constraints: list[Any], energies: list[tuple[Any, Any]], plant: Plant, method: str, why: str
+) -> float:
+    """Minimise mu, then the energy of the gains with the bound within ``ALLOWANCE`` of that minimum.
+
+    The minimum alone drives gains to infinity (1e7 on the arm), which no sampled run can use; bounds below
+    ``SMALLEST`` of the error that matters are as good as that. Returns the seconds in
+    the solver; errors as :func:`solve`.
+    """
+    import cvxpy as cp
+
+    seconds = solve(cp.Problem(cp.Minimize(mu), constraints), plant, method, why)
+    limit = max((1.0 + ALLOWANCE) ** 2 * float(mu.value), SMALLEST**2)
+    energy = sum(energy for energy, _ in energies)
+    tempered = cp.Problem(cp.Minimize(energy), [*constraints, *(holds for _, holds in energies), mu <= limit])
+    return seconds + solve(tempered, plant, method, why)
+
+
+def solve(problem: Any, plant: Plant, method: str, why: str) -> float:
+    """Solve an inequality with Clarabel and return the seconds it took.
+
+    Raises
+    ------
+    InfeasibleError
+        It has no solution; the message ends with ``why``.
+    InaccurateError
+        The solver found neither a solution nor a proof that there is none.
+    """
+    import cvxpy as cp
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # "may be inaccurate": the norm of the gains decides that
+            problem.solve(solver=cp.CLARABEL)
+    except cp.SolverError as error:
+        raise InaccurateError(f"{plant.name}: the solver failed on the {method} inequality") from error
+    if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
+        raise InfeasibleError(f"{plant.name}: the {method} inequality has no solution: {why}")
+    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+        raise InaccurateError(f"{plant.name}: the solver stopped short on the {method} inequality ({problem.status})")
+    return float(problem.solver_stats.solve_time or 0.0)
+
+
+def reported_bound(mu: Any) -> float:
+    """Return sqrt(mu) of a solution with the solver's tolerance added, at least ``SMALLEST``."""
+    return max(math.sqrt(max(float(mu.value), 0.0)) * (1.0 + SLACK), SMALLEST)
+
+
+def confirmed(
+    observer: ContinuousObserver, noise_path: NoisePath = "all", inputs: Inputs = "all"
+) -> ContinuousObserver:
+    """Return the observer if the norm of its gains is at or below the bound it reports.
+
+    Raises
+    ------
+    InaccurateError
+        It is not: the bound is no bound.
+    """
+    found = error_norm(observer.plant, observer, noise_path=noise_path, inputs=inputs)
+    if not found.confirms(math.inf if observer.sqrt_mu is None else observer.sqrt_mu):
+        raise InaccurateError(
+            f"{observer.plant.name}: the {observer.method} gains have the norm {found.value:.6g}, above the bound "
+            f"{observer.sqrt_mu} that the solver reports; they are not for use"
+        )
+    return observer

@@ -1,0 +1,1 @@
+"""Healthy recordings to plants: motors, surfaces, drives, sensors, free parameters of a model."""

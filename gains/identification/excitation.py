@@ -1,0 +1,122 @@
+"""Whether recordings determine each parameter of a model, and what to do in a flight that would.
+
+A parameter is determined where its standard error is a small part of its size. Where two can only be told together,
+the correlation of their estimates says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gains.identification.free_model import FreeModel, Parameter
+from gains.identification.simulation import Dynamics
+from gains.plants.plant import FloatArray
+
+_LARGEST_ERROR = 0.25
+_TOGETHER = 0.95
+_AT_BOUND = 1e-3
+_STEP = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What is known about one parameter.
+
+    Parameters
+    ----------
+    name : str
+        The parameter.
+    value, standard_error : float
+        Its estimate and how far that may be off, in its own unit.
+    determined : bool
+        Whether the recordings determine it.
+    note : str
+        What is wrong and what would mend it; empty where nothing is.
+    """
+
+    name: str
+    value: float
+    standard_error: float
+    determined: bool
+    note: str
+
+
+def excitation_verdicts(
+    model: FreeModel, theta: FloatArray, covariance: FloatArray, movement: Mapping[str, float]
+) -> tuple[Verdict, ...]:
+    """Return a verdict on each free parameter.
+
+    Parameters
+    ----------
+    model : FreeModel
+        The model.
+    theta, covariance : FloatArray
+        Estimates (k,) and their covariance (k, k); infinite variance where no prediction depends on a parameter.
+    movement : Mapping[str, float]
+        Standard deviation of each input and state in the recordings, by name.
+    """
+    errors = np.sqrt(np.diag(covariance))
+    found = []
+    for j, parameter in enumerate(model.parameters):
+        value, error = float(theta[j]), float(errors[j])
+        determined = bool(error <= _LARGEST_ERROR * max(abs(value), parameter.size))
+        together = [] if determined else _partners(covariance, errors, j, model.parameters)
+        note = ""
+        driving = _driving(model.dynamics, theta, j, model)
+        still = bool(driving) and all(movement.get(name, 0.0) == 0.0 for name in driving)
+        if not np.isfinite(error) and not still:
+            note = "no measured output depends on it: give it a number, or measure what it acts on"
+        elif together:
+            note = (
+                f"the data determine it only in combination with {', '.join(together)}: give one of them a number, or "
+                + _advice(driving, movement)
+            )
+        elif not determined:
+            note = _advice(driving, movement)
+        elif _at_bound(value, parameter):
+            note = "it ends at its bound: widen 'min' and 'max' if that is physical, else the model lacks something"
+        found.append(Verdict(parameter.name, value, error, determined, note))
+    return tuple(found)
+
+
+def _partners(covariance: FloatArray, errors: FloatArray, j: int, parameters: Sequence[Parameter]) -> list[str]:
+    if not np.isfinite(errors[j]):
+        return []
+    finite = [i for i in range(len(errors)) if i != j and np.isfinite(errors[i]) and errors[i] > 0.0]
+    return [
+        f"'{parameters[i].name}'" for i in finite if abs(covariance[i, j]) > _TOGETHER * float(errors[i] * errors[j])
+    ]
+
+
+def _at_bound(value: float, parameter: Parameter) -> bool:
+    near = _AT_BOUND * parameter.size
+    return value - parameter.low <= near or parameter.high - value <= near
+
+
+def _advice(driving: Sequence[str], movement: Mapping[str, float]) -> str:
+    if not driving:
+        return "record different steady conditions: it is a constant drive"
+    moved = ", ".join(f"{name} (standard deviation {movement.get(name, 0.0):.3g})" for name in driving)
+    return f"record manoeuvres that move {moved} more, and not always in step with each other"
+
+
+def _driving(dynamics: Callable[[FloatArray], Dynamics], theta: FloatArray, j: int, model: FreeModel) -> list[str]:
+    """Return the states and inputs that the parameter multiplies."""
+    states, inputs = model.example.states, model.example.inputs
+    step = np.zeros(len(theta))
+    step[j] = _STEP * max(abs(float(theta[j])), model.parameters[j].size)
+    a, b = dynamics(theta), dynamics(theta + step)
+    touched = (a.A != b.A).any(axis=0) | (a.C != b.C).any(axis=0)
+    for i, (before, after) in enumerate(zip(a.rows, b.rows, strict=True)):
+        if (a.G[:, i] != b.G[:, i]).any() or (before != after).any() or _named_in(model, i, j):
+            touched |= (after != 0.0).any(axis=0)
+    driven = (a.B != b.B).any(axis=0) | (a.curves != b.curves).any(axis=1)
+    return [states[i] for i in np.flatnonzero(touched)] + [inputs[i] for i in np.flatnonzero(driven)]
+
+
+def _named_in(model: FreeModel, term: int, j: int) -> bool:
+    """Return whether a nonlinearity's own expression names the parameter."""
+    return model.parameters[j].name in model.words_of(term)

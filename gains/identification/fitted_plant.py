@@ -1,0 +1,88 @@
+"""From a fit to the plant an observer is designed for: delay, noise scales, and parameter uncertainty as disturbance.
+
+A parameter that is off by its standard error drives the states by dx+/dp sigma_p; the root mean square of that over the
+recordings, correlations of the estimates included, is added to the disturbance of each state (and likewise of outputs).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gains.identification.output_error import OutputErrorFit
+from gains.identification.simulation import Stepper
+from gains.plants.discretise import discretise
+from gains.plants.plant import Disturbance, FloatArray, Noise, Plant, Signal
+
+_STEP = 1e-4
+
+
+def fitted_plant(fit: OutputErrorFit) -> Plant:
+    """Return the fitted plant.
+
+    Scales that the model file states stay as they are; those it leaves out, and those of noises and disturbances it
+    does not declare, are the most likely ones. Each is then widened by the uncertainty of the parameters. With a delay
+    the plant is discrete at the rate of the recordings, the delay standing in its taps.
+
+    Raises
+    ------
+    ModelError
+        The plant cannot be sampled at that rate.
+    """
+    plant, model = fit.signals, fit.model
+    stated = fit.model.plant(fit.theta)
+    states, outputs = parameter_uncertainty(fit)
+    per_step = 1.0 if plant.domain == "discrete" else fit.rate_hz
+    disturbances = [
+        replace(w, scale=stated.disturbances[i].scale)
+        if i < len(stated.disturbances) and model.declares_scale("disturbance", i)
+        else w
+        for i, w in enumerate(plant.disturbances)
+    ]
+    noises = [
+        replace(w, scale=stated.noises[i].scale) if i < len(stated.noises) and model.declares_scale("noise", i) else w
+        for i, w in enumerate(plant.noises)
+    ]
+    for i, size in enumerate(states * per_step):
+        _widen(disturbances, Disturbance, f"model_{plant.states[i]}", np.eye(len(states))[i], float(size))
+    for i, size in enumerate(outputs):
+        _widen(noises, Noise, f"model_{plant.outputs[i]}", np.eye(len(outputs))[i], float(size))
+    plant = replace(plant, disturbances=tuple(disturbances), noises=tuple(noises))
+    if not fit.delay:
+        return plant
+    return replace(discretise(plant, fit.rate_hz), taps=(0.0,) * fit.delay + (1.0,))
+
+
+def parameter_uncertainty(fit: OutputErrorFit) -> tuple[FloatArray, FloatArray]:
+    """Return the typical error that the uncertainty of the parameters puts into x+ (n,) and into y (p,)."""
+    theta, data = fit.theta, fit.training
+    finite = [j for j in range(len(theta)) if np.isfinite(fit.covariance[j, j])]
+    n, p = data.states.shape[2], data.measured.shape[2]
+    if not finite:
+        return np.zeros(n), np.zeros(p)
+    steps = _STEP * np.maximum(np.abs(theta), [parameter.size for parameter in fit.model.parameters])
+    sets = [fit.model.dynamics(theta), *(fit.model.dynamics(theta + np.diag(steps)[j]) for j in finite)]
+    stepper = Stepper(sets, fit.rate_hz, fit.hold)
+    drives = np.moveaxis(stepper.drives(data.u), 0, 1).reshape(len(sets), -1, n)
+    x = np.broadcast_to(np.moveaxis(data.states[:, :-1], 1, 0).reshape(1, -1, n), drives.shape)
+    covariance = fit.covariance[np.ix_(finite, finite)]
+
+    def typical(after: FloatArray) -> FloatArray:
+        slopes = (after[1:] - after[0]) / steps[finite, None, None]
+        variance = np.einsum("jti,jl,lti->i", slopes, covariance, slopes) / slopes.shape[1]
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    return typical(stepper.step(x, drives)), typical(x @ stepper.C_T)
+
+
+def _widen(signals: list[Signal], kind: type[Signal], name: str, column: FloatArray, size: float) -> None:
+    """Add ``size`` in direction ``column``, in quadrature where one of the signals has that direction already."""
+    if size <= 0.0:
+        return
+    at = int(np.argmax(column))
+    for i, signal in enumerate(signals):
+        if signal.column[at] and np.count_nonzero(signal.column) == 1:
+            signals[i] = replace(signal, scale=float(np.hypot(signal.scale, size / signal.column[at])))
+            return
+    signals.append(kind(name, column, size))

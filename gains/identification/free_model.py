@@ -1,0 +1,308 @@
+"""Plant models with free parameters: a model file whose entries may be expressions of named parameters.
+
+    [parameters]
+    stiffness = { start = 40.0, min = 1.0, max = 200.0 }     free: estimated from recordings
+    ratio = 0.4                                              fixed
+    [A]
+    motor_rate = { motor_angle = "-stiffness", link_angle = "stiffness" }
+
+Text is read as an expression in A, B, C, offset, curves, in ``into`` and ``arguments``, and in ``scale``, ``rate`` and
+``error``; a nonlinearity's own expression may name parameters beside its arguments. The tables ``channels`` (where
+inputs and outputs come from) and ``phase`` (when samples count) are kept as they stand for whoever reads recordings.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gains.errors import ModelError
+from gains.identification.simulation import Dynamics, Vectorised, compile_vectorised
+from gains.plants.expression import compile_expression, parse_expression
+from gains.plants.model_file import plant_of_document, read_document
+from gains.plants.model_table import Table
+from gains.plants.plant import FloatArray, Plant
+
+_EXTRA = ("parameters", "channels", "phase")
+_MATRICES = ("A", "B", "C")
+_WORD = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A free parameter: where its estimation starts and the bounds it keeps to, in its own unit."""
+
+    name: str
+    start: float
+    low: float
+    high: float
+
+    @property
+    def size(self) -> float:
+        """The parameter's order of magnitude."""
+        width = self.high - self.low
+        return abs(self.start) or (width / 10.0 if 0.0 < width < math.inf else 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeModel:
+    """A model file with free parameters.
+
+    Parameters
+    ----------
+    path : str
+        The file, for errors.
+    document : Mapping[str, Any]
+        Its parsed TOML without the tables below.
+    parameters : tuple[Parameter, ...]
+        The free parameters, in the order of the file: the values of all methods are in this order.
+    fixed : Mapping[str, float]
+        The other parameters.
+    channels, phase : Mapping[str, Any]
+        These tables as parsed.
+    example : Plant
+        The plant at the start values.
+    """
+
+    path: str
+    document: Mapping[str, Any]
+    parameters: tuple[Parameter, ...]
+    fixed: Mapping[str, float]
+    channels: Mapping[str, Any]
+    phase: Mapping[str, Any]
+    example: Plant
+
+    @property
+    def start(self) -> FloatArray:
+        """Start values of the free parameters (k,)."""
+        return np.array([parameter.start for parameter in self.parameters])
+
+    def plant(self, values: Sequence[float] | FloatArray) -> Plant:
+        """Return the plant with the free parameters at ``values`` (k,).
+
+        Raises
+        ------
+        ModelError
+            An expression has no value there, or the plant cannot be; the message names file and key.
+        """
+        try:
+            return plant_of_document(_resolved(self.document, self._named(values)))
+        except ModelError as error:
+            raise ModelError(f"{self.path}: {error}") from error
+
+    def dynamics(self, values: Sequence[float] | FloatArray) -> Dynamics:
+        """Return what a simulation needs, without the slope bounds that make :meth:`plant` slow.
+
+        Raises
+        ------
+        ModelError
+            An expression has no value at ``values`` (k,).
+        """
+        named, plant = self._named(values), self.example
+        names = tuple(named)
+        try:
+            root = Table(
+                _resolved({key: self.document.get(key, {}) for key in ("offset", "curves", *_MATRICES)}, named)
+            )
+            terms = [Table(_resolved_term(term, named)) for term in self.document.get("nonlinearity", [])]
+            into = [term.vector("into", plant.states) for term in terms]
+            return Dynamics(
+                rate_hz=plant.rate_hz,
+                A=root.matrix("A", plant.states, plant.states),
+                B=root.matrix("B", plant.states, plant.inputs),
+                C=root.matrix("C", plant.outputs, plant.states),
+                c=root.vector("offset", plant.states),
+                G=np.column_stack(into) if into else np.zeros((len(plant.states), 0)),
+                rows=tuple(term.rows("arguments", plant.states)[1] for term in terms),
+                functions=tuple(
+                    _vectorised(raw["expression"], (*raw["arguments"], *names))
+                    for raw in self.document.get("nonlinearity", [])
+                ),
+                parameters=np.array(list(named.values())),
+                curves=_curves(root, plant.inputs),
+            )
+        except ModelError as error:
+            raise ModelError(f"{self.path}: {error}") from error
+
+    def words_of(self, term: int) -> frozenset[str]:
+        """Return the names that the expression of nonlinearity number ``term`` holds."""
+        return frozenset(_WORD.findall(self.document["nonlinearity"][term]["expression"]))
+
+    def declares_scale(self, kind: str, index: int) -> bool:
+        """Return whether entry ``index`` of 'disturbance' or 'noise' states its scale, or leaves it to a fit."""
+        return "scale" in self.document[kind][index]
+
+    def _named(self, values: Sequence[float] | FloatArray) -> dict[str, float]:
+        free = {p.name: float(value) for p, value in zip(self.parameters, values, strict=True)}
+        return {**free, **self.fixed}
+
+
+def read_free_model(path: str | Path) -> FreeModel:
+    """Read a model with free parameters; a plain model is one without any.
+
+    Raises
+    ------
+    ModelError
+        The file cannot be read or is no valid model at the start values; the message is one line with file and key.
+    """
+    document = read_document(path)
+    try:
+        free, fixed = _parameters(document.get("parameters", {}))
+        tables = {name: document.get(name, {}) for name in _EXTRA}
+        for name, table in tables.items():
+            if not isinstance(table, Mapping):
+                raise ModelError(f"'{name}' is not a table")
+        model = {key: value for key, value in document.items() if key not in _EXTRA}
+        start = {parameter.name: parameter.start for parameter in free} | fixed
+        _check_arguments(model, tuple(start))
+        used: set[str] = set()
+        example = plant_of_document(_resolved(model, start, used))
+        for name in start:
+            if name not in used:
+                raise ModelError(f"'parameters.{name}' is used nowhere in the model")
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from error
+    return FreeModel(str(path), model, free, fixed, tables["channels"], tables["phase"], example)
+
+
+def _parameters(table: Any) -> tuple[tuple[Parameter, ...], dict[str, float]]:
+    if not isinstance(table, Mapping):
+        raise ModelError("'parameters' is not a table")
+    free, fixed = [], {}
+    root = Table(table, "parameters.")
+    for name, value in table.items():
+        try:
+            parse_expression(name, [name])
+        except ModelError as error:
+            raise ModelError(
+                f"'parameters.{name}': the name is taken or no plain word of letters and digits"
+            ) from error
+        if not isinstance(value, Mapping):
+            fixed[name] = root.number(name, math.nan)
+            continue
+        entry = root.table(name)
+        if not entry.has("start"):
+            raise ModelError(f"'parameters.{name}.start' is missing; estimation needs a value to start from")
+        start = entry.number("start", 0.0)
+        low = entry.number("min", 0.0) if entry.has("min") else -math.inf
+        high = entry.number("max", 0.0) if entry.has("max") else math.inf
+        entry.done()
+        if not (low <= start <= high and low < high):
+            raise ModelError(f"'parameters.{name}' starts at {start:g}, which is not between {low:g} and {high:g}")
+        free.append(Parameter(name, start, low, high))
+    return tuple(free), fixed
+
+
+def _check_arguments(document: Mapping[str, Any], names: Sequence[str]) -> None:
+    for i, term in enumerate(_tables(document, "nonlinearity"), 1):
+        arguments = term.get("arguments")
+        for argument in arguments if isinstance(arguments, Mapping) else ():
+            if argument in names:
+                raise ModelError(f"'nonlinearity[{i}].arguments.{argument}' is also the name of a parameter")
+
+
+def _resolved(document: Mapping[str, Any], named: Mapping[str, float], used: set[str] | None = None) -> dict[str, Any]:
+    """Return a model's document with every expression of parameters replaced by its number.
+
+    ``used`` collects the names of the parameters met.
+    """
+    found = dict(document)
+    number = _Resolver(named, set() if used is None else used)
+    for key in _MATRICES:
+        found[key] = _each(found.get(key, {}), lambda row: _each(row, number))
+    for key in ("offset", "error"):
+        found[key] = _each(found.get(key, {}), number)
+    if "curves" in found:
+        found["curves"] = _each(
+            found["curves"], lambda curve: _each(curve, number) if _is_row(curve) else number(curve)
+        )
+    for key in ("nonlinearity", "fault", "disturbance", "noise"):
+        if key in found and _tables(found, key):
+            found[key] = [_resolved_term(table, named, number.used) for table in found[key]]
+    return {key: value for key, value in found.items() if value != {}}
+
+
+def _resolved_term(
+    table: Mapping[str, Any], named: Mapping[str, float], used: set[str] | None = None
+) -> dict[str, Any]:
+    """Return one [[nonlinearity]], [[fault]], [[disturbance]] or [[noise]] with numbers for expressions."""
+    number = _Resolver(named, set() if used is None else used)
+    found = dict(table)
+    for key in ("scale", "rate", "error"):
+        if key in found:
+            found[key] = number(found[key])
+    if "into" in found:
+        found["into"] = _each(found["into"], number)
+    if "arguments" in found:
+        found["arguments"] = _each(found["arguments"], lambda row: _each(row, number))
+    if isinstance(found.get("expression"), str):
+        found["expression"] = _WORD.sub(number.word, found["expression"])
+    return found
+
+
+class _Resolver:
+    """Turns expressions of parameters into numbers and notes which parameters they name."""
+
+    def __init__(self, named: Mapping[str, float], used: set[str]) -> None:
+        self._named = named
+        self.used = used
+
+    def __call__(self, value: Any) -> Any:
+        """Return the number of an expression; what is no text stays for others to check."""
+        if not isinstance(value, str):
+            return value
+        number = _compiled(value, tuple(self._named))(*self._named.values())
+        self.used.update(word for word in _WORD.findall(value) if word in self._named)
+        if not math.isfinite(number):
+            at = ", ".join(f"{name} = {x:g}" for name, x in self._named.items() if name in _WORD.findall(value))
+            raise ModelError(f"'{value}' has no value at {at}; narrow the bounds of the parameters")
+        return number
+
+    def word(self, match: re.Match[str]) -> str:
+        """Return a word of an expression, a parameter as its number in brackets."""
+        name = match.group()
+        if name not in self._named:
+            return name
+        self.used.add(name)
+        return f"({self._named[name]!r})"
+
+
+def _each(value: Any, change: Callable[[Any], Any]) -> Any:
+    """Return a list or table with every entry changed; a text there is a name and stays."""
+    if isinstance(value, Mapping):
+        return {key: change(entry) for key, entry in value.items()}
+    return [change(entry) for entry in value] if isinstance(value, list) else value
+
+
+def _is_row(value: Any) -> bool:
+    return isinstance(value, Mapping | list)
+
+
+def _tables(document: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
+    tables = document.get(key, [])
+    return tables if isinstance(tables, list) and all(isinstance(table, Mapping) for table in tables) else []
+
+
+@functools.lru_cache(maxsize=1024)
+def _compiled(text: str, names: tuple[str, ...]) -> Callable[..., float]:
+    return compile_expression(text, names)
+
+
+@functools.lru_cache(maxsize=1024)
+def _vectorised(text: str, names: tuple[str, ...]) -> Vectorised:
+    return compile_vectorised(parse_expression(text, names))
+
+
+def _curves(root: Table, inputs: Sequence[str]) -> FloatArray:
+    curves = root.by_name("curves", inputs, [1.0])
+    padded = np.zeros((len(inputs), max((len(curve) for curve in curves), default=1)))
+    for row, curve in zip(padded, curves, strict=True):
+        row[: len(curve)] = curve
+    return padded

@@ -1,0 +1,313 @@
+"""One output of a vehicle from its inputs: coefficients without noise bias, actuator timing, noise, excitation.
+
+For an output y, its actuator's effect u and other inputs z_j, all on one grid (k counts samples):
+
+    y(k+1) = a y(k) + b v(k) + sum_j b_j z_j(k) + c,       v = u after transport delay and first-order lag
+
+Plain least squares puts measurement noise of y on both sides, which draws ``a`` towards zero and everything else
+with it. Here y(k) is replaced as instrument by the model's own simulation from the inputs alone, which that noise
+does not enter (refined instrumental variables; Young, Recursive Estimation and Time-Series Analysis, 2011, ch. 7).
+What is left, e(k) = w(k) + n(k+1) - a n(k), is parted into disturbance w and noise n by its first autocovariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from gains.errors import ModelError
+from gains.identification.multirotor import Segment
+
+FloatArray = NDArray[np.float64]
+
+_LAGS_S = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.2, 0.3)
+_DELAYS_S = (0.0, 0.01, 0.02, 0.03, 0.04, 0.06, 0.08, 0.1)
+_SETTLE_S = 1.0
+_LEAST_S = 20.0
+_SWEEPS = 4
+_MEMORY_S = 1.0
+_MIDDLE = 0.5
+_AS_GOOD = 10.0
+_SMALLEST = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class AxisModel:
+    """What is looked for: one output, the actuator that moves it, and what else does.
+
+    Parameters
+    ----------
+    output, actuator : str
+        Names of y and u.
+    others : tuple[str, ...]
+        Names of the z_j.
+    rivals : tuple[str, ...]
+        Other actuators whose effect on y cannot be ruled out: no part of the model, but b is only as certain as it
+        is with them in it. An actuator that moves in step with a rival is not known.
+    dynamic : bool
+        Whether y has a memory; otherwise a = 0, as for a specific force.
+    offset : bool
+        Whether there is a constant c.
+    """
+
+    output: str
+    actuator: str
+    others: tuple[str, ...]
+    rivals: tuple[str, ...] = ()
+    dynamic: bool = True
+    offset: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class AxisFit:
+    """What the recordings say about one output.
+
+    Parameters
+    ----------
+    model : AxisModel
+        What was looked for.
+    a, b, c : float
+        Coefficients per step; b is the actuator's.
+    effects : FloatArray
+        b_j of ``model.others``.
+    b_error : float
+        Standard error of b: for residuals as coloured as they are, rivals that may act, and timings that fit as well.
+    lag_s, delay_s : float
+        The actuator's timing.
+    residual_std : float
+        One-step prediction error, in units of y.
+    disturbance_std, noise_std : float
+        Its two parts, in units of y: w per step, n.
+    explained : float
+        Share of the variance of what ``a`` and the others leave of y(k+1) that the actuator explains.
+    whiteness : float
+        Correlation of the residual with that one step before; near zero for a model that leaves nothing.
+    moved : float
+        Standard deviation of the actuator's effect.
+    samples : int
+        Number of one-step equations.
+    """
+
+    model: AxisModel
+    a: float
+    b: float
+    c: float
+    effects: FloatArray
+    b_error: float
+    lag_s: float
+    delay_s: float
+    residual_std: float
+    disturbance_std: float
+    noise_std: float
+    explained: float
+    whiteness: float
+    moved: float
+    samples: int
+
+    @property
+    def t_value(self) -> float:
+        """How well the axis was excited: b over its standard error."""
+        return abs(self.b) / max(self.b_error, _SMALLEST)
+
+
+def fit_axis(
+    segments: Sequence[Segment], rate_hz: float, inputs: Sequence[str], outputs: Sequence[str], model: AxisModel
+) -> AxisFit:
+    """Identify one output.
+
+    Parameters
+    ----------
+    segments : Sequence[Segment]
+        Healthy stretches without a break, the actuators' effects without delay and lag.
+    rate_hz : float
+        Samples per second.
+    inputs, outputs : Sequence[str]
+        Names of the columns of u and y.
+    model : AxisModel
+        What to look for.
+
+    Raises
+    ------
+    ModelError
+        Less than 20 s of samples, or no stable model follows them.
+    """
+    settle = round(_SETTLE_S * rate_hz)
+    usable = [segment for segment in segments if len(segment.u) > 2 * settle]
+    count = sum(len(segment.u) - settle - 1 for segment in usable)
+    if count < _LEAST_S * rate_hz:
+        raise ModelError(
+            f"only {count / rate_hz:.0f} s of healthy driving or flight in unbroken stretches; "
+            f"at least {_LEAST_S:.0f} s are needed"
+        )
+    places = [inputs.index(name) for name in model.others]
+    rivals = [inputs.index(name) for name in model.rivals]
+    actuator, output = inputs.index(model.actuator), outputs.index(model.output)
+    data = _Data(
+        u=[segment.u[:, actuator] for segment in usable],
+        z=[segment.u[:, places] for segment in usable],
+        y=[segment.y[:, output] for segment in usable],
+        rivals=[segment.u[:, rivals] for segment in usable],
+        rate_hz=rate_hz,
+        settle=settle,
+        model=model,
+    )
+    trials = sorted((*data.trial(*timing), *timing) for timing in _timings(rate_hz))
+    misfit, _, lag_s, delay_s = trials[0]
+    if not np.isfinite(misfit):
+        raise ModelError(
+            f"no stable model follows {model.output.replace('_', ' ')} from {model.actuator}: check which servo output "
+            f"drives the {model.actuator}"
+        )
+    return data.refined(lag_s, delay_s, trials)
+
+
+def lagged(effect: FloatArray, delay_s: float, lag_s: float, rate_hz: float) -> FloatArray:
+    """Return an effect (N,) after transport delay and first-order lag, at rest before its start."""
+    steps = np.arange(len(effect)) - delay_s * rate_hz
+    delayed: FloatArray = np.interp(steps, np.arange(len(effect)), effect)
+    if lag_s <= 0.0:
+        return delayed
+    keep = float(np.exp(-1.0 / (lag_s * rate_hz)))
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], delayed, zi=[keep * delayed[0]])[0])
+
+
+def coloured_inflation(residual: Sequence[FloatArray], rate_hz: float) -> float:
+    """Return by how much correlation in time inflates the variance of a mean of the residual: 1 for white."""
+    centred = [part - part.mean() for part in residual]
+    variance = sum(float(part @ part) for part in centred)
+    total = 1.0
+    for shift in range(1, round(_MEMORY_S * rate_hz)):
+        shared = sum(float(part[shift:] @ part[:-shift]) for part in centred if len(part) > shift)
+        if shared <= 0.0:
+            break
+        total += 2.0 * shared / max(variance, _SMALLEST)
+    return total
+
+
+@dataclass(frozen=True, slots=True)
+class _Data:
+    """The segments' columns of one axis."""
+
+    u: list[FloatArray]
+    z: list[FloatArray]
+    y: list[FloatArray]
+    rivals: list[FloatArray]
+    rate_hz: float
+    settle: int
+    model: AxisModel
+
+    def trial(self, lag_s: float, delay_s: float) -> tuple[float, float]:
+        """Return the mean square of what the simulation from the inputs alone leaves, and the actuator's gain.
+
+        The first is infinite where no stable model was found.
+        """
+        X, target = self._equations(lag_s, delay_s)
+        theta, Z = self._solve(X, target, lag_s, delay_s)
+        if not self.model.dynamic:
+            return float(np.mean((target - X @ theta) ** 2)), float(theta[0])
+        if not 0.0 <= theta[0] < 1.0:
+            return float("inf"), 0.0
+        simulated = X.copy()
+        simulated[:, 0] = Z[:, 0]
+        return float(np.mean((target - simulated @ theta) ** 2)), float(theta[1] / (1.0 - theta[0]))
+
+    def _solve(self, X: FloatArray, target: FloatArray, lag_s: float, delay_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return the coefficients and the instruments they came from."""
+        theta: FloatArray = np.asarray(np.linalg.lstsq(X, target, rcond=None)[0], dtype=np.float64)
+        Z = X
+        for _ in range(_SWEEPS if self.model.dynamic else 0):
+            if not 0.0 <= theta[0] < 1.0:
+                theta[0] = _MIDDLE
+                theta[1:] = np.linalg.lstsq(X[:, 1:], target - _MIDDLE * X[:, 0], rcond=None)[0]
+            Z = X.copy()
+            Z[:, 0] = np.concatenate(list(self._simulated(theta, lag_s, delay_s)))
+            theta = np.asarray(np.linalg.lstsq(Z.T @ X, Z.T @ target, rcond=None)[0], dtype=np.float64)
+        return theta, Z
+
+    def refined(self, lag_s: float, delay_s: float, trials: Sequence[tuple[float, float, float, float]]) -> AxisFit:
+        X, target = self._equations(lag_s, delay_s)
+        theta, Z = self._solve(X, target, lag_s, delay_s)
+        e = target - X @ theta
+        parts = np.split(e, np.cumsum([len(y) - self.settle - 1 for y in self.y])[:-1])
+        inflation = coloured_inflation(parts, self.rate_hz)
+        own = 1 if self.model.dynamic else 0
+        rivals = self._rivals(lag_s, delay_s)
+        inverse = np.linalg.pinv(Z.T @ X)
+        spread = float((inverse @ (Z.T @ Z) @ inverse.T)[own, own]) * inflation * _shadowing(X, own, rivals)
+        as_good = trials[0][0] * (1.0 + _AS_GOOD * inflation / len(e))
+        gains = [gain for misfit, gain, *_ in trials if misfit <= as_good]
+        timing = (max(gains) - min(gains)) / (2.0 * max(abs(trials[0][1]), _SMALLEST))
+        variance = float(e.var())
+        shared = sum(float(part[1:] @ part[:-1]) for part in parts) / len(e)
+        a = float(theta[0]) if self.model.dynamic else 0.0
+        noise = min(max(-shared / a, 0.0), variance / (1.0 + a * a)) if a > 0.0 else 0.5 * variance
+        without = float((e + X[:, own] * theta[own] - np.mean(X[:, own] * theta[own])).var())
+        return AxisFit(
+            model=self.model,
+            a=a,
+            b=float(theta[own]),
+            c=float(theta[-1]) if self.model.offset else 0.0,
+            effects=theta[own + 1 : own + 1 + len(self.model.others)],
+            b_error=float(np.hypot(np.sqrt(spread * variance), timing * theta[own])),
+            lag_s=lag_s,
+            delay_s=delay_s,
+            residual_std=float(np.sqrt(variance)),
+            disturbance_std=float(np.sqrt(variance - (1.0 + a * a) * noise)) if a > 0.0 else float(np.sqrt(noise)),
+            noise_std=float(np.sqrt(noise)),
+            explained=1.0 - variance / max(without, _SMALLEST),
+            whiteness=shared / max(variance, _SMALLEST),
+            moved=float(X[:, own].std()),
+            samples=len(e),
+        )
+
+    def _equations(self, lag_s: float, delay_s: float) -> tuple[FloatArray, FloatArray]:
+        keep = slice(self.settle, -1)
+        rows = []
+        for u, z, y in zip(self.u, self.z, self.y, strict=True):
+            columns = [lagged(u, delay_s, lag_s, self.rate_hz)[keep, None], z[keep]]
+            if self.model.dynamic:
+                columns.insert(0, y[keep, None])
+            if self.model.offset:
+                columns.append(np.ones((len(y) - self.settle - 1, 1)))
+            rows.append(np.hstack(columns))
+        return np.vstack(rows), np.concatenate([y[self.settle + 1 :] for y in self.y])
+
+    def _rivals(self, lag_s: float, delay_s: float) -> FloatArray:
+        keep = slice(self.settle, -1)
+        return np.vstack(
+            [
+                np.column_stack([lagged(column, delay_s, lag_s, self.rate_hz)[keep] for column in block.T])
+                if block.shape[1]
+                else block[keep]
+                for block in self.rivals
+            ]
+        )
+
+    def _simulated(self, theta: FloatArray, lag_s: float, delay_s: float) -> Iterator[FloatArray]:
+        c = theta[-1] if self.model.offset else 0.0
+        for u, z, y in zip(self.u, self.z, self.y, strict=True):
+            drive = theta[1] * lagged(u, delay_s, lag_s, self.rate_hz) + z @ theta[2 : 2 + z.shape[1]] + c
+            x = lfilter([0.0, 1.0], [1.0, -theta[0]], drive, zi=[y[0]])[0]
+            yield np.asarray(x)[self.settle : -1]
+
+
+def _shadowing(X: FloatArray, own: int, rivals: FloatArray) -> float:
+    """Return by how much the rivals inflate the variance of one column's coefficient."""
+    column, others = X[:, own], np.delete(X, own, axis=1)
+    alone, among = (
+        float(np.sum((column - block @ np.linalg.lstsq(block, column, rcond=None)[0]) ** 2))
+        for block in (others, np.hstack([others, rivals]))
+    )
+    return float(alone / max(among, _SMALLEST * alone, _SMALLEST))
+
+
+def _timings(rate_hz: float) -> Iterator[tuple[float, float]]:
+    """Yield lags and delays worth telling apart on this grid."""
+    step = 0.5 / rate_hz
+    delays = [delay for i, delay in enumerate(_DELAYS_S) if i == 0 or delay - _DELAYS_S[i - 1] >= step]
+    return product(_LAGS_S, delays)

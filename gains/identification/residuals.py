@@ -1,0 +1,111 @@
+"""What residuals say about a model: are they white, are they normal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gains.plants.plant import FloatArray
+
+LAGS = 25
+_LEAST_P = 0.01
+_SMALL_CORRELATION = 0.2
+_HEAVY_TAILS = 3.0
+_SKEWED = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualStatistics:
+    """One output's residual.
+
+    Parameters
+    ----------
+    name : str
+        The output.
+    rms : float
+        Its size, in the output's unit.
+    autocorrelation : FloatArray
+        Normalised, at lags 1, 2, ... (L,).
+    bound : float
+        What white residuals stay within at 99 of 100 lags.
+    ljung_box_p : float
+        Chance that white residuals correlate as much (Ljung and Box 1978).
+    skewness, excess_kurtosis : float
+        Both 0 for a normal distribution.
+    """
+
+    name: str
+    rms: float
+    autocorrelation: FloatArray
+    bound: float
+    ljung_box_p: float
+    skewness: float
+    excess_kurtosis: float
+
+    @property
+    def white(self) -> bool:
+        """Whether nothing speaks against white residuals."""
+        return self.ljung_box_p >= _LEAST_P
+
+    @property
+    def note(self) -> str:
+        """One phrase for people."""
+        lag = int(np.argmax(np.abs(self.autocorrelation)))
+        largest = float(self.autocorrelation[lag])
+        if self.white:
+            text = "white"
+        elif abs(largest) < _SMALL_CORRELATION:
+            text = f"nearly white (correlation {largest:.2f} at lag {lag + 1})"
+        else:
+            text = f"not white (correlation {largest:.2f} at lag {lag + 1}): dynamics or a disturbance the model lacks"
+        if self.excess_kurtosis > _HEAVY_TAILS:
+            return f"{text}; heavy tails (excess kurtosis {self.excess_kurtosis:.1f})"
+        if abs(self.skewness) > _SKEWED:
+            return f"{text}; skewed ({self.skewness:.1f})"
+        return f"{text}; {'near' if abs(self.excess_kurtosis) < 1.0 else 'not far from'} normal"
+
+
+def residual_statistics(
+    names: Sequence[str], stretches: Sequence[FloatArray], lags: int = LAGS
+) -> tuple[ResidualStatistics, ...]:
+    """Return the statistics of each output's residual.
+
+    Parameters
+    ----------
+    names : Sequence[str]
+        Names of the outputs (p,).
+    stretches : Sequence[FloatArray]
+        Residuals without a break (N_i, p); correlations are taken within each.
+    lags : int
+        Number of lags, fewer where the stretches are short.
+    """
+    from scipy.stats import chi2
+
+    joined = np.concatenate(stretches)
+    joined = joined - joined.mean(axis=0)
+    centred = np.split(joined, np.cumsum([len(stretch) for stretch in stretches])[:-1])
+    lags = max(1, min(lags, min(len(stretch) for stretch in stretches) - 2))
+    power = np.maximum((joined**2).sum(axis=0), 1e-300)
+    rho, pairs = np.empty((lags, len(names))), np.empty(lags)
+    for lag in range(1, lags + 1):
+        products = np.concatenate([stretch[lag:] * stretch[:-lag] for stretch in centred])
+        pairs[lag - 1] = len(products)
+        rho[lag - 1] = products.sum(axis=0) / power * (len(joined) / len(products))
+    # the variance of a lag's correlation is one over its number of pairs, which is Ljung's and Box's correction
+    p = chi2.sf((rho**2 * pairs[:, None]).sum(axis=0), lags)
+    deviation = np.sqrt(power / len(joined))
+    standard = joined / deviation
+    return tuple(
+        ResidualStatistics(
+            name=name,
+            rms=float(deviation[i]),
+            autocorrelation=rho[:, i],
+            bound=2.576 / float(np.sqrt(pairs[0])),
+            ljung_box_p=float(p[i]),
+            skewness=float((standard[:, i] ** 3).mean()),
+            excess_kurtosis=float((standard[:, i] ** 4).mean() - 3.0),
+        )
+        for i, name in enumerate(names)
+    )

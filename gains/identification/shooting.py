@@ -1,0 +1,244 @@
+"""Prediction errors over windows with free initial states: multiple shooting, with or without an innovation gain.
+
+A window's predictor, from its own initial state x(0) (theory's symbols; K the gain of a Kalman filter, 0: simulation):
+
+    e(k) = y(k) - C x(k),   x(k+1) = step(x(k) + K e(k), u(k), u(k+1))
+
+The initial states are least-squares estimates for given parameters and drop out of the fit (variable projection, Golub
+and Pereyra 1973): what is left of the errors and of their sensitivities is orthogonal to those of the initial state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from gains.errors import ModelError
+from gains.identification.multirotor import Segment
+from gains.identification.simulation import Dynamics, Hold, Stepper
+from gains.plants.plant import FloatArray
+
+_STEP = 1e-6
+_SWEEPS = 3
+_RANK = 1e-7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """Stretches of equal length: ``u`` (W, T, s), delayed already, and ``y`` (W, T, p)."""
+
+    u: FloatArray
+    y: FloatArray
+
+
+class Sensitivities(NamedTuple):
+    """Prediction errors (W, T, p), their sensitivities to parameters (W, T, p, k) and initial states (W, T, p, n)."""
+
+    errors: FloatArray
+    parameters: FloatArray
+    states: FloatArray
+
+
+def split_segments(logs: Sequence[Sequence[Segment]]) -> tuple[list[Segment], list[Segment]]:
+    """Return training and validation segments: of three or more logs the last is kept back, else the last quarter."""
+    filled = [segments for segments in logs if segments]
+    if len(filled) >= 3:
+        return [segment for segments in filled[:-1] for segment in segments], list(filled[-1])
+    left = sum(len(segment.u) for segments in filled for segment in segments) * 3 // 4
+    training, validation = [], []
+    for segment in (segment for segments in filled for segment in segments):
+        cut = min(max(left, 0), len(segment.u))
+        left -= len(segment.u)
+        if cut:
+            training.append(Segment(segment.u[:cut], segment.y[:cut]))
+        if cut < len(segment.u):
+            validation.append(Segment(segment.u[cut:], segment.y[cut:]))
+    return training, validation
+
+
+def cut_windows(segments: Sequence[Segment], length: int, delay: int, longest_delay: int, most: int) -> Windows:
+    """Return at most ``most`` windows of ``length`` samples, spread evenly over the segments.
+
+    Parameters
+    ----------
+    segments : Sequence[Segment]
+        The data.
+    length : int
+        Samples of a window.
+    delay : int
+        Samples by which the inputs act later than they are recorded.
+    longest_delay : int
+        Largest delay that will be tried: windows are the same for all of them.
+    most : int
+        Bound of the cost.
+
+    Raises
+    ------
+    ModelError
+        No segment is long enough.
+    """
+    places = [
+        (i, start)
+        for i, segment in enumerate(segments)
+        for start in range(longest_delay, len(segment.u) - length + 1, length)
+    ]
+    if not places:
+        raise ModelError(f"no stretch of healthy samples is as long as {length + longest_delay} samples")
+    if len(places) > most:
+        places = [places[i] for i in np.linspace(0, len(places) - 1, most).round().astype(int)]
+    u = np.stack([segments[i].u[start - delay : start - delay + length] for i, start in places])
+    y = np.stack([segments[i].y[start : start + length] for i, start in places])
+    return Windows(u, y)
+
+
+def predict(stepper: Stepper, windows: Windows, x: FloatArray, K: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return prediction errors (P, W, T, p) and predicted states (P, W, T, n) from initial states x (P, W, n)."""
+    P, W, n = x.shape
+    T = windows.y.shape[1]
+    errors, states = np.empty((P, W, T, windows.y.shape[2])), np.empty((P, W, T, n))
+    y, gain = np.moveaxis(windows.y, 1, 0), K.T
+    corrects = bool(K.any())
+    with np.errstate(all="ignore"):
+        drives = stepper.drives(windows.u)
+        for k in range(T):
+            states[:, :, k] = x
+            e = y[k] - x @ stepper.C_T
+            errors[:, :, k] = e
+            if k + 1 < T:
+                x = stepper.step(x + e @ gain if corrects else x, drives[k])
+    return errors, states
+
+
+class Shooting:
+    """Prediction errors as a function of the parameters alone.
+
+    Parameters
+    ----------
+    dynamics : Callable[[FloatArray], Dynamics]
+        The plant's equations at parameter values (k,).
+    sizes : FloatArray
+        Orders of magnitude of the parameters (k,).
+    windows : Windows
+        The data.
+    rate_hz : float
+        Samples per second.
+    hold : {"first", "zero"}
+        What inputs do between samples.
+    K : FloatArray
+        Innovation gain (n, p); zero simulates.
+    weight : FloatArray
+        L (p, p): errors count as e @ L; with L L' the inverse of their covariance they have size one.
+    x : FloatArray | None
+        First guess of the initial states (W, n); None: the least one that the first output allows.
+    """
+
+    def __init__(
+        self,
+        dynamics: Callable[[FloatArray], Dynamics],
+        sizes: FloatArray,
+        windows: Windows,
+        rate_hz: float,
+        hold: Hold,
+        K: FloatArray,
+        weight: FloatArray,
+        x: FloatArray | None = None,
+    ) -> None:
+        self._dynamics, self._sizes, self._windows = dynamics, sizes, windows
+        self._rate_hz, self._hold, self._K, self._weight = rate_hz, hold, K, weight
+        self._at: FloatArray | None = None
+        self._best = np.inf
+        self._found: Sensitivities
+        self.x = x
+
+    def residual(self, theta: FloatArray) -> FloatArray:
+        """Return the weighted errors with the best initial states (W T p,); not finite where the plant runs away."""
+        return np.asarray(self._whitened(self._evaluate(theta).errors).ravel())
+
+    def jacobian(self, theta: FloatArray) -> FloatArray:
+        """Return their sensitivities to the parameters (W T p, k), initial states following (Kaufman)."""
+        found = self._evaluate(theta)
+        W, T, p, k = found.parameters.shape
+        J, J_0 = self._weighted(found.parameters), self._weighted(found.states)
+        base = _range(J_0)
+        return np.asarray((J - base @ (np.swapaxes(base, 1, 2) @ J)).reshape(W * T * p, k))
+
+    def errors(self, theta: FloatArray) -> FloatArray:
+        """Return the errors in their own units (W, T, p)."""
+        return self._evaluate(theta).errors
+
+    def states(self, theta: FloatArray) -> FloatArray:
+        """Return the predicted states (W, T, n)."""
+        self._evaluate(theta)
+        start = np.zeros((len(self._windows.y), len(self._K))) if self.x is None else self.x
+        stepper = Stepper([self._dynamics(theta)], self._rate_hz, self._hold)
+        _, states = predict(stepper, self._windows, start[None], self._K)
+        return np.asarray(states[0])
+
+    def _evaluate(self, theta: FloatArray) -> Sensitivities:
+        if self._at is not None and np.array_equal(theta, self._at):
+            return self._found
+        stepper = self._stepper(theta)
+        x = self._first_guess(stepper) if self.x is None else self.x
+        found = self._linearised(stepper, theta, x)
+        for _ in range(_SWEEPS):
+            if not np.isfinite(found.states).all():
+                break
+            J_0, e = self._weighted(found.states), self._whitened(found.errors).reshape(len(x), -1, 1)
+            step = _least_squares(J_0, e)[..., 0]
+            moved = self._linearised(stepper, theta, x - step)
+            if not self._cost(moved) < self._cost(found):
+                break
+            gained = self._cost(found) - self._cost(moved)
+            x, found = x - step, moved
+            if gained < 1e-6 * self._cost(found):
+                break
+        if np.isfinite(found.errors).all() and self._cost(found) <= self._best:
+            self._best, self.x = self._cost(found), x
+        self._at, self._found = theta.copy(), found
+        return found
+
+    def _stepper(self, theta: FloatArray) -> Stepper:
+        n, k = len(self._K), len(theta)
+        self._steps = _STEP * np.maximum(np.abs(theta), self._sizes)
+        base = self._dynamics(theta)
+        moved = [self._dynamics(theta + step) for step in np.diag(self._steps)] if k else []
+        return Stepper([base, *moved, *[base] * n], self._rate_hz, self._hold)
+
+    def _linearised(self, stepper: Stepper, theta: FloatArray, x: FloatArray) -> Sensitivities:
+        k, n = len(theta), x.shape[1]
+        steps = _STEP * (1.0 + np.abs(x).max(axis=0))
+        starts = np.concatenate([np.repeat(x[None], k + 1, axis=0), x + np.diag(steps)[:, None, :]])
+        e, _ = predict(stepper, self._windows, starts, self._K)
+        with np.errstate(all="ignore"):
+            slopes = np.moveaxis(e[1:] - e[0], 0, -1) / np.concatenate([self._steps, steps])
+        return Sensitivities(e[0], slopes[..., :k], slopes[..., k : k + n])
+
+    def _first_guess(self, stepper: Stepper) -> FloatArray:
+        return np.asarray(self._windows.y[:, 0] @ np.linalg.pinv(stepper.C_T[0]))
+
+    def _cost(self, found: Sensitivities) -> float:
+        with np.errstate(all="ignore"):
+            cost = float(np.sum(self._whitened(found.errors) ** 2))
+        return cost if np.isfinite(cost) else np.inf
+
+    def _whitened(self, errors: FloatArray) -> FloatArray:
+        with np.errstate(all="ignore"):
+            return np.asarray(errors @ self._weight)
+
+    def _weighted(self, slopes: FloatArray) -> FloatArray:
+        """Return weighted sensitivities, one matrix per window (W, T p, .)."""
+        W, T, p, k = slopes.shape
+        return np.asarray(np.einsum("wtpk,pq->wtqk", slopes, self._weight).reshape(W, T * p, k))
+
+
+def _range(matrices: FloatArray) -> FloatArray:
+    """Return orthonormal bases of the columns of each matrix; columns that are none become zero."""
+    left, singular, _ = np.linalg.svd(matrices, full_matrices=False)
+    return np.asarray(left * (singular > _RANK * singular[:, :1])[:, None, :])
+
+
+def _least_squares(J: FloatArray, e: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.pinv(J, rcond=_RANK) @ e)

@@ -1,0 +1,225 @@
+"""Simulation of many copies of a plant at once: parameter sets by stretches of data, one NumPy step per sample.
+
+Between samples k and k+1 the linear part is exact (matrix exponential); inputs v and nonlinearities g(x) are ramps
+from one sample to the next, g(x(k+1)) being taken at a first prediction (exponential time differencing of order 2,
+Cox and Matthews 2002). Discrete plants step as they are written:
+
+    x+ = Phi x + Gamma_0 v(k) + Gamma_1 v(k+1) + gamma + Lambda_0 g(x(k)) + Lambda_1 g(x(k+1))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from gains.errors import ModelError
+from gains.plants.expression import FUNCTIONS, Apply, Argument, Node, Number, derivative, parse_expression
+from gains.plants.plant import FloatArray, Plant
+
+Hold = Literal["first", "zero"]
+Vectorised = Callable[[Sequence[FloatArray]], FloatArray]
+
+# The series of a matrix of size one half: what is left out is below 1e-17.
+_TERMS = 14
+_MOST_HALVINGS = 60
+
+_FUNCTIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    name: getattr(np, {"atan": "arctan"}.get(name, name)) for name in (*FUNCTIONS, "sign")
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dynamics:
+    """A plant's equations at given parameters, in the symbols of :mod:`gains.plants.plant`.
+
+    Parameters
+    ----------
+    rate_hz : float | None
+        Rate of a discrete plant; None in continuous time.
+    A, B, C, c, G : FloatArray
+        (n, n), (n, s), (p, n), (n,), (n, m).
+    rows : tuple[FloatArray, ...]
+        H_i of the m nonlinearities.
+    functions : tuple[Vectorised, ...]
+        g_i, of the arguments H_i x followed by the parameters.
+    parameters : FloatArray
+        Their values (k,).
+    curves : FloatArray
+        Coefficients of u, u^2, ... (s, degree).
+    """
+
+    rate_hz: float | None
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    c: FloatArray
+    G: FloatArray
+    rows: tuple[FloatArray, ...]
+    functions: tuple[Vectorised, ...]
+    parameters: FloatArray
+    curves: FloatArray
+
+
+def dynamics_of(plant: Plant) -> Dynamics:
+    """Return the equations of a plant; its taps are left to whoever delays the inputs."""
+    curves = np.zeros((len(plant.inputs), max((len(curve) for curve in plant.curves), default=1)))
+    for row, curve in zip(curves, plant.curves, strict=True):
+        row[: len(curve)] = curve
+    return Dynamics(
+        rate_hz=plant.rate_hz,
+        A=plant.A,
+        B=plant.B,
+        C=plant.C,
+        c=plant.c,
+        G=plant.G,
+        rows=tuple(g.rows for g in plant.nonlinearities),
+        functions=tuple(compile_vectorised(parse_expression(g.expression, g.arguments)) for g in plant.nonlinearities),
+        parameters=np.zeros(0),
+        curves=curves,
+    )
+
+
+def compile_vectorised(node: Node) -> Vectorised:
+    """Return an expression as a function of a sequence of arrays that broadcast; NaN where it has no value."""
+    if isinstance(node, Number):
+        constant = np.array(node.value)
+        return lambda values: constant
+    if isinstance(node, Argument):
+        index = node.index
+        return lambda values: values[index]
+    if isinstance(node, Apply):
+        operand, function = compile_vectorised(node.operand), _FUNCTIONS[node.function]
+        return lambda values: function(operand(values))
+    left, right = compile_vectorised(node.left), compile_vectorised(node.right)
+    operator = {"+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "**": np.power}[node.operator]
+    return lambda values: np.asarray(operator(left(values), right(values)), dtype=np.float64)
+
+
+def linearised(plant: Plant, states: FloatArray) -> Plant:
+    """Return the plant with A that of the mean slope of each nonlinearity over states (N, n); G stays as it is."""
+    A = plant.A.copy()
+    for i, g in enumerate(plant.nonlinearities):
+        node = parse_expression(g.expression, g.arguments)
+        arguments = list(g.rows @ states.T)
+        with np.errstate(all="ignore"):
+            slopes = [compile_vectorised(derivative(node, j))(arguments).mean() for j in range(len(arguments))]
+        A += np.outer(plant.G[:, i], np.clip(np.nan_to_num(slopes), g.slopes[:, 0], g.slopes[:, 1]) @ g.rows)
+    return replace(plant, A=A)
+
+
+class Stepper:
+    """Steps copies of a plant from sample to sample.
+
+    Arrays of states are (P, W, n): P parameter sets, W stretches of data.
+
+    Parameters
+    ----------
+    sets : Sequence[Dynamics]
+        The plant at each of P parameter sets.
+    rate_hz : float
+        Samples per second.
+    hold : {"first", "zero"}
+        Whether a continuous plant's input is a ramp between samples or stays.
+
+    Raises
+    ------
+    ModelError
+        A discrete plant has another rate, or the plant grows without bound within a sample.
+    """
+
+    def __init__(self, sets: Sequence[Dynamics], rate_hz: float, hold: Hold) -> None:
+        first = sets[0]
+        if first.rate_hz is not None and first.rate_hz != rate_hz:
+            raise ModelError(f"the model is discrete at {first.rate_hz:g} Hz; the samples come at {rate_hz:g} Hz")
+        distinct = {id(one): _sampled(one, 1.0 / rate_hz, hold) for one in sets}
+        self.C_T = _T(np.stack([one.C for one in sets]))
+        self._rows_T = [_T(np.stack([one.rows[i] for one in sets])) for i in range(len(first.rows))]
+        self._functions = first.functions
+        self._parameters = [column[:, None] for column in np.stack([one.parameters for one in sets]).T]
+        self._curves = np.stack([one.curves for one in sets])
+        Phi, Gamma_0, Gamma_1, self._gamma, Lambda_0, Lambda_1 = (
+            np.stack(parts) for parts in zip(*(distinct[id(one)] for one in sets), strict=True)
+        )
+        self._Phi_T, self._Gamma_0_T, self._Gamma_1_T = _T(Phi), _T(Gamma_0), _T(Gamma_1)
+        self._Lambda_0_T, self._Lambda_1_T = _T(Lambda_0), _T(Lambda_1)
+        self._Lambda_T = self._Lambda_0_T + self._Lambda_1_T
+        self._looks_ahead = bool(Lambda_1.any())
+
+    def drives(self, u: FloatArray) -> FloatArray:
+        """Return what inputs u (W, T, s) and the offset add to the states at each step (T - 1, P, W, n)."""
+        powers = u[..., None] ** np.arange(1, self._curves.shape[2] + 1)
+        v = np.einsum("wtsd,psd->tpws", powers, self._curves)
+        return np.asarray(v[:-1] @ self._Gamma_0_T + v[1:] @ self._Gamma_1_T + self._gamma[:, None, :])
+
+    def step(self, x: FloatArray, drive: FloatArray) -> FloatArray:
+        """Return x(k+1) (P, W, n) from x(k) and what drives it at this step (P, W, n)."""
+        base: FloatArray = x @ self._Phi_T + drive
+        if not self._functions:
+            return base
+        g_0 = self.nonlinear(x)
+        if not self._looks_ahead:
+            return np.asarray(base + g_0 @ self._Lambda_0_T)
+        g_1 = self.nonlinear(base + g_0 @ self._Lambda_T)
+        return np.asarray(base + g_0 @ self._Lambda_0_T + g_1 @ self._Lambda_1_T)
+
+    def nonlinear(self, x: FloatArray) -> FloatArray:
+        """Return g(x) (P, W, m)."""
+        found = np.empty((*x.shape[:2], len(self._functions)))
+        for i, (function, rows_T) in enumerate(zip(self._functions, self._rows_T, strict=True)):
+            nu = x @ rows_T
+            found[..., i] = function([*(nu[..., j] for j in range(nu.shape[2])), *self._parameters])
+        return found
+
+
+def _T(matrices: FloatArray) -> FloatArray:
+    return np.swapaxes(matrices, -1, -2)
+
+
+def _sampled(one: Dynamics, h: float, hold: Hold) -> tuple[FloatArray, ...]:
+    """Return Phi, Gamma_0, Gamma_1, gamma, Lambda_0, Lambda_1 for a step of h seconds (van Loan 1978)."""
+    n, s, m = len(one.A), one.B.shape[1], one.G.shape[1]
+    if one.rate_hz is not None:
+        return one.A, one.B, np.zeros((n, s)), one.c, one.G, np.zeros((n, m))
+    held = np.hstack([one.B, one.c[:, None], one.G])
+    r = held.shape[1]
+    exponent = np.zeros((n + 2 * r, n + 2 * r))
+    exponent[:n, :n], exponent[:n, n : n + r] = h * one.A, h * held
+    exponent[n : n + r, n + r :] = np.eye(r)
+    with np.errstate(all="ignore"):
+        transition = _expm(exponent)[:n]
+    if not np.isfinite(transition).all():
+        raise ModelError(f"the model grows without bound within a sample of {h:g} s")
+    constant, ramp = transition[:, n : n + r], transition[:, n + r :]
+    end = ramp.copy()
+    if hold == "zero":
+        end[:, : s + 1] = 0.0
+    start = constant - end
+    return (
+        transition[:, :n],
+        start[:, :s],
+        end[:, :s],
+        constant[:, s],
+        start[:, s + 1 :],
+        end[:, s + 1 :],
+    )
+
+
+def _expm(matrix: FloatArray) -> FloatArray:
+    """Return the exponential of a small matrix by its series, scaled and squared.
+
+    SciPy's costs ten times as much for matrices of this size, and a fit needs thousands.
+    """
+    halvings = max(0, int(np.ceil(np.log2(max(float(np.abs(matrix).sum(axis=1).max()), 1e-300)))) + 1)
+    if halvings > _MOST_HALVINGS:
+        return np.full_like(matrix, np.inf)
+    term = found = np.eye(len(matrix))
+    scaled = matrix / 2.0**halvings
+    for order in range(1, _TERMS):
+        term = term @ scaled / order
+        found = found + term
+    for _ in range(halvings):
+        found = found @ found
+    return found

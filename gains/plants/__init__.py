@@ -1,0 +1,1 @@
+"""Plants: their TOML, nonlinearities, slope bounds, sampling."""

@@ -1,0 +1,336 @@
+"""Plant models as TOML files: reading with errors that name the key, writing for people, hashing the content.
+
+    name, description, domain = "continuous" | "discrete", rate_hz, states, inputs, outputs
+    A, B, C               nested lists, or tables of rows by name: [A] link_rate = { link_angle = -48.6 }
+    offset                c, by state
+    taps, curves          input nonlinearity: delays; coefficients of u, u^2, ... for all inputs or by input
+    [[nonlinearity]]      expression, arguments (name -> row over states), into (column of G), slope, range
+    [[fault]]             name, kind, input | into, rate, error, unit
+    [[disturbance]]       name, into (states), scale
+    [[noise]]             name, into (outputs), scale
+    [error]               default, and by state
+
+A vector over names is a list, a table { name = number } or one name, which stands for 1 there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gains.errors import ModelError
+from gains.plants.model_table import Table
+from gains.plants.plant import Disturbance, Domain, Fault, FaultKind, FloatArray, Noise, Nonlinearity, Plant
+from gains.plants.slopes import check_slopes, slope_bounds
+
+LARGEST_BYTES = 1 << 20
+BUILTIN_MODELS = ("arm", "arm-disturbed")
+
+_DOMAINS: dict[str, Domain] = {"continuous": "continuous", "discrete": "discrete"}
+_KINDS: dict[str, FaultKind] = {"actuator": "actuator", "sensor": "sensor"}
+
+
+def load_model(name_or_path: str | Path) -> Plant:
+    """Return a built-in model by name, else the model in the file of that path.
+
+    Raises
+    ------
+    ModelError
+        It is neither, or the file is no valid model.
+    """
+    if str(name_or_path) in BUILTIN_MODELS:
+        return builtin_model(str(name_or_path))
+    if not Path(name_or_path).exists() and Path(name_or_path).suffix != ".toml":
+        raise ModelError(
+            f"{name_or_path}: neither a file nor a built-in model; built in are {', '.join(BUILTIN_MODELS)}"
+        )
+    return read_model(name_or_path)
+
+
+def builtin_model(name: str) -> Plant:
+    """Return the built-in model of that name.
+
+    Raises
+    ------
+    ModelError
+        There is none.
+    """
+    if name not in BUILTIN_MODELS:
+        raise ModelError(f"{name}: no built-in model; there are {', '.join(BUILTIN_MODELS)}")
+    return read_model(Path(__file__).parent.parent / "models" / f"{name}.toml")
+
+
+def read_model(path: str | Path) -> Plant:
+    """Read a plant model.
+
+    Raises
+    ------
+    ModelError
+        The file cannot be read or is no valid model; the message is one line with file and key.
+    """
+    document = read_document(path)
+    try:
+        return plant_of_document(document)
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from error
+
+
+def read_document(path: str | Path) -> dict[str, Any]:
+    """Return the parsed TOML of a file.
+
+    Raises
+    ------
+    ModelError
+        The file cannot be read, is too large or is no valid TOML; the message is one line with the file.
+    """
+    text = _read_text(Path(path))
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        reason = "nested too deeply" if isinstance(error, RecursionError) else error
+        raise ModelError(f"{path}: not valid TOML: {reason}") from error
+
+
+def write_model(plant: Plant, path: str | Path) -> None:
+    """Write a plant model with tables by name; :func:`read_model` gives an equal plant back."""
+    Path(path).write_text(_text(_document(plant)), encoding="utf-8")
+
+
+def model_hash(plant: Plant) -> str:
+    """Return SHA-256 (hex) over the content: every number, name and expression, not the file's looks."""
+    content = {
+        "name": plant.name,
+        "domain": plant.domain,
+        "rate_hz": plant.rate_hz,
+        "states": plant.states,
+        "inputs": plant.inputs,
+        "outputs": plant.outputs,
+        "matrices": [matrix.tolist() for matrix in (plant.A, plant.B, plant.C, plant.c, plant.G)],
+        "taps": plant.taps,
+        "curves": plant.curves,
+        "nonlinearities": [
+            [g.expression, g.arguments, g.rows.tolist(), g.slopes.tolist(), g.ranges.tolist()]
+            for g in plant.nonlinearities
+        ],
+        "faults": [[f.name, f.kind, f.column.tolist(), f.rate, f.error, f.unit, f.input] for f in plant.faults],
+        "disturbances": [[w.name, w.column.tolist(), w.scale] for w in plant.disturbances],
+        "noises": [[w.name, w.column.tolist(), w.scale] for w in plant.noises],
+        "state_errors": plant.state_errors.tolist(),
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _read_text(path: Path) -> str:
+    try:
+        if not path.exists():
+            raise ModelError(f"{path}: no such file")
+        if not path.is_file():
+            raise ModelError(f"{path}: not a file")
+        if path.stat().st_size > LARGEST_BYTES:
+            raise ModelError(f"{path}: {path.stat().st_size} bytes is more than the {LARGEST_BYTES} of a model")
+        with path.open("rb") as file:
+            return file.read(LARGEST_BYTES).decode("utf-8")
+    except OSError as error:
+        raise ModelError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ModelError(f"{path}: not UTF-8 text at byte {error.start}") from error
+
+
+def plant_of_document(document: Mapping[str, Any]) -> Plant:
+    """Return the plant of a model's parsed TOML.
+
+    Raises
+    ------
+    ModelError
+        It is no valid model; the message names the key.
+    """
+    root = Table(document)
+    states, inputs, outputs = root.names("states"), root.names("inputs"), root.names("outputs")
+    name, description = root.text("name"), root.text("description", "")
+    domain = _DOMAINS[_choice(root, "domain", _DOMAINS, "continuous")]
+    rate_hz = root.number("rate_hz", math.nan) if root.has("rate_hz") else None
+    A, B = root.matrix("A", states, states), root.matrix("B", states, inputs)
+    C, c = root.matrix("C", outputs, states), root.vector("offset", states)
+    taps, curves = root.numbers("taps", [1.0]), root.by_name("curves", inputs, [1.0])
+    nonlinearities = [_nonlinearity(table, states) for table in root.tables("nonlinearity")]
+    faults = [_fault(table, states, outputs) for table in root.tables("fault")]
+    disturbances = [Disturbance(*_signal(table, states)) for table in root.tables("disturbance")]
+    noises = [Noise(*_signal(table, outputs)) for table in root.tables("noise")]
+    errors = _errors(root.table("error"), states)
+    root.done()
+    return Plant(
+        name=name,
+        description=description,
+        domain=domain,
+        rate_hz=rate_hz,
+        states=states,
+        inputs=inputs,
+        outputs=outputs,
+        A=A,
+        B=B,
+        C=C,
+        c=c,
+        G=np.column_stack([into for _, into in nonlinearities]) if nonlinearities else np.zeros(0),
+        nonlinearities=tuple(g for g, _ in nonlinearities),
+        faults=tuple(faults),
+        disturbances=tuple(disturbances),
+        noises=tuple(noises),
+        state_errors=errors,
+        taps=taps,
+        curves=tuple(curves),
+    )
+
+
+def _nonlinearity(table: Table, states: Sequence[str]) -> tuple[Nonlinearity, FloatArray]:
+    """Return g_i and its column of G; slopes are derived where the file does not declare them."""
+    expression = table.text("expression")
+    arguments, rows = table.rows("arguments", states)
+    into = table.vector("into", states)
+    if not into.any():
+        raise ModelError(f"{table.key('into')} is missing or zero; it says which states the expression drives")
+    ranges = table.intervals("range", arguments, (-math.inf, math.inf))
+    slopes = table.intervals("slope", arguments, None) if table.has("slope") else None
+    table.done()
+    try:
+        if slopes is None:
+            slopes = slope_bounds(expression, arguments, ranges)
+        else:
+            check_slopes(expression, arguments, ranges, slopes)
+    except ModelError as error:
+        raise ModelError(f"{table.key('expression')}: {error}") from error
+    return Nonlinearity(expression, arguments, rows, np.array(slopes), np.array(ranges)), into
+
+
+def _fault(table: Table, states: Sequence[str], outputs: Sequence[str]) -> Fault:
+    name = table.text("name")
+    kind = _KINDS[_choice(table, "kind", _KINDS, None)]
+    by_input = table.has("input")
+    if by_input == table.has("into"):
+        raise ModelError(f"{table.key('into')}: give either 'into' or, for an actuator fault, 'input'")
+    fault = Fault(
+        name=name,
+        kind=kind,
+        input=table.text("input") if by_input else None,
+        column=np.zeros(0) if by_input else table.vector("into", states if kind == "actuator" else outputs),
+        rate=table.number("rate", 1.0),
+        error=table.number("error", 1.0),
+        unit=table.text("unit", ""),
+    )
+    table.done()
+    return fault
+
+
+def _signal(table: Table, names: Sequence[str]) -> tuple[str, FloatArray, float]:
+    found = table.text("name"), table.vector("into", names), table.number("scale", 1.0)
+    table.done()
+    return found
+
+
+def _errors(table: Table, states: Sequence[str]) -> FloatArray:
+    default = table.number("default", 1.0)
+    errors = np.array([table.number(state, default) for state in states])
+    table.done()
+    return errors
+
+
+def _choice(table: Table, name: str, choices: Mapping[str, object], default: str | None) -> str:
+    value = table.text(name, default)
+    if value not in choices:
+        raise ModelError(f"{table.key(name)} is '{value}'; use one of {', '.join(choices)}")
+    return value
+
+
+def _document(plant: Plant) -> dict[str, Any]:
+    """Return the document of a plant, leaving out what is default."""
+    document: dict[str, Any] = {"name": plant.name}
+    if plant.description:
+        document["description"] = plant.description
+    document["domain"] = plant.domain
+    if plant.rate_hz is not None:
+        document["rate_hz"] = plant.rate_hz
+    document |= {"states": plant.states, "inputs": plant.inputs, "outputs": plant.outputs}
+    if plant.taps != (1.0,):
+        document["taps"] = plant.taps
+    if len(set(plant.curves)) == 1 and plant.curves[0] != (1.0,):
+        document["curves"] = plant.curves[0]
+    if plant.c.any():
+        document["offset"] = _by_name(plant.c, plant.states)
+    document |= {
+        "A": _rows_by_name(plant.A, plant.states, plant.states),
+        "B": _rows_by_name(plant.B, plant.states, plant.inputs),
+        "C": _rows_by_name(plant.C, plant.outputs, plant.states),
+    }
+    if len(set(plant.curves)) > 1:
+        document["curves"] = dict(zip(plant.inputs, plant.curves, strict=True))
+    document |= {
+        "nonlinearity": [_nonlinearity_table(plant, i) for i in range(len(plant.nonlinearities))],
+        "fault": [_fault_table(plant, fault) for fault in plant.faults],
+        "disturbance": [_signal_table(w, plant.states) for w in plant.disturbances],
+        "noise": [_signal_table(w, plant.outputs) for w in plant.noises],
+        "error": dict(zip(plant.states, plant.state_errors.tolist(), strict=True)),
+    }
+    return document
+
+
+def _nonlinearity_table(plant: Plant, index: int) -> dict[str, Any]:
+    g = plant.nonlinearities[index]
+    table = {
+        "expression": g.expression,
+        "arguments": {name: _by_name(g.rows[j], plant.states) for j, name in enumerate(g.arguments)},
+        "into": _by_name(plant.G[:, index], plant.states),
+        "slope": dict(zip(g.arguments, g.slopes.tolist(), strict=True)),
+    }
+    if np.isfinite(g.ranges).any():
+        table["range"] = dict(zip(g.arguments, g.ranges.tolist(), strict=True))
+    return table
+
+
+def _fault_table(plant: Plant, fault: Fault) -> dict[str, Any]:
+    names = plant.states if fault.kind == "actuator" else plant.outputs
+    table: dict[str, Any] = {"name": fault.name, "kind": fault.kind}
+    table |= {"into": _by_name(fault.column, names)} if fault.input is None else {"input": fault.input}
+    table |= {"rate": fault.rate, "error": fault.error}
+    return table | ({"unit": fault.unit} if fault.unit else {})
+
+
+def _signal_table(signal: Disturbance | Noise, names: Sequence[str]) -> dict[str, Any]:
+    return {"name": signal.name, "into": _by_name(signal.column, names), "scale": signal.scale}
+
+
+def _by_name(vector: FloatArray, names: Sequence[str]) -> dict[str, float]:
+    return {name: value for name, value in zip(names, vector.tolist(), strict=True) if value}
+
+
+def _rows_by_name(matrix: FloatArray, rows: Sequence[str], columns: Sequence[str]) -> dict[str, dict[str, float]]:
+    return {row: _by_name(matrix[i], columns) for i, row in enumerate(rows) if matrix[i].any()}
+
+
+def _text(document: Mapping[str, Any]) -> str:
+    """Return a document as TOML: top-level tables as sections, everything below them on one line."""
+    lines, sections = [], []
+    for key, value in document.items():
+        is_list_of_tables = isinstance(value, list)
+        if isinstance(value, Mapping) or is_list_of_tables:
+            for table in value if is_list_of_tables else [value]:
+                entries = [f"{name} = {_inline(entry)}" for name, entry in table.items()]
+                sections += ["", f"[[{key}]]" if is_list_of_tables else f"[{key}]", *entries]
+        else:
+            lines.append(f"{key} = {_inline(value)}")
+    return "\n".join([*lines, *sections]) + "\n"
+
+
+def _inline(value: Any) -> str:
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{name} = {_inline(entry)}" for name, entry in value.items()) + " }"
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(map(_inline, value)) + "]"
+    return repr(value)

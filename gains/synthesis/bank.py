@@ -1,0 +1,93 @@
+"""Banks: one observer for each hypothesis about which faults act, where all together cannot be estimated.
+
+Under the hypothesis that no fault outside a set acts, the observer of the plant with that set alone estimates it.
+Where the hypothesis is right its residual stays as small as noise and disturbance make it; where another fault
+acts it does not, unless the two are told apart by nothing (structured residuals).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from gains.analysis.estimability import estimability, problem_of, restricted
+from gains.errors import InfeasibleError
+from gains.plants.model_file import model_hash
+from gains.plants.plant import Plant
+from gains.synthesis.design import Design
+from gains.synthesis.gains_file import Gains
+
+
+class Hypothesis(NamedTuple):
+    """The faults that may act, the plant with only them, and its observer."""
+
+    faults: tuple[str, ...]
+    plant: Plant
+    design: Design
+
+
+def admissible_hypotheses(plant: Plant, *, largest: bool = False) -> tuple[tuple[str, ...], ...]:
+    """Return the sets of faults to make observers for.
+
+    Parameters
+    ----------
+    plant : Plant
+        Its faults may depend on each other.
+    largest : bool
+        The largest sets that can be estimated together, in place of every single fault that can be estimated.
+
+    Raises
+    ------
+    InfeasibleError
+        No fault can be estimated even by itself, or too many slopes vary.
+    """
+    if largest:
+        found = estimability(plant).sets
+    else:
+        found = tuple((fault.name,) for fault in plant.faults if problem_of(plant, (fault.name,)) is None)
+    if not found:
+        raise InfeasibleError(
+            f"{plant.name}: no fault can be estimated even when it is the only one; 'fauio check' says why"
+        )
+    return found
+
+
+def design_bank(plant: Plant, rate_hz: float | None = None, *, largest: bool = False) -> tuple[Hypothesis, ...]:
+    """Return a certified observer for each admissible hypothesis.
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous (sampled at ``rate_hz``) or discrete model.
+    rate_hz : float | None
+        Samples per second; None takes the rate of a discrete model.
+    largest : bool
+        One observer for each of the largest sets, in place of one for each single fault.
+
+    Raises
+    ------
+    ModelError, InfeasibleError, InaccurateError
+        As :func:`gains.synthesis.convex.design_convex`, or no fault can be estimated even by itself.
+    """
+    from gains.synthesis.convex import design_convex
+
+    plants = [(found, restricted(plant, found)) for found in admissible_hypotheses(plant, largest=largest)]
+    return tuple(Hypothesis(found, part, design_convex(part, rate_hz)) for found, part in plants)
+
+
+def compile_bank(plant: Plant, bank: Sequence[Hypothesis]) -> tuple[Gains, ...]:
+    """Return the compiled gains of each hypothesis, marked as designed for the whole plant.
+
+    Raises
+    ------
+    InaccurateError
+        A certificate does not hold.
+    """
+    from gains.synthesis.certificate import certify
+    from gains.synthesis.compilation import compile_gains
+
+    whole = model_hash(plant)
+    return tuple(
+        replace(compile_gains(part, design, certify(part, design)), model_hash=whole) for _, part, design in bank
+    )

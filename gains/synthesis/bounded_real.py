@@ -1,0 +1,331 @@
+"""The bounded-real inequality of the discrete synthesis in the solver's coordinates, and its solution.
+
+For the error system of :mod:`gains.analysis.augment`, a full P and R = P [Kb; L_i] make the inequality
+
+    [ P   P (A_a + vertex) - R Ca   P B - R D   0      ]
+    [ *   P - C_x^T C_x             0           C_f^T  ]  >= 0
+    [ *   *                         mu I        D_f^T  ]
+    [ *   *                         *           I      ]
+
+jointly linear in (P, R, L_p, mu), with C_f = W_f ([0 I] - L_p Ca) and D_f = -W_f L_p D. It is that of the
+theory with the rows of e that hold no unknown, C_x = W_x [I 0], taken out by a Schur complement, and with the
+columns of [B; D] replaced by as many as their rank, for only [B; D] [B; D]^T enters.
+
+Multipliers Lambda = diag(lambda) >= 0 put one inequality in place of those of all vertices (S-procedure): the vertex
+is the mean, P B gains the columns P Gs, mu I the diagonal Lambda, and P - C_x^T C_x loses Hs^T Lambda Hs. It implies
+the inequality wherever the slopes are, also when they move; its bound can be a little larger. In the same way, with
+multipliers of their own, [P, P A; *, r^2 P] >= 0 keeps the poles within r.
+
+P bounds the observability Gramian of the error too, so that W >= (P B - R D)^T P^-1 (P B - R D) + D_f^T D_f makes
+trace(W) a bound of the squared H2 norm, in the same unknowns: it can take a share of the objective.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gains.analysis.augment import ErrorModel
+from gains.errors import InfeasibleError
+from gains.plants.plant import FloatArray
+from gains.synthesis.conditioning import Coordinates, with_floor
+
+_LEAST_MU_WEIGHT = 1e-4
+_INSIDE = 1e-6
+
+# With its defaults Clarabel gives up on the nearly singular systems at the end of such problems; a larger
+# static regularisation, repaired by more iterative refinement, takes it to the optimum.
+SOLVER = {
+    "direct_solve_method": "faer",
+    "static_regularization_constant": 1e-5,
+    "iterative_refinement_max_iter": 100,
+    "iterative_refinement_reltol": 1e-14,
+    "iterative_refinement_abstol": 1e-14,
+    "iterative_refinement_stop_ratio": 1.5,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inequality:
+    """The error system in the coordinates of the solver, and what is asked of it.
+
+    Parameters
+    ----------
+    name : str
+        The plant's name, for errors.
+    a1 : int
+        Number of actuator faults.
+    pole_radius, gain_weight, h2 : float
+        As for :func:`gains.synthesis.convex.design_convex`.
+    P : FloatArray | None
+        The Lyapunov matrix where it is given, in the user's units.
+    multipliers : bool
+        Whether one inequality stands for all vertices.
+    gain_bound, looseness : float
+        Bound of the entries of the gains in the user's units, infinite without one, and by how much [Kb; L_i] may
+        exceed it.
+    coordinates : Coordinates
+        Those of the solver.
+    direct : FloatArray
+        Size of L_p in the user's units, for outputs in the solver's (a1,).
+    L1_E_f : FloatArray
+        (nz, a1), in the user's units.
+    A, B, C, D : FloatArray
+        A_a at every vertex, or with multipliers at the mean alone (vertices, na, na); the reduced B and D.
+    C_x, C_f0 : FloatArray
+        The rows of W S / sqrt(mu of the coordinates) for zeta~ and for z.
+    G, H : FloatArray
+        The slopes' Gs (na, k) and Hs (k, na), each column and its row of one length; k = 0 without multipliers.
+    balance : FloatArray
+        What brought them there: lambda of these is ``balance`` times that of the model's (k,).
+    """
+
+    name: str
+    a1: int
+    pole_radius: float
+    gain_weight: float
+    h2: float
+    P: FloatArray | None
+    multipliers: bool
+    gain_bound: float
+    looseness: float
+    coordinates: Coordinates
+    direct: FloatArray
+    L1_E_f: FloatArray
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    C_x: FloatArray
+    C_f0: FloatArray
+    G: FloatArray
+    H: FloatArray
+    balance: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Raw values of the unknowns in the coordinates of the solver; multipliers (2, k): of the bound, of the poles."""
+
+    P: FloatArray
+    R: FloatArray
+    L_p: FloatArray
+    mu: float
+    noise_energy: float
+    multipliers: FloatArray
+
+
+def inequality(
+    model: ErrorModel,
+    coordinates: Coordinates,
+    *,
+    multipliers: bool,
+    pole_radius: float,
+    gain_weight: float,
+    h2: float,
+    P: FloatArray | None,
+    gain_bound: float = np.inf,
+    looseness: float = 1.0,
+) -> Inequality:
+    """Return the model in the solver's coordinates, with the floor of noise and as few columns as matter.
+
+    Parameters
+    ----------
+    model, coordinates : ErrorModel, Coordinates
+        The error system, at every vertex unless there are multipliers, and its coordinates.
+    multipliers : bool
+        Whether one inequality stands for all vertices.
+    pole_radius, gain_weight, h2, P
+        As for :func:`gains.synthesis.convex.design_convex`; P in the user's units.
+    gain_bound, looseness
+        As for :class:`Inequality`.
+    """
+    S, Y = coordinates.S, coordinates.Y
+    na, nz = len(S), len(model.weights) - model.a1
+    floored = with_floor(model, S, Y)
+    into = np.vstack([np.linalg.solve(S, floored.B), np.linalg.solve(Y, floored.D)])
+    left, singular, _ = np.linalg.svd(into, full_matrices=False)
+    columns = left * singular
+    errors = (model.weights[:, None] * S[: len(model.weights)]) / np.sqrt(coordinates.mu)
+    used = slice(None) if multipliers else slice(0)
+    G = np.asarray(np.linalg.solve(S, model.G[:, used]), dtype=np.float64)
+    H = model.H[used] @ S
+    balance = np.linalg.norm(H, axis=1) / np.linalg.norm(G, axis=0)
+    dynamics = model.mean[None] if multipliers else model.A
+    return Inequality(
+        name=model.name,
+        a1=model.a1,
+        pole_radius=pole_radius,
+        gain_weight=gain_weight,
+        h2=h2,
+        P=P,
+        multipliers=multipliers,
+        gain_bound=gain_bound,
+        looseness=looseness,
+        coordinates=coordinates,
+        direct=np.sqrt(coordinates.mu) / model.weights[nz:],
+        L1_E_f=model.mean[:nz, nz : nz + model.a1],
+        A=np.asarray(np.linalg.solve(S, dynamics @ S), dtype=np.float64),
+        B=columns[:na],
+        C=np.asarray(np.linalg.solve(Y, model.C @ S), dtype=np.float64),
+        D=columns[na:],
+        C_x=errors[:nz],
+        C_f0=errors[nz:],
+        G=G * np.sqrt(balance),
+        H=H / np.sqrt(balance)[:, None],
+        balance=balance,
+    )
+
+
+def solve(problem: Inequality, fixed: tuple[float, float] | None = None) -> tuple[Solution | None, float]:
+    """Minimise mu (and the gains), or at fixed mu and trace(W) find the point farthest inside the inequality.
+
+    Returns
+    -------
+    tuple[Solution | None, float]
+        None where the solver failed, and its time in seconds.
+
+    Raises
+    ------
+    InfeasibleError
+        The inequality has no solution.
+    """
+    import cvxpy as cp
+
+    A, B, C, D, G, H = problem.A, problem.B, problem.C, problem.D, problem.G, problem.H
+    (na, nw), p, a1, k = B.shape, len(C), problem.a1, len(H)
+    S = problem.coordinates.S
+    given = None if problem.P is None else S.T @ problem.P @ S / problem.coordinates.mu
+    P = cp.Variable((na, na), symmetric=True) if given is None else cp.Constant(given)
+    R, L_p = cp.Variable((na, p)), cp.Variable((a1, p)) if a1 else None
+    mu, margin, Z = cp.Variable(), cp.Variable(), cp.Variable((p, p), symmetric=True)
+    bound, decay = (cp.Variable(k), cp.Variable(k)) if k else (None, None)
+    C_f = None if L_p is None else problem.C_f0 - L_p @ C
+    D_f = None if L_p is None else -L_p @ D
+    PB, PG = P @ B - R @ D, P @ G
+    slack, constraints = (0.0, []) if fixed is None else (margin, [mu == fixed[0]])
+    for vertex in A:
+        PA = P @ vertex - R @ C
+        rows = [
+            [P, PA, PB],
+            [PA.T, P - problem.C_x.T @ problem.C_x, np.zeros((na, nw))],
+            [PB.T, np.zeros((nw, na)), mu * np.eye(nw)],
+        ]
+        border = [] if L_p is None else [np.zeros((a1, na)), C_f, D_f, *([np.zeros((a1, k))] if k else [])]
+        constraints.append(bordered(_sloped(rows, PG, H, bound), border) >> slack * np.eye(2 * na + nw + k + a1))
+        if problem.pole_radius < 1.0:
+            rows = [[P, PA], [PA.T, problem.pole_radius**2 * P]]
+            constraints.append(cp.bmat(_sloped(rows, PG, H, decay)) >> slack * np.eye(2 * na + k))
+    share: float = problem.h2
+    energy: Any = 0.0
+    if share > 0.0:
+        W = cp.Variable((nw, nw), symmetric=True)
+        energy = cp.trace(W)
+        border = [] if L_p is None else [D_f, np.zeros((a1, na))]
+        constraints.append(bordered([[W, PB.T], [PB, P]], border) >> 0)
+        if fixed is not None:
+            constraints.append(energy <= fixed[1])
+    if problem.gain_bound < np.inf:
+        constraints += _bounded(problem, P, R, L_p)
+    if fixed is None:
+        border = [] if L_p is None else [L_p, np.zeros((a1, na))]
+        constraints.append(bordered([[Z, R.T], [R, P]], border) >> 0)
+        objective = cp.Minimize(
+            max(1.0 - share, _LEAST_MU_WEIGHT) * mu + share * energy + problem.gain_weight * cp.trace(Z)
+        )
+    else:
+        objective = cp.Maximize(margin)
+    program = cp.Problem(objective, constraints)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # "may be inaccurate": the certificate decides that
+            program.solve(solver=cp.CLARABEL, **SOLVER)
+    except cp.SolverError:
+        return None, 0.0
+    seconds = float(program.solver_stats.solve_time or 0.0)
+    if program.status == cp.INFEASIBLE:
+        raise InfeasibleError(_reason(problem))
+    if R.value is None or np.linalg.eigvalsh(P.value)[0] <= 0.0 or not mu.value > 0.0:
+        return None, seconds
+    return Solution(
+        P=P.value,
+        R=R.value,
+        L_p=np.zeros((0, p)) if L_p is None else L_p.value,
+        mu=float(mu.value),
+        noise_energy=float(energy.value) if share > 0.0 else 0.0,
+        multipliers=np.array([np.zeros(k) if x is None or x.value is None else x.value for x in (bound, decay)]),
+    ), seconds
+
+
+def user_gains(problem: Inequality, injection: Any, L_p: Any) -> tuple[Any, Any, Any]:
+    """Return K, L_i and L_p in the user's units for P^-1 R and L_p in the solver's: numbers, or expressions of them."""
+    S, inverse = problem.coordinates.S, np.linalg.inv(problem.coordinates.Y)
+    gains = S @ injection @ inverse
+    direct = np.diag(problem.direct) @ L_p @ inverse
+    nz = len(problem.L1_E_f)
+    return gains[:nz] - problem.L1_E_f @ direct, gains[nz:], direct
+
+
+def _bounded(problem: Inequality, P: Any, R: Any, L_p: Any) -> list[Any]:
+    """Return constraints that bound the gains: of every entry for a given P, else of Kb, L_i and L_p by size.
+
+    With P >= kappa I and V >= [Kb; L_i]^T P [Kb; L_i] in the user's units, V_jj <= X^2 kappa bounds the columns of
+    [Kb; L_i] by X: sufficient (K has L1 E_f L_p less) and linear in P, R, V and kappa. It asks for more than the
+    entries need, so that a looser bound of [Kb; L_i] can still keep them within theirs.
+    """
+    import cvxpy as cp
+
+    p, bound, none = R.shape[1], problem.gain_bound * (1.0 - _INSIDE), np.zeros((0, R.shape[1]))
+    if problem.P is not None:
+        entries = user_gains(problem, np.linalg.inv(P.value) @ R, none if L_p is None else L_p)
+        return [cp.abs(gain) <= bound for gain in entries if gain.shape[0]]
+    S, inverse = problem.coordinates.S, np.linalg.inv(problem.coordinates.Y)
+    size = np.linalg.norm(S, 2)
+    V, kappa = cp.Variable((p, p), symmetric=True), cp.Variable()
+    constraints = [cp.bmat([[V, R.T], [R, P]]) >> 0, P - kappa * (S.T @ S / size**2) >> 0]
+    constraints += [column @ V @ column <= kappa for column in (inverse * (size / (problem.looseness * bound))).T]
+    if L_p is not None:
+        constraints.append(cp.abs(np.diag(problem.direct / bound) @ L_p @ inverse) <= min(problem.looseness, 1.0))
+    return constraints
+
+
+def _reason(problem: Inequality) -> str:
+    asked = "" if problem.pole_radius == 1.0 else f" with all poles within {problem.pole_radius:g}"
+    if problem.P is not None:
+        return (
+            f"{problem.name}: no gains prove themselves{asked} with the Lyapunov matrix that was given: design "
+            "the one that it comes from for what the other is asked too, or ask for less"
+        )
+    if problem.multipliers:
+        asked += ", by one proof for all at once"
+    return (
+        f"{problem.name}: no gains make the error decay for every slope{asked}: narrow the slopes (give the "
+        "nonlinearities a range) or ask for less"
+    )
+
+
+def _sloped(rows: list[list[Any]], PG: Any, H: FloatArray, multipliers: Any) -> list[list[Any]]:
+    """Return block rows with the S-procedure: H^T Lambda H taken off the second block, [PG; 0; Lambda] added."""
+    import cvxpy as cp
+
+    if multipliers is None:
+        return rows
+    Lambda = cp.diag(multipliers)
+    rows[1][1] = rows[1][1] - H.T @ Lambda @ H
+    column = [PG, *(np.zeros((row[0].shape[0], len(H))) for row in rows[1:])]
+    extended = [[*row, block] for row, block in zip(rows, column, strict=True)]
+    return [*extended, [*(block.T for block in column), Lambda]]
+
+
+def bordered(blocks: list[list[Any]], border: list[Any]) -> Any:
+    """Return the block matrix with the given last block row (and column) and an identity in the corner."""
+    import cvxpy as cp
+
+    if border:
+        size = border[0].shape[0]
+        blocks = [[*row, block.T] for row, block in zip(blocks, border, strict=True)]
+        blocks.append([*border, np.eye(size)])
+    return cp.bmat(blocks)

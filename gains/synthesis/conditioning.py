@@ -1,0 +1,110 @@
+"""Coordinates in which the synthesis is well scaled: those of a Kalman filter's own errors.
+
+For the error system of :mod:`gains.analysis.augment` at its mean slopes, driven by white noise of the
+size of its weights, the stationary covariance of the one-step errors is S S', that of the innovations Y Y'.
+In the coordinates S^-1 [zeta~; z] and Y^-1 yt every error and every innovation is of size one, whatever the
+units. The norm of that filter says how large mu is going to be.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gains.analysis.augment import ErrorModel
+from gains.errors import InfeasibleError
+from gains.plants.plant import FloatArray
+from gains.synthesis.certificate import grid_norm
+
+FLOOR = 1e-2
+_SMALLEST_SHARE = 1e-6
+_FLOOR_SWEEPS = 6
+_DOUBLINGS = 60
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coordinates:
+    """Triangular S (na, na) and Y (p, p), and the squared norm of the filter they come from."""
+
+    S: FloatArray
+    Y: FloatArray
+    mu: float
+
+
+def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0, caution: float = 0.0) -> Coordinates:
+    """Return the coordinates of a model.
+
+    With a pole radius below one they are those of the filter whose poles lie within it: the Kalman filter of the
+    model with A divided by the radius (prescribed degree of stability).
+
+    With caution the filter has smaller gains, for it takes the outputs to have as much more noise: in units of what
+    the errors that matter make of them.
+
+    States and outputs get a floor of fictitious noise, ``FLOOR`` of their own stationary error, because a
+    direction without any noise would be known exactly and have no scale.
+
+    Raises
+    ------
+    InfeasibleError
+        The Riccati equation has no solution that numbers can represent.
+    """
+    A, C = model.mean / pole_radius, model.C
+    Q, S, R = model.B @ model.B.T, model.B @ model.D.T, model.D @ model.D.T
+    R = R + caution**2 * np.diag(np.max(np.abs(C) * model.sizes, axis=1) ** 2)
+    smallest = (_SMALLEST_SHARE * model.sizes) ** 2
+    variance = np.maximum(np.diag(Q), smallest)
+    try:
+        for _ in range(_FLOOR_SWEEPS):
+            floor = FLOOR**2 * (np.diag(C @ np.diag(variance) @ C.T) + np.diag(R))
+            Sigma = _riccati(A, C, Q + FLOOR**2 * np.diag(variance), S, R + np.diag(floor))
+            previous, variance = variance, np.maximum(np.diag(Sigma), smallest)
+            if np.allclose(variance, previous, rtol=0.2, atol=0.0):
+                break
+        innovation = C @ Sigma @ C.T + R + np.diag(floor)
+        gain = np.linalg.solve(innovation, (A @ Sigma @ C.T + S).T).T
+        direct = np.asarray(np.linalg.solve(innovation, C @ Sigma).T, dtype=np.float64)
+        S_factor = np.asarray(np.linalg.cholesky(Sigma), dtype=np.float64)
+        Y_factor = np.asarray(np.linalg.cholesky(innovation), dtype=np.float64)
+    except np.linalg.LinAlgError as error:
+        raise InfeasibleError(
+            f"{model.name}: its numbers are too far apart: check units, scales of disturbance and noise"
+        ) from error
+    floored = with_floor(model, S_factor, Y_factor)
+    nz = len(model.weights) - model.a1
+    C_e, D_e = floored.output(direct[nz : nz + model.a1])
+    norm = grid_norm(A - gain @ C, floored.B - gain @ floored.D, C_e, D_e)
+    return Coordinates(S_factor, Y_factor, norm.value**2)
+
+
+def with_floor(model: ErrorModel, S: FloatArray, Y: FloatArray) -> ErrorModel:
+    """Return the model with fictitious noise of ``FLOOR`` on every error and every innovation."""
+    na, p = len(S), len(Y)
+    return replace(
+        model,
+        B=np.hstack([model.B, FLOOR * S, np.zeros((na, p))]),
+        D=np.hstack([model.D, np.zeros((p, na)), FLOOR * Y]),
+    )
+
+
+def _riccati(A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: FloatArray) -> FloatArray:
+    """Return the stationary covariance of the one-step prediction by the structured doubling algorithm.
+
+    Q (na, na), R (p, p) and S (na, p) are the covariances of process and measurement noise and between them.
+    """
+    inverse = np.linalg.inv(R)
+    return doubled((A - S @ inverse @ C).T, C.T @ inverse @ C, Q - S @ inverse @ S.T)
+
+
+def doubled(X: FloatArray, G: FloatArray, H: FloatArray) -> FloatArray:
+    """Return the limit of H in the structured doubling algorithm: a Riccati equation's stabilising solution."""
+    for _ in range(_DOUBLINGS):
+        W = np.linalg.inv(np.eye(len(X)) + G @ H)
+        step = X.T @ H @ W @ X
+        G, H, X = G + X @ W @ G @ X.T, H + step, X @ W @ X
+        G, H = 0.5 * (G + G.T), 0.5 * (H + H.T)
+        if not np.all(np.isfinite(H)):
+            raise np.linalg.LinAlgError
+        if np.max(np.abs(step)) <= 1e-10 * np.max(np.abs(H)):
+            break
+    return H

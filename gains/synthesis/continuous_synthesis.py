@@ -1,0 +1,308 @@
+"""Convex continuous-time synthesis: all gains at once from one linear matrix inequality per slope vertex.
+
+For the error system of :mod:`gains.analysis.augment` (x' for x+), a full P > 0 and R = P [Kb; L_i] make the
+bounded-real inequality
+
+    [ S + S^T + C_x^T C_x   P B - R D   C_f^T ]
+    [ *                     -mu I       D_f^T ]  <= 0,     S = P (A_a + vertex) - R Ca
+    [ *                     *           -I    ]
+
+jointly linear in (P, R, L_p, mu), with C_f = W_f ([0 I] - L_p Ca) and D_f = -W_f L_p D (theory, section 3; the rows
+C_x = W_x [I 0] of e hold no unknown). P > 0 has to be asked for: without it the inequality is that of another
+problem, of an error system that need not be stable.
+
+The least mu is approached by gains that grow without bound (poles near -1e5 rad/s on the arm), and where no noise is
+modelled it is zero. So the objective is mu + rho trace(Z), Z >= [Kb; L_i]^T P [Kb; L_i] + L_p^T W_f^2 L_p. A range of
+decay rates [low, high] is asked for with the same P: S + S^T + 2 low P <= 0 and S + S^T + 2 high P >= 0.
+
+It is solved in the coordinates of a continuous Kalman filter's errors and in its time scale, as in discrete time
+(:mod:`gains.synthesis.conditioning`). For the gains that result, one more inequality, in P alone and well inside, gives
+the bound that is certified.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gains.analysis.augment import ErrorModel, augment, error_model
+from gains.analysis.existence import check_existence
+from gains.analysis.hinf import hinf_norm
+from gains.errors import InaccurateError, InfeasibleError, ModelError
+from gains.plants.plant import FloatArray, Plant
+from gains.synthesis.bounded_real import SOLVER, bordered
+from gains.synthesis.conditioning import FLOOR, Coordinates, doubled
+from gains.synthesis.continuous_certificate import certify_continuous
+from gains.synthesis.continuous_design import ContinuousDesign, ErrorSystem, closed_error_system
+from gains.synthesis.continuous_observer import check_continuous, fauio_gains
+
+GAIN_WEIGHT = 1e-4
+_SLACKS = (1e-4, 1e-3, 1e-2)
+_SWEEPS = 8
+_SMALLEST_SHARE = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scaled:
+    """The error model in the solver's coordinates: S and Y as in ``conditioning``, time in 1 / omega."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    C_x: FloatArray
+    C_f0: FloatArray
+    coordinates: Coordinates
+    omega: float
+
+
+def design_continuous(
+    plant: Plant,
+    *,
+    decay: tuple[float, float] = (0.0, math.inf),
+    gain_weight: float = GAIN_WEIGHT,
+) -> ContinuousDesign:
+    """Design a continuous observer for a plant and prove it.
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous model.
+    decay : tuple[float, float]
+        Range of the decay rates of the error system at every slope vertex, rad/s: -high <= Re <= -low.
+    gain_weight : float
+        rho, the price of the energy that an innovation puts into the error, against mu; positive.
+
+    Returns
+    -------
+    ContinuousDesign
+        Gains whose certificate holds.
+
+    Raises
+    ------
+    ModelError
+        The model is discrete, has no faults or a hidden mode, or the range is none.
+    InfeasibleError
+        An existence condition fails (named in the message) or the inequality has no solution.
+    InaccurateError
+        The solver stopped short and nothing it found passes the certificate.
+    """
+    import cvxpy  # noqa: F401 - the first import takes seconds that do not belong to the design's time
+
+    started = time.perf_counter()
+    check_continuous(plant)
+    low, high = decay
+    if not 0.0 <= low < high:
+        raise ModelError(f"{plant.name}: decay rates from {low:g} to {high:g} per second are no range of positive ones")
+    if not gain_weight > 0.0:
+        raise ModelError(f"{plant.name}: a gain weight of {gain_weight} is not positive")
+    augmentation = augment(plant)
+    model = error_model(plant, augmentation)
+    notes = check_existence(plant)
+    scaled = _scaled(model, low)
+    injection, L_p, solve_s = _gains(model, scaled, decay, gain_weight)
+    nz = len(augmentation.L1)
+    K = injection[:nz] - augmentation.L1 @ plant.E_f @ L_p
+    gains = fauio_gains(plant, K, injection[nz:], L_p)
+    system = closed_error_system(model, gains, "integral")
+    for P, mu, seconds in proofs(system, scaled.coordinates.S):
+        solve_s += seconds
+        design = ContinuousDesign("convex", gains, P, mu, solve_s=solve_s, notes=notes)
+        certificate = certify_continuous(plant, design)
+        kept = certificate.poles_max_re <= -low and certificate.poles_min_re >= -high
+        if certificate.holds and kept:
+            return replace(design, total_s=time.perf_counter() - started)
+    raise InaccurateError(
+        f"{plant.name}: the solver stopped short and no gains it found could be certified; "
+        "check units and scales, or relax the fault rates or the decay rates"
+    )
+
+
+def _scaled(model: ErrorModel, low: float) -> _Scaled:
+    """Return the model in the coordinates of a Kalman filter of at least the given decay rate.
+
+    States and outputs get a floor of fictitious noise, ``FLOOR`` of their own stationary error within the
+    filter's time constant 1 / omega, because a direction without any noise would have no scale.
+    """
+    A, C = model.mean + low * np.eye(len(model.weights)), model.C
+    Q, S, R = model.B @ model.B.T, model.B @ model.D.T, model.D @ model.D.T
+    smallest = (_SMALLEST_SHARE / model.weights) ** 2
+    omega = max(1.0, low)
+    variance = np.maximum(np.diag(Q) / omega, smallest)
+    try:
+        for _ in range(_SWEEPS):
+            output = np.diag(C @ np.diag(variance) @ C.T)
+            measured = R + FLOOR**2 * np.diag(output / omega + np.diag(R))
+            Sigma = _riccati(A, C, Q + FLOOR**2 * omega * np.diag(variance), S, measured, omega)
+            gain = np.linalg.solve(measured, (Sigma @ C.T + S).T).T
+            omega = float(np.exp(np.mean(np.log(np.abs(np.linalg.eigvals(A - gain @ C))))))
+            variance = np.maximum(np.diag(Sigma), smallest)
+        S_factor = np.asarray(np.linalg.cholesky(Sigma), dtype=np.float64)
+        Y_factor = np.asarray(np.linalg.cholesky(C @ Sigma @ C.T + omega * measured), dtype=np.float64)
+    except np.linalg.LinAlgError as error:
+        reason = (
+            f"no gains make every error decay at {low:g} rad/s: ask for less"
+            if low > 0.0
+            else "its numbers are too far apart: check units, scales of disturbance and noise"
+        )
+        raise InfeasibleError(f"{model.name}: {reason}") from error
+    norm = hinf_norm(
+        A - low * np.eye(len(A)) - gain @ C,
+        model.B - gain @ model.D,
+        np.diag(model.weights),
+        np.zeros_like(model.B),
+        discrete=False,
+    )
+    coordinates = Coordinates(S_factor, Y_factor, norm.lower**2)
+    na = len(A)
+    into = np.vstack([np.linalg.solve(S_factor, model.B) / omega, np.linalg.solve(Y_factor, model.D)])
+    left, singular, _ = np.linalg.svd(into, full_matrices=False)
+    columns = left * singular
+    errors = (model.weights[:, None] * S_factor) / np.sqrt(coordinates.mu)
+    return _Scaled(
+        A=np.asarray(np.linalg.solve(S_factor, model.A @ S_factor), dtype=np.float64) / omega,
+        B=columns[:na],
+        C=np.asarray(np.linalg.solve(Y_factor, model.C @ S_factor), dtype=np.float64),
+        D=columns[na:],
+        C_x=errors[: na - model.a1],
+        C_f0=errors[na - model.a1 :],
+        coordinates=coordinates,
+        omega=omega,
+    )
+
+
+def _riccati(A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: FloatArray, omega: float) -> FloatArray:
+    """Return the stationary covariance of a continuous filter by structured doubling after a Cayley transform.
+
+    Q (na, na), R (p, p) and S (na, p) are the intensities of process and measurement noise and between them;
+    ``omega`` is a typical pole of the filter; the point of the transform lies that far right of every eigenvalue.
+    """
+    inverse = np.linalg.inv(R)
+    A_T = (A - S @ inverse @ C).T
+    point = omega + max(0.0, float(np.max(np.linalg.eigvals(A_T).real)))
+    shifted = A_T - point * np.eye(len(A))
+    G, H = C.T @ inverse @ C, Q - S @ inverse @ S.T
+    G_shifted = np.linalg.solve(shifted, G)
+    W = np.linalg.inv(shifted.T + H @ G_shifted)
+    H_shifted = np.linalg.solve(shifted.T, H.T).T
+    return doubled(np.eye(len(A)) + 2.0 * point * W.T, 2.0 * point * G_shifted @ W, 2.0 * point * W @ H_shifted)
+
+
+def _gains(
+    model: ErrorModel, scaled: _Scaled, decay: tuple[float, float], gain_weight: float
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return [Kb; L_i], L_p in the user's units and the seconds in the solver."""
+    import cvxpy as cp
+
+    (na, nw), p, a1 = scaled.B.shape, len(scaled.C), model.a1
+    P, R = cp.Variable((na, na), symmetric=True), cp.Variable((na, p))
+    L_p = cp.Variable((a1, p)) if a1 else None
+    mu, Z = cp.Variable(), cp.Variable((p, p), symmetric=True)
+    border = [] if L_p is None else [scaled.C_f0 - L_p @ scaled.C, -L_p @ scaled.D]
+    PB = P @ scaled.B - R @ scaled.D
+    low, high = decay[0] / scaled.omega, decay[1] / scaled.omega
+    constraints = [bordered([[Z, R.T], [R, P]], [] if L_p is None else [L_p, np.zeros((a1, na))]) >> 0]
+    for A in scaled.A:
+        PA = P @ A - R @ scaled.C
+        inside = -(PA + PA.T)
+        rows = [[inside - scaled.C_x.T @ scaled.C_x, -PB], [-PB.T, mu * np.eye(nw)]]
+        constraints.append(bordered(rows, border) >> 0)
+        if low > 0.0:
+            constraints.append(inside - 2.0 * low * P >> 0)
+        if high < math.inf:
+            constraints.append(2.0 * high * P - inside >> 0)
+    program = cp.Problem(cp.Minimize(mu + gain_weight * cp.trace(Z)), constraints)
+    seconds = solve(program)
+    if program.status == cp.INFEASIBLE:
+        asked = "" if decay == (0.0, math.inf) else f" at rates from {decay[0]:g} to {decay[1]:g} rad/s"
+        raise InfeasibleError(
+            f"{model.name}: no gains make the error decay for every slope{asked}: narrow the slopes (give the "
+            "nonlinearities a range) or ask for less"
+        )
+    if P.value is None or np.linalg.eigvalsh(P.value)[0] <= 0.0:
+        raise InaccurateError(f"{model.name}: the solver found neither gains nor a proof that there are none")
+    S, Y = scaled.coordinates.S, scaled.coordinates.Y
+    injection = scaled.omega * S @ np.linalg.solve(P.value, R.value) @ np.linalg.inv(Y)
+    if L_p is None:
+        return injection, np.zeros((0, p)), seconds
+    weights = model.weights[na - a1 :, None]
+    return injection, np.sqrt(scaled.coordinates.mu) * L_p.value @ np.linalg.inv(Y) / weights, seconds
+
+
+def proofs(system: ErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArray, float, float]]:
+    """Yield P, mu and seconds that prove a closed error system: the least mu, raised by more and more slack.
+
+    With the gains fixed the bounded-real inequality is linear in P and mu. An optimum lies on its boundary, where
+    rounding decides; a P farthest inside at a slightly larger mu passes the certificate.
+
+    Parameters
+    ----------
+    system : ErrorSystem
+        The closed error system.
+    S : FloatArray
+        Coordinates (na, na) in which its state is of size one.
+    """
+    norm = max(hinf_norm(A, system.B, system.C, system.D, discrete=False).lower for A in system.A)
+    if not 0.0 < norm < math.inf:
+        return
+    omega = float(np.exp(np.mean(np.log(np.abs(np.linalg.eigvals(system.A))))))
+    inverse = np.linalg.inv(S)
+    own = ErrorSystem(inverse @ system.A @ S / omega, inverse @ system.B / omega, system.C @ S / norm, system.D / norm)
+    least, _, total = _proof(own)
+    if least is None:
+        return
+    for slack in _SLACKS:
+        mu, P, seconds = _proof(own, least * (1.0 + slack))
+        total += seconds
+        if mu is not None:
+            user = norm**2 / omega * inverse.T @ P @ inverse
+            yield 0.5 * (user + user.T), norm**2 * mu, total
+            total = 0.0
+
+
+def _proof(system: ErrorSystem, mu_fixed: float | None = None) -> tuple[float | None, FloatArray, float]:
+    """Minimise mu over P, or at a fixed mu find the P farthest inside; mu, P and seconds."""
+    import cvxpy as cp
+
+    na, nw = system.B.shape
+    P, mu, margin = cp.Variable((na, na), symmetric=True), cp.Variable(), cp.Variable()
+    bound, slack = (mu, 0.0) if mu_fixed is None else (mu_fixed, margin)
+    constraints = [P >> 0]
+    for A in system.A:
+        PA, PB = P @ A, P @ system.B
+        rows = [[-(PA + PA.T), -PB], [-PB.T, bound * np.eye(nw)]]
+        inequality = bordered(rows, [system.C, system.D])
+        constraints.append(inequality >> slack * np.eye(2 * na + nw))
+    objective = cp.Minimize(mu) if mu_fixed is None else cp.Maximize(margin)
+    seconds = solve(cp.Problem(objective, constraints))
+    value = mu.value if mu_fixed is None else mu_fixed
+    if P.value is None or value is None:
+        return None, np.zeros((0, 0)), seconds
+    return float(value), P.value, seconds
+
+
+def solve(program: Any) -> float:
+    """Solve with Clarabel and return the seconds it took; a failure shows in the status and the values.
+
+    What fails with its defaults is solved again with the settings of the discrete synthesis.
+    """
+    import cvxpy as cp
+
+    seconds = 0.0
+    for settings in ({}, SOLVER):
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # "may be inaccurate": the certificate decides that
+                program.solve(solver=cp.CLARABEL, **settings)
+        except cp.SolverError:
+            continue
+        seconds += float(program.solver_stats.solve_time or 0.0)
+        if program.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE, cp.INFEASIBLE):
+            break
+    return seconds

@@ -1,0 +1,252 @@
+"""Convex discrete-time synthesis: all gains at once from one linear matrix inequality.
+
+The inequality, jointly linear in all unknowns, is that of :mod:`gains.synthesis.bounded_real`; it is solved in the
+coordinates of :mod:`gains.synthesis.conditioning`.
+
+Minimising mu alone leaves the gains free where they do not matter and drives them to infinity where they
+matter a little. So the objective is mu + rho trace(Z), Z >= [Kb; L_i]^T P [Kb; L_i] + L_p^T W_f^2 L_p: the
+energy that an innovation of size one puts into the error.
+
+The solver's time grows with the sixth power of the inequality's size and with the number of slope vertices. A large
+plant with many of them is first given one inequality with multipliers in place of them all, and beyond the number that
+can be enumerated no other. Every solution has to pass :mod:`gains.synthesis.certificate`, or it is none.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from gains.analysis.augment import LARGEST_VERTEX_COUNT, Augmentation, ErrorModel, augment, error_model, varying_slopes
+from gains.analysis.existence import check_existence
+from gains.errors import InaccurateError, InfeasibleError, ModelError
+from gains.plants.discretise import discretise
+from gains.plants.plant import FloatArray, Plant
+from gains.synthesis.bounded_real import Inequality, Solution, inequality, solve, user_gains
+from gains.synthesis.certificate import certify
+from gains.synthesis.conditioning import kalman_coordinates
+from gains.synthesis.design import Design
+
+GAIN_WEIGHT = 1e-3
+_SLACKS = (1e-3, 1e-2, 5e-2)
+_LARGEST_CONE = 5_000
+_CAUTION = (0.0, 1e-2, 1e-1, 1.0)
+_LOOSENESS = (4.0, 1.5, 0.7, 0.35)
+
+
+def design_convex(
+    plant: Plant,
+    rate_hz: float | None = None,
+    *,
+    pole_radius: float = 1.0,
+    gain_weight: float = GAIN_WEIGHT,
+    gain_bound: float | None = None,
+    integrator_order: int = 1,
+    h2: float = 0.0,
+    vertices: bool | None = None,
+    P: FloatArray | None = None,
+) -> Design:
+    """Design an observer for a plant and prove it.
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous model (sampled at ``rate_hz``) or discrete model.
+    rate_hz : float | None
+        Samples per second; None takes the rate of a discrete model.
+    pole_radius : float
+        Upper bound of the size of every pole of the error system at every slope vertex, in (0, 1].
+    gain_weight : float
+        rho, the price of the energy that an innovation puts into the error, against mu; positive. Less of it
+        follows noise that the scales call harmless more closely.
+    gain_bound : float | None
+        Bound of every entry of K, L_i and L_p by size, in the user's units; positive. It is met by a sufficient
+        convex condition (:mod:`gains.synthesis.bounded_real`), as loose a one as gets there: mu need not be the least
+        that some gains within the bound have. With P given the condition is exact.
+    integrator_order : int
+        1 for actuator faults that move at no more than their rate; 2 for those that ramp: their rate then is that
+        of their rate, per second squared, and a steady ramp is followed without lag.
+    h2 : float
+        alpha in [0, 1]: 0 minimises the bound of the largest energy of the error, 1 that of its energy under white
+        noise in every input (the squared H2 norm), and what lies between (1 - alpha) mu + alpha trace(W).
+    vertices : bool | None
+        One inequality per slope vertex (the least bound), or one with multipliers for all, which holds for slopes that
+        move too; None takes multipliers where the vertices would take long or are too many, and the vertices where
+        multipliers fail.
+    P : FloatArray | None
+        Lyapunov matrix (na, na) of an earlier design for the same error system, in the user's units. Designs with one
+        P may be exchanged for each other while they run, at any time: x~' P x~ proves the largest of their bounds.
+
+    Returns
+    -------
+    Design
+        Gains whose certificate holds.
+
+    Raises
+    ------
+    ModelError
+        The model cannot be sampled at that rate, has no faults or a hidden mode, or an option is out of range.
+    InfeasibleError
+        An existence condition fails (named in the message), the inequality has no solution, or no gains within their
+        bound were found.
+    InaccurateError
+        The solver stopped short and nothing it found passes the certificate.
+    """
+    import cvxpy  # noqa: F401 - the first import takes seconds that do not belong to the design's time
+
+    started = time.perf_counter()
+    rate_hz = plant.rate_hz if rate_hz is None else rate_hz
+    if rate_hz is None:
+        raise ModelError(f"{plant.name}: a continuous model needs a rate in samples per second (--rate)")
+    if not 0.0 < pole_radius <= 1.0:
+        raise ModelError(f"{plant.name}: a pole radius of {pole_radius} does not lie in (0, 1]")
+    if not 0.0 < gain_weight < np.inf:
+        raise ModelError(f"{plant.name}: a gain weight of {gain_weight} is not positive")
+    if gain_bound is not None and not gain_bound > 0.0:
+        raise ModelError(f"{plant.name}: a gain bound of {gain_bound} is not positive")
+    if integrator_order not in (1, 2):
+        raise ModelError(f"{plant.name}: an integrator order of {integrator_order} is neither 1 nor 2")
+    if not 0.0 <= h2 <= 1.0:
+        raise ModelError(f"{plant.name}: an H2 share of {h2} does not lie in [0, 1]")
+    discrete = discretise(plant, rate_hz)
+    augmentation = augment(discrete)
+    too_many = 1 << varying_slopes(plant) > LARGEST_VERTEX_COUNT
+    sampled = vertices is False or (vertices is None and too_many)
+    # A chain of integrators hides the same modes as one: what exists for order 1 exists for order 2.
+    notes = check_existence(discrete, sampled=sampled)
+    model = error_model(discrete, augmentation, integrator_order, sampled=sampled)
+    if P is not None and P.shape != model.mean.shape:
+        size = len(model.mean)
+        raise ModelError(f"{plant.name}: the Lyapunov matrix is {P.shape}, not {(size, size)}: is it of this model?")
+
+    def bounded(bound: float, looseness: float = 1.0, caution: float = 0.0) -> Design:
+        pose = partial(
+            inequality,
+            model,
+            kalman_coordinates(model, pole_radius, caution),
+            pole_radius=pole_radius,
+            gain_weight=gain_weight,
+            h2=h2,
+            P=P,
+            gain_bound=bound,
+            looseness=looseness,
+        )
+        return _searched(discrete, augmentation, _problems(pose, model, vertices, too_many))
+
+    if gain_bound is None:
+        design = bounded(np.inf)
+    else:
+        ladder = itertools.product(_CAUTION, _LOOSENESS) if P is None else [(0.0, 1.0)]
+        design = _within(plant.name, gain_bound, bounded, ladder)
+    return replace(design, total_s=time.perf_counter() - started, notes=notes)
+
+
+def _problems(
+    pose: Callable[..., Inequality], model: ErrorModel, vertices: bool | None, too_many: bool
+) -> tuple[Inequality, ...]:
+    """Return the inequalities to try in turn: with multipliers where asked for or the size demands, with vertices."""
+    if len(model.A) == 1:
+        return (pose(multipliers=False),)
+    if vertices is False or too_many:
+        return (pose(multipliers=True),)
+    plain = pose(multipliers=False)
+    size = 2 * len(plain.B) + plain.B.shape[1] + plain.a1
+    large = len(model.A) * size * (size + 1) // 2 > _LARGEST_CONE
+    return (pose(multipliers=True), plain) if vertices is None and large else (plain,)
+
+
+def _within(name: str, bound: float, bounded: Callable[..., Design], ladder: Iterable[tuple[float, float]]) -> Design:
+    """Return the first design whose gains are within their bound: without any condition, then along the ladder.
+
+    Raises
+    ------
+    InfeasibleError
+        None of them is.
+    """
+    design = bounded(np.inf)
+    smallest, solve_s = design.gain_max_abs, design.solve_s
+    for caution, looseness in ladder:
+        if design.gain_max_abs <= bound:
+            break
+        try:
+            design = bounded(bound, looseness, caution)
+        except InfeasibleError:
+            continue
+        smallest, solve_s = min(smallest, design.gain_max_abs), solve_s + design.solve_s
+    if design.gain_max_abs <= bound:
+        return replace(design, gain_bound=bound, solve_s=solve_s)
+    raise InfeasibleError(
+        f"{name}: no gains within {bound:g} were found; the smallest that were are {smallest:.3g}: allow these, narrow "
+        "the slopes, or let faults move slower or poles be larger"
+    )
+
+
+def _searched(plant: Plant, augmentation: Augmentation, problems: Sequence[Inequality]) -> Design:
+    """Return the first certified design.
+
+    Raises
+    ------
+    InfeasibleError, InaccurateError
+        There is none: the last inequality has no solution, or the solver stopped short.
+    """
+    for problem in problems:
+        try:
+            for solution, solve_s in _solutions(problem):
+                design = _design(plant, augmentation, problem, solution)
+                if certify(plant, design).holds:
+                    return replace(design, solve_s=solve_s)
+        except InfeasibleError:  # multipliers ask for more than the vertices: their failure proves nothing
+            if problem is problems[-1]:
+                raise
+    raise InaccurateError(
+        f"{plant.name}: the solver stopped short and no gains it found could be certified; "
+        "check units and scales, or relax the fault rates or the pole radius"
+    )
+
+
+def _solutions(problem: Inequality) -> Iterator[tuple[Solution, float]]:
+    """Yield the optimum, then points farther inside at slightly larger mu, with the solver's time so far.
+
+    An optimum lies on the boundary of the inequality, where rounding decides. If it fails the certificate, a
+    point inside, a little above the least mu, can still pass.
+    """
+    best, solve_s = solve(problem)
+    if best is None:
+        return
+    yield best, solve_s
+    # Where gains are bounded the next condition of the ladder is worth more than more slack.
+    for slack in _SLACKS if problem.gain_bound == np.inf else _SLACKS[:1]:
+        solution, seconds = solve(problem, (best.mu * (1.0 + slack), best.noise_energy * (1.0 + slack)))
+        solve_s += seconds
+        if solution is not None:
+            yield solution, solve_s
+
+
+def _design(plant: Plant, augmentation: Augmentation, problem: Inequality, solution: Solution) -> Design:
+    """Return a solution as gains in the user's units, with mu raised by the smallest slack."""
+    mu = problem.coordinates.mu
+    K, L_i, L_p = user_gains(problem, np.linalg.solve(solution.P, solution.R), solution.L_p)
+    N = augmentation.L1 @ augmentation.A_z - K @ augmentation.C_b
+    inverse = np.linalg.inv(problem.coordinates.S)
+    P = mu * inverse.T @ solution.P @ inverse
+    return Design(
+        method="convex",
+        rate_hz=float(plant.rate_hz or 0.0),
+        K=K,
+        L_i=L_i,
+        L_p=L_p,
+        L1=augmentation.L1,
+        F=augmentation.F,
+        N=N,
+        J=N @ augmentation.F + K,
+        P=0.5 * (P + P.T) if problem.P is None else problem.P,
+        mu=mu * solution.mu * (1.0 + _SLACKS[0]),
+        multipliers=mu * solution.multipliers / problem.balance if problem.multipliers else None,
+        pole_radius=problem.pole_radius,
+        gain_weight=problem.gain_weight,
+    )

@@ -1,0 +1,256 @@
+"""Compiled gains: all the running observer needs, in one readable JSON file that reads back to the same bits."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gains.errors import ModelError
+from gains.plants.expression import compile_expression
+
+FORMAT = 1
+_LARGEST_FILE = 16 << 20
+_TEXT_KEYS = ("model", "model_hash", "method", "domain")
+_NAME_KEYS = ("states", "inputs", "outputs", "faults", "fault_kinds", "fault_units")
+_COMPILED_KEYS = ("input_curves", "step_matrix", "argument_matrix", "initial_matrix")
+_MATRIX_KEYS = (*_COMPILED_KEYS, "K", "L_i", "L_p", "L1", "F", "N", "J")
+
+
+@dataclass(frozen=True, slots=True)
+class ScalarNonlinearity:
+    """Text of a nonlinearity g_i and the names of its arguments."""
+
+    expression: str
+    arguments: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gains:
+    """A compiled observer; the recursion it stands for is that of :mod:`monitor.estimation.observer`.
+
+    Parameters
+    ----------
+    model, model_hash : str
+        Name and hash of the plant model it was designed for.
+    method, domain : str
+        Synthesis, and ``"discrete"`` or ``"continuous"`` before compilation.
+    rate_hz : float
+        Samples per second.
+    states, inputs, outputs, faults : tuple[str, ...]
+        Names of x (n), u (s), y (p) and of [f_a; f_s] (a1 + a2).
+    fault_kinds, fault_units : tuple[str, ...]
+        ``"actuator"`` or ``"sensor"``, and the unit, of each fault.
+    fault_inputs : tuple[int | None, ...]
+        Index of the input whose effect each actuator fault changes, None where it changes none.
+    input_taps : tuple[float, ...]
+        Delays h_0, h_1, ... that are folded into the matrices.
+    input_curves : NDArray[np.float64]
+        Coefficients c1, c2, ... of v = curve(u) (s, degree).
+    nonlinearities : tuple[ScalarNonlinearity, ...]
+        The nonlinearities g_i (m of them), their arguments in the order of ``argument_matrix``.
+    step_matrix, argument_matrix, initial_matrix : NDArray[np.float64]
+        [s+; zeta^; fa^; yt] = step_matrix [s; v; y; 1; g], nu = argument_matrix [s; v; y; 1] and
+        s = initial_matrix [v; y; 1] at a restart.
+    K, L_i, L_p, L1, F, N, J : NDArray[np.float64]
+        The observer's matrices as the theory writes them, for people; empty where it has another structure.
+    report : Mapping[str, Any]
+        What the design is worth: bound, norm, certificate.
+    """
+
+    model: str
+    model_hash: str
+    method: str
+    domain: str
+    rate_hz: float
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    faults: tuple[str, ...]
+    fault_kinds: tuple[str, ...]
+    fault_units: tuple[str, ...]
+    fault_inputs: tuple[int | None, ...]
+    input_taps: tuple[float, ...]
+    input_curves: NDArray[np.float64]
+    nonlinearities: tuple[ScalarNonlinearity, ...]
+    step_matrix: NDArray[np.float64]
+    argument_matrix: NDArray[np.float64]
+    initial_matrix: NDArray[np.float64]
+    K: NDArray[np.float64]
+    L_i: NDArray[np.float64]
+    L_p: NDArray[np.float64]
+    L1: NDArray[np.float64]
+    F: NDArray[np.float64]
+    N: NDArray[np.float64]
+    J: NDArray[np.float64]
+    report: Mapping[str, Any]
+
+
+def write_gains(gains: Gains, path: str | Path) -> None:
+    """Write a gains file; floats are written so that reading gives the same bits."""
+    document: dict[str, Any] = {"format": FORMAT}
+    for field in fields(Gains):
+        value = getattr(gains, field.name)
+        if isinstance(value, np.ndarray):
+            value = {"shape": list(value.shape), "rows": value.tolist()}
+        elif field.name == "nonlinearities":
+            value = [{"expression": g.expression, "arguments": list(g.arguments)} for g in value]
+        elif isinstance(value, tuple):
+            value = list(value)
+        document[field.name] = value
+    Path(path).write_text(_one_row_per_line(document), encoding="utf-8")
+
+
+def read_gains(path: str | Path) -> Gains:
+    """Read a gains file.
+
+    Raises
+    ------
+    ModelError
+        The file is missing, too large, not JSON, of another format, or its matrices do not fit together.
+    """
+    path = Path(path)
+    try:
+        too_large = path.stat().st_size > _LARGEST_FILE
+        document = None if too_large else json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise ModelError(f"{path}: not JSON; make gains with 'fauio design'") from error
+    if too_large:
+        raise ModelError(f"{path}: larger than {_LARGEST_FILE >> 20} MiB; this is no gains file")
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise ModelError(f"{path}: 'format' is not {FORMAT}; make the file again with 'fauio design'")
+    missing = [field.name for field in fields(Gains) if field.name not in document]
+    if missing:
+        raise ModelError(f"{path}: '{missing[0]}' is missing; make the file again with 'fauio design'")
+    try:
+        texts: dict[str, Any] = {key: _text(document, key) for key in _TEXT_KEYS}
+        names: dict[str, Any] = {key: _names(document, key) for key in _NAME_KEYS}
+        matrices: dict[str, Any] = {key: _matrix(document, key) for key in _MATRIX_KEYS}
+        gains = Gains(
+            **texts,
+            **names,
+            **matrices,
+            rate_hz=_number(document["rate_hz"], "rate_hz"),
+            fault_inputs=_indices(document["fault_inputs"]),
+            input_taps=tuple(_number(tap, "input_taps") for tap in _list(document, "input_taps")),
+            nonlinearities=tuple(_nonlinearity(entry) for entry in _list(document, "nonlinearities")),
+            report=document["report"] if isinstance(document["report"], dict) else {},
+        )
+        _check_shapes(gains)
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}; make the file again with 'fauio design'") from error
+    return gains
+
+
+def _check_shapes(gains: Gains) -> None:
+    n, s, p = len(gains.states), len(gains.inputs), len(gains.outputs)
+    kinds = gains.fault_kinds
+    if not len(gains.faults) == len(kinds) == len(gains.fault_units) == len(gains.fault_inputs):
+        raise ModelError("'faults', 'fault_kinds', 'fault_units' and 'fault_inputs' differ in length")
+    if set(kinds) - {"actuator", "sensor"} or list(kinds) != sorted(kinds):
+        raise ModelError("'fault_kinds' is not actuator faults first, then sensor faults")
+    if any(index is not None and not 0 <= index < s for index in gains.fault_inputs):
+        raise ModelError("'fault_inputs' names an input that is not there")
+    if gains.rate_hz <= 0.0:
+        raise ModelError("'rate_hz' is not positive")
+    a1 = kinds.count("actuator")
+    nz = n + len(kinds) - a1
+    # A continuous design brings its own states, and matrices for people only where it has the paper's structure.
+    continuous = gains.domain == "continuous"
+    nq = len(gains.L_i) if len(gains.L_i) == 2 * a1 and not continuous else a1
+    ns = len(gains.initial_matrix) if continuous else nz + nq + s * (len(gains.input_taps) - 1)
+    m = len(gains.nonlinearities)
+    arguments = sum(len(g.arguments) for g in gains.nonlinearities)
+    expected = {
+        "step_matrix": (ns + nz + a1 + p, ns + s + p + 1 + m),
+        "argument_matrix": (arguments, ns + s + p + 1),
+        "initial_matrix": (ns, s + p + 1),
+        "L1": (nz, n),
+        "F": (nz, p),
+        "N": (nz, nz),
+        "J": (nz, p),
+        "K": (nz, p),
+        "L_i": (nq, p),
+        "L_p": (a1, p),
+    }
+    for name, shape in expected.items():
+        found = getattr(gains, name).shape
+        structural = name not in _COMPILED_KEYS
+        if found != shape and not (continuous and structural and found == (0, 0)):
+            raise ModelError(f"'{name}' is {found} where the names make it {shape}")
+    if gains.input_curves.shape[0] != s or gains.input_curves.shape[1] < 1:
+        raise ModelError("'input_curves' does not have a row for each input")
+
+
+def _text(document: Mapping[str, Any], key: str) -> str:
+    if not isinstance(document[key], str):
+        raise ModelError(f"'{key}' is not text")
+    return str(document[key])
+
+
+def _list(document: Mapping[str, Any], key: str) -> list[Any]:
+    if not isinstance(document[key], list):
+        raise ModelError(f"'{key}' is not a list")
+    return list(document[key])
+
+
+def _names(document: Mapping[str, Any], key: str) -> tuple[str, ...]:
+    names = _list(document, key)
+    if not all(isinstance(name, str) for name in names):
+        raise ModelError(f"'{key}' is not a list of names")
+    return tuple(names)
+
+
+def _indices(value: Any) -> tuple[int | None, ...]:
+    if not isinstance(value, list) or not all(index is None or type(index) is int for index in value):
+        raise ModelError("'fault_inputs' is not a list of indices")
+    return tuple(value)
+
+
+def _number(value: Any, key: str) -> float:
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < math.inf:
+        try:
+            return float(value)
+        except OverflowError:
+            pass
+    raise ModelError(f"'{key}' is not a finite number")
+
+
+def _matrix(document: Mapping[str, Any], key: str) -> NDArray[np.float64]:
+    entry = document[key]
+    try:
+        rows, columns = entry["shape"]
+        matrix = np.array([[_number(x, key) for x in row] for row in entry["rows"]], dtype=np.float64)
+        return matrix.reshape(rows, columns)
+    except (TypeError, ValueError, KeyError) as error:
+        raise ModelError(f"'{key}' is not a matrix of finite numbers") from error
+
+
+def _nonlinearity(entry: Any) -> ScalarNonlinearity:
+    if not isinstance(entry, dict) or not isinstance(entry.get("expression"), str):
+        raise ModelError("'nonlinearities' has an entry without an expression")
+    if "arguments" not in entry:
+        raise ModelError("'nonlinearities' has an entry without arguments")
+    found = ScalarNonlinearity(entry["expression"], _names(entry, "arguments"))
+    compile_expression(found.expression, found.arguments)
+    return found
+
+
+def _one_row_per_line(document: Mapping[str, Any]) -> str:
+    parts = []
+    for key, value in document.items():
+        text = json.dumps(value)
+        if isinstance(value, dict) and "rows" in value:
+            rows: Sequence[Any] = value["rows"]
+            body = ",\n   ".join(json.dumps(row) for row in rows)
+            text = f'{{"shape": {json.dumps(value["shape"])}, "rows": [\n   {body}]}}'
+        parts.append(f" {json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(parts) + "\n}\n"

@@ -1,0 +1,1 @@
+"""From evidence to alarms, and what operators do with them."""

@@ -1,0 +1,1 @@
+"""Zenoh: keys, payloads and their schemas, publishing, subscribing, commands of operators."""

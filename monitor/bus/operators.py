@@ -1,0 +1,139 @@
+"""Operators' commands over Zenoh: queries on ``<root>/command/<verb>``, answered with what they changed or why not.
+
+Queries come on Zenoh's threads and wait in a bounded queue until the monitor's own thread has carried them out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from adapters.message import Message
+from monitor.bus.payload import to_json
+
+if TYPE_CHECKING:
+    import zenoh
+
+    from monitor.event import AlarmEvent
+
+VERBS = ("ack", "shelve", "unshelve", "reset")
+_WAITING = 64
+_MAX_BYTES = 4096
+_MAX_TEXT = 200
+_MINUTE_NS = 60_000_000_000
+
+
+class Command(NamedTuple):
+    """A command that waits for its answer."""
+
+    verb: str
+    fields: dict[str, Any]
+    query: Any
+
+
+class Operators:
+    """The commands of one vehicle.
+
+    Parameters
+    ----------
+    session : zenoh.Session
+        An open session; left open by :meth:`close`.
+    root : str
+        What the vehicle's keys begin with.
+    allowed : Collection[str]
+        Verbs that are carried out; the others are refused.
+    shelve_minutes, max_shelve_minutes : float
+        How long an alarm is shelved where the command does not say, and at most.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        root: str,
+        allowed: Collection[str],
+        shelve_minutes: float = 60.0,
+        max_shelve_minutes: float = 480.0,
+    ) -> None:
+        self._root = root
+        self._allowed = frozenset(allowed)
+        self._shelve_minutes = shelve_minutes
+        self._max_shelve_minutes = max_shelve_minutes
+        self._waiting: deque[Command] = deque()
+        self.refused = 0
+        self._queryable: Any = session.declare_queryable(f"{root}/command/*", self._on_query, complete=True)
+
+    def pending(self) -> list[Command]:
+        """Return the commands that came since the last call; each has to be answered."""
+        return [self._waiting.popleft() for _ in range(len(self._waiting))]
+
+    def message(self, command: Command, now_ns: int) -> Message:
+        """Return a command as the pipeline takes it: with the time at which shelving ends."""
+        fields = dict(command.fields)
+        if command.verb == "shelve":
+            minutes = fields.pop("minutes", None)
+            given = isinstance(minutes, int | float) and not isinstance(minutes, bool) and minutes > 0
+            # Compared before anything is computed: a whole number may be too large for that.
+            chosen = min(minutes, self._max_shelve_minutes) if given else self._shelve_minutes
+            fields["until_ns"] = now_ns + round(chosen * _MINUTE_NS)
+        return Message("operator", command.verb, now_ns, fields)
+
+    def accept(self, command: Command, event: AlarmEvent | None) -> None:
+        """Answer a command that was carried out, with the event it caused, if any."""
+        self._reply(command, {"ok": True, "event": None if event is None else event.to_json()})
+
+    def refuse(self, command: Command, reason: str) -> None:
+        """Answer a command that was not carried out."""
+        self.refused += 1
+        with command.query:
+            command.query.reply_err(to_json({"ok": False, "error": reason}))
+
+    def close(self) -> None:
+        """Take no more commands; those that wait are refused."""
+        self._queryable.undeclare()
+        for command in self.pending():
+            self.refuse(command, "the monitor is stopping")
+
+    def _reply(self, command: Command, answer: Mapping[str, Any]) -> None:
+        import zenoh
+
+        with command.query:
+            key = f"{self._root}/command/{command.verb}"
+            command.query.reply(key, to_json(answer), encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        verb = str(query.key_expr).rsplit("/", 1)[-1]
+        command = Command(verb, {}, query)
+        if verb not in VERBS:
+            self.refuse(command, f"'{verb}' is no command; commands are {', '.join(VERBS)}")
+        elif verb not in self._allowed:
+            self.refuse(command, f"'{verb}' is not allowed here; the monitor's config names it in [commands] allow")
+        elif len(self._waiting) >= _WAITING:
+            self.refuse(command, "too many commands at once; try again")
+        elif (fields := _fields(query)) is None:
+            self.refuse(command, "the payload is no JSON object with the 'id' or the 'channel' of an alarm")
+        else:
+            self._waiting.append(command._replace(fields=fields))
+
+
+def _fields(query: zenoh.Query) -> dict[str, Any] | None:
+    """Return what a command's payload says, only the known keys, None where it is no such thing."""
+    payload = query.payload
+    if payload is None or len(payload) > _MAX_BYTES:
+        return None
+    try:
+        found = json.loads(payload.to_bytes())
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(found, dict):
+        return None
+    # Texts end up on terminals, in logs and in a database: nothing that cannot be printed gets that far.
+    fields: dict[str, Any] = {
+        key: "".join(letter if letter.isprintable() else "?" for letter in value[:_MAX_TEXT])
+        for key in ("id", "channel", "by", "reason")
+        if isinstance(value := found.get(key), str)
+    }
+    if isinstance(found.get("minutes"), int | float):
+        fields["minutes"] = found["minutes"]
+    return fields if "id" in fields or "channel" in fields else None

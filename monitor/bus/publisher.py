@@ -1,0 +1,171 @@
+"""Zenoh outputs of one vehicle's monitor: alarms, estimates, status, and answers to who asks later."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import zenoh
+from zenoh import ext
+
+from monitor.bus.keys import alarm_key, estimate_key, vehicle_root
+from monitor.bus.payload import estimate_json, to_json
+from monitor.estimate import Estimate, Layout
+from monitor.event import AlarmEvent
+
+HISTORY_EVENTS = 4096
+CACHED_EVENTS = 64
+HEARTBEAT_S = 1.0
+
+
+class Publisher:
+    """Publishes what the monitor says, in the key space of the contract.
+
+    Events go out with :class:`zenoh.ext.AdvancedPublisher`, so that an advanced subscriber gets the current
+    state when it joins and recovers what it missed; a plain client gets the same with a ``get`` on the alarm
+    keys. Nothing here waits for a slow client: what does not fit its queue is dropped for it.
+
+    Parameters
+    ----------
+    session : zenoh.Session
+        An open session with timestamping; left open by :meth:`close`.
+    vehicle : str
+        The vehicle's name, one chunk of the keys.
+    layouts : Sequence[Layout]
+        The observers whose estimates will be published.
+    prefix : str
+        What the keys begin with.
+    estimate_rate_hz : float
+        Largest rate of estimates per observer, on the samples' own time; 0 publishes none.
+    journal : Callable[[int], Sequence[AlarmEvent]] | None
+        Returns all past events from a Unix time in nanoseconds on; None: what was published here, a bounded number.
+
+    Raises
+    ------
+    ProfileError
+        The vehicle's name or the prefix cannot be part of a key.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        vehicle: str,
+        layouts: Sequence[Layout],
+        prefix: str = "fauio",
+        estimate_rate_hz: float = 10.0,
+        journal: Callable[[int], Sequence[AlarmEvent]] | None = None,
+    ) -> None:
+        self._journal = journal
+        self._session = session
+        self._root = vehicle_root(prefix, vehicle)
+        self._period_ns = round(1e9 / estimate_rate_hz) if estimate_rate_hz > 0 else 0
+        self._slots: dict[str, int] = {}
+        self._layouts = {layout.observer: layout for layout in layouts}
+        self._estimates = {
+            name: session.declare_publisher(
+                estimate_key(self._root, name),
+                encoding=zenoh.Encoding.APPLICATION_JSON,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.DATA_LOW,
+            )
+            for name in self._layouts
+        }
+        self._status = session.declare_publisher(
+            f"{self._root}/status",
+            encoding=zenoh.Encoding.APPLICATION_JSON,
+            congestion_control=zenoh.CongestionControl.DROP,
+        )
+        self._alarms: dict[str, ext.AdvancedPublisher] = {}
+        self._closed = False
+        self._lock = threading.Lock()
+        self._latest: dict[str, AlarmEvent] = {}
+        self._history: deque[AlarmEvent] = deque(maxlen=HISTORY_EVENTS)
+        self._queryables = [
+            session.declare_queryable(f"{self._root}/alarm/**", self._answer_current, complete=True),
+            session.declare_queryable(f"{self._root}/alarms", self._answer_list, complete=True),
+        ]
+        # last, so that whoever sees the token finds everything else
+        self._token = session.liveliness().declare_token(f"{self._root}/live")
+
+    def event(self, event: AlarmEvent) -> None:
+        """Publish an alarm event and keep it for who asks later."""
+        key = alarm_key(self._root, event.observer, event.channel)
+        with self._lock:
+            self._latest[key] = event
+            self._history.append(event)
+        publisher = self._alarms.get(key)
+        if publisher is None:
+            publisher = self._alarms[key] = ext.declare_advanced_publisher(
+                self._session,
+                key,
+                encoding=zenoh.Encoding.APPLICATION_JSON,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+                express=True,
+                cache=ext.CacheConfig(CACHED_EVENTS),
+                sample_miss_detection=ext.MissDetectionConfig(heartbeat=HEARTBEAT_S, sporadic_heartbeat=None),
+                publisher_detection=True,
+            )
+        publisher.put(to_json(event.to_json()))
+
+    def estimate(self, estimate: Estimate) -> None:
+        """Publish an estimate, unless one of the same observer was published for the same slot of time."""
+        if not self._period_ns:
+            return
+        slot = estimate.sample.time_ns // self._period_ns
+        if self._slots.get(estimate.observer) == slot:
+            return
+        self._slots[estimate.observer] = slot
+        payload = estimate_json(self._layouts[estimate.observer], estimate)
+        self._estimates[estimate.observer].put(to_json(payload))
+
+    def status(self, status: Mapping[str, Any]) -> None:
+        """Publish the daemon's status."""
+        self._status.put(to_json(status))
+
+    def close(self) -> None:
+        """Withdraw everything declared, the liveliness token first; a second call does nothing."""
+        declared: list[Any] = [
+            self._token,
+            *self._queryables,
+            *self._alarms.values(),
+            *self._estimates.values(),
+        ]
+        if not self._closed:
+            self._closed = True
+            for entity in (*declared, self._status):
+                entity.undeclare()
+
+    def _answer_current(self, query: zenoh.Query) -> None:
+        """Answer a ``get`` on alarm keys with the latest event of each channel it matches."""
+        with self._lock:
+            latest = dict(self._latest)
+        with query:
+            for key, event in latest.items():
+                if query.key_expr.intersects(zenoh.KeyExpr(key)):
+                    query.reply(key, to_json(event.to_json()), encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    def _past(self, since_ns: int) -> Sequence[AlarmEvent]:
+        if self._journal is not None:
+            return self._journal(since_ns)
+        with self._lock:
+            return [event for event in self._history if event.time_ns >= since_ns]
+
+    def _answer_list(self, query: zenoh.Query) -> None:
+        """Answer with the active alarms, or with all kept events from a time on."""
+        parameters = query.parameters
+        with query:
+            try:
+                since = int(parameters.get("since", "0") or 0)
+            except ValueError:
+                query.reply_err(to_json({"error": "since is not a whole number of nanoseconds"}))
+                return
+            if parameters.get("history") == "true":
+                events = self._past(since)
+            else:
+                with self._lock:
+                    events = [event for event in self._latest.values() if event.state != "cleared"]
+            payload = to_json([event.to_json() for event in events])
+            query.reply(f"{self._root}/alarms", payload, encoding=zenoh.Encoding.APPLICATION_JSON)

@@ -1,0 +1,166 @@
+"""JSON Schemas of everything that is published and of operators' commands; also written to ``docs/schemas``.
+
+``python -m monitor.bus.schemas docs/schemas`` writes one file each.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from monitor.bus.payload import ALARM_SCHEMA
+from monitor.errors import ProfileError
+
+_DIALECT = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+_BY_NAME = {"type": "object", "additionalProperties": {"type": ["number", "null"]}}
+_COUNT = {"type": "integer", "minimum": 0}
+_AMOUNT = {"type": "number", "minimum": 0}
+_TIME = {"type": "integer", "description": "Unix time, nanoseconds"}
+_ALARM = {key: value for key, value in ALARM_SCHEMA.items() if key != "$schema"}
+
+
+def _object(title: str, description: str, required: dict[str, Any], optional: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of an object that may have further properties: readers have to ignore what they do not know."""
+    return {
+        **_DIALECT,
+        "title": f"fauio.{title}",
+        "description": description,
+        "type": "object",
+        "properties": required | optional,
+        "required": list(required),
+    }
+
+
+_ESTIMATE = _object(
+    "Estimate",
+    "What an observer says at one sample, on PREFIX/VEHICLE/estimate/OBSERVER.",
+    {
+        "time_ns": _TIME,
+        "vehicle_time_ms": {"type": "integer", "description": "the same on the vehicle's own clock"},
+        "armed": {"type": "boolean", "description": "whether samples are evidence: in the air, settled"},
+        "x": _BY_NAME | {"description": "states"},
+        "fault": _BY_NAME | {"description": "estimates of the faults"},
+        "isolated": _BY_NAME | {"description": "what of it is evidence, zero where the fault is not responsible"},
+        "residual": _BY_NAME | {"description": "measurement minus prediction"},
+    },
+    {
+        "sd": _BY_NAME | {"description": "standard deviations of what is estimated, by its name"},
+        "coasted_s": _AMOUNT | {"description": "time since the last measurement, bridged on the model"},
+    },
+)
+
+_LINK = {
+    "type": "object",
+    "properties": {
+        "connected": {"type": "boolean"},
+        "messages": _COUNT | {"description": "messages received since the start, of all vehicles"},
+        "losses": {
+            "type": "object",
+            "additionalProperties": _COUNT,
+            "description": "what was lost on the link or refused, by reason, as in fauio_link_losses_total",
+        },
+    },
+    "required": ["connected", "messages", "losses"],
+}
+
+_STATUS = _object(
+    "Status",
+    "How a vehicle's monitor is doing, once a second on PREFIX/VEHICLE/status.",
+    {
+        "state": {"enum": ["starting", "monitoring", "degraded", "stale"]},
+        "vehicle": {"type": "string"},
+        "time_ns": _TIME,
+        "messages": _COUNT | {"description": "messages since the start"},
+        "messages_per_s": _AMOUNT,
+        "samples": _COUNT | {"description": "samples since the start"},
+        "samples_per_s": _AMOUNT,
+        "lost": _COUNT | {"description": "packets of the vehicle missing by their sequence numbers, over all links"},
+        "links": {
+            "type": "object",
+            "additionalProperties": _LINK,
+            "description": "the links that its telemetry may come over, by URL or key expression",
+        },
+        "latency_ms": {"type": "number", "description": "longest time from arrival to result in the last second"},
+        "active_alarms": _COUNT,
+        "observers": {
+            "type": "object",
+            "additionalProperties": {"type": "object"},
+            "description": "counts of each observer",
+        },
+        "profile": {"type": "string", "description": "digest of the profile"},
+        "versions": {"type": "object", "additionalProperties": {"type": "string"}},
+    },
+    {"foreign_messages": _COUNT | {"description": "messages of other stations, ignored"}},
+)
+
+_ALARMS = {
+    **_DIALECT,
+    "title": "fauio.Alarms",
+    "description": "Reply to a get on PREFIX/VEHICLE/alarms: the active alarms, or with ?history=true;since=NS past "
+    "events in their order.",
+    "type": "array",
+    "items": _ALARM,
+}
+
+_COMMAND_REQUEST = _object(
+    "CommandRequest",
+    "Payload of a get on PREFIX/VEHICLE/command/{ack,shelve,unshelve,reset}.",
+    {},
+    {
+        "id": {"type": "string", "description": "id of the alarm"},
+        "channel": {"type": "string", "pattern": "^[^/]+/.+$", "description": "OBSERVER/CHANNEL instead of the id"},
+        "by": {"type": "string", "description": "who"},
+        "reason": {"type": "string", "description": "why"},
+        "minutes": {"type": "number", "exclusiveMinimum": 0, "description": "shelve: for how long"},
+    },
+) | {"oneOf": [{"required": ["id"]}, {"required": ["channel"]}]}
+
+_COMMAND_REPLY = _object(
+    "CommandReply",
+    "Reply to a command that was carried out; others get an error reply, see fauio.CommandError.",
+    {"ok": {"const": True}, "event": _ALARM | {"description": "the event it caused"}},
+    {},
+)
+
+_COMMAND_ERROR = _object(
+    "CommandError",
+    "Error reply to a command or a query.",
+    {"error": {"type": "string", "description": "what was wrong, one line"}},
+    {},
+)
+
+SCHEMAS: dict[str, dict[str, Any]] = {
+    "alarm": ALARM_SCHEMA,
+    "alarms": _ALARMS,
+    "estimate": _ESTIMATE,
+    "status": _STATUS,
+    "command_request": _COMMAND_REQUEST,
+    "command_reply": _COMMAND_REPLY,
+    "command_error": _COMMAND_ERROR,
+}
+
+
+def schema_text(name: str | None = None) -> str:
+    """Return one schema as indented JSON, all of them by name where none is named.
+
+    Raises
+    ------
+    ProfileError
+        There is none of this name.
+    """
+    if name is not None and name not in SCHEMAS:
+        raise ProfileError(f"schema '{name}': there is none; there are {', '.join(SCHEMAS)}")
+    return json.dumps(SCHEMAS if name is None else SCHEMAS[name], indent=2, ensure_ascii=False) + "\n"
+
+
+def main(folder: str) -> None:
+    """Write each schema into a folder as ``NAME.json``."""
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    for name in SCHEMAS:
+        (Path(folder) / f"{name}.json").write_text(schema_text(name), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,180 @@
+"""Alarm events of one or all vehicles from Zenoh, the current state first."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+from collections import deque
+from typing import Any
+
+import zenoh
+from zenoh import ext
+
+from monitor.bus.keys import ANY, vehicle_of, vehicle_root
+from monitor.event import AlarmEvent, valid_event
+
+HELD_EVENTS = 10_000
+MAX_PAYLOAD_BYTES = 1 << 24
+HISTORY_TIMEOUT_S = 1.0
+HISTORY_TRIES = 10
+HISTORY_PAUSE_S = 0.2
+
+
+class AlarmSubscriber:
+    """Collects alarm events; the reader takes them one by one.
+
+    Parameters
+    ----------
+    session : zenoh.Session
+        An open session; left open by :meth:`close`.
+    vehicle : str
+        Name of the vehicle, ``"*"`` for all.
+    prefix : str
+        What the keys begin with.
+    history : bool
+        Begin with the past events the monitor still knows, and not only with the latest of each channel.
+
+    Attributes
+    ----------
+    invalid : int
+        Payloads that were no alarm events.
+    lost : int
+        Events dropped because the reader did not take them.
+
+    Raises
+    ------
+    ProfileError
+        The vehicle's name or the prefix cannot be part of a key.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, vehicle: str = ANY, prefix: str = "fauio", history: bool = False
+    ) -> None:
+        self.invalid = 0
+        self.lost = 0
+        self._session = session
+        self._closed = False
+        self._root = vehicle_root(prefix, vehicle)
+        self._history = history
+        self._changed = threading.Condition()
+        self._events: deque[AlarmEvent] = deque()
+        self._seen: dict[tuple[str, str, int], None] = {}
+        self._live: set[str] = set()
+        self._told: set[str] = set()
+        self._held: deque[AlarmEvent] = deque(maxlen=HELD_EVENTS)
+        # with the history asked for, the latest events would come twice and too early
+        latest = None if history else ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+        self._alarms: Any = ext.declare_advanced_subscriber(
+            session,
+            f"{self._root}/alarm/**",
+            self._on_alarm,
+            history=latest,
+            recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
+        )
+        self._tokens: Any = session.liveliness().declare_subscriber(f"{self._root}/live", self._on_token, history=True)
+
+    @property
+    def live(self) -> frozenset[str]:
+        """Names of the vehicles whose monitor is there."""
+        with self._changed:
+            return frozenset(self._live)
+
+    def receive(self, timeout_s: float) -> AlarmEvent | None:
+        """Return the next event, None when none came in time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._events, timeout_s)
+            return self._events.popleft() if self._events else None
+
+    def close(self) -> None:
+        """Stop collecting."""
+        self._closed = True
+        self._tokens.undeclare()
+        self._alarms.undeclare()
+
+    def _on_alarm(self, sample: zenoh.Sample) -> None:
+        event = valid_event(_decode(sample.payload))
+        if event is not None and self._history and self._hold(event):
+            return
+        self._take(event)
+
+    def _hold(self, event: AlarmEvent) -> bool:
+        """Keep an event back while the past of its vehicle is still to come; return whether it was."""
+        with self._changed:
+            if event.vehicle in self._told:
+                return False
+            self._held.append(event)
+            return True
+
+    def _release(self, vehicle: str) -> None:
+        """Let go what was kept back: the past of its vehicle has come, or nobody knows it."""
+        with self._changed:
+            self._told.add(vehicle)
+            held = sorted((event for event in self._held if event.vehicle == vehicle), key=lambda event: event.seq)
+            self._held = deque((event for event in self._held if event.vehicle != vehicle), maxlen=HELD_EVENTS)
+        for event in held:
+            self._take(event)
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        vehicle = vehicle_of(self._root, str(sample.key_expr))
+        appeared = sample.kind == zenoh.SampleKind.PUT
+        with self._changed:
+            (self._live.add if appeared else self._live.discard)(vehicle)
+            self._changed.notify()
+        if appeared and self._history:
+            self._ask(vehicle, str(sample.key_expr).removesuffix("/live") + "/alarms?history=true", HISTORY_TRIES)
+
+    def _ask(self, vehicle: str, key: str, tries: int) -> None:
+        """Ask for the past events, again where nobody answers: a route can be slower than the token it serves."""
+        answers: list[zenoh.Reply] = []
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                answers.append(reply)
+                self._on_history(reply.ok)
+
+        def on_end() -> None:
+            if answers or tries == 1 or self._closed:
+                self._release(vehicle)
+                return
+            again = threading.Timer(HISTORY_PAUSE_S, self._ask, (vehicle, key, tries - 1))
+            again.daemon = True
+            again.start()
+
+        with contextlib.suppress(zenoh.ZError):  # the session was closed meanwhile
+            self._session.get(key, zenoh.handlers.Callback(on_reply, on_end), timeout=HISTORY_TIMEOUT_S)
+
+    def _on_history(self, reply: zenoh.Sample) -> None:
+        events = _decode(reply.payload)
+        if not isinstance(events, list):
+            self._take(None)
+            return
+        for event in events:
+            self._take(valid_event(event))
+
+    def _take(self, event: AlarmEvent | None) -> None:
+        with self._changed:
+            if event is None:
+                self.invalid += 1
+                return
+            mark = (event.vehicle, event.id, event.seq)
+            if mark in self._seen:
+                return
+            self._seen[mark] = None
+            if len(self._seen) > HELD_EVENTS:
+                del self._seen[next(iter(self._seen))]
+            if len(self._events) >= HELD_EVENTS:
+                self._events.popleft()
+                self.lost += 1
+            self._events.append(event)
+            self._changed.notify()
+
+
+def _decode(payload: zenoh.ZBytes) -> Any:
+    """Return the JSON of a payload, None where it is none or absurdly long."""
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        return None
+    try:
+        return json.loads(payload.to_bytes())
+    except (ValueError, RecursionError):
+        return None

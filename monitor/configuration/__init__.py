@@ -1,0 +1,1 @@
+"""The daemon's configuration: its keys, its checks with line numbers, its reference page."""

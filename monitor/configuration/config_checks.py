@@ -1,0 +1,206 @@
+"""What contradicts itself in a configuration whose values are right one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from monitor.configuration.config_values import listens_beyond_loopback
+from monitor.configuration.toml_lines import KeyPath
+
+if TYPE_CHECKING:
+    from monitor.configuration.config import Config, Vehicle
+
+
+class Conflict(NamedTuple):
+    """A contradiction: the key it is reported at, what is wrong, and the other keys it follows from."""
+
+    path: KeyPath
+    what: str
+    others: tuple[KeyPath, ...] = ()
+
+
+def conflicts(config: Config) -> Iterator[Conflict]:
+    """Yield all contradictions of a configuration, missing files included."""
+    yield from _vehicles(config)
+    yield from _telemetry(config)
+    yield from _listeners(config)
+    yield from _sending(config)
+    yield from _sizes(config)
+    yield from _files(config)
+    yield from _channels(config)
+
+
+def _vehicles(config: Config) -> Iterator[Conflict]:
+    if not config.vehicles and config.new_vehicles.profile is None:
+        yield Conflict(
+            ("profile",),
+            "is missing: no vehicle to monitor; name a profile folder here or as 'fauio run PROFILE', or write "
+            "[[vehicle]] tables or [new_vehicles]",
+            (("vehicle",), ("new_vehicles", "profile")),
+        )
+    for k, vehicle in enumerate(config.vehicles):
+        if vehicle.profile is None:
+            yield Conflict(
+                ("vehicle", k, "profile"),
+                "is missing; name the profile folder that 'fauio fit' made",
+                (("profile",),),
+            )
+        for channel in sorted(set(vehicle.out_of_service) & set(vehicle.latched)):
+            path: KeyPath = ("vehicle", k, "latched")
+            yield Conflict(path, f"names {channel}, which is out of service; leave it out of one of the two")
+    for (i, first), (k, second) in combinations(enumerate(config.vehicles), 2):
+        if first.name is not None and first.name == second.name:
+            yield Conflict(
+                ("vehicle", k, "name"), f"is '{second.name}', as is vehicle[{i}]'s; each needs a name of its own"
+            )
+        if first.name is second.name is None and first.profile == second.profile:
+            what = f"is missing: the profile's own is vehicle[{i}]'s too; give each a name of its own"
+            yield Conflict(("vehicle", k, "name"), what, (("vehicle", i, "name"),))
+        if _same_system(first, second):
+            system, component = "a system id", "any component"
+            if first.system:
+                system, component = f"system {first.system}", f"component {second.component or first.component}"
+            yield Conflict(
+                ("vehicle", k, "system"),
+                f"is {second.system}, as is vehicle[{i}]'s, so that both want {system} ({component}); "
+                "give each a system id of its own",
+                (("vehicle", i, "system"), ("vehicle", i, "component"), ("vehicle", k, "component")),
+            )
+
+
+def _same_system(first: Vehicle, second: Vehicle) -> bool:
+    """Return whether two vehicles want the same MAVLink packets; one with Zenoh of its own and no id wants none."""
+    if first.system != second.system or (first.system == 0 and (first.zenoh or second.zenoh)):
+        return False
+    return first.component == second.component or 0 in (first.component, second.component)
+
+
+def _telemetry(config: Config) -> Iterator[Conflict]:
+    shared = bool(config.mavlink or config.zenoh)
+    own = [vehicle.zenoh is not None for vehicle in config.vehicles]
+    sources: tuple[KeyPath, ...] = (("mavlink",), ("zenoh",))
+    if not shared and not any(own):
+        yield Conflict(
+            ("mavlink",),
+            "is missing: no telemetry to listen to; give --mavlink URL or --zenoh KEYEXPR, or set it in --config",
+            (("zenoh",), *(("vehicle", k, "zenoh") for k in range(len(own)))),
+        )
+    elif not shared:
+        for k, has_own in enumerate(own):
+            if not has_own:
+                what = "has no telemetry to listen to; give it 'zenoh', or set 'mavlink' at the top level"
+                yield Conflict(("vehicle", k), what, (*sources, ("vehicle", k, "zenoh")))
+    if config.new_vehicles.profile is not None and not config.mavlink and (shared or any(own)):
+        yield Conflict(
+            ("new_vehicles", "profile"),
+            "is set, but vehicles are told apart by their MAVLink ids; set 'mavlink' too",
+            (("mavlink",),),
+        )
+
+
+def _listeners(config: Config) -> Iterator[Conflict]:
+    if config.allow_public:
+        return
+    places: list[tuple[KeyPath, str]] = [(("mavlink", k), url) for k, url in enumerate(config.mavlink)]
+    places += [(("listen", k), endpoint) for k, endpoint in enumerate(config.listen)]
+    if config.metrics.listen is not None:
+        places.append((("metrics", "listen"), config.metrics.listen))
+    for path, address in places:
+        if listens_beyond_loopback(address):
+            what = f"is '{address}', which other machines reach; use 127.0.0.1, or allow_public = true (--allow-public)"
+            yield Conflict(path, what, (("allow_public",),))
+
+
+def _sending(config: Config) -> Iterator[Conflict]:
+    if config.signing.require and config.signing.key_file is None:
+        yield Conflict(
+            ("signing", "require"), "is true without a key; name it with key_file", (("signing", "key_file"),)
+        )
+    if config.send.allow:
+        return
+    allow: tuple[KeyPath, ...] = (("send", "allow"),)
+    if config.send.rates:
+        yield Conflict(
+            ("send", "rates"), "are to be requested, but nothing may be sent; set allow = true in [send]", allow
+        )
+    for k, url in enumerate(config.mavlink):
+        if url.startswith("udpout:"):
+            what = (
+                f"is '{url}', where nothing comes back unless something is sent; let the vehicle send here and use "
+                "udpin:HOST:PORT, or set allow = true in [send]"
+            )
+            yield Conflict(("mavlink", k), what, allow)
+
+
+def _sizes(config: Config) -> Iterator[Conflict]:
+    recording, commands = config.recording, config.commands
+    if config.record is not None and recording.folder is not None:
+        yield Conflict(
+            ("record",), "is set beside 'recording.folder'; leave one of them out", (("recording", "folder"),)
+        )
+    if recording.budget_mb < recording.file_mb:
+        yield Conflict(
+            ("recording", "budget_mb"),
+            f"is {recording.budget_mb:g}, less than one file of {recording.file_mb:g}; it must be at least that",
+            (("recording", "file_mb"),),
+        )
+    if commands.default_shelve_minutes > commands.max_shelve_minutes:
+        yield Conflict(
+            ("commands", "default_shelve_minutes"),
+            f"is {commands.default_shelve_minutes:g}; it must be at most max_shelve_minutes, "
+            f"{commands.max_shelve_minutes:g}",
+            (("commands", "max_shelve_minutes"),),
+        )
+
+
+def _files(config: Config) -> Iterator[Conflict]:
+    made = "name the one that 'fauio fit' made"
+    folders: list[tuple[KeyPath, Path | None, str]] = [
+        (("profile",), config.profile, made),
+        (("new_vehicles", "profile"), config.new_vehicles.profile, made),
+        (("definitions",), config.definitions, "name the one with the .msg files"),
+    ]
+    folders += [(("vehicle", k, "profile"), vehicle.profile, made) for k, vehicle in enumerate(config.vehicle)]
+    for path, folder, mend in folders:
+        if folder is not None and not folder.is_dir():
+            yield Conflict(path, f"is {folder}: no such folder; {mend}")
+    files: list[tuple[KeyPath, Path | None]] = [
+        (("zenoh_config",), config.zenoh_config),
+        (("signing", "key_file"), config.signing.key_file),
+    ]
+    for path, file in files:
+        if file is not None and not file.is_file():
+            yield Conflict(path, f"is {file}: no such file; paths are relative to the configuration file")
+
+
+def _channels(config: Config) -> Iterator[Conflict]:
+    for k, vehicle in enumerate(config.vehicles):
+        named = [
+            (key, place, channel)
+            for key in ("out_of_service", "latched")
+            for place, channel in enumerate(getattr(vehicle, key))
+        ]
+        known = _channels_of(vehicle.profile) if named and vehicle.profile is not None else ()
+        for key, place, channel in named:
+            if known and channel not in known:
+                yield Conflict(
+                    ("vehicle", k, key, place),
+                    f"is '{channel}', which is no channel of {vehicle.profile}; its channels are {', '.join(known)}",
+                    (("profile",), ("vehicle", k, "profile")),
+                )
+
+
+def _channels_of(folder: Path) -> list[str]:
+    """Return everything that can be an alarm with a profile; nothing where it cannot be read, which the start says."""
+    from monitor.alarms.desk import FLOOD_KEY
+    from monitor.pipeline import Pipeline
+    from monitor.profile import read_profile
+
+    try:
+        pipeline = Pipeline(read_profile(folder))
+    except (ValueError, OSError):
+        return []
+    return sorted("/".join(key) for key in (*pipeline.channels, FLOOD_KEY))

@@ -1,0 +1,1 @@
+"""`fauio alarms`: the live table and what operators ask of a monitor."""

@@ -1,0 +1,169 @@
+"""``fauio alarms`` and what an operator does to an alarm: ack, shelve, unshelve, reset; ``fauio schema``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from monitor.bus.subscriber import AlarmSubscriber
+    from monitor.event import AlarmEvent
+
+DEFAULT_CONNECT = "tcp/127.0.0.1:7447"
+NOBODY_AFTER_S = 1.0
+
+_VERBS = {
+    "ack": "say that you know of an alarm",
+    "shelve": "keep an alarm silent for a while",
+    "unshelve": "let a shelved alarm speak again",
+    "reset": "clear a latched alarm whose cause is gone",
+}
+
+
+def add_alarms(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``fauio alarms`` and its commands."""
+    alarms = subparsers.add_parser(
+        "alarms",
+        help="watch alarms as they happen; acknowledge, shelve, reset them",
+        description="On a terminal a live table of the alarms that stand; in a pipe one JSON object per event, the "
+        "current state of every alarm first.",
+        epilog="example: fauio alarms ack motors/motor1 --reason 'landing'",
+    )
+    _add_where(alarms, vehicle="only this vehicle (default: all)")
+    alarms.add_argument("--history", action="store_true", help="begin with past events the monitor still knows")
+    alarms.add_argument("--json", action="store_true", help="JSON lines, also on a terminal")
+    alarms.add_argument(
+        "--for", dest="seconds", metavar="SECONDS", type=float, help="stop after this time (default: never)"
+    )
+    alarms.set_defaults(handler=run_alarms)
+    commands = alarms.add_subparsers(dest="verb", metavar="COMMAND", title="commands")
+    for verb, what in _VERBS.items():
+        command = commands.add_parser(
+            verb, help=what, description=f"{what[0].upper()}{what[1:]}; the monitor's configuration has to allow it."
+        )
+        command.add_argument("target", metavar="ID|CHANNEL", help="the alarm: its id, motors/motor1, or motor1")
+        if verb == "shelve":
+            command.add_argument("--minutes", type=float, metavar="N", help="for how long (default: the monitor's)")
+        command.add_argument("--reason", metavar="TEXT", help="why, for the journal")
+        command.add_argument("--by", metavar="NAME", help="who, for the journal (default: your user name)")
+        command.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="the reply as JSON")
+        # also before the command: what is not given here must not undo what was given there
+        _add_where(command, vehicle="the vehicle (default: whose alarm it is)", default=argparse.SUPPRESS)
+        command.set_defaults(handler=run_command)
+
+
+def add_schema(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``fauio schema``."""
+    schema = subparsers.add_parser(
+        "schema",
+        help="print the JSON Schema of what is published",
+        description="Prints the JSON Schema of one kind of payload; without a name, all of them by name.",
+    )
+    schema.add_argument("name", nargs="?", metavar="NAME", help="alarm, estimate, status, ...")
+    schema.set_defaults(handler=run_schema)
+
+
+def _add_where(parser: argparse.ArgumentParser, vehicle: str, default: str | None = None) -> None:
+    parser.add_argument("--vehicle", metavar="NAME", default=default or "*", help=vehicle)
+    parser.add_argument(
+        "--connect",
+        metavar="ENDPOINT",
+        action="append",
+        default=default,
+        help=f"Zenoh endpoint of the monitor or a router, may be repeated (default: {DEFAULT_CONNECT})",
+    )
+    parser.add_argument("--prefix", default=default or "fauio", help="what the keys begin with (default: fauio)")
+
+
+def run_alarms(args: argparse.Namespace) -> int:
+    """Show alarms until interrupted or for the time asked: a table on a terminal, JSON lines in a pipe."""
+    from adapters.zenoh.zenoh_session import open_session
+    from monitor.bus.alarm_text import alarm_line
+    from monitor.bus.payload import to_json
+    from monitor.bus.subscriber import AlarmSubscriber
+
+    endpoints = args.connect or [DEFAULT_CONNECT]
+    until = float("inf") if args.seconds is None else time.monotonic() + args.seconds
+    # a session left open would keep the process alive for ever
+    with open_session(connect=endpoints) as session:
+        subscriber = AlarmSubscriber(session, args.vehicle, args.prefix, args.history)
+        if args.json or not sys.stdout.isatty():
+            _print_lines(subscriber, endpoints, until, lambda event: to_json(event.to_json()).decode())
+            return 0
+        from monitor.console.alarm_view import can_redraw, watch
+
+        if can_redraw():
+            watch(subscriber, endpoints, until)
+        else:
+            _print_lines(subscriber, endpoints, until, alarm_line)
+    return 0
+
+
+def _print_lines(
+    subscriber: AlarmSubscriber, endpoints: list[str], until: float, as_text: Callable[[AlarmEvent], str]
+) -> None:
+    started = time.monotonic()
+    live: frozenset[str] = frozenset()
+    silent = True
+    while (now := time.monotonic()) < until:
+        event = subscriber.receive(min(0.2, until - now))
+        if event is not None:
+            sys.stdout.write(as_text(event) + "\n")
+            sys.stdout.flush()
+        before, live = live, subscriber.live
+        for vehicle in sorted(live - before):
+            _say(f"monitor of {vehicle} is there")
+        for vehicle in sorted(before - live):
+            _say(f"monitor of {vehicle} is gone; waiting for it")
+        if silent and not live and now - started >= NOBODY_AFTER_S:
+            _say(f"no monitor at {', '.join(endpoints)} yet; waiting (start one with 'fauio run')")
+        silent = silent and not live and now - started < NOBODY_AFTER_S
+
+
+def run_command(args: argparse.Namespace) -> int:
+    """Ask a monitor to do something to an alarm, print what it did."""
+    from adapters.zenoh.zenoh_session import open_session
+    from monitor.bus.alarm_text import alarm_line, printable
+    from monitor.bus.payload import to_json
+    from monitor.console.operator_client import find_target, send_command
+    from monitor.event import valid_event
+
+    details = {"by": args.by or _user(), "reason": args.reason, "minutes": getattr(args, "minutes", None)}
+    endpoints = args.connect or [DEFAULT_CONNECT]
+    with open_session(connect=endpoints) as session:
+        target = find_target(session, args.target, args.prefix, args.vehicle, endpoints)
+        request = target.request | {key: value for key, value in details.items() if value is not None}
+        reply = send_command(session, args.prefix, target.vehicle, args.verb, request)
+    if args.json:
+        sys.stdout.write(to_json(reply).decode() + "\n")
+    else:
+        event = valid_event(reply.get("event"))
+        sys.stdout.write(printable(f"{args.verb} {args.target}: done" if event is None else alarm_line(event)) + "\n")
+    return 0
+
+
+def run_schema(args: argparse.Namespace) -> int:
+    """Print one JSON Schema, or all."""
+    from monitor.bus.schemas import schema_text
+
+    sys.stdout.write(schema_text(args.name))
+    return 0
+
+
+def _user() -> str:
+    import getpass
+
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # no such user, as in many containers
+        return "unknown"
+
+
+def _say(text: str) -> None:
+    from monitor.bus.alarm_text import printable
+
+    sys.stderr.write(f"fauio: {printable(text)}\n")
+    sys.stderr.flush()

@@ -1,0 +1,170 @@
+"""Which alarms stand, from their events: the rows of a table for operators, most urgent first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Literal
+
+from monitor.bus.alarm_text import printable
+from monitor.event import AlarmEvent
+
+KEPT_CLEARED_S = 30.0
+MAX_ALARMS = 1000
+
+Group = Literal["active", "shelved", "cleared"]
+
+_GROUPS: tuple[Group, ...] = ("active", "shelved", "cleared")
+
+Key = tuple[str, str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmRow:
+    """One alarm as text, without control characters.
+
+    Parameters
+    ----------
+    group : {"active", "shelved", "cleared"}
+        What speaks, what is kept silent, what was there until a moment ago.
+    severity, vehicle, channel, size, brief, age, peak, state, message : str
+        The columns; ``channel`` with its observer, ``brief`` the size in per cent where that makes sense.
+    """
+
+    group: Group
+    severity: str
+    vehicle: str
+    channel: str
+    size: str
+    brief: str
+    age: str
+    peak: str
+    state: str
+    message: str
+
+
+class AlarmTable:
+    """Keeps the latest event of each channel.
+
+    Parameters
+    ----------
+    kept_cleared_s : float
+        How long an alarm is shown after it cleared.
+    """
+
+    def __init__(self, kept_cleared_s: float = KEPT_CLEARED_S) -> None:
+        self._kept_ns = round(kept_cleared_s * 1e9)
+        self._latest: dict[Key, AlarmEvent] = {}
+        self._cleared_ns: dict[Key, int] = {}
+
+    def take(self, event: AlarmEvent, now_ns: int) -> None:
+        """Take an event; one that is older than what is known of its channel changes nothing.
+
+        An alarm that had cleared before it was ever seen is not shown.
+
+        Parameters
+        ----------
+        event : AlarmEvent
+            The event.
+        now_ns : int
+            Unix time of its arrival, nanoseconds.
+        """
+        key = (event.vehicle, event.observer, event.channel)
+        known = self._latest.pop(key, None)
+        if known is not None and _order(event, known) < _order(known, event):
+            self._latest[key] = known
+            return
+        if event.state != "cleared":
+            self._latest[key] = event
+            self._cleared_ns.pop(key, None)
+            self._make_room()
+        elif known is not None:
+            self._latest[key] = event
+            self._cleared_ns.setdefault(key, now_ns)
+
+    def rows(self, now_ns: int) -> list[AlarmRow]:
+        """Return what stands at a Unix time: active alarms, worst and newest first, then shelved, then cleared."""
+        for key, cleared_ns in list(self._cleared_ns.items()):
+            if now_ns - cleared_ns > self._kept_ns:
+                del self._cleared_ns[key], self._latest[key]
+        found = [(_group(event, now_ns), event) for event in self._latest.values()]
+        found.sort(
+            key=lambda one: (
+                _GROUPS.index(one[0]),
+                one[1].severity != "critical",
+                -one[1].since_ns,
+                one[1].vehicle,
+                one[1].observer,
+                one[1].channel,
+            )
+        )
+        return [_row(group, event, now_ns) for group, event in found]
+
+    def _make_room(self) -> None:
+        """Forget the channel that was silent longest: who publishes endless names shall not fill the memory."""
+        while len(self._latest) > MAX_ALARMS:
+            key = next(iter(self._cleared_ns), next(iter(self._latest)))
+            self._cleared_ns.pop(key, None)
+            del self._latest[key]
+
+
+def _order(event: AlarmEvent, other: AlarmEvent) -> tuple[int, int]:
+    """Return what grows from event to event of a channel: the count within an alarm, its begin between alarms."""
+    return (0, event.seq) if event.id == other.id else (event.since_ns, event.seq)
+
+
+def _group(event: AlarmEvent, now_ns: int) -> Group:
+    if event.state == "cleared":
+        return "cleared"
+    return "shelved" if event.shelved_until_ns is not None and event.shelved_until_ns > now_ns else "active"
+
+
+def _row(group: Group, event: AlarmEvent, now_ns: int) -> AlarmRow:
+    share = "" if event.relative is None else f"{100 * event.relative:+.1f} %"
+    amount = _amount(event.estimate, event.unit)
+    columns = (
+        event.severity,
+        event.vehicle,
+        f"{event.observer}/{event.channel}",
+        f"{amount} ({share})" if share else amount,
+        share or amount,
+        age(now_ns - event.since_ns),
+        _amount(event.peak, ""),
+        _state(group, event),
+        event.message,
+    )
+    return AlarmRow(group, *map(printable, columns))
+
+
+def _amount(value: float | None, unit: str) -> str:
+    return "" if value is None else f"{value:+.3g} {unit}".strip()
+
+
+def _state(group: Group, event: AlarmEvent) -> str:
+    if group == "cleared":
+        return "cleared"
+    parts = ["acknowledged"] if event.acknowledged else []
+    if event.latched:
+        parts.append("latched")
+    if group == "shelved":
+        parts.append(f"shelved until {_time_of_day(event.shelved_until_ns or 0)}")
+    return ", ".join(parts) or "raised"
+
+
+def _time_of_day(time_ns: int) -> str:
+    try:
+        return f"{datetime.fromtimestamp(time_ns // 1_000_000_000, UTC):%H:%MZ}"
+    except (OverflowError, OSError, ValueError):
+        return "?"
+
+
+def age(elapsed_ns: int) -> str:
+    """Return a time that has passed in its largest unit: ``12 s``, ``3 min``, ``2 h 5 min``, ``4 d``."""
+    seconds = max(0, elapsed_ns) // 1_000_000_000
+    if seconds < 60:
+        return f"{seconds} s"
+    if seconds < 3600:
+        return f"{seconds // 60} min"
+    if seconds < 86_400:
+        return f"{seconds // 3600} h {seconds // 60 % 60} min"
+    return f"{seconds // 86_400} d"

@@ -1,0 +1,173 @@
+"""An operator's side of the command queries: which alarm is meant, what its monitor says to that."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import zenoh
+
+from monitor.bus.alarm_text import printable
+from monitor.bus.keys import ANY, vehicle_of, vehicle_root
+from monitor.bus.payload import to_json
+from monitor.errors import ProfileError
+
+ANSWER_S = 5.0
+TRIES = 10
+PAUSE_S = 0.2
+MAX_PAYLOAD_BYTES = 1 << 24
+
+_ULID = re.compile(r"[0-9A-HJKMNP-TV-Z]{26}")
+_NAMED = 5
+
+
+class Target(NamedTuple):
+    """An alarm as its monitor knows it: the vehicle, and the part of the request that names the alarm."""
+
+    vehicle: str
+    request: dict[str, str]
+
+
+class _Answer(NamedTuple):
+    vehicle: str
+    payload: Any
+    error: str | None
+
+
+def find_target(session: zenoh.Session, text: str, prefix: str, vehicle: str, endpoints: Sequence[str]) -> Target:
+    """Return which alarm a text means.
+
+    An id, or ``OBSERVER/CHANNEL``, of a named vehicle is taken as it stands. Everything else is looked up among the
+    active alarms of all monitors.
+
+    Parameters
+    ----------
+    session : zenoh.Session
+        An open session.
+    text : str
+        Id of an alarm, ``OBSERVER/CHANNEL`` or ``CHANNEL``.
+    prefix, vehicle : str
+        What the keys begin with; the vehicle's name, ``"*"`` for all.
+    endpoints : Sequence[str]
+        What the session connects to, for the message.
+
+    Raises
+    ------
+    ProfileError
+        No monitor answers, or no alarm or several of them are meant.
+    """
+    root = vehicle_root(prefix, vehicle)
+    whole = "id" if _ULID.fullmatch(text) else "channel" if "/" in text else None
+    if whole is not None and vehicle != ANY:
+        return Target(vehicle, {whole: text})
+    answers = _ask(session, root, "alarms")
+    if not answers:
+        who = "no monitor answers" if vehicle == ANY else f"no monitor of '{vehicle}' answers"
+        raise ProfileError(f"{who} at {', '.join(endpoints)}; start one with 'fauio run', or give --connect")
+    active = {
+        (answer.vehicle, alarm["id"], f"{alarm['observer']}/{alarm['channel']}")
+        for answer in answers
+        for alarm in _alarms(answer.payload)
+    }
+    meant = sorted(
+        (name, channel) for name, own_id, channel in active if text in (own_id, channel, channel.partition("/")[2])
+    )
+    if len(meant) > 1:
+        raise ProfileError(
+            f"'{text}' is more than one alarm: {_listed(meant)}; add --vehicle, or name the observer too"
+        )
+    if meant:
+        name, channel = meant[0]
+        return Target(name, {"id": text} if whole == "id" else {"channel": channel})
+    if whole is not None and len(answers) == 1:
+        return Target(answers[0].vehicle, {whole: text})
+    known = (
+        f"active are {_listed(sorted((name, channel) for name, _, channel in active))}" if active else "none is active"
+    )
+    raise ProfileError(f"no active alarm '{text}'; {known}")
+
+
+def send_command(
+    session: zenoh.Session, prefix: str, vehicle: str, verb: str, request: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Ask a vehicle's monitor to acknowledge, shelve, unshelve or reset an alarm; return its reply.
+
+    Raises
+    ------
+    ProfileError
+        The monitor is not there, does not take this command, or says why not.
+    """
+    root = vehicle_root(prefix, vehicle)
+    answers = _ask(session, root, f"command/{verb}", to_json(request))
+    done = next((answer.payload for answer in answers if answer.error is None), None)
+    if isinstance(done, dict):
+        return done
+    if answers:
+        raise ProfileError(f"{verb}: {answers[0].error or 'the answer is no JSON object'}")
+    if any(reply.ok is not None for reply in session.liveliness().get(f"{root}/live", timeout=ANSWER_S)):
+        raise ProfileError(
+            f"the monitor of '{vehicle}' does not take '{verb}'; its configuration has to allow it: "
+            f'[commands] allow = ["{verb}"]'
+        )
+    raise ProfileError(
+        f"no monitor of '{vehicle}' answers to '{verb}': it is not running, or its configuration does not allow it "
+        f'([commands] allow = ["{verb}"])'
+    )
+
+
+def _ask(session: zenoh.Session, root: str, what: str, payload: bytes | None = None) -> list[_Answer]:
+    """Return all answers; asked again where there is none, as a route can be slower than the session it is for."""
+    for left in reversed(range(TRIES)):
+        replies = list(
+            session.get(
+                f"{root}/{what}",
+                payload=payload,
+                encoding=None if payload is None else zenoh.Encoding.APPLICATION_JSON,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=ANSWER_S,
+            )
+        )
+        if replies:
+            return [_answer(root, reply) for reply in replies]
+        if left:
+            time.sleep(PAUSE_S)
+    return []
+
+
+def _answer(root: str, reply: zenoh.Reply) -> _Answer:
+    if reply.ok is not None:
+        return _Answer(vehicle_of(root, str(reply.ok.key_expr)), _decoded(reply.ok.payload), None)
+    payload = _decoded(reply.err.payload) if reply.err is not None else None
+    error = payload.get("error") if isinstance(payload, dict) else None
+    if not isinstance(error, str):
+        error = f"no answer within {ANSWER_S:g} s; look with 'fauio alarms' whether it was done"
+    return _Answer("", None, printable(error))
+
+
+def _decoded(payload: zenoh.ZBytes) -> Any:
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        return None
+    try:
+        return json.loads(payload.to_bytes())
+    except (ValueError, RecursionError):
+        return None
+
+
+def _alarms(payload: Any) -> list[dict[str, str]]:
+    names = ("id", "observer", "channel")
+    if not isinstance(payload, list):
+        return []
+    return [
+        alarm
+        for alarm in payload
+        if isinstance(alarm, dict) and all(isinstance(alarm.get(name), str) for name in names)
+    ]
+
+
+def _listed(alarms: Sequence[tuple[str, str]]) -> str:
+    names = [printable(f"{channel} of {vehicle}") for vehicle, channel in alarms[:_NAMED]]
+    return ", ".join(names) + (f" and {len(alarms) - _NAMED} more" if len(alarms) > _NAMED else "")

@@ -1,0 +1,160 @@
+"""Checks of ``fauio doctor`` about the machine: folders, disk, serial devices, receive buffers, the clock."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from adapters.mavlink.byte_link import UDP_BUFFER_BYTES
+from monitor.diagnosis.doctor_check import Check, Verdict
+
+_LITTLE_BYTES = 2_000_000_000
+_TOO_LITTLE_BYTES = 100_000_000
+_RECEIVE_LIMIT = Path("/proc/sys/net/core/rmem_max")
+_SYNCHRONISED = Path("/run/systemd/timesync/synchronized")
+_SERIAL_PATTERNS = ("ttyUSB*", "ttyACM*", "ttyAMA*")
+_COMPARE_S = 0.05
+_LARGEST_DRIFT = 0.05
+# A clock that was never set shows the year 1970, or the one in which its system was built.
+_EARLIEST_S = 1_735_689_600
+# adjtimex(2)
+_STA_UNSYNC = 0x40
+_TIME_ERROR = 5
+_TIMEX_BYTES = 512
+
+
+class _Timex(ctypes.Structure):
+    """The first members of the kernel's ``struct timex``; see adjtimex(2)."""
+
+    _fields_ = (
+        ("modes", ctypes.c_uint),
+        ("offset", ctypes.c_long),
+        ("freq", ctypes.c_long),
+        ("maxerror", ctypes.c_long),
+        ("esterror", ctypes.c_long),
+        ("status", ctypes.c_int),
+        ("rest", ctypes.c_byte * _TIMEX_BYTES),
+    )
+
+
+def folder_check(folder: Path) -> Check:
+    """Check that files can be made in a folder, or that it can be made itself."""
+    name = "folder"
+    place = _existing(folder)
+    advice = f"sudo chown $USER {place}, or name another folder"
+    if not place.is_dir():
+        return Check(name, "failed", f"{folder}: {place} is no folder", "name another folder")
+    try:
+        with tempfile.NamedTemporaryFile(dir=place):
+            pass
+    except OSError as error:
+        return Check(name, "failed", f"{folder}: cannot be written: {error.strerror}", advice)
+    where = "can be written" if place == folder else f"can be made in {place}"
+    return Check(name, "ok", f"{folder.absolute()} {where}")
+
+
+def disk_check(folder: Path) -> Check:
+    """Check the room on a folder's disk."""
+    try:
+        free = shutil.disk_usage(_existing(folder)).free
+    except OSError as error:
+        return Check("disk", "failed", f"{folder}: {error.strerror}", "name another folder")
+    found = f"{free / 1e9:.1f} GB free at {folder.absolute()}"
+    if free < _TOO_LITTLE_BYTES:
+        return Check("disk", "failed", found, "make room: neither journal nor recordings will fit")
+    if free < _LITTLE_BYTES:
+        return Check("disk", "warning", found, "make room, or lower budget_mb: an hour of a vehicle takes 400 MB")
+    return Check("disk", "ok", found)
+
+
+def serial_checks(urls: Sequence[str], devices: Path = Path("/dev")) -> list[Check]:
+    """Check that serial devices can be read: those of links, else all that look like an autopilot's."""
+    name = "serial device"
+    wanted = [Path(url.split(":")[1]) for url in urls]
+    found = wanted or sorted(path for pattern in _SERIAL_PATTERNS for path in devices.glob(pattern))
+    if not found:
+        return [Check(name, "ok", "none connected")]
+    checks = []
+    for device in found:
+        if not device.exists():
+            checks.append(Check(name, "failed", f"{device} is not there", "connect it, or mend the URL of the link"))
+        elif os.access(device, os.R_OK | os.W_OK):
+            checks.append(Check(name, "ok", f"{device} can be read"))
+        else:
+            advice = "sudo usermod -aG dialout $USER, then log in again"
+            verdict: Verdict = "failed" if wanted else "warning"
+            checks.append(Check(name, verdict, f"{device} cannot be read by this user", advice))
+    return checks
+
+
+def buffer_check(limit: Path = _RECEIVE_LIMIT) -> Check:
+    """Check how large a receive buffer the kernel allows."""
+    name = "udp buffer"
+    try:
+        allowed = int(limit.read_text())
+    except (OSError, ValueError):
+        return Check(name, "ok", "the kernel does not say how large it may be")
+    found = f"up to {allowed / 1024:.0f} KiB"
+    if allowed >= UDP_BUFFER_BYTES:
+        return Check(name, "ok", found)
+    found += f", the monitor asks for {UDP_BUFFER_BYTES / 1024:.0f} KiB: bursts beyond it are lost while it is busy"
+    return Check(name, "warning", found, f"sudo sysctl -w net.core.rmem_max={UDP_BUFFER_BYTES}")
+
+
+def clock_checks() -> list[Check]:
+    """Check that the clock is set, runs evenly, and is kept right by NTP where that can be told."""
+    name = "clock"
+    walls = time.time()
+    started_wall, started = time.time_ns(), time.monotonic_ns()
+    time.sleep(_COMPARE_S)
+    elapsed_wall, elapsed = time.time_ns() - started_wall, time.monotonic_ns() - started
+    if walls < _EARLIEST_S:
+        day = time.strftime("%Y-%m-%d", time.gmtime(walls))
+        return [Check(name, "failed", f"it shows {day}", "set it: alarms and recordings carry its time")]
+    checks = []
+    if abs(elapsed_wall - elapsed) > _LARGEST_DRIFT * elapsed:
+        found = f"it moved {elapsed_wall / 1e6:.1f} ms in {elapsed / 1e6:.1f} ms"
+        checks.append(Check(name, "failed", found, "something sets it right now; wait, or look for two time services"))
+    else:
+        checks.append(Check(name, "ok", "it runs evenly"))
+    return [*checks, _synchronised_check()]
+
+
+def _synchronised_check() -> Check:
+    name = "ntp"
+    state = _kernel_clock()
+    advice = "sudo timedatectl set-ntp true, or install chrony: times of alarms are those of this clock"
+    if _SYNCHRONISED.exists() or (state is not None and state[0]):
+        error = f", within {state[1] / 1e3:.0f} ms" if state is not None and state[0] else ""
+        return Check(name, "ok", f"the clock is synchronised{error}")
+    if state is None:
+        return Check(name, "ok", "whether the clock is synchronised cannot be told here")
+    return Check(name, "warning", "the clock is not synchronised", advice)
+
+
+def _kernel_clock() -> tuple[bool, int] | None:
+    """Return whether the kernel's clock is kept right, and its largest error in microseconds; None: it does not say."""
+    if sys.platform != "linux":
+        return None
+    try:
+        timex = _Timex()
+        state: int = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(timex))
+    except (OSError, AttributeError):
+        return None
+    if state < 0:
+        return None
+    return state != _TIME_ERROR and not timex.status & _STA_UNSYNC, int(timex.maxerror)
+
+
+def _existing(folder: Path) -> Path:
+    """Return a folder, or the nearest above it that is there."""
+    place = folder
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    return place

@@ -1,0 +1,152 @@
+"""Checks of ``fauio doctor`` about the network: ports that are free or who answers there, a round trip over Zenoh."""
+
+from __future__ import annotations
+
+import json
+import socket
+import statistics
+import threading
+import time
+from tempfile import NamedTemporaryFile
+from typing import TYPE_CHECKING, Any
+
+from adapters.errors import TelemetryError
+from adapters.mavlink.byte_link import open_byte_link, resolve
+from adapters.zenoh.zenoh_session import open_session
+from monitor.diagnosis.doctor_check import Check
+
+if TYPE_CHECKING:
+    import zenoh
+
+_ROUNDS = 20
+_PATIENCE_S = 5.0
+_SLOW_S = 0.02
+_ANSWER_S = 1.5
+_OPEN_MS = 1000
+
+
+def zenoh_port_check(endpoint: str) -> Check:
+    """Check that a Zenoh endpoint can be listened on, or who does already."""
+    name = "zenoh port"
+    try:
+        with open_session(listen=[endpoint]):
+            pass
+    except TelemetryError as error:
+        reason = str(error)
+    else:
+        return Check(name, "ok", f"{endpoint} is free")
+    if "taken" not in reason:
+        return Check(name, "failed", reason, "give another endpoint with --listen, or mend this one")
+    answers, vehicles = _who_answers(endpoint)
+    if vehicles:
+        return Check(name, "ok", f"{endpoint}: a monitor runs there ({', '.join(vehicles)})")
+    if answers:
+        advice = "stop it, or give the monitor another endpoint ('listen', --listen)"
+        return Check(name, "warning", f"{endpoint}: a Zenoh program that is no monitor listens there", advice)
+    advice = "stop it (ss -ltnp names it), or give the monitor another endpoint ('listen', --listen)"
+    return Check(name, "failed", f"{endpoint} is taken by something that is not Zenoh", advice)
+
+
+def mavlink_check(url: str) -> Check:
+    """Check that a MAVLink link can be opened."""
+    name = "mavlink link"
+    try:
+        open_byte_link(url, may_send=True).close()
+    except TelemetryError as error:
+        if "in use" in str(error):
+            advice = "stop who listens there (ss -lunp names it; a monitor of ours?), or use another port ('mavlink')"
+            return Check(name, "warning", f"{url}: the port is taken", advice)
+        return Check(name, "failed", str(error), "mend the URL ('mavlink' in the configuration, or --mavlink)")
+    return Check(name, "ok", f"{url} can be opened")
+
+
+def metrics_check(address: str) -> Check:
+    """Check that metrics can be served at HOST:PORT."""
+    name = "metrics"
+    try:
+        family, place = resolve(f"metrics {address}", address)
+        with socket.socket(family) as probe:
+            # as a server does: what a former one left behind is no obstacle
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(place)
+    except TelemetryError as error:
+        return Check(name, "failed", str(error), "mend 'listen' in [metrics]")
+    except OSError as error:
+        advice = "stop who listens there (ss -ltnp names it; a monitor of ours?), or use another port ('listen')"
+        return Check(name, "warning", f"{address}: {error.strerror}", advice)
+    return Check(name, "ok", f"{address} is free")
+
+
+def round_trip_check() -> Check:
+    """Check that two Zenoh sessions on loopback hear each other, and how fast."""
+    name = "zenoh"
+    try:
+        endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        with open_session(listen=[endpoint]) as ours, open_session(connect=[endpoint]) as theirs:
+            latencies, answered = _round_trips(ours, theirs)
+    except (OSError, TelemetryError) as error:
+        return Check(
+            name, "failed", f"no session on loopback: {error}", "check that loopback is up: ip address show lo"
+        )
+    if len(latencies) < _ROUNDS or not answered:
+        found = f"{len(latencies)} of {_ROUNDS} samples and {'an' if answered else 'no'} answer came over loopback"
+        return Check(name, "failed", found, "check for a firewall on loopback, and the load of the machine")
+    median_s, longest_s = statistics.median(latencies), max(latencies)
+    found = f"put and get on loopback work; median {median_s * 1e3:.2f} ms, longest {longest_s * 1e3:.2f} ms"
+    if median_s > _SLOW_S:
+        return Check(name, "warning", found, "the machine is busy: alarms will be late by as much")
+    return Check(name, "ok", found)
+
+
+def _round_trips(ours: zenoh.Session, theirs: zenoh.Session) -> tuple[list[float], bool]:
+    """Return how long samples took from one session to the other, seconds, and whether a query was answered."""
+    heard = threading.Event()
+    subscriber: Any = ours.declare_subscriber("fauio-doctor/put", lambda sample: heard.set())
+    queryable: Any = ours.declare_queryable("fauio-doctor/get", lambda query: query.reply("fauio-doctor/get", b"here"))
+    publisher: Any = theirs.declare_publisher("fauio-doctor/put")
+    until = time.monotonic() + _PATIENCE_S
+    while not publisher.matching_status.matching and time.monotonic() < until:
+        time.sleep(0.01)
+    latencies = []
+    for _ in range(_ROUNDS):
+        heard.clear()
+        started = time.perf_counter()
+        publisher.put(b"there")
+        if not heard.wait(max(0.0, until - time.monotonic())):
+            break
+        latencies.append(time.perf_counter() - started)
+    answered = False
+    while not answered and time.monotonic() < until:
+        answered = any(reply.ok is not None for reply in theirs.get("fauio-doctor/get", timeout=1.0))
+    for entity in (subscriber, queryable, publisher):
+        entity.undeclare()
+    return latencies, answered
+
+
+def _who_answers(endpoint: str) -> tuple[bool, list[str]]:
+    """Return whether Zenoh answers at an endpoint, and the vehicles of monitors that are reached through it."""
+    # what listens there and is no Zenoh never answers, and closing waits for it
+    config = {"connect": {"endpoints": [endpoint]}, "transport": {"unicast": {"open_timeout": _OPEN_MS}}}
+    try:
+        with NamedTemporaryFile("w", suffix=".json5") as file:
+            json.dump(config, file)
+            file.flush()
+            session = open_session(config_file=file.name)
+        with session:
+            until = time.monotonic() + _ANSWER_S
+            while time.monotonic() < until:
+                info = session.info
+                if list(info.peers_zid()) or list(info.routers_zid()):
+                    replies = session.liveliness().get("**/live", timeout=1.0)
+                    keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+                    return True, sorted(key.split("/")[-2] for key in keys)
+                time.sleep(0.05)
+    except TelemetryError:
+        pass
+    return False, []
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

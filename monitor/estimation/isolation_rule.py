@@ -1,0 +1,193 @@
+"""How joint estimates become evidence against channels: the isolation part of a profile, read and written."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.errors import ProfileError
+from monitor.tables import Table
+
+METHODS = ("single", "independent", "bank")
+
+
+@dataclass(frozen=True, slots=True)
+class IndependentRule:
+    """Every channel answers for its own estimate, smoothed with a time constant in seconds."""
+
+    smoothing_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SingleRule:
+    """One channel is held responsible at a time: see :class:`monitor.estimation.isolation.SingleFaultIsolator`.
+
+    Parameters
+    ----------
+    smoothing_s : float
+        Time constant of the smoothing, seconds.
+    tolerance, score_floor, gain_penalty : float
+        As there.
+    covariance : NDArray[np.float64]
+        Healthy covariance of the smoothed joint estimate (a, a), effect units.
+    """
+
+    smoothing_s: float
+    tolerance: float
+    score_floor: float
+    gain_penalty: float
+    covariance: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BankRule:
+    """One observer for each hypothesis; the one that explains the data names the faults: see ``bank``.
+
+    Parameters
+    ----------
+    smoothing_s : float
+        Time constant of the smoothing of estimates and residuals, seconds.
+    tolerance, score_floor, gain_penalty : float
+        As there.
+    hypotheses : tuple[tuple[str, ...], ...]
+        The faults of each hypothesis.
+    covariances : tuple[NDArray[np.float64], ...]
+        Healthy covariance of the smoothed residual of each hypothesis (p, p).
+    edges : tuple[bool, ...]
+        Which hypotheses take no part in the comparison but watch for edges of their one fault.
+    washouts : Mapping[str, float]
+        Time constant, seconds, with which the estimate of a fault is washed out and has to be given back.
+    """
+
+    smoothing_s: float
+    tolerance: float
+    score_floor: float
+    gain_penalty: float
+    hypotheses: tuple[tuple[str, ...], ...]
+    covariances: tuple[NDArray[np.float64], ...]
+    edges: tuple[bool, ...]
+    washouts: Mapping[str, float] = field(default_factory=dict)
+
+
+IsolationRule = IndependentRule | SingleRule | BankRule
+
+
+def read_hypotheses(table: Table) -> tuple[tuple[str, ...], ...] | None:
+    """Return the faults of a bank's hypotheses, None where the isolation runs a single observer.
+
+    Raises
+    ------
+    ProfileError
+        The method is unknown, or a bank has no hypotheses or one twice.
+    """
+    method = table.text("method")
+    if method not in METHODS:
+        raise ProfileError(f"{table.where('method')} is '{method}'; use 'single', 'independent' or 'bank'")
+    if method != "bank":
+        return None
+    found = tuple(entry.texts("faults", ()) for entry in table.tables("hypotheses"))
+    if not found or not all(found):
+        raise ProfileError(f"{table.where('hypotheses')} is empty or has an entry without 'faults'")
+    if len({frozenset(faults) for faults in found}) < len(found):
+        raise ProfileError(f"{table.where('hypotheses')} has the same faults twice")
+    return found
+
+
+def read_isolation(table: Table, faults: int, outputs: int) -> IsolationRule:
+    """Return the rule of an isolation table, for a number of fault channels and of outputs.
+
+    Raises
+    ------
+    ProfileError
+        A key is missing, unknown or wrong.
+    """
+    hypotheses = read_hypotheses(table)
+    method = table.text("method")
+    smoothing_s = table.number("smoothing_s", 0.05, at_least=0.0)
+    rule: IsolationRule
+    if hypotheses is not None:
+        entries = table.tables("hypotheses")
+        rule = BankRule(
+            smoothing_s=smoothing_s,
+            tolerance=table.number("tolerance", 0.2, at_least=0.0),
+            score_floor=table.number("score_floor", at_least=0.0),
+            gain_penalty=table.number("gain_penalty", 25.0, at_least=0.0),
+            hypotheses=hypotheses,
+            covariances=tuple(_covariance(entry, outputs, definite=False) for entry in entries),
+            edges=tuple(entry.boolean("edge", False) for entry in entries),
+            washouts=_washouts(table.table("washout_s"), {name for faults in hypotheses for name in faults}),
+        )
+        for entry, found, edge in zip(entries, hypotheses, rule.edges, strict=True):
+            if edge and len(found) > 1:
+                raise ProfileError(f"{entry.where('edge')} needs a hypothesis with a single fault")
+        if all(rule.edges):
+            raise ProfileError(f"{table.where('hypotheses')} has none but edges; a bank needs one to compare")
+        for entry in entries:
+            entry.texts("faults", ())
+            entry.done()
+    elif method == "single":
+        rule = SingleRule(
+            smoothing_s=smoothing_s,
+            tolerance=table.number("tolerance", 0.2, at_least=0.0),
+            score_floor=table.number("score_floor", at_least=0.0),
+            gain_penalty=table.number("gain_penalty", 25.0, at_least=0.0),
+            covariance=_covariance(table, faults),
+        )
+    else:
+        rule = IndependentRule(smoothing_s)
+    table.done()
+    return rule
+
+
+def isolation_table(rule: IsolationRule) -> dict[str, Any]:
+    """Return the table that :func:`read_isolation` reads back as the same rule."""
+    if isinstance(rule, IndependentRule):
+        return {"method": "independent", "smoothing_s": rule.smoothing_s}
+    shared = {
+        "smoothing_s": rule.smoothing_s,
+        "tolerance": rule.tolerance,
+        "score_floor": rule.score_floor,
+        "gain_penalty": rule.gain_penalty,
+    }
+    if isinstance(rule, SingleRule):
+        return {"method": "single", **shared, "covariance": rule.covariance.tolist()}
+    hypotheses = [
+        {"faults": list(faults), **({"edge": True} if edge else {}), "covariance": covariance.tolist()}
+        for faults, covariance, edge in zip(rule.hypotheses, rule.covariances, rule.edges, strict=True)
+    ]
+    washouts = {"washout_s": dict(rule.washouts)} if rule.washouts else {}
+    return {"method": "bank", **shared, **washouts, "hypotheses": hypotheses}
+
+
+def gains_file_names(observer: str, hypotheses: Sequence[Sequence[str]] = ()) -> tuple[str, ...]:
+    """Return the names of the files with an observer's gains: one, or one for each hypothesis of a bank.
+
+    They are named after the faults that a hypothesis does not share with all others.
+    """
+    if not hypotheses:
+        return (f"{observer}.gains.json",)
+    shared = set.intersection(*map(set, hypotheses)) if len(hypotheses) > 1 else set[str]()
+    own = ["+".join(name for name in faults if name not in shared) or "rest" for faults in hypotheses]
+    return tuple(f"{observer}.{name}.gains.json" for name in own)
+
+
+def _washouts(table: Table, faults: Collection[str]) -> dict[str, float]:
+    for name in table.keys():  # noqa: SIM118 - a Table is no dict
+        if name not in faults:
+            raise ProfileError(f"{table.where(name)}: no hypothesis has this fault")
+    return {name: table.number(name, at_least=0.1) for name in table.keys()}  # noqa: SIM118
+
+
+def _covariance(table: Table, size: int, definite: bool = True) -> NDArray[np.float64]:
+    covariance = table.matrix("covariance", size, size)
+    scale = np.sqrt(np.abs(np.diag(covariance)))
+    correlation = covariance / np.outer(scale, scale).clip(1e-300)
+    if not np.allclose(correlation, correlation.T) or not covariance.any():
+        raise ProfileError(f"{table.where('covariance')} is not symmetric, or zero")
+    if np.linalg.eigvalsh(correlation).min() < (1e-12 if definite else -1e-9):
+        raise ProfileError(f"{table.where('covariance')} is not positive {'definite' if definite else 'semidefinite'}")
+    return covariance

@@ -1,0 +1,302 @@
+"""Black box: each raised alarm leaves a clip of its own, from some seconds before to some seconds after."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from adapters.encoding.record import Record
+from adapters.errors import TelemetryError
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.sampling.phase import FlightPhase
+from monitor.event import AlarmEvent
+from monitor.recording.record_encoder import OWN_TOPICS
+from monitor.recording.recorder import METADATA, start_log
+from monitor.recording.retention import Retention, file_stem
+from monitor.recording.rotation import writable_folder
+
+MAX_OPEN_CLIPS: Final = 4
+
+_PHASE_TOPICS = frozenset(f"/mavlink/{name}" for name in FlightPhase.interests)
+_ULID = r"[0-9A-HJKMNP-TV-Z]{26}"
+
+
+@dataclass(frozen=True, slots=True)
+class BlackBoxStatistics:
+    """What a black box holds and did so far.
+
+    Parameters
+    ----------
+    held_records, held_bytes : int
+        Records kept for alarms to come.
+    open : int
+        Clips being made.
+    written : int
+        Clips completed.
+    covered : int
+        Alarms raised while :data:`MAX_OPEN_CLIPS` were open already, which they cover.
+    dropped : int
+        Records left out of a clip that could not keep up, or was as large as a clip may be.
+    failures : int
+        Clips given up because they could not be written.
+    failed : str | None
+        Why the last clip was given up; None after one that was not.
+    deleted : int
+        Clips deleted to stay within the budget.
+    """
+
+    held_records: int
+    held_bytes: int
+    open: int
+    written: int
+    covered: int
+    dropped: int
+    failures: int
+    failed: str | None
+    deleted: int
+
+
+@dataclass(slots=True)
+class _Clip:
+    """A clip being made: what waits to be written, and its file once there is one."""
+
+    path: Path
+    begun_ns: int
+    ends_ns: int
+    metadata: dict[str, str]
+    waiting: deque[Record]
+    alarms: list[str]
+    log: MessageLogWriter | None = None
+    ended: bool = False
+    failed: str | None = None
+
+
+class BlackBox:
+    """Keeps the last seconds of one vehicle's records and writes ``<folder>/<vehicle>-<alarm id>.mcap``.
+
+    A clip is complete in itself: profile, metadata (``alarm_id``, ``alarm_channel``, ``alarm_observer``, and
+    ``alarm_ids`` of all alarms raised in its span), telemetry, estimates and alarms. It begins with what the vehicle
+    last said of its phase before that, so that a replay knows it armed. Time is that of the telemetry's arrival.
+    Nothing is written but by :meth:`work` and :meth:`close`; no method raises after construction.
+    Not for several threads at once.
+
+    Parameters
+    ----------
+    folder : str | PathLike
+        Where the clips go; created where it does not exist.
+    vehicle : str
+        The vehicle's name.
+    metadata : Mapping[str, str]
+        Entries of the metadata record ``fauio`` of each clip.
+    profile_files : Mapping[str, bytes]
+        The profile's files by name, attached to each clip.
+    before_s, after_s : float
+        Span of a clip around the moment its alarm was raised, seconds.
+    budget_bytes : int
+        What the vehicle's clips may take together; looked after whenever one is completed. A single clip ends early
+        at a quarter of it.
+    held_records, held_bytes : int
+        Bounds of what is held for alarms to come; at more records than that a clip waiting to be written drops some.
+
+    Raises
+    ------
+    TelemetryError
+        The folder cannot be written to.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        vehicle: str,
+        metadata: Mapping[str, str],
+        profile_files: Mapping[str, bytes],
+        *,
+        before_s: float = 30.0,
+        after_s: float = 30.0,
+        budget_bytes: int = 256 * 1024 * 1024,
+        held_records: int = 100_000,
+        held_bytes: int = 32 * 1024 * 1024,
+    ) -> None:
+        self._folder = writable_folder(folder)
+        self._stem = file_stem(vehicle)
+        self._metadata = dict(metadata)
+        self._profile_files = dict(profile_files)
+        self._before_ns = round(before_s * 1e9)
+        self._after_ns = round(after_s * 1e9)
+        self._clip_bytes = budget_bytes // 4
+        self._held_records = held_records
+        self._held_bytes = held_bytes
+        self._retention = Retention(
+            self._folder, re.compile(f"{re.escape(self._stem)}-{_ULID}\\.mcap", re.ASCII), budget_bytes
+        )
+        self._now_ns: int | None = None
+        # apart from each other, so that an alarm copies the records at once
+        self._held: deque[Record] = deque()
+        self._arrived_ns: deque[int] = deque()
+        self._bytes = 0
+        self._phase: dict[tuple[str, int], Record] = {}
+        self._clips: list[_Clip] = []
+        self._raised: deque[tuple[int, str]] = deque(maxlen=256)
+        self._written = self._covered = self._dropped = self._failures = 0
+        self._failed: str | None = None
+
+    def record(self, *records: Record) -> None:
+        """Take what is being recorded."""
+        for record in records:
+            if not record.topic.startswith(OWN_TOPICS):
+                self._pass_time(record.time_ns)
+            now = self._now_ns if self._now_ns is not None else record.time_ns
+            self._held.append(record)
+            self._arrived_ns.append(now)
+            self._bytes += len(record.data)
+            while self._held and self._is_over(now):
+                self._forget()
+            for clip in self._clips:
+                self._give(clip, record)
+
+    def alarm(self, event: AlarmEvent) -> None:
+        """Begin the clip of an alarm that was just raised; events of other states change nothing."""
+        if event.state != "raised":
+            return
+        now = self._now_ns if self._now_ns is not None else event.time_ns
+        for clip in self._clips:
+            if not clip.ended and event.id not in clip.alarms:
+                clip.alarms.append(event.id)
+        self._raised.append((now, event.id))
+        path = self._folder / f"{self._stem}-{file_stem(event.id)}.mcap"
+        if path.exists() or any(clip.path == path for clip in self._clips):
+            return
+        if len(self._clips) >= MAX_OPEN_CLIPS:
+            self._covered += 1
+            return
+        alarm = {"alarm_id": event.id, "alarm_channel": event.channel, "alarm_observer": event.observer}
+        alarms = [*dict.fromkeys(raised for at_ns, raised in self._raised if now - at_ns <= self._before_ns)]
+        waiting = self._held.copy()
+        waiting.extendleft(sorted(self._phase.values(), key=lambda record: record.time_ns, reverse=True))
+        self._clips.append(_Clip(path, now, now + self._after_ns, self._metadata | alarm, waiting, alarms))
+
+    def work(self, max_records: int, now_ns: int | None = None) -> int:
+        """Write some of what waits; call it on each turn of the loop.
+
+        Parameters
+        ----------
+        max_records : int
+            How many records to write at most.
+        now_ns : int | None
+            Unix time, which ends clips also while no telemetry arrives.
+
+        Returns
+        -------
+        int
+            How many were written.
+        """
+        if now_ns is not None:
+            self._pass_time(now_ns)
+        left = max_records
+        for clip in [*self._clips]:
+            left -= self._write(clip, left)
+            if clip.ended and not clip.waiting:
+                self._complete(clip)
+        return max_records - left
+
+    def close(self) -> None:
+        """Complete all clips with what there is."""
+        for clip in self._clips:
+            clip.ended = True
+        while self._clips:
+            self.work(max(len(clip.waiting) for clip in self._clips))
+        self._retention.wait()
+
+    def add_metadata(self, metadata: Mapping[str, str]) -> None:
+        """Add entries to the metadata of the clips to come."""
+        self._metadata.update(metadata)
+
+    def statistics(self) -> BlackBoxStatistics:
+        """Return what is held and the counts so far."""
+        return BlackBoxStatistics(
+            held_records=len(self._held),
+            held_bytes=self._bytes,
+            open=len(self._clips),
+            written=self._written,
+            covered=self._covered,
+            dropped=self._dropped,
+            failures=self._failures,
+            failed=self._failed,
+            deleted=self._retention.deleted,
+        )
+
+    def _pass_time(self, now_ns: int) -> None:
+        """Note the time; clips end after their span, and where the clock was set back so far that it may not come."""
+        self._now_ns = now_ns
+        for clip in self._clips:
+            if not clip.begun_ns - self._before_ns <= now_ns <= clip.ends_ns:
+                clip.ended = True
+
+    def _is_over(self, now_ns: int) -> bool:
+        """Return whether the oldest record held has to go: by time (also where the clock jumped back), or by size."""
+        if len(self._held) > self._held_records or self._bytes > self._held_bytes:
+            return True
+        age_ns = now_ns - self._arrived_ns[0]
+        return age_ns > self._before_ns or age_ns < -self._before_ns
+
+    def _forget(self) -> None:
+        record = self._held.popleft()
+        self._arrived_ns.popleft()
+        self._bytes -= len(record.data)
+        if record.topic in _PHASE_TOPICS:
+            self._phase[record.topic, record.component] = record
+
+    def _give(self, clip: _Clip, record: Record) -> None:
+        if clip.ended:
+            return
+        if len(clip.waiting) >= 2 * self._held_records:
+            self._dropped += 1
+        else:
+            clip.waiting.append(record)
+
+    def _write(self, clip: _Clip, max_records: int) -> int:
+        """Write up to so many of a clip's records; return how many."""
+        count = 0
+        try:
+            while clip.waiting and count < max_records:
+                clip.log = clip.log or self._start(clip)
+                clip.log.write_record(clip.waiting.popleft())
+                count += 1
+                if clip.log.size > self._clip_bytes:
+                    self._dropped += len(clip.waiting)
+                    clip.waiting.clear()
+                    clip.ended = True
+        except (OSError, TelemetryError) as error:
+            clip.failed = str(error)
+            clip.waiting.clear()
+            clip.ended = True
+        return count
+
+    def _start(self, clip: _Clip) -> MessageLogWriter:
+        return start_log(clip.path, clip.metadata | {"alarm_ids": ",".join(clip.alarms)}, self._profile_files)
+
+    def _complete(self, clip: _Clip) -> None:
+        """Finish a clip's file, or what the disk took of it, and make room for it."""
+        self._clips.remove(clip)
+        if clip.log is not None:
+            try:
+                if clip.failed is None:
+                    clip.log.add_metadata(METADATA, {"alarm_ids": ",".join(clip.alarms)})
+                clip.log.close()
+            except OSError as error:
+                clip.failed = clip.failed or str(error)
+            if not clip.log.statistics().written:
+                with contextlib.suppress(OSError):
+                    clip.path.unlink()
+        self._failed = clip.failed
+        if clip.failed is None:
+            self._written += 1
+        else:
+            self._failures += 1
+        self._retention.make_room(keep={clip.path, *(other.path for other in self._clips)})

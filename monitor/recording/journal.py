@@ -1,0 +1,361 @@
+"""The journal: every alarm event exactly once, on disk before anybody is told, whatever becomes of the process.
+
+An SQLite database in WAL mode. What :meth:`Journal.write` has committed survives ``kill -9``; a power cut can take
+what the operating system had not yet put on the disk, which is what was written since the last :meth:`Journal.sync`,
+and never damages what came before.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sqlite3
+import threading
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from monitor.bus.payload import to_json
+from monitor.errors import ProfileError
+from monitor.event import AlarmEvent, valid_event
+from monitor.recording.journal_file import DamagedError, open_database, read_connection, set_aside
+from monitor.recording.journal_rows import LARGEST, Row, bounded, insert, plain, prune, shelve
+
+MAX_PENDING = 10_000
+MAX_FRAME_BYTES = 1 << 15
+MAX_ANSWER = 100_000
+RETRIED_AT_ONCE = 200
+
+_ACTIVE = """
+SELECT body FROM alarm JOIN event ON event.number = alarm.latest
+WHERE alarm.standing = 1 AND alarm.vehicle = ? ORDER BY alarm.seq
+"""
+_EVENTS = """
+SELECT number, body FROM event WHERE time_ns >= ? ORDER BY time_ns DESC, number DESC LIMIT ?
+"""
+_EVENTS_OF_VEHICLE = """
+SELECT number, body FROM event WHERE vehicle = ? AND time_ns >= ? ORDER BY time_ns DESC, number DESC LIMIT ?
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class JournalStatistics:
+    """What a journal did since it was opened.
+
+    Parameters
+    ----------
+    written : int
+        Events committed.
+    duplicates : int
+        Events given again, not written again.
+    conflicts : int
+        Events not written because another event has their vehicle and number.
+    rejected : int
+        Events and freeze frames that no row can hold: numbers beyond 64 bits, frames that are no JSON or too large.
+    pending : int
+        Events in memory that wait for the disk.
+    dropped : int
+        Events lost because too many were waiting.
+    pruned : int
+        Old events deleted to keep the bound.
+    open : bool
+        Whether the file is open; where it cannot be at the start, every :meth:`Journal.retry` tries again.
+    last_error : str | None
+        What went wrong last; it stays when it is over.
+    """
+
+    written: int = 0
+    duplicates: int = 0
+    conflicts: int = 0
+    rejected: int = 0
+    pending: int = 0
+    dropped: int = 0
+    pruned: int = 0
+    open: bool = True
+    last_error: str | None = None
+
+
+class Journal:
+    """Append-only journal of alarm events with one writer in this process and readers in any thread.
+
+    No trouble of the disk raises from :meth:`write`, :meth:`retry`, :meth:`sync` or :meth:`close`: events wait in
+    memory, in order, until :meth:`retry` (called once a second) can write them. Queries give what is on disk, each
+    over a connection of its own, so they wait for nobody and nobody waits for them. Beyond ``max_events`` the
+    oldest events go, a few with each new one; the latest event of an alarm that is not cleared never goes.
+
+    Parameters
+    ----------
+    path : str | PathLike
+        The database file; created where there is none.
+    max_events : int
+        Events kept.
+
+    Attributes
+    ----------
+    set_aside : Path | None
+        Where a damaged journal found at the start was moved to; this one began empty.
+
+    Raises
+    ------
+    ProfileError
+        The file cannot be a journal: no folder, not writable, no database, another program's, of a newer version.
+        A full or failing disk and a locked file raise nothing.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], max_events: int = 1_000_000) -> None:
+        self.set_aside: Path | None = None
+        self._path = Path(path)
+        self._max_events = max_events
+        self._lock = threading.Lock()
+        self._pending: deque[Row] = deque()
+        self._shelved: dict[str, Mapping[str, int]] = {}
+        self._counts = dict.fromkeys(("written", "duplicates", "conflicts", "rejected", "dropped", "pruned"), 0)
+        self._last_error: str | None = None
+        self._connection: sqlite3.Connection | None = None
+        self._events = 0
+        self._unsynced = False
+        with self._lock:
+            self._open()
+
+    def write(self, event: AlarmEvent, frame: Mapping[str, Any] | None = None) -> None:
+        """Commit an event, once however often it is given; keep it in memory where the disk does not take it.
+
+        Parameters
+        ----------
+        event : AlarmEvent
+            The event; its vehicle and ``seq`` say which one it is.
+        frame : Mapping[str, Any] | None
+            Freeze frame, kept by the alarm's id: inputs, outputs, estimates and thresholds at the moment. The first
+            one of an alarm stays.
+        """
+        with self._lock:
+            row = self._row(event, frame)
+            if row is None:
+                return
+            # behind those that wait, so that the order stays
+            if self._pending or not self._commit([row]):
+                if len(self._pending) >= MAX_PENDING:
+                    self._pending.popleft()
+                    self._counts["dropped"] += 1
+                self._pending.append(row)
+
+    def shelve(self, vehicle: str, channels: Mapping[str, int]) -> None:
+        """Remember which channels (``observer/channel``) operators have shelved, and until when; the last holds."""
+        with self._lock:
+            self._shelved[plain(vehicle)] = dict(channels)
+            self._commit_shelved()
+
+    def retry(self) -> int:
+        """Write some of the events that wait, the oldest first; return how many still do."""
+        with self._lock:
+            if self._connection is None:
+                try:
+                    self._open()
+                except ProfileError as error:
+                    self._last_error = str(error)
+            batch = [self._pending[index] for index in range(min(RETRIED_AT_ONCE, len(self._pending)))]
+            if batch and self._commit(batch):
+                for _ in batch:
+                    self._pending.popleft()
+            self._commit_shelved()
+            return len(self._pending)
+
+    def sync(self) -> None:
+        """Put on the disk what was written, so that a power cut cannot take it; takes as long as the disk does.
+
+        For any thread but the one that monitors; once a second bounds what a power cut can lose.
+        """
+        if not self._unsynced:
+            return
+        self._unsynced = False
+        try:
+            descriptor = os.open(f"{self._path}-wal", os.O_RDONLY)
+            try:
+                os.fdatasync(descriptor)
+            finally:
+                os.close(descriptor)
+        except OSError as error:
+            self._unsynced = True
+            self._last_error = f"{self._path}: {error.strerror}"
+
+    def statistics(self) -> JournalStatistics:
+        """Return the counts so far."""
+        with self._lock:
+            return JournalStatistics(
+                **self._counts,
+                pending=len(self._pending),
+                open=self._connection is not None,
+                last_error=self._last_error,
+            )
+
+    def active(self, vehicle: str) -> list[AlarmEvent]:
+        """Return the latest event of each of a vehicle's alarms that is not cleared, by ``seq``.
+
+        Raises
+        ------
+        OSError
+            The journal cannot be read; so do all queries.
+        """
+        return self._readable(body for (body,) in self._query(_ACTIVE, (plain(vehicle),)))
+
+    def shelved(self, vehicle: str) -> dict[str, int]:
+        """Return the channels of a vehicle that operators have shelved, and the Unix times at which that ends."""
+        return dict(self._query("SELECT channel, until_ns FROM shelved WHERE vehicle = ?", (plain(vehicle),)))
+
+    def last_seq(self, vehicle: str) -> int:
+        """Return the largest ``seq`` of a vehicle's events, 0 where it has none."""
+        rows = self._query("SELECT last_seq FROM vehicle WHERE name = ?", (plain(vehicle),))
+        return int(rows[0][0]) if rows else 0
+
+    def events(self, vehicle: str | None = None, since_ns: int = 0, limit: int = 1000) -> list[AlarmEvent]:
+        """Return the newest events, in the order they were written.
+
+        Parameters
+        ----------
+        vehicle : str | None
+            Whose events; None for all.
+        since_ns : int
+            None from before this Unix time.
+        limit : int
+            At most so many, and never more than :data:`MAX_ANSWER`.
+        """
+        since_ns, limit = bounded(since_ns), max(0, min(limit, MAX_ANSWER))
+        if vehicle is None:
+            rows = self._query(_EVENTS, (since_ns, limit))
+        else:
+            rows = self._query(_EVENTS_OF_VEHICLE, (plain(vehicle), since_ns, limit))
+        return self._readable(body for _, body in sorted(rows))
+
+    def frame(self, alarm_id: str) -> dict[str, Any] | None:
+        """Return the freeze frame of an alarm, None where there is none."""
+        rows = self._query("SELECT frame FROM alarm WHERE id = ? AND frame IS NOT NULL", (plain(alarm_id),))
+        return dict(json.loads(rows[0][0])) if rows else None
+
+    def close(self) -> None:
+        """Write what waits as far as the disk takes it, and close; a second call does nothing."""
+        before = MAX_PENDING + 1
+        while 0 < (waiting := self.statistics().pending) < before:
+            before = waiting
+            self.retry()
+        with self._lock:
+            self._commit_shelved()
+            if self._connection is not None:
+                with contextlib.suppress(sqlite3.Error):
+                    self._connection.close()
+                self._connection = None
+                self._unsynced = False
+
+    def _open(self) -> None:
+        try:
+            try:
+                self._connection = open_database(self._path)
+            except DamagedError as error:
+                self.set_aside = set_aside(self._path)
+                self._last_error = f"{self._path}: damaged ({error}), set aside as {self.set_aside.name}"
+                self._connection = open_database(self._path)
+            self._events = self._connection.execute("SELECT count(*) FROM event").fetchone()[0]
+        except sqlite3.Error as error:
+            self._note(error)
+
+    def _row(self, event: AlarmEvent, frame: Mapping[str, Any] | None) -> Row | None:
+        """Return an event as a row; None, counted, where no row can hold it."""
+        if not isinstance(event.seq, int) or abs(event.seq) > LARGEST:
+            self._reject(f"event of {event.vehicle} with seq {event.seq!r:.40}")
+            return None
+        try:
+            body = to_json(event.to_json()).decode()
+            time_ns = bounded(int(event.time_ns))
+            vehicle, alarm = plain(event.vehicle), plain(event.id)
+        except (TypeError, ValueError, AttributeError, RecursionError, OverflowError) as error:
+            self._reject(f"event {event.seq} of {event.vehicle!r:.80}: {error}")
+            return None
+        frozen = None if frame is None else self._frozen(event, frame)
+        return Row(vehicle, event.seq, alarm, time_ns, event.state != "cleared", body, frozen)
+
+    def _frozen(self, event: AlarmEvent, frame: Mapping[str, Any]) -> str | None:
+        try:
+            body = to_json(frame)
+        except (TypeError, ValueError, RecursionError) as error:
+            self._reject(f"freeze frame of {event.id}: {error}")
+            return None
+        if len(body) > MAX_FRAME_BYTES:
+            self._reject(f"freeze frame of {event.id}: {len(body)} bytes")
+            return None
+        return body.decode()
+
+    def _commit(self, rows: Sequence[Row]) -> bool:
+        """Write rows in one transaction; return whether all are there."""
+        if self._connection is None:
+            return False
+        counts = dict.fromkeys(("written", "duplicates", "conflicts", "pruned"), 0)
+        conflict = None
+        try:
+            self._connection.execute("BEGIN IMMEDIATE")
+            for row in rows:
+                outcome = insert(self._connection, row)
+                counts[outcome] += 1
+                if outcome == "conflicts":
+                    conflict = f"event {row.seq} of {row.vehicle} is there already, with another content"
+            counts["pruned"] = prune(self._connection, self._events + counts["written"] - self._max_events)
+            self._connection.execute("COMMIT")
+        except sqlite3.Error as error:
+            self._note(error)
+            with contextlib.suppress(sqlite3.Error):
+                self._connection.rollback()
+            return False
+        for name, count in counts.items():
+            self._counts[name] += count
+        if conflict is not None:
+            self._last_error = f"{self._path}: {conflict}"
+        self._events += counts["written"] - counts["pruned"]
+        self._unsynced = self._unsynced or counts["written"] > 0
+        return True
+
+    def _commit_shelved(self) -> None:
+        """Write what is shelved, where that is not written yet."""
+        for vehicle, channels in list(self._shelved.items()):
+            if self._connection is None:
+                return
+            try:
+                self._connection.execute("BEGIN IMMEDIATE")
+                shelve(self._connection, vehicle, channels)
+                self._connection.execute("COMMIT")
+            except sqlite3.Error as error:
+                self._note(error)
+                with contextlib.suppress(sqlite3.Error):
+                    self._connection.rollback()
+                return
+            del self._shelved[vehicle]
+            self._unsynced = True
+
+    def _query(self, sql: str, values: Sequence[Any]) -> list[Any]:
+        try:
+            alone = self._connection is None
+            with contextlib.closing(read_connection(self._path, alone)) as connection:
+                return connection.execute(sql, values).fetchall()
+        except (sqlite3.Error, UnicodeDecodeError) as error:
+            raise OSError(f"{self._path}: journal cannot be read: {error}") from error
+
+    def _readable(self, bodies: Iterable[str]) -> list[AlarmEvent]:
+        """Return events from their JSON, without those that a failing disk has changed."""
+        events = []
+        for body in bodies:
+            try:
+                event = valid_event(json.loads(body))
+            except (ValueError, RecursionError):
+                event = None
+            if event is None:
+                self._last_error = f"{self._path}: event that cannot be read: {body:.80}"
+            else:
+                events.append(event)
+        return events
+
+    def _note(self, error: sqlite3.Error) -> None:
+        self._last_error = f"{self._path}: {error}"
+
+    def _reject(self, what: str) -> None:
+        self._counts["rejected"] += 1
+        self._last_error = f"{self._path}: cannot hold {what}"

@@ -1,0 +1,1 @@
+"""The daemon: links to vehicles, vehicles to pipelines, health, metrics, standby."""

@@ -1,0 +1,212 @@
+"""How the daemon is doing, as one frozen snapshot; what of it is a problem of the monitor itself."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from monitor.recording.journal import JournalStatistics
+from monitor.service.latency import LatencyBuckets, LatencyStatistics
+
+VehicleState = Literal["starting", "monitoring", "degraded", "stale"]
+LOOP_LIMIT_S = 5.0
+
+_PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+
+
+def resident_bytes() -> int:
+    """Return the resident memory of this process, 0 where the system does not tell."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * _PAGE_BYTES
+    except (OSError, ValueError, IndexError):
+        return 0
+
+
+@dataclass(frozen=True, slots=True)
+class ObserverHealth:
+    """One observer of a vehicle.
+
+    Parameters
+    ----------
+    name : str
+        The observer's name.
+    samples : int
+        Samples it was fed.
+    losses : Mapping[str, int]
+        Measurements it did without, by reason (``late``, ``invalid``, ``skipped`` ...).
+    """
+
+    name: str
+    samples: int = 0
+    losses: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderHealth:
+    """The recording of a vehicle.
+
+    Parameters
+    ----------
+    records : int
+        Records written.
+    lost : int
+        Records that could not be written.
+    trouble : str | None
+        Why nothing can be written at present; None where all is well.
+    """
+
+    records: int = 0
+    lost: int = 0
+    trouble: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleHealth:
+    """One vehicle.
+
+    Parameters
+    ----------
+    name : str
+        The vehicle's name.
+    state : {"starting", "monitoring", "degraded", "stale"}
+        As in its status topic.
+    messages, dropped : int
+        Messages that its pipeline took; messages for it that were dropped before.
+    events : int
+        Alarm events.
+    active : Mapping[str, int]
+        Active alarms by severity.
+    observers : tuple[ObserverHealth, ...]
+        Its observers.
+    latency : LatencyStatistics
+        From arrival of a message to what follows from it, over the last interval.
+    latency_buckets : LatencyBuckets | None
+        The same since the start.
+    recorder : RecorderHealth | None
+        Its recording; None where nothing is recorded.
+    """
+
+    name: str
+    state: VehicleState
+    messages: int = 0
+    dropped: int = 0
+    events: int = 0
+    active: Mapping[str, int] = field(default_factory=dict)
+    observers: tuple[ObserverHealth, ...] = ()
+    latency: LatencyStatistics = field(default_factory=LatencyStatistics)
+    latency_buckets: LatencyBuckets | None = None
+    recorder: RecorderHealth | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LinkHealth:
+    """One link.
+
+    Parameters
+    ----------
+    name : str
+        Its URL or key expression.
+    connected : bool
+        Whether it is open; a UDP socket always is.
+    messages : int
+        Messages received.
+    losses : Mapping[str, int]
+        What was lost or refused, by reason (``lost``, ``damaged``, ``unknown`` ...).
+    lost_by_system : Mapping[int, int]
+        Packets missing by their sequence numbers, of each MAVLink system that lost any.
+    """
+
+    name: str
+    connected: bool = True
+    messages: int = 0
+    losses: Mapping[str, int] = field(default_factory=dict)
+    lost_by_system: Mapping[int, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessHealth:
+    """The process.
+
+    Parameters
+    ----------
+    loop_age_s : float
+        Time since the main loop last came round, seconds.
+    inbox_depth, inbox_capacity : int
+        Messages between the links and the main loop, and the most there can be.
+    inbox_dropped : int
+        Messages dropped because there were more.
+    resident_bytes : int
+        Resident memory; 0 where unknown.
+    cpu_s : float
+        Processor time used so far, seconds.
+    """
+
+    loop_age_s: float = 0.0
+    inbox_depth: int = 0
+    inbox_capacity: int = 0
+    inbox_dropped: int = 0
+    resident_bytes: int = field(default_factory=resident_bytes)
+    cpu_s: float = field(default_factory=time.process_time)
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """Everything at one moment.
+
+    Parameters
+    ----------
+    process : ProcessHealth
+        The process.
+    vehicles : tuple[VehicleHealth, ...]
+        The vehicles.
+    links : tuple[LinkHealth, ...]
+        The links.
+    journal : JournalStatistics | None
+        The journal; None where none is kept.
+    """
+
+    process: ProcessHealth
+    vehicles: tuple[VehicleHealth, ...] = ()
+    links: tuple[LinkHealth, ...] = ()
+    journal: JournalStatistics | None = None
+
+
+def problems(health: Health) -> list[str]:
+    """Return what keeps the monitor from doing its work now, one line each.
+
+    A vehicle that is silent, faulty, switched off or lacks some telemetry is none: alarms and its status say so.
+    """
+    found = []
+    process = health.process
+    if process.loop_age_s > LOOP_LIMIT_S:
+        found.append(f"the main loop has stood still for {process.loop_age_s:.0f} s")
+    if process.inbox_capacity and process.inbox_depth >= process.inbox_capacity:
+        found.append(f"the inbox is full ({process.inbox_depth} messages): messages are dropped")
+    for vehicle in health.vehicles:
+        if vehicle.recorder is not None and vehicle.recorder.trouble is not None:
+            found.append(f"{vehicle.name} is not recorded: {vehicle.recorder.trouble}")
+    journal = health.journal
+    if journal is not None and not journal.open:
+        found.append(f"the journal cannot be opened: {journal.last_error}")
+    elif journal is not None and journal.pending:
+        found.append(f"{journal.pending} alarm events wait for the journal: {journal.last_error}")
+    return found
+
+
+def health_json(health: Health) -> dict[str, Any]:
+    """Return what ``/healthz`` answers."""
+    found = problems(health)
+    return {
+        "status": "trouble" if found else "ok",
+        "problems": found,
+        "vehicles": {
+            vehicle.name: {"state": vehicle.state, "active_alarms": sum(vehicle.active.values())}
+            for vehicle in health.vehicles
+        },
+        "links": {link.name: {"connected": link.connected, "messages": link.messages} for link in health.links},
+        "loop_age_s": round(health.process.loop_age_s, 3),
+    }

@@ -1,0 +1,215 @@
+"""What stands around one vehicle's monitor: who speaks for it, operators' commands, what is done once in a while."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+from monitor.alarms.desk_rule import DeskRule
+from monitor.bus.keys import vehicle_root
+from monitor.bus.operators import Operators
+from monitor.bus.publisher import Publisher
+from monitor.bus.subscriber import AlarmSubscriber
+from monitor.event import AlarmEvent
+from monitor.pipeline import rules_message
+from monitor.profile import Profile
+from monitor.recording.archive import Archive
+from monitor.service.election import Election
+from monitor.service.health import LinkHealth
+from monitor.service.vehicle_monitor import VehicleMonitor
+
+if TYPE_CHECKING:
+    import zenoh
+
+_STATUS_NS = 1_000_000_000
+_FLUSH_NS = 500_000_000
+_AWAY_NS = 1_000_000_000
+_HEARD_AT_ONCE = 500
+_PAST_EVENTS = 4096
+
+
+class PastEvents(Protocol):
+    """What a journal knows of a vehicle."""
+
+    def active(self, vehicle: str) -> Sequence[AlarmEvent]: ...  # noqa: D102
+    def shelved(self, vehicle: str) -> Mapping[str, int]: ...  # noqa: D102
+    def last_seq(self, vehicle: str) -> int: ...  # noqa: D102
+    def events(self, vehicle: str, since_ns: int, limit: int) -> Sequence[AlarmEvent]: ...  # noqa: D102
+
+
+@dataclass(frozen=True, slots=True)
+class PostRule:
+    """How a vehicle's monitor faces the world.
+
+    Parameters
+    ----------
+    prefix : str
+        What all keys begin with.
+    estimate_rate_hz : float
+        Largest rate of published estimates.
+    commands : Collection[str]
+        Operators' verbs that are carried out.
+    shelve_minutes, max_shelve_minutes : float
+        How long an alarm is shelved where the command does not say, and at most.
+    standby_s : float | None
+        Another monitor of the same vehicle may speak, and this one waits until that has been gone for this time,
+        seconds; None: there is no other.
+    """
+
+    prefix: str
+    estimate_rate_hz: float
+    commands: Collection[str] = ()
+    shelve_minutes: float = 60.0
+    max_shelve_minutes: float = 480.0
+    standby_s: float | None = None
+
+
+class Post:
+    """One vehicle's monitor at its place in the daemon.
+
+    Parameters
+    ----------
+    monitor : VehicleMonitor
+        The monitor.
+    desk : DeskRule
+        The desk's rule at the start.
+    session : zenoh.Session
+        An open session; left open by :meth:`close`.
+    rule : PostRule
+        How it faces the world.
+    journal : PastEvents | None
+        Where alarms that stood before a restart are found.
+    archive : Archive | None
+        What the vehicle is recorded in.
+    closers : Sequence[Callable[[], None]]
+        Closes what the vehicle records to, in order.
+    links : Callable[[], Sequence[LinkHealth]]
+        How the links are that its telemetry may come over.
+    """
+
+    def __init__(
+        self,
+        monitor: VehicleMonitor,
+        desk: DeskRule,
+        session: zenoh.Session,
+        rule: PostRule,
+        journal: PastEvents | None = None,
+        archive: Archive | None = None,
+        closers: Sequence[Callable[[], None]] = (),
+        links: Callable[[], Sequence[LinkHealth]] = tuple,
+    ) -> None:
+        self.monitor = monitor
+        self.last_status: dict[str, Any] = {}
+        self._session = session
+        self._rule = rule
+        self._journal = journal
+        self.archive = archive
+        self._closers = tuple(closers)
+        self._links = links
+        self._operators: Operators | None = None
+        self._election: Election | None = None
+        self._others: AlarmSubscriber | None = None
+        self._root = vehicle_root(rule.prefix, monitor.name)
+        self._status_ns = self._flushed_ns = self._decided_ns = time.time_ns()
+        monitor.take(rules_message(desk, monitor.pipeline.profile, self._status_ns))
+        if rule.standby_s is not None:
+            # with the past: what was said while this monitor was not running belongs in its journal too
+            self._others = AlarmSubscriber(session, monitor.name, rule.prefix, history=True)
+            self._election = Election(session, self._root, rule.standby_s)
+        else:
+            self._speak(self._status_ns)
+
+    def retune(self, desk: DeskRule, profile: Profile) -> None:
+        """Let another desk's rule and a profile's alarm sizes hold from now on."""
+        self.monitor.take(rules_message(desk, profile, time.time_ns()))
+
+    def work(self, now_ns: int, troubles: Sequence[str]) -> None:
+        """Do what is due: take over or step down, answer operators, flush, say how it goes."""
+        self._decide(now_ns)
+        if self.archive is not None:
+            self.archive.work(now_ns)
+        if self._operators is not None:
+            self._answer(self._operators)
+        if now_ns - self._flushed_ns >= _FLUSH_NS:
+            self._flushed_ns = now_ns
+            self.monitor.flush()
+        if now_ns - self._status_ns >= _STATUS_NS:
+            self._status_ns = now_ns
+            trouble = None if self.archive is None else self.archive.statistics().trouble
+            self.last_status = self.monitor.status(now_ns, [*troubles, *([trouble] if trouble else [])], self._links())
+
+    def close(self) -> None:
+        """Fall silent and finish what is recorded."""
+        if self._operators is not None:
+            self._operators.close()
+        self.monitor.hush()
+        if self._election is not None:
+            self._election.close()
+        if self._others is not None:
+            self._others.close()
+        for close in self._closers:
+            close()
+
+    def _decide(self, now_ns: int) -> None:
+        if self._election is None or self._others is None:
+            return
+        for _ in range(_HEARD_AT_ONCE):
+            if (event := self._others.receive(0.0)) is None:
+                break
+            self.monitor.hear(event)
+        else:
+            # who has not heard all that was said cannot go on from it
+            return
+        away_ns, self._decided_ns = now_ns - self._decided_ns, now_ns
+        if away_ns > _AWAY_NS and self.monitor.speaks:
+            # Frozen for so long, it may have been replaced: it must not speak before it knows.
+            self._election.close()
+            self._election = Election(self._session, self._root, self._rule.standby_s or 0.0)
+        leads = self._election.leads
+        if leads and not self.monitor.speaks:
+            logging.getLogger(__name__).warning("speaking for %s from now on", self.monitor.name)
+            self._speak(now_ns)
+            # at once, and not when the next one is due: who watches shall see that somebody speaks
+            self._status_ns = 0
+        elif not leads and self.monitor.speaks:
+            logging.getLogger(__name__).warning("another monitor speaks for %s; standing by", self.monitor.name)
+            if self._operators is not None:
+                self._operators.close()
+                self._operators = None
+            self.monitor.hush()
+
+    def _speak(self, now_ns: int) -> None:
+        monitor, journal = self.monitor, self._journal
+        name, layouts = monitor.name, monitor.pipeline.layouts
+        past = None if journal is None else functools.partial(journal.events, name, limit=_PAST_EVENTS)
+        voice = Publisher(self._session, name, layouts, self._rule.prefix, self._rule.estimate_rate_hz, journal=past)
+        monitor.speak(voice, now_ns, *_remembered(journal, name))
+        limits = (self._rule.shelve_minutes, self._rule.max_shelve_minutes)
+        self._operators = Operators(self._session, self._root, self._rule.commands, *limits)
+
+    def _answer(self, operators: Operators) -> None:
+        desk = self.monitor.pipeline.desk
+        for command in operators.pending():
+            message = operators.message(command, time.time_ns())
+            reason = desk.refusal(message.name, message.fields)
+            if reason is not None:
+                operators.refuse(command, reason)
+                continue
+            events = self.monitor.take(message)
+            operators.accept(command, events[-1] if events else None)
+
+
+def _remembered(journal: PastEvents | None, vehicle: str) -> tuple[Sequence[AlarmEvent], int, Mapping[str, int]]:
+    """Return the alarms that stood when the journal was last written, its last event's number, what was shelved."""
+    if journal is None:
+        return (), 0, {}
+    try:
+        return journal.active(vehicle), journal.last_seq(vehicle), journal.shelved(vehicle)
+    except OSError as error:
+        logging.getLogger(__name__).warning("alarms from before the start are not known: %s", error)
+        # Numbers that were used before would later be taken for events that are known.
+        return (), int(time.time()), {}

@@ -1,0 +1,325 @@
+"""The vehicles of a daemon: their posts, set up from the configuration, added and reloaded while it runs."""
+
+from __future__ import annotations
+
+import functools
+import queue
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from monitor.alarms.desk_rule import DeskRule
+from monitor.configuration.config import Config, Vehicle
+from monitor.errors import ProfileError
+from monitor.event import AlarmEvent
+from monitor.pipeline import Pipeline
+from monitor.profile import PROFILE_FILE, Profile, read_profile
+from monitor.recording.archive import Archive
+from monitor.recording.black_box import BlackBox
+from monitor.recording.journal import Journal
+from monitor.recording.record_encoder import RecordEncoder
+from monitor.recording.recorder import Recorder
+from monitor.recording.rotation import RotatingRecorder
+from monitor.service.fleet import Fleet
+from monitor.service.health import Health, LinkHealth, ProcessHealth
+from monitor.service.inbox import Inbox
+from monitor.service.log import Log
+from monitor.service.post import Post, PostRule
+from monitor.service.station_health import Links, take_health
+from monitor.service.vehicle_monitor import VehicleMonitor
+
+if TYPE_CHECKING:
+    import zenoh
+
+    from monitor.views.live_buffer import VehicleView
+    from monitor.views.live_view import LiveView
+
+_SECOND_NS = 1_000_000_000
+_MEGABYTE = 1_000_000
+
+
+class Station:
+    """The vehicles of one daemon.
+
+    Parameters
+    ----------
+    config : Config
+        What the daemon does.
+    read_again : Callable[[], Config]
+        Reads the configuration anew, for a reload.
+    session : zenoh.Session
+        An open session; left open by :meth:`close`.
+    inbox : Inbox
+        Where messages come from.
+    journal : Journal | None
+        The journal, if one is kept.
+    log : Log
+        The daemon's log.
+    links : Links
+        The links by name, for their counts.
+    live_view : LiveView | None
+        Shows the vehicles live, if any.
+
+    Attributes
+    ----------
+    reloads : int
+        Reloads that are over, failed ones included.
+
+    Raises
+    ------
+    ProfileError, TelemetryError
+        A profile cannot be used, or a folder not written to.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        read_again: Callable[[], Config],
+        session: zenoh.Session,
+        inbox: Inbox,
+        journal: Journal | None,
+        log: Log,
+        links: Links,
+        live_view: LiveView | None = None,
+    ) -> None:
+        self._config = config
+        self._read_again = read_again
+        self._session = session
+        self._inbox = inbox
+        self._journal = journal
+        self._log = log
+        self._links = links
+        self._shared_links = frozenset((*config.mavlink, *config.zenoh))
+        self._live_view = live_view
+        self._views: dict[str, VehicleView] = {}
+        self._profiles: dict[Path, Profile] = {}
+        self._posts: dict[str, Post] = {}
+        self.reloads = 0
+        self._new = 0
+        self._events: dict[str, int] = {}
+        self._reloaded: queue.SimpleQueue[tuple[Config, dict[Path, Profile]] | str] = queue.SimpleQueue()
+        self._turn_ns = self._second_ns = 0
+        self._dropped_before = 0
+        self._troubles: tuple[str, ...] = ()
+        self._health = Health(ProcessHealth())
+        for vehicle in config.vehicles:
+            self._add(vehicle)
+        makes_new = config.new_vehicles.profile is not None
+        self.fleet = Fleet([post.monitor for post in self._posts.values()], self._meet if makes_new else None)
+
+    @property
+    def posts(self) -> Sequence[Post]:
+        """The vehicles' posts."""
+        return tuple(self._posts.values())
+
+    def name_of(self, vehicle: Vehicle) -> str:
+        """Return the name of a vehicle of the configuration, which may be its profile's."""
+        folder = vehicle.profile
+        return vehicle.name or (self._profiles[folder].name if folder is not None else "")
+
+    def troubles(self) -> Sequence[str]:
+        """Return what is wrong around all vehicles."""
+        return self._troubles
+
+    def health(self) -> Health:
+        """Return everything as of at most a second ago; any thread may call it."""
+        health = self._health
+        age_s = max(0.0, (time.time_ns() - self._turn_ns) / 1e9) if self._turn_ns else 0.0
+        return replace(health, process=replace(health.process, loop_age_s=age_s))
+
+    def turn(self, now_ns: int) -> None:
+        """Do what is due for the daemon as a whole; called about twenty times a second."""
+        self._turn_ns = now_ns
+        while not self._reloaded.empty():
+            self._apply(self._reloaded.get())
+            self.reloads += 1
+        if now_ns - self._second_ns >= _SECOND_NS or now_ns < self._second_ns:
+            self._second_ns = now_ns
+            if self._journal is not None:
+                self._journal.retry()
+            self._troubles = tuple(self._find_troubles())
+            journal = None if self._journal is None else self._journal.statistics()
+            self._health = take_health(self.posts, self._inbox, self._links, journal, self._events)
+
+    def reload(self) -> None:
+        """Read configuration and profiles again, in a thread: monitoring goes on meanwhile."""
+        threading.Thread(target=self._load, name="reload", daemon=True).start()
+
+    def close(self) -> None:
+        """Close all posts."""
+        for post in self.posts:
+            post.close()
+
+    def _load(self) -> None:
+        try:
+            config = self._read_again()
+            folders = {vehicle.profile for vehicle in config.vehicles} | {config.new_vehicles.profile}
+            self._reloaded.put((config, {folder: read_profile(folder) for folder in folders if folder is not None}))
+        except (ValueError, OSError) as error:
+            self._reloaded.put(str(error))
+
+    def _apply(self, loaded: tuple[Config, dict[Path, Profile]] | str) -> None:
+        if isinstance(loaded, str):
+            self._log.say("reload failed", level="error", reason=loaded, kept="the configuration in force")
+            return
+        config, profiles = loaded
+        self._config = config
+        self._profiles = profiles
+        for vehicle in config.vehicles:
+            profile = profiles[vehicle.profile or Path()]
+            name = self.name_of(vehicle)
+            post = self._posts.get(name)
+            if post is None:
+                self.fleet.add(self._add(vehicle).monitor)
+                continue
+            if _models(post.monitor.pipeline.profile) != _models(profile):
+                self._log.say("restart needed", level="warning", vehicle=name, reason="its models or gains changed")
+                continue
+            post.retune(self._desk(vehicle), profile)
+            if name in self._views:
+                self._views[name].retune(post.monitor.pipeline.thresholds)
+        self._log.say("reloaded", vehicles=len(self._posts))
+
+    def _meet(self, system: int) -> VehicleMonitor | None:
+        """Return the monitor of a vehicle that nobody has named."""
+        if self._new >= self._config.new_vehicles.limit:
+            self._log.say("vehicle refused", level="warning", system=system, reason="[new_vehicles] limit is reached")
+            return None
+        vehicle = self._config.new_vehicles.vehicle(system)
+        if vehicle.name in self._posts:
+            return None
+        try:
+            post = self._add(vehicle)
+        except (ValueError, OSError) as error:
+            self._log.say("vehicle refused", level="error", system=system, reason=str(error))
+            return None
+        self._new += 1
+        return post.monitor
+
+    def _add(self, vehicle: Vehicle) -> Post:
+        config, folder = self._config, vehicle.profile
+        if folder is None:
+            raise ProfileError(f"vehicle '{vehicle.name}' has no profile: name one, made by 'fauio fit'")
+        if folder not in self._profiles:
+            self._profiles[folder] = read_profile(folder)
+        profile = self._profiles[folder]
+        pipeline = Pipeline(profile, vehicle.name, vehicle.system or None, vehicle.component)
+        if pipeline.vehicle in self._posts:
+            raise ProfileError(f"two vehicles are called '{pipeline.vehicle}'; give each a name of its own")
+        with ExitStack() as stack:
+            archive = self._archive(pipeline, profile, stack)
+            archives: list[Any] = [] if archive is None else [archive]
+            if self._live_view is not None:
+                needed = frozenset[str]().union(*pipeline.needs.values())
+                view = self._live_view.vehicle(pipeline.vehicle, pipeline.layouts, pipeline.thresholds, needed)
+                self._views[pipeline.vehicle] = view
+                archives.append(view)
+            monitor = VehicleMonitor(
+                pipeline,
+                archives,
+                self._journal,
+                self._say_event,
+                time.time_ns(),
+            )
+            rule = PostRule(
+                prefix=config.prefix,
+                estimate_rate_hz=config.estimate_rate_hz,
+                commands=config.commands.allow,
+                shelve_minutes=config.commands.default_shelve_minutes,
+                max_shelve_minutes=config.commands.max_shelve_minutes,
+                standby_s=config.standby.takeover_s if config.standby.enabled else None,
+            )
+            closers = stack.pop_all()
+            desk, links = self._desk(vehicle), functools.partial(self._links_of, vehicle)
+            post = Post(monitor, desk, self._session, rule, self._journal, archive, [closers.close], links)
+        self._posts[pipeline.vehicle] = post
+        self._log.say(
+            "monitoring",
+            vehicle=pipeline.vehicle,
+            telemetry=vehicle.zenoh or ", ".join((*config.mavlink, *config.zenoh)),
+            zenoh=", ".join(config.listen) or "no listener",
+            topics=f"{config.prefix}/{pipeline.vehicle}/**",
+        )
+        return post
+
+    def _links_of(self, vehicle: Vehicle) -> tuple[LinkHealth, ...]:
+        """Return the links that all share, and the vehicle's own."""
+        names = self._shared_links | {vehicle.zenoh}
+        return tuple(link for link in self._health.links if link.name in names)
+
+    def _archive(self, pipeline: Pipeline, profile: Profile, stack: ExitStack) -> Archive | None:
+        config, name = self._config, pipeline.vehicle
+        recording: Recorder | RotatingRecorder | None = None
+        encoder = RecordEncoder(pipeline.layouts)
+        if config.record is not None:
+            recording = Recorder(config.record, pipeline.layouts, pipeline.metadata(), profile.files)
+        elif config.recording.folder is not None:
+            table = config.recording
+            recording = RotatingRecorder(
+                config.recording.folder / name,
+                name,
+                pipeline.layouts,
+                pipeline.metadata(),
+                profile.files,
+                file_bytes=round(table.file_mb * _MEGABYTE),
+                file_s=table.file_minutes * 60.0,
+                budget_bytes=round(table.budget_mb * _MEGABYTE),
+                encoder=encoder,
+            )
+        if recording is not None:
+            stack.callback(self._finish, recording, pipeline)
+        black_box = None
+        if config.black_box.folder is not None:
+            clips = config.black_box
+            black_box = BlackBox(
+                config.black_box.folder / name,
+                name,
+                pipeline.metadata(),
+                profile.files,
+                before_s=clips.before_s,
+                after_s=clips.after_s,
+                budget_bytes=round(clips.budget_mb * _MEGABYTE),
+            )
+            stack.callback(black_box.close)
+        return None if recording is None and black_box is None else Archive(encoder, recording, black_box)
+
+    def _finish(self, recording: Recorder | RotatingRecorder, pipeline: Pipeline) -> None:
+        """End a recording with what is known of the clock only then; a disk that fails keeps nobody from ending."""
+        try:
+            with recording:
+                recording.flush()
+                recording.add_metadata(pipeline.metadata())
+        except OSError as error:
+            self._log.say("recording incomplete", level="error", vehicle=pipeline.vehicle, reason=str(error))
+
+    def _desk(self, vehicle: Vehicle) -> DeskRule:
+        flood = self._config.flood
+        return DeskRule(
+            latched=frozenset(vehicle.latched),
+            out_of_service=frozenset(vehicle.out_of_service),
+            flood_raised=flood.raised,
+            flood_s=flood.within_s,
+        )
+
+    def _say_event(self, event: AlarmEvent) -> None:
+        self._events[event.vehicle] = self._events.get(event.vehicle, 0) + 1
+        self._log.event(event)
+
+    def _find_troubles(self) -> list[str]:
+        found = [f"link {name} does not answer" for name in self._inbox.stuck()]
+        dropped = self._inbox.statistics().dropped
+        if dropped > self._dropped_before:
+            found.append(f"the monitor does not keep up: {dropped - self._dropped_before} messages dropped")
+        self._dropped_before = dropped
+        if self._journal is not None and (counts := self._journal.statistics()).pending:
+            found.append(f"{counts.pending} events are not in the journal yet: {counts.last_error}")
+        return found
+
+
+def _models(profile: Profile) -> dict[str, bytes]:
+    """Return what of a profile cannot change while it runs: models and gains."""
+    return {name: data for name, data in profile.files.items() if name != PROFILE_FILE}

@@ -1,0 +1,1 @@
+"""What people look at: panels and colours, Rerun files and the live Rerun view."""

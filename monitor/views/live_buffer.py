@@ -1,0 +1,222 @@
+"""What the live view has yet to show of one vehicle, in bounded memory: thinned in time, the oldest dropped."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from math import nan
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.channels import follow
+from adapters.message import Message
+from monitor.estimate import Estimate, Layout
+from monitor.event import AlarmEvent
+from monitor.trace import Trace, TraceBuilder
+from monitor.views.panels import Thresholds
+
+MAX_RATE_HZ = 20
+MAX_ROWS = 600
+MAX_EVENTS = 500
+MAX_FIELDS = 24
+
+_PERIOD_NS = 1_000_000_000 // MAX_RATE_HZ
+_WALK = 200
+_DEPTH = 3
+_CLOCKS = ("time_boot_ms", "time_usec", "time_ns")
+
+_Path = tuple[str | int, ...]
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True)
+class RawBatch:
+    """A message's numeric fields over some time.
+
+    Parameters
+    ----------
+    message : str
+        Its name.
+    fields : tuple[str, ...]
+        Names of the fields, those of the first message of that name.
+    unix_ns : NDArray[np.int64]
+        Times of arrival (N,).
+    values : NDArray[np.float64]
+        One row per message (N, fields); NaN where a message lacks a field.
+    """
+
+    message: str
+    fields: tuple[str, ...]
+    unix_ns: NDArray[np.int64]
+    values: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """All that came since the last batch."""
+
+    traces: tuple[Trace, ...]
+    events: tuple[AlarmEvent, ...]
+    raw: tuple[RawBatch, ...]
+
+
+@dataclass(slots=True)
+class _Raw:
+    paths: tuple[_Path, ...]
+    rows: deque[tuple[int, tuple[float, ...]]] = field(default_factory=lambda: deque(maxlen=MAX_ROWS))
+
+
+class VehicleView:
+    """Takes all that one vehicle's monitor sees and says; another thread takes it away in batches.
+
+    Estimates are thinned to :data:`MAX_RATE_HZ` per observer, telemetry to the same rate per message name. Whatever
+    happens to the viewer, no call takes longer than an append.
+
+    Parameters
+    ----------
+    vehicle : str
+        The vehicle's name.
+    layouts : Sequence[Layout]
+        Its observers.
+    thresholds : Mapping[tuple[str, str], float]
+        Alarm thresholds by observer and channel.
+    messages : Collection[str]
+        Names of the messages to show.
+    """
+
+    def __init__(
+        self, vehicle: str, layouts: Sequence[Layout], thresholds: Thresholds, messages: Collection[str]
+    ) -> None:
+        self.vehicle = vehicle
+        self.layouts = tuple(layouts)
+        self.thresholds = dict(thresholds)
+        self.messages = tuple(sorted(messages))
+        self._wanted = frozenset(messages)
+        self._lock = threading.Lock()
+        self._estimates: dict[str, deque[Estimate]] = {
+            layout.observer: deque(maxlen=MAX_ROWS) for layout in self.layouts
+        }
+        self._events: deque[AlarmEvent] = deque(maxlen=MAX_EVENTS)
+        self._raw: dict[str, _Raw] = {}
+        self._last_ns: dict[tuple[str, str], int] = {}
+        self.dropped = 0
+
+    def message(self, message: Message) -> None:
+        """Take telemetry as received; messages that are not to be shown cost nothing."""
+        if message.name not in self._wanted or not self._due(("message", message.name), message.received_ns):
+            return
+        raw = self._raw.get(message.name)
+        if raw is None:
+            paths = tuple(islice(_numeric_paths(message.fields), MAX_FIELDS))
+            if not paths:
+                return
+            raw = _Raw(paths)
+        row = tuple(_number(follow(message.fields, path)) for path in raw.paths)
+        with self._lock:
+            self._raw[message.name] = raw
+            self._keep(raw.rows, (message.received_ns, row))
+
+    def estimate(self, estimate: Estimate) -> None:
+        """Take an estimate."""
+        buffer = self._estimates.get(estimate.observer)
+        if buffer is None or not self._due(("observer", estimate.observer), estimate.sample.time_ns):
+            return
+        with self._lock:
+            self._keep(buffer, estimate)
+
+    def event(self, event: AlarmEvent) -> None:
+        """Take an alarm event."""
+        with self._lock:
+            self._keep(self._events, event)
+
+    def flush(self) -> None:
+        """Do nothing: batches leave by themselves."""
+
+    def retune(self, thresholds: Thresholds) -> None:
+        """Show other thresholds from now on."""
+        self.thresholds = dict(thresholds)
+
+    def drain(self) -> Batch:
+        """Return and forget all that came since the last call; for one thread other than the monitor's."""
+        with self._lock:
+            estimates = {name: list(buffer) for name, buffer in self._estimates.items()}
+            events = tuple(self._events)
+            raw = {name: (one.paths, list(one.rows)) for name, one in self._raw.items()}
+            self._events.clear()
+            for buffer in self._estimates.values():
+                buffer.clear()
+            for one in self._raw.values():
+                one.rows.clear()
+        return Batch(
+            traces=tuple(
+                _trace(layout, estimates[layout.observer]) for layout in self.layouts if estimates[layout.observer]
+            ),
+            events=events,
+            raw=tuple(
+                RawBatch(
+                    message=name,
+                    fields=tuple(".".join(str(step) for step in path) for path in paths),
+                    unix_ns=np.array([row[0] for row in rows], dtype=np.int64),
+                    values=np.array([row[1] for row in rows]),
+                )
+                for name, (paths, rows) in raw.items()
+                if rows
+            ),
+        )
+
+    def __len__(self) -> int:
+        """Return how many rows and events wait."""
+        with self._lock:
+            waiting = sum(len(buffer) for buffer in self._estimates.values()) + len(self._events)
+            return waiting + sum(len(one.rows) for one in self._raw.values())
+
+    def _keep(self, buffer: deque[_T], item: _T) -> None:
+        self.dropped += len(buffer) == buffer.maxlen
+        buffer.append(item)
+
+    def _due(self, key: tuple[str, str], time_ns: int) -> bool:
+        """Return whether enough time passed since the last one kept; time that jumped back has."""
+        last_ns = self._last_ns.get(key)
+        if last_ns is not None and 0 <= time_ns - last_ns < _PERIOD_NS:
+            return False
+        self._last_ns[key] = time_ns
+        return True
+
+
+def _trace(layout: Layout, estimates: Sequence[Estimate]) -> Trace:
+    builder = TraceBuilder(layout, max_rows=len(estimates) + 1)
+    for estimate in estimates:
+        builder.add(estimate)
+    return builder.build()
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return nan
+    try:
+        return float(value)
+    except OverflowError:
+        return nan
+
+
+def _numeric_paths(fields: Mapping[str, Any]) -> Iterator[_Path]:
+    """Yield the paths of the numbers in decoded fields but clocks, looking at a bounded part of hostile ones."""
+    waiting: deque[tuple[_Path, Any]] = deque([((), fields)])
+    for _ in range(_WALK):
+        if not waiting:
+            return
+        path, value = waiting.popleft()
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            yield path
+        elif len(path) >= _DEPTH:
+            continue
+        elif isinstance(value, Mapping):
+            inside = ((name, found) for name, found in value.items() if isinstance(name, str) and name not in _CLOCKS)
+            waiting.extend(((*path, name), found) for name, found in islice(inside, _WALK))
+        elif isinstance(value, list | tuple):
+            waiting.extend(((*path, place), found) for place, found in enumerate(value[:_WALK]))

@@ -1,0 +1,197 @@
+"""The live Rerun view of all monitored vehicles: faults with thresholds, residuals, alarms and telemetry.
+
+A thread of its own sends what the vehicles' monitors have collected to a Rerun process four times a second. One that
+stalls or goes away costs them nothing: their buffers drop the oldest.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import uuid
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from monitor.estimate import Layout
+from monitor.views.live_buffer import VehicleView
+from monitor.views.panels import Panels, Thresholds, choose_panels
+from monitor.views.rerun_blueprint import blueprint, observer_tab, raw_tab
+from monitor.views.rerun_process import DEFAULT_PORT, LOOPBACK, Mode, RerunProcess, require_free, rerun_binary
+from monitor.views.rerun_scene import APPLICATION, Scene
+
+PERIOD_S = 0.25
+DEFAULT_MEMORY_MB = 256
+
+_RESTART_S = 5.0
+_FLUSH_S = 1.0
+_CLOSE_S = 1.0
+_OWN_MB = 128
+
+
+@dataclass(frozen=True, slots=True)
+class LiveViewStatistics:
+    """Counts so far.
+
+    Parameters
+    ----------
+    showing : bool
+        Whether a Rerun process is there.
+    batches, sent_bytes : int
+        What it was sent.
+    dropped : int
+        Rows and events that were dropped because it did not take them in time.
+    failures : int
+        How often it went away, grew too large or could not be started.
+    """
+
+    showing: bool
+    batches: int
+    sent_bytes: int
+    dropped: int
+    failures: int
+
+
+class LiveView:
+    """Shows vehicles in one Rerun recording, a tab each, all alarms below.
+
+    A server that dies, or that grows beyond its memory because one of its viewers stalls, is started afresh; a viewer
+    whose window was closed stays closed.
+
+    Parameters
+    ----------
+    mode : {"serve", "spawn"}
+        Serve on loopback to ``rerun rerun+http://127.0.0.1:PORT/proxy``, or open a viewer.
+    port : int
+        Port to serve on.
+    memory_mb : int
+        Memory for what was shown; the oldest is dropped.
+
+    Raises
+    ------
+    LiveViewError
+        The port is taken, or Rerun's executable is missing.
+    """
+
+    def __init__(self, mode: Mode = "serve", *, port: int = DEFAULT_PORT, memory_mb: int = DEFAULT_MEMORY_MB) -> None:
+        rerun_binary()
+        if mode == "serve":
+            require_free(port)
+        self.url = f"rerun+http://{LOOPBACK}:{port}/proxy" if mode == "serve" else ""
+        self._mode: Mode = mode
+        self._port = port
+        self._memory_mb = memory_mb
+        self._recording_id = f"live-{uuid.uuid4()}"
+        self._vehicles: dict[str, VehicleView] = {}
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._process: RerunProcess | None = None
+        self._batches = self._sent_bytes = self._failures = 0
+        self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
+        self._thread.start()
+
+    def vehicle(
+        self, name: str, layouts: Sequence[Layout], thresholds: Thresholds, messages: Collection[str]
+    ) -> VehicleView:
+        """Show one more vehicle; return what its monitor gives everything to.
+
+        Parameters
+        ----------
+        name : str
+            The vehicle's name; one that is shown already is replaced.
+        layouts : Sequence[Layout]
+            Its observers.
+        thresholds : Mapping[tuple[str, str], float]
+            Alarm thresholds by observer and channel.
+        messages : Collection[str]
+            Names of the messages that its observers need.
+        """
+        view = VehicleView(name, layouts, thresholds, messages)
+        with self._lock:
+            self._vehicles = self._vehicles | {name: view}
+        return view
+
+    def statistics(self) -> LiveViewStatistics:
+        """Return the counts so far."""
+        dropped = sum(view.dropped for view in self._vehicles.values())
+        return LiveViewStatistics(self._process is not None, self._batches, self._sent_bytes, dropped, self._failures)
+
+    def close(self) -> None:
+        """Send what is left if that is quickly done, and end; a second call does nothing."""
+        self._stop.set()
+        self._thread.join(_CLOSE_S)
+        process = self._process
+        if self._thread.is_alive() and process is not None:
+            process.kill()
+            self._thread.join(_CLOSE_S)
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            try:
+                self._show()
+            except Exception:
+                # whatever goes wrong with a picture, the monitor goes on
+                self._failures += 1
+                if self._mode == "spawn":
+                    return
+                self._stop.wait(_RESTART_S)
+
+    def _show(self) -> None:
+        """Start a Rerun process and send batches to it until told to stop or it fails."""
+        with contextlib.closing(RerunProcess(self._mode, self._port, self._memory_mb)) as process:
+            recording = rr.RecordingStream(APPLICATION, recording_id=self._recording_id)
+            stream = recording.binary_stream()
+            self._process = process
+            shown: dict[str, VehicleView] = {}
+            scenes: dict[str, tuple[Scene, dict[str, Panels]]] = {}
+            try:
+                stopping = False
+                while not stopping:
+                    stopping = self._stop.wait(PERIOD_S)
+                    if shown is not self._vehicles:
+                        shown = self._vehicles
+                        scenes = {name: _scene(recording, view) for name, view in shown.items()}
+                        recording.send_blueprint(_blueprint(tuple(shown.values())))
+                    for name, view in shown.items():
+                        _send(*scenes[name], view)
+                    data = stream.read(flush_timeout_sec=_FLUSH_S)
+                    if data:
+                        process.write(data)
+                        self._batches += 1
+                        self._sent_bytes += len(data)
+                    if self._mode == "serve" and process.resident_mb() > 2 * self._memory_mb + _OWN_MB:
+                        raise MemoryError("a viewer holds up the server")
+            finally:
+                self._process = None
+                recording.disconnect()
+
+
+def _scene(recording: rr.RecordingStream, view: VehicleView) -> tuple[Scene, dict[str, Panels]]:
+    chosen = choose_panels(view.layouts, (), (), view.thresholds)
+    panels = {layout.observer: one for layout, one in zip(view.layouts, chosen, strict=True)}
+    return Scene(recording, (view.vehicle,)), panels
+
+
+def _send(scene: Scene, panels: dict[str, Panels], view: VehicleView) -> None:
+    batch = view.drain()
+    thresholds = view.thresholds
+    for trace in batch.traces:
+        scene.trace(trace, panels[trace.layout.observer], thresholds, shown_only=True)
+    scene.events(batch.events)
+    for raw in batch.raw:
+        scene.raw(raw.message, raw.fields, raw.unix_ns, raw.values)
+
+
+def _blueprint(views: Sequence[VehicleView]) -> rrb.Blueprint:
+    """Return the layout of the viewer: a tab per vehicle, in it one per observer and one of telemetry."""
+    tabs = []
+    for view in views:
+        root = (view.vehicle,)
+        chosen = choose_panels(view.layouts, (), (), view.thresholds)
+        inner = [
+            observer_tab(layout, panels, {}, None, root) for layout, panels in zip(view.layouts, chosen, strict=True)
+        ]
+        tabs.append(rrb.Tabs(*inner, raw_tab(view.messages, root), name=view.vehicle))
+    return blueprint(tabs, [(view.vehicle,) for view in views], follow=True)

@@ -1,0 +1,124 @@
+"""How a Rerun viewer opens: a tab per observer with faults, thresholds and residuals, above the alarms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import rerun.blueprint as rrb
+
+from monitor.estimate import Layout
+from monitor.views.panels import Panels
+from monitor.views.rerun_scene import entity_path
+
+Limits = tuple[float, float]
+Root = tuple[str, ...]
+
+FAULTS_BELOW = 4
+
+
+def blueprint(
+    tabs: Sequence[rrb.Vertical | rrb.Tabs | rrb.Grid],
+    roots: Sequence[Root] = ((),),
+    *,
+    follow: bool = False,
+    active: int = 0,
+) -> rrb.Blueprint:
+    """Return the layout of the viewer: tabs above the states and texts of all alarms.
+
+    Parameters
+    ----------
+    tabs : Sequence[Vertical | Tabs | Grid]
+        From :func:`observer_tab` and :func:`raw_tab`, or tabs of those.
+    roots : Sequence[tuple[str, ...]]
+        What the entity paths of each vehicle begin with.
+    follow : bool
+        Whether the viewer follows the newest Unix time; otherwise it stands on the vehicle's time.
+    active : int
+        Which tab is open.
+    """
+    alarms = rrb.Horizontal(
+        rrb.StateTimelineView(
+            origin="/",
+            contents=[f"+ /{entity_path(*root, 'alarms')}/**" for root in roots],
+            name="alarms",
+            time_view=_linked(),
+        ),
+        rrb.TextLogView(
+            origin="/", contents=[f"+ /{entity_path(*root, 'log')}" for root in roots], name="alarm events"
+        ),
+        column_shares=[3, 2],
+    )
+    rows: list[Any] = [rrb.Tabs(*tabs, active_tab=active), alarms] if tabs else [alarms]
+    time_panel = (
+        rrb.TimePanel(timeline="unix_time", play_state="following", state="collapsed")
+        if follow
+        else rrb.TimePanel(timeline="vehicle_time", state="collapsed")
+    )
+    return rrb.Blueprint(
+        rrb.Vertical(*rows, row_shares=[4, 1][: len(rows)]),
+        time_panel,
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+    )
+
+
+def observer_tab(
+    layout: Layout,
+    panels: Panels,
+    limits: Mapping[int, Limits],
+    quiet_limits: Limits | None,
+    root: Root = (),
+) -> rrb.Vertical:
+    """Return an observer's views, one below the other.
+
+    Parameters
+    ----------
+    layout : Layout
+        Names of the observer's channels.
+    panels : Panels
+        Which of them get a view of their own.
+    limits : Mapping[int, tuple[float, float]]
+        Ends of the vertical axis by place of the channel; others scale by themselves.
+    quiet_limits : tuple[float, float] | None
+        The same of the channels that share a view, in units of their thresholds.
+    root : tuple[str, ...]
+        What the entity paths begin with.
+    """
+    base = f"/{entity_path(*root, layout.observer)}"
+
+    def view(name: str, *parts: str, limits: Limits | None = None) -> rrb.TimeSeriesView:
+        return rrb.TimeSeriesView(
+            origin=base,
+            contents=[f"+ {base}/{part}/**" for part in parts],
+            name=f"{layout.observer} / {name}",
+            axis_x=_linked(),
+            axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
+        )
+
+    faults = []
+    for place in panels.alone:
+        parts = (entity_path(group, layout.faults[place]) for group in ("isolated", "threshold", "span", "truth"))
+        faults.append(view(layout.faults[place], *parts, limits=limits.get(place)))
+    rows: list[Any] = []
+    if faults:
+        rows.append(rrb.Grid(*faults, grid_columns=-(-len(faults) // FAULTS_BELOW), name="faults"))
+    if panels.together:
+        rows.append(view("quiet channels, in units of their thresholds", "quiet", limits=quiet_limits))
+    rows.append(view("residuals", "residual"))
+    rows.append(rrb.Horizontal(view("inputs", "input"), view("outputs", "output")))
+    shares = [min(len(faults), FAULTS_BELOW)] * bool(faults) + [1.5] * (len(rows) - bool(faults))
+    return rrb.Vertical(*rows, row_shares=shares, name=layout.observer)
+
+
+def raw_tab(messages: Iterable[str], root: Root = ()) -> rrb.Grid:
+    """Return the tab of the telemetry, a view per message."""
+    views = [
+        rrb.TimeSeriesView(origin=f"/{entity_path(*root, 'raw', message)}", name=message, axis_x=_linked())
+        for message in messages
+    ]
+    return rrb.Grid(*views, name="raw channels")
+
+
+def _linked() -> rrb.TimeAxis:
+    return rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)

@@ -1,0 +1,74 @@
+"""A run as a Rerun recording that opens on what matters: faults with thresholds, alarms, residuals."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+
+import rerun as rr
+
+from monitor.event import AlarmEvent
+from monitor.trace import Trace, alarm_spans
+from monitor.views.panels import Panels, Thresholds, Truth, choose_panels, fault_limits, same_scale
+from monitor.views.rerun_blueprint import Limits, blueprint, observer_tab
+from monitor.views.rerun_scene import APPLICATION, Scene
+
+FLUSH_TIMEOUT_S = 30.0
+QUIET_LIMITS = (-1.3, 1.3)
+
+
+def write_rrd(
+    path: str | os.PathLike[str],
+    traces: Sequence[Trace],
+    events: Sequence[AlarmEvent],
+    thresholds: Thresholds,
+    truth: Truth | None = None,
+) -> None:
+    """Write a run to an ``.rrd`` file with its blueprint inside; ``Scene`` names its entities.
+
+    No viewer is needed. The blueprint has a tab per observer that had a sample, that of the first alarm open, with the
+    thresholds of faults as lines which are thick while an alarm stands, scaled by what they were while alarms were
+    armed; below stand all alarms as states over time.
+
+    Parameters
+    ----------
+    path : str | PathLike
+        File to write.
+    traces : Sequence[Trace]
+        One per observer.
+    events : Sequence[AlarmEvent]
+        All alarm events of the run.
+    thresholds : Mapping[tuple[str, str], float]
+        Alarm threshold by observer and fault channel.
+    truth : Mapping[str, tuple[NDArray, NDArray]] | None
+        By fault channel: times on the vehicle's clock (s) and the true size at them.
+    """
+    truth = truth or {}
+    traces = [trace for trace in traces if len(trace.vehicle_ns)]
+    alarmed = {(event.observer, event.channel) for event in events}
+    chosen = choose_panels([trace.layout for trace in traces], alarmed, truth, thresholds)
+    tabs = [
+        observer_tab(trace.layout, panels, _limits(trace, panels, thresholds, truth), QUIET_LIMITS)
+        for trace, panels in zip(traces, chosen, strict=True)
+    ]
+    names = [trace.layout.observer for trace in traces]
+    active = next((names.index(event.observer) for event in events if event.observer in names), 0)
+    spans = alarm_spans(events)
+    recording = rr.RecordingStream(APPLICATION)
+    try:
+        recording.save(os.fspath(path), default_blueprint=blueprint(tabs, active=active))
+        scene = Scene(recording)
+        for trace, panels in zip(traces, chosen, strict=True):
+            scene.trace(trace, panels, thresholds)
+            scene.spans(trace, spans, thresholds)
+            scene.truth(trace, truth)
+        scene.events(events)
+        recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
+    finally:
+        recording.disconnect()
+
+
+def _limits(trace: Trace, panels: Panels, thresholds: Thresholds, truth: Truth) -> dict[int, Limits]:
+    return {
+        place: fault_limits(trace, same_scale(trace.layout, panels, place), thresholds, truth) for place in panels.alone
+    }

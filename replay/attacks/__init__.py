@@ -1,0 +1,1 @@
+"""Faults and attacks of exact truth, put into recordings."""

@@ -1,0 +1,201 @@
+"""``fauio inject``: a recording with one more fault or attack in it, and the truth about it beside it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.mcap_reader import read_mcap_metadata
+from adapters.logs.recordings import read_recording, recording_kind
+from adapters.message import Message
+from monitor.profile import read_profile
+from replay.attacks.attack import Attack, InjectionError, Kind
+from replay.attacks.injector import Injector, Plan, Senders, inject, plan, profile_clocks, survey_senders
+
+TRUTH = "truth"
+_SECOND_NS = 1_000_000_000
+
+Track = Callable[[Iterable[Message], str], Iterable[Message]]
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What a user asks for; seconds count from the first stamp of the vehicle in the recording.
+
+    Parameters
+    ----------
+    channel : str
+        See :class:`replay.attacks.attack.Attack`, as are ``kind``, ``size``, ``rate``, ``acceleration`` and ``seed``.
+    kind : Kind
+        Kind of attack.
+    start_s : float | None
+        When it begins; None where ``at_ms`` says it.
+    at_ms : int | None
+        When it begins, milliseconds of the vehicle's own clock.
+    end_s : float | None
+        When it ends; None: ``duration_s`` after its beginning, or with the recording.
+    duration_s : float | None
+        How long it lasts.
+    source_s : float | None
+        Where the segment begins that is replayed.
+    system : int
+        The vehicle's MAVLink system; 0 takes the profile's, or the first one that sends the channel.
+    """
+
+    channel: str
+    kind: Kind
+    start_s: float | None = None
+    at_ms: int | None = None
+    end_s: float | None = None
+    duration_s: float | None = None
+    size: float | None = None
+    rate: float | None = None
+    acceleration: float | None = None
+    source_s: float | None = None
+    seed: int = 0
+    system: int = 0
+
+
+def inject_recording(
+    log: Path, out: Path, order: Order, profile: Path | None = None, track: Track = lambda messages, _: messages
+) -> dict[str, Any]:
+    """Write a recording with a fault or attack to MCAP, and the truth to ``OUT.truth.json`` and into its metadata.
+
+    Parameters
+    ----------
+    log : Path
+        The recording; what was injected into it before stays known.
+    out : Path
+        MCAP file to write.
+    order : Order
+        The attack.
+    profile : Path | None
+        Profile folder, for faults of actuators.
+    track : Track
+        Shows progress.
+
+    Returns
+    -------
+    dict[str, Any]
+        The truth, as it is written.
+
+    Raises
+    ------
+    InjectionError
+        The attack does not make sense or would alter nothing.
+    TelemetryError
+        The recording cannot be read, or the file not be written.
+    """
+    kind = recording_kind(log)
+    if out.resolve() == log.resolve():
+        raise InjectionError(f"{out}: is the recording itself; write to another file")
+    draft = Attack(
+        order.channel, order.kind, 0, 1 << 63, source_ns=None if order.source_s is None else -1, **_sizes(order)
+    )
+    draft.check()
+    known = read_profile(profile) if profile is not None else None
+    if known is not None and not order.system:
+        order = replace(order, system=known.system)
+    clocks = profile_clocks(known)
+    earlier = _earlier(log) if kind == "mcap" else []
+    senders = survey_senders(track(read_recording(log), f"surveying {log.name}"), clocks)
+    names = {name for sender in senders.values() for name in sender.names}
+    system = choose_system(senders, plan(draft, names, known, profile), order, log)
+    attack = _timed(order, senders[system], log)
+    injector = Injector(attack, plan(attack, names, known, profile), system, clocks)
+    try:
+        with MessageLogWriter(out) as writer:
+            for message in inject(track(read_recording(log), f"writing {out.name}"), injector):
+                writer.write(message)
+            truth = _truth(log, senders[system], [*earlier, injector.truth()])
+            writer.add_metadata("fauio", {"fauio": version("fauio"), "converted_from": log.name})
+            writer.add_metadata(TRUTH, {"json": json.dumps(truth)})
+    except KeyboardInterrupt:
+        out.unlink(missing_ok=True)
+        raise
+    if not injector.altered:
+        out.unlink()
+        raise InjectionError(
+            f"{log}: --kind {order.kind} altered nothing on {order.channel}; give a larger --size or another time"
+        )
+    truth_path(out).write_text(json.dumps(truth, indent=1) + "\n")
+    return truth
+
+
+def truth_path(out: Path) -> Path:
+    """Return where the truth about an injected recording stands."""
+    return out.with_suffix(".truth.json")
+
+
+def choose_system(senders: Mapping[int, Senders], made: Plan, order: Order, log: Path) -> int:
+    """Return the vehicle to attack: the one asked for, else the first that sends what is attacked.
+
+    Raises
+    ------
+    InjectionError
+        None does.
+    """
+    wanted = sorted(made.messages)
+    able = [number for number, sender in senders.items() if sender.names & made.messages]
+    if order.system:
+        able = [number for number in able if number == order.system]
+    if not able:
+        whose = f" of system {order.system}" if order.system else ""
+        raise InjectionError(f"{log}: --channel {order.channel} needs {' or '.join(wanted)}{whose}, not in this log")
+    if senders[able[0]].first_ns is None:
+        raise InjectionError(f"{log}: no message of the vehicle has a time stamp; --start cannot be counted")
+    return able[0]
+
+
+def _sizes(order: Order) -> dict[str, Any]:
+    return {"size": order.size, "rate": order.rate, "acceleration": order.acceleration, "seed": order.seed}
+
+
+def _timed(order: Order, sender: Senders, log: Path) -> Attack:
+    """Return the attack with its times on the vehicle's clock."""
+    first_ns, last_ns = sender.first_ns or 0, sender.last_ns or 0
+
+    def from_first(seconds: float) -> int:
+        return first_ns + round(seconds * _SECOND_NS)
+
+    start_ns = from_first(order.start_s or 0.0) if order.at_ms is None else order.at_ms * 1_000_000
+    end_ns = last_ns + 1
+    if order.end_s is not None:
+        end_ns = from_first(order.end_s)
+    elif order.duration_s is not None:
+        end_ns = start_ns + round(order.duration_s * _SECOND_NS)
+    if not first_ns <= start_ns <= last_ns:
+        raise InjectionError(
+            f"{log}: the attack would begin outside; the log is {(last_ns - first_ns) / _SECOND_NS:.1f} s long, "
+            f"{first_ns // 1_000_000} to {last_ns // 1_000_000} ms of the vehicle's clock"
+        )
+    source_ns = None if order.source_s is None else from_first(order.source_s)
+    attack = Attack(order.channel, order.kind, start_ns, end_ns, source_ns=source_ns, **_sizes(order))
+    attack.check()
+    return attack
+
+
+def _truth(log: Path, sender: Senders, faults: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "name": log.name.split(".")[0],
+        "recording": log.name,
+        "healthy": False,
+        "first": {"time_boot_ms": (sender.first_ns or 0) // 1_000_000},
+        "last": {"time_boot_ms": (sender.last_ns or 0) // 1_000_000},
+        "faults": faults,
+    }
+
+
+def _earlier(log: Path) -> list[dict[str, Any]]:
+    """Return the faults that are known to be in a recording already."""
+    text = read_mcap_metadata(log).get(TRUTH, {}).get("json")
+    try:
+        faults = json.loads(text)["faults"] if text else []
+    except (ValueError, KeyError, TypeError) as error:
+        raise InjectionError(f"{log}: its record of what was injected before is damaged: {error}") from error
+    return list(faults)

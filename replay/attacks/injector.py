@@ -1,0 +1,334 @@
+"""Puts one fault or attack onto a recording, message by message, and remembers exactly what it altered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from adapters.channels import Channel, parse_channel
+from adapters.errors import TelemetryError
+from adapters.message import Message
+from adapters.sampling.clock import VehicleClock
+from monitor.profile import Profile
+from replay.attacks.attack import Attack, Change, InjectionError, Signal
+from replay.attacks.instruments import INSTRUMENTS, SPOOFED, Quantity, Scene, alike, channel_quantity, unit_of
+from replay.attacks.plant_response import PlantResponse, find_fault, output_signals
+
+_MALFORMED = (KeyError, TypeError, ValueError, OverflowError)
+_ANY_CLOCK = Channel("clock", "", ("",))
+
+
+class VehicleTime:
+    """Gives messages of one vehicle their time on its clock: their own stamp, or the newest one where they have none.
+
+    Parameters
+    ----------
+    clocks : Mapping[str, Channel]
+        By message: a channel that knows which field is its clock, where the name does not tell.
+    """
+
+    def __init__(self, clocks: Mapping[str, Channel]) -> None:
+        self._clocks = clocks
+        self._clock = VehicleClock()
+
+    def stamp(self, message: Message) -> int | None:
+        """Return the time of a message, nanoseconds; None before the first stamp."""
+        clock = self._clock
+        stamp_ns = self._clocks.get(message.name, _ANY_CLOCK).stamp_ns(message.fields)
+        if stamp_ns is not None and (stamp_ns > 0 or (stamp_ns == 0 and message.source != "mavlink")):
+            stamp_ns = clock.unwrap(stamp_ns)
+            if clock.observe(stamp_ns, message.received_ns):
+                return stamp_ns
+        return clock.newest_ns or None
+
+
+@dataclass(slots=True)
+class Senders:
+    """What one vehicle of a recording sends.
+
+    Attributes
+    ----------
+    names : set[str]
+        Messages.
+    first_ns, last_ns : int | None
+        First and newest time on its clock.
+    """
+
+    names: set[str]
+    first_ns: int | None = None
+    last_ns: int | None = None
+
+
+def survey_senders(messages: Iterable[Message], clocks: Mapping[str, Channel]) -> dict[int, Senders]:
+    """Go through a recording once; return what each system sends and when."""
+    found: dict[int, tuple[Senders, VehicleTime]] = {}
+    for message in messages:
+        if message.system not in found:
+            found[message.system] = Senders(set()), VehicleTime(clocks)
+        sender, time = found[message.system]
+        sender.names.add(message.name)
+        stamp_ns = time.stamp(message)
+        if stamp_ns is not None:
+            sender.first_ns = stamp_ns if sender.first_ns is None else sender.first_ns
+            sender.last_ns = stamp_ns if sender.last_ns is None else max(sender.last_ns, stamp_ns)
+    return {system: sender for system, (sender, _) in found.items()}
+
+
+def profile_clocks(profile: Profile | None) -> dict[str, Channel]:
+    """Return, by message, a channel of the profile that names the message's clock."""
+    observers = profile.observers if profile else ()
+    channels = [channel for observer in observers for channel in observer.source.channels]
+    return {channel.message: channel for channel in channels if channel.clock is not None}
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A quantity that is altered, how, and whether that ends with the attack or outlasts it."""
+
+    quantity: Quantity
+    change: Change
+    outlasts: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """All that one attack alters.
+
+    Parameters
+    ----------
+    targets : tuple[Target, ...]
+        Quantities to alter; the messages to lose where the kind is ``drop``.
+    response : PlantResponse | None
+        The plant's answer, where there is one.
+    unit : str
+        Unit of the attack's size.
+    """
+
+    targets: tuple[Target, ...]
+    response: PlantResponse | None = None
+    unit: str = ""
+
+    @property
+    def messages(self) -> frozenset[str]:
+        """Names of the messages that may be altered."""
+        return frozenset(target.quantity.message for target in self.targets)
+
+
+def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, folder: Path | None = None) -> Plan:
+    """Find out what an attack has to alter.
+
+    Parameters
+    ----------
+    attack : Attack
+        What is asked for; it is checked.
+    names : Iterable[str]
+        Messages of the recording, to tell ``MESSAGE`` from ``field``.
+    profile : Profile | None
+        Gives the plant for faults of actuators, and its own names of channels.
+    folder : Path | None
+        Where the profile stands.
+
+    Raises
+    ------
+    InjectionError
+        The channel is unknown, or the kind does not go with it.
+    """
+    attack.check()
+    channel, known = attack.channel, frozenset(names)
+    if channel in INSTRUMENTS:
+        return _instrument_plan(attack, INSTRUMENTS[channel])
+    fault = find_fault(profile, folder, channel) if profile is not None and folder is not None else None
+    if fault is not None:
+        return _plant_plan(attack, *fault)
+    mapped = _field(channel, known, profile_clocks(profile))
+    if mapped is not None:
+        return _instrument_plan(attack, (channel_quantity(mapped),))
+    faults = [fault.name for observer in (profile.observers if profile else ()) for fault in observer.faults]
+    raise InjectionError(
+        f"--channel {channel}: no such channel; use one of {', '.join((*INSTRUMENTS, *faults))}, or MESSAGE.field with "
+        f"a message of the log{'' if profile else '; a motor or another actuator needs --profile'}"
+    )
+
+
+def _field(channel: str, names: frozenset[str], clocks: Mapping[str, Channel]) -> Channel | None:
+    """Return the channel ``MESSAGE.field`` stands for; a Zenoh key may hold dots itself, so the longest name wins."""
+    places = [place for place, letter in enumerate(channel) if letter == "." and channel[:place] in names]
+    if not places or places[-1] == len(channel) - 1:
+        return None
+    message, path = channel[: places[-1]], channel[places[-1] + 1 :]
+    try:
+        found = parse_channel(channel, {"message": message, "field": path}, f"--channel {channel}")
+    except TelemetryError as error:
+        raise InjectionError(str(error)) from error
+    clock = clocks.get(message)
+    return replace(found, clock=clock.clock, clock_unit_ns=clock.clock_unit_ns) if clock else found
+
+
+def _instrument_plan(attack: Attack, quantities: Iterable[Quantity]) -> Plan:
+    kind = attack.kind
+    quantities = tuple(quantities)
+    if kind == "loss":
+        raise InjectionError(f"--kind loss is for actuators with a model (--profile); {attack.channel} is a sensor")
+    if kind == "spoof":
+        if attack.channel not in SPOOFED:
+            raise InjectionError(
+                f"--kind spoof moves a GPS: use --channel {' or '.join(SPOOFED)}, not {attack.channel}"
+            )
+        position, velocity = attack.spoof()
+        moved = INSTRUMENTS[SPOOFED[attack.channel]]
+        targets = [Target(quantity, _plus(position)) for quantity in quantities]
+        return Plan((*targets, *(Target(quantity, _plus(velocity)) for quantity in moved)), unit="m/s")
+    if kind == "drop":
+        return Plan(tuple(Target(quantity, _plus(lambda _: 0.0)) for quantity in quantities), unit="share of messages")
+    if kind == "scale" and any(quantity.circular for quantity in quantities):
+        raise InjectionError(f"--kind scale does not go with {attack.channel}: a heading has no size to scale")
+    unit = {"scale": "times", "delay": "s"}.get(kind, unit_of(attack.channel))
+    grows = f"{unit} per second" if kind == "ramp" and unit else unit
+    return Plan(tuple(Target(quantity, attack.change(quantity.from_home)) for quantity in quantities), unit=grows)
+
+
+def _plant_plan(attack: Attack, observer: Any, plant: Any, fault: Any) -> Plan:
+    """Return what a fault of a profile's plant alters: all the recorded outputs that it moves."""
+    channel, kind = attack.channel, attack.kind
+    response = None
+    if fault.kind == "sensor":
+        signal = attack.additive()
+        if signal is None:
+            raise InjectionError(f"--kind {kind} does not go with {channel} of the profile; use bias, ramp or noise")
+        moves = output_signals(plant, fault, lambda stamp_ns: fault.column * signal(stamp_ns))
+    else:
+        size = attack.growth if kind == "loss" else attack.additive()
+        if size is None or (fault.input is None) == (kind == "loss"):
+            use = "bias, ramp or noise" if fault.input is None else "loss"
+            raise InjectionError(f"--kind {kind} does not go with {channel} of the profile; use {use}")
+        if plant.nonlinearities:
+            raise InjectionError(
+                f"--channel {channel}: {plant.name} is nonlinear; only its sensors can be put at fault"
+            )
+        response = PlantResponse(plant, fault, observer.source.inputs, _within(attack, size))
+        moves = output_signals(plant, fault, response.at)
+    mapped = {output.name: output for output in observer.source.outputs}
+    targets = []
+    for output, move in moves:
+        if output not in mapped:
+            raise InjectionError(f"--channel {channel}: output {output} of {plant.name} comes from no single message")
+        for quantity, factor in alike(mapped[output]):
+            targets.append(Target(quantity, _plus(move, factor), outlasts=response is not None))
+    return Plan(tuple(targets), response, "share of the command" if kind == "loss" else fault.unit)
+
+
+def _within(attack: Attack, size: Signal) -> Signal:
+    return lambda stamp_ns: size(stamp_ns) if attack.acts(stamp_ns) else 0.0
+
+
+def _plus(signal: Signal, factor: float = 1.0) -> Change:
+    return lambda stamp_ns, value: value + factor * signal(stamp_ns)
+
+
+class Injector:
+    """State of one attack on one vehicle's messages.
+
+    Parameters
+    ----------
+    attack : Attack
+        What to do.
+    made : Plan
+        What it alters.
+    system : int
+        The vehicle's MAVLink system; 0 for telemetry without ids.
+    clocks : Mapping[str, Channel]
+        See :class:`VehicleTime`.
+
+    Attributes
+    ----------
+    altered : int
+        Messages altered or dropped so far.
+    """
+
+    def __init__(self, attack: Attack, made: Plan, system: int, clocks: Mapping[str, Channel]) -> None:
+        self._attack = attack
+        self._response = made.response
+        self._unit = made.unit
+        self._system = system
+        self._time = VehicleTime(clocks)
+        self._scene = Scene()
+        self._targets: dict[str, list[Target]] = {}
+        for target in made.targets:
+            self._targets.setdefault(target.quantity.message, []).append(target)
+        self.altered = 0
+        self._first_ns: int | None = None
+        self._last_ns: int | None = None
+
+    def feed(self, message: Message) -> Message | None:
+        """Take a message of the recording; return it, altered where the attack alters it, None where it is lost."""
+        if message.system != self._system:
+            return message
+        stamp_ns = self._time.stamp(message)
+        with suppress(*_MALFORMED):
+            self._scene.feed(message)
+        if stamp_ns is None:
+            return message
+        if self._response is not None:
+            self._response.feed(message, stamp_ns)
+        targets = self._targets.get(message.name)
+        if targets is None:
+            return message
+        if self._attack.kind == "drop":
+            if self._attack.lost(stamp_ns):
+                self._note(stamp_ns)
+                return None
+            return message
+        fields = message.fields
+        for target in targets:
+            with suppress(*_MALFORMED):
+                fields = self._alter(fields, target, stamp_ns)
+        if fields == message.fields or fields is message.fields:
+            return message
+        self._note(stamp_ns)
+        return replace(message, fields=fields)
+
+    def _alter(self, fields: Mapping[str, Any], target: Target, stamp_ns: int) -> Mapping[str, Any]:
+        quantity = target.quantity
+        value = quantity.read(fields, self._scene)
+        if value is None:
+            return fields
+        changed = target.change(stamp_ns, value)
+        acts = self._attack.acts(stamp_ns) or (target.outlasts and stamp_ns >= self._attack.start_ns)
+        return quantity.write(fields, changed, self._scene) if acts and changed != value else fields
+
+    def _note(self, stamp_ns: int) -> None:
+        self.altered += 1
+        self._first_ns = stamp_ns if self._first_ns is None else min(self._first_ns, stamp_ns)
+        self._last_ns = stamp_ns if self._last_ns is None else max(self._last_ns, stamp_ns)
+
+    def truth(self) -> dict[str, Any]:
+        """Return what was done, as one entry of ``faults``.
+
+        ``on`` and ``off`` are the vehicle's time at the first and the last altered (or lost) message; of an
+        actuator, the first and the last command behind which it was at fault: its outputs answer later and longer.
+        """
+        attack, response = self._attack, self._response
+        span = (self._first_ns, self._last_ns) if response is None else (response.first_ns, response.last_ns)
+        on, off = (None if stamp_ns is None else {"time_boot_ms": stamp_ns // 1_000_000} for stamp_ns in span)
+        return {
+            "kind": attack.kind,
+            "target": attack.channel,
+            "magnitude": attack.magnitude,
+            "meaning": attack.meaning,
+            "unit": self._unit,
+            "seed": attack.seed,
+            "messages": self.altered,
+            "on": on,
+            "off": off,
+        }
+
+
+def inject(messages: Iterable[Message], injector: Injector) -> Iterator[Message]:
+    """Yield the messages of a recording with the injector's attack on them."""
+    for message in messages:
+        altered = injector.feed(message)
+        if altered is not None:
+            yield altered

@@ -1,0 +1,158 @@
+"""How a plant's outputs answer a fault of an actuator: what an injected loss has to add to recorded measurements.
+
+With the plant in discrete time, the deviation from the recorded flight obeys
+
+    dx(k+1) = A dx(k) + E f(k),   dy(k) = C dx(k),   f(k) = sum_d h_d phi(k-d),
+
+where a loss l of an actuator with the command u and the static curve v(u) has phi = v((1 - l) u) - v(u), as if its
+command were multiplied by 1 - l behind the recorded one; other faults have phi = f. Whoever flew did not answer: the
+commands stay as recorded. That is exact for what an observer of a linear plant sees, whatever the commands are.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.channels import Channel
+from adapters.message import Message
+from gains.plants.discretise import discretise
+from gains.plants.model_file import read_model
+from gains.plants.plant import Fault, Plant
+from monitor.estimation.input_curve import effect_of_command
+from monitor.profile import ObserverProfile, Profile
+from replay.attacks.attack import InjectionError, Signal
+
+_MAX_STEPS = 2000
+
+
+class PlantResponse:
+    """State of the deviation.
+
+    Parameters
+    ----------
+    plant : Plant
+        Discrete and linear.
+    fault : Fault
+        An actuator fault of it.
+    inputs : Sequence[Channel]
+        Where the commands come from.
+    size : Signal
+        Loss or fault over time, vehicle nanoseconds.
+
+    Attributes
+    ----------
+    first_ns, last_ns : int | None
+        Stamps of the first and the last command behind which the fault acted.
+    """
+
+    def __init__(self, plant: Plant, fault: Fault, inputs: Sequence[Channel], size: Signal) -> None:
+        self._A, self._C, self._column = plant.A, plant.C, fault.column
+        self._step_ns = 1e9 / (plant.rate_hz or 1.0)
+        self._taps = np.array(plant.taps)
+        self._size = size
+        self._channel: Channel | None = None
+        self._curve: NDArray[np.float64] = np.ones((1, 1))
+        if fault.input is not None:
+            self._channel = next((channel for channel in inputs if channel.name == fault.input), None)
+            if self._channel is None:
+                raise InjectionError(f"{fault.name}: the profile maps no channel '{fault.input}'; nothing to lose")
+            if plant.curves:
+                self._curve = np.array([plant.curves[plant.inputs.index(fault.input)]])
+        self._command: float | None = None
+        self._restart(0)
+        self.first_ns: int | None = None
+        self.last_ns: int | None = None
+
+    def _restart(self, tick: int) -> None:
+        self._tick = tick
+        self._before = self._after = np.zeros(len(self._A))
+        self._effects = deque([0.0] * len(self._taps), maxlen=len(self._taps))
+
+    def feed(self, message: Message, stamp_ns: int) -> None:
+        """Take a message of the vehicle."""
+        channel = self._channel
+        if channel is None:
+            if self._size(stamp_ns):
+                self._note(stamp_ns)
+            return
+        if message.name == channel.message and channel.selects(message.fields):
+            value = channel.value(message.fields)
+            if value is not None:
+                self._command = value
+                if self._size(stamp_ns) and value:
+                    self._note(stamp_ns)
+
+    def at(self, stamp_ns: int) -> NDArray[np.float64]:
+        """Return the deviation of the outputs (p,) at a time, a straight line between two samples."""
+        place = stamp_ns / self._step_ns
+        tick = int(place // 1)
+        if abs(tick - self._tick) > _MAX_STEPS:
+            self._restart(tick)
+        while self._tick <= tick:
+            self._advance()
+        ahead = min(1.0, max(0.0, place - self._tick + 1.0))
+        return np.asarray(self._C @ (self._before + ahead * (self._after - self._before)))
+
+    def _advance(self) -> None:
+        """Go on by one sample."""
+        self._effects.appendleft(self._effect(round(self._tick * self._step_ns)))
+        self._before = self._after
+        self._after = self._A @ self._before + self._column * float(self._taps @ np.array(self._effects))
+        self._tick += 1
+
+    def _effect(self, stamp_ns: int) -> float:
+        """Return phi at a time."""
+        size = self._size(stamp_ns)
+        if not size or self._channel is None:
+            return size
+        u = 0.0 if self._command is None else self._command
+        commands = np.array([[(1.0 - size) * u], [u]])
+        lost, whole = effect_of_command(self._curve, commands)[:, 0]
+        return float(lost - whole)
+
+    def _note(self, stamp_ns: int) -> None:
+        self.first_ns = stamp_ns if self.first_ns is None else min(self.first_ns, stamp_ns)
+        self.last_ns = stamp_ns if self.last_ns is None else max(self.last_ns, stamp_ns)
+
+
+def find_fault(profile: Profile, folder: Path, channel: str) -> tuple[ObserverProfile, Plant, Fault] | None:
+    """Return the observer that estimates a fault, its plant sampled at the observer's rate, and the fault.
+
+    Parameters
+    ----------
+    profile : Profile
+        The profile.
+    folder : Path
+        Where it stands; the plants are read from there.
+    channel : str
+        Name of the fault.
+    """
+    for observer in profile.observers:
+        if any(fault.name == channel for fault in observer.faults):
+            plant = discretise(read_model(folder / f"{observer.name}.model.toml"), observer.rate_hz)
+            return observer, plant, next(fault for fault in plant.faults if fault.name == channel)
+    return None
+
+
+def output_signals(
+    plant: Plant, fault: Fault, response: Callable[[int], NDArray[np.float64]]
+) -> list[tuple[str, Signal]]:
+    """Return the outputs that a fault moves and by how much over time, given its response of all outputs."""
+    if fault.kind == "sensor":
+        moved = fault.column != 0.0
+    else:
+        reach, column = np.zeros(len(plant.outputs), dtype=bool), fault.column
+        for _ in plant.states:
+            reach |= np.abs(plant.C @ column) > 0.0
+            column = plant.A @ column
+        moved = reach
+    return [
+        (name, lambda stamp_ns, o=o: float(response(stamp_ns)[o]))  # type: ignore[misc]
+        for o, name in enumerate(plant.outputs)
+        if moved[o]
+    ]

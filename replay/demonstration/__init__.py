@@ -1,0 +1,1 @@
+"""`fauio demo`: the whole path on an embedded default."""

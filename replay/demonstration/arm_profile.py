@@ -1,0 +1,90 @@
+"""The profile of the reference plant: the arm's built-in model, its gains, thresholds from a healthy simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import tomli_w
+
+from adapters.channels import Channel
+from adapters.sampling.transform import Source
+from adapters.simulation.arm import SCENARIOS, TORQUES, simulate_arm
+from adapters.simulation.arm_source import arm_messages
+from gains.plants.model_file import builtin_model, write_model
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from gains.synthesis.gains_file import write_gains
+from monitor.alarms.alarm import AlarmRule
+from monitor.alarms.gate import GateRule
+from monitor.estimation.isolation_rule import IndependentRule
+from monitor.profile import (
+    PROFILE_FILE,
+    Profile,
+    observer_table,
+    profile_table,
+    read_profile,
+)
+from replay.fitting.calibrate import flight_samples, healthy_maxima
+
+OBSERVER = "arm"
+MODEL = "arm-disturbed"
+RATE_HZ = 100.0
+
+_FAULT_RATE = 20.0
+_GAIN_WEIGHT = 1e-6
+_MESSAGE = "DEBUG_FLOAT_ARRAY"
+_ARM = (("name", "arm"),)
+_HEALTHY_S = 30.0
+_SMOOTHING_S = 0.02
+_RAISE_S = 0.05
+_CLEAR_S = 0.2
+_MARGIN = 2.0
+_GATE = GateRule(require_armed=False, require_airborne=False, settle_s=1.0)
+
+
+def write_arm_profile(folder: Path) -> Profile:
+    """Design the arm's observer, calibrate its alarms on a healthy disturbed run, and write the profile.
+
+    The faults may move at 20 units per second: the paper's jump, and a bound sized for slow faults would smooth them.
+    Gains cost next to nothing: the sensor fault is then estimated down to the noise that hides in it.
+    """
+    plant = builtin_model(MODEL)
+    plant = replace(plant, faults=tuple(replace(fault, rate=_FAULT_RATE) for fault in plant.faults))
+    design = design_convex(plant, RATE_HZ, gain_weight=_GAIN_WEIGHT)
+    gains = compile_gains(plant, design, certify(plant, design))
+    inputs = tuple(Channel(name, _MESSAGE, ("data", k), where=_ARM) for k, name in enumerate(gains.inputs))
+    outputs = tuple(
+        Channel(name, _MESSAGE, ("data", k), where=_ARM) for k, name in enumerate(gains.outputs, len(inputs))
+    )
+    isolation = IndependentRule(_SMOOTHING_S)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_model(plant, folder / f"{OBSERVER}.model.toml")
+    write_gains(gains, folder / f"{OBSERVER}.gains.json")
+
+    def write(thresholds: dict[str, float]) -> Profile:
+        alarms = [
+            AlarmRule(
+                observer=OBSERVER,
+                channel=name,
+                kind="actuator" if kind == "actuator" else "sensor",
+                unit=unit,
+                threshold=thresholds[name],
+                clear=thresholds[name] / 2,
+                critical=5 * thresholds[name],
+                raise_s=_RAISE_S,
+                clear_s=_CLEAR_S,
+            )
+            for name, kind, unit in zip(gains.faults, gains.fault_kinds, gains.fault_units, strict=True)
+            if name in thresholds
+        ]
+        table = observer_table(source=Source(inputs, outputs), isolation=isolation, alarms=alarms)
+        content = profile_table(name="arm", vehicle="custom", gate=_GATE, observers={OBSERVER: table})
+        (folder / PROFILE_FILE).write_text(tomli_w.dumps(content))
+        return read_profile(folder)
+
+    runs = [simulate_arm(SCENARIOS["healthy"], _HEALTHY_S, RATE_HZ, torque) for torque in TORQUES]
+    healthy = [flight_samples(arm_messages(run, 10**18), Source(inputs, outputs), RATE_HZ, _GATE) for run in runs]
+    worst, _ = healthy_maxima(write({}), healthy, _RAISE_S)
+    return write({name: round(_MARGIN * float(worst[i]), 4) for i, name in enumerate(gains.faults)})

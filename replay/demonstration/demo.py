@@ -1,0 +1,227 @@
+"""The whole path on an embedded default, with real processes: sender -> MAVLink UDP -> daemon -> Zenoh -> subscriber.
+
+The demonstration starts ``fauio run`` as a user would, subscribes to its alarms from this process, lets another process
+send a simulated or recorded vehicle over UDP, compares what is announced with the injected truth, and in the end
+replays the daemon's own recording for the plots.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.logs.mcap_reader import read_mcap_messages
+from adapters.simulation.arm import SCENARIOS
+from adapters.zenoh.zenoh_session import open_session
+from monitor.bus.subscriber import AlarmSubscriber
+from monitor.errors import ProfileError
+from monitor.event import AlarmEvent
+from monitor.profile import read_profile
+from monitor.trace import Trace
+from monitor.views.rerun_view import write_rrd
+from replay.demonstration.arm_profile import write_arm_profile
+from replay.demonstration.truth import Truth
+from replay.player import Replay, play
+from replay.reports.plot import plot_png
+
+_DATA = Path(__file__).parent.parent / "data"
+_START_TIMEOUT_S = 30.0
+_LAST_EVENTS_S = 1.0
+_STOP_TIMEOUT_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What is demonstrated.
+
+    Parameters
+    ----------
+    title : str
+        One sentence for the user.
+    profile : Path
+        The vehicle's profile folder.
+    sender : Callable[[str, float], list[str]]
+        Command line of the sender for an address ``host:port`` and a speed.
+    truth : tuple[Truth, ...]
+        The injected faults.
+    """
+
+    title: str
+    profile: Path
+    sender: Callable[[str, float], list[str]]
+    truth: tuple[Truth, ...]
+
+
+def demo(vehicle: str, out: Path, speed: float | None) -> int:
+    """Run the demonstration and return the exit status: 0 where every injected fault was announced, else 1."""
+    out.mkdir(parents=True, exist_ok=True)
+    with _arm_scene(out) if vehicle == "arm" else _copter_scene() as scene:
+        pace = speed or (2.0 if vehicle == "arm" else 4.0)
+        _say(scene.title)
+        record = out / f"{vehicle}.mcap"
+        events = _run_live(scene, record, pace)
+        replayed = play(read_profile(scene.profile), read_mcap_messages(record), keep_traces=True)
+        curves = {truth.channel: _true_course(truth, replayed.traces[0]) for truth in scene.truth}
+        plot_png(out / f"{vehicle}.png", replayed.traces, replayed.events, replayed.thresholds, curves, scene.title)
+        write_rrd(out / f"{vehicle}.rrd", replayed.traces, replayed.events, replayed.thresholds, curves)
+    return _report(scene, events, replayed, out, vehicle)
+
+
+@contextlib.contextmanager
+def _arm_scene(out: Path) -> Iterator[Scene]:
+    _say("designing the arm's observer and calibrating its alarms ...")
+    profile = out / "arm-profile"
+    write_arm_profile(profile)
+    names = {"f_a": "motor", "f_s": "encoder"}
+    yield Scene(
+        title="A flexible-joint arm, disturbed; its motor gets 2 N m too much, later its encoder reads 2 rad off.",
+        profile=profile,
+        sender=lambda address, pace: [
+            *(sys.executable, "-m", "fauio", "simulate", "arm", "--scenario", "case2", "--duration", "40"),
+            *("--mavlink", f"udpout:{address}", "--speed", str(pace)),
+        ],
+        truth=tuple(
+            Truth(names[fault.channel], fault.start_s, fault.stop_s, fault.signal)
+            for fault in SCENARIOS["case2"].faults
+        ),
+    )
+
+
+@contextlib.contextmanager
+def _copter_scene() -> Iterator[Scene]:
+    yield Scene(
+        title="A recorded flight of a quadcopter in gusts; its motor 1 loses 5 % of its command for 50 s.",
+        profile=_DATA / "quad",
+        sender=lambda address, pace: [
+            *(sys.executable, "-m", "adapters.simulation.tlog_sender", str(_DATA / "copter_motor1.tlog.xz")),
+            *(f"udp:{address}", "--speed", str(pace)),
+        ],
+        truth=(Truth("motor1", 112.594, 162.594, lambda _: -0.05, relative=True),),
+    )
+
+
+def _run_live(scene: Scene, record: Path, speed: float) -> list[AlarmEvent]:
+    """Run daemon, sender and subscriber; return the events that came over Zenoh."""
+    udp, endpoint = (
+        f"127.0.0.1:{_free_port(socket.SOCK_DGRAM)}",
+        f"tcp/127.0.0.1:{_free_port(socket.SOCK_STREAM)}",
+    )
+    daemon = subprocess.Popen(  # noqa: S603 - our own program with our own arguments
+        [
+            *(sys.executable, "-m", "fauio", "run", str(scene.profile), "--mavlink", f"udpin:{udp}"),
+            *("--listen", endpoint, "--record", str(record)),
+        ],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        session = open_session(connect=[endpoint])
+        try:
+            subscriber = AlarmSubscriber(session)
+            _wait_for_monitor(subscriber, daemon)
+            _say(f"monitor listens to MAVLink on udp {udp} and publishes on Zenoh at {endpoint}")
+            return _watch(scene, subscriber, scene.sender(udp, speed))
+        finally:
+            session.close()  # type: ignore[no-untyped-call]
+    finally:
+        daemon.send_signal(signal.SIGTERM)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            daemon.communicate(timeout=_STOP_TIMEOUT_S)
+        daemon.kill()
+
+
+def _wait_for_monitor(subscriber: AlarmSubscriber, daemon: subprocess.Popen[str]) -> None:
+    deadline = time.monotonic() + _START_TIMEOUT_S
+    while not subscriber.live:
+        if daemon.poll() is not None:
+            said = daemon.stderr.read().strip() if daemon.stderr is not None else ""
+            raise ProfileError(f"the monitor did not start: {said.splitlines()[-1] if said else 'no reason given'}")
+        if time.monotonic() > deadline:
+            raise ProfileError(f"no monitor on Zenoh within {_START_TIMEOUT_S:g} s; is loopback TCP blocked?")
+        time.sleep(0.05)
+
+
+def _watch(scene: Scene, subscriber: AlarmSubscriber, sender_command: Sequence[str]) -> list[AlarmEvent]:
+    """Start the sender and collect events until a second after it has finished."""
+    events: list[AlarmEvent] = []
+    sender = subprocess.Popen(sender_command, stdout=subprocess.DEVNULL)  # noqa: S603 - as above
+    try:
+        until: float | None = None
+        while until is None or time.monotonic() < until:
+            event = subscriber.receive(0.1)
+            if event is not None and event.kind != "stale":
+                events.append(event)
+                _say(_announce(scene, event))
+            if until is None and sender.poll() is not None:
+                until = time.monotonic() + _LAST_EVENTS_S
+    finally:
+        sender.kill()
+        sender.wait()
+    if sender.returncode != 0:
+        raise ProfileError(f"the sender failed with status {sender.returncode}")
+    return events
+
+
+def _announce(scene: Scene, event: AlarmEvent) -> str:
+    time_s = event.vehicle_time_ms / 1000
+    line = f"  {time_s:8.2f} s  {event.channel:<8} {event.state:<8}"
+    truth = next((t for t in scene.truth if t.channel == event.channel), None)
+    if truth is None:
+        return f"{line} {event.message}  (nothing was injected here)"
+    shown = event.relative if truth.relative else event.estimate
+    estimate = "" if shown is None else f" estimate {_size(shown, truth)}  truth {_size(truth.at(time_s), truth)}"
+    since = time_s - (truth.stop_s if event.state == "cleared" else truth.start_s)
+    word = "end" if event.state == "cleared" else "onset"
+    delay = f"  {since:.2f} s after {word}" if event.state in ("raised", "cleared") else ""
+    return f"{line}{estimate}{delay}"
+
+
+def _report(scene: Scene, events: Sequence[AlarmEvent], replayed: Replay, out: Path, vehicle: str) -> int:
+    same = [event for event in replayed.events if event.kind != "stale"] == list(events)
+    _say(f"replaying the recording gives the same {len(events)} events: {'yes' if same else 'NO'}")
+    missing = [
+        truth.channel
+        for truth in scene.truth
+        if not any(event.channel == truth.channel and event.state == "raised" for event in events)
+    ]
+    wrong = sorted({event.channel for event in events} - {truth.channel for truth in scene.truth})
+    for channel in missing:
+        _say(f"MISSED: {channel}")
+    for channel in wrong:
+        _say(f"FALSE: {channel}")
+    _say(f"left in {out}/: {vehicle}.mcap (recording), {vehicle}.rrd (open with 'rerun'), {vehicle}.png (plot)")
+    return 0 if same and not missing and not wrong else 1
+
+
+def _true_course(truth: Truth, trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return times (s) and true sizes in the unit of the estimate."""
+    times_s = trace.vehicle_ns / 1e9
+    size = truth.course(times_s)
+    if truth.relative:
+        size = size * trace.u[:, trace.layout.inputs.index(truth.channel)]
+    return times_s, size
+
+
+def _size(value: float, truth: Truth) -> str:
+    return f"{100 * value:+.1f} %" if truth.relative else f"{value:+.3f}"
+
+
+def _free_port(kind: socket.SocketKind) -> int:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()

@@ -1,0 +1,1 @@
+"""Healthy logs to a profile: identified models, designed gains, calibrated thresholds."""

@@ -1,0 +1,139 @@
+"""Fit a profile: healthy recordings -> identified models -> designed gains -> calibrated alarms, written as text."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from adapters.errors import TelemetryError
+from gains.errors import InfeasibleError, ModelError
+from monitor.alarms.gate import GateRule
+from monitor.errors import ProfileError
+from monitor.profile import PROFILE_FILE, profile_table
+from replay.fitting.calibrate import SETTLE_S
+from replay.fitting.capability import capability
+from replay.fitting.fit_custom import fit_custom
+from replay.fitting.fit_drive import fit_drive, rover_gate
+from replay.fitting.fit_inertial import EXCUSES, fit_inertial
+from replay.fitting.fit_motors import fit_motors, multirotor_gate
+from replay.fitting.fit_report import draw_comparison
+from replay.fitting.fit_surfaces import fit_surfaces, plane_gate
+from replay.fitting.fitted import Fitted, Log
+from replay.fitting.survey import survey
+
+KINDS = ("multirotor", "plane", "rover", "inertial", "custom")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitReport:
+    """What ``fauio fit`` found.
+
+    Parameters
+    ----------
+    vehicle : str
+        Kind of vehicle.
+    observers : tuple[Fitted, ...]
+        The fitted observers.
+    notes : tuple[str, ...]
+        What could not be fitted, and why.
+    """
+
+    vehicle: str
+    observers: tuple[Fitted, ...]
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the report as a JSON object."""
+        return {
+            "vehicle": self.vehicle,
+            "observers": {fitted.name: fitted.report() for fitted in self.observers},
+            "notes": list(self.notes),
+        }
+
+    def text(self, details: bool = False) -> list[str]:
+        """Return the report as lines for people."""
+        lines = [line for fitted in self.observers for line in fitted.text(details)]
+        return [*lines, *(f"not fitted: {note}" for note in self.notes)]
+
+
+def fit(kind: str, logs: Sequence[Log], folder: Path, name: str, model: Path | None = None) -> FitReport:
+    """Write a profile.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of vehicle, one of ``KINDS``.
+    logs : Sequence[Log]
+        Healthy recordings; each call of a log goes through it once from the start.
+    folder : Path
+        The profile's folder; made where it does not exist.
+    name : str
+        Name of the vehicle and its models.
+    model : Path | None
+        Model file of a custom vehicle.
+
+    Raises
+    ------
+    TelemetryError, ModelError, InfeasibleError
+        The recordings do not hold what is needed, do not excite an axis, or allow no certified design.
+    """
+    if (kind == "custom") != (model is not None):
+        raise ProfileError(f"--vehicle {kind}: {'needs' if model is None else 'takes no'} --model MODEL.toml")
+    observers, notes = [], []
+    if model is not None:
+        custom, gate = fit_custom(logs, model)
+        observers.append(custom)
+    else:
+        surveys = [survey(log()) for log in logs]
+        if kind == "multirotor":
+            gate = multirotor_gate(surveys, SETTLE_S)
+            observers.append(fit_motors(name, logs, surveys, gate))
+        elif kind == "plane":
+            gate = plane_gate(SETTLE_S)
+            observers.append(fit_surfaces(name, logs, surveys, gate))
+        elif kind == "rover":
+            gate = rover_gate(SETTLE_S)
+            observers.append(fit_drive(name, logs, surveys, gate))
+        else:
+            gate = GateRule(settle_s=SETTLE_S, require_airborne=False)
+        try:
+            observers.append(fit_inertial(name, logs, surveys, gate))
+        except (TelemetryError, ModelError, InfeasibleError) as error:
+            if not observers:
+                raise
+            notes.append(f"inertial: {error}")
+    report = FitReport(kind, tuple(_measured(fitted, gate) for fitted in observers), tuple(notes))
+    write_profile(folder, name, kind, gate, report)
+    return report
+
+
+def write_profile(folder: Path, name: str, kind: str, gate: GateRule, report: FitReport) -> None:
+    """Write what was fitted as a profile folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for fitted in report.observers:
+        fitted.write(folder)
+    tables = {fitted.name: fitted.table() for fitted in report.observers}
+    known = {found.rule.channel for fitted in report.observers for found in fitted.alarms}
+    excuses = [rule for rule in EXCUSES if known.issuperset((*rule.channels, *rule.by))]
+    content = profile_table(name=name, vehicle=kind, gate=gate, observers=tables, excuses=excuses)
+    (folder / PROFILE_FILE).write_text(tomli_w.dumps(content, multiline_strings=False))
+    (folder / "fit.json").write_text(json.dumps(report.to_json(), indent=1) + "\n")
+    (folder / "fit.txt").write_text(
+        "\n".join([f"{name} ({kind})", *report.text(details=True)]) + "\n", encoding="utf-8"
+    )
+    drawn = {fitted.name: fitted.comparison for fitted in report.observers if fitted.comparison is not None}
+    for observer, comparison in drawn.items():
+        file = "fit.png" if len(drawn) == 1 else f"fit.{observer}.png"
+        draw_comparison(folder / file, comparison, f"{name}, {observer}: {comparison.about}")
+
+
+def _measured(fitted: Fitted, gate: GateRule) -> Fitted:
+    """Return the observer with what it will detect, where it brings healthy samples to measure that on."""
+    if not fitted.flights:
+        return fitted
+    return replace(fitted, capability=capability(fitted.profile(), fitted.plant, fitted.flights, gate), flights=())

@@ -1,0 +1,1 @@
+"""`fauio info`: what is in a profile, model, gains file or recording."""

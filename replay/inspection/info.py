@@ -1,0 +1,168 @@
+"""What is in a file of fauio's: a recording, a profile, a model or gains, as one JSON object."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from adapters.errors import TelemetryError
+from gains.analysis.check import check_plant
+from gains.analysis.check_text import text as check_text
+from gains.errors import InfeasibleError, ModelError
+from gains.identification.free_model import read_free_model
+from gains.plants.model_file import BUILTIN_MODELS, load_model, read_document
+from gains.plants.plant import Plant
+from gains.synthesis.gains_file import Gains, read_gains
+from monitor.profile import PROFILE_FILE, ObserverProfile, read_profile
+from replay.inspection.log_info import log_info
+from replay.player import interests
+
+
+def info(path: Path) -> dict[str, Any]:
+    """Return what is in a file or folder; ``kind`` says what it is.
+
+    Raises
+    ------
+    TelemetryError, ProfileError, ModelError
+        It is none of these, or cannot be read.
+    """
+    if path.name == PROFILE_FILE and path.is_file():
+        return profile_info(path.parent)
+    if (path / PROFILE_FILE).is_file():
+        return profile_info(path)
+    if path.suffix == ".toml" or (str(path) in BUILTIN_MODELS and not path.exists()):
+        return model_info(path)
+    if not path.exists():
+        raise TelemetryError(f"{path}: no such file; give a recording, a profile, a model or gains")
+    if path.suffix == ".json":
+        return gains_info(path)
+    return log_info(path)
+
+
+def profile_info(folder: Path) -> dict[str, Any]:
+    """Return what a profile watches, with which certified bound, from which sizes on."""
+    profile = read_profile(folder)
+    said = tomllib.loads(profile.files[PROFILE_FILE].decode())["observers"]
+    return {
+        "file": str(folder),
+        "kind": "profile",
+        "name": profile.name,
+        "vehicle": profile.vehicle,
+        "system": profile.system,
+        "stale_s": profile.stale_s,
+        "phase": {
+            "require_armed": profile.gate.require_armed,
+            "require_airborne": profile.gate.require_airborne,
+            "settle_s": profile.gate.settle_s,
+        },
+        "messages": sorted(interests(profile) & {name for one in profile.observers for name in _messages(one)}),
+        "observers": {one.name: _observer(one, said[one.name]["alarms"]) for one in profile.observers},
+        "digest": profile.digest,
+    }
+
+
+def _messages(observer: ObserverProfile) -> set[str]:
+    return {channel.message for channel in observer.source.channels}
+
+
+def _observer(observer: ObserverProfile, said: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    gains = observer.gains
+    return {
+        "rate_hz": observer.rate_hz,
+        "hypotheses": len(gains),
+        "inputs": list(gains[0].inputs),
+        "outputs": list(gains[0].outputs),
+        "states": list(gains[0].states),
+        "faults": [fault.name for fault in observer.faults],
+        "messages": sorted(_messages(observer)),
+        **_bounds(gains),
+        "alarms": {
+            rule.channel: {
+                "kind": rule.kind,
+                "threshold": rule.threshold,
+                "critical": rule.critical,
+                "unit": rule.unit,
+                "raise_s": rule.raise_s,
+                "sees": said[rule.channel].get("sees"),
+            }
+            for rule in observer.alarms
+        },
+    }
+
+
+def _bounds(gains: Sequence[Gains]) -> dict[str, Any]:
+    """Return the worst certified bound, the worst norm, and whether every certificate holds."""
+    certificates = [one.report.get("certificate") for one in gains]
+    return {
+        "sqrt_mu": _worst(gains, "sqrt_mu"),
+        "norm": _worst(gains, "norm"),
+        "certified": all(isinstance(one, Mapping) and one.get("holds") is True for one in certificates),
+    }
+
+
+def _worst(gains: Sequence[Gains], key: str) -> float | None:
+    found = [one.report.get(key) for one in gains]
+    known = [value for value in found if isinstance(value, int | float)]
+    return max(known) if len(known) == len(found) else None
+
+
+def gains_info(path: Path) -> dict[str, Any]:
+    """Return what gains estimate, for which model, and what they are worth."""
+    gains = read_gains(path)
+    return {
+        "file": str(path),
+        "kind": "gains",
+        "model": gains.model,
+        "model_hash": gains.model_hash,
+        "method": gains.method,
+        "domain": gains.domain,
+        "rate_hz": gains.rate_hz,
+        "inputs": list(gains.inputs),
+        "outputs": list(gains.outputs),
+        "states": list(gains.states),
+        "faults": [
+            {"name": name, "kind": kind, "unit": unit}
+            for name, kind, unit in zip(gains.faults, gains.fault_kinds, gains.fault_units, strict=True)
+        ],
+        "nonlinearities": len(gains.nonlinearities),
+        "matrix": list(gains.step_matrix.shape),
+        **_bounds([gains]),
+    }
+
+
+def model_info(path: Path) -> dict[str, Any]:
+    """Return a model's names and sizes, and whether its faults can be estimated."""
+    free = None
+    if str(path) not in BUILTIN_MODELS and "parameters" in read_document(path):
+        free = read_free_model(path)
+    plant = load_model(path) if free is None else free.example
+    estimable, verdict = _checked(plant)
+    return {
+        "file": str(path),
+        "kind": "model",
+        "name": plant.name,
+        "description": plant.description,
+        "domain": plant.domain,
+        "rate_hz": plant.rate_hz,
+        "inputs": list(plant.inputs),
+        "outputs": list(plant.outputs),
+        "states": list(plant.states),
+        "faults": [{"name": fault.name, "kind": fault.kind, "unit": fault.unit} for fault in plant.faults],
+        "disturbances": [signal.name for signal in plant.disturbances],
+        "noises": [signal.name for signal in plant.noises],
+        "nonlinearities": [one.expression for one in plant.nonlinearities],
+        "parameters": None if free is None else [parameter.name for parameter in free.parameters],
+        "estimable": estimable,
+        "check": verdict,
+    }
+
+
+def _checked(plant: Plant) -> tuple[bool | None, str]:
+    """Return whether all faults can be estimated together, and the findings in a line."""
+    try:
+        check = check_plant(plant)
+    except (ModelError, InfeasibleError) as error:
+        return None, str(error)
+    return check.estimable, check_text(check).splitlines()[0]

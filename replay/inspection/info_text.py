@@ -1,0 +1,169 @@
+"""What is in a file, as lines for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from monitor.bus.alarm_text import printable
+
+_FORMATS = {
+    "tlog": "MAVLink telemetry log",
+    "mcap": "MCAP",
+    "ulog": "PX4 log",
+    "ulg": "PX4 log",
+    "dataflash": "ArduPilot log",
+    "bin": "ArduPilot log",
+}
+_MOST_ALARMS = 20
+_MOST_FIELDS = 8
+_WIDTH = 110
+
+
+def info_text(found: Mapping[str, Any]) -> str:
+    """Return the lines for what ``info`` found, names from a recording without control characters."""
+    kinds: dict[str, Callable[[Mapping[str, Any]], Iterator[str]]] = {
+        "recording": _recording,
+        "profile": _profile,
+        "gains": _gains,
+        "model": _model,
+    }
+    return "\n".join(map(printable, kinds[found["kind"]](found))) + "\n"
+
+
+def _recording(found: Mapping[str, Any]) -> Iterator[str]:
+    kind = _FORMATS.get(found["format"], found["format"])
+    head = f"{found['file']}: {kind}, {found['count']} messages"
+    if found["start_ns"] is not None:
+        head += f", {found['duration_s']:.1f} s from {found['start'] or found['start_ns']}"
+    yield head
+    for damage in found["damage"]:
+        yield f"  damaged: {damage['file']}: {'; '.join(damage['found'])}"
+    recorded = found["recorded"] or {}
+    if "vehicle" in recorded:
+        yield f"  recorded by a monitor of {recorded['vehicle']}, fauio {recorded.get('fauio', '?')}"
+    elif "converted_from" in recorded:
+        yield f"  converted from {recorded['converted_from']}"
+    for system in found["systems"]:
+        yield f"  system {system['system']}: {_system(system)}"
+    yield from _alarms(found["alarms"])
+    yield from _messages(found)
+    if found["vehicle"] is not None:
+        yield from _vehicle(found["vehicle"])
+    if found["fields"]:
+        yield "  numbers that the channels of a custom model can take (fauio fit --vehicle custom --model MODEL.toml):"
+        for name, fields in found["fields"].items():
+            yield from _listed(f"    {name}: ", _capped(fields, _MOST_FIELDS))
+
+
+def _system(system: Mapping[str, Any]) -> str:
+    what = " of ".join(word for word in (system["type"], system["autopilot"]) if word and word != "invalid")
+    armed = f", armed for {system['armed_s']:.0f} s" if system["armed_s"] else ""
+    return f"{what or 'unknown'}, {system['messages']} messages{armed}"
+
+
+def _alarms(alarms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    if not alarms:
+        return
+    yield f"  {len(alarms)} alarm{'s' if len(alarms) > 1 else ''} recorded:"
+    for event in alarms[:_MOST_ALARMS]:
+        place = f"{event.get('observer')}/{event.get('channel')}"
+        yield f"    {event.get('severity')}: {place}: {event.get('message')}"
+    if len(alarms) > _MOST_ALARMS:
+        yield f"    ... and {len(alarms) - _MOST_ALARMS} more"
+
+
+def _messages(found: Mapping[str, Any]) -> Iterator[str]:
+    messages = found["messages"]
+    if not messages:
+        yield "  no messages"
+        return
+    width = max(len("message"), *map(len, messages))
+    yield f"  {'message':<{width}}  {'count':>9}  {'per second':>10}"
+    for name, one in messages.items():
+        rate = "-" if one["rate_hz"] is None else f"{one['rate_hz']:.1f}"
+        yield f"  {name:<{width}}  {one['count']:>9}  {rate:>10}"
+
+
+def _vehicle(vehicle: Mapping[str, Any]) -> Iterator[str]:
+    yield f"  what fauio fit could make of system {vehicle['system']}:"
+    for kind, fit in vehicle["fits"].items():
+        # a vehicle that says what it is is nothing else, whatever its messages would allow
+        if vehicle["likely"] not in (None, kind) and kind != "inertial":
+            continue
+        if not fit["possible"]:
+            yield f"    {kind}: not possible: {fit['missing'][0]}"
+            continue
+        rate = "" if fit["rate_hz"] is None else f" at {fit['rate_hz']:.3g} Hz"
+        yield from _listed(f"    {kind}{rate}: watches ", fit["watches"])
+        places = _grouped(fit["channels"].values())
+        yield from _listed("      from ", places)
+        for missing in fit["missing"]:
+            yield f"      lacks {missing}"
+
+
+def _grouped(places: Any) -> list[str]:
+    """Return the messages that channels come from, each once."""
+    return list(dict.fromkeys(place.partition(".")[0] for place in places))
+
+
+def _profile(found: Mapping[str, Any]) -> Iterator[str]:
+    phase = [word for word in ("armed", "airborne") if found["phase"][f"require_{word}"]]
+    when = " and ".join(phase) or "always"
+    yield f"{found['file']}: profile of '{found['name']}' ({found['vehicle']}), watches while {when}"
+    yield from _listed("  reads ", found["messages"])
+    for name, one in found["observers"].items():
+        bank = f", bank of {one['hypotheses']}" if one["hypotheses"] > 1 else ""
+        size = f"{len(one['states'])} states, {len(one['inputs'])} inputs, {len(one['outputs'])} outputs"
+        yield f"  {name}: {one['rate_hz']:g} Hz, {size}{bank}, {_bound(one)}"
+        width = max((len(channel) for channel in one["alarms"]), default=0)
+        for channel, rule in one["alarms"].items():
+            sees = f"; sees {rule['sees']}" if rule["sees"] else ""
+            sizes = f"from {rule['threshold']:.3g} {rule['unit']}, critical {rule['critical']:.3g}"
+            yield f"    {channel:<{width}}  {sizes}{sees}"
+
+
+def _bound(found: Mapping[str, Any]) -> str:
+    bound = "no certified bound" if found["sqrt_mu"] is None else f"sqrt(mu) {found['sqrt_mu']:.4g}"
+    return f"{bound}, {'certificate holds' if found['certified'] else 'not certified'}"
+
+
+def _gains(found: Mapping[str, Any]) -> Iterator[str]:
+    yield f"{found['file']}: gains for the model {found['model']} ({found['method']}, {found['rate_hz']:g} Hz)"
+    yield f"  {_bound(found)}; one step is a product with a {found['matrix'][0]} x {found['matrix'][1]} matrix"
+    yield from _names(found)
+
+
+def _model(found: Mapping[str, Any]) -> Iterator[str]:
+    rate = "" if found["rate_hz"] is None else f" at {found['rate_hz']:g} Hz"
+    yield f"{found['file']}: {found['domain']} model '{found['name']}'{rate}"
+    if found["description"]:
+        yield f"  {found['description']}"
+    yield from _names(found)
+    for key in ("disturbances", "noises", "nonlinearities", "parameters"):
+        if found[key]:
+            yield from _listed(f"  {'free parameters' if key == 'parameters' else key}: ", found[key])
+    yield f"  check: {found['check']}"
+
+
+def _names(found: Mapping[str, Any]) -> Iterator[str]:
+    for key in ("states", "inputs", "outputs"):
+        yield from _listed(f"  {key} ({len(found[key])}): ", found[key])
+    faults = [f"{fault['name']} ({fault['kind']})" for fault in found["faults"]]
+    yield from _listed(f"  faults ({len(faults)}): ", faults)
+
+
+def _capped(items: Sequence[str], most: int) -> list[str]:
+    return [*items[:most], f"... {len(items) - most} more"] if len(items) > most else list(items)
+
+
+def _listed(start: str, items: Sequence[str]) -> Iterator[str]:
+    """Yield items behind a start, in lines of bounded width."""
+    line, indent = start, " " * (len(start) - len(start.lstrip()) + 2)
+    for at, item in enumerate(items):
+        word = item + (", " if at < len(items) - 1 else "")
+        if len(line) + len(word) > _WIDTH and line.strip():
+            yield line.rstrip()
+            line = indent
+        line += word
+    yield line.rstrip()

@@ -1,0 +1,266 @@
+"""What a recording holds: time, vehicles, messages, what could be watched with them, alarms, damage."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from adapters.channels import Channel, channel_table
+from adapters.errors import TelemetryError
+from adapters.logs.recordings import Recording, recorded_alarms, recorded_metadata, recording_kind
+from adapters.message import Message
+from adapters.sampling.phase import is_autopilot_heartbeat
+from adapters.sampling.strapdown_channels import strapdown_channels
+from replay.fitting.fit_drive import rover_signals
+from replay.fitting.fit_surfaces import plane_signals
+from replay.fitting.survey import Survey, common_rate_hz, multirotor_channels, of_one_vehicle, survey
+from replay.progress import track
+
+_ARMED = 128
+# what comes all at once, as the head of a log does, has no rate
+_SHORTEST_NS = 1_000_000
+_MAX_FIELDS = 400
+_MAX_ELEMENTS = 16
+_VEHICLE_WORDS = {
+    "multirotor": ("rotor", "copter"),
+    "plane": ("fixed_wing", "vtol"),
+    "rover": ("rover", "boat"),
+}
+_SURFACES = ("aileron", "elevator", "throttle", "rudder")
+_SELDOM = ("GPS_RAW_INT", "SCALED_PRESSURE")
+_GYROS = ("gyro_x", "gyro_y", "gyro_z")
+
+
+@dataclass(slots=True)
+class _Sender:
+    """What one system of a recording sent."""
+
+    messages: int = 0
+    components: set[int] = field(default_factory=set)
+    type: int | None = None
+    autopilot: int | None = None
+    armed_since_ns: int | None = None
+    armed_ns: int = 0
+
+
+class _Tally:
+    """Counts messages that pass, by name and by sender."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.spans: dict[str, tuple[int, int]] = {}
+        self.senders: dict[int, _Sender] = {}
+        self.examples: dict[str, Mapping[str, Any]] = {}
+        self.first_ns: int | None = None
+        self.last_ns = 0
+        self.watched: int | None = None
+
+    def count(self, messages: Iterable[Message]) -> Iterator[Message]:
+        """Yield the messages."""
+        for message in messages:
+            now_ns, name = message.received_ns, message.name
+            self.first_ns = now_ns if self.first_ns is None else self.first_ns
+            self.last_ns = now_ns
+            self.counts[name] += 1
+            self.spans[name] = (self.spans[name][0] if name in self.spans else now_ns, now_ns)
+            if message.source == "zenoh":
+                self.examples[name] = message.fields
+            elif message.source == "mavlink":
+                sender = self.senders.setdefault(message.system, _Sender())
+                sender.messages += 1
+                sender.components.add(message.component)
+                if name == "HEARTBEAT":
+                    _note(sender, message)
+            yield message
+
+    def watch(self, messages: Iterable[Message]) -> Iterator[Message]:
+        """Yield the messages of the vehicle that a fit would take, and note which it is."""
+        for message in of_one_vehicle(messages):
+            self.watched = message.system
+            yield message
+
+
+def _note(sender: _Sender, message: Message) -> None:
+    """Take a heartbeat: the autopilot's says what the vehicle is, any other what its sender is."""
+    fields = message.fields
+    if is_autopilot_heartbeat(message) or sender.autopilot is None:
+        sender.type, sender.autopilot = (_whole(fields.get(name)) for name in ("type", "autopilot"))
+    mode = fields.get("base_mode")
+    if not is_autopilot_heartbeat(message) or not isinstance(mode, int):
+        return
+    if sender.armed_since_ns is not None:
+        sender.armed_ns += max(0, message.received_ns - sender.armed_since_ns)
+    sender.armed_since_ns = message.received_ns if mode & _ARMED else None
+
+
+def _whole(value: Any) -> int | None:
+    return value if type(value) is int else None
+
+
+def log_info(path: Path) -> dict[str, Any]:
+    """Go through a recording and return what it holds, as a JSON object.
+
+    Raises
+    ------
+    TelemetryError
+        It is no recording, or holds nothing of its kind.
+    """
+    kind = recording_kind(path)
+    tally, recording = _Tally(), Recording(path)
+    found = survey(tally.watch(tally.count(track(recording, f"reading {path.name}"))))
+    first_ns = tally.first_ns
+    return {
+        "file": str(path),
+        "kind": "recording",
+        "format": kind,
+        "start_ns": first_ns,
+        "start": None if first_ns is None else _moment(first_ns),
+        "duration_s": 0.0 if first_ns is None else (tally.last_ns - first_ns) / 1e9,
+        "count": tally.counts.total(),
+        "messages": {name: _message(name, tally, found) for name in sorted(tally.counts)},
+        "systems": [_system(number, sender) for number, sender in sorted(tally.senders.items())],
+        "vehicle": _fits(found, tally),
+        "fields": {name: _paths(fields) for name, fields in sorted(tally.examples.items())},
+        "recorded": recorded_metadata(path) or None,
+        "alarms": [event for event in recorded_alarms(path) if event.get("state") == "raised"],
+        "damage": [damage.to_json() for damage in recording.damage()],
+    }
+
+
+def _moment(time_ns: int) -> str:
+    return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).isoformat().replace("+00:00", "Z")
+
+
+def _message(name: str, tally: _Tally, found: Survey) -> dict[str, Any]:
+    """Return count and rate: on the vehicle's clock where the message has a time, else as it arrived."""
+    count, (first, last) = tally.counts[name], tally.spans[name]
+    rate = found.rate_hz.get(name) if found.counts.get(name) == count else None
+    if rate is None and last - first > _SHORTEST_NS:
+        rate = (count - 1) * 1e9 / (last - first)
+    return {"count": count, "rate_hz": rate}
+
+
+def _system(number: int, sender: _Sender) -> dict[str, Any]:
+    return {
+        "system": number,
+        "components": sorted(sender.components),
+        "type": _enumerated("MAV_TYPE", sender.type),
+        "autopilot": _enumerated("MAV_AUTOPILOT", sender.autopilot),
+        "messages": sender.messages,
+        "armed_s": sender.armed_ns / 1e9,
+    }
+
+
+def _enumerated(enumeration: str, number: int | None) -> str | None:
+    """Return the name of a number in one of MAVLink's enumerations."""
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    entry = None if number is None else ardupilotmega.enums[enumeration].get(number)
+    return None if entry is None else str(entry.name).removeprefix(f"{enumeration}_").lower()
+
+
+def _fits(found: Survey, tally: _Tally) -> dict[str, Any] | None:
+    """Return which observers could be fitted to the vehicle's messages, None where there is no vehicle of MAVLink."""
+    sender = None if tally.watched is None else tally.senders.get(tally.watched)
+    if sender is None:
+        return None
+    says = _enumerated("MAV_TYPE", sender.type) or ""
+    likely = next((kind for kind, words in _VEHICLE_WORDS.items() if any(word in says for word in words)), None)
+    kinds: dict[str, Callable[[Survey], dict[str, Any]]] = {
+        "multirotor": _multirotor,
+        "plane": _plane,
+        "rover": _rover,
+        "inertial": _inertial,
+    }
+    return {
+        "system": tally.watched,
+        "likely": likely,
+        "fits": {kind: _fit(try_kind, found) for kind, try_kind in kinds.items()},
+    }
+
+
+def _fit(try_kind: Callable[[Survey], dict[str, Any]], found: Survey) -> dict[str, Any]:
+    try:
+        return {"possible": True, **try_kind(found)}
+    except TelemetryError as error:
+        return {"possible": False, "missing": [str(error)], "watches": [], "channels": {}, "rate_hz": None}
+
+
+def _multirotor(found: Survey) -> dict[str, Any]:
+    inputs, outputs = multirotor_channels([found])
+    channels = (*inputs, *outputs)
+    return _possible([channel.name for channel in inputs] + [*_GYROS], channels, common_rate_hz([found], channels))
+
+
+def _plane(found: Survey) -> dict[str, Any]:
+    signals = plane_signals([found])
+    return _possible(_SURFACES, signals.channels, signals.rate_hz)
+
+
+def _rover(found: Survey) -> dict[str, Any]:
+    signals = rover_signals([found])
+    return _possible(("steering", "throttle"), signals.channels, signals.rate_hz)
+
+
+def _inertial(found: Survey) -> dict[str, Any]:
+    source = strapdown_channels(found.examples)
+    has = {name: bool(value) for name, value in source.parameters.items()}
+    watches, missing = [*_GYROS], []
+    gps, barometer = has["gps"], has["barometer"]
+    if gps:
+        watches += ["gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east"]
+    else:
+        missing.append("gps_*: no GPS_RAW_INT with position, speed and course")
+    if gps or barometer:
+        watches.append("accel_z")
+    if gps and barometer:
+        watches += ["gps_down", "baro"]
+    elif not barometer:
+        missing.append("baro, gps_down: no pressure (HIGHRES_IMU with pressure_alt, or SCALED_PRESSURE)")
+    if has["magnetometer"]:
+        watches.append("compass")
+    else:
+        missing.append("compass: no magnetic field in HIGHRES_IMU, SCALED_IMU or RAW_IMU")
+    inertial = [channel for channel in source.channels if channel.message not in _SELDOM]
+    known = all(channel.message in found.rate_hz for channel in inertial)
+    return _possible(watches, source.channels, common_rate_hz([found], inertial) if known else None, missing)
+
+
+def _possible(
+    watches: Sequence[str], channels: Sequence[Channel], rate_hz: float | None, missing: Sequence[str] = ()
+) -> dict[str, Any]:
+    return {
+        "missing": list(missing),
+        "watches": list(watches),
+        "channels": {channel.name: _place(channel) for channel in channels},
+        "rate_hz": rate_hz,
+    }
+
+
+def _place(channel: Channel) -> str:
+    return f"{channel.message}.{channel_table(channel)['field']}"
+
+
+def _paths(fields: Mapping[str, Any]) -> list[str]:
+    """Return where the numbers in a message stand, as a profile's channels name them."""
+    found: list[str] = []
+
+    def go(value: Any, path: str, names: Any) -> None:
+        if len(found) >= _MAX_FIELDS:
+            return
+        if isinstance(value, Mapping):
+            for key, inner in value.items():
+                go(inner, f"{path}.{key}" if path else key, value.get("name"))
+        elif isinstance(value, list):
+            named = isinstance(names, list) and len(names) == len(value)
+            for at, inner in enumerate(value[:_MAX_ELEMENTS]):
+                go(inner, f"{path}[{names[at] if named else at}]", None)
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            found.append(path)
+
+    go(fields, "", None)
+    return found

@@ -1,0 +1,326 @@
+"""The picture of a run: fault estimates with truth, thresholds and alarms, residuals, inputs, as one PNG."""
+
+from __future__ import annotations
+
+import os
+import re
+import textwrap
+import warnings
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from io import StringIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from monitor.bus.alarm_text import printable
+from monitor.event import AlarmEvent
+from monitor.trace import AlarmSpan, Trace, alarm_spans
+from monitor.views.palette import DARK, LIGHT, Theme
+from monitor.views.panels import Panels, Thresholds, Truth, choose_panels, same_scale
+from replay.reports.envelope import BINS
+from replay.reports.plot_panels import (
+    BAND_ALPHA,
+    DOUBT_ALPHA,
+    DOUBT_DEVIATIONS,
+    FEW_INPUTS,
+    NOT_ARMED_ALPHA,
+    SPAN_ALPHA,
+    TRUTH_DASHES,
+    Look,
+    draw_fault,
+    draw_heading,
+    draw_inputs,
+    draw_quiet,
+    draw_residuals,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH_IN = 8.0
+HIGHEST_IN = 16.0
+HEADING_IN = 0.22
+FAULT_IN = 1.0
+LEAST_FAULT_IN = 0.35
+LANE_IN = 0.2
+LEAST_LANES = 2
+INPUT_IN = 1.0
+TITLE_IN = 0.2
+ENDS_IN = 1.0
+DPI = 160
+TITLE_LETTERS = 105
+SVG_BINS = 600
+
+# it would hold for the whole page
+_STYLE_SHEET = re.compile(r"<defs>\s*<style.*?</style>\s*</defs>", re.DOTALL)
+_GROUP_ID = re.compile(r'<g id="[^"]*"')
+_PATH = re.compile(r' d="[^"]*"')
+_DECIMALS = re.compile(r"(\.\d)\d+")
+
+STYLE: dict[str, Any] = {
+    "font.size": 8,
+    # names come from outside: a dollar is a dollar
+    "text.parse_math": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "lines.linewidth": 0.8,
+    "lines.solid_joinstyle": "round",
+    "legend.frameon": False,
+    "legend.handlelength": 1.8,
+    "figure.constrained_layout.h_pad": 0.03,
+    "figure.constrained_layout.w_pad": 0.08,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """A panel to come: its height without its title, what draws it, and whether it gives way on a full page."""
+
+    height_in: float
+    draw: Callable[[Axes], None]
+    shrinks: bool = False
+
+
+def plot_png(
+    path: str | os.PathLike[str],
+    traces: Sequence[Trace],
+    events: Sequence[AlarmEvent],
+    thresholds: Thresholds,
+    truth: Truth | None = None,
+    title: str = "",
+    *,
+    dark: bool = False,
+    without_sd: Collection[tuple[str, str]] = (),
+) -> None:
+    """Draw a run.
+
+    Per observer, under its name where there are several: a panel for each fault channel that had an alarm or whose
+    truth is known, with its estimate within two standard deviations, its alarm threshold as a dotted band, the truth
+    dashed, and its alarms as shaded spans; one panel of lanes for the quiet channels, each over its own threshold;
+    then the residuals in lanes, each over its own size; then the inputs, in lanes where there are many. Where all
+    observers together have few channels, each has its panel. An observer without any sample has none. Time is the
+    vehicle's own. Where no alarm could be raised, panels are grey, and what is drawn there sets no scale.
+    Long recordings are drawn as the envelope of their smallest and largest values: no peak is lost.
+
+    Parameters
+    ----------
+    path : str | PathLike
+        PNG to write, 8 inches wide; up to 16 high, panels of faults shrink to a third before it grows beyond.
+    traces : Sequence[Trace]
+        One per observer.
+    events : Sequence[AlarmEvent]
+        All alarm events of the run.
+    thresholds : Mapping[tuple[str, str], float]
+        Alarm threshold by observer and fault channel.
+    truth : Mapping[str, tuple[NDArray, NDArray]] | None
+        By fault channel: times on the vehicle's clock (s) and the true size at them.
+    title : str
+        Stands above.
+    dark : bool
+        Whether the ground is dark.
+    without_sd : Collection[tuple[str, str]]
+        Channels, by observer and name, whose evidence is not the estimate that the standard deviation belongs to.
+    """
+    with _drawing(_style(DARK if dark else LIGHT)):
+        figure = _figure(
+            traces, events, thresholds, truth or {}, title, Look(DARK if dark else LIGHT, BINS, without_sd)
+        )
+        figure.savefig(path, format="png")
+
+
+def plot_svg(
+    trace: Trace,
+    events: Sequence[AlarmEvent],
+    thresholds: Thresholds,
+    beside: Sequence[Trace] = (),
+    *,
+    without_sd: Collection[tuple[str, str]] = (),
+) -> str:
+    """Return the same picture of one observer as an ``<svg>`` element to stand in a page, whose colours it takes.
+
+    Each colour of :data:`monitor.views.palette.LIGHT` is a CSS variable, named by :func:`colour_variables`. The run's
+    other observers, ``beside`` it, widen its axis of time, so that pictures can be compared; their alarms are not
+    shown.
+    """
+    buffer = StringIO()
+    # ids are made of the salt: pictures of one page need different ones
+    salt = trace.layout.observer
+    with _drawing({**_style(LIGHT), "svg.fonttype": "none", "svg.hashsalt": salt}):
+        figure = _figure([trace], events, thresholds, {}, "", Look(LIGHT, SVG_BINS, without_sd), beside)
+        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        figure.savefig(buffer, format="svg", transparent=True, metadata=nothing)
+    text = buffer.getvalue()
+    text = _STYLE_SHEET.sub("", text[text.index("<svg") :], count=1)
+    text = _GROUP_ID.sub("<g", text)
+    text = _PATH.sub(lambda path: _DECIMALS.sub(r"\1", path[0].replace("\n", "")), text)
+    for name, colour in colour_variables(LIGHT).items():
+        text = re.sub(f'{colour}(?=[;"])', f"var({name})", text, flags=re.IGNORECASE)
+    return text
+
+
+def colour_variables(theme: Theme) -> dict[str, str]:
+    """Return a theme's colours by the names of CSS variables; none stands twice."""
+    names = {"--paper": theme.paper, "--ink": theme.ink, "--muted": theme.muted}
+    series = {f"--series{index}": colour for index, colour in enumerate(theme.series) if colour != theme.ink}
+    return names | series
+
+
+@contextmanager
+def _drawing(style: Mapping[str, Any]) -> Iterator[None]:
+    from matplotlib import rc_context
+
+    with rc_context(dict(style)), warnings.catch_warnings():
+        # a name may be written in letters that the font lacks: it is drawn as boxes
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+        yield
+
+
+def _style(theme: Theme) -> dict[str, Any]:
+    inks = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
+    papers = ("figure.facecolor", "axes.facecolor", "savefig.facecolor")
+    return STYLE | dict.fromkeys(inks, theme.ink) | dict.fromkeys(papers, theme.paper)
+
+
+def _figure(
+    traces: Sequence[Trace],
+    events: Sequence[AlarmEvent],
+    thresholds: Thresholds,
+    truth: Truth,
+    title: str,
+    look: Look,
+    beside: Sequence[Trace] = (),
+) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    spans = alarm_spans(events)
+    alarmed = {(span.observer, span.channel) for span in spans}
+    traces, beside = ([trace for trace in some if len(trace.vehicle_ns)] for some in (traces, beside))
+    every = [*traces, *beside]
+    chosen = choose_panels([trace.layout for trace in traces], alarmed, truth, thresholds)
+    rows = [
+        row
+        for trace, panels in zip(traces, chosen, strict=True)
+        for row in _rows(
+            trace, panels, _concerning(trace, every, spans), thresholds, truth, look, heading=len(traces) > 1
+        )
+    ] or [_Row(FAULT_IN, _draw_nothing)]
+    heights = _heights(rows)
+    figure = Figure(figsize=(WIDTH_IN, sum(heights) + TITLE_IN * len(rows) + ENDS_IN), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    for row, panel in zip(rows, panels, strict=True):
+        row.draw(panel)
+    for panel in panels[:-1]:
+        panel.tick_params(bottom=False)
+    if traces:
+        times = [trace.vehicle_ns[[0, -1]] / 1e9 for trace in every]
+        panels[-1].set_xlabel("time on the vehicle's clock (s)")
+        panels[-1].set_xlim(np.min(times), np.max(times))
+        shown = [span for trace in traces for span in _concerning(trace, every, spans)]
+        _draw_legend(figure, title, look, traces, thresholds, chosen, truth, shown)
+    elif title:
+        figure.suptitle(textwrap.fill(printable(title), TITLE_LETTERS), x=0.01, ha="left", size=9.5, weight="bold")
+    return figure
+
+
+def _draw_nothing(panel: Axes) -> None:
+    panel.set_axis_off()
+    panel.text(0.0, 0.5, "no samples, nothing to draw", transform=panel.transAxes, va="center")
+
+
+def _heights(rows: Sequence[_Row]) -> list[float]:
+    """Return the panels' heights; on a full page those of faults give way, lanes would run into each other."""
+    faults = sum(row.shrinks for row in rows)
+    others = sum(row.height_in for row in rows if not row.shrinks) + TITLE_IN * len(rows) + ENDS_IN
+    fault_in = min(max((HIGHEST_IN - others) / max(faults, 1), LEAST_FAULT_IN), FAULT_IN)
+    return [fault_in if row.shrinks else row.height_in for row in rows]
+
+
+def _concerning(trace: Trace, traces: Sequence[Trace], spans: Sequence[AlarmSpan]) -> list[AlarmSpan]:
+    """Return the alarms of an observer, and those of no observer, such as lost telemetry, which concern them all."""
+    others = {other.layout.observer for other in traces} - {trace.layout.observer}
+    return [span for span in spans if span.observer not in others]
+
+
+def _rows(
+    trace: Trace,
+    panels: Panels,
+    spans: Sequence[AlarmSpan],
+    thresholds: Thresholds,
+    truth: Truth,
+    look: Look,
+    *,
+    heading: bool,
+) -> Iterator[_Row]:
+    """Return an observer's panels from top to bottom."""
+    layout = trace.layout
+    if heading:
+        yield _Row(HEADING_IN, partial(draw_heading, look=look, text=layout.observer))
+    shown: dict[str, Any] = {"look": look, "trace": trace, "spans": spans}
+    for place in panels.alone:
+        scale = same_scale(layout, panels, place)
+        draw = partial(draw_fault, **shown, place=place, thresholds=thresholds, truth=truth, scale=scale)
+        yield _Row(FAULT_IN, draw, shrinks=True)
+    if panels.together:
+        draw = partial(draw_quiet, **shown, places=panels.together, thresholds=thresholds)
+        yield _Row(_lanes_in(len(panels.together)), draw)
+    yield _Row(_lanes_in(len(layout.outputs)), partial(draw_residuals, **shown))
+    inputs_in = INPUT_IN if len(layout.inputs) <= FEW_INPUTS else _lanes_in(len(layout.inputs))
+    yield _Row(inputs_in, partial(draw_inputs, **shown))
+
+
+def _lanes_in(lanes: int) -> float:
+    return LANE_IN * max(lanes, LEAST_LANES)
+
+
+def _draw_legend(
+    figure: Figure,
+    title: str,
+    look: Look,
+    traces: Sequence[Trace],
+    thresholds: Thresholds,
+    chosen: Sequence[Panels],
+    truth: Truth,
+    spans: Sequence[AlarmSpan],
+) -> None:
+    """Say once, above all panels, what the marks of the fault panels mean."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    theme = look.theme
+
+    def area(colour: str, alpha: float, label: str) -> Patch:
+        return Patch(color=colour, alpha=alpha, linewidth=0, label=label)
+
+    marks: list[Any] = [Line2D([], [], color=theme.estimate, label="fault estimate")]
+    if any(
+        (trace.layout.observer, trace.layout.faults[place]) not in look.without_sd
+        for trace, one in zip(traces, chosen, strict=True)
+        for place in one.alone
+    ):
+        marks.append(area(theme.estimate, DOUBT_ALPHA, f"±{DOUBT_DEVIATIONS:g} standard deviations"))
+    if truth:
+        marks.append(Line2D([], [], color=theme.ink, linestyle=TRUTH_DASHES, label="truth"))
+    if thresholds:
+        marks.append(area(theme.band, BAND_ALPHA, "within threshold"))
+    for severity in ("warning", "critical"):
+        if any(span.severity == severity for span in spans):
+            marks.append(area(theme.severity[severity], SPAN_ALPHA, f"{severity} alarm"))
+    marks.append(area(theme.muted, NOT_ARMED_ALPHA, "not watched"))
+    figure.legend(
+        handles=marks,
+        loc="outside upper left",
+        ncols=len(marks),
+        columnspacing=1.4,
+        alignment="left",
+        title=textwrap.fill(printable(title), TITLE_LETTERS) or None,
+        title_fontproperties={"size": 9.5, "weight": "bold"},
+    )

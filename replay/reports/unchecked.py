@@ -1,0 +1,180 @@
+"""What a run could not check, and why: the part of a verdict that silence hides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+from adapters.logs.damage import Damage
+from monitor.estimation.isolation_rule import BankRule, SingleRule
+from monitor.profile import ObserverProfile, Profile
+from replay.player import Replay, Watch
+from replay.reports.findings import Finding
+from replay.reports.recording_facts import RecordingFacts
+
+_MOST_GAPS_TOLD = 5
+
+
+class Unchecked(NamedTuple):
+    """Something that was not checked, and why."""
+
+    what: str
+    why: str
+
+
+def unchecked(
+    profile: Profile,
+    replay: Replay,
+    facts: RecordingFacts,
+    found: Sequence[Finding],
+    damage: Sequence[Damage] = (),
+) -> list[Unchecked]:
+    """Return what a run could not check, the gravest first.
+
+    Parameters
+    ----------
+    profile : Profile
+        The vehicle's profile.
+    replay : Replay
+        What came out.
+    facts : RecordingFacts
+        What went in.
+    found : Sequence[Finding]
+        The run's alarms.
+    damage : Sequence[Damage]
+        What of the recording could not be read.
+    """
+    return [
+        *(Unchecked(f"what is missing of {one.file}", "; ".join(one.found)) for one in damage),
+        *(one for observer in profile.observers for one in _observer(profile, observer, replay)),
+        *(one for observer in profile.observers for one in _bridged(observer, replay.watches[observer.name])),
+        *_gaps(facts),
+        *(one for observer in profile.observers for one in _without_alarm(observer)),
+        *(one for observer in profile.observers for one in _together(observer)),
+        *_excused(profile, found),
+        *_foreign(replay),
+        Unchecked(
+            "faults of any other kind, and smaller ones",
+            "only the channels of the profile are watched, each from its threshold on",
+        ),
+    ]
+
+
+def _observer(profile: Profile, observer: ObserverProfile, replay: Replay) -> Iterator[Unchecked]:
+    """Say where an observer watched nothing, or not all of the time."""
+    watch, channels = replay.watches[observer.name], _and([rule.channel for rule in observer.alarms])
+    if lacks := replay.lacking.get(observer.name):
+        yield Unchecked(f"{observer.name} ({channels})", f"the recording has no {_and(lacks)}")
+    elif not watch.samples:
+        statistics = watch.sampling
+        reasons = [f"{statistics.messages} messages came"]
+        if statistics.invalid:
+            reasons.append(f"{statistics.invalid} values in them are missing or no numbers")
+        if statistics.untimed:
+            reasons.append(f"{statistics.untimed} have no usable time stamp")
+        yield Unchecked(f"{observer.name} ({channels})", f"no sample could be made of them: {'; '.join(reasons)}")
+    elif not watch.evidence:
+        yield Unchecked(
+            f"{observer.name} ({channels})", f"the vehicle was never seen {_phase(profile)} for long enough"
+        )
+    else:
+        rest_s = (watch.samples - watch.evidence) / watch.rate_hz
+        if rest_s >= 1.0:
+            yield Unchecked(
+                f"{observer.name}: {rest_s:.0f} s of {watch.samples / watch.rate_hz:.0f} s",
+                f"the vehicle was not {_phase(profile)}, the observer settled, or measurements were lost",
+            )
+
+
+def _phase(profile: Profile) -> str:
+    wanted = ["armed"] * profile.gate.require_armed + ["in the air"] * profile.gate.require_airborne
+    return _and(wanted) or "sampled"
+
+
+def _bridged(observer: ObserverProfile, watch: Watch) -> Iterator[Unchecked]:
+    """Say where measurements were lost."""
+    if watch.coasted:
+        share = 100.0 * watch.coasted / watch.samples
+        yield Unchecked(
+            f"{observer.name}: {watch.coasted / watch.rate_hz:.1f} s ({share:.2f} % of its samples)",
+            "measurements were lost; its model went on alone, and raised nothing meanwhile",
+        )
+    if watch.sampling.skipped:
+        yield Unchecked(
+            f"{observer.name}: {watch.sampling.skipped / watch.rate_hz:.1f} s inside gaps",
+            f"too long to bridge: it started afresh {watch.sampling.restarts} times, the first time included",
+        )
+    if watch.sampling.clock_restarts:
+        yield Unchecked(
+            f"{observer.name}: around {watch.sampling.clock_restarts} jumps of the vehicle's clock",
+            "the vehicle rebooted or changed its clock; what was estimated before was dropped",
+        )
+
+
+def _gaps(facts: RecordingFacts) -> Iterator[Unchecked]:
+    """Name the messages that failed to come, the longest gaps first."""
+    holes = [(gap.seconds, stream.name) for stream in facts.streams for gap in stream.gaps]
+    holes.sort(reverse=True)
+    if holes:
+        told = _and([f"{name} {seconds:.1f} s" for seconds, name in holes[:_MOST_GAPS_TOLD]])
+        more = f", and {len(holes) - _MOST_GAPS_TOLD} shorter ones" if len(holes) > _MOST_GAPS_TOLD else ""
+        yield Unchecked("what happened inside gaps of the recording", f"nothing came: {told}{more}")
+
+
+def _without_alarm(observer: ObserverProfile) -> Iterator[Unchecked]:
+    watched = {rule.channel for rule in observer.alarms}
+    silent = [fault.name for fault in observer.faults if fault.name not in watched]
+    if silent:
+        yield Unchecked(f"{observer.name}: {_and(silent)}", "estimated, but the profile has no alarm for them")
+
+
+def _together(observer: ObserverProfile) -> Iterator[Unchecked]:
+    """Say which faults are told apart only one at a time."""
+    names = [fault.name for fault in observer.faults]
+    rule = observer.isolation
+    if isinstance(rule, SingleRule) and len(names) > 1:
+        groups = [names]
+    elif isinstance(rule, BankRule):
+        groups = _exclusive(names, [set(faults) for faults in rule.hypotheses])
+    else:
+        groups = []
+    for group in groups:
+        yield Unchecked(
+            f"{observer.name}: several at once of {_and(group)}",
+            "these measurements tell them apart only one at a time; several at once are put down to the one that "
+            "explains most, or to none",
+        )
+
+
+def _exclusive(names: Sequence[str], hypotheses: Sequence[set[str]]) -> list[list[str]]:
+    """Return groups of faults of which no two, or not all, stand in one hypothesis together."""
+    groups: list[set[str]] = []
+    for pair in combinations(names, 2):
+        if any(set(pair) <= hypothesis for hypothesis in hypotheses):
+            continue
+        touched = [group for group in groups if group & set(pair)]
+        groups = [group for group in groups if group not in touched] + [set(pair).union(*touched)]
+    return [[name for name in names if name in group] for group in groups]
+
+
+def _excused(profile: Profile, found: Sequence[Finding]) -> Iterator[Unchecked]:
+    """Say which channels were not believed while another alarm explained them."""
+    raised = {one.channel for one in found}
+    for rule in profile.excuses:
+        causes = [name for name in rule.by if name in raised]
+        if causes:
+            yield Unchecked(
+                f"{_and(rule.channels)} while {_and(causes)} had an alarm, and {rule.for_s:g} s after",
+                "the profile puts what they show then down to that alarm",
+            )
+
+
+def _foreign(replay: Replay) -> Iterator[Unchecked]:
+    if replay.foreign:
+        yield Unchecked(f"{replay.foreign} messages", "other systems or components sent them; one vehicle is watched")
+
+
+def _and(names: Sequence[str]) -> str:
+    names = list(names)
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""

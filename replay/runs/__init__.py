@@ -1,0 +1,1 @@
+"""`fauio replay`: one log, many in parallel, one as if live."""

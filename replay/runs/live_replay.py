@@ -1,0 +1,183 @@
+"""Replay as if live: messages when they are due, a monitor's voice on Zenoh, the packets themselves over UDP."""
+
+from __future__ import annotations
+
+import heapq
+import socket
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from operator import itemgetter
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from adapters.errors import TelemetryError
+from adapters.logs.recordings import read_recording, recording_kind
+from adapters.logs.tlog import TlogReader
+from adapters.mavlink.byte_link import Address, resolve
+from adapters.message import Message
+from adapters.simulation.pacing import paced
+from monitor.bus.keys import alarm_key, vehicle_root
+from monitor.event import AlarmEvent
+from monitor.pipeline import Pipeline
+from monitor.profile import Profile
+from monitor.service.vehicle_monitor import VehicleMonitor
+from replay.player import interests
+from replay.runs.one_log import LogTask
+
+if TYPE_CHECKING:
+    import zenoh
+
+_STATUS_NS = 1_000_000_000
+_SUBSCRIBER_S = 2.0
+
+
+class LiveReplay:
+    """Lets a replay out into the world: use it as a context, for one log after the other.
+
+    Parameters
+    ----------
+    speed : float | None
+        Times real time, by the times of arrival; None: as fast as possible.
+    connect, listen : Sequence[str]
+        Zenoh endpoints to publish at; without any nothing is published.
+    prefix : str
+        What the keys begin with.
+    udp : str | None
+        ``udp:HOST:PORT`` to send the packets of telemetry logs to.
+    on_event : Callable[[AlarmEvent], None] | None
+        Called with each event when it is published.
+
+    Raises
+    ------
+    TelemetryError
+        The speed is not positive, an address is not understood, or the Zenoh session cannot be opened.
+    """
+
+    def __init__(
+        self,
+        speed: float | None = None,
+        *,
+        connect: Sequence[str] = (),
+        listen: Sequence[str] = (),
+        prefix: str = "fauio",
+        udp: str | None = None,
+        on_event: Callable[[AlarmEvent], None] | None = None,
+    ) -> None:
+        if speed is not None and not speed > 0.0:
+            raise TelemetryError(f"--speed {speed:g}: has to be positive")
+        self._speed = speed
+        self._prefix = prefix
+        self._on_event = on_event or _nothing
+        self._session: zenoh.Session | None = None
+        self._socket: socket.socket | None = None
+        self._to: Address | None = None
+        with ExitStack() as stack:
+            if udp is not None:
+                self._to = _address(udp)
+                self._socket = stack.enter_context(socket.socket(self._to[0], socket.SOCK_DGRAM))
+            if connect or listen:
+                from adapters.zenoh.zenoh_session import open_session
+
+                self._session = stack.enter_context(open_session(connect, listen))
+            self._closers = stack.pop_all()
+
+    def messages(self, profile: Profile, task: LogTask, vehicle: str | None) -> Iterator[Message]:
+        """Return all messages of a log, each when it is due, after whoever listens live was told what it led to.
+
+        A monitor of its own takes them first: what it says is published with the keys and payloads of the daemon, the
+        status once a second of the log's time. It begins when somebody subscribes to alarms, at the latest after 2 s.
+
+        Raises
+        ------
+        TelemetryError
+            The log cannot be read, or packets are to be sent and it holds none.
+        """
+        only = None if task.record else interests(profile)
+        source: Iterable[tuple[int, Message | bytes]] = (
+            (message.received_ns, message) for message in read_recording(task.path, only)
+        )
+        if self._to is not None:
+            if recording_kind(task.path) != "tlog":
+                raise TelemetryError(f"{task.log}: --udp sends packets as they came, which only .tlog files hold")
+            source = heapq.merge(TlogReader(task.path).packets(), source, key=itemgetter(0))
+        due = (item for _, item in source) if self._speed is None else paced(source, self._speed)
+        return self._told(self._sent(due), Pipeline(profile, vehicle))
+
+    def close(self) -> None:
+        """Close session and socket."""
+        self._closers.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _sent(self, items: Iterable[Message | bytes]) -> Iterator[Message]:
+        """Send the packets among items, return the messages."""
+        for item in items:
+            if not isinstance(item, bytes):
+                yield item
+            elif self._socket is not None and self._to is not None:
+                self._socket.sendto(item, self._to[1])
+
+    def _told(self, messages: Iterator[Message], pipeline: Pipeline) -> Iterator[Message]:
+        """Return messages after a monitor of their vehicle has taken and published what they lead to."""
+        if self._session is None:
+            yield from messages
+            return
+        from monitor.bus.publisher import Publisher
+
+        voice = Publisher(self._session, pipeline.vehicle, pipeline.layouts, self._prefix)
+        _await_subscriber(self._session, alarm_key(vehicle_root(self._prefix, pipeline.vehicle), "replay", "begins"))
+        monitor: VehicleMonitor | None = None
+        status_ns = now_ns = 0
+        try:
+            for message in messages:
+                now_ns = message.received_ns
+                if monitor is None:
+                    monitor = VehicleMonitor(pipeline, (), None, self._on_event, now_ns)
+                    monitor.speak(voice, now_ns)
+                    status_ns = now_ns
+                monitor.take(message, _since(now_ns))
+                if now_ns - status_ns >= _STATUS_NS:
+                    status_ns = now_ns
+                    monitor.status(now_ns)
+                yield message
+            if monitor is not None and now_ns > status_ns:
+                monitor.status(now_ns)
+        finally:
+            voice.close()
+
+
+def _await_subscriber(session: zenoh.Session, key: str) -> None:
+    """Give those who wait for this session to come up the time to connect."""
+    until = time.monotonic() + _SUBSCRIBER_S
+    with session.declare_publisher(key) as probe:
+        while not _matches(probe) and time.monotonic() < until:
+            time.sleep(0.01)
+
+
+def _matches(publisher: Any) -> bool:
+    # Zenoh's type stub calls it a bool; it is an object.
+    return bool(publisher.matching_status.matching)
+
+
+def _since(received_ns: int) -> Callable[[], int]:
+    """Return a clock that shows a message's time of arrival now: what it says later is how long the monitor took."""
+    started_ns = time.monotonic_ns()
+    return lambda: received_ns + time.monotonic_ns() - started_ns
+
+
+def _address(url: str) -> Address:
+    kind, _, rest = url.partition(":")
+    if kind not in ("udp", "udpout"):
+        raise TelemetryError(f"--udp {url}: use udp:HOST:PORT")
+    return resolve(f"--udp {url}", rest)
+
+
+def _nothing(event: AlarmEvent) -> None:
+    del event

@@ -1,0 +1,158 @@
+"""Which recordings the arguments of a command name, and which file each of them is to be written to."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from adapters.errors import TelemetryError
+from adapters.logs.recordings import recording_kind, session_files
+
+PLACE = "{log}"
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """A recording.
+
+    Parameters
+    ----------
+    path : Path
+        File, or folder of a session.
+    name : str
+        What files about it are called: its own name without suffixes, with the folders below the one that was given;
+        no two recordings of a list share it.
+    """
+
+    path: Path
+    name: str
+
+
+def find_logs(arguments: Sequence[Path]) -> list[Log]:
+    """Return the recordings that arguments name, in their order.
+
+    A file, and the folder of a recorded session, is one recording. Any other folder stands for all recordings in it
+    and below, sorted by path; several MCAP files of one session in a folder are one recording there, too.
+
+    Raises
+    ------
+    TelemetryError
+        A file is missing or no recording, or a folder holds none.
+    """
+    found: list[Log] = []
+    taken: set[str] = set()
+    for argument in arguments:
+        paths = _below(argument) if argument.is_dir() else [argument]
+        if argument.is_dir() and not paths:
+            raise TelemetryError(f"{argument}: no recording in this folder or below")
+        for path in paths:
+            recording_kind(path)
+            # the folder that was given is left out of the name, unless it is the recording
+            inside = path.relative_to(argument).parts or (path.name,)
+            base = name = "_".join((*inside[:-1], _stem(path)))
+            number = 1
+            while name in taken:
+                number += 1
+                name = f"{base}-{number}"
+            taken.add(name)
+            found.append(Log(path, name))
+    return found
+
+
+def target(option: str, given: str | None, log: Log, suffix: str, *, many: bool) -> Path | None:
+    """Return the file to write about a log; None where nothing was asked for.
+
+    Parameters
+    ----------
+    option : str
+        The option, for the message.
+    given : str | None
+        What the user gave: a file; a folder; or a name with ``{log}`` in the log's name's place. Among many logs a
+        name without suffix is a folder, too.
+    log : Log
+        The log.
+    suffix : str
+        Suffix of files in a folder.
+    many : bool
+        Whether there are several logs.
+
+    Raises
+    ------
+    TelemetryError
+        One file was given for several logs.
+    OSError
+        A folder cannot be made.
+    """
+    if given is None:
+        return None
+    if PLACE in given:
+        found = Path(given.replace(PLACE, log.name))
+    elif given.endswith(os.sep) or Path(given).is_dir() or (many and not Path(given).suffix):
+        found = Path(given) / f"{log.name}{suffix}"
+    elif many:
+        raise TelemetryError(
+            f"{option} {given}: takes one log at a time; give a folder, or a name with {PLACE} in it, for several"
+        )
+    else:
+        return Path(given)
+    found.parent.mkdir(parents=True, exist_ok=True)
+    return found
+
+
+def forbid_overwriting(logs: Sequence[Log], targets: Sequence[Path]) -> None:
+    """Make sure that what will be written is none of the logs.
+
+    Raises
+    ------
+    TelemetryError
+        It is one.
+    """
+    read = {path.resolve() for log in logs for path in (log.path, *_files(log.path))}
+    for path in targets:
+        if path.resolve() in read:
+            raise TelemetryError(f"{path}: is one of the logs and would be overwritten; write somewhere else")
+
+
+def _files(path: Path) -> Sequence[Path]:
+    return session_files(path) if path.is_dir() else ()
+
+
+def _below(folder: Path) -> list[Path]:
+    """Return the recordings in a folder and below; the folder itself where that is all there is."""
+    found = sorted(path for place, _, files in os.walk(folder) for path in _inside(Path(place), files))
+    # one file is a session, too, and named by its folder where that was named
+    return [folder] if len(found) == 1 and _session(folder) and found[0].parent == folder else found
+
+
+def _inside(folder: Path, names: Sequence[str]) -> Iterator[Path]:
+    """Return the recordings that stand in a folder itself."""
+    is_session = len(_session(folder)) > 1
+    if is_session:
+        yield folder
+    for name in names:
+        kind = _kind(folder / name)
+        if kind and not (is_session and kind == "mcap"):
+            yield folder / name
+
+
+def _session(folder: Path) -> Sequence[Path]:
+    try:
+        return session_files(folder)
+    except TelemetryError:
+        return ()
+
+
+def _kind(path: Path) -> str:
+    try:
+        return recording_kind(path)
+    except TelemetryError:
+        return ""
+
+
+def _stem(path: Path) -> str:
+    if path.is_dir():
+        return path.resolve().name
+    name = path.with_suffix("") if path.suffix.lower() in (".xz", ".gz") else path
+    return name.stem

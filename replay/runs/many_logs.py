@@ -1,0 +1,139 @@
+"""Replay many logs in processes of their own: the same results in the same order, whatever becomes of a process."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from collections.abc import Iterator, Mapping, Sequence
+from multiprocessing import get_context, resource_tracker
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from monitor.profile import Profile, read_profile
+from replay.runs.one_log import LogOutcome, LogTask, replay_log
+
+# How many logs to go on while one takes long: what is found in them waits in memory.
+AHEAD = 256
+
+
+def replay_in_processes(files: Mapping[str, bytes], tasks: Sequence[LogTask], jobs: int) -> Iterator[LogOutcome]:
+    """Replay logs in processes, and return what was found in the order of the logs.
+
+    A process that dies fails its log alone. When the iteration ends, however it ends, so do all processes.
+
+    Parameters
+    ----------
+    files : Mapping[str, bytes]
+        The profile's files by name.
+    tasks : Sequence[LogTask]
+        The logs.
+    jobs : int
+        Number of processes, at least 1.
+    """
+    workers = [_Worker(files) for _ in range(min(jobs, len(tasks)))]
+    done: dict[int, LogOutcome] = {}
+    given = told = 0
+    try:
+        while told < len(tasks):
+            for worker in workers:
+                if worker.at is None and given < min(len(tasks), told + AHEAD):
+                    worker.give(given, tasks[given])
+                    given += 1
+            busy = {worker.connection: worker for worker in workers if worker.at is not None}
+            for connection in wait(list(busy)):
+                worker = busy[connection]  # type: ignore[index]
+                at, outcome = worker.take()
+                done[at] = outcome
+                if not worker.alive:
+                    workers[workers.index(worker)] = _Worker(files)
+            while told in done:
+                yield done.pop(told)
+                told += 1
+    finally:
+        for worker in workers:
+            worker.end()
+
+
+def profile_of(files: Mapping[str, bytes]) -> Profile:
+    """Return the profile that files make up.
+
+    Raises
+    ------
+    ProfileError
+        See :func:`monitor.profile.read_profile`.
+    """
+    with TemporaryDirectory(prefix="fauio-") as folder:
+        for name, content in files.items():
+            (Path(folder) / name).write_bytes(content)
+        return read_profile(folder)
+
+
+class _Worker:
+    """A process that replays one log after the other.
+
+    Attributes
+    ----------
+    connection : Connection
+        Becomes readable when a log is done, or the process.
+    at : int | None
+        Index of the log it is at.
+    alive : bool
+        Whether it can take another.
+    """
+
+    def __init__(self, files: Mapping[str, bytes]) -> None:
+        # spawned, not forked: whatever runs in this process does not run in that one
+        context = get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        self.at: int | None = None
+        self.alive = True
+        self._log = ""
+        self._process = context.Process(target=_work, args=(theirs, dict(files)), daemon=True)
+        # Ctrl-C reaches every process of a terminal; only the one that was started by hand shall act on it. What
+        # multiprocessing starts beside the first process would undo that.
+        resource_tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        # what is left open here would hide the end of the process
+        theirs.close()
+
+    def give(self, at: int, task: LogTask) -> None:
+        """Let it replay a log."""
+        self.at, self._log = at, task.log
+        # where it has died, the connection says so
+        with contextlib.suppress(OSError):
+            self.connection.send(task)
+
+    def take(self) -> tuple[int, LogOutcome]:
+        """Return what became of its log."""
+        at = self.at
+        assert at is not None  # noqa: S101 - only who is at a log is asked
+        self.at = None
+        try:
+            outcome: LogOutcome = self.connection.recv()
+        except (EOFError, OSError):
+            self.alive = False
+            self.end()
+            code = self._process.exitcode or 0
+            how = signal.Signals(-code).name if code < 0 else f"exit status {code}"
+            return at, LogOutcome(log=self._log, error=f"{self._log}: the process that replayed it ended ({how})")
+        return at, outcome
+
+    def end(self) -> None:
+        """End the process, whatever it is at."""
+        self.connection.close()
+        if self.alive:
+            self._process.terminate()
+        self._process.join()
+
+
+def _work(connection: Connection, files: Mapping[str, bytes]) -> None:
+    """Replay the logs that come, until no more can."""
+    profile = profile_of(files)
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            connection.send(replay_log(profile, connection.recv()))

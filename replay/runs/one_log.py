@@ -1,0 +1,283 @@
+"""Replay one log from file to files: what it found as one small object, its failure as one line."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from adapters.block import Block
+from adapters.logs.damage import Damage
+from adapters.logs.recordings import Recording, packed, recorded_vehicle, recording_kind
+from adapters.message import Message
+from monitor.event import AlarmEvent
+from monitor.profile import Profile
+from replay.player import Replay, interests, play_blocks
+from replay.progress import recording_bytes, track
+from replay.reports.recording_facts import RecordingMeter
+
+
+@dataclass(frozen=True, slots=True)
+class LogTask:
+    """A log to replay, and the files to write about it.
+
+    Parameters
+    ----------
+    log : str
+        The log as the user named it, for reports.
+    path : Path
+        Where it is.
+    vehicle : str | None
+        Name in events; None: as recorded by a monitor, else the profile's.
+    record, plot, rrd, report : Path | None
+        MCAP recording, plot, Rerun recording and page to write.
+    dark : bool
+        Whether to plot on a dark ground.
+    mapping : Path | None
+        From which records of an onboard log messages are made, where the guess is wrong.
+    folder : Path | None
+        The profile's, in which a report looks for what the fit said.
+    """
+
+    log: str
+    path: Path
+    vehicle: str | None = None
+    record: Path | None = None
+    plot: Path | None = None
+    rrd: Path | None = None
+    report: Path | None = None
+    dark: bool = False
+    mapping: Path | None = None
+    folder: Path | None = None
+
+    @property
+    def targets(self) -> tuple[Path, ...]:
+        """The files to write."""
+        return tuple(path for path in (self.record, self.plot, self.rrd, self.report) if path is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class LogOutcome:
+    """What the replay of one log found.
+
+    Parameters
+    ----------
+    log : str
+        The log as the user named it.
+    kind : str
+        Kind of recording; empty where that could not be told.
+    error : str | None
+        Why nothing can be said about the log, one line that names it; None where something can.
+    verdict : str
+        What was found, as a sentence.
+    events : tuple[AlarmEvent, ...]
+        Alarm events in order.
+    start_ns, end_ns : int
+        Unix times of the first and the last message that mattered, nanoseconds.
+    samples, evidence : int
+        Samples the observers took, and those from which alarms could be raised.
+    watched_s : float
+        Time over which alarms could be raised, seconds.
+    lacking : Mapping[str, tuple[str, ...]]
+        Messages that the log lacks, by observer that therefore watched nothing.
+    damage : tuple[Damage, ...]
+        What of it could not be read.
+    processor_s : float
+        Processor time of the replay with all of its outputs, seconds.
+    """
+
+    log: str
+    kind: str = ""
+    error: str | None = None
+    verdict: str = ""
+    events: tuple[AlarmEvent, ...] = ()
+    start_ns: int = 0
+    end_ns: int = 0
+    samples: int = 0
+    evidence: int = 0
+    watched_s: float = 0.0
+    lacking: Mapping[str, tuple[str, ...]] | None = None
+    damage: tuple[Damage, ...] = ()
+    processor_s: float = 0.0
+
+    @property
+    def raised(self) -> tuple[AlarmEvent, ...]:
+        """The events that raised an alarm."""
+        return tuple(event for event in self.events if event.state == "raised")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``--json`` prints."""
+        found: dict[str, Any] = {"log": self.log}
+        if self.error is not None:
+            found["error"] = self.error
+        found |= {"samples": self.samples, "evidence": self.evidence}
+        found["lacking"] = {name: list(lacks) for name, lacks in (self.lacking or {}).items()}
+        found["damage"] = [one.to_json() for one in self.damage]
+        return found | {"alarms": [event.to_json() for event in self.events]}
+
+
+class Live(Protocol):
+    """What lets a replay out into the world while it runs."""
+
+    def messages(self, profile: Profile, task: LogTask, vehicle: str | None) -> Iterator[Message]:
+        """Return all messages of a log, each when it is due, after whoever listens live was told what it led to."""
+
+
+def replay_log(
+    profile: Profile,
+    task: LogTask,
+    on_event: Callable[[AlarmEvent], None] | None = None,
+    *,
+    live: Live | None = None,
+    progress: bool = False,
+) -> LogOutcome:
+    """Replay a log and write what was asked for; whatever goes wrong with this log is told, not raised.
+
+    Parameters
+    ----------
+    profile : Profile
+        The vehicle's profile.
+    task : LogTask
+        The log.
+    on_event : Callable[[AlarmEvent], None] | None
+        Called with each event as it arises.
+    live : Live | None
+        Where the log is replayed as if live.
+    progress : bool
+        Whether to show on a terminal how far it has got.
+    """
+    started_s = time.thread_time()
+    try:
+        return _replay(profile, task, on_event, live, progress, started_s)
+    except Exception as error:
+        return LogOutcome(log=task.log, error=_reason(task, error), processor_s=time.thread_time() - started_s)
+
+
+def _replay(
+    profile: Profile,
+    task: LogTask,
+    on_event: Callable[[AlarmEvent], None] | None,
+    live: Live | None,
+    progress: bool,
+    started_s: float,
+) -> LogOutcome:
+    kind = recording_kind(task.path)
+    vehicle = task.vehicle or recorded_vehicle(task.path)
+    recording = Recording(task.path, None if task.record else interests(profile), task.mapping)
+    span, meter = _Span(), RecordingMeter()
+    if live is not None:
+        # One by one: what follows from a message is told before the next one is due.
+        blocks = packed(live.messages(profile, task, vehicle), 1)
+    else:
+        blocks = recording.blocks()
+        if progress:
+            size = recording_bytes(task.path)
+            blocks = track(blocks, Path(task.log).name, total_bytes=size, weigh=lambda block: block.count)
+    blocks = span.blocks(blocks)
+    found = play_blocks(
+        profile,
+        meter.watch_blocks(blocks) if task.report else blocks,
+        vehicle=vehicle,
+        record=task.record,
+        keep_traces=bool(task.plot or task.rrd or task.report),
+        on_event=on_event,
+    )
+    verdict = _verdict(found, profile)
+    _write(profile, task, found, f"{Path(task.log).name}: {verdict}")
+    if task.report:
+        from replay.reports.report import Run, write_report
+
+        run = Run(
+            profile=profile,
+            folder=task.folder or Path(profile.name),
+            log=task.path,
+            vehicle=vehicle or profile.name,
+            verdict=verdict,
+            replay=found,
+            recording=meter.facts(),
+            damage=recording.damage(),
+        )
+        write_report(task.report, run)
+    verdict = f"{Path(task.log).name}: {verdict}"
+    return LogOutcome(
+        log=task.log,
+        kind=kind,
+        error=None if found.samples else verdict,
+        verdict=verdict,
+        events=found.events,
+        start_ns=span.start_ns,
+        end_ns=span.end_ns,
+        samples=found.samples,
+        evidence=found.evidence,
+        watched_s=found.watched_s,
+        lacking=dict(found.lacking),
+        damage=recording.damage(),
+        processor_s=time.thread_time() - started_s,
+    )
+
+
+def _write(profile: Profile, task: LogTask, found: Replay, title: str) -> None:
+    """Write the plot and the Rerun recording that were asked for."""
+    if task.plot:
+        from replay.reports.findings import effects
+        from replay.reports.plot import plot_png
+
+        plot_png(
+            task.plot,
+            found.traces,
+            found.events,
+            found.thresholds,
+            title=title,
+            dark=task.dark,
+            without_sd=effects(profile),
+        )
+    if task.rrd:
+        from monitor.views.rerun_view import write_rrd
+
+        write_rrd(task.rrd, found.traces, found.events, found.thresholds)
+
+
+class _Span:
+    """First and last time of arrival of what goes by."""
+
+    def __init__(self) -> None:
+        self.start_ns = self.end_ns = 0
+
+    def blocks(self, source: Iterable[Block]) -> Iterator[Block]:
+        for block in source:
+            others = [message.received_ns for message in block.others.values()]
+            firsts = [int(one.received_ns[0]) for one in block.columns]
+            lasts = [int(one.received_ns[-1]) for one in block.columns]
+            if others or firsts:
+                self.start_ns = self.start_ns or min([*firsts, *others])
+                self.end_ns = max([*lasts, *others])
+            yield block
+
+
+def _verdict(found: Replay, profile: Profile) -> str:
+    """Return in a sentence what a replay found."""
+    if not found.samples:
+        needed = ", ".join(sorted(interests(profile)))
+        return f"no samples; the log lacks channels of the profile (needed: {needed})"
+    if not found.evidence:
+        return "nothing was watched; the vehicle was never seen in flight (see [phase] in the profile)"
+    raised = sum(event.state == "raised" for event in found.events)
+    alarms = {0: "no alarm", 1: "1 alarm"}.get(raised, f"{raised} alarms")
+    blind = "".join(f"; {name} saw nothing (no {', '.join(lacks)})" for name, lacks in found.lacking.items())
+    return f"{alarms} in {found.watched_s:.0f} s of watched flight{blind}"
+
+
+def _reason(task: LogTask, error: Exception) -> str:
+    """Return in one line why a log could not be replayed."""
+    if getattr(error, "exit_status", None) is not None:
+        text = str(error)
+    elif isinstance(error, OSError):
+        text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+    else:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        text = f"{type(error).__name__}: {error} (in {Path(place.filename).name}, line {place.lineno})"
+    line = " ".join(text.split()).replace(str(task.path), task.log)
+    return line if task.log in line else f"{task.log}: {line}"

@@ -1,0 +1,241 @@
+"""``fauio replay``: one log or thousands, here, in several processes or on a cluster, or paced as if live."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from monitor.profile import Profile
+    from replay.runs.live_replay import LiveReplay
+    from replay.runs.log_list import Log
+    from replay.runs.one_log import LogOutcome, LogTask
+
+ALARMS_RAISED = 4
+FAILED = 2
+LOG_HELP = (
+    "recording: .tlog, .mcap, .ulg (PX4) or .bin (ArduPilot), plain or with .xz / .gz behind, "
+    "or a folder of a recorded session"
+)
+MAPPING_HELP = "from which records of a .ulg or .bin MAVLink messages are made, where the guess is wrong"
+_FILE_OR_FOLDER = "; for several logs a folder, or a name with {log} in it"
+
+
+def add_replay(subparsers: Any) -> None:
+    """Add the command to the command line."""
+    parser = subparsers.add_parser(
+        "replay",
+        help="run recordings through a profile's monitor",
+        description="Run recordings through the very pipeline that runs live, and list the alarms. Exit status: 0; 2 "
+        "where a log could not be replayed, the others are nevertheless; with --fail-on-alarm 4 where an alarm was "
+        "raised, whatever became of other logs; 130 interrupted.",
+        epilog="example: fauio replay quad/ flights/ --jobs 4 --table summary.csv --alarms alarms.jsonl",
+    )
+    parser.add_argument("profile", type=Path, metavar="PROFILE", help="profile folder")
+    parser.add_argument(
+        "logs", nargs="+", type=Path, metavar="LOG", help=f"{LOG_HELP}; any other folder: all recordings in it"
+    )
+    parser.add_argument(
+        "-o", "--out", metavar="OUT.mcap", help=f"record telemetry, estimates and alarms{_FILE_OR_FOLDER}"
+    )
+    parser.add_argument(
+        "--alarms",
+        type=Path,
+        metavar="OUT.jsonl",
+        help="write the alarm events as JSON lines; of several logs in their order, each with the key 'log'",
+    )
+    parser.add_argument("--plot", metavar="OUT.png", help=f"plot estimates, thresholds and alarms{_FILE_OR_FOLDER}")
+    parser.add_argument("--dark", action="store_true", help="plot on a dark ground")
+    parser.add_argument(
+        "--report", metavar="OUT.html", help=f"write a page: what was found, how sure, not checked{_FILE_OR_FOLDER}"
+    )
+    parser.add_argument("--rrd", metavar="OUT.rrd", help=f"write a Rerun recording{_FILE_OR_FOLDER}")
+    parser.add_argument(
+        "--table", type=Path, metavar="OUT.csv", help="write a table with a row for each log; .csv or .parquet"
+    )
+    parser.add_argument(
+        "--vehicle", metavar="NAME", help="name in events (default: as recorded by a monitor, else the profile's)"
+    )
+    parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=MAPPING_HELP)
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--jobs", type=int, metavar="N", help="replay logs in N processes (default: in this one)")
+    where.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="replay logs on the Dask cluster of this scheduler; its workers have to reach logs and outputs under the "
+        "same paths",
+    )
+    parser.add_argument("--fail-on-alarm", action="store_true", help="exit with 4 where an alarm was raised")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per log")
+    live = parser.add_argument_group("as if live")
+    live.add_argument(
+        "--speed",
+        type=float,
+        metavar="X",
+        help="times real time, by the times of arrival (default: as fast as it goes)",
+    )
+    live.add_argument("--publish", action="store_true", help="publish alarms, estimates and status as the daemon does")
+    live.add_argument(
+        "--listen", metavar="ENDPOINT", action="append", help="Zenoh endpoint to listen on (tcp/127.0.0.1:7447)"
+    )
+    live.add_argument("--connect", metavar="ENDPOINT", action="append", help="Zenoh endpoint to connect to")
+    live.add_argument("--allow-public", action="store_true", help="let Zenoh listen beyond this machine")
+    live.add_argument("--prefix", default="fauio", help="what the keys begin with (fauio)")
+    live.add_argument(
+        "--udp", metavar="URL", help="send the packets of a .tlog to udp:HOST:PORT, in real time without --speed"
+    )
+    parser.set_defaults(handler=run_replay)
+
+
+def run_replay(args: argparse.Namespace) -> int:
+    """Run ``fauio replay``."""
+    from monitor.profile import read_profile
+    from replay.progress import track
+    from replay.runs.log_list import find_logs
+    from replay.runs.summary_table import SummaryTable
+
+    _check(args)
+    profile = read_profile(args.profile)
+    logs = find_logs(args.logs)
+    many = len(logs) > 1
+    tasks = _tasks(args, logs)
+    failed = raised = 0
+    with ExitStack() as stack:
+        # what cannot be written shall be known before the first log
+        alarms = stack.enter_context(args.alarms.open("w")) if args.alarms else None
+        table = stack.enter_context(SummaryTable(args.table)) if args.table else None
+        live = stack.enter_context(_live(args)) if args.publish or args.udp or args.speed is not None else None
+        outcomes = _outcomes(args, profile, tasks, live)
+        stack.callback(outcomes.close)
+        for outcome in track(outcomes, "replaying", "logs", total=len(logs)) if many else outcomes:
+            failed += outcome.error is not None
+            raised += len(outcome.raised)
+            _tell(outcome, as_json=args.json, with_events=many)
+            if alarms is not None:
+                origin = {"log": outcome.log} if many else {}
+                alarms.writelines(json.dumps(event.to_json() | origin) + "\n" for event in outcome.events)
+            if table is not None:
+                table.add(outcome)
+    if args.fail_on_alarm and raised:
+        return ALARMS_RAISED
+    return FAILED if failed else 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse options that contradict each other."""
+    from adapters.errors import TelemetryError
+    from monitor.configuration.config_values import listens_beyond_loopback
+
+    if args.jobs is not None and args.jobs < 1:
+        raise TelemetryError(f"--jobs {args.jobs}: has to be at least 1")
+    is_live = args.publish or args.udp is not None or args.speed is not None
+    if is_live and (args.jobs is not None or args.dask is not None):
+        raise TelemetryError("--speed, --publish and --udp replay one log after the other, without --jobs or --dask")
+    if (args.listen or args.connect) and not args.publish:
+        raise TelemetryError("--listen and --connect go with --publish only")
+    for endpoint in args.listen or ():
+        if listens_beyond_loopback(endpoint) and not args.allow_public:
+            raise TelemetryError(f"--listen {endpoint}: other machines reach it; use 127.0.0.1, or --allow-public")
+
+
+def _tasks(args: argparse.Namespace, logs: Sequence[Log]) -> list[LogTask]:
+    """Return what is to be done about each log."""
+    from adapters.errors import TelemetryError
+    from replay.runs.log_list import forbid_overwriting, target
+    from replay.runs.one_log import LogTask
+
+    many = len(logs) > 1 or logs[0].path != args.logs[0]
+    tasks = []
+    for log in logs:
+        record = target("-o", args.out, log, ".mcap", many=many)
+        plot = target("--plot", args.plot, log, ".png", many=many)
+        rrd = target("--rrd", args.rrd, log, ".rrd", many=many)
+        report = target("--report", args.report, log, ".html", many=many)
+        path, mapping, folder = log.path, args.mapping, args.profile
+        if args.dask is not None:
+            # workers have another working directory
+            path, folder = path.absolute(), folder.absolute()
+            record, plot, rrd, report, mapping = (
+                one and one.absolute() for one in (record, plot, rrd, report, mapping)
+            )
+        tasks.append(
+            LogTask(
+                log=str(log.path),
+                path=path,
+                vehicle=args.vehicle,
+                record=record,
+                plot=plot,
+                rrd=rrd,
+                report=report,
+                dark=args.dark,
+                mapping=mapping,
+                folder=folder,
+            )
+        )
+    targets = [path for task in tasks for path in task.targets]
+    if len({path.resolve() for path in targets}) < len(targets):
+        raise TelemetryError(
+            "-o, --plot, --rrd and --report name the same file twice; give each output a name of its own"
+        )
+    forbid_overwriting(logs, [*targets, *(path for path in (args.alarms, args.table) if path is not None)])
+    return tasks
+
+
+def _live(args: argparse.Namespace) -> LiveReplay:
+    from adapters.zenoh.zenoh_session import DEFAULT_ENDPOINT
+    from replay.runs.live_replay import LiveReplay
+
+    listen, connect = args.listen or (), args.connect or ()
+    if args.publish and not (listen or connect):
+        listen = (DEFAULT_ENDPOINT,)
+    # as fast as possible is faster than any receiver of datagrams
+    speed = 1.0 if args.udp is not None and args.speed is None else args.speed
+    return LiveReplay(speed, connect=connect, listen=listen, prefix=args.prefix, udp=args.udp)
+
+
+def _outcomes(
+    args: argparse.Namespace, profile: Profile, tasks: Sequence[LogTask], live: LiveReplay | None
+) -> Generator[LogOutcome, None, None]:
+    """Return what was found in each log, in their order."""
+    if args.dask is not None:
+        from replay.runs.dask_logs import replay_on_dask
+
+        yield from replay_on_dask(profile.files, tasks, args.dask)
+    elif args.jobs is not None and args.jobs > 1 and len(tasks) > 1:
+        from replay.runs.many_logs import replay_in_processes
+
+        yield from replay_in_processes(profile.files, tasks, args.jobs)
+    else:
+        from monitor.bus.alarm_text import alarm_line
+        from replay.runs.one_log import replay_log
+
+        alone = len(tasks) == 1
+        on_event = (lambda event: _say(alarm_line(event))) if alone and not args.json else None
+        for task in tasks:
+            yield replay_log(profile, task, on_event, live=live, progress=alone)
+
+
+def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:
+    """Say what was found in a log."""
+    from monitor.bus.alarm_text import alarm_line
+
+    damage = [one.line() for one in outcome.damage]
+    if outcome.error is not None:
+        sys.stderr.write(f"fauio: {'; '.join([outcome.error, *damage])}\n")
+    else:
+        sys.stderr.writelines(f"fauio: {line}; all else was read\n" for line in damage)
+    if as_json:
+        _say(json.dumps(outcome.to_json()))
+    elif outcome.error is None:
+        for event in outcome.events if with_events else ():
+            _say(alarm_line(event))
+        _say(outcome.verdict)
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")

@@ -1,0 +1,158 @@
+"""A table with a row for each replayed log, written row by row: CSV, or Parquet where the file is called so."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from adapters.errors import TelemetryError
+from monitor.bus.alarm_text import utc
+from monitor.errors import ExtraMissingError
+from replay.runs.one_log import LogOutcome
+
+COLUMNS: Mapping[str, type] = {
+    "log": str,
+    "status": str,
+    "error": str,
+    "kind": str,
+    "start_utc": str,
+    "duration_s": float,
+    "watched_s": float,
+    "samples": int,
+    "evidence": int,
+    "alarms": int,
+    "first_alarm": str,
+    "first_alarm_utc": str,
+    "first_alarm_after_s": float,
+    "first_alarm_estimate": float,
+    "first_alarm_unit": str,
+    "worst_severity": str,
+    "lacking": str,
+    "damage": str,
+    "processor_s": float,
+    "times_real_time": float,
+}
+_ROWS_AT_ONCE = 1000
+
+
+def summary_row(outcome: LogOutcome) -> dict[str, Any]:
+    """Return a log's row; what cannot be said is None.
+
+    ``status`` is ``ok``, ``unwatched`` (nothing wrong with the log, but the vehicle was never in flight) or ``failed``.
+    """
+    raised = outcome.raised
+    first = raised[0] if raised else None
+    severities = {event.severity for event in outcome.events}
+    duration_s = max(0, outcome.end_ns - outcome.start_ns) / 1e9
+    status = "failed" if outcome.error is not None else "ok" if outcome.evidence else "unwatched"
+    lacking = [f"{name}: {', '.join(lacks)}" for name, lacks in (outcome.lacking or {}).items()]
+    return {
+        "log": outcome.log,
+        "status": status,
+        "error": outcome.error,
+        "kind": outcome.kind or None,
+        "start_utc": utc(outcome.start_ns) if outcome.start_ns else None,
+        "duration_s": round(duration_s, 3),
+        "watched_s": round(outcome.watched_s, 3),
+        "samples": outcome.samples,
+        "evidence": outcome.evidence,
+        "alarms": len(raised),
+        "first_alarm": f"{first.observer}/{first.channel}" if first else None,
+        "first_alarm_utc": utc(first.time_ns) if first else None,
+        "first_alarm_after_s": round((first.time_ns - outcome.start_ns) / 1e9, 3) if first else None,
+        "first_alarm_estimate": first.estimate if first else None,
+        "first_alarm_unit": first.unit if first else None,
+        "worst_severity": max(severities, key=("warning", "critical").index) if severities else None,
+        "lacking": "; ".join(lacking) or None,
+        "damage": "; ".join(one.line() for one in outcome.damage) or None,
+        "processor_s": round(outcome.processor_s, 3),
+        "times_real_time": round(duration_s / outcome.processor_s, 1) if duration_s and outcome.processor_s else None,
+    }
+
+
+class SummaryTable:
+    """Writes the table; what was added stands in the file after :meth:`close`, in a CSV file at once.
+
+    Parameters
+    ----------
+    path : Path
+        File to write, ``.csv`` or ``.parquet``.
+
+    Raises
+    ------
+    TelemetryError
+        Another suffix.
+    ExtraMissingError
+        Parquet was asked for, and pyarrow is not installed.
+    OSError
+        The file cannot be written (any method).
+    """
+
+    def __init__(self, path: Path) -> None:
+        kinds: Mapping[str, Callable[[Path], _Csv | _Parquet]] = {".csv": _Csv, ".parquet": _Parquet}
+        if path.suffix.lower() not in kinds:
+            raise TelemetryError(f"--table {path}: unknown kind of table; use .csv or .parquet")
+        self._rows = kinds[path.suffix.lower()](path)
+
+    def add(self, outcome: LogOutcome) -> None:
+        """Add a log's row."""
+        self._rows.add(summary_row(outcome))
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._rows.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class _Csv:
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("w", newline="", encoding="utf-8", errors="backslashreplace")
+        self._writer = csv.DictWriter(self._file, list(COLUMNS))
+        self._writer.writeheader()
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        self._writer.writerow(row)
+        self._file.flush()
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class _Parquet:
+    def __init__(self, path: Path) -> None:
+        try:
+            import pyarrow
+            import pyarrow.parquet
+        except ImportError as error:
+            raise ExtraMissingError(
+                f"--table {path}: pyarrow is not installed; run: pip install 'fauio[parquet]', or write .csv"
+            ) from error
+        types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64()}
+        self._schema = pyarrow.schema([(name, types[kind]) for name, kind in COLUMNS.items()])
+        self._table = pyarrow.Table
+        self._writer = pyarrow.parquet.ParquetWriter(path, self._schema)
+        self._pending: list[Mapping[str, Any]] = []
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        self._pending.append(row)
+        if len(self._pending) >= _ROWS_AT_ONCE:
+            self._write()
+
+    def close(self) -> None:
+        if self._pending:
+            self._write()
+        self._writer.close()
+
+    def _write(self) -> None:
+        self._writer.write_table(self._table.from_pylist(self._pending, self._schema))
+        self._pending = []

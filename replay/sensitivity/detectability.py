@@ -1,0 +1,394 @@
+"""What size of which fault is seen how fast: faults injected into a healthy recording, each run through the pipeline.
+
+Each trial plays a window around one onset: healthy flight before it, so that the observers settle, then the fault. An
+alarm that a healthy window raises by itself voids the trial: it says nothing about the fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import ceil, inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.logs.recordings import read_recording
+from adapters.message import Message
+from adapters.sampling.phase import FlightPhase
+from monitor.alarms.alarm import AlarmRule
+from monitor.estimate import Estimate
+from monitor.pipeline import Pipeline
+from monitor.profile import ObserverProfile, Profile, read_profile
+from replay.attacks.attack import KINDS, Attack, InjectionError
+from replay.attacks.injector import plan
+from replay.sensitivity import windows
+from replay.sensitivity.trial import Outcome, Task, run_task
+
+_SECOND_NS = 1_000_000_000
+_STEPS = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
+_RATES = (0.25, 0.5, 1.0, 2.0, 4.0)
+_SPOOF_RATES = (0.5, 1.0, 2.0, 5.0)
+_SCALES = (0.5, 0.8, 0.9, 1.1, 1.2, 1.5)
+_DELAYS_S = (0.05, 0.1, 0.2, 0.5, 1.0)
+_SIZELESS = ("freeze", "drop", "replay")
+_SCENE_MESSAGES = frozenset({"ATTITUDE", "GPS_RAW_INT"})
+
+Track = Callable[..., Iterable[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """What to try.
+
+    Parameters
+    ----------
+    channels : tuple[str, ...]
+        Alarm channels; empty takes all of the profile.
+    kinds : tuple[str, ...] | None
+        Kinds of fault; None takes loss for actuators, bias and ramp for sensors.
+    sizes : tuple[float, ...] | None
+        Sizes (of ramp and spoof: rates); None takes multiples of each channel's threshold.
+    onsets : int
+        Times of onset for each of them, spread over the watched flight.
+    before_s, after_s : float
+        Window around an onset.
+    jobs : int
+        Processes.
+    """
+
+    channels: tuple[str, ...] = ()
+    kinds: tuple[str, ...] | None = None
+    sizes: tuple[float, ...] | None = None
+    onsets: int = 5
+    before_s: float = 10.0
+    after_s: float = 10.0
+    jobs: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What was found for one size of one kind of fault on one channel.
+
+    Parameters
+    ----------
+    channel, kind : str
+        The fault.
+    size : float | None
+        Its size (of ramp and spoof: rate); None for kinds without one.
+    unit : str
+        Unit of the size.
+    trials, void : int
+        Trials that count, and those that do not because the window raised an alarm before the onset.
+    missed : int
+        Trials in which the channel's alarm was not raised within the window.
+    delay_median_s, delay_90_s : float | None
+        Time from onset to alarm that half, and 90 %, of the trials stay within; None where they do not.
+    isolated : float | None
+        Share of the detected trials in which no other alarm was raised.
+    others : tuple[str, ...]
+        Channels that were raised too, or instead.
+    estimate_error : float | None
+        Root mean square error of the estimate over the second half of the window, in ``unit`` (of a ramp or spoof:
+        in the unit of what grows); None where the kind has no size to compare with.
+    """
+
+    channel: str
+    kind: str
+    size: float | None
+    unit: str
+    trials: int
+    void: int
+    missed: int
+    delay_median_s: float | None
+    delay_90_s: float | None
+    isolated: float | None
+    others: tuple[str, ...]
+    estimate_error: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Detectability:
+    """Result of a sweep.
+
+    Parameters
+    ----------
+    profile, log : str
+        Names of profile and recording.
+    onsets_ms : Mapping[str, tuple[int, ...]]
+        By observer: onsets on the vehicle's clock.
+    window_s : tuple[float, float]
+        Before and after an onset.
+    healthy_alarms : int
+        Alarms of the recording as it is; windows that hold one were not used.
+    rows : tuple[Row, ...]
+        The findings.
+    skipped : tuple[str, ...]
+        What was not tried, and why.
+    """
+
+    profile: str
+    log: str
+    onsets_ms: Mapping[str, tuple[int, ...]]
+    window_s: tuple[float, float]
+    healthy_alarms: int
+    rows: tuple[Row, ...]
+    skipped: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Healthy:
+    """The recording as it is: by observer, spans of watched flight and the mean command (s,); times of alarms."""
+
+    spans_ns: dict[str, list[tuple[int, int]]]
+    command: dict[str, NDArray[np.float64]]
+    alarms_ns: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class _Subject:
+    """A channel to attack: its observer, its alarm, and the attacks, whose times are still open."""
+
+    observer: ObserverProfile
+    rule: AlarmRule
+    attacks: tuple[Attack, ...]
+
+
+def detectability(folder: Path, log: Path, sweep: Sweep, track: Track = lambda items, *_: items) -> Detectability:
+    """Sweep size and kind of faults over a profile's alarm channels.
+
+    Parameters
+    ----------
+    folder : Path
+        Profile folder.
+    log : Path
+        Healthy recording.
+    sweep : Sweep
+        What to try.
+    track : Track
+        Shows progress, given the items, what they are part of, and what they are.
+
+    Raises
+    ------
+    InjectionError
+        A channel or kind is unknown or does not go with the other, or too little flight was watched.
+    TelemetryError, ProfileError
+        The recording or the profile cannot be read.
+    """
+    profile = read_profile(folder)
+    if not (sweep.before_s > 0.0 and sweep.after_s > 0.0):
+        raise InjectionError("--before and --after are seconds above zero; their sum is the window of a trial")
+    chosen = _chosen(profile, sweep.channels)
+    unknown = [kind for kind in sweep.kinds or () if kind not in KINDS]
+    if unknown:
+        raise InjectionError(f"--kinds {unknown[0]}: no such kind; use some of {', '.join(KINDS)}")
+    wanted = Pipeline(profile).interests | _SCENE_MESSAGES
+    everything = list(track(read_recording(log, wanted), f"reading {log.name}"))
+    system = _system(profile, everything)
+    messages = [message for message in everything if message.system == system]
+    names = frozenset(message.name for message in messages)
+    healthy = _play_healthy(profile, track(messages, "healthy flight"))
+    skipped: list[str] = []
+    subjects = [
+        _Subject(observer, rule, attacks)
+        for observer, rule in chosen
+        if (attacks := _attacks(profile, folder, observer, rule, sweep, healthy, names, skipped))
+    ]
+    if not subjects:
+        raise InjectionError(skipped[0] if skipped else f"{folder}: the profile has no alarm to test")
+    onsets = {s.observer.name: _onsets(s.observer.name, healthy, sweep, log) for s in subjects}
+    times_ns = windows.stamps(profile, messages)
+    before_ns, after_ns = round(sweep.before_s * _SECOND_NS), round(sweep.after_s * _SECOND_NS)
+    cut = {
+        onset: windows.window(messages, times_ns, onset - before_ns, onset + after_ns)
+        for onset in sorted(set().union(*onsets.values()))
+    }
+    tasks = [
+        Task(
+            profile=profile,
+            folder=folder,
+            observer=subject.observer.name,
+            system=system,
+            messages=cut[onset],
+            attacks=tuple(_at(attack, onset, onset + after_ns, sweep) for attack in subject.attacks),
+        )
+        for subject in subjects
+        for onset in onsets[subject.observer.name]
+    ]
+    outcomes = iter(list(track(_run(tasks, sweep.jobs), f"{len(tasks)} windows", "windows")))
+    rows: list[Row] = []
+    for subject in subjects:
+        found = [next(outcomes) for _ in onsets[subject.observer.name]]
+        for attack, trials in zip(subject.attacks, zip(*found, strict=True), strict=True):
+            rows.append(_row(attack, _unit(attack, subject.rule), trials))
+    return Detectability(
+        profile=profile.name,
+        log=log.name,
+        onsets_ms={name: tuple(onset // 1_000_000 for onset in found) for name, found in onsets.items()},
+        window_s=(sweep.before_s, sweep.after_s),
+        healthy_alarms=len(healthy.alarms_ns),
+        rows=tuple(rows),
+        skipped=tuple(skipped),
+    )
+
+
+def _chosen(profile: Profile, channels: Sequence[str]) -> list[tuple[ObserverProfile, AlarmRule]]:
+    """Return the alarms to test."""
+    found = [
+        (observer, rule)
+        for observer in profile.observers
+        for rule in observer.alarms
+        if rule.channel in {fault.name for fault in observer.faults}
+    ]
+    known = [rule.channel for _, rule in found]
+    for channel in channels:
+        if channel not in known:
+            raise InjectionError(f"--channel {channel}: the profile has no such alarm; it has {', '.join(known)}")
+    return [(o, rule) for o, rule in found if not channels or rule.channel in channels]
+
+
+def _system(profile: Profile, messages: Sequence[Message]) -> int:
+    """Return the vehicle as the pipeline chooses it."""
+    wanted = Pipeline(profile).interests - FlightPhase.interests
+    return profile.system or next((message.system for message in messages if message.name in wanted), 0)
+
+
+def _play_healthy(profile: Profile, messages: Iterable[Message]) -> _Healthy:
+    pipeline = Pipeline(profile)
+    names = [observer.name for observer in profile.observers]
+    spans: dict[str, list[tuple[int, int]]] = {name: [] for name in names}
+    sums = {o.name: np.zeros(len(o.gains[0].inputs)) for o in profile.observers}
+    counts = dict.fromkeys(names, 0)
+    watched = dict.fromkeys(names, False)
+    alarms: list[int] = []
+    for message in messages:
+        for output in pipeline.feed(message):
+            if not isinstance(output, Estimate):
+                alarms += [output.vehicle_time_ms * 1_000_000] if output.state == "raised" else []
+                continue
+            name, now_ns = output.observer, output.sample.vehicle_time_ns
+            if output.armed:
+                start_ns = spans[name].pop()[0] if watched[name] and not output.sample.restart else now_ns
+                spans[name].append((start_ns, now_ns))
+                sums[name] += output.sample.u
+                counts[name] += 1
+            watched[name] = output.armed
+    return _Healthy(spans, {name: sums[name] / max(counts[name], 1) for name in names}, alarms)
+
+
+def _attacks(
+    profile: Profile,
+    folder: Path,
+    observer: ObserverProfile,
+    rule: AlarmRule,
+    sweep: Sweep,
+    healthy: _Healthy,
+    names: frozenset[str],
+    skipped: list[str],
+) -> tuple[Attack, ...]:
+    """Return the attacks to try on one channel, their times still open; say which kinds do not go with it."""
+    threshold = rule.threshold or 1.0
+    fault = next(fault for fault in observer.faults if fault.name == rule.channel)
+    if rule.kind == "actuator" and fault.input is not None:
+        threshold /= max(abs(float(healthy.command[observer.name][fault.input])), 0.05)
+    usual = ("loss",) if fault.input is not None else ("bias", "ramp")
+    found: list[Attack] = []
+    for kind in sweep.kinds or usual:
+        sizes: Sequence[float | None] = sweep.sizes or _sizes(kind, threshold)
+        attacks = [_attack(rule.channel, kind, size) for size in (sizes if kind not in _SIZELESS else (None,))]
+        try:
+            if not all(plan(attack, names, profile, folder).messages & names for attack in attacks):
+                raise InjectionError(f"--channel {rule.channel}: no message of the log carries it")
+        except InjectionError as error:
+            skipped.append(str(error))
+            continue
+        found += attacks
+    return tuple(found)
+
+
+def _attack(channel: str, kind: str, size: float | None) -> Attack:
+    rated = kind in ("ramp", "spoof")
+    return Attack(
+        channel=channel,
+        kind=kind,  # type: ignore[arg-type]
+        start_ns=0,
+        end_ns=1,
+        size=None if rated else size,
+        rate=size if rated else None,
+        source_ns=-1 if kind == "replay" else None,
+    )
+
+
+def _at(attack: Attack, start_ns: int, end_ns: int, sweep: Sweep) -> Attack:
+    """Return the attack with its times; a replay repeats the second half of the healthy part of the window."""
+    source_ns = start_ns - round(sweep.before_s / 2 * _SECOND_NS) if attack.kind == "replay" else None
+    return replace(attack, start_ns=start_ns, end_ns=end_ns, source_ns=source_ns)
+
+
+def _sizes(kind: str, threshold: float) -> tuple[float, ...]:
+    """Return the sizes that are tried by default: around what raises the alarm, to two digits."""
+    fixed = {"scale": _SCALES, "delay": _DELAYS_S, "spoof": _SPOOF_RATES}
+    if kind in fixed:
+        return fixed[kind]
+    sizes = [float(f"{step * threshold:.2g}") for step in (_RATES if kind == "ramp" else _STEPS)]
+    return tuple(dict.fromkeys(min(size, 1.0) if kind == "loss" else size for size in sizes))
+
+
+def _onsets(name: str, healthy: _Healthy, sweep: Sweep, log: Path) -> list[int]:
+    before_ns, after_ns = round(sweep.before_s * _SECOND_NS), round(sweep.after_s * _SECOND_NS)
+    found = windows.onsets(healthy.spans_ns[name], healthy.alarms_ns, before_ns, after_ns, sweep.onsets)
+    if not found:
+        longest = max((b - a for a, b in healthy.spans_ns[name]), default=0) / _SECOND_NS
+        raise InjectionError(
+            f"{log}: no {sweep.before_s + sweep.after_s:g} s of watched flight without an alarm for '{name}' (longest "
+            f"stretch {longest:.0f} s); give smaller --before and --after, or a longer healthy log"
+        )
+    return found
+
+
+def _run(tasks: Sequence[Task], jobs: int) -> Iterator[list[Outcome]]:
+    if jobs == 1 or len(tasks) == 1:
+        yield from map(run_task, tasks)
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    with ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=get_context("spawn")) as pool:
+        yield from pool.map(run_task, tasks)
+
+
+def _unit(attack: Attack, rule: AlarmRule) -> str:
+    known = {"loss": "share of the command", "spoof": "m/s", "scale": "times", "delay": "s", "drop": "share"}
+    grows = f"{rule.unit}^2" if rule.unit.endswith("/s") else f"{rule.unit}/s"
+    return known.get(attack.kind, grows if attack.kind == "ramp" else rule.unit)
+
+
+def _row(attack: Attack, unit: str, trials: Sequence[Outcome]) -> Row:
+    counted = [trial for trial in trials if trial.delay_s is not None]
+    delays = sorted(inf if trial.delay_s is None else trial.delay_s for trial in counted)
+    seen = [trial for trial in counted if trial.delay_s != inf]
+    errors = [trial.error for trial in counted if trial.error is not None]
+    return Row(
+        channel=attack.channel,
+        kind=attack.kind,
+        size=attack.magnitude,
+        unit=unit,
+        trials=len(counted),
+        void=len(trials) - len(counted),
+        missed=len(counted) - len(seen),
+        delay_median_s=_within(delays, 0.5),
+        delay_90_s=_within(delays, 0.9),
+        isolated=sum(not trial.others for trial in seen) / len(seen) if seen else None,
+        others=tuple(sorted(frozenset().union(*(trial.others for trial in counted)))),
+        estimate_error=float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
+    )
+
+
+def _within(delays: Sequence[float], share: float) -> float | None:
+    """Return the delay that a share of the trials stays within, None where they do not."""
+    if not delays:
+        return None
+    found = delays[ceil(share * len(delays)) - 1]
+    return None if found == inf else found

@@ -1,0 +1,157 @@
+"""The picture of a detectability sweep: delay and miss rate against size, a panel for each channel and kind."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from monitor.views.palette import BLUE, GREY, ORANGE
+from replay.reports.plot import DPI, STYLE, WIDTH_IN
+from replay.sensitivity.detectability import Detectability, Row
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
+COLUMNS = 4
+DELAY_IN = 1.3
+MISSED_IN = 0.45
+_SECOND_LINE = 32
+
+
+def plot_detectability(path: str | os.PathLike[str], found: Detectability) -> None:
+    """Draw a sweep.
+
+    Per kind of fault a row of panels, one for each channel: the delay that half of the trials stay within as a line,
+    the delay of 90 % dashed, over the size; below it the share that was missed, as bars. All panels of a row share
+    their axes. Where fewer than half, or 90 %, were seen, the line has no point.
+
+    Parameters
+    ----------
+    path : str | PathLike
+        PNG to write.
+    found : Detectability
+        The sweep's result.
+    """
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    lines = list(_lines(found.rows))
+    columns = max((len(line) for line in lines), default=1)
+    heights = [DELAY_IN, MISSED_IN] * max(len(lines), 1)
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 1.25 * sum(heights) + 1.0), dpi=DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        grid = figure.subplots(len(heights), columns, squeeze=False, height_ratios=heights)
+        for number, line in enumerate(lines):
+            _draw_line(grid[2 * number], grid[2 * number + 1], line)
+        for row in range(len(heights)):
+            used = len(lines[row // 2]) if lines else 0
+            for column in range(used, columns):
+                grid[row][column].set_axis_off()
+        _draw_legend(figure, found)
+        figure.savefig(path)
+
+
+def _lines(rows: Sequence[Row]) -> list[list[list[Row]]]:
+    """Return the panels of each line: rows of one channel and kind; a line holds one kind and unit."""
+    kinds: dict[tuple[str, str], dict[str, list[Row]]] = {}
+    for row in rows:
+        kinds.setdefault((row.kind, row.unit), {}).setdefault(row.channel, []).append(row)
+    found = []
+    for channels in kinds.values():
+        panels = list(channels.values())
+        found += [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
+    return found
+
+
+def _draw_line(delays: Sequence[Axes], missed: Sequence[Axes], line: Sequence[Sequence[Row]]) -> None:
+    sizes = [row.size for rows in line for row in rows if row.size is not None]
+    ordered = not sizes or min(sizes) <= 0.0
+    known = [delay for rows in line for row in rows for delay in (row.delay_median_s, row.delay_90_s) if delay]
+    shortest, longest = min(known, default=0.1), max(known, default=1.0)
+    for number, (top, bottom, rows) in enumerate(zip(delays, missed, line, strict=False)):
+        places = list(range(len(rows))) if ordered else [row.size or 0.0 for row in rows]
+        _draw_delays(top, places, rows)
+        _draw_missed(bottom, places, rows, ordered)
+        top.set_yscale("log")
+        top.set_ylim(shortest / 1.5, longest * 1.5)
+        _plain_numbers(top.yaxis)
+        for panel in (top, bottom):
+            _set_sizes(panel, places, rows, ordered)
+            panel.set_xlim(*((-0.6, len(rows) - 0.4) if ordered else (min(sizes) / 1.4, max(sizes) * 1.4)))
+        top.tick_params(labelbottom=False)
+        top.set_title(f"{rows[0].channel}, {rows[0].kind}", size=8, loc="left")
+        bottom.set_xlabel(_size_label(rows[0]))
+        if number:
+            top.tick_params(labelleft=False)
+            bottom.tick_params(labelleft=False)
+        else:
+            top.set_ylabel("delay (s)")
+            bottom.set_ylabel("missed")
+
+
+def _draw_delays(panel: Axes, places: Sequence[float], rows: Sequence[Row]) -> None:
+    nothing = float("nan")
+    ninety = [nothing if row.delay_90_s is None else row.delay_90_s for row in rows]
+    median = [nothing if row.delay_median_s is None else row.delay_median_s for row in rows]
+    panel.plot(places, ninety, color=BLUE, linestyle="--", marker="o", markersize=3.5, markerfacecolor="white")
+    panel.plot(places, median, color=BLUE, marker="o", markersize=3.0, linewidth=1.2)
+    panel.grid(axis="y", color=GREY, alpha=0.25, linewidth=0.5)
+
+
+def _draw_missed(panel: Axes, places: Sequence[float], rows: Sequence[Row], ordered: bool) -> None:
+    shares = [100.0 * row.missed / row.trials if row.trials else 0.0 for row in rows]
+    widths = [0.6 if ordered else 0.16 * place for place in places]
+    panel.bar(places, shares, width=widths, color=ORANGE, linewidth=0)
+    panel.set_ylim(0.0, 100.0)
+    panel.set_yticks([0.0, 100.0], ["0 %", "100 %"])
+
+
+def _set_sizes(panel: Axes, places: Sequence[float], rows: Sequence[Row], ordered: bool) -> None:
+    if ordered:
+        panel.set_xticks(list(places), ["" if row.size is None else f"{row.size:g}" for row in rows])
+        return
+    panel.set_xscale("log")
+    _plain_numbers(panel.xaxis)
+
+
+def _plain_numbers(axis: Axis) -> None:
+    """Label a logarithmic axis with 1, 2, 5, 10 and so on."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _size_label(row: Row) -> str:
+    if row.size is None:
+        return ""
+    what = "rate" if row.kind in ("ramp", "spoof") else "size"
+    label = f"{what} ({row.unit})" if row.unit else what
+    return label if len(label) <= _SECOND_LINE else label.replace(" (", "\n(", 1)
+
+
+def _draw_legend(figure: Figure, found: Detectability) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    before_s, after_s = found.window_s
+    trials = max((row.trials for row in found.rows), default=0)
+    marks: list[Any] = [
+        Line2D([], [], color=BLUE, marker="o", markersize=3.0, label="half are seen within"),
+        Line2D([], [], color=BLUE, linestyle="--", marker="o", markersize=3.5, mfc="white", label="90 % within"),
+        Patch(color=ORANGE, linewidth=0, label=f"missed for {after_s:g} s"),
+    ]
+    figure.legend(
+        handles=marks,
+        loc="outside upper left",
+        ncols=len(marks),
+        alignment="left",
+        title=f"{found.profile} on {found.log}: {trials} onsets each, after {before_s:g} s of healthy flight",
+        title_fontproperties={"size": 9.5, "weight": "bold"},
+    )
