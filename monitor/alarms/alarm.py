@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from adapters.sample import Sample
@@ -122,6 +122,31 @@ class _Active:
     latched: bool
 
 
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What an alarm that stands remembers from one sample to the next, besides its latest event.
+
+    Parameters
+    ----------
+    mean : float
+        Weighted mean of the evidence.
+    trend : tuple[float, float, float]
+        State of its growth.
+    peak : float
+        Largest evidence by size.
+    counter_ns : int
+        How long the evidence has stood inside ``clear``.
+    last_ns : int | None
+        Vehicle time of the last sample that was evidence.
+    """
+
+    mean: float
+    trend: tuple[float, float, float]
+    peak: float
+    counter_ns: int
+    last_ns: int | None
+
+
 class Alarm:
     """State of one channel's alarm.
 
@@ -171,6 +196,56 @@ class Alarm:
     def rest(self, mean: float, last_ns: int | None) -> None:
         """Go on where a stretch of evidence that caused nothing left mean and time (``alarm_stretch``)."""
         self._mean, self._last_ns = mean, last_ns
+
+    def stand(self, times_ns: Sequence[int], evidence: Sequence[float]) -> tuple[int, Standing]:
+        """Return how many samples in a row cause nothing while the alarm stands, and what it remembers after them.
+
+        Nothing is changed: :meth:`go_on_from` does it. Vehicle times and signed sizes are those of samples that are
+        evidence and no restart; the rules and their rounding are those of :meth:`update`, which has to be given the
+        sample behind the count.
+        """
+        rule, active = self.rule, self._active
+        assert active is not None  # noqa: S101 - asked only of an alarm that stands
+        trend, mean, peak, counter, last = Trend(), self._mean, active.peak, self._counter_ns, self._last_ns
+        trend.state = before = self._trend.state
+        averaged, ahead_s, clear = rule.slow < math.inf, rule.critical_ahead_s, rule.clear
+        limit_ns = (rule.latch_s if active.latched else rule.clear_s) * 1e9
+        worsens = rule.critical if active.severity != "critical" else math.inf
+        moves = max(_UPDATE_SHARE * abs(active.reported), active.threshold / 2)
+        kept_ns, keep, count = -1, 0.0, 0
+        for now, size in zip(times_ns, evidence, strict=True):
+            elapsed = 0 if last is None else max(0, now - last)
+            average = mean
+            if elapsed and averaged:
+                if elapsed != kept_ns:
+                    kept_ns, keep = elapsed, math.exp(-elapsed / (rule.slow_s * 1e9))
+                average = keep * mean + (1.0 - keep) * max(-2.0 * rule.slow, min(size, 2.0 * rule.slow))
+            if active.creeping and not abs(size) < rule.threshold:
+                break
+            shown = average if active.creeping else size
+            trend.update(shown, elapsed)
+            if abs(shown) >= worsens or (ahead_s > 0 and trend.size_in(ahead_s) >= worsens):
+                break
+            if abs(size) < clear and not (active.creeping and abs(average) >= 0.5 * rule.slow):
+                counted = counter + elapsed
+                if counted >= limit_ns:
+                    break
+            else:
+                counted = 0 if active.latched else max(0, counter - elapsed)
+                if abs(shown - active.reported) > moves and not 0 <= now - active.reported_ns < _UPDATE_EVERY_NS:
+                    break
+            if abs(shown) > abs(peak):
+                peak = shown
+            mean, counter, last, before = average, counted, now, trend.state
+            count += 1
+        return count, Standing(mean, before, peak, counter, last)
+
+    def go_on_from(self, standing: Standing) -> None:
+        """Go on where :meth:`stand` came to."""
+        assert self._active is not None  # noqa: S101 - as in stand
+        self._mean, self._counter_ns, self._last_ns = standing.mean, standing.counter_ns, standing.last_ns
+        self._trend.state = standing.trend
+        self._active = replace(self._active, peak=standing.peak)
 
     def adopt(self, event: AlarmEvent) -> None:
         """Go on from an event of this channel that another run of the monitor, or another monitor, made."""

@@ -1,8 +1,8 @@
 """One channel's alarm over a stretch of samples: rows in which nothing happens are passed over at once.
 
 While an alarm is idle, evidence inside all of its sizes does nothing but move the mean of the slow path, by a
-recursion over all rows. A test holds this and :meth:`monitor.alarms.alarm.Alarm.update`, sample by sample, together to
-the last bit.
+recursion over all rows; while it stands, few rows make an event. A test holds this and
+:meth:`monitor.alarms.alarm.Alarm.update`, sample by sample, together to the last bit.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.sampling.stretch import first_order
-from monitor.alarms.alarm import Alarm
+from monitor.alarms.alarm import Alarm, Standing
 
 _FIRST_LOOK = 64
 
@@ -60,6 +60,7 @@ class AlarmStretch:
         self._ahead = _FIRST_LOOK
         self._means = np.empty(0)
         self._moving = np.empty(0, np.intp)
+        self._standing: Standing | None = None
         self.row = 0
         self.due = False
         self._look()
@@ -70,9 +71,6 @@ class AlarmStretch:
     def update_done(self) -> None:
         """Note that the alarm took the row that was due."""
         self._done = self.row + 1
-        if not self.alarm.idle and self._done < len(self._times) and self._speaking[self._done]:
-            self.row = self._done
-            return
         self._ahead = _FIRST_LOOK
         self._look()
 
@@ -86,10 +84,14 @@ class AlarmStretch:
         alarm, start = self.alarm, self._done
         if row <= start:
             return
+        self._done = row
+        if self._standing is not None:
+            alarm.go_on_from(self._standing if row == self.row else self._stand(start, row)[1])
+            self._standing = None
+            return
         count = int(np.searchsorted(self._moving, row))
         mean = float(self._means[count - 1]) if count else alarm.mean
         alarm.rest(mean, int(self._times[row - 1]) if self._speaking[row - 1] else None)
-        self._done = row
         self._means, self._moving = self._means[count:], self._moving[count:]
 
     def change(self, speaking: NDArray[np.bool_], row: int) -> None:
@@ -105,7 +107,15 @@ class AlarmStretch:
         self._ahead *= 4
         speaking = self._speaking[start:stop]
         self._means, self._moving = np.empty(0), np.empty(0, np.intp)
+        self._standing = None
         rule = self.alarm.rule
+        if self.alarm.active and len(speaking) and speaking[0]:
+            due = ~speaking | self._restart[start:stop]
+            calm = int(np.argmax(due)) if due.any() else len(due)
+            count, standing = self._stand(start, start + calm)
+            self.due, self.row = count < calm or calm == 0, start + count
+            self._standing = standing if count else None
+            return
         if not self.alarm.idle:
             due = speaking
         else:
@@ -116,6 +126,10 @@ class AlarmStretch:
         first = int(np.argmax(due)) if len(due) else 0
         self.due = bool(len(due)) and bool(due[first])
         self.row = start + first if self.due else stop
+
+    def _stand(self, start: int, stop: int) -> tuple[int, Standing]:
+        """Return how many rows from ``start`` on cause nothing while the alarm stands, and what it remembers then."""
+        return self.alarm.stand(self._times[start:stop].tolist(), self._evidence[start:stop].tolist())
 
     def _follow_mean(
         self, start: int, stop: int, speaking: NDArray[np.bool_], due: NDArray[np.bool_]
