@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adapters.errors import TelemetryError
-from adapters.logs.dataflash import CODES, DataflashReader, read_dataflash
+from adapters.logs.dataflash import CODES, DataflashReader
 from adapters.logs.log_bytes import LogStatistics
 from adapters.message import Message
 
@@ -81,7 +81,7 @@ def test_values_times_and_instances_are_those_that_pymavlink_reads(
 
     path = LOG.write(tmp_path / "a.bin")
     theirs = DFReader_binary(str(path))
-    ours = list(read_dataflash(path))
+    ours = list(DataflashReader(path))
     for message in ours:
         other = theirs.recv_msg()
         fields = other.to_dict()
@@ -110,7 +110,7 @@ def test_the_codes_are_those_of_pymavlink() -> None:
 
 
 def test_without_a_fix_boot_is_the_start_of_1970(tmp_path: Path) -> None:
-    found = [m for m in read_dataflash(flight(gps=False).write(tmp_path / "a.bin")) if m.name == "IMU"]
+    found = [m for m in DataflashReader(flight(gps=False).write(tmp_path / "a.bin")) if m.name == "IMU"]
     assert found[0].received_ns == 2_000_000_000
 
 
@@ -205,5 +205,5 @@ def test_a_damaged_time_is_that_of_the_record_before(tmp_path: Path) -> None:
     log.define("A", "Q", "TimeUS")
     for time_us in (5, (1 << 64) - 1, 7):
         log.add("A", time_us)
-    found = [message.received_ns for message in read_dataflash(log.write(tmp_path / "log.bin"), ("A",))]
+    found = [message.received_ns for message in DataflashReader(log.write(tmp_path / "log.bin"), ("A",))]
     assert found == [5_000, 5_000, 7_000]

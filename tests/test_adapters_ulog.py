@@ -19,7 +19,7 @@ from ulog_writer import UlogWriter
 
 from adapters.errors import TelemetryError
 from adapters.logs.log_bytes import LogStatistics
-from adapters.logs.ulog import DROPOUT, INFORMATION, PARAMETER, PARAMETER_DEFAULT, TEXT, UlogReader, read_ulog
+from adapters.logs.ulog import DROPOUT, INFORMATION, PARAMETER, PARAMETER_DEFAULT, TEXT, UlogReader
 from adapters.message import Message
 
 WHOLE = LogStatistics(0, 0, 0, 0, broken_off=False)
@@ -148,9 +148,9 @@ def test_nested_types_are_fields_within_fields_and_text_is_text(whole: list[Mess
 
 
 def test_times_are_unix_times_by_the_first_position_fix(tmp_path: Path) -> None:
-    data = [m for m in read_ulog(LOG.write(tmp_path / "a.ulg")) if m.name == "sensor_baro"]
+    data = [m for m in UlogReader(LOG.write(tmp_path / "a.ulg")) if m.name == "sensor_baro"]
     assert data[0].received_ns == (UTC_US + 2_000_000) * 1_000
-    boot = [m for m in read_ulog(flight(gps=False).write(tmp_path / "b.ulg")) if m.name == "sensor_baro"]
+    boot = [m for m in UlogReader(flight(gps=False).write(tmp_path / "b.ulg")) if m.name == "sensor_baro"]
     assert boot[0].received_ns == 2_000_000_000
 
 
@@ -223,7 +223,7 @@ def test_a_file_that_is_no_such_log_is_refused_in_one_line(tmp_path: Path, data:
 
 def test_a_log_that_needs_a_newer_reader_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TelemetryError, match="newer kind"):
-        list(read_ulog(UlogWriter(incompatible=2).write(tmp_path / "a.ulg")))
+        list(UlogReader(UlogWriter(incompatible=2).write(tmp_path / "a.ulg")))
 
 
 def test_data_appended_after_a_crash_is_read_from_where_the_log_says(tmp_path: Path) -> None:
@@ -260,7 +260,7 @@ def test_a_damaged_time_is_that_of_the_record_before(tmp_path: Path) -> None:
     number = log.subscribe("a")
     for time_us in (5, (1 << 64) - 1, 7):
         log.add(number, "a", {"timestamp": time_us})
-    assert [message.received_ns for message in read_ulog(log.write(tmp_path / "log.ulg"))] == [5_000, 5_000, 7_000]
+    assert [message.received_ns for message in UlogReader(log.write(tmp_path / "log.ulg"))] == [5_000, 5_000, 7_000]
 
 
 @pytest.mark.parametrize(("boot_us", "utc_us"), [((1 << 64) - 1, UTC_US), (0, (1 << 64) - 1)])
@@ -271,4 +271,4 @@ def test_a_position_fix_of_a_damaged_time_sets_no_clock(tmp_path: Path, boot_us:
     for time_us, told_us in ((boot_us, utc_us), (1_000, UTC_US + 1_000)):
         values = {"timestamp": time_us, "time_utc_usec": told_us, "fix_type": 3}
         log.add(number, "vehicle_gps_position", values)
-    assert list(read_ulog(log.write(tmp_path / "log.ulg")))[-1].received_ns == (UTC_US + 1_000) * 1_000
+    assert list(UlogReader(log.write(tmp_path / "log.ulg")))[-1].received_ns == (UTC_US + 1_000) * 1_000

@@ -15,7 +15,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from onboard_flights import BOOT_US, dataflash_of, ulog_of
 
 import fauio
-from adapters.logs.recordings import read_recording, read_records, recording_kind
+from adapters.logs.recordings import Recording, read_recording, recording_kind
 from adapters.sampling.strapdown_channels import strapdown_channels
 from monitor.profile import Profile, read_profile
 from replay.fitting.survey import FIT_MESSAGES, common_rate_hz, multirotor_channels, of_one_vehicle, survey
@@ -74,9 +74,9 @@ def test_a_converted_log_holds_every_record_typed_and_replays_to_the_same_alarms
 ) -> None:
     log, out = logs[f"motor2_080{kind}"], tmp_path / "flight.mcap"
     assert fauio.main(["convert", str(log), "-o", str(out), "--json"]) == 0
-    whole = list(read_records(log))
+    whole = list(Recording(log).records())
     assert json.loads(capsys.readouterr().out)["messages"] == len(whole)
-    assert [repr(m) for m in read_records(out)] == [repr(m) for m in whole]
+    assert [repr(m) for m in Recording(out).records()] == [repr(m) for m in whole]
     with out.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         decoded = [(channel.topic, message.log_time) for _, channel, message, _ in reader.iter_decoded_messages()]

@@ -12,7 +12,7 @@ from matplotlib import image
 from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, event, trace
 
 from monitor.trace import TraceBuilder
-from monitor.views.palette import BLUE, DARK, SEVERITY, SKY, rgba
+from monitor.views.palette import BLUE, DARK, SERIES, SEVERITY, SKY, rgba
 from replay.reports.plot import DPI, HIGHEST_IN, WIDTH_IN, colour_variables, plot_png, plot_svg
 from replay.reports.plot_panels import DOUBT_ALPHA
 
@@ -157,8 +157,6 @@ def test_many_inputs_have_a_lane_each(tmp_path: Path) -> None:
     assert few < many < 2 * few
 
 
-@pytest.mark.parametrize("index", range(8))
-def test_the_palette_gives_bytes(index: int) -> None:
-    from monitor.views.palette import series_colour
-
-    assert all(0 <= part <= 255 for part in rgba(series_colour(index), 0.5))
+@pytest.mark.parametrize("colour", SERIES)
+def test_the_palette_gives_bytes(colour: str) -> None:
+    assert all(0 <= part <= 255 for part in rgba(colour, 0.5))

@@ -283,8 +283,3 @@ def utc_minus_boot_ns(path: str | os.PathLike[str]) -> int | None:
 
 def _whole(value: Any) -> int:
     return value if type(value) is int else 0
-
-
-def read_dataflash(path: str | os.PathLike[str], only: Collection[str] | None = None) -> Iterator[Message]:
-    """Return the messages of an onboard log of ArduPilot; see :class:`DataflashReader`."""
-    return iter(DataflashReader(path, only))

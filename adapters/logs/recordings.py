@@ -265,11 +265,6 @@ def packed(messages: Iterable[Message], count: int = BLOCK_MESSAGES) -> Iterator
         yield pack(stretch)
 
 
-def read_records(path: str | os.PathLike[str], only: Collection[str] | None = None) -> Iterator[Message]:
-    """Return the messages of a recording as they stand there; see :class:`Recording`."""
-    return Recording(path, only).records()
-
-
 def onboard_source(path: str | os.PathLike[str]) -> str | None:
     """Return which onboard log a recording is or was converted from: ``"ulog"``, ``"dataflash"``, None for none.
 

@@ -298,8 +298,3 @@ def utc_minus_boot_us(path: str | os.PathLike[str]) -> int | None:
 def _whole(value: Any) -> int:
     """Return a whole number; 0, which stands for unknown, where there is none."""
     return value if type(value) is int else 0
-
-
-def read_ulog(path: str | os.PathLike[str], only: Collection[str] | None = None) -> Iterator[Message]:
-    """Return the messages of an onboard log of PX4; see :class:`UlogReader`."""
-    return iter(UlogReader(path, only))

@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
 from monitor.estimate import Estimate, Layout
+
+if TYPE_CHECKING:
+    import zenoh
+
+MAX_PAYLOAD_BYTES = 1 << 24
 
 _TEXT: dict[str, Any] = {"type": "string"}
 _COUNT: dict[str, Any] = {"type": "integer"}
@@ -85,3 +90,13 @@ def _finite(payload: Any) -> Any:
     if isinstance(payload, float) and not math.isfinite(payload):
         return None
     return payload
+
+
+def decode_payload(payload: zenoh.ZBytes) -> Any:
+    """Return the JSON of a payload that was received, None where it is none or absurdly long."""
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        return None
+    try:
+        return json.loads(payload.to_bytes())
+    except (ValueError, RecursionError):
+        return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import threading
 from collections import deque
 from typing import Any
@@ -12,10 +11,10 @@ import zenoh
 from zenoh import ext
 
 from monitor.bus.keys import ANY, vehicle_of, vehicle_root
+from monitor.bus.payload import decode_payload
 from monitor.event import AlarmEvent, valid_event
 
 HELD_EVENTS = 10_000
-MAX_PAYLOAD_BYTES = 1 << 24
 HISTORY_TIMEOUT_S = 1.0
 HISTORY_TRIES = 10
 HISTORY_PAUSE_S = 0.2
@@ -93,7 +92,7 @@ class AlarmSubscriber:
         self._alarms.undeclare()
 
     def _on_alarm(self, sample: zenoh.Sample) -> None:
-        event = valid_event(_decode(sample.payload))
+        event = valid_event(decode_payload(sample.payload))
         if event is not None and self._history and self._hold(event):
             return
         self._take(event)
@@ -145,7 +144,7 @@ class AlarmSubscriber:
             self._session.get(key, zenoh.handlers.Callback(on_reply, on_end), timeout=HISTORY_TIMEOUT_S)
 
     def _on_history(self, reply: zenoh.Sample) -> None:
-        events = _decode(reply.payload)
+        events = decode_payload(reply.payload)
         if not isinstance(events, list):
             self._take(None)
             return
@@ -168,13 +167,3 @@ class AlarmSubscriber:
                 self.lost += 1
             self._events.append(event)
             self._changed.notify()
-
-
-def _decode(payload: zenoh.ZBytes) -> Any:
-    """Return the JSON of a payload, None where it is none or absurdly long."""
-    if len(payload) > MAX_PAYLOAD_BYTES:
-        return None
-    try:
-        return json.loads(payload.to_bytes())
-    except (ValueError, RecursionError):
-        return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import time
 from collections.abc import Mapping, Sequence
@@ -12,13 +11,12 @@ import zenoh
 
 from monitor.bus.alarm_text import printable
 from monitor.bus.keys import ANY, vehicle_of, vehicle_root
-from monitor.bus.payload import to_json
+from monitor.bus.payload import decode_payload, to_json
 from monitor.errors import ProfileError
 
 ANSWER_S = 5.0
 TRIES = 10
 PAUSE_S = 0.2
-MAX_PAYLOAD_BYTES = 1 << 24
 
 _ULID = re.compile(r"[0-9A-HJKMNP-TV-Z]{26}")
 _NAMED = 5
@@ -140,21 +138,12 @@ def _ask(session: zenoh.Session, root: str, what: str, payload: bytes | None = N
 
 def _answer(root: str, reply: zenoh.Reply) -> _Answer:
     if reply.ok is not None:
-        return _Answer(vehicle_of(root, str(reply.ok.key_expr)), _decoded(reply.ok.payload), None)
-    payload = _decoded(reply.err.payload) if reply.err is not None else None
+        return _Answer(vehicle_of(root, str(reply.ok.key_expr)), decode_payload(reply.ok.payload), None)
+    payload = decode_payload(reply.err.payload) if reply.err is not None else None
     error = payload.get("error") if isinstance(payload, dict) else None
     if not isinstance(error, str):
         error = f"no answer within {ANSWER_S:g} s; look with 'fauio alarms' whether it was done"
     return _Answer("", None, printable(error))
-
-
-def _decoded(payload: zenoh.ZBytes) -> Any:
-    if len(payload) > MAX_PAYLOAD_BYTES:
-        return None
-    try:
-        return json.loads(payload.to_bytes())
-    except (ValueError, RecursionError):
-        return None
 
 
 def _alarms(payload: Any) -> list[dict[str, str]]:

@@ -65,11 +65,6 @@ DARK = Theme(
 )
 
 
-def series_colour(index: int) -> str:
-    """Return the colour of the series with this number; they repeat after eight."""
-    return SERIES[index % len(SERIES)]
-
-
 def any_ground_colour(index: int) -> str:
     """Return the same on a ground that is not known; they repeat after six."""
     return ANY_GROUND[index % len(ANY_GROUND)]
