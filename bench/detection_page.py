@@ -222,7 +222,7 @@ on the healthy flights of the same vehicle, frame and noise level, never on a fl
 simulator and one flight or two to fit on: what is said here about rates of false alarms rests on minutes.
 
 Beside fauio, with the same models, samples and gate, calibrated on the same healthy flights for the same number of
-false alarms ({FALSE_ALARMS_PER_HOUR:g} per hour and vehicle, extreme-value fit) with the same debounce:
+false alarms ({FALSE_ALARMS_PER_HOUR:g} per hour and observer, extreme-value fit) with the same debounce:
 
 - **autopilot**: its own announcements (severity warning or worse) while the fault is on;
 - **Kalman filter**: states augmented by random-walk faults, one filter for as many faults as can be estimated together,

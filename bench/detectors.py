@@ -1,7 +1,7 @@
 """The detectors that are compared: a fitted profile, Kalman filters with the same models, windowed residual energy.
 
 All take the same samples through the same gate and are calibrated on the same healthy flights by the same rule
-(:mod:`replay.fitting.thresholds`: extreme values at the same number of false alarms per hour and vehicle, same
+(:mod:`replay.fitting.thresholds`: extreme values at the same number of false alarms per hour and observer, same
 debounce).
 
 Kalman filter: states augmented by random-walk faults at the rates of the model. One filter for as many faults of the

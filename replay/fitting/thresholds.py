@@ -1,7 +1,7 @@
 """Alarm thresholds from healthy evidence, for a stated rate of false alarms.
 
 Each path of a channel's alarm (fast, plain, slow) asks a statistic of the evidence to exceed a size. The size is the
-level that the statistic exceeds at the path's share of the rate granted to the vehicle, by extreme-value fit over the
+level that the statistic exceeds at the path's share of the rate granted to the observer, by extreme-value fit over
 healthy flights (:mod:`replay.fitting.extremes`), and never below a floor: the smallest fault that the model is good
 enough to speak about. The confidence limits of the level are reported: minutes of flight leave them wide.
 """
