@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from adapters.errors import TelemetryError
 
 Signal = Callable[[float], float]
+State = tuple[float, float, float, float]
 FaultChannel = Literal["f_a", "f_s"]
 FaultKind = Literal["step", "ramp", "sine"]
 Torque = Literal["zero", "tracking"]
@@ -211,29 +212,56 @@ def simulate_arm(
     if not (0.0 < duration_s < math.inf and 0.0 < rate_hz < math.inf):
         raise TelemetryError("the arm needs a positive duration and rate")
     t = np.arange(math.ceil(duration_s * rate_hz - 1e-9)) / rate_hz
-    edges = sorted({edge for fault in scenario.faults for edge in (fault.start_s, fault.stop_s)})
-    disturbance = 1.0 if scenario.disturbed else 0.0
     state, start_u = _start(torque)
-    x = np.empty((len(t), 4))
-    u = np.empty((len(t), 1))
+    x, u, y = np.empty((len(t), 4)), np.empty((len(t), 1)), np.empty((len(t), 3))
     for k, time_s in enumerate(t.tolist()):
         held = start_u(time_s)
-        x[k], u[k] = state, held
-        end_s = (k + 1) / rate_hz
-        borders = [time_s, *(edge for edge in edges if time_s < edge < end_s), end_s]
-        for first, last in pairwise(borders):
-            acting = [f.signal for f in scenario.faults if f.channel == "f_a" and f.start_s <= first < f.stop_s]
-            state = _integrate(state, first, last, u=held, f_a=acting, disturbance=disturbance)
+        x[k], u[k], y[k] = state, held, measure_arm(scenario, state, time_s)
+        state = step_arm(scenario, state, time_s, (k + 1) / rate_hz, held)
     f_a, f_s = (
-        np.array([[sum(f.at(s) for f in scenario.faults if f.channel == channel)] for s in t.tolist()])
-        for channel in FAULT_CHANNELS
+        np.array([[fault_size(scenario, channel, s)] for s in t.tolist()]).reshape(-1, 1) for channel in FAULT_CHANNELS
     )
-    w_2 = disturbance * 0.1 * np.sin(10.0 * t)
-    y = np.column_stack([x[:, 0] + f_s[:, 0] + 0.1 * w_2, x[:, 1] - 0.02 * w_2, x[:, 2] + x[:, 3]])
     return ArmRun(t=t, u=u, y=y, x=x, f_a=f_a, f_s=f_s)
 
 
-State = tuple[float, float, float, float]
+def fault_size(scenario: ArmScenario, channel: FaultChannel, time_s: float) -> float:
+    """Return the true size of a channel's faults at a time; at a jump the one after it."""
+    return sum(fault.at(time_s) for fault in scenario.faults if fault.channel == channel)
+
+
+def measure_arm(scenario: ArmScenario, state: State, time_s: float) -> tuple[float, float, float]:
+    """Return the outputs C x + D_f f_s + D_1 w_2 at a state."""
+    w_2 = 0.1 * math.sin(10.0 * time_s) if scenario.disturbed else 0.0
+    f_s = fault_size(scenario, "f_s", time_s)
+    return state[0] + f_s + 0.1 * w_2, state[1] - 0.02 * w_2, state[2] + state[3]
+
+
+def step_arm(scenario: ArmScenario, state: State, start_s: float, end_s: float, torque: float) -> State:
+    """Return the state at ``end_s`` of an arm that was in ``state`` at ``start_s`` and whose torque is held."""
+    edges = sorted({edge for fault in scenario.faults for edge in (fault.start_s, fault.stop_s)})
+    borders = [start_s, *(edge for edge in edges if start_s < edge < end_s), end_s]
+    disturbance = 1.0 if scenario.disturbed else 0.0
+    for first, last in pairwise(borders):
+        acting = [f.signal for f in scenario.faults if f.channel == "f_a" and f.start_s <= first < f.stop_s]
+        state = _integrate(state, first, last, u=torque, f_a=acting, disturbance=disturbance)
+    return state
+
+
+def tracking_reference(time_s: float) -> tuple[State, float]:
+    """Return state and torque of the healthy, undisturbed arm whose link swings as 0.5 sin(0.5 t) rad.
+
+    The link angle q = x_3 is a flat output: x_1 = q + (q'' + 3.33 sin q) / 19.5 follows from the link's
+    equation, and u from the motor's with the derivatives of x_1.
+    """
+    phase = _SWING_RATE * time_s
+    s, c = math.sin(phase), math.cos(phase)
+    q, q_1 = _SWING * s, _SWING * _SWING_RATE * c
+    q_2, q_3, q_4 = (-(_SWING_RATE**2) * v for v in (q, q_1, -(_SWING_RATE**2) * q))
+    sin_q, cos_q = math.sin(q), math.cos(q)
+    x_1 = q + (q_2 + _GRAVITY * sin_q) / _STIFF_LINK
+    x_2 = q_1 + (q_3 + _GRAVITY * cos_q * q_1) / _STIFF_LINK
+    x_2_1 = q_2 + (q_4 + _GRAVITY * (cos_q * q_2 - sin_q * q_1 * q_1)) / _STIFF_LINK
+    return (x_1, x_2, q, q_1), (x_2_1 + _STIFF_MOTOR * (x_1 - q) + _DAMPING * x_2) / _TORQUE
 
 
 def _integrate(
@@ -273,24 +301,7 @@ def _along(x: State, slope: State, h: float) -> State:
 
 
 def _start(torque: Torque) -> tuple[State, Signal]:
-    """Return the state at time 0 and the torque over time.
-
-    The link angle q = x_3 is a flat output: x_1 = q + (q'' + 3.33 sin q) / 19.5 follows from the link's
-    equation, and u from the motor's with the derivatives of x_1.
-    """
+    """Return the state at time 0 and the torque over time."""
     if torque == "zero":
         return (0.0, 0.0, 0.0, 0.0), lambda _: 0.0
-
-    def motor(time_s: float) -> tuple[float, float, float, float, float]:
-        phase = _SWING_RATE * time_s
-        s, c = math.sin(phase), math.cos(phase)
-        q, q_1 = _SWING * s, _SWING * _SWING_RATE * c
-        q_2, q_3, q_4 = (-(_SWING_RATE**2) * v for v in (q, q_1, -(_SWING_RATE**2) * q))
-        sin_q, cos_q = math.sin(q), math.cos(q)
-        x_1 = q + (q_2 + _GRAVITY * sin_q) / _STIFF_LINK
-        x_2 = q_1 + (q_3 + _GRAVITY * cos_q * q_1) / _STIFF_LINK
-        x_2_1 = q_2 + (q_4 + _GRAVITY * (cos_q * q_2 - sin_q * q_1 * q_1)) / _STIFF_LINK
-        return x_1, x_2, q, q_1, (x_2_1 + _STIFF_MOTOR * (x_1 - q) + _DAMPING * x_2) / _TORQUE
-
-    x_1, x_2, q, q_1, _ = motor(0.0)
-    return (x_1, x_2, q, q_1), lambda time_s: motor(time_s)[4]
+    return tracking_reference(0.0)[0], lambda time_s: tracking_reference(time_s)[1]
