@@ -4,9 +4,13 @@
     python bench/fuzz.py TARGET --minutes 10 [--seed N]
     python bench/fuzz.py --all --minutes 10 --jobs 2
 
+    python bench/fuzz.py TARGET --growth        the last step alone, on inputs found before
+
 Each target runs in a process of its own. What counts as a finding: an exception that is not the target's documented
 one, an input that takes longer than a second of processor time (more for models and whole flights), memory that grows.
-The minutes are those of a processor: what else the machine does costs no coverage.
+The minutes are those of a processor: what else the machine does costs no coverage. Growth is looked for afterwards, in
+a process without the fuzzer, which keeps results of its own of many comparisons: the inputs it found, half of them
+changed at random, again and again for a tenth of the time.
 Inputs that were findings, and the slowest one, stay in the folder of the target (`--out`, default fuzz-out). Needs
 atheris: `pip install -e .[fuzz]`.
 """
@@ -18,6 +22,7 @@ import gc
 import hashlib
 import json
 import os
+import random
 import resource
 import subprocess
 import sys
@@ -31,10 +36,10 @@ from typing import Any
 ROOT = Path(__file__).parent.parent
 # Of the clock on the wall: a machine with other work takes many times as long.
 HANG_S = 300
-# Both after a fifth of the time, when caches are full: resident memory holds the fuzzer's own inputs and tables too,
-# Python's blocks are ours alone.
-GROWN_BYTES = 64 << 20
-GROWN_BLOCKS = 100_000
+# Both after a fifth of the time, when caches are full.
+GROWN_BYTES = 16 << 20
+GROWN_BLOCKS = 20_000
+GROWTH_SHARE = 0.1
 MOST_FINDINGS = 40
 # Beyond what is mapped at the start: an allocation that a few bytes ask for fails instead of being reserved unseen.
 ADDRESS_SPACE = 2 << 30
@@ -44,9 +49,8 @@ HEADINGS = ("target", "minutes of a processor (on the clock)", "executions", "sl
 class Watch:
     """Runs one target on input after input, and keeps what is to be reported."""
 
-    def __init__(self, run: Any, seconds: float, folder: Path, slow_s: float, arrays: bool) -> None:
+    def __init__(self, run: Any, seconds: float, folder: Path, slow_s: float) -> None:
         self._run = run
-        self._arrays = arrays
         self._folder = folder
         self._seconds = seconds
         self._slow_s = slow_s
@@ -55,7 +59,6 @@ class Watch:
         self._told = 0.0
         self._executions = 0
         self._slowest = (0.0, b"")
-        self._warm: tuple[int, int] | None = None
         self._findings: dict[str, str] = {}
 
     def __call__(self, data: bytes) -> None:
@@ -75,18 +78,11 @@ class Watch:
         if now - self._told < 1.0:
             return
         self._told = now
-        if self._warm is None and now > self._seconds / 5:
-            self._warm = _memory()
         if now > self._seconds:
             self.finish()
 
     def finish(self) -> None:
         """Write the report and end the process: the fuzzer itself never returns."""
-        end = _memory()
-        warm = self._warm or end
-        grown = end[0] - warm[0], end[1] - warm[1]
-        if not self._arrays and (grown[0] > GROWN_BYTES or grown[1] > GROWN_BLOCKS):
-            self._note(f"growth: {grown[0] / 1e6:.0f} MB, {grown[1]} blocks", b"")
         (self._folder / "slowest").write_bytes(self._slowest[1])
         report = {
             "minutes": (time.monotonic() - self._start) / 60,
@@ -94,8 +90,6 @@ class Watch:
             "executions": self._executions,
             "slowest_ms": self._slowest[0] * 1e3,
             "slowest_bytes": len(self._slowest[1]),
-            "grown_bytes": grown[0],
-            "grown_blocks": grown[1],
             "findings": self._findings,
         }
         (self._folder / "report.json").write_text(json.dumps(report, indent=1))
@@ -142,7 +136,7 @@ def work(name: str, seconds: float, seed: int, folder: Path) -> None:
         one.mkdir(parents=True, exist_ok=True)
     for data in target.seeds():
         (corpus / hashlib.sha256(data).hexdigest()[:16]).write_bytes(data[: target.largest])
-    watch = Watch(target.make(scratch), seconds, folder, target.slow_s, target.arrays)
+    watch = Watch(target.make(scratch), seconds, folder, target.slow_s)
     mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (mapped + ADDRESS_SPACE, resource.RLIM_INFINITY))
     options = [f"-max_len={target.largest}", f"-seed={seed}", f"-timeout={HANG_S}", "-rss_limit_mb=0", "-verbosity=0"]
@@ -150,23 +144,63 @@ def work(name: str, seconds: float, seed: int, folder: Path) -> None:
     atheris.Fuzz()
 
 
-def run(name: str, minutes: float, seed: int, out: Path) -> dict[str, Any]:
-    """Fuzz one target in a process of its own; return its report."""
+def growth(name: str, seconds: float, seed: int, folder: Path) -> dict[str, Any]:
+    """Feed what the fuzzer found, and what is like it, without the fuzzer; return by how much memory grew."""
+    from fuzz_targets import TARGETS
+
+    target, draw = TARGETS[name], random.Random(seed)  # noqa: S311 - inputs, not secrets
+    found = [path.read_bytes() for path in sorted((folder / "corpus").iterdir())] or [b""]
+    scratch = folder / "scratch"
+    scratch.mkdir(parents=True, exist_ok=True)
+    run, start, executions = target.make(scratch), time.process_time(), 0
+    warm: tuple[int, int] | None = None
+    while (used := time.process_time() - start) < seconds:
+        if warm is None and used > seconds / 5:
+            warm = _memory()
+        data = bytearray(draw.choice(found))
+        for _ in range(draw.choice((0, 0, 0, 1, 2, 8)) if data else 0):
+            data[draw.randrange(len(data))] = draw.randrange(256)
+        run(bytes(data))
+        executions += 1
+    end = _memory()
+    grown = [after - before for after, before in zip(end, warm or end, strict=True)]
+    return {"grown_bytes": grown[0], "grown_blocks": grown[1], "again": executions}
+
+
+def run(name: str, minutes: float, seed: int, out: Path, *, fuzz: bool = True) -> dict[str, Any]:
+    """Fuzz one target in a process of its own, then look for growth in another; return the report."""
     folder = out / name
     folder.mkdir(parents=True, exist_ok=True)
     report = folder / "report.json"
-    report.unlink(missing_ok=True)
+    found: dict[str, Any] = json.loads(report.read_text()) if not fuzz and report.is_file() else {}
+    if fuzz:
+        report.unlink(missing_ok=True)
+        problem = _worker(name, minutes, seed, out, "--worker")
+        if not report.is_file():
+            return {"findings": {problem: "log.txt"}}
+        found = json.loads(report.read_text())
+    grown = folder / "growth.json"
+    grown.unlink(missing_ok=True)
+    problem = _worker(name, minutes * GROWTH_SHARE, seed, out, "--growth-worker")
+    if not grown.is_file():
+        return found | {"findings": found.get("findings", {}) | {problem: "log.txt"}}
+    found |= json.loads(grown.read_text())
+    if found["grown_bytes"] > GROWN_BYTES or found["grown_blocks"] > GROWN_BLOCKS:
+        found["findings"][f"growth: {found['grown_bytes'] / 1e6:.0f} MB, {found['grown_blocks']} blocks"] = "corpus"
+    return found
+
+
+def _worker(name: str, minutes: float, seed: int, out: Path, kind: str) -> str:
+    """Run this file as a worker; return how it ended."""
     command = [sys.executable, str(Path(__file__)), name, "--minutes", str(minutes), "--seed", str(seed)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    with (folder / "log.txt").open("w") as log:
+    path = out / name / ("log.txt" if kind == "--worker" else "growth.txt")
+    with path.open("w") as log:
         code = subprocess.run(  # noqa: S603 - our own command
-            [*command, "--out", str(out), "--worker"], stdout=log, stderr=log, env=environment, check=False
+            [*command, "--out", str(out), kind], stdout=log, stderr=log, env=environment, check=False
         ).returncode
-    if not report.is_file():
-        tail = (folder / "log.txt").read_text(errors="replace").strip().splitlines()[-1:]
-        return {"findings": {f"ended with status {code}: {' '.join(tail)}": "log.txt"}}
-    found: dict[str, Any] = json.loads(report.read_text())
-    return found
+    tail = path.read_text(errors="replace").strip().splitlines()[-1:]
+    return f"ended with status {code}: {' '.join(tail)}"
 
 
 def row(name: str, report: dict[str, Any]) -> str:
@@ -191,10 +225,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1, help="targets at the same time (default 1)")
     parser.add_argument("--seed", type=int, default=1, help="of the fuzzer's random numbers (default 1)")
     parser.add_argument("--out", type=Path, default=Path("fuzz-out"), help="where inputs and logs are kept")
+    parser.add_argument("--growth", action="store_true", help="do not fuzz: look for growth on inputs found before")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--growth-worker", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args(argv)
     if args.worker:
         work(args.targets[0], args.minutes * 60, args.seed, args.out / args.targets[0])
+    if args.growth_worker:
+        folder = args.out / args.targets[0]
+        (folder / "growth.json").write_text(json.dumps(growth(args.targets[0], args.minutes * 60, args.seed, folder)))
+        return 0
     from fuzz_targets import TARGETS
 
     if args.list:
@@ -208,7 +248,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     print("| " + " | ".join(HEADINGS) + " |\n" + "|---" * len(HEADINGS) + "|", flush=True)
     clean = True
     with ThreadPoolExecutor(args.jobs) as pool:
-        jobs = {name: pool.submit(run, name, args.minutes, args.seed, args.out.absolute()) for name in names}
+        jobs = {
+            name: pool.submit(run, name, args.minutes, args.seed, args.out.absolute(), fuzz=not args.growth)
+            for name in names
+        }
         for name, job in jobs.items():
             report = job.result()
             clean = clean and not report["findings"]

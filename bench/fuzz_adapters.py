@@ -471,9 +471,9 @@ TARGETS = (
     Target("zenoh", "Zenoh payloads of any key and encoding", _zenoh, _zenoh_seeds, 1 << 15),
     Target("cdr", "CDR payloads of every shipped type", _cdr, _cdr_seeds),
     Target("definition", "message definitions, and CDR by them", _definition, _definition_seeds),
-    Target("tlog", "telemetry logs, plain and compressed", _tlog, _tlog_seeds, 1 << 13, arrays=True),
-    Target("mcap", "MCAP logs: damaged, unfinished, with any records", _mcap, _mcap_seeds, 1 << 13, arrays=True),
-    Target("record", "records of logs to messages", _record, _record_seeds, arrays=True),
+    Target("tlog", "telemetry logs, plain and compressed", _tlog, _tlog_seeds, 1 << 13),
+    Target("mcap", "MCAP logs: damaged, unfinished, with any records", _mcap, _mcap_seeds, 1 << 13),
+    Target("record", "records of logs to messages", _record, _record_seeds),
     Target("compressed", ".xz and .gz", _compressed, _compressed_seeds, 1 << 13),
     Target(
         "key", "signing key files", _key, lambda: [b"0" * 64, b"pass phrase\n", bytes(32), b"", b"\xff" * 5000], 1 << 13

@@ -111,8 +111,4 @@ def _seeds() -> list[bytes]:
     return [*long, *random_inputs(20, 100, seed=2)]
 
 
-TARGETS = (
-    Target(
-        "blocks", "messages as blocks cut anywhere, against one by one", _blocks, _seeds, 256, slow_s=10.0, arrays=True
-    ),
-)
+TARGETS = (Target("blocks", "messages as blocks cut anywhere, against one by one", _blocks, _seeds, 256, slow_s=10.0),)

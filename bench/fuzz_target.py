@@ -26,8 +26,6 @@ class Target:
         Most bytes of an input.
     slow_s : float
         Processor time from which on an input is a finding, seconds; instrumented code takes several times as long.
-    arrays : bool
-        It compares arrays, and atheris keeps the result of every such comparison: its growth is no finding.
     """
 
     name: str
@@ -36,7 +34,6 @@ class Target:
     seeds: Callable[[], Sequence[bytes]]
     largest: int = 4096
     slow_s: float = 1.0
-    arrays: bool = False
 
 
 @contextmanager
