@@ -2,21 +2,26 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-long lint format docs clean
+.PHONY: demo test test-long test-system lint format docs dist clean
 
 demo: $(VENV)/.app
 	$(BIN)/fauio demo
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not long"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not long and not system"
 
 test-long: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m long
+
+# systemd-analyze, zsh and fish have to be there
+test-system: $(VENV)/.dev
+	$(BIN)/python -m pytest -m system
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/hadolint Containerfile
 
 format: $(VENV)/.dev
 	$(BIN)/ruff format .
@@ -24,6 +29,10 @@ format: $(VENV)/.dev
 
 docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+dist: $(VENV)/.dev
+	rm -rf dist
+	$(BIN)/python -m build
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

@@ -14,6 +14,7 @@ import adapters.commands
 import gains.commands
 import monitor.commands
 import replay.commands
+from monitor.console.completion import add_completion
 
 INTERRUPTED = 130
 
@@ -33,6 +34,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for package in (replay.commands, gains.commands, monitor.commands, adapters.commands):
         package.add_parsers(commands)
+    add_completion(commands, parser)
     return parser
 
 

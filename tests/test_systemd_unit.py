@@ -6,6 +6,8 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from fauio import build_parser
 
 UNIT = Path(__file__).parent.parent / "systemd/fauio@.service"
@@ -43,12 +45,23 @@ def test_the_unit_gives_the_daemon_no_more_than_it_needs() -> None:
     assert set(unit["RestrictAddressFamilies"].split()) == {"AF_UNIX", "AF_INET", "AF_INET6", "AF_NETLINK"}
 
 
-def test_systemd_finds_no_fault_with_the_unit_where_there_is_a_systemd(tmp_path: Path) -> None:
+@pytest.fixture
+def unit(tmp_path: Path) -> Path:
+    """Write the unit with a program that is there: fauio is not installed where the tests run."""
     program = shlex.split(service()["ExecStart"])[0]
     installed = tmp_path / UNIT.name
-    # a path that is there: fauio is not installed where the tests run
     installed.write_text(UNIT.read_text().replace(program, shutil.which("true") or "/bin/true"))
-    tool = shutil.which("systemd-analyze")
-    if tool is not None:
-        done = subprocess.run([tool, "verify", str(installed)], capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stderr) == (0, "")
+    return installed
+
+
+@pytest.mark.system
+def test_systemd_finds_no_fault_with_the_unit(unit: Path) -> None:
+    done = subprocess.run(["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.system
+def test_systemd_calls_the_service_hardly_exposed(unit: Path) -> None:
+    judge = ["systemd-analyze", "security", "--offline=true", "--threshold=20", str(unit)]
+    done = subprocess.run(judge, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"more than 2.0 of 10:\n{done.stdout}"

@@ -1,1 +1,1 @@
-"""`fauio alarms`: the live table and what operators ask of a monitor."""
+"""At the terminal: the live table of `fauio alarms`, what operators ask of a monitor, shell completion."""
