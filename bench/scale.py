@@ -33,7 +33,7 @@ from long_log import LongLog
 
 from adapters.logs.recordings import read_blocks
 from monitor.profile import Profile, read_profile
-from monitor.views.palette import BLUE, GREY, ORANGE
+from monitor.views.palette import BLUE, GREY
 from replay.player import interests, play_blocks
 
 ROOT = Path(__file__).parent.parent
@@ -117,7 +117,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
     middle.loglog(
         [row["megabytes"] for row in lengths],
         [row["resident_mb"] for row in lengths],
-        color=ORANGE,
+        color=BLUE,
         marker="s",
         label="measured",
     )

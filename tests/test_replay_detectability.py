@@ -21,7 +21,7 @@ from adapters.message import Message
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
 from monitor.profile import Profile
-from monitor.views.palette import BLUE, ORANGE, rgba
+from monitor.views.palette import BLUE, PURPLE, rgba
 from replay.attacks.attack import Attack, InjectionError
 from replay.sensitivity.detectability import Detectability, Row, Sweep, detectability
 from replay.sensitivity.detectability_plot import plot_detectability
@@ -157,7 +157,7 @@ def has_colour(path: Path, colour: str) -> bool:
 def test_the_picture_shows_delays_and_misses_and_draws_any_result(tmp_path: Path, found: Detectability) -> None:
     plot_detectability(tmp_path / "found.png", found)
     assert has_colour(tmp_path / "found.png", BLUE)
-    assert has_colour(tmp_path / "found.png", ORANGE)
+    assert has_colour(tmp_path / "found.png", PURPLE)
     odd = [
         replace(ROW, kind="freeze", size=None),
         replace(ROW, kind="scale", size=-1.0, missed=0),

@@ -12,9 +12,9 @@ from matplotlib import image
 from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, event, trace
 
 from monitor.trace import TraceBuilder
-from monitor.views.palette import BLUE, DARK, SERIES, SEVERITY, SKY, rgba
+from monitor.views.palette import BLUE, DARK, GREY, SERIES, SEVERITY, rgba
 from replay.reports.plot import DPI, HIGHEST_IN, WIDTH_IN, colour_variables, plot_png, plot_svg
-from replay.reports.plot_panels import DOUBT_ALPHA
+from replay.reports.plot_panels import BAND_ALPHA, DOUBT_ALPHA, SPAN_ALPHA
 
 EVENTS = [event(1020, "raised"), event(1300, "cleared"), event(1400, "raised", id="02J", severity="critical")]
 
@@ -35,10 +35,10 @@ def test_estimates_and_alarms_are_drawn_in_their_colours(tmp_path: Path) -> None
     truth = {"motor1": (run.vehicle_ns / 1e9, np.where(run.vehicle_ns >= 10_000_000_000, -0.03, 0.0))}
     plot_png(tmp_path / "run.png", [run], EVENTS, THRESHOLDS, truth, "a run")
     assert has_colour(tmp_path / "run.png", BLUE)
-    assert has_colour(tmp_path / "run.png", SEVERITY["warning"], 0.25)
-    assert has_colour(tmp_path / "run.png", SEVERITY["critical"], 0.25)
+    assert has_colour(tmp_path / "run.png", SEVERITY["warning"], SPAN_ALPHA["warning"])
+    assert has_colour(tmp_path / "run.png", SEVERITY["critical"], SPAN_ALPHA["critical"])
     plot_png(tmp_path / "calm.png", [run], [], THRESHOLDS)
-    assert not has_colour(tmp_path / "calm.png", SEVERITY["critical"], 0.25)
+    assert not has_colour(tmp_path / "calm.png", SEVERITY["critical"], SPAN_ALPHA["critical"])
 
 
 def test_each_observer_adds_its_panels(tmp_path: Path) -> None:
@@ -53,14 +53,14 @@ def test_quiet_channels_of_many_share_a_panel_with_a_band(tmp_path: Path) -> Non
     both = [run, replace(run, layout=STANDBY)]
     plot_png(tmp_path / "few.png", [run], EVENTS, THRESHOLDS)
     plot_png(tmp_path / "many.png", both, EVENTS, BOTH_THRESHOLDS)
-    assert has_colour(tmp_path / "many.png", SKY, 0.22)
+    assert has_colour(tmp_path / "many.png", GREY, BAND_ALPHA)
     few, many = (image.imread(tmp_path / name).shape[0] for name in ("few.png", "many.png"))
     assert many < 2 * few
 
 
 def test_an_alarm_about_no_fault_channel_is_shaded_too(tmp_path: Path) -> None:
     plot_png(tmp_path / "run.png", [trace()], [event(1020, "raised", channel="unexplained")], THRESHOLDS)
-    assert has_colour(tmp_path / "run.png", SEVERITY["warning"], 0.25)
+    assert has_colour(tmp_path / "run.png", SEVERITY["warning"], SPAN_ALPHA["warning"])
 
 
 def test_a_dozen_alarms_under_long_names_fit_a_page(tmp_path: Path) -> None:
@@ -90,14 +90,16 @@ def test_no_pyplot_state_is_left_behind(tmp_path: Path) -> None:
     assert dict(matplotlib.rcParams) == before
 
 
-def test_thresholds_are_bands_and_standard_deviations_are_shaded_unless_they_belong_to_something_else(
-    tmp_path: Path,
-) -> None:
+def test_thresholds_and_standard_deviations_are_shaded_unless_they_belong_to_something_else(tmp_path: Path) -> None:
     run = trace()
     run.sd[:] = 0.01
     plot_png(tmp_path / "with.png", [run], [], THRESHOLDS)
     plot_png(tmp_path / "without.png", [run], [], THRESHOLDS, without_sd={("motors", name) for name in LAYOUT.faults})
-    assert has_colour(tmp_path / "without.png", SKY, 0.22)
+    run.sd[:] = np.nan
+    plot_png(tmp_path / "unknown.png", [run], [], THRESHOLDS)
+    bands, none = (pixels(tmp_path / name, GREY, BAND_ALPHA) for name in ("unknown.png", "without.png"))
+    # hatching has shades of the same grey
+    assert bands > 4 * none
     shaded, bare = (pixels(tmp_path / name, BLUE, DOUBT_ALPHA) for name in ("with.png", "without.png"))
     assert shaded > 10_000
     assert bare < 1_000

@@ -116,7 +116,13 @@ def test_a_faulty_run_is_told_with_time_size_certainty_and_threshold(faulty: Run
     for event in raised:
         assert f"{event.observer} / {event.channel}: " in page.text
     for part in (
-        *("when 2001-09-09T01:4", "into the watched flight", "how long", "how large", "± one standard deviation"),
+        *(
+            "when 2001-09-09T01:4",
+            "s in the plots, vehicle's clock",
+            "how long",
+            "how large",
+            "± one standard deviation",
+        ),
         *("peak", "severity", "threshold it passed", "other explanations", "fault estimate", "within threshold"),
         *("10 bytes", faulty.profile.digest, "numpy", "messages"),
     ):

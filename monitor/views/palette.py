@@ -33,7 +33,7 @@ class Theme:
     paper, ink, muted : str
         The ground, text and axes, and what recedes.
     series : tuple[str, ...]
-        Series by number; the first is an estimate, the fifth the band within a threshold.
+        Series by number; the first is an estimate, the third a residual.
     severity : Mapping[Severity, str]
         Alarms.
     """
@@ -52,7 +52,17 @@ class Theme:
     @property
     def band(self) -> str:
         """Colour of what lies within a threshold."""
-        return self.series[4]
+        return self.muted
+
+    @property
+    def measured(self) -> str:
+        """Colour of what was measured or commanded; dashed, of what is known to be true."""
+        return self.ink
+
+    @property
+    def residual(self) -> str:
+        """Colour of residuals."""
+        return self.series[2]
 
 
 LIGHT = Theme(WHITE, BLACK, GREY, SERIES, SEVERITY)

@@ -305,7 +305,7 @@ class Injector:
         self._last_ns = stamp_ns if self._last_ns is None else max(self._last_ns, stamp_ns)
 
     def truth(self) -> dict[str, Any]:
-        """Return what was done, as one entry of ``faults``.
+        """Return what was done, as one entry of ``faults``; ``numbers`` are what its course is made of.
 
         ``on`` and ``off`` are the vehicle's time at the first and the last altered (or lost) message; of an
         actuator, the first and the last command behind which it was at fault: its outputs answer later and longer.
@@ -318,6 +318,7 @@ class Injector:
             "target": attack.channel,
             "magnitude": attack.magnitude,
             "meaning": attack.meaning,
+            "numbers": {"size": attack.size, "rate": attack.rate, "acceleration": attack.acceleration},
             "unit": self._unit,
             "seed": attack.seed,
             "messages": self.altered,

@@ -62,6 +62,7 @@ def compare_effects(
     horizon_s = horizon / rate_hz
     return Comparison(
         names=plant.outputs,
+        units=tuple("m/s²" if name.endswith("acceleration") else "rad/s" for name in plant.outputs),
         times=np.arange(len(measured))[shown] / rate_hz,
         measured=measured[shown],
         predicted=predicted[shown],

@@ -13,24 +13,16 @@ from numpy.typing import NDArray
 
 from gains.identification.excitation import Verdict
 from gains.identification.residuals import ResidualStatistics
-from monitor.views.palette import BLACK, BLUE, GREY, VERMILION
+from monitor.views.palette import GREY, LIGHT
+from replay.reports.plot import DPI, STYLE, WIDTH_IN
+from replay.reports.small_png import save_small
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.gridspec import GridSpec
 
-WIDTH_IN = 9.0
 OUTPUT_IN = 1.7
-DPI = 140
-
-_STYLE: dict[str, Any] = {
-    "font.size": 8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.6,
-    "lines.linewidth": 0.8,
-    "legend.frameon": False,
-}
+MODEL_UNIT = "model's unit"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +44,8 @@ class Comparison:
         Statistics of each output's residual.
     about : str
         What is compared, for the title.
+    units : tuple[str, ...]
+        Units of the outputs (p,); empty where the model does not say.
     """
 
     names: tuple[str, ...]
@@ -62,6 +56,7 @@ class Comparison:
     explained: dict[str, NDArray[np.float64]]
     statistics: tuple[ResidualStatistics, ...]
     about: str = "prediction against measurement, data kept back"
+    units: tuple[str, ...] = ()
 
 
 def parameter_lines(verdicts: Sequence[Verdict]) -> list[str]:
@@ -123,7 +118,7 @@ def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title:
     from matplotlib.figure import Figure
 
     count = len(comparison.names)
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, OUTPUT_IN * count + 0.9), dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
         grid = figure.add_gridspec(2 * count, 2, width_ratios=[3.2, 1.0], height_ratios=[2.0, 1.0] * count)
@@ -137,18 +132,22 @@ def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title:
         figure.align_ylabels(series)
         handles, labels = series[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper left", ncols=len(labels), title=title, alignment="left")
-        figure.savefig(path)
+        save_small(figure, path)
 
 
 def _draw_series(figure: Any, grid: GridSpec, comparison: Comparison, i: int, shared: Axes | None) -> tuple[Axes, Axes]:
     upper = figure.add_subplot(grid[2 * i, 0], sharex=shared)
     lower = figure.add_subplot(grid[2 * i + 1, 0], sharex=shared or upper)
-    upper.plot(comparison.times, comparison.measured[:, i], color=BLACK, label="measured")
-    upper.plot(comparison.times, comparison.predicted[:, i], color=BLUE, label="predicted")
-    upper.set_ylabel("\n".join(textwrap.wrap(comparison.names[i].replace("_", " "), 14)))
-    lower.plot(comparison.times, comparison.residuals[:, i], color=VERMILION, linewidth=0.6)
+    unit = comparison.units[i] if comparison.units else MODEL_UNIT
+    upper.plot(comparison.times, comparison.measured[:, i], color=LIGHT.measured, label="measured")
+    upper.plot(comparison.times, comparison.predicted[:, i], color=LIGHT.estimate, label="predicted")
+    upper.set_ylabel("\n".join([*textwrap.wrap(comparison.names[i].replace("_", " "), 14), f"({unit})"]))
+    [line] = lower.plot(comparison.times, comparison.residuals[:, i], color=LIGHT.residual, linewidth=0.6)
+    line.set_label("residual" if i == 0 else "")
     lower.axhline(0.0, color=GREY, linewidth=0.5)
-    lower.set_ylabel("residual")
+    # in the same unit; a short one has room
+    lower.set_ylabel(f"residual\n({unit})" if comparison.units else "residual")
+    lower.locator_params(axis="y", nbins=3)
     return upper, lower
 
 
@@ -156,12 +155,14 @@ def _draw_correlation(panel: Axes, comparison: Comparison, i: int) -> None:
     found = comparison.statistics[i]
     lags = np.arange(1, len(found.autocorrelation) + 1)
     panel.axhspan(-found.bound, found.bound, color=GREY, alpha=0.3, linewidth=0)
-    panel.vlines(lags, 0.0, found.autocorrelation, color=VERMILION, linewidth=1.2)
+    panel.vlines(lags, 0.0, found.autocorrelation, color=LIGHT.residual, linewidth=1.2)
     panel.axhline(0.0, color=GREY, linewidth=0.5)
     panel.set_ylim(-1.05, 1.05)
-    panel.set_title("residual's autocorrelation" if i == 0 else "", fontsize=8)
+    panel.set_yticks([-1.0, 0.0, 1.0])
+    if i == 0:
+        panel.set_title("autocorrelation of the residual\n(of white noise: within grey)", fontsize=8)
     if i == len(comparison.names) - 1:
-        panel.set_xlabel("lag (samples; white: within grey)")
+        panel.set_xlabel("lag (samples)")
 
 
 def liveliest(values: NDArray[np.float64], samples: int) -> slice:

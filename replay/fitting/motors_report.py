@@ -47,6 +47,7 @@ def _compared(fit: MultirotorFit, segments: Sequence[Segment]) -> Comparison:
     horizon_s = horizon / fit.rate_hz
     return Comparison(
         names=RATE_AXES,
+        units=("rad/s",) * len(RATE_AXES),
         times=np.arange(len(measured))[shown] / fit.rate_hz,
         measured=measured[shown],
         predicted=predicted[shown],

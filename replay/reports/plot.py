@@ -8,14 +8,12 @@ import textwrap
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from monitor.bus.alarm_text import printable
+from monitor.bus.alarm_text import printable, utc
 from monitor.event import AlarmEvent
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.views.palette import DARK, LIGHT, Theme
@@ -25,17 +23,20 @@ from replay.reports.plot_panels import (
     BAND_ALPHA,
     DOUBT_ALPHA,
     DOUBT_DEVIATIONS,
-    FEW_INPUTS,
-    NOT_ARMED_ALPHA,
     SPAN_ALPHA,
     TRUTH_DASHES,
+    UNWATCHED_ALPHA,
+    UNWATCHED_HATCH,
     Look,
+    alarm_lanes,
+    draw_alarms,
     draw_fault,
     draw_heading,
     draw_inputs,
     draw_quiet,
     draw_residuals,
 )
+from replay.reports.small_png import save_small
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,14 +46,16 @@ WIDTH_IN = 8.0
 HIGHEST_IN = 16.0
 HEADING_IN = 0.22
 FAULT_IN = 1.0
-LEAST_FAULT_IN = 0.35
+LEAST_FAULT_IN = 0.4
+FEW_TICKS_IN = 0.8
+FEW_TICKS = 2
 LANE_IN = 0.2
 LEAST_LANES = 2
-INPUT_IN = 1.0
 TITLE_IN = 0.2
 ENDS_IN = 1.0
 DPI = 160
 TITLE_LETTERS = 105
+SAME_CLOCK_NS = 1_000_000_000
 SVG_BINS = 600
 
 # it would hold for the whole page
@@ -73,7 +76,8 @@ STYLE: dict[str, Any] = {
     "lines.linewidth": 0.8,
     "lines.solid_joinstyle": "round",
     "legend.frameon": False,
-    "legend.handlelength": 1.8,
+    "legend.handlelength": 1.5,
+    "hatch.linewidth": 0.4,
     "figure.constrained_layout.h_pad": 0.03,
     "figure.constrained_layout.w_pad": 0.08,
 }
@@ -104,15 +108,17 @@ def plot_png(
     Per observer, under its name where there are several: a panel for each fault channel that had an alarm or whose
     truth is known, with its estimate within two standard deviations, its alarm threshold as a dotted band, the truth
     dashed, and its alarms as shaded spans; one panel of lanes for the quiet channels, each over its own threshold;
-    then the residuals in lanes, each over its own size; then the inputs, in lanes where there are many. Where all
-    observers together have few channels, each has its panel. An observer without any sample has none. Time is the
-    vehicle's own. Where no alarm could be raised, panels are grey, and what is drawn there sets no scale.
-    Long recordings are drawn as the envelope of their smallest and largest values: no peak is lost.
+    then the residuals and the inputs in lanes, each over its own size. Where all observers together have few channels,
+    each has its panel. Where several channels had alarms, lanes at the top say when. An observer without any sample has
+    no panel. Time counts from the first sample; the axis says when that was. Where no alarm could be raised, gaps
+    between samples among it, panels are hatched, and what is drawn there sets no scale; an estimate beyond its panel
+    is marked at the edge. Long recordings are drawn as the envelope of their smallest and largest values: no peak is
+    lost.
 
     Parameters
     ----------
     path : str | PathLike
-        PNG to write, 8 inches wide; up to 16 high, panels of faults shrink to a third before it grows beyond.
+        PNG to write, 8 inches wide; up to 16 high, panels of faults shrink to 0.4 before it grows beyond.
     traces : Sequence[Trace]
         One per observer.
     events : Sequence[AlarmEvent]
@@ -129,10 +135,10 @@ def plot_png(
         Channels, by observer and name, whose evidence is not the estimate that the standard deviation belongs to.
     """
     with _drawing(_style(DARK if dark else LIGHT)):
-        figure = _figure(
+        figure = run_figure(
             traces, events, thresholds, truth or {}, title, Look(DARK if dark else LIGHT, BINS, without_sd)
         )
-        figure.savefig(path, format="png")
+        save_small(figure, path)
 
 
 def plot_svg(
@@ -141,19 +147,21 @@ def plot_svg(
     thresholds: Thresholds,
     beside: Sequence[Trace] = (),
     *,
+    truth: Truth | None = None,
     without_sd: Collection[tuple[str, str]] = (),
 ) -> str:
     """Return the same picture of one observer as an ``<svg>`` element to stand in a page, whose colours it takes.
 
-    Each colour of :data:`monitor.views.palette.LIGHT` is a CSS variable, named by :func:`colour_variables`. The run's
-    other observers, ``beside`` it, widen its axis of time, so that pictures can be compared; their alarms are not
-    shown.
+    Each colour of ``palette.LIGHT`` is a CSS variable, named by :func:`colour_variables`. The run's other
+    observers, ``beside`` it, widen its axis of time, so that pictures can be compared; their alarms are not shown.
     """
     buffer = StringIO()
     # ids are made of the salt: pictures of one page need different ones
     salt = trace.layout.observer
     with _drawing({**_style(LIGHT), "svg.fonttype": "none", "svg.hashsalt": salt}):
-        figure = _figure([trace], events, thresholds, {}, "", Look(LIGHT, SVG_BINS, without_sd), beside)
+        figure = run_figure(
+            [trace], events, thresholds, truth or {}, "", Look(LIGHT, SVG_BINS, without_sd, headed=True), beside
+        )
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(buffer, format="svg", transparent=True, metadata=nothing)
     text = buffer.getvalue()
@@ -188,7 +196,7 @@ def _style(theme: Theme) -> dict[str, Any]:
     return STYLE | dict.fromkeys(inks, theme.ink) | dict.fromkeys(papers, theme.paper)
 
 
-def _figure(
+def run_figure(
     traces: Sequence[Trace],
     events: Sequence[AlarmEvent],
     thresholds: Thresholds,
@@ -197,6 +205,7 @@ def _figure(
     look: Look,
     beside: Sequence[Trace] = (),
 ) -> Figure:
+    """Return the drawn page; ``beside`` are observers that are not drawn but widen the axis of time."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -204,6 +213,10 @@ def _figure(
     alarmed = {(span.observer, span.channel) for span in spans}
     traces, beside = ([trace for trace in some if len(trace.vehicle_ns)] for some in (traces, beside))
     every = [*traces, *beside]
+    if every:
+        origin_ns = min(int(trace.vehicle_ns[0]) for trace in every)
+        end_s = (max(int(trace.vehicle_ns[-1]) for trace in every) - origin_ns) / 1e9
+        look = replace(look, origin_ns=origin_ns, end_s=end_s, headed=len(traces) > 1 or look.headed)
     chosen = choose_panels([trace.layout for trace in traces], alarmed, truth, thresholds)
     rows = [
         row
@@ -212,23 +225,37 @@ def _figure(
             trace, panels, _concerning(trace, every, spans), thresholds, truth, look, heading=len(traces) > 1
         )
     ] or [_Row(FAULT_IN, _draw_nothing)]
+    shown = [span for span in spans if any(span in _concerning(trace, every, spans) for trace in traces)]
+    lanes = len(alarm_lanes(shown))
+    if lanes > 1:
+        rows.insert(0, _Row(_lanes_in(lanes), partial(draw_alarms, look=look, spans=shown)))
     heights = _heights(rows)
+    low = any(row.shrinks and height < FEW_TICKS_IN for row, height in zip(rows, heights, strict=True))
     figure = Figure(figsize=(WIDTH_IN, sum(heights) + TITLE_IN * len(rows) + ENDS_IN), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for row, panel in zip(rows, panels, strict=True):
         row.draw(panel)
+        if row.shrinks and low:
+            panel.locator_params(axis="y", nbins=FEW_TICKS)
     for panel in panels[:-1]:
         panel.tick_params(bottom=False)
     if traces:
-        times = [trace.vehicle_ns[[0, -1]] / 1e9 for trace in every]
-        panels[-1].set_xlabel("time on the vehicle's clock (s)")
-        panels[-1].set_xlim(np.min(times), np.max(times))
-        shown = [span for trace in traces for span in _concerning(trace, every, spans)]
+        panels[-1].set_xlabel(_since(every, look.origin_ns))
+        panels[-1].set_xlim(0.0, look.end_s or 1.0)
         _draw_legend(figure, title, look, traces, thresholds, chosen, truth, shown)
     elif title:
         figure.suptitle(textwrap.fill(printable(title), TITLE_LETTERS), x=0.01, ha="left", size=9.5, weight="bold")
     return figure
+
+
+def _since(traces: Sequence[Trace], origin_ns: int) -> str:
+    """Return the label of the axis of time, which says when its zero was."""
+    first = min(traces, key=lambda trace: int(trace.vehicle_ns[0]))
+    label = f"time (s) since {utc(int(first.unix_ns[0]))}"
+    if abs(int(first.unix_ns[0]) - origin_ns) < SAME_CLOCK_NS:
+        return label
+    return f"{label}, when the vehicle's clock showed {origin_ns / 1e9:.3f} s"
 
 
 def _draw_nothing(panel: Axes) -> None:
@@ -273,8 +300,7 @@ def _rows(
         draw = partial(draw_quiet, **shown, places=panels.together, thresholds=thresholds)
         yield _Row(_lanes_in(len(panels.together)), draw)
     yield _Row(_lanes_in(len(layout.outputs)), partial(draw_residuals, **shown))
-    inputs_in = INPUT_IN if len(layout.inputs) <= FEW_INPUTS else _lanes_in(len(layout.inputs))
-    yield _Row(inputs_in, partial(draw_inputs, **shown))
+    yield _Row(_lanes_in(len(layout.inputs)), partial(draw_inputs, **shown))
 
 
 def _lanes_in(lanes: int) -> float:
@@ -306,20 +332,30 @@ def _draw_legend(
         for trace, one in zip(traces, chosen, strict=True)
         for place in one.alone
     ):
-        marks.append(area(theme.estimate, DOUBT_ALPHA, f"±{DOUBT_DEVIATIONS:g} standard deviations"))
+        marks.append(area(theme.estimate, DOUBT_ALPHA, f"±{DOUBT_DEVIATIONS:g} std. dev."))
     if truth:
-        marks.append(Line2D([], [], color=theme.ink, linestyle=TRUTH_DASHES, label="truth"))
+        marks.append(Line2D([], [], color=theme.measured, linestyle=TRUTH_DASHES, linewidth=1.6, label="truth"))
     if thresholds:
         marks.append(area(theme.band, BAND_ALPHA, "within threshold"))
     for severity in ("warning", "critical"):
         if any(span.severity == severity for span in spans):
-            marks.append(area(theme.severity[severity], SPAN_ALPHA, f"{severity} alarm"))
-    marks.append(area(theme.muted, NOT_ARMED_ALPHA, "not watched"))
+            marks.append(area(theme.severity[severity], SPAN_ALPHA[severity], f"{severity} alarm"))
+    marks.append(
+        Patch(
+            facecolor="none",
+            edgecolor=theme.muted,
+            hatch=UNWATCHED_HATCH,
+            alpha=UNWATCHED_ALPHA,
+            linewidth=0,
+            label="not watched",
+        )
+    )
     figure.legend(
         handles=marks,
         loc="outside upper left",
         ncols=len(marks),
-        columnspacing=1.4,
+        columnspacing=1.1,
+        handletextpad=0.5,
         alignment="left",
         title=textwrap.fill(printable(title), TITLE_LETTERS) or None,
         title_fontproperties={"size": 9.5, "weight": "bold"},

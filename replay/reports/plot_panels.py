@@ -1,4 +1,4 @@
-"""The panels of a run's picture: a fault channel, quiet channels, residuals, inputs."""
+"""The panels of a run's picture: alarms, a fault channel, quiet channels, residuals, inputs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from monitor.bus.alarm_text import printable
 from monitor.trace import AlarmSpan, Trace
 from monitor.views.palette import Theme
-from monitor.views.panels import Thresholds, Truth, evidence, fault_limits, input_limits
+from monitor.views.panels import Thresholds, Truth, evidence, fault_limits
 from replay.reports.envelope import band, envelope
 
 if TYPE_CHECKING:
@@ -22,19 +22,26 @@ TRUTH_DASHES = (0, (4, 2))
 BAND_ALPHA = 0.22
 DOUBT_ALPHA = 0.3
 DOUBT_DEVIATIONS = 2.0
-SPAN_ALPHA = 0.25
-NOT_ARMED_ALPHA = 0.2
+# the two differ in lightness too, for those who see no difference in hue
+SPAN_ALPHA: dict[str, float] = {"warning": 0.25, "critical": 0.42}
+UNWATCHED_ALPHA = 0.6
+UNWATCHED_HATCH = "//////"
+MODEL_UNIT = "model's unit"
+GAP_S = 0.5
+HELD_S = 0.5
+GAP_PERIODS = 10.0
+# a wide uncertainty may widen a panel this much of what else it shows, no more
+DOUBT_ROOM = 0.5
+# where an estimate leaves its panel, at most so many marks say so
+BEYOND_MARKS = 80
 
 LANE_PERCENT = 99.5
 # a residual that is nothing but rounding is zero: the estimates explain its measurement whatever it is
 ROUNDING = 1e-9
 LANE_THRESHOLDS = 2.6
 LONGEST_NAME = 24
-FEW_INPUTS = 6
 # as many whatever the panel's height, else the layout leaves room for other labels than are drawn
 TICKS = 4
-# the last two are faint or black; lanes tell series apart without them
-LANE_COLOURS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +56,42 @@ class Look:
         Into how many runs a series is thinned.
     without_sd : Collection[tuple[str, str]]
         Channels, by observer and name, whose standard deviation is not drawn.
+    origin_ns : int
+        Zero of the axis of time, vehicle's clock.
+    end_s : float
+        Its end.
+    headed : bool
+        Whether a heading above the panels names their observer, so that their titles need not.
     """
 
     theme: Theme
     bins: int
     without_sd: Collection[tuple[str, str]] = ()
+    origin_ns: int = 0
+    end_s: float = 0.0
+    headed: bool = False
+
+
+def draw_alarms(panel: Axes, look: Look, spans: Sequence[AlarmSpan]) -> None:
+    """Draw when each channel's alarms stood, a lane for each channel."""
+    lanes = alarm_lanes(spans)
+    for lane, key in enumerate(lanes):
+        for span in spans:
+            if (span.observer, span.channel) == key:
+                start_s, end_s = _ends_s(look, span)
+                colour = look.theme.severity[span.severity]
+                height = (-lane - 0.3, 0.6)
+                panel.broken_barh(
+                    [(start_s, end_s - start_s)], height, facecolor=colour, alpha=SPAN_ALPHA[span.severity], linewidth=0
+                )
+                panel.plot([start_s] * 2, [-lane - 0.3, -lane + 0.3], color=colour, linewidth=1.4)
+    _label_lanes(panel, [_short(f"{observer} / {channel}", 2 * LONGEST_NAME) for observer, channel in lanes])
+    panel.set_title("alarms", loc="left", size=8, pad=2.5)
+
+
+def alarm_lanes(spans: Sequence[AlarmSpan]) -> list[tuple[str, str]]:
+    """Return observer and channel of all alarms, in the order of their first."""
+    return list(dict.fromkeys((span.observer, span.channel) for span in spans))
 
 
 def draw_fault(
@@ -70,21 +108,26 @@ def draw_fault(
     layout, theme = trace.layout, look.theme
     channel = layout.faults[place]
     _shade(panel, look, trace)
-    _cover(panel, look, trace, [span for span in spans if span.channel == channel])
+    _cover(panel, look, [span for span in spans if span.channel == channel])
     threshold = thresholds.get((layout.observer, channel))
-    if threshold is not None:
+    # the share of a deflection that is lost is judged by its certainty, not by a level
+    if threshold is not None and (layout.observer, channel) not in look.without_sd:
         panel.axhspan(-threshold, threshold, color=theme.band, alpha=BAND_ALPHA, linewidth=0)
         for level in (-threshold, threshold):
             panel.axhline(level, color=theme.ink, linestyle=":", linewidth=0.7)
+    limits = _with_doubt(fault_limits(trace, scale, thresholds, truth), look, trace, scale)
     if (layout.observer, channel) not in look.without_sd:
         _shade_doubt(panel, look, trace, place)
-    panel.plot(*envelope(_seconds(trace), trace.isolated[:, place], trace.restart, look.bins), color=theme.estimate)
+    estimate = trace.isolated[:, place]
     if channel in truth:
-        panel.plot(*truth[channel], color=theme.ink, linestyle=TRUTH_DASHES, linewidth=1.0)
-    panel.set_ylim(fault_limits(trace, scale, thresholds, truth))
+        times_s, sizes = truth[channel]
+        panel.plot(times_s - look.origin_ns / 1e9, sizes, color=theme.measured, linestyle=TRUTH_DASHES, linewidth=1.6)
+    panel.plot(*envelope(_seconds(trace, look), estimate, trace.restart, look.bins), color=theme.estimate)
+    panel.set_ylim(limits)
+    _mark_beyond(panel, look, trace, estimate, limits)
     panel.locator_params(axis="y", nbins=TICKS)
-    unit = layout.fault_units[place]
-    _name(panel, trace, f"{channel} ({unit})" if unit else channel)
+    unit = layout.fault_units[place] or MODEL_UNIT
+    _name(panel, look, trace, f"{channel} ({unit})")
 
 
 def draw_quiet(
@@ -100,12 +143,12 @@ def draw_quiet(
         panel.axhspan(-lane - half, -lane + half, color=theme.band, alpha=BAND_ALPHA, linewidth=0)
         share = trace.isolated[:, place] / thresholds[layout.observer, layout.faults[place]]
         height = np.clip(share / LANE_THRESHOLDS, -0.5, 0.5) - lane
-        panel.plot(*envelope(_seconds(trace), height, trace.restart, look.bins), color=theme.estimate)
+        panel.plot(*envelope(_seconds(trace, look), height, trace.restart, look.bins), color=theme.estimate)
         watched = evidence(trace, share)
         peak = f"  {100.0 * np.max(np.abs(watched)):.0f} %" if len(watched) else ""
         labels.append(_short(layout.faults[place]) + peak)
     _label_lanes(panel, labels)
-    _name(panel, trace, "quiet channels (band: ± own threshold; right: peak in % of it)")
+    _name(panel, look, trace, "quiet channels (band: ± own threshold; right: peak in % of it)")
 
 
 def draw_residuals(panel: Axes, look: Look, trace: Trace, spans: Sequence[AlarmSpan]) -> None:
@@ -116,40 +159,34 @@ def draw_residuals(panel: Axes, look: Look, trace: Trace, spans: Sequence[AlarmS
     _shade(panel, look, trace)
     _mark(panel, look, spans)
     elsewhere = [span for span in spans if span.channel not in trace.layout.faults]
-    _cover(panel, look, trace, elsewhere)
+    _cover(panel, look, elsewhere)
     labels = []
     for index, name in enumerate(trace.layout.outputs):
         residual = trace.residual[:, index]
         half = _most(evidence(trace, residual))
         nothing = half <= ROUNDING * _most(evidence(trace, trace.y[:, index]))
         lane = np.clip(residual / half / 2.2, -0.5, 0.5) if half and not nothing else np.zeros(len(residual))
-        _draw_lane(panel, look, trace, lane - index, index)
+        _draw_lane(panel, look, trace, lane - index, look.theme.residual)
         labels.append(f"{_short(name)}  ±{0.0 if nothing else half:.2g}")
     _label_lanes(panel, labels)
     about = ", ".join(dict.fromkeys(f"{span.channel} alarm" for span in elsewhere))
-    what = f"residuals (model's unit; right: {LANE_PERCENT:g} % lie within)"
-    _name(panel, trace, f"{what}; shaded: {about}" if about else what)
+    what = f"residuals ({MODEL_UNIT}; right: {LANE_PERCENT:g} % lie within)"
+    _name(panel, look, trace, f"{what}; shaded: {about}" if about else what)
 
 
 def draw_inputs(panel: Axes, look: Look, trace: Trace, spans: Sequence[AlarmSpan]) -> None:
-    """Draw few inputs over one axis with their names to its right, more of them one below the other."""
+    """Draw the inputs one below the other, each lane as high as most of its values while alarms were armed."""
     _shade(panel, look, trace)
     _mark(panel, look, spans)
-    if len(trace.layout.inputs) > FEW_INPUTS:
-        _draw_many_inputs(panel, look, trace)
-        return
+    labels = []
     for index, name in enumerate(trace.layout.inputs):
-        points = envelope(_seconds(trace), trace.u[:, index], trace.restart, look.bins)
-        panel.plot(*points, color=look.theme.series[index], label=_short(name), linewidth=0.6)
-    panel.set_ylim(input_limits(trace))
-    panel.locator_params(axis="y", nbins=TICKS)
-    if trace.layout.inputs:
-        legend = panel.legend(
-            loc="center left", bbox_to_anchor=(1.0, 0.5), borderpad=0, handlelength=1.0, labelspacing=0.2
-        )
-        for line in legend.get_lines():
-            line.set_linewidth(1.4)
-    _name(panel, trace, "inputs (model's unit)")
+        low, high = _ends(evidence(trace, trace.u[:, index]))
+        middle, height = (low + high) / 2.0, (high - low) or 1.0
+        lane = np.clip((trace.u[:, index] - middle) / height / 1.15, -0.5, 0.5) - index
+        _draw_lane(panel, look, trace, lane, look.theme.measured)
+        labels.append(f"{_short(name)}  {low:.2g} … {high:.2g}".replace("-", "\N{MINUS SIGN}"))
+    _label_lanes(panel, labels)
+    _name(panel, look, trace, f"inputs ({MODEL_UNIT}; right: from … to)")
 
 
 def draw_heading(panel: Axes, look: Look, text: str) -> None:
@@ -160,25 +197,13 @@ def draw_heading(panel: Axes, look: Look, text: str) -> None:
     panel.set_ylim(0.0, 1.0)
 
 
-def _draw_many_inputs(panel: Axes, look: Look, trace: Trace) -> None:
-    labels = []
-    for index, name in enumerate(trace.layout.inputs):
-        low, high = _ends(evidence(trace, trace.u[:, index]))
-        middle, height = (low + high) / 2.0, (high - low) or 1.0
-        lane = np.clip((trace.u[:, index] - middle) / height / 1.15, -0.5, 0.5) - index
-        _draw_lane(panel, look, trace, lane, index)
-        labels.append(f"{_short(name)}  {low:.2g} … {high:.2g}".replace("-", "\N{MINUS SIGN}"))
-    _label_lanes(panel, labels)
-    _name(panel, trace, "inputs (model's unit; right: from … to)")
+def _draw_lane(panel: Axes, look: Look, trace: Trace, lane: NDArray[np.float64], colour: str) -> None:
+    panel.plot(*envelope(_seconds(trace, look), lane, trace.restart, look.bins), color=colour, linewidth=0.6)
 
 
-def _draw_lane(panel: Axes, look: Look, trace: Trace, lane: NDArray[np.float64], index: int) -> None:
-    colour = look.theme.series[index % LANE_COLOURS]
-    panel.plot(*envelope(_seconds(trace), lane, trace.restart, look.bins), color=colour, linewidth=0.6)
-
-
-def _name(panel: Axes, trace: Trace, text: str) -> None:
-    panel.set_title(printable(f"{trace.layout.observer} / {text}"), loc="left", size=8, pad=2.5)
+def _name(panel: Axes, look: Look, trace: Trace, text: str) -> None:
+    words = text if look.headed else f"{trace.layout.observer} / {text}"
+    panel.set_title(printable(words), loc="left", size=8, pad=2.5)
 
 
 def _label_lanes(panel: Axes, labels: Sequence[str]) -> None:
@@ -188,53 +213,131 @@ def _label_lanes(panel: Axes, labels: Sequence[str]) -> None:
     panel.set_ylim(0.55 - max(len(labels), 1), 0.55)
 
 
-def _short(name: str) -> str:
+def _short(name: str, longest: int = LONGEST_NAME) -> str:
     """Return a name that cannot squeeze the panels."""
     name = printable(name)
-    return name if len(name) <= LONGEST_NAME else name[: LONGEST_NAME - 1] + "…"
+    return name if len(name) <= longest else name[: longest - 1] + "…"
 
 
-def _seconds(trace: Trace) -> NDArray[np.float64]:
-    return trace.vehicle_ns / 1e9
+def _seconds(trace: Trace, look: Look) -> NDArray[np.float64]:
+    return (trace.vehicle_ns - look.origin_ns) / 1e9
 
 
 def _shade(panel: Axes, look: Look, trace: Trace) -> None:
-    """Shade a panel where no alarm could be raised."""
-    times = _seconds(trace)
-    edges = np.flatnonzero(np.diff(np.concatenate(([True], trace.armed, [True])).astype(np.int8)))
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        end = times[min(stop, len(times) - 1)]
-        panel.axvspan(times[start], end, color=look.theme.muted, alpha=NOT_ARMED_ALPHA, linewidth=0)
+    """Hatch a panel where no alarm could be raised: the vehicle was not in flight, or there are no samples."""
+    panel.broken_barh(
+        [(start_s, stop_s - start_s) for start_s, stop_s in unwatched(trace, look)],
+        (0.0, 1.0),
+        transform=panel.get_xaxis_transform(),
+        facecolor="none",
+        edgecolor=look.theme.muted,
+        hatch=UNWATCHED_HATCH,
+        alpha=UNWATCHED_ALPHA,
+        linewidth=0,
+    )
+
+
+def unwatched(trace: Trace, look: Look) -> list[tuple[float, float]]:
+    """Return from when to when (s) an observer could raise no alarm, gaps between its samples among it."""
+    times_s = _seconds(trace, look)
+    steps_s = np.diff(times_s)
+    usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    gap = steps_s > max(GAP_S, GAP_PERIODS * usual_s)
+    goes_on = trace.armed[:-1] & trace.armed[1:] & ~gap
+    first = trace.armed & ~np.append(False, goes_on)
+    last = trace.armed & ~np.append(goes_on, False)
+    starts_s, stops_s = np.append(0.0, times_s[last]), np.append(times_s[first], look.end_s)
+    return [
+        (float(start_s), float(stop_s))
+        for start_s, stop_s in zip(starts_s, stops_s, strict=True)
+        if stop_s - start_s > 1.5 * usual_s
+    ]
 
 
 def _shade_doubt(panel: Axes, look: Look, trace: Trace, place: int) -> None:
     """Shade standard deviations around an estimate where the channel is held responsible for something."""
     estimate = trace.isolated[:, place]
-    sd = np.where(trace.armed & (estimate != 0.0), trace.sd[:, place], np.nan)
+    sd = np.where(trace.armed & _held(trace, estimate), trace.sd[:, place], np.nan)
     if not np.isfinite(sd).any():
         return
     low, high = estimate - DOUBT_DEVIATIONS * sd, estimate + DOUBT_DEVIATIONS * sd
     panel.fill_between(
-        *band(_seconds(trace), low, high, look.bins), color=look.theme.estimate, alpha=DOUBT_ALPHA, linewidth=0
+        *band(_seconds(trace, look), low, high, look.bins), color=look.theme.estimate, alpha=DOUBT_ALPHA, linewidth=0
     )
 
 
-def _cover(panel: Axes, look: Look, trace: Trace, spans: Sequence[AlarmSpan]) -> None:
+def _held(trace: Trace, estimate: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return where a channel is held responsible for something, shortly before or after included: no flicker."""
+    held_ns = trace.vehicle_ns[estimate != 0.0]
+    if not len(held_ns):
+        return np.zeros(len(estimate), np.bool_)
+    after = np.searchsorted(held_ns, trace.vehicle_ns)
+    since_ns = trace.vehicle_ns - held_ns[np.maximum(after - 1, 0)]
+    until_ns = held_ns[np.minimum(after, len(held_ns) - 1)] - trace.vehicle_ns
+    near_ns = np.minimum(np.abs(since_ns), np.abs(until_ns))
+    return np.asarray(near_ns <= 1e9 * HELD_S)
+
+
+def _with_doubt(limits: tuple[float, float], look: Look, trace: Trace, places: Sequence[int]) -> tuple[float, float]:
+    """Return the ends of a vertical axis, widened for standard deviations around its channels' estimates."""
+    low, high = limits
+    room = DOUBT_ROOM * (high - low)
+    for place in places:
+        if (trace.layout.observer, trace.layout.faults[place]) in look.without_sd:
+            continue
+        estimate, sd = trace.isolated[:, place], DOUBT_DEVIATIONS * trace.sd[:, place]
+        shown = trace.armed & (estimate != 0.0) & np.isfinite(sd)
+        if shown.any():
+            edges = np.percentile(estimate[shown] - sd[shown], 1.0), np.percentile(estimate[shown] + sd[shown], 99.0)
+            low, high = min(low, float(edges[0])), max(high, float(edges[1]))
+    return max(low, limits[0] - room), min(high, limits[1] + room)
+
+
+def _mark_beyond(
+    panel: Axes, look: Look, trace: Trace, estimate: NDArray[np.float64], limits: tuple[float, float]
+) -> None:
+    """Mark at the panel's edge where an estimate that alarms could be raised from lies beyond it."""
+    times_s = _seconds(trace, look)
+    for beyond, edge, marker in ((estimate < limits[0], 0.0, "v"), (estimate > limits[1], 1.0, "^")):
+        found = times_s[trace.armed & beyond]
+        width_s = look.end_s / BEYOND_MARKS or 1.0
+        places_s = width_s * (np.unique(np.floor(found / width_s)) + 0.5)
+        [marks] = panel.plot(
+            places_s,
+            np.full(len(places_s), edge),
+            marker,
+            color=look.theme.estimate,
+            markersize=4.0,
+            markeredgewidth=0,
+            transform=panel.get_xaxis_transform(),
+            clip_on=False,
+        )
+        marks.set_in_layout(False)
+
+
+def _ends_s(look: Look, span: AlarmSpan) -> tuple[float, float]:
+    """Return from when to when an alarm stood; one that stands does to the end."""
+    start_s = (span.start_vehicle_ns - look.origin_ns) / 1e9
+    return start_s, look.end_s if span.end_vehicle_ns is None else (span.end_vehicle_ns - look.origin_ns) / 1e9
+
+
+def _cover(panel: Axes, look: Look, spans: Sequence[AlarmSpan]) -> None:
     """Shade where alarms stood."""
     for span in spans:
-        end_ns = trace.vehicle_ns[-1] if span.end_vehicle_ns is None else span.end_vehicle_ns
+        start_s, end_s = _ends_s(look, span)
         colour = look.theme.severity[span.severity]
-        panel.axvspan(span.start_vehicle_ns / 1e9, end_ns / 1e9, color=colour, alpha=SPAN_ALPHA, linewidth=0)
-        panel.axvline(span.start_vehicle_ns / 1e9, color=colour, linewidth=1.0)
+        panel.axvspan(start_s, end_s, color=colour, alpha=SPAN_ALPHA[span.severity], linewidth=0)
+        panel.axvline(start_s, color=colour, linewidth=1.0)
 
 
 def _mark(panel: Axes, look: Look, spans: Sequence[AlarmSpan]) -> None:
     """Mark where alarms began and ended."""
     for span in spans:
         colour = look.theme.severity[span.severity]
-        panel.axvline(span.start_vehicle_ns / 1e9, color=colour, linewidth=1.0)
+        start_s, end_s = _ends_s(look, span)
+        panel.axvline(start_s, color=colour, linewidth=1.0)
         if span.end_vehicle_ns is not None:
-            panel.axvline(span.end_vehicle_ns / 1e9, color=colour, linewidth=1.0, linestyle=":")
+            panel.axvline(end_s, color=colour, linewidth=1.0, linestyle=":")
 
 
 def _most(values: NDArray[np.float64]) -> float:

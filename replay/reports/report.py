@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from adapters.logs.damage import Damage
 from monitor.bus.alarm_text import utc
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.profile import Profile
+from monitor.views.panels import Truth
 from replay.fitting.thresholds import FALSE_ALARMS_PER_HOUR
 from replay.player import Replay
 from replay.reports.findings import Calibration, Finding, WatchedChannel, effects, findings, watched_channels
@@ -58,6 +59,8 @@ class Run:
         What went in.
     damage : tuple[Damage, ...]
         What of the recording could not be read.
+    truth : Truth
+        What is known to have been injected, by channel.
     """
 
     profile: Profile
@@ -68,6 +71,7 @@ class Run:
     replay: Replay
     recording: RecordingFacts
     damage: tuple[Damage, ...] = ()
+    truth: Truth = field(default_factory=dict)
 
 
 def write_report(path: str | os.PathLike[str], run: Run) -> None:
@@ -111,12 +115,12 @@ def _header(run: Run, found: Sequence[Finding]) -> Html:
 def _found(run: Run, found: Sequence[Finding]) -> Iterator[Html]:
     if not found:
         yield element("p", _nothing_found(run))
-    start_ms = _watch_start_ms(run.replay)
+    zero_ms = _plots_zero_ms(run.replay)
     for one in found:
         yield element(
             "article",
             element("h3", f"{one.observer} / {one.channel}: {one.sentence}"),
-            facts(_of_finding(one, start_ms)),
+            facts(_of_finding(one, zero_ms)),
             class_=one.severity,
         )
 
@@ -133,13 +137,13 @@ def _blind(replay: Replay) -> list[str]:
     return [name for name, watch in replay.watches.items() if not watch.evidence]
 
 
-def _of_finding(one: Finding, start_ms: int | None) -> Iterator[tuple[str, object]]:
-    yield "when", _moment(one.start_ns, one.start_vehicle_ms, start_ms)
+def _of_finding(one: Finding, zero_ms: int | None) -> Iterator[tuple[str, object]]:
+    yield "when", _moment(one.start_ns, one.start_vehicle_ms, zero_ms)
     if one.end_ns is None or one.end_vehicle_ms is None:
         yield "how long", "until the end of the recording"
     else:
         lasted_s = (one.end_vehicle_ms - one.start_vehicle_ms) / 1000
-        yield "how long", f"{_span(lasted_s)}, cleared {_moment(one.end_ns, one.end_vehicle_ms, start_ms)}"
+        yield "how long", f"{_span(lasted_s)}, cleared {_moment(one.end_ns, one.end_vehicle_ms, zero_ms)}"
     if one.typical is not None:
         if one.deviation is None:
             yield "how large", f"{_size(one.typical, one.unit)} (median while it stood)"
@@ -229,12 +233,18 @@ def _plots(run: Run) -> Iterator[Html]:
             continue
         drawn = True
         beside = [other for other in traces if other is not trace]
-        picture = plot_svg(trace, run.replay.events, run.replay.thresholds, beside, without_sd=without_sd)
+        picture = plot_svg(
+            trace, run.replay.events, run.replay.thresholds, beside, truth=run.truth, without_sd=without_sd
+        )
         yield element(
             "figure",
             element("h3", trace.layout.observer),
             element(
-                "div", Html(picture), role="img", aria_label=f"estimates, residuals and inputs: {trace.layout.observer}"
+                "div",
+                Html(picture),
+                class_="picture",
+                role="img",
+                aria_label=f"estimates, residuals and inputs: {trace.layout.observer}",
             ),
         )
     if not drawn:
@@ -312,15 +322,15 @@ def _made(run: Run) -> Html:
     )
 
 
-def _watch_start_ms(replay: Replay) -> int | None:
-    """Return the vehicle's time of the first sample from which an alarm could be raised."""
-    starts = [int(trace.vehicle_ns[trace.armed.argmax()]) for trace in replay.traces if trace.armed.any()]
+def _plots_zero_ms(replay: Replay) -> int | None:
+    """Return the vehicle's time of the first sample, from which the plots count."""
+    starts = [int(trace.vehicle_ns[0]) for trace in replay.traces if len(trace.vehicle_ns)]
     return min(starts) // 1_000_000 if starts else None
 
 
-def _moment(unix_ns: int, vehicle_ms: int, start_ms: int | None) -> str:
-    into = "" if start_ms is None else f", {(vehicle_ms - start_ms) / 1000:.1f} s into the watched flight"
-    return f"{utc(unix_ns)} (vehicle's clock {vehicle_ms / 1000:.1f} s{into})"
+def _moment(unix_ns: int, vehicle_ms: int, zero_ms: int | None) -> str:
+    shown = "" if zero_ms is None else f"{(vehicle_ms - zero_ms) / 1000:.1f} s in the plots, "
+    return f"{utc(unix_ns)} ({shown}vehicle's clock {vehicle_ms / 1000:.1f} s)"
 
 
 def _sentence(words: str) -> str:

@@ -50,11 +50,17 @@ code { font: .88em ui-monospace, "SF Mono", Menlo, Consolas, monospace; }
 figure { margin: 1rem 0; }
 svg { display: block; width: 100%; height: auto; fill: var(--ink); }
 svg * { stroke-linejoin: round; stroke-linecap: butt; }
-@media (max-width: 40rem) { dl { grid-template-columns: 1fr; } dd { margin-bottom: .4rem; } }
+.picture { overflow-x: auto; }
+@media screen and (max-width: 40rem) {
+  dl { grid-template-columns: 1fr; }
+  dd { margin-bottom: .4rem; }
+  .picture svg { min-width: 42rem; }
+  td:last-child:not(.number) { min-width: 11rem; }
+}
 @media print {
   body { max-width: none; padding: 0; font-size: 10pt; }
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
-  .wide { overflow: visible; }
+  .wide, .picture { overflow: visible; }
   article, tr, .verdict { break-inside: avoid; }
   h2, h3 { break-after: avoid; }
   thead { display: table-header-group; }

@@ -15,8 +15,10 @@ from adapters.logs.recordings import Recording, packed, recorded_vehicle, record
 from adapters.message import Message
 from monitor.event import AlarmEvent
 from monitor.profile import Profile
+from monitor.views.panels import Truth
 from replay.player import Replay, interests, play_blocks
 from replay.progress import recording_bytes, track
+from replay.reports.known_truth import known_truth
 from replay.reports.recording_facts import RecordingMeter
 
 
@@ -186,7 +188,8 @@ def _replay(
         on_event=on_event,
     )
     verdict = _verdict(found, profile)
-    _write(profile, task, found, f"{Path(task.log).name}: {verdict}")
+    truth = known_truth(task.path, found.traces) if task.plot or task.rrd or task.report else {}
+    _write(profile, task, found, truth, f"{Path(task.log).name}: {verdict}")
     if task.report:
         from replay.reports.report import Run, write_report
 
@@ -199,6 +202,7 @@ def _replay(
             replay=found,
             recording=meter.facts(),
             damage=recording.damage(),
+            truth=truth,
         )
         write_report(task.report, run)
     verdict = f"{Path(task.log).name}: {verdict}"
@@ -219,7 +223,7 @@ def _replay(
     )
 
 
-def _write(profile: Profile, task: LogTask, found: Replay, title: str) -> None:
+def _write(profile: Profile, task: LogTask, found: Replay, truth: Truth, title: str) -> None:
     """Write the plot and the Rerun recording that were asked for."""
     if task.plot:
         from replay.reports.findings import effects
@@ -230,6 +234,7 @@ def _write(profile: Profile, task: LogTask, found: Replay, title: str) -> None:
             found.traces,
             found.events,
             found.thresholds,
+            truth,
             title=title,
             dark=task.dark,
             without_sd=effects(profile),
@@ -237,7 +242,7 @@ def _write(profile: Profile, task: LogTask, found: Replay, title: str) -> None:
     if task.rrd:
         from monitor.views.rerun_view import write_rrd
 
-        write_rrd(task.rrd, found.traces, found.events, found.thresholds)
+        write_rrd(task.rrd, found.traces, found.events, found.thresholds, truth)
 
 
 class _Span:

@@ -6,8 +6,9 @@ import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from monitor.views.palette import BLUE, GREY, ORANGE
+from monitor.views.palette import BLUE, GREY, PURPLE
 from replay.reports.plot import DPI, STYLE, WIDTH_IN
+from replay.reports.small_png import save_small
 from replay.sensitivity.detectability import Detectability, Row
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ def plot_detectability(path: str | os.PathLike[str], found: Detectability) -> No
             for column in range(used, columns):
                 grid[row][column].set_axis_off()
         _draw_legend(figure, found)
-        figure.savefig(path)
+        save_small(figure, path)
 
 
 def _lines(rows: Sequence[Row]) -> list[list[list[Row]]]:
@@ -106,7 +107,7 @@ def _draw_delays(panel: Axes, places: Sequence[float], rows: Sequence[Row]) -> N
 def _draw_missed(panel: Axes, places: Sequence[float], rows: Sequence[Row], ordered: bool) -> None:
     shares = [100.0 * row.missed / row.trials if row.trials else 0.0 for row in rows]
     widths = [0.6 if ordered else 0.16 * place for place in places]
-    panel.bar(places, shares, width=widths, color=ORANGE, linewidth=0)
+    panel.bar(places, shares, width=widths, color=PURPLE, linewidth=0)
     panel.set_ylim(0.0, 100.0)
     panel.set_yticks([0.0, 100.0], ["0 %", "100 %"])
 
@@ -145,7 +146,7 @@ def _draw_legend(figure: Figure, found: Detectability) -> None:
     marks: list[Any] = [
         Line2D([], [], color=BLUE, marker="o", markersize=3.0, label="half are seen within"),
         Line2D([], [], color=BLUE, linestyle="--", marker="o", markersize=3.5, mfc="white", label="90 % within"),
-        Patch(color=ORANGE, linewidth=0, label=f"missed for {after_s:g} s"),
+        Patch(color=PURPLE, linewidth=0, label=f"missed for {after_s:g} s"),
     ]
     figure.legend(
         handles=marks,
