@@ -2,16 +2,24 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
+# Three processes for two cores: tests of daemons wait for flights in real time. tests/conftest.py orders the files.
+PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+
 .PHONY: demo test test-long test-system lint format docs dist clean
 
 demo: $(VENV)/.app
 	$(BIN)/fauio demo
 
+# Processes that share the cores gain nothing from threads of their own.
+test test-long test-system: export OPENBLAS_NUM_THREADS = 1
+# Tests start hundreds of processes; each would compile its modules anew where nothing may keep them.
+test test-long test-system: export PYTHONDONTWRITEBYTECODE =
+
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not long and not system"
+	$(PYTEST) -m "not long and not system"
 
 test-long: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m long
+	$(PYTEST) -m long
 
 # systemd-analyze, zsh and fish have to be there
 test-system: $(VENV)/.dev

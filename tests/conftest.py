@@ -1,4 +1,4 @@
-"""Profiles that several test modules share, made once per session."""
+"""Profiles that several test modules share, made once per session, and the order of the files."""
 
 import fcntl
 import os
@@ -9,13 +9,37 @@ import pytest
 from hypothesis import settings
 
 from monitor.profile import Profile, read_profile
-from replay.demonstration.arm_profile import write_arm_profile
 
 DATA = Path(__file__).parent / "data"
+LIVE = (
+    "test_chaos_network.py",
+    "test_standby.py",
+    "test_daemon.py",
+    "test_chaos_crash.py",
+    "test_soak.py",
+    "test_live.py",
+    "test_shards.py",
+    "test_chaos_hostile.py",
+    "test_chaos_zenoh.py",
+)
+"""Tests of daemons, which wait for flights in real time and leave the processor to others meanwhile."""
+FITS = "test_flights.py"
+"""Begins with the fit that many other files need."""
 
 # A slow example on a loaded machine is no failure.
 settings.register_profile("fauio", deadline=None)
 settings.load_profile("fauio")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Spread the files that wait over the first half of those that compute: none waits alone at the end."""
+    files = dict.fromkeys(item.path.name for item in items)
+    live = [name for name in LIVE if name in files]
+    others = sorted((name for name in files if name not in LIVE), key=lambda name: name != FITS)
+    place = {name: float(k) for k, name in enumerate(others)}
+    place |= {name: 0.5 * len(others) * k / len(live) - 0.5 for k, name in enumerate(live)}
+    items.sort(key=lambda item: place[item.path.name])
 
 
 @pytest.fixture(scope="session")
@@ -40,6 +64,8 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
 @pytest.fixture(scope="session")
 def arm_profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
     """Write the profile of the reference arm."""
+    from replay.demonstration.arm_profile import write_arm_profile
+
     return read_profile(made_once(tmp_path_factory, "arm", write_arm_profile))
 
 

@@ -94,7 +94,8 @@ def test_every_set_reported_can_be_designed_for() -> None:
         assert check_existence(part) == ()
 
 
-def test_many_faults_are_explained_in_part_with_a_notice() -> None:
+def test_many_faults_are_explained_in_part_with_a_notice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gains.analysis.estimability.LARGEST_TEST_COUNT", 1000)
     rng = np.random.default_rng(0)
     n = 12
     faults = tuple(Fault(f"f{i}", "actuator", rng.normal(size=n)) for i in range(24))

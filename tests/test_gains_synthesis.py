@@ -333,16 +333,23 @@ def discrete_start(design: Design, y: FloatArray) -> FloatArray:
     return -design.F @ y
 
 
-@pytest.mark.parametrize("name", ["arm", "random", "nonlinear"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(lambda: discretise(builtin_model("arm-disturbed"), 50.0), id="arm"),
+        pytest.param(lambda: random_plant(11, 1, 1), id="random"),
+        pytest.param(lambda: random_plant(12, 2, 1, nonlinear=2), id="nonlinear"),
+    ],
+)
+def designed(request: pytest.FixtureRequest) -> tuple[Plant, Design]:
+    plant = request.param()
+    return plant, design_convex(plant)
+
+
 @pytest.mark.parametrize("kind", ["noise", "steady", "late"])
-def test_the_simulated_energy_of_the_error_obeys_the_bound(name: str, kind: str) -> None:
-    plants = {
-        "arm": discretise(builtin_model("arm-disturbed"), 50.0),
-        "random": random_plant(11, 1, 1),
-        "nonlinear": random_plant(12, 2, 1, nonlinear=2),
-    }
-    plant, rng = plants[name], np.random.default_rng(5)
-    design = design_convex(plant)
+def test_the_simulated_energy_of_the_error_obeys_the_bound(designed: tuple[Plant, Design], kind: str) -> None:
+    plant, design = designed
+    rng = np.random.default_rng(5)
     steps, q, a1 = 3000, len(plant.disturbances) + len(plant.noises), len(plant.actuator_faults)
     if kind == "noise":
         w, df = rng.normal(size=(steps, q)), rng.normal(size=(steps, a1))

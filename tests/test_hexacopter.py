@@ -23,8 +23,9 @@ def profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
     return read_profile(folder)
 
 
-def alarms(profile: Profile, seed: int, loss: dict[int, float]) -> list[AlarmEvent]:
-    return [event for event in play(profile, hexacopter_flight(seed, 50.0, loss)).events if event.kind != "stale"]
+def alarms(profile: Profile, seed: int, loss: dict[int, float], duration_s: float = 50.0) -> list[AlarmEvent]:
+    flight = hexacopter_flight(seed, duration_s, loss)
+    return [event for event in play(profile, flight).events if event.kind != "stale"]
 
 
 def seconds_after(event: AlarmEvent, moment_s: float) -> float:
@@ -64,7 +65,7 @@ def test_a_healthy_flight_raises_nothing(profile: Profile) -> None:
 
 
 def test_what_no_single_motor_explains_is_said_to_be_unexplained(profile: Profile) -> None:
-    events = alarms(profile, 31, {1: 0.3, 3: 0.3, 6: 0.2})
+    events = alarms(profile, 31, {1: 0.3, 3: 0.3, 6: 0.2}, 26.0)
     first = next(event for event in events if event.channel == "unexplained")
     assert (first.state, first.kind) == ("raised", "residual")
     assert 2.0 < seconds_after(first, 20.0) < 4.0

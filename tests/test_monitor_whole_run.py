@@ -3,6 +3,7 @@
 import sys
 import tracemalloc
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from random_gains import random_gains
 
-from adapters.simulation.arm import SCENARIOS, simulate_arm
+from adapters.simulation.arm import SCENARIOS, ArmRun, simulate_arm
 from gains.plants.model_file import builtin_model
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
@@ -102,13 +103,19 @@ def test_a_restart_after_what_is_not_a_number_is_a_fresh_start(compiled: bool) -
     assert_agree(gains, u, y, run.advance(u, y))
 
 
+@cache
+def arm_at(case: str, rate_hz: float) -> tuple[Gains, ArmRun]:
+    """Return gains for the arm and a run of it; nobody may change them."""
+    plant = builtin_model("arm-disturbed")
+    design = design_convex(plant, rate_hz)
+    return compile_gains(plant, design, certify(plant, design)), simulate_arm(SCENARIOS[case], 20.0, rate_hz)
+
+
 @PATHS
 @pytest.mark.parametrize("case", ["case1", "case3"])
 @pytest.mark.parametrize("rate_hz", [100.0, 1000.0])
 def test_the_arm_agrees_with_its_live_steps_at_any_rate(compiled: bool, case: str, rate_hz: float) -> None:
-    plant = builtin_model("arm-disturbed")
-    design = design_convex(plant, rate_hz)
-    gains, run = compile_gains(plant, design, certify(plant, design)), simulate_arm(SCENARIOS[case], 20.0, rate_hz)
+    gains, run = arm_at(case, rate_hz)
     assert_agree(gains, run.u, run.y, run_whole(gains, run.u, run.y, compiled))
 
 

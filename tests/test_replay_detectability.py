@@ -34,9 +34,21 @@ ROW = Row("motor1", "loss", 0.1, "share of the command", 5, 0, 1, 0.2, None, 0.5
 
 
 @pytest.fixture(scope="module")
-def found(quad_folder: Path) -> Detectability:
+def healthy_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write the first part of a healthy flight."""
+    path = tmp_path_factory.mktemp("healthy") / "copter.mcap"
+    messages = list(read_recording(LOG))
+    with MessageLogWriter(path) as writer:
+        for message in messages:
+            if message.received_ns < messages[0].received_ns + 25_000_000_000:
+                writer.write(message)
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(quad_folder: Path, healthy_log: Path) -> Detectability:
     sweep = Sweep(channels=("motor2",), sizes=(0.002, 0.1), onsets=2, before_s=3.0, after_s=2.0)
-    return detectability(quad_folder, LOG, sweep)
+    return detectability(quad_folder, healthy_log, sweep)
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +82,9 @@ def test_a_large_loss_is_seen_fast_and_alone_and_a_tiny_one_is_missed(found: Det
     assert len(found.onsets_ms["motors"]) == 2
 
 
-def test_more_processes_give_the_same_result(quad_folder: Path, found: Detectability) -> None:
+def test_more_processes_give_the_same_result(quad_folder: Path, healthy_log: Path, found: Detectability) -> None:
     sweep = Sweep(channels=("motor2",), sizes=(0.002, 0.1), onsets=2, before_s=3.0, after_s=2.0, jobs=2)
-    assert detectability(quad_folder, LOG, sweep) == found
+    assert detectability(quad_folder, healthy_log, sweep) == found
 
 
 def test_sensors_of_a_users_own_plant_are_swept_around_their_threshold(arm_folder: Path, arm_log: Path) -> None:
@@ -176,9 +188,9 @@ def test_the_table_says_what_the_rows_say(found: Detectability) -> None:
 
 
 def test_the_command_prints_json_and_writes_the_picture(
-    quad_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    quad_folder: Path, healthy_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = [str(quad_folder), str(LOG), "--channel", "motor1", "--sizes", "0.2", "--onsets", "1"]
+    arguments = [str(quad_folder), str(healthy_log), "--channel", "motor1", "--sizes", "0.2", "--onsets", "1"]
     arguments += ["--before", "2.5", "--after", "1", "--plot", str(tmp_path / "seen.png"), "--json"]
     assert fauio.main(["detectability", *arguments]) == 0
     (row,) = json.loads(capsys.readouterr().out)["rows"]
@@ -208,12 +220,12 @@ def test_what_cannot_be_swept_is_refused_in_one_line(
 
 
 def test_the_sweep_follows_the_vehicle_that_the_pipeline_follows(
-    quad_folder: Path, tmp_path: Path, found: Detectability
+    quad_folder: Path, healthy_log: Path, tmp_path: Path, found: Detectability
 ) -> None:
     path = tmp_path / "two.mcap"
     stranger = partial(replace, system=9)
     with MessageLogWriter(path) as writer:
-        for message in read_recording(LOG):
+        for message in read_recording(healthy_log):
             writer.write(message)
             if message.name == "HEARTBEAT":
                 writer.write(stranger(message))
@@ -223,6 +235,6 @@ def test_the_sweep_follows_the_vehicle_that_the_pipeline_follows(
     assert rows == found.rows[1:]
 
 
-def test_a_sweep_without_any_fault_that_fits_says_why(quad_folder: Path) -> None:
+def test_a_sweep_without_any_fault_that_fits_says_why(quad_folder: Path, healthy_log: Path) -> None:
     with pytest.raises(InjectionError, match="does not go with motor1"):
-        detectability(quad_folder, LOG, Sweep(channels=("motor1",), kinds=("spoof",)))
+        detectability(quad_folder, healthy_log, Sweep(channels=("motor1",), kinds=("spoof",)))
