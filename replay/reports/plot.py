@@ -18,6 +18,7 @@ from monitor.event import AlarmEvent
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.views.palette import DARK, LIGHT, Theme
 from monitor.views.panels import Panels, Thresholds, Truth, choose_panels, same_scale
+from monitor.views.small_png import save_small
 from replay.reports.envelope import BINS
 from replay.reports.plot_panels import (
     BAND_ALPHA,
@@ -36,7 +37,6 @@ from replay.reports.plot_panels import (
     draw_quiet,
     draw_residuals,
 )
-from replay.reports.small_png import save_small
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
