@@ -13,7 +13,8 @@ from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, event, t
 
 from monitor.trace import TraceBuilder
 from monitor.views.palette import BLUE, DARK, GREY, SERIES, SEVERITY, rgba
-from replay.reports.plot import DPI, HIGHEST_IN, WIDTH_IN, colour_variables, plot_png, plot_svg
+from monitor.views.plot_style import DPI, WIDTH_IN
+from replay.reports.plot import HIGHEST_IN, colour_variables, plot_png, plot_svg
 from replay.reports.plot_panels import BAND_ALPHA, DOUBT_ALPHA, SPAN_ALPHA
 
 EVENTS = [event(1020, "raised"), event(1300, "cleared"), event(1400, "raised", id="02J", severity="critical")]

@@ -21,7 +21,8 @@ from monitor.event import AlarmEvent
 from monitor.trace import Trace
 from monitor.views.palette import LIGHT
 from monitor.views.panels import Truth
-from replay.reports.plot import STYLE, run_figure
+from monitor.views.plot_style import STYLE
+from replay.reports.plot import run_figure
 from replay.reports.plot_panels import Look, unwatched
 
 ALARMS = [

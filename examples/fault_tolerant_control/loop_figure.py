@@ -11,7 +11,7 @@ from closed_loop import PERIOD_S, Run
 from numpy.typing import NDArray
 
 from monitor.views.palette import DARK, LIGHT, Theme
-from replay.reports.plot import DPI, STYLE, WIDTH_IN
+from monitor.views.plot_style import DPI, STYLE, WIDTH_IN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

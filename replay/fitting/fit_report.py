@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from gains.identification.excitation import Verdict
 from gains.identification.residuals import ResidualStatistics
 from monitor.views.palette import GREY, LIGHT
+from monitor.views.plot_style import DPI, STYLE, WIDTH_IN
 from monitor.views.small_png import save_small
-from replay.reports.plot import DPI, STYLE, WIDTH_IN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

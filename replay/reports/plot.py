@@ -18,6 +18,7 @@ from monitor.event import AlarmEvent
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.views.palette import DARK, LIGHT, Theme
 from monitor.views.panels import Panels, Thresholds, Truth, choose_panels, same_scale
+from monitor.views.plot_style import DPI, STYLE, WIDTH_IN
 from monitor.views.small_png import save_small
 from replay.reports.envelope import BINS
 from replay.reports.plot_panels import (
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WIDTH_IN = 8.0
 HIGHEST_IN = 16.0
 HEADING_IN = 0.22
 FAULT_IN = 1.0
@@ -53,7 +53,6 @@ LANE_IN = 0.2
 LEAST_LANES = 2
 TITLE_IN = 0.2
 ENDS_IN = 1.0
-DPI = 160
 TITLE_LETTERS = 105
 SAME_CLOCK_NS = 1_000_000_000
 SVG_BINS = 600
@@ -63,24 +62,6 @@ _STYLE_SHEET = re.compile(r"<defs>\s*<style.*?</style>\s*</defs>", re.DOTALL)
 _GROUP_ID = re.compile(r'<g id="[^"]*"')
 _PATH = re.compile(r' d="[^"]*"')
 _DECIMALS = re.compile(r"(\.\d)\d+")
-
-STYLE: dict[str, Any] = {
-    "font.size": 8,
-    # names come from outside: a dollar is a dollar
-    "text.parse_math": False,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.6,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "lines.linewidth": 0.8,
-    "lines.solid_joinstyle": "round",
-    "legend.frameon": False,
-    "legend.handlelength": 1.5,
-    "hatch.linewidth": 0.4,
-    "figure.constrained_layout.h_pad": 0.03,
-    "figure.constrained_layout.w_pad": 0.08,
-}
 
 
 @dataclass(frozen=True, slots=True)
