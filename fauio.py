@@ -6,9 +6,13 @@ Nothing heavy is imported here or in the packages' ``commands`` modules: each co
 from __future__ import annotations
 
 import argparse
+import errno
+import math
+import os
 import sys
-from collections.abc import Callable, Sequence
-from typing import Any
+import textwrap
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NoReturn
 
 import adapters.commands
 import gains.commands
@@ -17,25 +21,110 @@ import replay.commands
 from monitor.console.completion import add_completion
 
 INTERRUPTED = 130
+USAGE = 2
+EXAMPLE = "example: "
+
+_DESCRIPTION = (
+    "Fault and attack monitor for drones and ground vehicles: says which motor lost how much thrust, or by how many "
+    "metres GPS is being walked away."
+)
+_FIRST_STEPS = """\
+first steps:
+  fauio demo copter                a recorded flight: no vehicle is needed
+  fauio fit --vehicle multirotor monday.tlog tuesday.tlog -o quad/
+                                   learn your vehicle from healthy flights
+  fauio replay quad/ flight.tlog   look for faults in a recording
+  fauio run quad/ --mavlink udpin:127.0.0.1:14550
+                                   watch it live
+  fauio alarms                     in another terminal: what the monitor says
+"""
+_GROUPS = {
+    "your vehicle": ("fit", "replay", "run", "alarms"),
+    "recordings": ("info", "convert", "inject", "detectability"),
+    "models and observers": ("check", "design", "simulate"),
+    "this machine": ("demo", "doctor", "schema", "completion"),
+}
+_LAST_LINES = """\
+'fauio help COMMAND' says more about a command: options, defaults, an example.
+
+Exit status: 0 done, 2 bad input or usage, 3 no feasible design, 4 alarms were
+raised (with --fail-on-alarm), 130 interrupted.
+"""
+_ADVICE = {
+    errno.ENOENT: "; does its folder exist?",
+    errno.EACCES: "; name another path, or run as a user who may",
+    errno.EISDIR: "; name a file",
+    errno.ENOTDIR: "; a part of the path is a file",
+    errno.ENOSPC: "; free some space, or write elsewhere",
+    errno.EROFS: "; write elsewhere",
+}
 
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
-    parser = argparse.ArgumentParser(
-        prog="fauio",
-        description="Fault and attack monitor for drones and ground vehicles: says which motor lost how much "
-        "thrust, or by how many metres GPS is being walked away.",
-        epilog="example: fauio fit --vehicle multirotor healthy1.tlog healthy2.tlog -o quad/ && "
-        "fauio replay quad/ flight.tlog --alarms alarms.jsonl",
-    )
+    parser = _Parser(prog="fauio", usage="fauio [-h] [--version] COMMAND ...", description=_DESCRIPTION)
     parser.add_argument(
         "--version", action=_PrintVersions, nargs=0, help="print the versions of fauio, Python and libraries, and exit"
     )
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    commands = parser.add_subparsers(
+        dest="command", metavar="COMMAND", required=True, help=argparse.SUPPRESS, prog="fauio"
+    )
     for package in (replay.commands, gains.commands, monitor.commands, adapters.commands):
         package.add_parsers(commands)
     add_completion(commands, parser)
+    parser.epilog = _overview((action.dest, action.help or "") for action in commands._get_subactions())
     return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit status.
+
+    Without arguments the overview is printed; ``help COMMAND`` is ``COMMAND --help``.
+
+    Exit status: 0 done, 2 bad input or usage, 3 no feasible design, 4 alarms were raised (with
+    ``--fail-on-alarm``), 130 interrupted.
+    """
+    given = list(sys.argv[1:] if argv is None else argv)
+    if not given or given[0] == "help":
+        given = [*given[1:], "--help"]
+    try:
+        try:
+            return _run(given)
+        finally:
+            # a closed pipe shall show here, not while the interpreter ends
+            sys.stdout.flush()
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _run(argv: Sequence[str]) -> int:
+    args = build_parser().parse_args(argv)
+    handler: Callable[[argparse.Namespace], int] = args.handler
+    try:
+        return handler(args)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        return _complain(_os_error_line(error), USAGE)
+    except ValueError as error:
+        status: int | None = getattr(error, "exit_status", None)
+        if status is None:
+            raise
+        return _complain(str(error), status)
+
+
+def _complain(line: str, status: int) -> int:
+    sys.stderr.write(f"fauio: {line}\n")
+    return status
+
+
+def _os_error_line(error: OSError) -> str:
+    if error.filename is None or error.strerror is None:
+        return str(error)
+    return f"{error.filename}: {error.strerror}{_ADVICE.get(error.errno or 0, '')}"
 
 
 class _PrintVersions(argparse.Action):
@@ -48,30 +137,97 @@ class _PrintVersions(argparse.Action):
         parser.exit()
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status.
+class _Format(argparse.HelpFormatter):
+    """Help whose indented lines and examples stay as they are: an example broken in two does not run."""
 
-    Exit status: 0 done, 2 bad input or usage, 3 no feasible design, 4 alarms were raised (with
-    ``--fail-on-alarm``), 130 interrupted.
-    """
-    args = build_parser().parse_args(argv)
-    handler: Callable[[argparse.Namespace], int] = args.handler
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=26)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        lines: list[str] = []
+        running: list[str] = []
+        for line in [*text.splitlines(), ""]:
+            as_it_is = not line or line.startswith((" ", EXAMPLE)) or line.endswith(":")
+            if as_it_is and running:
+                lines += textwrap.wrap(" ".join(running), width, initial_indent=indent, subsequent_indent=indent)
+                running = []
+            if as_it_is:
+                lines.append(indent + line)
+            else:
+                running.append(line.strip())
+        return "\n".join(lines).rstrip()
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that says in one line what is wrong and what is probably meant; commands get the same kind."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**({"formatter_class": _Format} | options))
+        self.register("type", float, _number)
+        self.register("type", int, _whole_number)
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(USAGE, f"{self.prog}: {message}; see '{self.prog} --help'\n")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        # here and not at the end: only the command itself knows its options
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            first = unknown[0].partition("=")[0]
+            if not first.startswith("-"):
+                self.error(f"'{first}' is one argument too many")
+            self.error(f"{first}: no such option{_meant(first, self._option_string_actions)}")
+        return found, unknown
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is None or value in action.choices:
+            return
+        known = [str(choice) for choice in action.choices]
+        meant = _meant(str(value), known) or f"; there are {', '.join(known)}"
+        raise argparse.ArgumentError(action, f"'{value}' is unknown{meant}")
+
+
+def _meant(given: str, known: Iterable[str]) -> str:
+    """Return the nearest of what is known, as the end of a sentence."""
+    from difflib import get_close_matches
+
+    near = get_close_matches(given, list(known), n=1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def _number(text: str) -> float:
     try:
-        return handler(args)
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except BrokenPipeError:
-        sys.stderr.close()
-        return 0
-    except OSError as error:
-        print(f"fauio: {error}", file=sys.stderr)  # noqa: T201 - the command line speaks here
-        return 2
-    except ValueError as error:
-        status: int | None = getattr(error, "exit_status", None)
-        if status is None:
-            raise
-        print(f"fauio: {error}", file=sys.stderr)  # noqa: T201 - the command line speaks here
-        return status
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"'{text}' is no finite number; write it without a unit, like 12.5")
+    return number
+
+
+def _whole_number(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is no whole number") from None
+
+
+def _overview(commands: Iterable[tuple[str, str]]) -> str:
+    """Return first steps and the commands in groups; commands of no group stand at the end."""
+    left = dict(commands)
+    parts = [_FIRST_STEPS]
+    for title, names in _GROUPS.items():
+        parts.append(_listing(title, {name: left.pop(name) for name in names if name in left}))
+    if left:
+        parts.append(_listing("more", left))
+    return "\n".join([*parts, _LAST_LINES])
+
+
+def _listing(title: str, commands: dict[str, str]) -> str:
+    lines = [f"{title}:"]
+    for name, what in commands.items():
+        lines += textwrap.wrap(what, 78, initial_indent=f"  {name:<15}", subsequent_indent=" " * 17)
+    return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":

@@ -12,7 +12,10 @@ DEFAULT_SCENARIO = "case2"
 def add_parsers(subparsers: Any) -> None:
     """Add this package's commands to the command line."""
     simulate = subparsers.add_parser(
-        "simulate", help="a reference plant as a live source or a recording", description="Simulate a plant."
+        "simulate",
+        help="a reference plant as a live source or a recording",
+        description="Simulate a plant.",
+        epilog="example: fauio simulate arm -o arm.mcap --scenario case3",
     )
     plants = simulate.add_subparsers(dest="plant", metavar="PLANT", required=True)
     arm = plants.add_parser(

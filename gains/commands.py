@@ -43,8 +43,10 @@ def add_parsers(subparsers: Any) -> None:
         "--method",
         choices=["convex", *_THEOREMS, *_BASELINES, "all"],
         default="convex",
-        help="synthesis: convex; or, to compare with, the paper's own inequalities, reconstructions of earlier "
-        "observers, a Kalman filter, or all of them on one model (convex)",
+        metavar="METHOD",
+        help="synthesis: convex (the default); to compare with: theorem1 and theorem2, the paper's own inequalities; "
+        "gao2022, gao2016, chen2006 and zhang2008, reconstructions of earlier observers; ekf, a Kalman filter; or all "
+        "of them on one model",
     )
     parser.add_argument(
         "--rate",
@@ -178,7 +180,7 @@ def _compare(plant: Plant, args: argparse.Namespace, model_hash: str) -> int:
     if args.out is not None:
         raise ModelError(f"{plant.name}: -o takes the gains of one method; leave out --method all")
     if not args.json:
-        sys.stdout.write(f"{'method':<22}{'sqrt(mu)':>10}{'norm':>10}{'floor':>10}  status\n")
+        sys.stdout.write(f"{'method':<22}{'sqrt(mu)':>12}{'norm':>12}{'floor':>12}  status\n")
     runs = [("convex", False), ("convex", True), *((method, True) for method in (*_THEOREMS, *_BASELINES))]
     for method, continuous in runs:
         if method == "convex" and not continuous and args.rate is None and plant.rate_hz is None:
@@ -194,7 +196,7 @@ def _compare(plant: Plant, args: argparse.Namespace, model_hash: str) -> int:
             continue
         name = f"{method}, {found['domain']}" if method == "convex" else method
         figures = "".join(
-            f"{'-' if found[key] is None else format(found[key], '.5g'):>10}" for key in ("sqrt_mu", "norm", "floor")
+            f"{'-' if found[key] is None else format(found[key], '.5g'):>12}" for key in ("sqrt_mu", "norm", "floor")
         )
         sys.stdout.write(f"{name:<22}{figures}  {found.get('reason') or found['status']}\n")
     return 0

@@ -35,9 +35,12 @@ def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     )
     source = run.add_mutually_exclusive_group()
     source.add_argument(
-        "--mavlink", metavar="URL", help="udpin:HOST:PORT, udpout:..., tcp:HOST:PORT or serial:DEVICE:BAUD"
+        "--mavlink",
+        metavar="URL",
+        help="udpin:HOST:PORT (the vehicle sends to us), udpout:HOST:PORT, "
+        "tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD",
     )
-    source.add_argument("--zenoh", metavar="KEYEXPR", help="telemetry as JSON on these keys")
+    source.add_argument("--zenoh", metavar="KEYEXPR", help="telemetry over Zenoh on these keys")
     run.add_argument("--config", type=Path, metavar="FILE.toml", help="configuration; options given here override it")
     run.add_argument("--vehicle", metavar="NAME", help="name in topics (default: the profile's)")
     run.add_argument(
@@ -47,7 +50,7 @@ def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     run.add_argument(
         "--allow-public", action="store_true", help="let MAVLink, Zenoh and metrics listen beyond this machine"
     )
-    run.add_argument("--prefix", help="what the keys begin with (fauio)")
+    run.add_argument("--prefix", metavar="KEY", help="what the keys begin with (fauio)")
     run.add_argument("--record", type=Path, metavar="OUT.mcap", help="record telemetry, estimates and alarms")
     run.add_argument(
         "--rerun",

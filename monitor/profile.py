@@ -144,7 +144,8 @@ def read_profile(folder: str | Path) -> Profile:
     folder = Path(folder)
     path = folder / PROFILE_FILE
     if not path.is_file():
-        raise ProfileError(f"{folder}: no {PROFILE_FILE} in this folder; make a profile with 'fauio fit'")
+        what = "has no " + PROFILE_FILE if folder.is_dir() else "is a file" if folder.exists() else "is not there"
+        raise ProfileError(f"{folder}: {what}; name the profile folder that 'fauio fit' made")
     content = path.read_bytes()
     try:
         root = Table(str(path), "", tomllib.loads(content.decode()))

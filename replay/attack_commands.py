@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from math import isfinite
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -17,19 +17,27 @@ Put a fault or attack with exact truth onto a recording. Times are seconds of th
 stamp in the log (--at-ms: that clock itself); measurements are altered by their stamp, whenever they arrived. What was
 altered and when stands in OUT.truth.json and in the metadata record 'truth'.
 
-kinds
-  bias    adds --size                            freeze  holds the last value
-  ramp    adds --rate per second, up to --size   replay  repeats what was recorded from --from to the start
-  scale   multiplies by --size                   delay   shows the value of --size seconds ago
-  noise   adds noise, --size one sigma           drop    loses the messages (all in them), or a share --size
-  spoof   moves GPS position and velocity together: up to --rate m/s, with at most --accel m/s^2
-  loss    an actuator of --profile delivers a share --size less, at once or growing by --rate per second; the plant's
-          linear answer is added to the measurements, the commands stay as recorded
+kinds:
+  bias    adds --size
+  ramp    adds --rate per second, up to --size
+  scale   multiplies by --size
+  noise   adds noise, --size one sigma
+  freeze  holds the last value
+  replay  repeats what was recorded from --from to the start
+  delay   shows the value of --size seconds ago
+  drop    loses the messages (all in them), or a share --size
+  spoof   moves GPS position and velocity together: up to --rate m/s, with
+          at most --accel m/s^2
+  loss    an actuator of --profile delivers a share --size less, at once or
+          growing by --rate per second; the plant's linear answer is added
+          to the measurements, the commands stay as recorded
 
-channels
-  gps_north gps_east gps_down gps_velocity_north gps_velocity_east airspeed (metres, m/s), baro (metres of altitude),
-  compass attitude_roll attitude_pitch (radians), gyro_x/y/z (rad/s), accel_x/y/z (m/s^2): in all messages that carry
-  them; the faults of --profile's model; MESSAGE.field for any other number, in the field's own unit
+channels:
+  gps_north gps_east gps_down (m), gps_velocity_north gps_velocity_east
+  airspeed (m/s), baro (m of altitude), compass attitude_roll attitude_pitch
+  (rad), gyro_x gyro_y gyro_z (rad/s), accel_x accel_y accel_z (m/s^2): in
+  all messages that carry them; the faults of --profile's model;
+  MESSAGE.field for any other number, in the field's own unit
 """
 
 
@@ -44,8 +52,7 @@ def _add_inject(subparsers: Any) -> None:
         "inject",
         help="put a fault or attack with exact truth onto a recording",
         description=_INJECT_TEXT,
-        epilog="example: fauio inject flight.tlog --channel gps_north --kind bias --size 25 --start 60 -o out.mcap",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="example: fauio inject flight.tlog --channel baro --kind bias --size 8 --start 30 -o out.mcap",
     )
     parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP)
     parser.add_argument("--channel", required=True, metavar="NAME", help="what is attacked (see above)")
@@ -56,15 +63,24 @@ def _add_inject(subparsers: Any) -> None:
     finish = parser.add_mutually_exclusive_group()
     finish.add_argument("--end", type=_finite, metavar="S", help="end, counted as --start (default: the log's end)")
     finish.add_argument("--for", type=_finite, metavar="S", dest="duration", help="how long it lasts, seconds")
-    parser.add_argument("--size", type=_finite, metavar="X", help="how large, in the channel's unit")
-    parser.add_argument("--rate", type=_finite, metavar="X", help="how fast it grows per second; of a spoof: m/s")
-    parser.add_argument("--accel", type=_finite, metavar="X", help="largest acceleration of a spoof (0.5 m/s^2)")
-    parser.add_argument("--from", type=_finite, metavar="S", dest="source", help="begin of the segment replayed")
+    parser.add_argument(
+        "--size",
+        type=_finite,
+        metavar="X",
+        help="how large, in the channel's unit (see above); of a delay: seconds; of a loss: a share",
+    )
+    parser.add_argument(
+        "--rate", type=_finite, metavar="X", help="how fast it grows, channel's unit per second; of a spoof: m/s"
+    )
+    parser.add_argument("--accel", type=_finite, metavar="X", help="largest acceleration of a spoof, m/s^2 (0.5)")
+    parser.add_argument(
+        "--from", type=_finite, metavar="S", dest="source", help="begin of the segment replayed, seconds as --start"
+    )
     parser.add_argument("--seed", type=_whole, default=0, metavar="N", help="of noise and lost messages (0)")
     parser.add_argument("--system", type=_whole, default=0, metavar="N", help="MAVLink system (default: first sender)")
     parser.add_argument("--profile", type=Path, metavar="PROFILE", help="profile folder with the vehicle's model")
     parser.add_argument("-o", "--out", required=True, type=Path, metavar="OUT.mcap", help="file to write")
-    parser.add_argument("--json", action="store_true", help="print the truth as JSON")
+    parser.add_argument("--json", action="store_true", help="print the truth as one JSON object")
     parser.set_defaults(handler=run_inject)
 
 
@@ -75,12 +91,15 @@ def _add_detectability(subparsers: Any) -> None:
         description="Inject faults of several kinds and sizes at several times of a healthy recording, run each "
         "through the monitor, and say how many are missed, how fast the others are seen, and what else raised. "
         "A loss is injected by the profile's own model: what the model gets wrong does not show.",
-        epilog="example: fauio detectability quad/ healthy.tlog --channel motor1 --sizes 0.02,0.05,0.1 --plot seen.png",
+        epilog="example: fauio detectability quad/ healthy.tlog --channel motor1 --sizes 0.02,0.1",
     )
     parser.add_argument("profile", type=Path, metavar="PROFILE", help="profile folder")
     parser.add_argument("log", type=Path, metavar="LOG", help=_LOG_HELP + "; without faults")
     parser.add_argument(
-        "--channel", action="append", metavar="NAME", help="alarm channel, may be repeated (default: all)"
+        "--channel",
+        action="append",
+        metavar="NAME",
+        help="alarm channel, may be repeated (default: all, which takes minutes)",
     )
     parser.add_argument(
         "--kinds",
@@ -89,18 +108,21 @@ def _add_detectability(subparsers: Any) -> None:
         help="kinds of fault (default: loss of actuators, bias and ramp of sensors)",
     )
     parser.add_argument(
-        "--sizes", type=_numbers, metavar="X,X", help="sizes; of ramp and spoof: rates (default: around the threshold)"
+        "--sizes",
+        type=_numbers,
+        metavar="X,X",
+        help="sizes in the channel's unit; of ramp and spoof: rates, per second (default: around the threshold)",
     )
     parser.add_argument("--onsets", type=_positive, default=5, metavar="N", help="times of onset for each (5)")
     parser.add_argument(
-        "--before", type=_finite, default=10.0, metavar="S", help="healthy flight before each onset (10)"
+        "--before", type=_finite, default=10.0, metavar="S", help="healthy flight before each onset, seconds (10)"
     )
     parser.add_argument(
-        "--after", type=_finite, default=10.0, metavar="S", help="what is not seen by then is missed (10)"
+        "--after", type=_finite, default=10.0, metavar="S", help="what is not seen within these seconds is missed (10)"
     )
     parser.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes (1)")
     parser.add_argument("--plot", type=Path, metavar="OUT.png", help="plot delay and miss rate against size")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.set_defaults(handler=run_detectability)
 
 
@@ -137,9 +159,12 @@ def run_inject(args: argparse.Namespace) -> int:
 def run_detectability(args: argparse.Namespace) -> int:
     """Run ``fauio detectability``."""
     from replay.progress import track
+    from replay.runs.log_list import check_output
     from replay.sensitivity.detectability import Sweep, detectability
     from replay.sensitivity.detectability_text import result_json, result_lines
 
+    if args.plot:
+        check_output(args.plot)
     sweep = Sweep(
         channels=tuple(args.channel or ()),
         kinds=args.kinds,
@@ -162,24 +187,25 @@ def run_detectability(args: argparse.Namespace) -> int:
 
 
 def _finite(text: str) -> float:
-    number = float(text)
+    try:
+        number = float(text)
+    except ValueError:
+        number = nan
     if not isfinite(number):
-        raise argparse.ArgumentTypeError(f"{text} is not finite")
+        raise argparse.ArgumentTypeError(f"'{text}' is no finite number; write it without a unit, like 12.5")
     return number
 
 
 def _whole(text: str) -> int:
-    number = int(text)
-    if number < 0:
-        raise argparse.ArgumentTypeError(f"{text} is negative")
-    return number
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{text}' is no whole number from 0 on")
+    return int(text)
 
 
 def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not at least 1")
-    return number
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"'{text}' is no whole number from 1 on")
+    return int(text)
 
 
 def _texts(text: str) -> Sequence[str]:

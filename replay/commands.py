@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,15 +30,20 @@ def add_parsers(subparsers: Any) -> None:
 def _add_demo(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "demo",
-        help="the whole path on an embedded default: simulator or flight, MAVLink, monitor, alarms on Zenoh",
+        help="simulator or recorded flight, MAVLink, monitor, alarms on Zenoh",
         description="Run a monitor, feed it over real MAVLink UDP, subscribe to its alarms over real Zenoh, and "
         "leave a recording, a Rerun file and a plot.",
         epilog="example: fauio demo copter --out /tmp/demo",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("vehicle", nargs="?", choices=["arm", "copter"], default="arm", help="default: arm")
-    parser.add_argument("--out", type=Path, default=Path("demo-out"), help="folder for the results (demo-out)")
-    parser.add_argument("--speed", type=float, help="times real time (default: 2 for the arm, 4 for the copter)")
+    parser.add_argument(
+        "vehicle", nargs="?", choices=["arm", "copter"], default="arm", help="simulated arm, or recorded flight (arm)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("demo-out"), metavar="DIR", help="folder for the results (demo-out)"
+    )
+    parser.add_argument(
+        "--speed", type=float, metavar="X", help="times real time (default: 2 for the arm, 4 for the copter)"
+    )
     parser.set_defaults(handler=run_demo)
 
 
@@ -47,7 +52,7 @@ def _add_fit(subparsers: Any) -> None:
         "fit",
         help="learn a vehicle from healthy recordings: model, certified gains, thresholds",
         description="Identify a vehicle from healthy flights, design its observer, and calibrate its alarms.",
-        epilog="example: fauio fit --vehicle multirotor monday.tlog tuesday.tlog.xz -o quad/",
+        epilog="example: fauio fit --vehicle multirotor monday.tlog tuesday.tlog -o quad/",
     )
     kinds = ["multirotor", "plane", "rover", "inertial", "custom"]
     parser.add_argument("--vehicle", required=True, choices=kinds, help="kind of vehicle")
@@ -55,8 +60,8 @@ def _add_fit(subparsers: Any) -> None:
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=LOG_HELP)
     parser.add_argument("-o", "--out", required=True, type=Path, metavar="PROFILE", help="profile folder to write")
     parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=MAPPING_HELP)
-    parser.add_argument("--name", help="name of the vehicle in topics (default: the folder's name)")
-    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    parser.add_argument("--name", metavar="NAME", help="name of the vehicle in topics (default: the folder's name)")
+    parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
     parser.set_defaults(handler=run_fit)
 
 
@@ -65,11 +70,11 @@ def _add_convert(subparsers: Any) -> None:
         "convert",
         help="convert a recording to MCAP",
         description="Convert a recording to MCAP with typed messages, for Foxglove, Rerun and any MCAP tool.",
-        epilog="example: fauio convert flight.tlog.xz -o flight.mcap",
+        epilog="example: fauio convert flight.tlog -o flight.mcap",
     )
     parser.add_argument("log", type=Path, metavar="LOG", help=LOG_HELP)
     parser.add_argument("-o", "--out", required=True, type=Path, metavar="OUT.mcap", help="file to write")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.set_defaults(handler=run_convert)
 
 
@@ -79,7 +84,7 @@ def _add_info(subparsers: Any) -> None:
         help="what is in a recording, profile, model or gains file",
         description="Say what is in a recording (vehicles, messages, what could be watched with them, alarms, damage), "
         "a profile, a model or a gains file.",
-        epilog="example: fauio info flight.tlog.xz",
+        epilog="example: fauio info flight.tlog",
     )
     parser.add_argument("file", type=Path, metavar="FILE", help="recording, profile folder, MODEL.toml or GAINS.json")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -95,14 +100,18 @@ def run_demo(args: argparse.Namespace) -> int:
 
 def run_fit(args: argparse.Namespace) -> int:
     """Run ``fauio fit``."""
+    from adapters.errors import TelemetryError
     from adapters.logs.recordings import Recording, recording_kind
+    from gains.errors import InfeasibleError, ModelError
     from replay.fitting.fit import fit
     from replay.fitting.fit_custom import custom_messages
     from replay.fitting.survey import FIT_MESSAGES, of_one_vehicle
     from replay.progress import track
+    from replay.runs.log_list import check_output_folder
 
     for path in args.logs:
         recording_kind(path)
+    check_output_folder(args.out)
     name = args.name or args.out.resolve().name
 
     wanted = custom_messages(args.model) if args.model else FIT_MESSAGES
@@ -114,7 +123,10 @@ def run_fit(args: argparse.Namespace) -> int:
 
     damage: dict[Path, tuple[Damage, ...]] = {}
     logs = [lambda path=path: log(path) for path in args.logs]
-    report = fit(args.vehicle, logs, args.out, name, args.model)
+    try:
+        report = fit(args.vehicle, logs, args.out, name, args.model)
+    except (TelemetryError, ModelError, InfeasibleError) as error:
+        raise type(error)(_about_logs(str(error), args.logs, args.model)) from error
     found = _warn(one for path in args.logs for one in damage.get(path, ()))
     if args.json:
         _say(json.dumps(report.to_json() | {"damage": found}))
@@ -154,6 +166,14 @@ def run_info(args: argparse.Namespace) -> int:
     found = info(args.file)
     sys.stdout.write(json.dumps(found) + "\n" if args.json else info_text(found))
     return 0
+
+
+def _about_logs(line: str, logs: Sequence[Path], model: Path | None) -> str:
+    """Return an error line that names the recordings, where it does not name the file it is about."""
+    if any(str(path) in line for path in (*logs, *([model] if model else []))):
+        return line
+    rest = f" and {len(logs) - 3} more" if len(logs) > 3 else ""
+    return f"{', '.join(path.name for path in logs[:3])}{rest}: {line}"
 
 
 def _warn(found: Iterable[Damage]) -> list[dict[str, Any]]:

@@ -162,10 +162,15 @@ def test_what_is_found_does_not_depend_on_how_the_file_is_read(
     assert found == TlogStatistics(22, 20, 0, 0, broken_off=False)
 
 
-@pytest.mark.parametrize("content", [b"", b"\x00", b"not a log at all, just text" * 100, bytes(5000), b"\xfd" * 5000])
+@pytest.mark.parametrize("content", [b"\x00", b"not a log at all, just text" * 100, bytes(5000), b"\xfd" * 5000])
 def test_a_file_without_any_packet_is_reported_by_name(tmp_path: Path, content: bytes) -> None:
     with pytest.raises(TelemetryError, match=r"a.tlog: holds no MAVLink packet; is it a telemetry log\?"):
         read(tmp_path, content)
+
+
+def test_an_empty_file_is_called_empty(tmp_path: Path) -> None:
+    with pytest.raises(TelemetryError, match=r"a.tlog: is empty; was the recording started"):
+        read(tmp_path, b"")
 
 
 def test_a_broken_xz_file_gives_what_could_be_decompressed(tmp_path: Path) -> None:

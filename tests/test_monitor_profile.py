@@ -102,5 +102,5 @@ def test_a_missing_file_is_named(folder: Path) -> None:
     (folder / "motors.motor2.gains.json").unlink()
     with pytest.raises(ProfileError, match=r"motors\.motor2\.gains\.json: file is missing"):
         read_profile(folder)
-    with pytest.raises(ProfileError, match=r"no profile\.toml in this folder"):
+    with pytest.raises(ProfileError, match=r"has no profile\.toml; name the profile folder"):
         read_profile(folder.parent)

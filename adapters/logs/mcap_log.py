@@ -71,7 +71,9 @@ class MessageLogWriter:
                 # unbuffered: a buffer would keep what could not be written, and try again on closing
                 target = self._owned = cast(BinaryIO, Path(target).open("wb", buffering=0))  # noqa: SIM115 - close()
             except OSError as error:
-                raise TelemetryError(f"{target}: cannot be written: {error.strerror}") from error
+                raise TelemetryError(
+                    f"{target}: cannot be written: {error.strerror}; its folder has to exist and be writable"
+                ) from error
         try:
             self._writer = McapWriter(target)
         except OSError:

@@ -135,6 +135,8 @@ class RecordScan:
         self.skipped_bytes += rest
         self.broken_off = damaged or rest > 0 or self.noise > 0
         if not self.packets:
+            if Path(path).stat().st_size == 0:
+                raise TelemetryError(f"{path}: is empty; was the recording started, or the copy finished?")
             raise TelemetryError(f"{path}: holds no MAVLink packet; is it a telemetry log?")
 
     def statistics(self) -> TlogStatistics:

@@ -7,6 +7,7 @@ every address that ever sent, and a TCP server of theirs serves one client for g
 from __future__ import annotations
 
 import contextlib
+import os
 import select
 import socket
 import struct
@@ -322,7 +323,8 @@ class _Serial:
         try:
             self._open()
         except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error).split("\n", 1)[0]
+            number = getattr(error, "errno", None)
+            reason = os.strerror(number) if number else str(error).split("\n", 1)[0]
             raise TelemetryError(
                 f"{url}: cannot be opened: {reason}; is it plugged in, and is the user in the dialout group?"
             ) from error

@@ -27,6 +27,7 @@ def conflicts(config: Config) -> Iterator[Conflict]:
     yield from _vehicles(config)
     yield from _telemetry(config)
     yield from _listeners(config)
+    yield from _ports(config)
     yield from _sending(config)
     yield from _sizes(config)
     yield from _files(config)
@@ -112,6 +113,26 @@ def _listeners(config: Config) -> Iterator[Conflict]:
         if listens_beyond_loopback(address):
             what = f"is '{address}', which other machines reach; use 127.0.0.1, or allow_public = true (--allow-public)"
             yield Conflict(path, what, (("allow_public",),))
+
+
+def _ports(config: Config) -> Iterator[Conflict]:
+    """Yield who wants to listen where another listens already."""
+    kinds = {"udp": "udp", "udpin": "udp", "tcpin": "tcp"}
+    places: list[tuple[KeyPath, str, str, str]] = []
+    for k, url in enumerate(config.mavlink):
+        kind, _, place = url.partition(":")
+        if kind in kinds:
+            places.append((("mavlink", k), url, kinds[kind], place))
+    for k, endpoint in enumerate(config.listen):
+        kind, _, place = endpoint.partition("/")
+        places.append((("listen", k), endpoint, kind, place))
+    if config.metrics.listen is not None:
+        places.append((("metrics", "listen"), config.metrics.listen, "tcp", config.metrics.listen))
+    for first, second in combinations(places, 2):
+        # port 0 is whichever is free
+        if first[2:] == second[2:] and not first[3].endswith(":0"):
+            what = f"is '{second[1]}', where '{first[1]}' listens already; give each a port of its own"
+            yield Conflict(second[0], what, (first[0],))
 
 
 def _sending(config: Config) -> Iterator[Conflict]:

@@ -30,23 +30,28 @@ def add_alarms(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="watch alarms as they happen; acknowledge, shelve, reset them",
         description="On a terminal a live table of the alarms that stand; in a pipe one JSON object per event, the "
         "current state of every alarm first.",
-        epilog="example: fauio alarms ack motors/motor1 --reason 'landing'",
+        epilog="example: fauio alarms --history",
     )
     _add_where(alarms, vehicle="only this vehicle (default: all)")
     alarms.add_argument("--history", action="store_true", help="begin with past events the monitor still knows")
     alarms.add_argument("--json", action="store_true", help="JSON lines, also on a terminal")
     alarms.add_argument(
-        "--for", dest="seconds", metavar="SECONDS", type=float, help="stop after this time (default: never)"
+        "--for", dest="seconds", metavar="S", type=float, help="stop after this time, seconds (default: never)"
     )
     alarms.set_defaults(handler=run_alarms)
     commands = alarms.add_subparsers(dest="verb", metavar="COMMAND", title="commands")
     for verb, what in _VERBS.items():
         command = commands.add_parser(
-            verb, help=what, description=f"{what[0].upper()}{what[1:]}; the monitor's configuration has to allow it."
+            verb,
+            help=what,
+            description=f"{what[0].upper()}{what[1:]}; the monitor's configuration has to allow it.",
+            epilog=f"example: fauio alarms {verb} motors/motor1 --reason 'landing'",
         )
         command.add_argument("target", metavar="ID|CHANNEL", help="the alarm: its id, motors/motor1, or motor1")
         if verb == "shelve":
-            command.add_argument("--minutes", type=float, metavar="N", help="for how long (default: the monitor's)")
+            command.add_argument(
+                "--minutes", type=float, metavar="N", help="for how long, minutes (default: the monitor's)"
+            )
         command.add_argument("--reason", metavar="TEXT", help="why, for the journal")
         command.add_argument("--by", metavar="NAME", help="who, for the journal (default: your user name)")
         command.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="the reply as JSON")
@@ -60,9 +65,15 @@ def add_schema(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     schema = subparsers.add_parser(
         "schema",
         help="print the JSON Schema of what is published",
-        description="Prints the JSON Schema of one kind of payload; without a name, all of them by name.",
+        description="Print the JSON Schema of one kind of payload; without a name, all of them by name.",
+        epilog="example: fauio schema alarm",
     )
-    schema.add_argument("name", nargs="?", metavar="NAME", help="alarm, estimate, status, ...")
+    schema.add_argument(
+        "name",
+        nargs="?",
+        metavar="NAME",
+        help="alarm, alarms, estimate, status, command_request, command_reply or command_error (default: all)",
+    )
     schema.set_defaults(handler=run_schema)
 
 
@@ -75,7 +86,9 @@ def _add_where(parser: argparse.ArgumentParser, vehicle: str, default: str | Non
         default=default,
         help=f"Zenoh endpoint of the monitor or a router, may be repeated (default: {DEFAULT_CONNECT})",
     )
-    parser.add_argument("--prefix", default=default or "fauio", help="what the keys begin with (default: fauio)")
+    parser.add_argument(
+        "--prefix", metavar="KEY", default=default or "fauio", help="what the keys begin with (default: fauio)"
+    )
 
 
 def run_alarms(args: argparse.Namespace) -> int:
@@ -86,25 +99,25 @@ def run_alarms(args: argparse.Namespace) -> int:
     from monitor.bus.subscriber import AlarmSubscriber
 
     endpoints = args.connect or [DEFAULT_CONNECT]
+    named = "" if args.vehicle == "*" else f" of '{args.vehicle}'"
+    nobody = f"no monitor{named} at {', '.join(endpoints)}"
     until = float("inf") if args.seconds is None else time.monotonic() + args.seconds
     # a session left open would keep the process alive for ever
     with open_session(connect=endpoints) as session:
         subscriber = AlarmSubscriber(session, args.vehicle, args.prefix, args.history)
         if args.json or not sys.stdout.isatty():
-            _print_lines(subscriber, endpoints, until, lambda event: to_json(event.to_json()).decode())
+            _print_lines(subscriber, nobody, until, lambda event: to_json(event.to_json()).decode())
             return 0
         from monitor.console.alarm_view import can_redraw, watch
 
         if can_redraw():
             watch(subscriber, endpoints, until)
         else:
-            _print_lines(subscriber, endpoints, until, alarm_line)
+            _print_lines(subscriber, nobody, until, alarm_line)
     return 0
 
 
-def _print_lines(
-    subscriber: AlarmSubscriber, endpoints: list[str], until: float, as_text: Callable[[AlarmEvent], str]
-) -> None:
+def _print_lines(subscriber: AlarmSubscriber, nobody: str, until: float, as_text: Callable[[AlarmEvent], str]) -> None:
     started = time.monotonic()
     live: frozenset[str] = frozenset()
     silent = True
@@ -119,7 +132,7 @@ def _print_lines(
         for vehicle in sorted(before - live):
             _say(f"monitor of {vehicle} is gone; waiting for it")
         if silent and not live and now - started >= NOBODY_AFTER_S:
-            _say(f"no monitor at {', '.join(endpoints)} yet; waiting (start one with 'fauio run')")
+            _say(f"{nobody} yet; waiting (start one with 'fauio run')")
         silent = silent and not live and now - started < NOBODY_AFTER_S
 
 

@@ -20,9 +20,10 @@ def add_completion(subparsers: Any, parser: argparse.ArgumentParser) -> None:
     command = subparsers.add_parser(
         "completion",
         help="print a script that completes commands, options and files in a shell",
-        description="Print a completion script. The shell reads it alone, without starting fauio: print it again after "
-        "an update.",
-        epilog="example: fauio completion bash > ~/.local/share/bash-completion/completions/fauio",
+        description="Print a completion script, for bash to be kept as "
+        "~/.local/share/bash-completion/completions/fauio. The shell reads it alone, without starting fauio: print it "
+        "again after an update.",
+        epilog="example: fauio completion bash",
     )
     command.add_argument("shell", choices=SHELLS, help="shell that reads it")
     command.set_defaults(handler=functools.partial(_run_completion, parser))
@@ -70,6 +71,8 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
     for action in parser._actions:
         yield action
         if isinstance(action, argparse._SubParsersAction):
+            # what help hides, shtab would leave out
+            action.help = "command"
             for command in action._choices_actions:
                 below = action.choices[command.dest]
                 below.description = command.help

@@ -43,10 +43,10 @@ def add_doctor(subparsers: Any) -> None:
     """Add the command to the command line."""
     parser = subparsers.add_parser(
         "doctor",
-        help="whether a monitor will run on this machine: ports, permissions, Zenoh, clock, versions",
+        help="will a monitor run here: ports, permissions, Zenoh, clock, versions",
         description="Check ports, permissions, Zenoh, clock, disk, receive buffers and versions, and say what to do. "
         "Exit status: 0; 2 where a check failed.",
-        epilog="example: fauio doctor --config fauio.toml",
+        epilog="example: fauio doctor --mavlink udpin:127.0.0.1:14550 --folder recordings/",
     )
     parser.add_argument("--config", type=Path, metavar="FILE.toml", help="check what this configuration needs")
     parser.add_argument(

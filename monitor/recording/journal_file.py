@@ -191,4 +191,4 @@ def _explain(path: Path, error: sqlite3.DatabaseError) -> None:
         return
     if code in _DAMAGE:
         raise DamagedError(str(error)) from error
-    raise ProfileError(f"{path}: cannot be written as journal: {error}") from error
+    raise ProfileError(f"{path}: cannot be written as journal: {error}; may this user write there?") from error

@@ -325,7 +325,8 @@ def writable_folder(folder: str | os.PathLike[str]) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise TelemetryError(f"{path}: cannot hold recordings: {error.strerror}") from error
+        advice = "name a folder that this user may write to"
+        raise TelemetryError(f"{path}: cannot hold recordings: {error.strerror}; {advice}") from error
     if not os.access(path, os.W_OK | os.X_OK):
         raise TelemetryError(f"{path}: cannot hold recordings: it may not be written to")
     return path

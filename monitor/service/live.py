@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from monitor.views.live_view import LiveView
 
 _SYNC_S = 1.0
+_FIRST_NS = 5_000_000_000
 
 
 def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool = False) -> int:
@@ -88,12 +89,15 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
             notifier.reloading()
             station.reload()
 
+        first_look = _FirstLook(links, log)
+
         def every_turn(now_ns: int) -> None:
             reloads = station.reloads
             station.turn(now_ns)
             if station.reloads != reloads:
                 notifier.ready(f"monitoring {len(station.posts)} vehicles")
             notifier.feed(not inbox.stuck())
+            first_look.turn(now_ns)
 
         daemon = Daemon(inbox, station.fleet, lambda: station.posts, station.troubles, every_turn)
         with _signals(daemon.stop, reload) as received:
@@ -109,6 +113,28 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
                 "stopped", vehicle=post.monitor.name, messages=status.get("messages"), samples=status.get("samples")
             )
         return 130 if signal.SIGINT in received else 0
+
+
+class _FirstLook:
+    """Says once which links have brought nothing in their first seconds: a wrong port looks like a quiet vehicle."""
+
+    def __init__(self, links: Mapping[str, Any], log: Log) -> None:
+        self._links = links
+        self._log = log
+        self._due_ns: int | None = 0
+
+    def turn(self, now_ns: int) -> None:
+        """Look once, when it is due."""
+        if self._due_ns is None or now_ns < self._due_ns:
+            return
+        if self._due_ns == 0:
+            self._due_ns = now_ns + _FIRST_NS
+            return
+        self._due_ns = None
+        for name, link in self._links.items():
+            if not link.statistics().messages:
+                advice = "is the vehicle on, and does it send to this address? See 'fauio doctor'"
+                self._log.say("no telemetry yet", level="warning", link=name, advice=advice)
 
 
 def _open_journal(config: Config, log: Log, stack: ExitStack) -> Journal | None:

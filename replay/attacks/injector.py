@@ -147,9 +147,10 @@ def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, f
     if mapped is not None:
         return _instrument_plan(attack, (channel_quantity(mapped),))
     faults = [fault.name for observer in (profile.observers if profile else ()) for fault in observer.faults]
+    choice = ", ".join(dict.fromkeys((*INSTRUMENTS, *faults)))
     raise InjectionError(
-        f"--channel {channel}: no such channel; use one of {', '.join((*INSTRUMENTS, *faults))}, or MESSAGE.field with "
-        f"a message of the log{'' if profile else '; a motor or another actuator needs --profile'}"
+        f"--channel {channel}: no such channel; use one of {choice}, or MESSAGE.field with a message of the "
+        f"log{'' if profile else '; a motor or another actuator needs --profile'}"
     )
 
 

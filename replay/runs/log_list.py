@@ -115,6 +115,37 @@ def forbid_overwriting(logs: Sequence[Log], targets: Sequence[Path]) -> None:
             raise TelemetryError(f"{path}: is one of the logs and would be overwritten; write somewhere else")
 
 
+def check_output(path: Path) -> None:
+    """Make sure, before long work, that a file can be written.
+
+    Raises
+    ------
+    TelemetryError
+        It is a folder, its folder does not exist, or this user may not write there.
+    """
+    if path.is_dir():
+        raise TelemetryError(f"{path}: is a folder; name a file to write")
+    if not path.parent.is_dir():
+        raise TelemetryError(f"{path}: there is no folder {path.parent}; make it first")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise TelemetryError(f"{path}: this user may not write there; choose another place")
+
+
+def check_output_folder(folder: Path) -> None:
+    """Make sure, before long work, that a folder can be written to, or made.
+
+    Raises
+    ------
+    TelemetryError
+        It is a file or below one, or this user may not write there.
+    """
+    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    if not there.is_dir():
+        raise TelemetryError(f"{folder}: {there} is a file; name a folder to write")
+    if not os.access(there, os.W_OK):
+        raise TelemetryError(f"{folder}: this user may not write to {there}; choose another place")
+
+
 def _files(path: Path) -> Sequence[Path]:
     return session_files(path) if path.is_dir() else ()
 

@@ -69,6 +69,18 @@ def profile_of(files: Mapping[str, bytes]) -> Profile:
         return read_profile(folder)
 
 
+@contextlib.contextmanager
+def deaf_to_interrupts() -> Iterator[None]:
+    """Start processes that do not hear Ctrl-C, which reaches every process of a terminal: only the first shall act."""
+    # what multiprocessing starts beside the first process would undo that
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 class _Worker:
     """A process that replays one log after the other.
 
@@ -90,14 +102,8 @@ class _Worker:
         self.alive = True
         self._log = ""
         self._process = context.Process(target=_work, args=(theirs, dict(files)), daemon=True)
-        # Ctrl-C reaches every process of a terminal; only the one that was started by hand shall act on it. What
-        # multiprocessing starts beside the first process would undo that.
-        resource_tracker.ensure_running()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
+        with deaf_to_interrupts():
             self._process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         # what is left open here would hide the end of the process
         theirs.close()
 

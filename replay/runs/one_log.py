@@ -268,7 +268,10 @@ def _verdict(found: Replay, profile: Profile) -> str:
         needed = ", ".join(sorted(interests(profile)))
         return f"no samples; the log lacks channels of the profile (needed: {needed})"
     if not found.evidence:
-        return "nothing was watched; the vehicle was never seen in flight (see [phase] in the profile)"
+        return (
+            "nothing was watched; the vehicle was never seen in flight: is it the profile's vehicle? "
+            "(see [phase] in the profile)"
+        )
     raised = sum(event.state == "raised" for event in found.events)
     alarms = {0: "no alarm", 1: "1 alarm"}.get(raised, f"{raised} alarms")
     blind = "".join(f"; {name} saw nothing (no {', '.join(lacks)})" for name, lacks in found.lacking.items())

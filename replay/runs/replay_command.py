@@ -34,7 +34,8 @@ def add_replay(subparsers: Any) -> None:
         description="Run recordings through the very pipeline that runs live, and list the alarms. Exit status: 0; 2 "
         "where a log could not be replayed, the others are nevertheless; with --fail-on-alarm 4 where an alarm was "
         "raised, whatever became of other logs; 130 interrupted.",
-        epilog="example: fauio replay quad/ flights/ --jobs 4 --table summary.csv --alarms alarms.jsonl",
+        epilog="example: fauio replay quad/ flight.tlog --report flight.html\n"
+        "example: fauio replay quad/ flights/ --jobs 4 --table summary.csv",
     )
     parser.add_argument("profile", type=Path, metavar="PROFILE", help="profile folder")
     parser.add_argument(
@@ -63,7 +64,9 @@ def add_replay(subparsers: Any) -> None:
     )
     parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=MAPPING_HELP)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--jobs", type=int, metavar="N", help="replay logs in N processes (default: in this one)")
+    where.add_argument(
+        "--jobs", type=int, metavar="N", help="replay logs in N processes, 1 or more (default: in this one)"
+    )
     where.add_argument(
         "--dask",
         metavar="ADDRESS",
@@ -85,7 +88,7 @@ def add_replay(subparsers: Any) -> None:
     )
     live.add_argument("--connect", metavar="ENDPOINT", action="append", help="Zenoh endpoint to connect to")
     live.add_argument("--allow-public", action="store_true", help="let Zenoh listen beyond this machine")
-    live.add_argument("--prefix", default="fauio", help="what the keys begin with (fauio)")
+    live.add_argument("--prefix", metavar="KEY", default="fauio", help="what the keys begin with (fauio)")
     live.add_argument(
         "--udp", metavar="URL", help="send the packets of a .tlog to udp:HOST:PORT, in real time without --speed"
     )
@@ -146,7 +149,7 @@ def _check(args: argparse.Namespace) -> None:
 def _tasks(args: argparse.Namespace, logs: Sequence[Log]) -> list[LogTask]:
     """Return what is to be done about each log."""
     from adapters.errors import TelemetryError
-    from replay.runs.log_list import forbid_overwriting, target
+    from replay.runs.log_list import check_output, forbid_overwriting, target
     from replay.runs.one_log import LogTask
 
     many = len(logs) > 1 or logs[0].path != args.logs[0]
@@ -182,7 +185,10 @@ def _tasks(args: argparse.Namespace, logs: Sequence[Log]) -> list[LogTask]:
         raise TelemetryError(
             "-o, --plot, --rrd and --report name the same file twice; give each output a name of its own"
         )
-    forbid_overwriting(logs, [*targets, *(path for path in (args.alarms, args.table) if path is not None)])
+    outputs = [*targets, *(path for path in (args.alarms, args.table) if path is not None)]
+    forbid_overwriting(logs, outputs)
+    for path in outputs:
+        check_output(path)
     return tasks
 
 

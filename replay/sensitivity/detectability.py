@@ -245,7 +245,9 @@ def _chosen(profile: Profile, channels: Sequence[str]) -> list[tuple[ObserverPro
     known = [rule.channel for _, rule in found]
     for channel in channels:
         if channel not in known:
-            raise InjectionError(f"--channel {channel}: the profile has no such alarm; it has {', '.join(known)}")
+            raise InjectionError(
+                f"--channel {channel}: the profile has no such alarm; it has {', '.join(dict.fromkeys(known))}"
+            )
     return [(o, rule) for o, rule in found if not channels or rule.channel in channels]
 
 
@@ -355,8 +357,12 @@ def _run(tasks: Sequence[Task], jobs: int) -> Iterator[list[Outcome]]:
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
+    from replay.runs.many_logs import deaf_to_interrupts
+
     with ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=get_context("spawn")) as pool:
-        yield from pool.map(run_task, tasks)
+        with deaf_to_interrupts():
+            outcomes = pool.map(run_task, tasks)
+        yield from outcomes
 
 
 def _unit(attack: Attack, rule: AlarmRule) -> str:
