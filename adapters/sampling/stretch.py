@@ -34,11 +34,7 @@ def mapped(function: Callable[[float], float], values: Array) -> Array:
 def first_order(keep: float, gained: Array, start: float) -> Array:
     """Return y_k = keep y_{k-1} + gained_k (n,), y_{-1} = ``start``."""
     y = start
-    found = []
-    for value in gained.tolist():
-        y = keep * y + value
-        found.append(y)
-    return np.array(found, np.float64)
+    return np.array([y := keep * y + value for value in gained.tolist()], np.float64)
 
 
 def since(event: NDArray[np.bool_], before: int) -> NDArray[np.intp]:

@@ -100,8 +100,9 @@ class Bank:
         self._penalty = rule.gain_penalty
         self._scaling = np.array([source is not None for one in gains for source in one.fault_inputs])
         self._first = np.array([span.start for span in self._stack.spans])
-        self._residuals = np.zeros((len(gains), p))
-        self._faults = np.zeros(len(self._stack.fault))
+        self._smoothed = np.zeros(len(gains) * p + len(self._stack.fault))
+        self._residuals = self._smoothed[: len(gains) * p].reshape(len(gains), p)
+        self._faults = self._smoothed[len(gains) * p :]
         self._edges = [
             (k, int(self._places[k][0]), EdgeDetector(rate_hz, _HEALTHY * p, thresholds.get(one.faults[0])))
             for k, one in enumerate(gains)
@@ -207,8 +208,8 @@ class Bank:
         """Advance by N samples with measurements, as :meth:`step` does by one."""
         count = len(u)
         stack, rows = self._stack.run(u, y), np.arange(count)
-        residuals = smooth(stack.residual.reshape(count, -1), self._keep, self._residuals.reshape(-1))
-        faults = smooth(stack.fault, self._keep, self._faults)
+        found = smooth(np.hstack((stack.residual.reshape(count, -1), stack.fault)), self._keep, self._smoothed)
+        residuals, faults = np.split(found, [self._residuals.size], axis=1)
         white = np.matmul(self._whitening, residuals.reshape(*stack.residual.shape, 1))[..., 0]
         J = np.vecdot(white, white)
         sizes = [unwash.run(faults[:, self._owned[place]]) for place, unwash, _ in self._washed]
