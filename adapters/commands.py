@@ -36,6 +36,9 @@ def add_parsers(subparsers: Any) -> None:
         help="Zenoh endpoints to connect to (default tcp/127.0.0.1:7447, where the daemon listens)",
     )
     arm.add_argument(
+        "--zenoh-config", metavar="FILE", help="Zenoh configuration with certificates or password; its endpoints count"
+    )
+    arm.add_argument(
         "--scenario",
         choices=SCENARIOS,
         help=f"faults and disturbances of the paper (default {DEFAULT_SCENARIO}; healthy with --fault)",
@@ -68,8 +71,8 @@ def _simulate_arm(args: argparse.Namespace) -> int:
     name = args.scenario or ("healthy" if args.fault else DEFAULT_SCENARIO)
     base = KNOWN[name]
     scenario = ArmScenario((*base.faults, *(parse_fault(text) for text in args.fault)), base.disturbed)
-    if args.connect and not args.zenoh:
-        raise TelemetryError("--connect goes with --zenoh only")
+    if (args.connect or args.zenoh_config) and not args.zenoh:
+        raise TelemetryError(f"{'--connect' if args.connect else '--zenoh-config'} goes with --zenoh only")
     run = simulate_arm(scenario, args.duration, args.rate, args.torque)
     if args.output:
         from adapters.logs.mcap_log import MessageLogWriter
@@ -87,7 +90,7 @@ def _simulate_arm(args: argparse.Namespace) -> int:
     else:
         from adapters.simulation.arm_source import publish_arm
 
-        sent = publish_arm(run, args.zenoh, args.connect or [DEFAULT_ENDPOINT], args.speed)
+        sent = publish_arm(run, args.zenoh, args.connect or [DEFAULT_ENDPOINT], args.speed, args.zenoh_config)
     target = args.output or args.mavlink or args.zenoh
     summary = {
         "scenario": name,

@@ -14,7 +14,7 @@ from loopback import free_port, until
 
 from adapters.errors import TelemetryError
 from adapters.zenoh.zenoh_link import ZenohLink
-from adapters.zenoh.zenoh_session import open_session
+from adapters.zenoh.zenoh_session import endpoints, open_session
 
 ROOT = Path(__file__).parent.parent
 
@@ -176,3 +176,24 @@ def test_a_certificate_that_is_not_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(TelemetryError, match=r"Zenoh cannot open a session as .*zenoh\.json5 says: ") as caught:
         open_session(config_file=tmp_path / "zenoh.json5")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        (None, ("tcp/a:1",)),
+        ("{}", ("tcp/a:1",)),
+        ("{listen: {endpoints: []}}", ()),
+        ("{listen: {endpoints: ['tls/b:2', 'tcp/b:3']}}", ("tls/b:2", "tcp/b:3")),
+        ("{listen: {endpoints: {router: ['tcp/b:2'], peer: ['tcp/b:3']}}}", ("tcp/b:2",)),
+        ("{mode: 'peer', listen: {endpoints: {router: ['tcp/b:2'], peer: ['tcp/b:3']}}}", ("tcp/b:3",)),
+        ("{listen: {endpoints: {peer: ['tcp/b:3']}}}", ()),
+    ],
+)
+def test_what_a_session_listens_on_is_known_before_it_is_open(
+    tmp_path: Path, text: str | None, found: tuple[str, ...]
+) -> None:
+    file = None if text is None else tmp_path / "zenoh.json5"
+    if file is not None and text is not None:
+        file.write_text(text)
+    assert endpoints("listen", ["tcp/a:1"], file, "router") == found

@@ -14,6 +14,7 @@ import pytest
 
 import fauio
 from adapters.logs.recordings import read_recording
+from adapters.logs.tlog import TlogReader
 from adapters.zenoh.zenoh_session import open_session
 from monitor.bus.subscriber import AlarmSubscriber
 from monitor.event import AlarmEvent, event_from_json
@@ -161,6 +162,64 @@ def test_the_alarms_command_prints_json_lines_whatever_garbage_came_and_ends_on_
         printer.kill()
         printer.communicate()
     assert live.process.poll() is None
+
+
+def test_a_start_that_fails_says_why_and_nothing_of_monitoring(
+    quad_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station, socket.create_server(("127.0.0.1", 0)) as server:
+        station.bind(("127.0.0.1", 0))
+        udp = f"udpin:127.0.0.1:{station.getsockname()[1]}"
+        before = signal.getsignal(signal.SIGHUP)
+        listen = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+        assert fauio.main(["run", str(quad_folder), "--mavlink", udp, "--listen", listen]) == 2
+        [line] = capsys.readouterr().err.splitlines()
+        assert "in use" in line
+        taken = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        assert fauio.main(["run", str(quad_folder), "--mavlink", "udpin:127.0.0.1:0", "--listen", taken]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+        assert signal.getsignal(signal.SIGHUP) == before
+
+
+def test_what_it_says_at_the_start_is_true_and_at_the_end_complete(
+    quad_folder: Path, data: Path, tmp_path: Path
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    (tmp_path / "zenoh.json5").write_text(f'{{listen: {{endpoints: ["{endpoint}"]}}}}')
+    udp = free_port(socket.SOCK_DGRAM)
+    record, journal = tmp_path / "new/flight.mcap", tmp_path / "other/journal.db"
+    text = f"""
+profile = "{quad_folder}"
+mavlink = "udpin:127.0.0.1:{udp}"
+zenoh_config = "zenoh.json5"
+record = "{record}"
+[journal]
+path = "{journal}"
+"""
+    (tmp_path / "fauio.toml").write_text(text)
+    command = [*FAUIO, "run", "--config", str(tmp_path / "fauio.toml"), "--json"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        try:
+            said = json.loads(process.stderr.readline())
+            process.send_signal(signal.SIGHUP)
+            assert (said["event"], said["zenoh"]) == ("monitoring", endpoint)
+            assert journal.exists()
+            assert json.loads(process.stderr.readline())["event"] == "reloaded"
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+                for _, packet in list(TlogReader(data / "copter_5s.tlog.xz").packets())[:300]:
+                    out.sendto(packet, ("127.0.0.1", udp))
+            # longer than the daemon needs for them, shorter than until its next status
+            time.sleep(0.3)
+            process.send_signal(signal.SIGTERM)
+            stopped = json.loads(process.stderr.readline())
+            assert process.wait(10) == 0
+        finally:
+            process.kill()
+    assert stopped["event"] == "stopped"
+    recorded = [message for message in read_recording(record) if message.source != "clock"]
+    assert sum(message.source == "mavlink" for message in recorded) > 0
+    assert stopped["messages"] == len(recorded)
 
 
 @pytest.mark.parametrize(

@@ -142,7 +142,7 @@ def test_a_mistake_is_named_with_its_line_and_its_mend(tmp_path: Path, text: str
     [
         ("profile = '.'", "'mavlink' is missing: no telemetry to listen to; give --mavlink URL"),
         (MAVLINK, "'profile' is missing: no vehicle to monitor; name a profile folder"),
-        (MAVLINK + "[[vehicle]]\nname = 'a'", "2: 'vehicle[0].profile' is missing; name the profile folder"),
+        (MAVLINK + "[[vehicle]]\nname = 'a'", "2: 'vehicle[0]' has no profile; name the folder"),
         (
             "profile = '.'\n[[vehicle]]\nzenoh = 'a/b'\n[[vehicle]]\nname = 'b'",
             "4: 'vehicle[1]' has no telemetry to listen to; give it 'zenoh', or set 'mavlink'",

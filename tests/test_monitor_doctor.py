@@ -13,7 +13,7 @@ from loopback import Endpoint, free_port
 
 import fauio
 from monitor.bus.publisher import Publisher
-from monitor.diagnosis.doctor import checks_text, version_checks, worst
+from monitor.diagnosis.doctor import checks_text, profile_check, version_checks, worst
 from monitor.diagnosis.doctor_check import Check
 from monitor.diagnosis.doctor_machine import buffer_check, clock_checks, disk_check, folder_check, serial_checks
 from monitor.diagnosis.doctor_network import mavlink_check, metrics_check, round_trip_check, zenoh_port_check
@@ -66,6 +66,39 @@ listen = "127.0.0.1:{metrics}"
     assert f":{port} is free" in found
     assert f":{metrics} is free" in found
     assert f"{tmp_path}/flights can be made in {tmp_path}" in found
+
+
+def test_the_profile_may_be_named_on_the_command_line_as_for_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "fauio.toml"
+    port, udp = free_ports(2)
+    top = f'vehicle = "copter-1"\nlisten = "tcp/127.0.0.1:{port}"\nmavlink = "udpin:127.0.0.1:{udp}"\n'
+    config.write_text(f'{top}[journal]\npath = "{tmp_path}/new/journal.db"\n')
+    assert fauio.main(["doctor", "--config", str(config)]) == 2
+    assert "has no profile; name the folder that 'fauio fit' made" in capsys.readouterr().err
+    assert fauio.main(["doctor", str(QUAD), "--config", str(config), "--json"]) == 0
+    found = [check["found"] for check in json.loads(capsys.readouterr().out)["checks"]]
+    assert f"{QUAD} can be used" in found
+    assert f"{tmp_path}/new can be made in {tmp_path}" in found
+
+
+def test_it_opens_what_the_zenoh_configuration_of_a_daemon_says(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    port, udp = free_ports(2)
+    (tmp_path / "zenoh.json5").write_text(f'{{listen: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}')
+    config = tmp_path / "fauio.toml"
+    config.write_text(f'mavlink = "udpin:127.0.0.1:{udp}"\nzenoh_config = "zenoh.json5"\n')
+    assert fauio.main(["doctor", str(QUAD), "--config", str(config), "--json"]) == 0
+    [found] = [one["found"] for one in json.loads(capsys.readouterr().out)["checks"] if one["name"] == "zenoh port"]
+    assert found.startswith(f"tcp/127.0.0.1:{port}: free")
+
+
+def test_a_profile_that_cannot_be_used_fails(tmp_path: Path) -> None:
+    found = profile_check(tmp_path)
+    assert (found.verdict, "profile.toml" in found.found) == ("failed", True)
+    assert profile_check(QUAD).verdict == "ok"
 
 
 def test_a_port_tells_a_monitor_from_another_zenoh_program() -> None:

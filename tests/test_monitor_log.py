@@ -75,7 +75,7 @@ def test_people_read_a_line_with_a_time_of_day() -> None:
     assert all(line[2] == line[5] == ":" for line in lines)
     assert [line[8:] for line in lines] == [
         " monitoring  vehicle copter-1  rate 50",
-        " alarm  12.345 s  motors/motor1 raised (warning): motor1 delivers less",
+        " alarm  12.345 s  copter-1  motors/motor1 raised (warning): motor1 delivers less",
         " ERROR disk full  path x",
     ]
 

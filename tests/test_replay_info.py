@@ -18,6 +18,7 @@ from adapters.logs.tlog import TlogReader
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
 from monitor.profile import Profile
+from replay.inspection.log_info import raised_alarms
 from replay.player import play
 
 FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
@@ -114,6 +115,14 @@ def test_a_recorded_session_tells_its_monitor_and_alarms(
     assert "recorded by a monitor of arm" in text
     assert "1 alarm recorded:" in text
     assert "arm/motor: " in text
+
+
+def test_a_recorded_alarm_that_was_unshelved_is_told_once() -> None:
+    said = [{"id": "1", "state": "raised", "seq": k} for k in range(2)]
+    assert raised_alarms([*said, {"id": "2", "state": "cleared"}, {"state": "raised"}]) == [
+        said[0],
+        {"state": "raised"},
+    ]
 
 
 def test_damage_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

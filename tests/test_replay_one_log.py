@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from loopback import event
 
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
 from monitor.profile import Profile, read_profile
 from replay.player import interests, play
-from replay.runs.one_log import LogTask, replay_log
+from replay.runs.one_log import LogOutcome, LogTask, replay_log
 
 QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
 PROFILE = read_profile(QUAD)
@@ -70,3 +71,8 @@ def test_what_was_not_foreseen_is_one_line(
     assert outcome.error.startswith(line)
     assert "\n" not in outcome.error
     assert outcome.to_json()["error"] == outcome.error
+
+
+def test_an_alarm_that_was_unshelved_is_counted_once() -> None:
+    events = (event(1), event(2, state="shelved"), event(3), event(4, "motor2"), event(5, state="cleared"))
+    assert LogOutcome("a", events=events).raised == (event(1), event(4, "motor2"))

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import pytest
 import trustme
 import zenoh
+from daemons import ENVIRONMENT, FAUIO
 from loopback import event, free_port, until
 
+import fauio
 from adapters.zenoh.zenoh_link import ZenohLink
 from adapters.zenoh.zenoh_session import open_session
 from monitor.bus.publisher import Publisher
 from monitor.bus.subscriber import AlarmSubscriber
+from monitor.diagnosis.doctor_network import zenoh_file_check
 
 EXAMPLES = Path(__file__).parent.parent / "examples/zenoh"
 ALARM = "fauio/copter-1/alarm/motors/motor1"
@@ -93,6 +98,82 @@ def test_the_daemons_example_lets_in_the_client_of_its_own_example(site: Site, k
     ):
         until(lambda: nodes(client) == 1)
         assert receives(daemon, client)
+
+
+@pytest.mark.parametrize("kind", ["tls", "mtls", "password"])
+def test_a_plain_zenoh_client_needs_nothing_but_the_file(site: Site, kind: str) -> None:
+    with (
+        open_session(config_file=site.file(f"{kind}-daemon.json5")) as daemon,
+        zenoh.open(zenoh.Config.from_file(str(site.file(f"{kind}-client.json5")))) as client,
+    ):
+        until(lambda: nodes(client) == 1)
+        assert receives(daemon, client)
+
+
+@contextmanager
+def alarms(config: Path) -> Iterator[subprocess.Popen[str]]:
+    command = [*FAUIO, "alarms", "--zenoh-config", str(config)]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def line(stream: IO[str] | None) -> str:
+    assert stream is not None
+    return stream.readline()
+
+
+@pytest.mark.parametrize("kind", ["mtls", "password"])
+def test_alarms_shows_and_commands_a_secured_monitor(site: Site, kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with open_session(config_file=site.file(f"{kind}-daemon.json5")) as daemon, ExitStack() as stack:
+        publisher = Publisher(daemon, "copter-1", [])
+        stack.callback(publisher.close)
+        publisher.event(event(1))
+        client = site.file(f"{kind}-client.json5")
+        with alarms(client) as process:
+            assert json.loads(line(process.stdout))["channel"] == "motor1"
+        # that it is refused, and by whom, is an answer of the monitor
+        for where in (
+            ["--zenoh-config", str(client), "ack", "motor1"],
+            ["ack", "motor1", "--zenoh-config", str(client)],
+        ):
+            assert fauio.main(["alarms", *where]) == 2
+            assert "the monitor of 'copter-1' does not take 'ack'" in capsys.readouterr().err
+
+
+def test_alarms_without_the_right_certificate_says_where_no_monitor_is_found(site: Site) -> None:
+    with open_session(config_file=site.file("mtls-daemon.json5")) as daemon, ExitStack() as stack:
+        stack.callback(Publisher(daemon, "copter-1", []).close)
+        with alarms(site.file("mtls-client.json5", "stranger")) as process:
+            assert line(process.stderr).startswith(f"fauio: no monitor at tls/localhost:{site.port} yet; waiting")
+
+
+def test_a_file_that_is_missing_ends_alarms_with_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fauio.main(["alarms", "--zenoh-config", str(tmp_path / "none.json5")]) == 2
+    assert capsys.readouterr().err == f"fauio: {tmp_path / 'none.json5'}: cannot be read: No such file or directory\n"
+
+
+def test_a_simulated_vehicle_reaches_a_secured_monitor(site: Site) -> None:
+    with open_session(config_file=site.file("mtls-daemon.json5")) as daemon, ZenohLink(daemon, "arm/*") as link:
+        client = site.file("mtls-client.json5")
+        where = ["--zenoh", "arm/telemetry", "--zenoh-config", str(client)]
+        assert fauio.main(["simulate", "arm", *where, "--duration", "0.1", "--speed", "10"]) == 0
+        until(lambda: len(link._queue) == 10)
+
+
+def test_doctor_opens_what_a_secured_monitor_listens_on(site: Site) -> None:
+    file = site.file("mtls-daemon.json5")
+    free = zenoh_file_check(file, [], ["tcp/127.0.0.1:7447"], "peer")
+    assert (free.verdict, f"tls/localhost:{site.port}: free" in free.found) == ("ok", True)
+    with open_session(config_file=file):
+        taken = zenoh_file_check(file, [], [], "peer")
+    assert (taken.verdict, "the port is taken" in taken.found) == ("warning", True)
+    lacking = zenoh_file_check(site.file("mtls-daemon.json5", **{"daemon.pem": "nobody.pem"}), [], [], "peer")
+    assert (lacking.verdict, "mend the file" in lacking.advice) == ("failed", True)
 
 
 @pytest.mark.parametrize(

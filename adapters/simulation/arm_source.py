@@ -12,6 +12,7 @@ import json
 import socket
 import time
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 from adapters.errors import TelemetryError
@@ -115,7 +116,9 @@ def send_arm(run: ArmRun, url: str, speed: float = 1.0) -> int:
     return count
 
 
-def publish_arm(run: ArmRun, key: str, connect: Sequence[str], speed: float = 1.0) -> int:
+def publish_arm(
+    run: ArmRun, key: str, connect: Sequence[str], speed: float = 1.0, config_file: str | Path | None = None
+) -> int:
     """Publish the run as JSON over Zenoh in real time; return the number of samples.
 
     Starts when somebody subscribes, at the latest after 5 s.
@@ -130,18 +133,20 @@ def publish_arm(run: ArmRun, key: str, connect: Sequence[str], speed: float = 1.
         Endpoints to connect to.
     speed : float
         Times real time.
+    config_file : str | Path | None
+        Zenoh's configuration, as for :func:`adapters.zenoh.zenoh_session.open_session`.
 
     Raises
     ------
     TelemetryError
-        The key or an endpoint is not understood.
+        The key, an endpoint or the configuration is not understood.
     """
     import zenoh
 
     from adapters.zenoh.zenoh_session import open_session
 
     count = 0
-    with open_session(connect=connect) as session:
+    with open_session(connect=connect, config_file=config_file) as session:
         try:
             publisher = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
         except zenoh.ZError as error:

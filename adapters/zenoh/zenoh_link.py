@@ -8,6 +8,7 @@ both show in the counts. A connection that is lost comes back by itself
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections import deque
@@ -25,6 +26,7 @@ MAX_PAYLOAD_BYTES = 1 << 20
 
 _QUEUE = 4096
 _QUEUE_BYTES = 1 << 24
+_MAX_TOLD = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +88,7 @@ class ZenohLink:
         self._messages = self._dropped = self._oversized = self._malformed = 0
         self._undefined = self._connected = self._reconnections = 0
         self._lost_all = False
+        self._told: set[str] = set()
         try:
             self._subscriber: Any = session.declare_subscriber(keyexpr, self._take)
         except zenoh.ZError as error:
@@ -130,14 +133,22 @@ class ZenohLink:
         for key, encoding, payload, received_ns in arrived:
             try:
                 name, fields = self._decoder.decode(key, encoding, payload)
-            except MalformedPayload:
+            except MalformedPayload as error:
                 self._malformed += 1
-            except UndefinedType:
+                self._say_once(key, error)
+            except UndefinedType as error:
                 self._undefined += 1
+                self._say_once(key, error)
             else:
                 messages.append(Message("zenoh", name, received_ns, fields))
         self._messages += len(messages)
         return messages
+
+    def _say_once(self, key: str, error: ValueError) -> None:
+        """Log why a payload was passed over: the first of each key, as its sender will hardly mend itself."""
+        if key not in self._told and len(self._told) < _MAX_TOLD:
+            self._told.add(key)
+            logging.getLogger(__name__).warning("payload of %s passed over, and more like it: %s", key, error)
 
     def statistics(self) -> ZenohLinkStatistics:
         """Return the counts so far."""

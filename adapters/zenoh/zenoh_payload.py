@@ -82,7 +82,7 @@ class PayloadDecoder:
             return name, _json_object(payload)
         decoder = self._decoders.get(kind)
         if decoder is None:
-            raise UndefinedType(f"{key}: no definition of {kind or 'its type'}")
+            raise UndefinedType(f"CDR, and no definition of {kind}" if kind else "CDR of a type that nobody told")
         try:
             return name, decoder.decode(payload)
         except CdrError as error:
@@ -126,7 +126,9 @@ def _json_object(payload: bytes) -> dict[str, Any]:
     try:
         fields = json.loads(payload)
     except (ValueError, RecursionError) as error:
-        raise MalformedPayload("not JSON") from error
+        # the first byte of CDR, and none that JSON begins with
+        cdr = "; if it is CDR, name its type in [zenoh_types]" if payload[:1] == b"\0" else ""
+        raise MalformedPayload(f"not JSON{cdr}") from error
     if not isinstance(fields, dict):
         raise MalformedPayload("not a JSON object")
     return fields

@@ -65,7 +65,7 @@ def open_session(
     """
     import zenoh
 
-    config, text = (zenoh.Config(), "") if config_file is None else _read_config(Path(config_file))
+    config, text = _read_config(config_file)
     settings: dict[str, Any] = {
         "mode": mode,
         "scouting/multicast/enabled": False,
@@ -103,10 +103,47 @@ def open_session(
         raise TelemetryError(f"Zenoh cannot {where}: {_reason(str(error))}") from error
 
 
-def _read_config(path: Path) -> tuple[zenoh.Config, str]:
-    """Return Zenoh's own reading of a configuration file, and its text without comments."""
+def endpoints(
+    side: Literal["connect", "listen"],
+    otherwise: Sequence[str] = (),
+    config_file: str | Path | None = None,
+    mode: Mode = "peer",
+) -> tuple[str, ...]:
+    """Return what :func:`open_session` connects to, or listens on: the file's endpoints, else those given.
+
+    Parameters
+    ----------
+    side : {"connect", "listen"}
+        Which of the two.
+    otherwise : Sequence[str]
+        What holds where the file names none.
+    config_file : str | Path | None
+        As for :func:`open_session`.
+    mode : {"peer", "router", "client"}
+        Zenoh's mode where the file does not say; the file may name endpoints by mode.
+
+    Raises
+    ------
+    TelemetryError
+        The file is missing or not valid.
+    """
+    config, text = _read_config(config_file)
+    key = f"{side}/endpoints"
+    if not _says(config, text, key):
+        return tuple(otherwise)
+    said = json.loads(config.get_json(key))
+    if isinstance(said, dict):
+        said = said.get(json.loads(config.get_json("mode")) or mode)
+    return tuple(str(endpoint) for endpoint in said or ())
+
+
+def _read_config(config_file: str | Path | None) -> tuple[zenoh.Config, str]:
+    """Return Zenoh's own reading of a configuration file, if there is one, and its text without comments."""
     import zenoh
 
+    if config_file is None:
+        return zenoh.Config(), ""
+    path = Path(config_file)
     try:
         text = path.read_text()
         config = zenoh.Config.from_json5(text)

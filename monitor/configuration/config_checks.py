@@ -45,8 +45,9 @@ def _vehicles(config: Config) -> Iterator[Conflict]:
     for k, vehicle in enumerate(config.vehicles):
         if vehicle.profile is None:
             yield Conflict(
-                ("vehicle", k, "profile"),
-                "is missing; name the profile folder that 'fauio fit' made",
+                ("vehicle", k),
+                "has no profile; name the folder that 'fauio fit' made: profile = \"quad/\" here or at the top level, "
+                "or PROFILE on the command line",
                 (("profile",),),
             )
         for channel in sorted(set(vehicle.out_of_service) & set(vehicle.latched)):

@@ -6,6 +6,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -87,23 +88,31 @@ def _add_where(parser: argparse.ArgumentParser, vehicle: str, default: str | Non
         help=f"Zenoh endpoint of the monitor or a router, may be repeated (default: {DEFAULT_CONNECT})",
     )
     parser.add_argument(
+        "--zenoh-config",
+        type=Path,
+        metavar="FILE",
+        default=default,
+        help="Zenoh configuration with certificates or password, for a secured monitor; its endpoints count",
+    )
+    parser.add_argument(
         "--prefix", metavar="KEY", default=default or "fauio", help="what the keys begin with (default: fauio)"
     )
 
 
 def run_alarms(args: argparse.Namespace) -> int:
     """Show alarms until interrupted or for the time asked: a table on a terminal, JSON lines in a pipe."""
-    from adapters.zenoh.zenoh_session import open_session
+    from adapters.zenoh.zenoh_session import endpoints, open_session
     from monitor.bus.alarm_text import alarm_line
     from monitor.bus.payload import to_json
     from monitor.bus.subscriber import AlarmSubscriber
 
-    endpoints = args.connect or [DEFAULT_CONNECT]
+    connect = args.connect or [DEFAULT_CONNECT]
+    where = endpoints("connect", connect, args.zenoh_config)
     named = "" if args.vehicle == "*" else f" of '{args.vehicle}'"
-    nobody = f"no monitor{named} at {', '.join(endpoints)}"
+    nobody = f"no monitor{named} at {', '.join(where)}"
     until = float("inf") if args.seconds is None else time.monotonic() + args.seconds
     # a session left open would keep the process alive for ever
-    with open_session(connect=endpoints) as session:
+    with open_session(connect=connect, config_file=args.zenoh_config) as session:
         subscriber = AlarmSubscriber(session, args.vehicle, args.prefix, args.history)
         if args.json or not sys.stdout.isatty():
             _print_lines(subscriber, nobody, until, lambda event: to_json(event.to_json()).decode())
@@ -111,7 +120,7 @@ def run_alarms(args: argparse.Namespace) -> int:
         from monitor.console.alarm_view import can_redraw, watch
 
         if can_redraw():
-            watch(subscriber, endpoints, until)
+            watch(subscriber, where, until)
         else:
             _print_lines(subscriber, nobody, until, alarm_line)
     return 0
@@ -138,16 +147,17 @@ def _print_lines(subscriber: AlarmSubscriber, nobody: str, until: float, as_text
 
 def run_command(args: argparse.Namespace) -> int:
     """Ask a monitor to do something to an alarm, print what it did."""
-    from adapters.zenoh.zenoh_session import open_session
+    from adapters.zenoh.zenoh_session import endpoints, open_session
     from monitor.bus.alarm_text import alarm_line, printable
     from monitor.bus.payload import to_json
     from monitor.console.operator_client import find_target, send_command
     from monitor.event import valid_event
 
     details = {"by": args.by or _user(), "reason": args.reason, "minutes": getattr(args, "minutes", None)}
-    endpoints = args.connect or [DEFAULT_CONNECT]
-    with open_session(connect=endpoints) as session:
-        target = find_target(session, args.target, args.prefix, args.vehicle, endpoints)
+    connect = args.connect or [DEFAULT_CONNECT]
+    where = endpoints("connect", connect, args.zenoh_config)
+    with open_session(connect=connect, config_file=args.zenoh_config) as session:
+        target = find_target(session, args.target, args.prefix, args.vehicle, where)
         request = target.request | {key: value for key, value in details.items() if value is not None}
         reply = send_command(session, args.prefix, target.vehicle, args.verb, request)
     if args.json:

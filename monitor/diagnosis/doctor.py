@@ -10,9 +10,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from monitor.diagnosis.doctor_check import VERDICTS, Check, Verdict
+
+if TYPE_CHECKING:
+    from adapters.zenoh.zenoh_session import Mode
 
 FAILED = 2
 
@@ -31,12 +34,24 @@ class Needs:
         Folders to write to; they need not exist yet.
     metrics : str | None
         HOST:PORT to serve metrics at.
+    connect : Sequence[str]
+        Zenoh endpoints to connect to, where ``zenoh_config`` names none.
+    zenoh_config : Path | None
+        Zenoh's own configuration, with which to listen.
+    zenoh_mode : Mode
+        Zenoh's mode where that does not say.
+    profiles : Sequence[Path]
+        Profile folders.
     """
 
     listen: Sequence[str] = ("tcp/127.0.0.1:7447",)
     mavlink: Sequence[str] = ("udpin:127.0.0.1:14550",)
     folders: Sequence[Path] = (Path(),)
     metrics: str | None = None
+    connect: Sequence[str] = ()
+    zenoh_config: Path | None = None
+    zenoh_mode: Mode = "peer"
+    profiles: Sequence[Path] = ()
 
 
 def add_doctor(subparsers: Any) -> None:
@@ -48,6 +63,7 @@ def add_doctor(subparsers: Any) -> None:
         "Exit status: 0; 2 where a check failed.",
         epilog="example: fauio doctor --mavlink udpin:127.0.0.1:14550 --folder recordings/",
     )
+    parser.add_argument("profile", type=Path, nargs="?", metavar="PROFILE", help="profile folder, as for 'fauio run'")
     parser.add_argument("--config", type=Path, metavar="FILE.toml", help="check what this configuration needs")
     parser.add_argument(
         "--listen", metavar="ENDPOINT", action="append", help="Zenoh endpoint to listen on (tcp/127.0.0.1:7447)"
@@ -76,10 +92,19 @@ def run_doctor(args: argparse.Namespace) -> int:
 def diagnose(needs: Needs) -> list[Check]:
     """Return what all checks found."""
     from monitor.diagnosis.doctor_machine import buffer_check, clock_checks, disk_check, folder_check, serial_checks
-    from monitor.diagnosis.doctor_network import mavlink_check, metrics_check, round_trip_check, zenoh_port_check
+    from monitor.diagnosis.doctor_network import (
+        mavlink_check,
+        metrics_check,
+        round_trip_check,
+        zenoh_file_check,
+        zenoh_port_check,
+    )
 
-    checks = [*version_checks()]
-    checks += [zenoh_port_check(endpoint) for endpoint in needs.listen]
+    checks = [*version_checks(), *(profile_check(folder) for folder in needs.profiles)]
+    if needs.zenoh_config is None:
+        checks += [zenoh_port_check(endpoint) for endpoint in needs.listen]
+    else:
+        checks.append(zenoh_file_check(needs.zenoh_config, needs.connect, needs.listen, needs.zenoh_mode))
     checks += [mavlink_check(url) for url in needs.mavlink if not url.startswith("serial:")]
     if needs.metrics is not None:
         checks.append(metrics_check(needs.metrics))
@@ -114,6 +139,17 @@ def version_checks() -> list[Check]:
     return checks
 
 
+def profile_check(folder: Path) -> Check:
+    """Check that a profile can be used."""
+    from monitor.profile import read_profile
+
+    try:
+        read_profile(folder)
+    except (ValueError, OSError) as error:
+        return Check("profile", "failed", str(error), "name the folder that 'fauio fit' made, or make it anew")
+    return Check("profile", "ok", f"{folder} can be used")
+
+
 def worst(checks: Sequence[Check]) -> Verdict:
     """Return the worst verdict."""
     return max((check.verdict for check in checks), key=VERDICTS.index, default="ok")
@@ -134,14 +170,27 @@ def checks_text(checks: Sequence[Check]) -> str:
 
 def _needs(args: argparse.Namespace) -> Needs:
     listen, mavlink, folders = args.listen or (), args.mavlink or (), args.folder or ()
-    if args.config is not None:
-        from monitor.configuration.config import read_config
+    profiles = () if args.profile is None else (args.profile,)
+    if args.config is None:
+        usual = Needs()
+        places = folders or usual.folders
+        return Needs(listen or usual.listen, mavlink or usual.mavlink, places, profiles=profiles)
+    from monitor.configuration.config import read_config
 
-        config = read_config(args.config, {})
-        listen, mavlink = listen or config.listen, mavlink or config.mavlink
-        files = [path for path in (config.record, config.journal.path) if path is not None]
-        places = [path for path in (config.recording.folder, config.black_box.folder) if path is not None]
-        folders = folders or tuple(dict.fromkeys([*places, *(path.parent for path in files)]))
-        return Needs(listen, mavlink, folders, config.metrics.listen)
-    usual = Needs()
-    return Needs(listen or usual.listen, mavlink or usual.mavlink, folders or usual.folders)
+    # as 'fauio run' does with what its command line gives
+    given = {"profile": args.profile, "listen": args.listen, "mavlink": args.mavlink}
+    config = read_config(args.config, {name: value for name, value in given.items() if value is not None})
+    files = [path for path in (config.record, config.journal.path) if path is not None]
+    places = [path for path in (config.recording.folder, config.black_box.folder) if path is not None]
+    known = [*(vehicle.profile for vehicle in config.vehicles), config.new_vehicles.profile]
+    return Needs(
+        config.listen,
+        config.mavlink,
+        folders or tuple(dict.fromkeys([*places, *(path.parent for path in files)])),
+        config.metrics.listen,
+        config.connect,
+        # an endpoint that was asked for is checked as it stands
+        None if listen else config.zenoh_config,
+        config.zenoh_mode,
+        tuple(dict.fromkeys(folder for folder in known if folder is not None)),
+    )

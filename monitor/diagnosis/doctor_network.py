@@ -7,12 +7,14 @@ import socket
 import statistics
 import threading
 import time
+from collections.abc import Sequence
+from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import TYPE_CHECKING, Any
 
 from adapters.errors import TelemetryError
 from adapters.mavlink.byte_link import open_byte_link, resolve
-from adapters.zenoh.zenoh_session import open_session
+from adapters.zenoh.zenoh_session import Mode, endpoints, open_session
 from monitor.diagnosis.doctor_check import Check
 
 if TYPE_CHECKING:
@@ -45,6 +47,21 @@ def zenoh_port_check(endpoint: str) -> Check:
         return Check(name, "warning", f"{endpoint}: a Zenoh program that is no monitor listens there", advice)
     advice = "stop it (ss -ltnp names it), or give the monitor another endpoint ('listen', --listen)"
     return Check(name, "failed", f"{endpoint} is taken by something that is not Zenoh", advice)
+
+
+def zenoh_file_check(config_file: Path, connect: Sequence[str], listen: Sequence[str], mode: Mode) -> Check:
+    """Check that a session opens as a Zenoh configuration says: certificates are there, endpoints free."""
+    name = "zenoh port"
+    try:
+        places = ", ".join(endpoints("listen", listen, config_file, mode)) or "no listener"
+        with open_session(connect, listen, config_file, mode):
+            pass
+    except TelemetryError as error:
+        if "taken" in str(error):
+            advice = "stop who listens there (ss -ltnp names it; a monitor of ours?), or use another port"
+            return Check(name, "warning", str(error), advice)
+        return Check(name, "failed", str(error), "mend the file ('zenoh_config')")
+    return Check(name, "ok", f"{places}: free, as {config_file} says")
 
 
 def mavlink_check(url: str) -> Check:

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import zenoh
 
@@ -21,7 +21,7 @@ from adapters.mavlink.signing import SigningKey, read_key
 from adapters.zenoh.zenoh_link import ZenohLink
 from adapters.zenoh.zenoh_payload import PayloadDecoder
 from adapters.zenoh.zenoh_session import open_session
-from monitor.configuration.config import Config
+from monitor.configuration.config import Config, Vehicle
 from monitor.errors import ProfileError
 from monitor.recording.journal import Journal
 from monitor.service.daemon import Daemon
@@ -29,6 +29,7 @@ from monitor.service.inbox import Inbox, Link
 from monitor.service.log import Log
 from monitor.service.metrics_server import MetricsServer
 from monitor.service.station import Station
+from monitor.service.station_health import Counting
 from monitor.service.systemd import Notifier
 
 if TYPE_CHECKING:
@@ -65,7 +66,8 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
     if not config.vehicles and config.new_vehicles.profile is None:
         raise ProfileError("no vehicle to monitor: give a PROFILE, or name vehicles in --config")
     json_lines = {"auto": not sys.stderr.isatty(), "json": True, "text": False}[config.log_format]
-    with ExitStack() as stack:
+    # signals first: the default action of SIGHUP is to end a process
+    with ExitStack() as stack, _signals() as received:
         log = Log(as_json or json_lines)
         stack.callback(log.close)
         session = stack.enter_context(
@@ -73,25 +75,31 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         )
         journal = _open_journal(config, log, stack)
         inbox = Inbox(config.inbox)
-        links: dict[str, Any] = {}
+        links = _open_links(config, session, stack)
         view = _open_view(config, log, stack)
-        station = Station(config, read_again, session, inbox, journal, log, links, view)
+        station = Station(config, read_again, session, inbox, journal, log, {one.name: one.link for one in links}, view)
         stack.callback(station.close)
-        _open_links(config, session, inbox, station, links, stack)
         # before the links are closed, which their threads read
         stack.callback(inbox.close)
+        for one in links:
+            inbox.listen(one.name, one.reader, None if one.vehicle is None else station.name_of(one.vehicle))
         if config.metrics.listen is not None:
             stack.callback(MetricsServer(config.metrics.listen, station.health).close)
         notifier = Notifier()
         stack.callback(notifier.close)
+        heeded = 0
 
-        def reload() -> None:
-            notifier.reloading()
-            station.reload()
-
-        first_look = _FirstLook(links, log)
+        first_look = _FirstLook({one.name: one.link for one in links}, log)
 
         def every_turn(now_ns: int) -> None:
+            nonlocal heeded
+            new = received[heeded:]
+            heeded += len(new)
+            if signal.SIGHUP in new:
+                notifier.reloading()
+                station.reload()
+            if signal.SIGINT in new or signal.SIGTERM in new:
+                daemon.stop()
             reloads = station.reloads
             station.turn(now_ns)
             if station.reloads != reloads:
@@ -100,18 +108,16 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
             first_look.turn(now_ns)
 
         daemon = Daemon(inbox, station.fleet, lambda: station.posts, station.troubles, every_turn)
-        with _signals(daemon.stop, reload) as received:
-            notifier.ready(f"monitoring {len(station.posts)} vehicles")
-            # What stands for weeks need not be searched for garbage again and again, which takes longer than an alarm.
-            gc.collect()
-            gc.freeze()
-            daemon.run()
+        station.announce()
+        notifier.ready(f"monitoring {len(station.posts)} vehicles")
+        # What stands for weeks need not be searched for garbage again and again, which takes longer than an alarm.
+        gc.collect()
+        gc.freeze()
+        daemon.run()
         notifier.stopping()
         for post in station.posts:
-            status = post.last_status
-            log.say(
-                "stopped", vehicle=post.monitor.name, messages=status.get("messages"), samples=status.get("samples")
-            )
+            monitor = post.monitor
+            log.say("stopped", vehicle=monitor.name, messages=monitor.messages, samples=monitor.samples)
         return 130 if signal.SIGINT in received else 0
 
 
@@ -140,6 +146,9 @@ class _FirstLook:
 def _open_journal(config: Config, log: Log, stack: ExitStack) -> Journal | None:
     if config.journal.path is None:
         return None
+    # where it cannot be made the journal says what is wrong
+    with contextlib.suppress(OSError):
+        config.journal.path.parent.mkdir(parents=True, exist_ok=True)
     journal = Journal(config.journal.path, config.journal.max_events)
     stack.callback(journal.close)
     if journal.set_aside is not None:
@@ -173,26 +182,31 @@ def _open_view(config: Config, log: Log, stack: ExitStack) -> LiveView | None:
     return view
 
 
-def _open_links(
-    config: Config, session: zenoh.Session, inbox: Inbox, station: Station, links: dict[str, Any], stack: ExitStack
-) -> None:
-    """Open all links and let the inbox read them."""
+class _Opened(NamedTuple):
+    """An open link, what reads it, and the vehicle whose own it is."""
+
+    name: str
+    link: Counting
+    reader: Link
+    vehicle: Vehicle | None = None
+
+
+def _open_links(config: Config, session: zenoh.Session, stack: ExitStack) -> list[_Opened]:
+    """Open all links; nobody reads them yet."""
     key = read_key(config.signing.key_file) if config.signing.key_file is not None else None
-
-    def listen(name: str, link: Any, reader: Link, vehicle: str | None = None) -> None:
-        stack.enter_context(contextlib.closing(link))
-        links[name] = link
-        inbox.listen(name, reader, vehicle)
-
+    opened = []
     for url in config.mavlink:
         link = MavlinkLink(url, key, config.signing.require, may_send=config.send.allow)
-        listen(url, link, _requesting(link, config, key))
+        stack.callback(link.close)
+        opened.append(_Opened(url, link, _requesting(link, config, key)))
     folders = () if config.definitions is None else (config.definitions,)
     shared = [(keyexpr, None) for keyexpr in config.zenoh]
-    own = [(vehicle.zenoh, station.name_of(vehicle)) for vehicle in config.vehicles if vehicle.zenoh is not None]
-    for keyexpr, name in (*shared, *own):
+    own = [(vehicle.zenoh, vehicle) for vehicle in config.vehicles if vehicle.zenoh is not None]
+    for keyexpr, vehicle in (*shared, *own):
         zenoh_link = ZenohLink(session, keyexpr, PayloadDecoder(config.zenoh_types, folders))
-        listen(keyexpr, zenoh_link, zenoh_link, name)
+        stack.callback(zenoh_link.close)
+        opened.append(_Opened(keyexpr, zenoh_link, zenoh_link, vehicle))
+    return opened
 
 
 def _requesting(link: MavlinkLink, config: Config, key: SigningKey | None) -> Link:
@@ -207,21 +221,15 @@ def _requesting(link: MavlinkLink, config: Config, key: SigningKey | None) -> Li
 
 
 @contextmanager
-def _signals(stop: Callable[[], None], reload: Callable[[], None]) -> Iterator[list[int]]:
-    """Stop on the first SIGINT or SIGTERM, reload on SIGHUP; yield the list of signals received."""
+def _signals() -> Iterator[list[int]]:
+    """Note SIGINT, SIGTERM and SIGHUP instead of what they do by themselves; yield the list of those received."""
     received: list[int] = []
 
-    def on_signal(number: int, frame: FrameType | None) -> None:
+    def note(number: int, frame: FrameType | None) -> None:
         del frame
         received.append(number)
-        actions[number]()
 
-    actions: Mapping[int, Callable[[], None]] = {
-        signal.SIGINT: stop,
-        signal.SIGTERM: stop,
-        signal.SIGHUP: reload,
-    }
-    before = {number: signal.signal(number, on_signal) for number in actions}
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         yield received
     finally:

@@ -91,7 +91,8 @@ class Log:
         """Write an alarm event."""
         seconds = event.vehicle_time_ms / 1000
         message = _text(event.message)
-        text = f"{seconds:.3f} s  {event.observer}/{event.channel} {event.state} ({event.severity}): {message}"
+        what = f"{event.observer}/{event.channel} {event.state} ({event.severity}): {message}"
+        text = f"{seconds:.3f} s  {event.vehicle}  {what}"
         limited_by = f"alarm {event.vehicle} {event.observer}/{event.channel}"
         self._write("alarm", "info", limited_by, {"alarm": event.to_json()}, text)
 

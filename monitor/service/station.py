@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adapters.zenoh.zenoh_session import endpoints
 from monitor.alarms.desk_rule import DeskRule
 from monitor.configuration.config import Config, Vehicle
 from monitor.errors import ProfileError
@@ -106,6 +107,7 @@ class Station:
         self._dropped_before = 0
         self._troubles: tuple[str, ...] = ()
         self._health = Health(ProcessHealth())
+        self._listens = endpoints("listen", config.listen, config.zenoh_config, config.zenoh_mode)
         for vehicle in config.vehicles:
             self._add(vehicle)
         makes_new = config.new_vehicles.profile is not None
@@ -120,6 +122,11 @@ class Station:
         """Return the name of a vehicle of the configuration, which may be its profile's."""
         folder = vehicle.profile
         return vehicle.name or (self._profiles[folder].name if folder is not None else "")
+
+    def announce(self) -> None:
+        """Log which vehicles are monitored from the start, once everything is open."""
+        for vehicle in self._config.vehicles:
+            self._say_monitoring(vehicle)
 
     def troubles(self) -> Sequence[str]:
         """Return what is wrong around all vehicles."""
@@ -175,6 +182,7 @@ class Station:
             post = self._posts.get(name)
             if post is None:
                 self.fleet.add(self._add(vehicle).monitor)
+                self._say_monitoring(vehicle)
                 continue
             if _models(post.monitor.pipeline.profile) != _models(profile):
                 self._log.say("restart needed", level="warning", vehicle=name, reason="its models or gains changed")
@@ -198,6 +206,7 @@ class Station:
             self._log.say("vehicle refused", level="error", system=system, reason=str(error))
             return None
         self._new += 1
+        self._say_monitoring(vehicle)
         return post.monitor
 
     def _add(self, vehicle: Vehicle) -> Post:
@@ -237,14 +246,17 @@ class Station:
             desk, links = self._desk(vehicle), functools.partial(self._links_of, vehicle)
             post = Post(monitor, desk, self._session, rule, self._journal, archive, [closers.close], links)
         self._posts[pipeline.vehicle] = post
+        return post
+
+    def _say_monitoring(self, vehicle: Vehicle) -> None:
+        config, name = self._config, self.name_of(vehicle)
         self._log.say(
             "monitoring",
-            vehicle=pipeline.vehicle,
+            vehicle=name,
             telemetry=vehicle.zenoh or ", ".join((*config.mavlink, *config.zenoh)),
-            zenoh=", ".join(config.listen) or "no listener",
-            topics=f"{config.prefix}/{pipeline.vehicle}/**",
+            zenoh=", ".join(self._listens) or "no listener",
+            topics=f"{config.prefix}/{name}/**",
         )
-        return post
 
     def _links_of(self, vehicle: Vehicle) -> tuple[LinkHealth, ...]:
         """Return the links that all share, and the vehicle's own."""
@@ -256,6 +268,7 @@ class Station:
         recording: Recorder | RotatingRecorder | None = None
         encoder = RecordEncoder(pipeline.layouts)
         if config.record is not None:
+            config.record.parent.mkdir(parents=True, exist_ok=True)
             recording = Recorder(config.record, pipeline.layouts, pipeline.metadata(), profile.files)
         elif config.recording.folder is not None:
             table = config.recording

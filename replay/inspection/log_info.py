@@ -126,9 +126,18 @@ def log_info(path: Path) -> dict[str, Any]:
         "vehicle": _fits(found, tally),
         "fields": {name: _paths(fields) for name, fields in sorted(tally.examples.items())},
         "recorded": recorded_metadata(path) or None,
-        "alarms": [event for event in recorded_alarms(path) if event.get("state") == "raised"],
+        "alarms": raised_alarms(recorded_alarms(path)),
         "damage": [damage.to_json() for damage in recording.damage()],
     }
+
+
+def raised_alarms(events: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the first event of each alarm that was raised; one that was unshelved says so again."""
+    found: dict[Any, dict[str, Any]] = {}
+    for event in events:
+        if event.get("state") == "raised":
+            found.setdefault(event.get("id"), event)
+    return list(found.values())
 
 
 def _moment(time_ns: int) -> str:

@@ -107,8 +107,8 @@ class LogOutcome:
 
     @property
     def raised(self) -> tuple[AlarmEvent, ...]:
-        """The events that raised an alarm."""
-        return tuple(event for event in self.events if event.state == "raised")
+        """The events that raised an alarm, one for each alarm."""
+        return first_raised(self.events)
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``--json`` prints."""
@@ -262,6 +262,15 @@ class _Span:
             yield block
 
 
+def first_raised(events: Iterable[AlarmEvent]) -> tuple[AlarmEvent, ...]:
+    """Return the first event of each alarm that was raised: it is said again when an operator unshelves it."""
+    found: dict[str, AlarmEvent] = {}
+    for event in events:
+        if event.state == "raised":
+            found.setdefault(event.id, event)
+    return tuple(found.values())
+
+
 def _verdict(found: Replay, profile: Profile) -> str:
     """Return in a sentence what a replay found."""
     if not found.samples:
@@ -272,7 +281,7 @@ def _verdict(found: Replay, profile: Profile) -> str:
             "nothing was watched; the vehicle was never seen in flight: is it the profile's vehicle? "
             "(see [phase] in the profile)"
         )
-    raised = sum(event.state == "raised" for event in found.events)
+    raised = len(first_raised(found.events))
     alarms = {0: "no alarm", 1: "1 alarm"}.get(raised, f"{raised} alarms")
     blind = "".join(f"; {name} saw nothing (no {', '.join(lacks)})" for name, lacks in found.lacking.items())
     return f"{alarms} in {found.watched_s:.0f} s of watched flight{blind}"
