@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _THEOREMS = ("theorem1", "theorem2")
 _BASELINES = ("gao2022", "gao2016", "chen2006", "zhang2008", "ekf")
 _SCALARS = ("beta", "epsilon", "delta")
+_RATE_HZ = 100.0
+"""Of a discrete design of a continuous model without a rate: what autopilots' telemetry is recorded at."""
 _DISCRETE_OPTIONS = {
     "integrator_order": 1,
     "h2": 0.0,
@@ -35,7 +37,7 @@ def add_parsers(subparsers: Any) -> None:
         "design",
         help="design certified observer gains for a plant model",
         description="Design the observer of a plant model and prove its error bound.",
-        epilog="example: fauio design arm-disturbed --rate 100 --json",
+        epilog="examples: fauio design arm; fauio design arm-disturbed --rate 50 --json",
     )
     parser.add_argument("model", metavar="MODEL.toml", help="model file, or built in: arm, arm-disturbed")
     parser.add_argument("-o", "--out", type=Path, metavar="GAINS.json", help="write the compiled gains")
@@ -52,7 +54,8 @@ def add_parsers(subparsers: Any) -> None:
         "--rate",
         type=float,
         metavar="HZ",
-        help="samples per second; a continuous model needs it for a discrete design, a continuous design to run",
+        help="samples per second: of a discrete design (what the model says, else "
+        f"{_RATE_HZ:g}); of a continuous design, to compile it for that rate (not compiled)",
     )
     parser.add_argument(
         "--continuous", action="store_true", help="design in continuous time; with a rate it is compiled exactly for it"
@@ -140,6 +143,12 @@ def run_design(args: argparse.Namespace) -> int:
         plant = replace(model, faults=tuple(rated))
     if args.faults is not None:
         plant = _only(plant, args.faults)
+    if args.rate is None and plant.rate_hz is None and args.method != "all" and not _continuous(args):
+        args.rate = _RATE_HZ
+        sys.stderr.write(
+            f"fauio: {plant.name}: designed for {_RATE_HZ:g} samples per second; --rate HZ sets another rate, "
+            "--continuous needs none\n"
+        )
     try:
         if args.method == "all":
             return _compare(plant, args, model_hash(model))

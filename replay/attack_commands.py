@@ -29,8 +29,10 @@ kinds:
   spoof   moves GPS position and velocity together: up to --rate m/s, with
           at most --accel m/s^2
   loss    an actuator of --profile delivers a share --size less, at once or
-          growing by --rate per second; the plant's linear answer is added
-          to the measurements, the commands stay as recorded
+          growing by --rate per second. An autopilot holds the vehicle: its
+          command grows until the motor delivers what it did, and the motion
+          stays as recorded; where full command is not enough, and for other
+          plants, the plant's linear answer is added to the measurements
 
 channels:
   gps_north gps_east gps_down (m), gps_velocity_north gps_velocity_east

@@ -128,6 +128,8 @@ def run_fit(args: argparse.Namespace) -> int:
     except (TelemetryError, ModelError, InfeasibleError) as error:
         raise type(error)(_about_logs(str(error), args.logs, args.model)) from error
     found = _warn(one for path in args.logs for one in damage.get(path, ()))
+    for warning in report.warnings:
+        sys.stderr.write(f"fauio: {warning}\n")
     if args.json:
         _say(json.dumps(report.to_json() | {"damage": found}))
         return 0

@@ -73,6 +73,7 @@ def test_tables_of_a_user_replace_those_of_the_same_message(tmp_path: Path) -> N
         ("[[ATTITUDE]]\ntopic = 'a'\nroll = { field = 'x', angle = 'bank' }", "'angle' is none of roll, pitch, yaw"),
         ("[[ATTITUDE]]\ntopic = 'a'\nroll = { field = 'x', values = 3 }", "'values' is no table"),
         ("[[ATTITUDE]]\ntopic = 'a'\nroll = { value = 'x' }", "'value' is no number"),
+        ("[[ATTITUDE]]\ntopic = 'a'\nroll = { field = 'x', otherwise = { field = 'y' } }", "'otherwise' goes with"),
         ("[[HEARTBEAT]]\ntopic = 'a'\ntype = { value = 300 }", "300 is no value of this field"),
         ("[[HEARTBEAT]]\ntopic = 'a'\nrepeat_s = 0", "'repeat_s' is no number"),
         ("[[STATUSTEXT]]\ntopic = 'a'\ntext = { field = 'x' }", "arrays or text cannot be filled"),

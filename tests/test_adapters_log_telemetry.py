@@ -114,6 +114,18 @@ def test_a_value_that_stands_for_nothing_makes_no_message() -> None:
     assert states == [("HEARTBEAT", 129), ("EXTENDED_SYS_STATE", 2), ("HEARTBEAT", 1)]
 
 
+def test_from_the_first_contact_with_the_ground_px4_is_landing() -> None:
+    states = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1), (0, 0, 0)]
+    names = ("ground_contact", "maybe_landed", "landed")
+    records = [
+        record("vehicle_land_detected", 100.0 * n, **dict(zip(names, state, strict=True)))
+        for n, state in enumerate(states)
+    ]
+    assert [m.fields["landed_state"] for m in made(records, "EXTENDED_SYS_STATE")] == [2, 4, 4, 1, 2]
+    old = [record("vehicle_land_detected", 100.0 * n, landed=landed) for n, landed in enumerate((0, 1))]
+    assert [m.fields["landed_state"] for m in made(old, "EXTENDED_SYS_STATE")] == [2, 1]
+
+
 def test_a_topic_that_comes_late_fills_its_messages_from_then_on() -> None:
     records = [rates(1000.0 * step) for step in range(8)]
     late = [one for step in range(8, 12) for one in (attitude(1000.0 * step), rates(1000.0 * step))]

@@ -165,12 +165,51 @@ def test_a_file_without_a_matrix_cannot_lend_one(tmp_path: Path, capsys: pytest.
     assert f"{path}: its certificate has no 'P'" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", ["check", "design"])
+def test_a_model_with_free_parameters_is_sent_to_the_fit(
+    command: str, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = data / "arm_free.toml"
+    assert fauio.main([command, str(path)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"fauio: {path}: has free parameters (stiffness, ratio, gain)")
+    assert f"fauio fit --vehicle custom --model {path} LOG ... -o PROFILE" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("options", [[], ["--method", "ekf"]])
+def test_a_continuous_model_without_a_rate_is_designed_for_100_hz_and_that_is_said(
+    options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "gains.json"
+    assert fauio.main(["design", "arm", *options, "--json", "-o", str(out)]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == (
+        "fauio: arm: designed for 100 samples per second; --rate HZ sets another rate, --continuous needs none\n"
+    )
+    assert json.loads(captured.out)["rate_hz"] == 100.0
+    assert read_gains(out).rate_hz == 100.0
+    assert fauio.main(["design", "arm", *options, "--json", "--rate", "100"]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert json.loads(said.out).keys() == json.loads(captured.out).keys()
+
+
+@pytest.mark.parametrize("options", [["--continuous"], ["--method", "theorem1"], ["--method", "gao2016"]])
+def test_a_continuous_design_without_a_rate_stays_continuous(
+    options: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    fauio.main(["design", "arm", *options, "--json"])
+    captured = capsys.readouterr()
+    assert "samples per second" not in captured.err
+    assert json.loads(captured.out)["rate_hz"] is None
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["missing.toml"], "fauio: missing.toml: no such file"),
         (["leg"], "fauio: leg: neither a file nor a built-in model"),
-        (["arm"], "fauio: arm: a continuous model needs a rate"),
         (["arm", "--rate", "-5"], "fauio: arm: a rate of -5.0 Hz is not positive"),
         (["arm", "--rate", "10", "--pole-radius", "2"], "fauio: arm: a pole radius of 2.0"),
         (["arm", "--rate", "10", "--fault-rate", "0"], "fauio: arm: a fault rate of 0.0 per second"),

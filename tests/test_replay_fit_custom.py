@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import fauio
@@ -23,7 +24,7 @@ from gains.plants.model_file import read_model
 from monitor.estimation.isolation_rule import BankRule
 from monitor.profile import UNEXPLAINED, read_profile
 from replay.fitting.fit import fit
-from replay.fitting.fit_custom import custom_messages, fit_custom
+from replay.fitting.fit_custom import _alarms, custom_messages, fit_custom
 from replay.player import play
 
 MODEL = Path(__file__).parent / "data" / "arm_free.toml"
@@ -142,6 +143,10 @@ def test_faults_that_cannot_be_estimated_together_get_a_bank(tmp_path: Path, mon
     assert all(time > 10.0 for _, time in raised)
     assert next(time for channel, time in raised if channel == "motor") < 10.5
     assert [channel for channel, time in raised if time > 25.0] == ["encoder"]
+    quiet = [np.zeros((5000, len(observer.faults) + 1))]
+    critical = {found.rule.channel: found.rule.critical for found in _alarms(fitted, quiet, {"motor"})}
+    assert critical["encoder"] < 0.1
+    assert critical["motor"] == 1.0  # the error that matters to it
 
 
 def test_a_custom_vehicle_needs_its_model_and_no_other_takes_one(

@@ -351,11 +351,25 @@ def test_a_lost_motor_is_named_within_two_points_and_clears_when_it_is_back(
     assert 0 < cleared.vehicle_time_ms - truth["off"]["time_boot_ms"] < 5_000
 
 
-def test_a_loss_shows_in_every_gyro_alike_and_in_no_command(
+def test_the_autopilot_answers_a_loss_and_nothing_but_the_motor_alarms(
     quad_profile: Profile, quad_folder: Path, data: Path
 ) -> None:
     log = data / "copter_healthy_square.tlog.xz"
-    messages, _ = loss(quad_profile, quad_folder, log, size=0.2, rate=0.1)
+    before = list(read_recording(log))
+    messages, _ = loss(quad_profile, quad_folder, log, size=0.05, start_ns=80 * 10**9, end_ns=110 * 10**9)
+    assert {event.channel for event in play(quad_profile, messages).events} == {"motor3"}
+    for a, b in zip(before, messages, strict=True):
+        if a != b:
+            assert a.name == "SERVO_OUTPUT_RAW"
+            command, answer = ((m.fields["servo3_raw"] - 1000) / 1000 for m in (a, b))
+            assert 0.95 * answer == pytest.approx(command, abs=0.0005)
+
+
+def test_what_full_command_cannot_hold_shows_in_every_gyro_alike(
+    quad_profile: Profile, quad_folder: Path, data: Path
+) -> None:
+    log = data / "copter_healthy_square.tlog.xz"
+    messages, _ = loss(quad_profile, quad_folder, log, size=0.6)
     before = list(read_recording(log))
     moved: dict[str, list[tuple[float, float]]] = {"ATTITUDE": [], "HIGHRES_IMU": []}
     for a, b in zip(before, messages, strict=True):
@@ -363,33 +377,41 @@ def test_a_loss_shows_in_every_gyro_alike_and_in_no_command(
             moved[a.name].append((a.fields["time_boot_ms"] / 1e3, b.fields["pitchspeed"] - a.fields["pitchspeed"]))
         elif a.name == "HIGHRES_IMU":
             moved[a.name].append((a.fields["time_usec"] / 1e6, b.fields["ygyro"] - a.fields["ygyro"]))
-        else:
-            assert a == b
+        elif a != b:
+            assert b.fields["servo3_raw"] == 2000
     attitude, imu = (np.array(moved[name]) for name in moved)
     assert not attitude[attitude[:, 0] < 90.0, 1].any()
     during = (imu[:, 0] > 90.5) & (imu[:, 0] < 95.0)
+    assert np.abs(imu[during, 1]).max() > 1.0
     resampled = np.interp(imu[during, 0], attitude[:, 0], attitude[:, 1])
     np.testing.assert_allclose(resampled, imu[during, 1], atol=0.02 * np.abs(imu[during, 1]).max())
 
 
-def test_the_answer_of_a_plant_is_that_of_its_equations(quad_profile: Profile, quad_folder: Path) -> None:
+@pytest.mark.parametrize("size", [0.2, 0.6])
+@pytest.mark.parametrize("held", [True, False])
+def test_the_answer_of_a_plant_is_that_of_its_equations(
+    size: float, held: bool, quad_profile: Profile, quad_folder: Path
+) -> None:
     found = find_fault(quad_profile, quad_folder, "motor2")
     assert found is not None
     observer, plant, fault = found
-    response = PlantResponse(plant, fault, observer.source.inputs, lambda stamp_ns: 0.2 if stamp_ns >= 10**10 else 0.0)
+    name = "SERVO_OUTPUT_RAW" if held else "somebody/outputs"
+    inputs = [replace(channel, message=name) for channel in observer.source.inputs]
+    response = PlantResponse(plant, fault, inputs, lambda stamp_ns: size if stamp_ns >= 10**10 else 0.0)
     ticks = range(900, 1200)
     given_y = []
     for tick in ticks:
         stamp_ns = tick * 10_000_000
         given_y.append(response.at(stamp_ns))
         fields = {"time_usec": stamp_ns // 1000, "port": 0, "servo2_raw": 1500 + tick % 7}
-        response.feed(Message("mavlink", "SERVO_OUTPUT_RAW", 0, fields), stamp_ns)
+        response.feed(Message("mavlink", name, 0, fields), stamp_ns)
     x, phis, expected = np.zeros(4), [0.0] * len(plant.taps), []
     c1, c2 = plant.curves[1]
     for tick in ticks:
         expected.append(plant.C @ x)
         u = 0.5 + (tick - 1) % 7 / 1000  # the newest command when tick's outputs come
-        whole, lost = (c1 * v + c2 * v * v for v in (u, 0.8 * u))
+        answer = min(u / (1.0 - size), 1.0) if held else u
+        whole, lost = (c1 * v + c2 * v * v for v in (u, (1.0 - size) * answer))
         phis = [lost - whole if tick >= 1000 else 0.0, *phis[:-1]]
         x = plant.A @ x + fault.column * float(np.dot(plant.taps, phis))
     np.testing.assert_allclose(given_y, expected, atol=1e-12)

@@ -73,6 +73,20 @@ def test_an_observer_that_saw_nothing_says_why(arm_profile: Profile, replay: Rep
     assert told(flying, grounded)[key] == "the vehicle was never seen armed and in the air for long enough"
 
 
+def test_messages_that_come_much_more_seldom_than_samples_are_told(arm_profile: Profile, replay: Replay) -> None:
+    [observer] = arm_profile.observers
+    [name] = {channel.message for channel in observer.source.channels}
+
+    def said(rate_hz: float) -> dict[str, str]:
+        return told(arm_profile, replay, RecordingFacts(0, 1, (StreamFacts("zenoh", name, 0, 0, 9, rate_hz, ()),)))
+
+    assert said(4.0)[f"{observer.name}: what happened between messages"] == (
+        f"{name} 4 times a second came for 100 samples a second: samples are interpolated over up to 25 periods, "
+        "and faults show later, weaker or not at all"
+    )
+    assert not any("between messages" in what for what in said(50.0))
+
+
 def test_lost_measurements_gaps_and_jumps_of_the_clock_are_told(arm_profile: Profile, replay: Replay) -> None:
     [(name, watch)] = replay.watches.items()
     sampling = replace(watch.sampling, skipped=250, restarts=3, clock_restarts=1)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import struct
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -24,7 +24,8 @@ Angle = Literal["roll", "pitch", "yaw"]
 SOURCES: Final = ("ulog", "dataflash")
 
 _ANGLES = ("roll", "pitch", "yaw")
-_KEYS = {"topic", "field", "scale", "offset", "period", "interpolation", "angle", "values", "value", "unknown"}
+_KEYS = {"topic", "field", "scale", "offset", "period", "interpolation", "angle", "values"}
+_KEYS |= {"otherwise", "value", "unknown"}
 _OF_CHANNELS = ("field", "scale", "offset", "period", "interpolation")
 _OF_RULES = ("topic", "repeat_s")
 # Of two ways to fill a message, the later one only where it comes this much more often.
@@ -49,13 +50,15 @@ class FieldRule:
     angle : {"roll", "pitch", "yaw"} | None
         The channel's place holds a quaternion (w, x, y, z), body to earth; this is its angle.
     values : Mapping[str, int] | None
-        What whole numbers stand for; without a message where one is not listed.
+        What whole numbers stand for; without a message where one is not listed and nothing else stands for it.
     constant : int | None
         The value.
     unknown : int | float
         What stands where the log does not say.
     required : bool
         The log has to have this place to fill the message.
+    otherwise : FieldRule | None
+        Where else in the same record to look for a number that is not listed.
     """
 
     name: str
@@ -67,6 +70,13 @@ class FieldRule:
     constant: int | None
     unknown: int | float
     required: bool
+    otherwise: FieldRule | None = None
+
+    def places(self) -> Iterator[FieldRule]:
+        """Yield the rule and those that it falls back on."""
+        yield self
+        if self.otherwise is not None:
+            yield from self.otherwise.places()
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +127,8 @@ class MessageRule:
         needed = {self.topic, *self.linear}
         return needed <= examples.keys() and all(
             follow(examples[field.topic], field.channel.path) is not None
-            for field in self.fields
+            for one in self.fields
+            for field in one.places()
             if field.channel is not None and field.required and field.topic in needed
         )
 
@@ -259,6 +270,11 @@ def _field(name: str, code: str, topic: str, table: Any, where: str) -> FieldRul
     if not isinstance(source, str):
         raise TelemetryError(f"{where}: 'topic' is no text")
     joined = source != topic
+    otherwise = None
+    if "otherwise" in table:
+        otherwise = _field(name, code, topic, table["otherwise"], f"{where}.otherwise")
+        if values is None or joined or otherwise.joined:
+            raise TelemetryError(f"{where}: 'otherwise' goes with 'values', and with places in the record '{topic}'")
     channel = None
     if constant is None:
         if joined and "interpolation" not in table:
@@ -271,4 +287,4 @@ def _field(name: str, code: str, topic: str, table: Any, where: str) -> FieldRul
         except (struct.error, OverflowError) as error:
             raise TelemetryError(f"{where}: {number} is no value of this field") from error
     required = "unknown" not in table
-    return FieldRule(name, source, channel, joined, angle, values, constant, nothing, required)
+    return FieldRule(name, source, channel, joined, angle, values, constant, nothing, required, otherwise)

@@ -229,7 +229,8 @@ def _value(field: FieldRule, fields: Mapping[str, Any]) -> float | int | None:
         return channel.value(fields)
     found = follow(fields, channel.path)
     if field.values is not None:
-        return field.values.get(str(int(found))) if isinstance(found, int) else None
+        value = field.values.get(str(int(found))) if isinstance(found, int) else None
+        return _value(field.otherwise, fields) if value is None and field.otherwise is not None else value
     return _angle(found, field.angle or "roll")
 
 

@@ -76,6 +76,14 @@ def read_model(path: str | Path) -> Plant:
         The file cannot be read or is no valid model; the message is one line with file and key.
     """
     document = read_document(path)
+    parameters = document.get("parameters")
+    if isinstance(parameters, dict) and parameters:
+        free = [name for name, value in parameters.items() if isinstance(value, dict)] or list(parameters)
+        raise ModelError(
+            f"{path}: has free parameters ({', '.join(free)}), which recordings decide: "
+            f"fauio fit --vehicle custom --model {path} LOG ... -o PROFILE; a plain model with their values is then in "
+            "PROFILE"
+        )
     try:
         return plant_of_document(document)
     except ModelError as error:

@@ -192,9 +192,9 @@ def _instrument_plan(attack: Attack, quantities: Iterable[Quantity]) -> Plan:
 
 
 def _plant_plan(attack: Attack, observer: Any, plant: Any, fault: Any) -> Plan:
-    """Return what a fault of a profile's plant alters: all the recorded outputs that it moves."""
+    """Return what a fault of a profile's plant alters: the outputs that it moves, and the command that answers it."""
     channel, kind = attack.channel, attack.kind
-    response = None
+    response, targets = None, list[Target]()
     if fault.kind == "sensor":
         signal = attack.additive()
         if signal is None:
@@ -211,8 +211,9 @@ def _plant_plan(attack: Attack, observer: Any, plant: Any, fault: Any) -> Plan:
             )
         response = PlantResponse(plant, fault, observer.source.inputs, _within(attack, size))
         moves = output_signals(plant, fault, response.at)
+        if response.command is not None:
+            targets.append(Target(channel_quantity(response.command), response.answer))
     mapped = {output.name: output for output in observer.source.outputs}
-    targets = []
     for output, move in moves:
         if output not in mapped:
             raise InjectionError(f"--channel {channel}: output {output} of {plant.name} comes from no single message")

@@ -5,8 +5,18 @@ With the plant in discrete time, the deviation from the recorded flight obeys
     dx(k+1) = A dx(k) + E f(k),   dy(k) = C dx(k),   f(k) = sum_d h_d phi(k-d),
 
 where a loss l of an actuator with the command u and the static curve v(u) has phi = v((1 - l) u) - v(u), as if its
-command were multiplied by 1 - l behind the recorded one; other faults have phi = f. Whoever flew did not answer: the
-commands stay as recorded. That is exact for what an observer of a linear plant sees, whatever the commands are.
+command were multiplied by 1 - l behind the recorded one; other faults have phi = f. That is exact for what an observer
+of a linear plant sees, whatever the commands are.
+
+An autopilot holds the vehicle against a loss: it commands more until the motor delivers what the flight needs. Without
+that the rates of a multirotor would grow to turns per second, and neither attitude nor velocity would fit them. So of
+an output of an autopilot (SERVO_OUTPUT_RAW) the command is what changes: u' = u / (1 - l), at most full command, and
+
+    phi = v((1 - l) u') - v(u)
+
+is zero unless the command is at its limit: motion and all measurements stay as recorded and fit each other. The
+autopilot is taken to answer at once; that of a real one lags, and the rates move meanwhile. Commands of other plants
+stay as recorded.
 """
 
 from __future__ import annotations
@@ -28,6 +38,8 @@ from monitor.profile import ObserverProfile, Profile
 from replay.attacks.attack import InjectionError, Signal
 
 _MAX_STEPS = 2000
+_AUTOPILOT_OUTPUT = "SERVO_OUTPUT_RAW"
+_FULL_COMMAND = 1.0
 
 
 class PlantResponse:
@@ -46,6 +58,8 @@ class PlantResponse:
 
     Attributes
     ----------
+    command : Channel | None
+        Where the autopilot's answer stands; None where nobody answers.
     first_ns, last_ns : int | None
         Stamps of the first and the last command behind which the fault acted.
     """
@@ -63,6 +77,8 @@ class PlantResponse:
                 raise InjectionError(f"{fault.name}: the profile maps no channel '{fault.input}'; nothing to lose")
             if plant.curves:
                 self._curve = np.array([plant.curves[plant.inputs.index(fault.input)]])
+        answered = self._channel is not None and self._channel.message == _AUTOPILOT_OUTPUT
+        self.command = self._channel if answered else None
         self._command: float | None = None
         self._restart(0)
         self.first_ns: int | None = None
@@ -86,6 +102,14 @@ class PlantResponse:
                 self._command = value
                 if self._size(stamp_ns) and value:
                     self._note(stamp_ns)
+
+    def answer(self, stamp_ns: int, u: float) -> float:
+        """Return what the autopilot commands at a time in place of a recorded command."""
+        size = self._size(stamp_ns)
+        if self.command is None or not size or u <= 0.0:
+            return u
+        most = max(u, _FULL_COMMAND)
+        return most if size >= 1.0 else min(u / (1.0 - size), most)
 
     def at(self, stamp_ns: int) -> NDArray[np.float64]:
         """Return the deviation of the outputs (p,) at a time, a straight line between two samples."""
@@ -111,7 +135,10 @@ class PlantResponse:
         if not size or self._channel is None:
             return size
         u = 0.0 if self._command is None else self._command
-        commands = np.array([[(1.0 - size) * u], [u]])
+        answer = self.answer(stamp_ns, u)
+        if size < 1.0 and answer == u / (1.0 - size):
+            return 0.0
+        commands = np.array([[(1.0 - size) * answer], [u]])
         lost, whole = effect_of_command(self._curve, commands)[:, 0]
         return float(lost - whole)
 

@@ -11,6 +11,7 @@ from typing import Any
 import tomli_w
 
 from adapters.errors import TelemetryError
+from adapters.sampling.slow_telemetry import INERTIAL_HZ, WANTED_HZ, slow_messages, slow_text
 from gains.errors import InfeasibleError, ModelError
 from monitor.alarms.gate import GateRule
 from monitor.errors import ProfileError
@@ -24,7 +25,7 @@ from replay.fitting.fit_motors import fit_motors, multirotor_gate
 from replay.fitting.fit_report import draw_comparison
 from replay.fitting.fit_surfaces import fit_surfaces, plane_gate
 from replay.fitting.fitted import Fitted, Log
-from replay.fitting.survey import survey
+from replay.fitting.survey import Survey, survey
 
 KINDS = ("multirotor", "plane", "rover", "inertial", "custom")
 
@@ -41,11 +42,14 @@ class FitReport:
         The fitted observers.
     notes : tuple[str, ...]
         What could not be fitted, and why.
+    warnings : tuple[str, ...]
+        What makes the profile worse than it could be.
     """
 
     vehicle: str
     observers: tuple[Fitted, ...]
     notes: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as a JSON object."""
@@ -53,12 +57,13 @@ class FitReport:
             "vehicle": self.vehicle,
             "observers": {fitted.name: fitted.report() for fitted in self.observers},
             "notes": list(self.notes),
+            **({"warnings": list(self.warnings)} if self.warnings else {}),
         }
 
     def text(self, details: bool = False) -> list[str]:
         """Return the report as lines for people."""
         lines = [line for fitted in self.observers for line in fitted.text(details)]
-        return [*lines, *(f"not fitted: {note}" for note in self.notes)]
+        return [*lines, *(f"not fitted: {note}" for note in self.notes), *(self.warnings if details else ())]
 
 
 def fit(kind: str, logs: Sequence[Log], folder: Path, name: str, model: Path | None = None) -> FitReport:
@@ -84,7 +89,9 @@ def fit(kind: str, logs: Sequence[Log], folder: Path, name: str, model: Path | N
     """
     if (kind == "custom") != (model is not None):
         raise ProfileError(f"--vehicle {kind}: {'needs' if model is None else 'takes no'} --model MODEL.toml")
-    observers, notes = [], []
+    observers: list[Fitted] = []
+    notes: list[str] = []
+    warnings: tuple[str, ...] = ()
     if model is not None:
         custom, gate = fit_custom(logs, model)
         observers.append(custom)
@@ -107,7 +114,8 @@ def fit(kind: str, logs: Sequence[Log], folder: Path, name: str, model: Path | N
             if not observers:
                 raise
             notes.append(f"inertial: {error}")
-    report = FitReport(kind, tuple(_measured(fitted, gate) for fitted in observers), tuple(notes))
+        warnings = _slow(kind, surveys, observers)
+    report = FitReport(kind, tuple(_measured(fitted, gate) for fitted in observers), tuple(notes), warnings)
     write_profile(folder, name, kind, gate, report)
     return report
 
@@ -130,6 +138,13 @@ def write_profile(folder: Path, name: str, kind: str, gate: GateRule, report: Fi
     for observer, comparison in drawn.items():
         file = "fit.png" if len(drawn) == 1 else f"fit.{observer}.png"
         draw_comparison(folder / file, comparison, f"{name}, {observer}: {comparison.about}")
+
+
+def _slow(kind: str, surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str, ...]:
+    wanted_hz = INERTIAL_HZ if kind == "inertial" else WANTED_HZ
+    messages = {channel.message for fitted in observers for channel in fitted.source.channels}
+    slow = slow_messages([found.rate_hz for found in surveys], messages, wanted_hz)
+    return (slow_text(slow, wanted_hz),) if slow else ()
 
 
 def _measured(fitted: Fitted, gate: GateRule) -> Fitted:

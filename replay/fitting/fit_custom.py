@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -88,7 +88,8 @@ def fit_custom(logs: Sequence[Log], model_path: Path) -> tuple[Fitted, GateRule]
     gate = replace(gate, settle_s=max(gate.settle_s, settling_s(gains)))
     flights = [flight_samples(log(), source, rate_hz, gate) for log in own]
     bare = Fitted(plant.name, plant, gains, source, isolation)
-    alarms = _alarms(bare, healthy_evidence(bare.profile(), gate, flights))
+    declared = {fault["name"] for fault in model.document.get("fault", ()) if "error" in fault}
+    alarms = _alarms(bare, healthy_evidence(bare.profile(), gate, flights), declared)
     comparison = comparison_of(fit)
     fitted = replace(
         bare,
@@ -155,11 +156,12 @@ def comparison_of(fit: OutputErrorFit) -> Comparison:
     )
 
 
-def _alarms(bare: Fitted, evidence: Sequence[NDArray[np.float64]]) -> list[Calibrated]:
+def _alarms(bare: Fitted, evidence: Sequence[NDArray[np.float64]], declared: Collection[str]) -> list[Calibrated]:
     """Return the alarms: each channel at its own healthy level, and what no hypothesis of a bank explains.
 
     A channel that was never held responsible while healthy gets the level of the worst other one, each in units of the
-    error that matters.
+    error that matters. A fault is critical from five times its healthy level on; where the model declares the error
+    that matters (``declared`` names the faults), not below that.
     """
     rate_hz, channels = bare.gains[0].rate_hz, bare.profile().faults
     bank = isinstance(bare.isolation, BankRule)
@@ -171,6 +173,8 @@ def _alarms(bare: Fitted, evidence: Sequence[NDArray[np.float64]]) -> list[Calib
     for channel, found, relative in zip(channels, levels, known, strict=True):
         least = errors[channel.name] * (_LEAST_THRESHOLD if relative else max(*known, _LEAST_THRESHOLD))
         critical = _CRITICAL * max(found.plain.level, least)
+        if channel.name in declared:
+            critical = max(critical, errors[channel.name])
         rule = bare_rule(bare.name, channel.name, channel.kind, channel.unit)
         alarms.append(calibrated(rule, found, 1.0, floor=least, critical=critical, times=times))
     if isinstance(bare.isolation, BankRule):

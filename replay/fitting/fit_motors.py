@@ -18,7 +18,7 @@ from replay.fitting.calibrate import bank_rule, contiguous, flight_samples
 from replay.fitting.fit_report import comparison_json, comparison_lines
 from replay.fitting.fitted import Fitted, Log, bare_rule, unexplained_alarm
 from replay.fitting.motors_report import compare_kept_back
-from replay.fitting.survey import Survey, common_rate_hz, multirotor_channels
+from replay.fitting.survey import Survey, common_rate_hz, motor_commands, multirotor_channels, range_text
 from replay.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
     Calibrated,
@@ -47,7 +47,7 @@ def multirotor_gate(surveys: Sequence[Survey], settle_s: float) -> GateRule:
     """Return when a multirotor's samples are evidence: in the air, by half the mean command if it does not say."""
     inputs, _ = multirotor_channels(surveys)
     numbers = [int(channel.name.removeprefix("motor")) for channel in inputs]
-    pulses = [found.outputs[number][0] for found in surveys for number in numbers]
+    pulses = [found.outputs[number].mean for found in surveys for number in numbers]
     mean = float(np.mean([inputs[0].scale * pulse + inputs[0].offset for pulse in pulses]))
     return GateRule(settle_s=settle_s, airborne_command=_AIRBORNE_SHARE * mean)
 
@@ -78,6 +78,8 @@ def fit_motors(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate: 
     evidence = healthy_evidence(bare.profile(), gate, flights)
     hover = np.median(np.concatenate([segment.u for segment in segments]), axis=0)
     alarms = _alarms(channels, evidence, hover, rate_hz, rule.score_floor)
+    commands = motor_commands(surveys)
+    ranges = {} if commands.pulses else {"command_range": {"none": commands.stop, "full": commands.full}}
     return Fitted(
         name=OBSERVER,
         plant=plant,
@@ -88,9 +90,13 @@ def fit_motors(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate: 
         flight_s=sum(len(segment.u) for segment in segments) / rate_hz,
         findings={
             **_findings(model, motors, hover.tolist(), uncertainty, drift),
+            **ranges,
             "validation": None if comparison is None else comparison_json(comparison),
         },
-        lines=_lines(model, motors, hover.tolist(), alarms),
+        lines=(
+            *([] if commands.pulses else [range_text(commands, surveys)]),
+            *_lines(model, motors, hover.tolist(), alarms),
+        ),
         details=(
             *_details(motors, uncertainty, drift),
             *(

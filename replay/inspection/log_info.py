@@ -14,6 +14,7 @@ from adapters.errors import TelemetryError
 from adapters.logs.recordings import Recording, recorded_alarms, recorded_metadata, recording_kind
 from adapters.message import Message
 from adapters.sampling.phase import is_autopilot_heartbeat
+from adapters.sampling.slow_telemetry import INERTIAL_HZ, WANTED_HZ, slow_messages
 from adapters.sampling.strapdown_channels import strapdown_channels
 from replay.fitting.fit_drive import rover_signals
 from replay.fitting.fit_surfaces import plane_signals
@@ -188,13 +189,19 @@ def _fits(found: Survey, tally: _Tally) -> dict[str, Any] | None:
     return {
         "system": tally.watched,
         "likely": likely,
-        "fits": {kind: _fit(try_kind, found) for kind, try_kind in kinds.items()},
+        "fits": {kind: _fit(kind, try_kind, found) for kind, try_kind in kinds.items()},
     }
 
 
-def _fit(try_kind: Callable[[Survey], dict[str, Any]], found: Survey) -> dict[str, Any]:
+def _fit(kind: str, try_kind: Callable[[Survey], dict[str, Any]], found: Survey) -> dict[str, Any]:
     try:
-        return {"possible": True, **try_kind(found)}
+        fit = try_kind(found)
+        wanted_hz = INERTIAL_HZ if kind == "inertial" else WANTED_HZ
+        slow = slow_messages(
+            [found.rate_hz], [place.partition(".")[0] for place in fit["channels"].values()], wanted_hz
+        )
+        fit["missing"] += [f"{name} at {wanted_hz:g} Hz: it comes at {rate:.3g} Hz" for name, rate in slow.items()]
+        return {"possible": True, **fit}
     except TelemetryError as error:
         return {"possible": False, "missing": [str(error)], "watches": [], "channels": {}, "rate_hz": None}
 

@@ -7,6 +7,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 from adapters.logs.damage import Damage
+from adapters.sampling.slow_telemetry import spanned
 from monitor.estimation.isolation_rule import BankRule, SingleRule
 from monitor.profile import ObserverProfile, Profile
 from replay.player import Replay, Watch
@@ -49,6 +50,7 @@ def unchecked(
         *(Unchecked(f"what is missing of {one.file}", "; ".join(one.found)) for one in damage),
         *(one for observer in profile.observers for one in _observer(profile, observer, replay)),
         *(one for observer in profile.observers for one in _bridged(observer, replay.watches[observer.name])),
+        *(one for observer in profile.observers for one in _interpolated(observer, facts)),
         *_gaps(facts),
         *(one for observer in profile.observers for one in _without_alarm(observer)),
         *(one for observer in profile.observers for one in _together(observer)),
@@ -109,6 +111,22 @@ def _bridged(observer: ObserverProfile, watch: Watch) -> Iterator[Unchecked]:
         yield Unchecked(
             f"{observer.name}: around {watch.sampling.clock_restarts} jumps of the vehicle's clock",
             "the vehicle rebooted or changed its clock; what was estimated before was dropped",
+        )
+
+
+def _interpolated(observer: ObserverProfile, facts: RecordingFacts) -> Iterator[Unchecked]:
+    """Say which messages come much more seldom than the observer samples."""
+    rates: dict[str, float] = {}
+    for stream in facts.streams:
+        rates[stream.name] = max(rates.get(stream.name, 0.0), stream.rate_hz)
+    spans = spanned(observer.source, observer.rate_hz, rates)
+    if spans:
+        told = _and([f"{name} {rates[name]:.3g} times a second" for name in spans])
+        most = max(spans.values())
+        yield Unchecked(
+            f"{observer.name}: what happened between messages",
+            f"{told} came for {observer.rate_hz:g} samples a second: samples are interpolated over up to {most:.0f} "
+            "periods, and faults show later, weaker or not at all",
         )
 
 

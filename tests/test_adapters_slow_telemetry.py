@@ -1,0 +1,71 @@
+"""Telemetry that comes too seldom is told: by the fit, by info, by what a replay could not check."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+import fauio
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.recordings import read_recording
+from adapters.sampling.slow_telemetry import SELDOM, slow_messages, spanned
+from monitor.profile import Profile
+from replay.inspection.log_info import log_info
+
+FAST = ("ATTITUDE", "HIGHRES_IMU", "SERVO_OUTPUT_RAW")
+
+
+@pytest.fixture(scope="module")
+def slow_log(tmp_path_factory: pytest.TempPathFactory, data: Path) -> Path:
+    """Return a flight with one in ten of its frequent messages."""
+    path = tmp_path_factory.mktemp("slow") / "slow.mcap"
+    seen = dict.fromkeys(FAST, 0)
+    with MessageLogWriter(path) as writer:
+        for message in read_recording(data / "copter_healthy_square.tlog.xz"):
+            if message.name in seen:
+                seen[message.name] += 1
+                if seen[message.name] % 10:
+                    continue
+            writer.write(message)
+    return path
+
+
+def test_slow_messages_are_those_far_below_what_is_wanted_and_not_slow_by_nature() -> None:
+    rates = {"ATTITUDE": 4.0, "HIGHRES_IMU": 45.0, "GPS_RAW_INT": 5.0}
+    assert slow_messages([rates, rates | {"ATTITUDE": 50.0}], rates, 50.0) == {"ATTITUDE": 4.0}
+
+
+def test_a_fit_on_slow_telemetry_says_in_one_line_what_is_needed(
+    slow_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "quad"
+    assert fauio.main(["fit", "--vehicle", "multirotor", str(slow_log), "-o", str(folder)]) == 0
+    captured = capsys.readouterr()
+    [line] = [line for line in captured.err.splitlines() if "slow telemetry" in line]
+    assert line.startswith(
+        "fauio: slow telemetry: ATTITUDE 10 Hz, HIGHRES_IMU 10 Hz, SERVO_OUTPUT_RAW 10 Hz; 50 Hz or more are needed"
+    )
+    assert line.removeprefix("fauio: ") in (folder / "fit.txt").read_text()
+    assert json.loads((folder / "fit.json").read_text())["warnings"] == [line.removeprefix("fauio: ")]
+    assert "slow telemetry" not in captured.out
+
+
+def test_a_fit_on_fast_telemetry_says_nothing_of_it(quad_folder: Path) -> None:
+    assert "slow telemetry" not in (quad_folder / "fit.txt").read_text()
+    assert "warnings" not in json.loads((quad_folder / "fit.json").read_text())
+
+
+def test_info_names_the_messages_that_come_too_seldom(slow_log: Path, data: Path) -> None:
+    vehicle = log_info(slow_log)["vehicle"]
+    assert "ATTITUDE at 50 Hz: it comes at 10 Hz" in vehicle["fits"]["multirotor"]["missing"]
+    assert "ATTITUDE at 25 Hz: it comes at 10 Hz" in vehicle["fits"]["inertial"]["missing"]
+    whole = log_info(data / "copter_healthy_square.tlog.xz")["vehicle"]["fits"]
+    assert whole["multirotor"]["missing"] == whole["inertial"]["missing"] == []
+
+
+def test_an_observer_names_messages_between_which_it_takes_many_samples(quad_profile: Profile) -> None:
+    motors, inertial = (observer.source for observer in quad_profile.observers)
+    rates = dict.fromkeys((*FAST, *SELDOM), 4.0)
+    assert spanned(motors, 100.0, rates) == dict.fromkeys(FAST, 25.0)
+    assert set(spanned(inertial, 25.0, rates)) == {"ATTITUDE", "HIGHRES_IMU"}
+    assert spanned(motors, 100.0, dict.fromkeys(FAST, 50.0)) == {}

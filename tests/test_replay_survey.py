@@ -1,0 +1,116 @@
+"""Which servo outputs of a recording are motors, and what their values mean."""
+
+import math
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from adapters.errors import TelemetryError
+from adapters.logs.recordings import read_recording
+from adapters.message import Message
+from replay.fitting.fit_motors import fit_motors, multirotor_gate
+from replay.fitting.survey import FIT_MESSAGES, CommandRange, Survey, motor_commands, of_one_vehicle, survey
+
+FLIGHTS = ("copter_healthy_square.tlog.xz", "copter_healthy_vel_gusty.tlog.xz")
+
+
+def outputs_over_time(values: Mapping[int, Sequence[int]]) -> Survey:
+    """Return the survey of a flight whose servo outputs had these values, one after the other."""
+    count = max(map(len, values.values()))
+    return survey(
+        Message(
+            "mavlink",
+            "SERVO_OUTPUT_RAW",
+            10_000_000 * at,
+            {"time_usec": 10_000 * (at + 1), "port": 0} | {f"servo{n}_raw": v[at] for n, v in values.items()},
+            1,
+            1,
+        )
+        for at in range(count)
+    )
+
+
+def moving(low: int, high: int, phase: int = 0, count: int = 500) -> list[int]:
+    middle, half = (low + high) / 2, (high - low) / 2
+    return [round(middle + half * math.sin(0.1 * at + phase)) for at in range(count)]
+
+
+def test_pulses_that_move_are_motors_of_1000_to_2000_microseconds() -> None:
+    found = outputs_over_time({n: moving(1300, 1700, n) for n in (1, 2, 3, 4)} | {5: [1000] * 500, 6: [0] * 500})
+    assert motor_commands([found]) == CommandRange((1, 2, 3, 4), 1000.0, 2000.0)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "stop", "full"),
+    [
+        (150, 1000, 150.0, 1000.0),
+        (500, 800, 150.0, 1000.0),
+        (50, 740, 0.0, 1000.0),
+        (50, 1999, 0.0, 2000.0),
+        (900, 6100, 0.0, 10000.0),
+    ],
+)
+def test_speeds_of_motors_are_recognised_and_their_range_is_gazebos_or_round(
+    low: int, high: int, stop: float, full: float
+) -> None:
+    speeds = {n: moving(low, high, n) for n in (1, 2, 3, 4)}
+    still = {5: [900] * 500, 6: [1000] * 500, 7: [0] * 500, 8: [900] * 5 + [1000] * 495, 9: moving(1200, 1800)}
+    commands = motor_commands([outputs_over_time(speeds | still)])
+    assert commands == CommandRange((1, 2, 3, 4), stop, full)
+    assert not commands.pulses
+
+
+def test_pulses_of_a_vehicle_that_stayed_on_the_ground_are_not_taken_for_speeds() -> None:
+    idle = {n: [1000 + at % 20 for at in range(490)] + moving(1300, 1700, n, 10) for n in (1, 2, 3, 4)}
+    with pytest.raises(TelemetryError, match="0 outputs that move in flight"):
+        motor_commands([outputs_over_time(idle)])
+
+
+def test_what_every_output_did_is_said_where_none_is_a_motor() -> None:
+    found = outputs_over_time({1: [1000] * 50, 2: [900] * 5 + [1000] * 45, 3: [0] * 50, 4: moving(1300, 1700, 0, 50)})
+    with pytest.raises(TelemetryError) as said:
+        motor_commands([found])
+    assert "servo1 always 1000, servo2 900 to 1000, servo4 1300 to 1700;" in str(said.value)
+    assert "record a flight" in str(said.value)
+    with pytest.raises(TelemetryError, match="Seen while armed: nothing but zero;"):
+        motor_commands([outputs_over_time({1: [0] * 50})])
+
+
+def as_speeds(messages: Iterator[Message]) -> Iterator[Message]:
+    """Yield a flight with its pulses of 1000 to 2000 us as speeds of 150 to 1000."""
+    for message in messages:
+        fields = dict(message.fields)
+        for name in [f"servo{n}_raw" for n in range(1, 5) if message.name == "SERVO_OUTPUT_RAW"]:
+            fields[name] = round(150 + 0.85 * (fields[name] - 1000)) if fields.get(name) else 0
+        yield replace(message, fields=fields)
+
+
+def test_a_quadrotor_that_sends_speeds_is_fitted_and_the_range_is_stated(data: Path, quad_folder: Path) -> None:
+    def log(path: Path) -> Iterator[Message]:
+        return as_speeds(of_one_vehicle(read_recording(path, FIT_MESSAGES)))
+
+    logs = [partial(log, data / name) for name in FLIGHTS]
+    surveys = [survey(one()) for one in logs]
+    fitted = fit_motors("quad", logs, surveys, multirotor_gate(surveys, 2.0))
+    channel = fitted.source.inputs[0]
+    assert (channel.scale, channel.offset) == pytest.approx((1 / 850, -150 / 850))
+    assert fitted.findings["command_range"] == {"none": 150.0, "full": 1000.0}
+    assert "motor commands are no pulses of 1000 to 2000 us but " in fitted.text()[1]
+    assert "150 is taken as no command, 1000 as full command" in fitted.text()[1]
+    assert min(fitted.findings["explained"].values()) > 0.9
+    pulses = tomllib.loads((quad_folder / "profile.toml").read_text())["observers"]["motors"]
+    assert set(pulses["alarms"]) == {found.rule.channel for found in fitted.alarms}
+
+
+def test_pulses_are_mapped_as_in_the_profile_that_comes_along(quad_folder: Path) -> None:
+    came = Path(__file__).parent.parent / "replay" / "data" / "quad"
+    channels = [
+        tomllib.loads((folder / "profile.toml").read_text())["observers"]["motors"]["inputs"]
+        for folder in (came, quad_folder)
+    ]
+    assert channels[0] == channels[1]
+    assert "command_range" not in (quad_folder / "fit.json").read_text()
