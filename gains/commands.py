@@ -37,7 +37,7 @@ def add_parsers(subparsers: Any) -> None:
         "design",
         help="design certified observer gains for a plant model",
         description="Design the observer of a plant model and prove its error bound.",
-        epilog="examples: fauio design arm; fauio design arm-disturbed --rate 50 --json",
+        epilog="example: fauio design arm\nexample: fauio design arm-disturbed --rate 50 --json",
     )
     parser.add_argument("model", metavar="MODEL.toml", help="model file, or built in: arm, arm-disturbed")
     parser.add_argument("-o", "--out", type=Path, metavar="GAINS.json", help="write the compiled gains")

@@ -213,7 +213,10 @@ def test_a_continuous_design_without_a_rate_stays_continuous(
         (["arm", "--rate", "-5"], "fauio: arm: a rate of -5.0 Hz is not positive"),
         (["arm", "--rate", "10", "--pole-radius", "2"], "fauio: arm: a pole radius of 2.0"),
         (["arm", "--rate", "10", "--fault-rate", "0"], "fauio: arm: a fault rate of 0.0 per second"),
-        (["arm", "--rate", "10", "-o", "/nowhere/gains.json"], "fauio: [Errno 2] No such file or directory"),
+        (
+            ["arm", "--rate", "10", "-o", "/nowhere/gains.json"],
+            "fauio: /nowhere/gains.json: No such file or directory; does its folder exist?",
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_exit_status_2(
