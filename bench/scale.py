@@ -34,6 +34,7 @@ from long_log import LongLog
 from adapters.logs.recordings import read_blocks
 from monitor.profile import Profile, read_profile
 from monitor.views.palette import BLUE, GREY
+from monitor.views.small_png import save_small
 from replay.player import interests, play_blocks
 
 ROOT = Path(__file__).parent.parent
@@ -122,14 +123,15 @@ def draw(found: dict[str, Any], path: Path) -> None:
         label="measured",
     )
     middle.axhline(LIMIT_MB, color=GREY, ls="--", label=f"limit: {LIMIT_MB} MB")
-    middle.set(xlabel="size of the log (MB)", ylabel="largest resident memory (MB)", ylim=(100, 1000))
-    middle.set_yticks([100, 200, 500, 1000], ["100", "200", "500", "1000"])
+    middle.set(xlabel="size of the log (MB)", ylabel="largest resident memory (MB)", ylim=(50, 1000))
+    middle.set_yticks([50, 100, 200, 500, 1000], ["50", "100", "200", "500", "1000"])
     middle.minorticks_off()
     counts = [row["observers"] for row in observers]
     cost = [row["cpu_s"] / row["flight_s"] * 1e3 for row in observers]
     right.loglog(counts, cost, color=BLUE, marker="o", label="measured")
     right.set(xlabel="banks of 7 observers at 100 Hz", ylabel="processor time per second of flight (ms)")
     right.set_xticks(counts, [str(count) for count in counts])
+    right.set_yticks([2, 5, 10, 20, 50], ["2", "5", "10", "20", "50"])
     right.minorticks_off()
     for axis in (left, middle, right):
         axis.grid(alpha=0.3)
@@ -137,7 +139,8 @@ def draw(found: dict[str, Any], path: Path) -> None:
         axis.legend(frameon=False)
     figure.suptitle("What a replay costs (one core; a multirotor's profile, telemetry logs)")
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    figure.set_dpi(110)
+    save_small(figure, path)
     plt.close(figure)
 
 

@@ -112,7 +112,7 @@ def main() -> int:
     arguments = parser.parse_args()
     os.environ["PYTHONPATH"] = os.pathsep.join([str(BENCH.parent), os.environ.get("PYTHONPATH", "")])
     repeat = ["--repeat", "1" if arguments.quick else "5"]
-    length = ["--seconds", "60" if arguments.quick else "300"]
+    length = ["--seconds", "180" if arguments.quick else "300"]
     profile = ["--profile", arguments.profile] if arguments.profile else []
     observer = run("observer", *(["--quick"] if arguments.quick else []))
     decode = run("decode", *repeat)
