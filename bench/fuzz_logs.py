@@ -68,22 +68,35 @@ def _onboard(reader: Callable[[Path], Iterable[Message]], mapping: LogMapping, c
 
 def _ulog(folder: Path) -> Run:
     flight, small = ulog_of(_flight(200), folder / "base").read_bytes(), _small_ulog()
-    mapping = builtin_mapping("ulog")
+    wanted = ("vehicle_attitude", "log/text")
+    return _log_reader(UlogReader, "ulog", (flight, small), _ulog_records, wanted, folder / "one.ulg")
+
+
+def _log_reader(
+    reader: Callable[..., Any],
+    source: str,
+    logs: tuple[bytes, bytes],
+    records: Callable[[Draw], bytes],
+    wanted: tuple[str, ...],
+    path: Path,
+) -> Run:
+    """Return what feeds a reader with edited logs, made-up records and bytes, whole and for some messages only."""
+    mapping = builtin_mapping(source)
 
     def run(data: bytes) -> None:
         draw = Draw(data)
         how = draw.number() % 8
         if how < 4:
-            content = draw.edited((flight, small)[how % 2], 30)
+            content = draw.edited(logs[how % 2], 30)
         elif how < 7:
-            content = _ulog_records(draw)
+            content = records(draw)
         else:
             content = draw.rest()
-        _onboard(UlogReader, mapping, content, folder / "one.ulg")
+        _onboard(reader, mapping, content, path)
         with only(TelemetryError):
-            reader = UlogReader(folder / "one.ulg", ("vehicle_attitude", "log/text"))
-            assert {message.name for message in reader} <= {"vehicle_attitude", "log/text"}
-            reader.statistics()
+            some = reader(path, wanted)
+            assert {message.name for message in some} <= set(wanted)
+            some.statistics()
 
     return run
 
@@ -169,24 +182,8 @@ def _ulog_seeds() -> list[bytes]:
 
 def _dataflash(folder: Path) -> Run:
     flight, small = dataflash_of(_flight(200), folder / "base").read_bytes(), _small_dataflash()
-    mapping = builtin_mapping("dataflash")
-
-    def run(data: bytes) -> None:
-        draw = Draw(data)
-        how = draw.number() % 8
-        if how < 4:
-            content = draw.edited((flight, small)[how % 2], 30)
-        elif how < 7:
-            content = _dataflash_records(draw)
-        else:
-            content = draw.rest()
-        _onboard(DataflashReader, mapping, content, folder / "one.bin")
-        with only(TelemetryError):
-            reader = DataflashReader(folder / "one.bin", ("ATT", "IMU/1"))
-            assert {message.name for message in reader} <= {"ATT", "IMU/1"}
-            reader.statistics()
-
-    return run
+    wanted = ("ATT", "IMU/1")
+    return _log_reader(DataflashReader, "dataflash", (flight, small), _dataflash_records, wanted, folder / "one.bin")
 
 
 def _small_dataflash() -> bytes:
