@@ -191,8 +191,10 @@ def _meant(given: str, known: Iterable[str]) -> str:
     """Return the nearest of what is known, as the end of a sentence."""
     from difflib import get_close_matches
 
-    near = get_close_matches(given, list(known), n=1)
-    return f"; did you mean {near[0]}?" if near else ""
+    # two dashes that all options share make none alike
+    plain = {one.lstrip("-"): one for one in known}
+    near = get_close_matches(given.lstrip("-"), list(plain), n=1)
+    return f"; did you mean {plain[near[0]]}?" if near else ""
 
 
 def _number(text: str) -> float:
