@@ -26,6 +26,7 @@ import random
 import resource
 import subprocess
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Sequence
@@ -150,8 +151,7 @@ def growth(name: str, seconds: float, seed: int, folder: Path) -> dict[str, Any]
 
     target, draw = TARGETS[name], random.Random(seed)  # noqa: S311 - inputs, not secrets
     found = [path.read_bytes() for path in sorted((folder / "corpus").iterdir())] or [b""]
-    scratch = folder / "scratch"
-    scratch.mkdir(parents=True, exist_ok=True)
+    scratch = Path(tempfile.mkdtemp(dir=folder))
     run, start, executions = target.make(scratch), time.process_time(), 0
     warm: tuple[int, int] | None = None
     while (used := time.process_time() - start) < seconds:
@@ -205,7 +205,7 @@ def _worker(name: str, minutes: float, seed: int, out: Path, kind: str) -> str:
 
 def row(name: str, report: dict[str, Any]) -> str:
     """Return one line of the table."""
-    if "minutes" not in report:
+    if "minutes" not in report or "grown_bytes" not in report:
         return f"| {name} | | | | | {'; '.join(report['findings'])} |"
     return (
         f"| {name} | {report['processor_minutes']:.1f} ({report['minutes']:.1f}) | {report['executions']:,} "

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.channels import is_number
 from monitor.errors import ProfileError
 
 
@@ -137,4 +138,4 @@ class Table:
 
 
 def _is_finite(found: object) -> bool:
-    return not isinstance(found, bool) and isinstance(found, int | float) and math.isfinite(found)
+    return is_number(found)

@@ -246,3 +246,11 @@ def test_channels_follow_what_the_vehicle_sends() -> None:
 def test_a_receiver_that_knows_no_speed_is_not_used() -> None:
     gps = {**EXAMPLES["GPS_RAW_INT"], "vel": 65_535}
     assert not {channel.name for channel in strapdown_channels({**EXAMPLES, "GPS_RAW_INT": gps}).channels} & set(GPS)
+
+
+def test_a_number_that_no_float_can_hold_is_no_channel() -> None:
+    from adapters.sampling.strapdown_channels import _there
+
+    assert not _there({"IMU": {"xacc": 10**400}}, "IMU", ("xacc",))
+    assert not _there({"IMU": {"xacc": float("nan")}}, "IMU", ("xacc",))
+    assert _there({"IMU": {"xacc": 3}}, "IMU", ("xacc",))

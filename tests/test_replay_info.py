@@ -217,3 +217,10 @@ def test_anything_else_is_one_line(
     assert said.out == ""
     assert said.err.count("\n") == 1
     assert name in said.err
+
+
+def test_an_alarm_id_in_a_foreign_recording_may_be_anything() -> None:
+    from replay.inspection.log_info import raised_alarms
+
+    events = [{"state": "raised", "id": ["a"]}, {"state": "raised", "id": ["a"]}, {"state": "raised", "id": {}}]
+    assert raised_alarms(events) == [events[0], events[2]]

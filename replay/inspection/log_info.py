@@ -134,10 +134,11 @@ def log_info(path: Path) -> dict[str, Any]:
 
 def raised_alarms(events: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the first event of each alarm that was raised; one that was unshelved says so again."""
-    found: dict[Any, dict[str, Any]] = {}
+    found: dict[str, dict[str, Any]] = {}
     for event in events:
         if event.get("state") == "raised":
-            found.setdefault(event.get("id"), event)
+            # what a damaged or foreign recording holds there may be anything
+            found.setdefault(repr(event.get("id")), event)
     return list(found.values())
 
 

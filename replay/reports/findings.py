@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.channels import is_number
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.event import AlarmEvent, Kind, Severity
 from monitor.profile import PROFILE_FILE, Profile
@@ -293,4 +294,4 @@ def _calibration(said: Mapping[str, Any] | None, threshold: float) -> Calibratio
 
 
 def _number(value: Any) -> float | None:
-    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+    return float(value) if is_number(value) else None
