@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -74,6 +74,15 @@ def send(live: Live, log: Path, speed: float) -> None:
         str(speed),
     ]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+
+
+def said_next(process: subprocess.Popen[str]) -> dict[str, Any]:
+    """Return the next line of the log that does not say how the vehicle's status has changed."""
+    assert process.stderr is not None
+    while True:
+        line: dict[str, Any] = json.loads(process.stderr.readline())
+        if line["event"] != "status":
+            return line
 
 
 def collect(subscriber: AlarmSubscriber, quiet_s: float) -> list[AlarmEvent]:
@@ -205,14 +214,14 @@ path = "{journal}"
             process.send_signal(signal.SIGHUP)
             assert (said["event"], said["zenoh"]) == ("monitoring", endpoint)
             assert journal.exists()
-            assert json.loads(process.stderr.readline())["event"] == "reloaded"
+            assert said_next(process)["event"] == "reloaded"
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
                 for _, packet in list(TlogReader(data / "copter_5s.tlog.xz").packets())[:300]:
                     out.sendto(packet, ("127.0.0.1", udp))
             # longer than the daemon needs for them, shorter than until its next status
             time.sleep(0.3)
             process.send_signal(signal.SIGTERM)
-            stopped = json.loads(process.stderr.readline())
+            stopped = said_next(process)
             assert process.wait(10) == 0
         finally:
             process.kill()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import queue
+import re
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -28,7 +29,7 @@ from monitor.recording.rotation import RotatingRecorder
 from monitor.service.fleet import Fleet
 from monitor.service.health import Health, LinkHealth, ProcessHealth
 from monitor.service.inbox import Inbox
-from monitor.service.log import Log
+from monitor.service.log import Level, Log
 from monitor.service.post import Post, PostRule
 from monitor.service.station_health import Links, take_health
 from monitor.service.vehicle_monitor import VehicleMonitor
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
 _SECOND_NS = 1_000_000_000
 _MEGABYTE = 1_000_000
+_FIGURES = re.compile(r"[0-9.]+")
 
 
 class Station:
@@ -97,6 +99,7 @@ class Station:
         self._shared_links = frozenset((*config.mavlink, *config.zenoh))
         self._live_view = live_view
         self._views: dict[str, VehicleView] = {}
+        self._said: dict[str, tuple[str, ...]] = {}
         self._profiles: dict[Path, Profile] = {}
         self._posts: dict[str, Post] = {}
         self.reloads = 0
@@ -151,6 +154,7 @@ class Station:
             self._troubles = tuple(self._find_troubles())
             journal = None if self._journal is None else self._journal.statistics()
             self._health = take_health(self.posts, self._inbox, self._links, journal, self._events)
+            self._say_states()
 
     def reload(self) -> None:
         """Read configuration and profiles again, in a thread: monitoring goes on meanwhile."""
@@ -257,6 +261,18 @@ class Station:
             zenoh=", ".join(self._listens) or "no listener",
             topics=f"{config.prefix}/{name}/**",
         )
+
+    def _say_states(self) -> None:
+        """Log how each vehicle's status has changed: not every one has a subscriber."""
+        for name, post in self._posts.items():
+            state, reasons = post.last_status.get("state", "starting"), post.last_status.get("reasons", [])
+            # the figures in a reason change every second
+            kind = state, *(_FIGURES.sub("", reason) for reason in reasons)
+            if kind != self._said.get(name, ("starting",)):
+                self._said[name] = kind
+                level: Level = "warning" if reasons or state == "stale" else "info"
+                why = {"because": "; ".join(reasons)} if reasons else {}
+                self._log.say("status", level=level, vehicle=name, state=state, **why)
 
     def _links_of(self, vehicle: Vehicle) -> tuple[LinkHealth, ...]:
         """Return the links that all share, and the vehicle's own."""

@@ -20,11 +20,11 @@ from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, standing_message
 from monitor.service.health import LinkHealth
 from monitor.service.latency import LatencyHistogram
+from monitor.service.telemetry_watch import TelemetryWatch
 
 # read once: it stands in a file of the installation
 _VERSION = version("fauio")
 _SILENCE_NS = 100_000_000
-_LACKING_NS = 5_000_000_000
 _BEHIND_S = 1.0
 # Numbers that are left out after another monitor: it may have given some away before anybody heard of them.
 _UNHEARD = 100
@@ -104,11 +104,7 @@ class VehicleMonitor:
         self._shelved: Mapping[str, int] = {}
         self._layouts = {layout.observer: layout for layout in pipeline.layouts}
         self._latest: dict[str, Estimate] = {}
-        self._heard: dict[str, int] = {}
-        self._needed = frozenset[str]().union(*pipeline.needs.values())
-        self._sampled_ns: dict[str, int] = {}
-        self._started_ns = now_ns
-        self._heard_ns = now_ns
+        self._watch = TelemetryWatch(pipeline.profile.observers, pipeline.needs, now_ns)
         self._second = _Second(now_ns)
         self.messages = self.samples = 0
 
@@ -187,8 +183,8 @@ class VehicleMonitor:
         if accepted:
             self.messages += 1
             self._second.messages += 1
-            if message.source in _LIVE_SOURCES and message.name in self._needed:
-                self._heard[message.name] = self._heard_ns = message.received_ns
+            if message.source in _LIVE_SOURCES:
+                self._watch.hear(message.name, message.received_ns)
             for archive in self._archives:
                 archive.message(message)
         events = self._say(outputs)
@@ -203,7 +199,7 @@ class VehicleMonitor:
 
     def pass_time(self, now_ns: int) -> None:
         """Let the pipeline know that time passes where nothing comes; record it where that changed something."""
-        if now_ns - self._heard_ns < _SILENCE_NS:
+        if now_ns - self._watch.heard_ns < _SILENCE_NS:
             return
         message = silence(now_ns)
         outputs = self.pipeline.feed(message)
@@ -242,9 +238,13 @@ class VehicleMonitor:
         self._note_shelved()
         elapsed_s = max((now_ns - self._second.started_ns) / 1e9, 1e-9)
         recent = self.latency.end_interval()
-        # What it is behind with it cannot miss.
         behind = recent.p99_s > _BEHIND_S
-        reasons = [*troubles, *([] if behind else self._lacking(now_ns))]
+        reasons = [*troubles]
+        if behind or self.pipeline.stale:
+            # What it is behind with it cannot miss.
+            self._watch.pause(now_ns)
+        else:
+            reasons += self._watch.lacks(now_ns)
         if behind:
             reasons.append(f"the monitor does not keep up: {recent.p99_s:.1f} s behind")
         state = "starting"
@@ -298,7 +298,7 @@ class VehicleMonitor:
                 self._second.samples += 1
                 self.samples += 1
                 self._latest[output.observer] = output
-                self._sampled_ns[output.observer] = self._heard_ns
+                self._watch.sampled(output.observer)
                 for archive in self._archives:
                     archive.estimate(output)
                 if voice is not None:
@@ -325,19 +325,6 @@ class VehicleMonitor:
             self._shelved = shelved
             if self._journal is not None:
                 self._journal.shelve(self.name, shelved)
-
-    def _lacking(self, now_ns: int) -> list[str]:
-        """Return what keeps which observer from watching."""
-        if now_ns - self._started_ns < _LACKING_NS or self.pipeline.stale:
-            return []
-        found = []
-        for observer, names in self.pipeline.needs.items():
-            if now_ns - self._sampled_ns.get(observer, 0) < _LACKING_NS:
-                continue
-            missing = sorted(name for name in names if now_ns - self._heard.get(name, 0) >= _LACKING_NS)
-            why = f"no {', '.join(missing)}" if missing else "its measurements do not come together"
-            found.append(f"{observer} watches nothing: {why}")
-        return found
 
 
 def _with_own_sentence(event: AlarmEvent, known: AlarmEvent | None) -> AlarmEvent:

@@ -1,0 +1,95 @@
+"""What keeps a vehicle's observers from watching: telemetry that does not come, comes too seldom, or is another's."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+from adapters.sampling.slow_telemetry import spanned
+from monitor.profile import ObserverProfile
+
+_LACKING_NS = 5_000_000_000
+_COUNTED_NS = 10_000_000_000
+
+
+class TelemetryWatch:
+    """Follows which messages come and which observers sample.
+
+    Parameters
+    ----------
+    observers : Sequence[ObserverProfile]
+        The vehicle's observers.
+    needs : Mapping[str, frozenset[str]]
+        Names of the messages that each observer's channels come from.
+    now_ns : int
+        Unix time of the start.
+
+    Attributes
+    ----------
+    heard_ns : int
+        When a message that an observer needs came last; the start while none did.
+    """
+
+    def __init__(self, observers: Sequence[ObserverProfile], needs: Mapping[str, frozenset[str]], now_ns: int) -> None:
+        self.heard_ns = now_ns
+        self._observers = tuple(observers)
+        self._needs = needs
+        self._needed = frozenset[str]().union(*needs.values())
+        self._started_ns = now_ns
+        self._heard: dict[str, int] = {}
+        self._sampled: dict[str, int] = {}
+        self._counts: Counter[str] = Counter()
+        self._counted_ns = now_ns
+        self._rates: dict[str, float] = {}
+
+    def hear(self, name: str, received_ns: int) -> None:
+        """Take note of a message of the vehicle."""
+        if name in self._needed:
+            self._heard[name] = self.heard_ns = received_ns
+            self._counts[name] += 1
+
+    def sampled(self, observer: str) -> None:
+        """Take note of a sample."""
+        self._sampled[observer] = self.heard_ns
+
+    def pause(self, now_ns: int) -> None:
+        """Begin anew: until now nothing came, or what came was not taken in time."""
+        self._started_ns = now_ns
+        self._counts.clear()
+        self._counted_ns = now_ns
+        self._rates = {}
+
+    def lacks(self, now_ns: int) -> list[str]:
+        """Return what keeps which observer from watching as it should, a line each."""
+        self._count(now_ns)
+        found = []
+        for observer in self._observers:
+            if nothing := self._nothing(observer.name, now_ns):
+                found.append(nothing)
+            elif seldom := self._seldom(observer):
+                found.append(seldom)
+        return found
+
+    def _count(self, now_ns: int) -> None:
+        elapsed_ns = now_ns - self._counted_ns
+        if elapsed_ns < 0:
+            self.pause(now_ns)
+        elif elapsed_ns >= _COUNTED_NS:
+            self._rates = {name: count * 1e9 / elapsed_ns for name, count in self._counts.items()}
+            self._counts.clear()
+            self._counted_ns = now_ns
+
+    def _nothing(self, observer: str, now_ns: int) -> str | None:
+        if now_ns - max(self._started_ns, self._sampled.get(observer, 0)) < _LACKING_NS:
+            return None
+        names = self._needs[observer]
+        missing = sorted(name for name in names if now_ns - self._heard.get(name, 0) >= _LACKING_NS)
+        why = f"no {', '.join(missing)}" if missing else "its measurements do not come together"
+        return f"{observer} watches nothing: {why}"
+
+    def _seldom(self, observer: ObserverProfile) -> str | None:
+        slow = spanned(observer.source, observer.rate_hz, self._rates)
+        if not slow:
+            return None
+        told = ", ".join(f"{name} {self._rates[name]:.2g} Hz" for name in slow)
+        return f"{observer.name} sees faults late or not at all: {told} for {observer.rate_hz:g} samples a second"
