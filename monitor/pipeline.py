@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.block import Block, cut
+from adapters.mavlink.vehicle_type import vehicle_type
 from adapters.message import SILENCE, Message
 from adapters.sampling.block_sampler import sample_block
 from adapters.sampling.clock import VehicleClock
@@ -129,6 +130,14 @@ class Pipeline:
     def system(self) -> int:
         """The monitored MAVLink system id; 0 while none was heard."""
         return self._system
+
+    @property
+    def mismatch(self) -> str | None:
+        """What says that the vehicle is another than the profile's; None where nothing does."""
+        found, fitted = vehicle_type(self._phase.vehicle_type), self.profile.vehicle_type
+        if not found or not fitted or found == fitted:
+            return None
+        return f"another vehicle than the profile's: it says it is a {found}, the profile was fitted to a {fitted}"
 
     @property
     def desk(self) -> AlarmDesk:

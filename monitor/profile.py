@@ -16,9 +16,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from adapters.channels import Channel, channel_table, parse_channel
-from adapters.errors import TelemetryError
-from adapters.sampling.transform import Source, TransformRule, make_transform
+from adapters.sampling.transform import Source
 from gains.errors import ModelError
 from gains.plants.model_file import model_hash, read_model
 from gains.plants.plant import Plant
@@ -36,6 +34,7 @@ from monitor.estimation.isolation_rule import (
     read_hypotheses,
     read_isolation,
 )
+from monitor.source_tables import read_source, source_table
 from monitor.tables import Table
 
 FORMAT = 1
@@ -120,6 +119,8 @@ class Profile:
         Contents of the profile's files, by name, for recordings.
     digest : str
         SHA-256 over those files.
+    vehicle_type : str
+        HEARTBEAT.type of the fitted recordings (``quadrotor``, ``fixed wing``); empty where that is not known.
     """
 
     name: str
@@ -131,6 +132,7 @@ class Profile:
     excuses: tuple[ExcuseRule, ...]
     files: Mapping[str, bytes]
     digest: str
+    vehicle_type: str = ""
 
 
 def read_profile(folder: str | Path) -> Profile:
@@ -181,6 +183,7 @@ def read_profile(folder: str | Path) -> Profile:
         excuses=read_excuses(root.tables("excuses"), alarm_channels),
         files=files,
         digest=_digest(files),
+        vehicle_type=root.text("vehicle_type", ""),
     )
     if not profile.name or set(profile.name) & set("/*$#? "):
         raise ProfileError(f"{path}: 'name' is '{profile.name}'; it becomes part of a topic: no / * $ # ? or blanks")
@@ -204,7 +207,7 @@ def observer_table(
     said = sees or {}
     table: dict[str, Any] = {
         **({"settle_s": settle_s} if settle_s else {}),
-        **_source_table(source),
+        **source_table(source),
         "isolation": isolation_table(isolation),
         "alarms": {rule.channel: _alarm_table(rule, said.get(rule.channel)) for rule in alarms},
     }
@@ -234,6 +237,7 @@ def profile_table(
     vehicle: str,
     gate: GateRule,
     observers: Mapping[str, dict[str, Any]],
+    vehicle_type: str = "",
     system: int = 0,
     excuses: Sequence[ExcuseRule] = (),
 ) -> dict[str, Any]:
@@ -242,6 +246,7 @@ def profile_table(
         "format": FORMAT,
         "name": name,
         "vehicle": vehicle,
+        **({"vehicle_type": vehicle_type} if vehicle_type else {}),
         "system": system,
         "stale_s": 2.0,
         "phase": asdict(gate),
@@ -266,7 +271,7 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
         name=name,
         gains=gains,
         faults=faults,
-        source=_source(table, shared),
+        source=read_source(table, shared),
         isolation=read_isolation(isolation, len(faults), len(shared.outputs)),
         alarms=_alarms(table.table("alarms"), name, faults),
         settle_s=table.number("settle_s", 0.0, at_least=0.0),
@@ -312,49 +317,6 @@ def fault_channels(gains: Sequence[Gains]) -> tuple[FaultChannel, ...]:
         ):
             found.setdefault(name, FaultChannel(name, "actuator" if kind == "actuator" else "sensor", unit, source))
     return tuple(sorted(found.values(), key=lambda channel: channel.kind != "actuator"))
-
-
-def _source(table: Table, gains: Gains) -> Source:
-    if "transform" not in table.keys():  # noqa: SIM118 - a Table is no dict
-        inputs, outputs = (
-            _channels(table.table("inputs"), gains.inputs),
-            _channels(table.table("outputs"), gains.outputs),
-        )
-        return Source(inputs, outputs)
-    found = table.table("transform")
-    where = found.where("kind")
-    kind, rate_hz = found.text("kind"), found.number("rate_hz", at_least=gains.rate_hz)
-    parameters = {key: found.number(key) for key in found.keys() if key not in ("kind", "rate_hz")}  # noqa: SIM118
-    rule = TransformRule(kind, rate_hz, parameters)
-    try:
-        transform = make_transform(rule, gains.rate_hz)
-    except TelemetryError as error:
-        raise ProfileError(f"{where}: {error}") from error
-    if (transform.inputs, transform.outputs) != (gains.inputs, gains.outputs):
-        raise ProfileError(f"{where}: gives other signals than the gains take; fit the profile again")
-    return Source(transform=rule, signals=_channels(table.table("signals"), transform.signals))
-
-
-def _source_table(source: Source) -> dict[str, Any]:
-    if source.transform is None:
-        return {
-            "inputs": {channel.name: channel_table(channel) for channel in source.inputs},
-            "outputs": {channel.name: channel_table(channel) for channel in source.outputs},
-        }
-    rule = source.transform
-    return {
-        "transform": {"kind": rule.kind, "rate_hz": rule.rate_hz, **rule.parameters},
-        "signals": {channel.name: channel_table(channel) for channel in source.signals},
-    }
-
-
-def _channels(table: Table, names: Sequence[str]) -> tuple[Channel, ...]:
-    try:
-        channels = tuple(parse_channel(name, table.table(name).raw(), table.where(name)) for name in names)
-    except TelemetryError as error:
-        raise ProfileError(str(error)) from error
-    table.done()
-    return channels
 
 
 def _alarms(table: Table, observer: str, faults: Sequence[FaultChannel]) -> tuple[AlarmRule, ...]:

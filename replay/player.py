@@ -79,6 +79,8 @@ class Replay:
         How each observer fared.
     foreign : int
         Messages of other systems or components, which were left out.
+    mismatch : str | None
+        What says that the vehicle is another than the profile's; None where nothing does.
     """
 
     events: tuple[AlarmEvent, ...]
@@ -91,6 +93,7 @@ class Replay:
     lacking: Mapping[str, tuple[str, ...]]
     watches: Mapping[str, Watch]
     foreign: int
+    mismatch: str | None = None
 
 
 def play(profile: Profile, messages: Iterable[Message], **options: Any) -> Replay:
@@ -178,6 +181,7 @@ def play_blocks(
         lacking={observer: tuple(sorted(needs - seen)) for observer, needs in pipeline.needs.items() if needs - seen},
         watches=watches,
         foreign=pipeline.foreign,
+        mismatch=pipeline.mismatch,
     )
 
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from adapters.message import Message
+from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.service.telemetry_watch import TelemetryWatch
+from monitor.service.vehicle_monitor import VehicleMonitor
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_800_000_000 * SECOND_NS
@@ -72,3 +77,32 @@ def test_a_clock_that_jumps_back_makes_no_rates(telemetry: Telemetry) -> None:
     telemetry.run(9, rates)
     telemetry.now_ns -= 3600 * SECOND_NS
     assert telemetry.run(12, rates) == []
+
+
+def heartbeat(kind: object, at_s: int = 0, autopilot: int = 3) -> Message:
+    fields = {"type": kind, "autopilot": autopilot, "base_mode": 209}
+    return Message("mavlink", "HEARTBEAT", START_NS + at_s * SECOND_NS, fields, 1, 1)
+
+
+def test_the_status_says_that_the_vehicle_is_another_than_the_profile_s(quad_profile: Profile) -> None:
+    monitor = VehicleMonitor(Pipeline(quad_profile, system=1), (), None, lambda _: None, START_NS)
+    monitor.take(heartbeat(2))
+    assert monitor.status(START_NS + SECOND_NS)["reasons"] == []
+    monitor.take(heartbeat(1, 1))
+    [said] = monitor.status(START_NS + 2 * SECOND_NS)["reasons"]
+    assert said == (
+        "another vehicle than the profile's: it says it is a fixed wing, the profile was fitted to a quadrotor"
+    )
+
+
+@pytest.mark.parametrize("kind", [0, 6, 250, 99_999_999, -1, None, "1", True])
+def test_what_says_nothing_of_the_vehicle_is_no_mismatch(quad_profile: Profile, kind: object) -> None:
+    pipeline = Pipeline(quad_profile, system=1)
+    pipeline.feed(heartbeat(kind))
+    assert pipeline.mismatch is None
+
+
+def test_a_profile_that_does_not_know_its_vehicle_s_type_takes_any(quad_profile: Profile) -> None:
+    pipeline = Pipeline(replace(quad_profile, vehicle_type=""), system=1)
+    pipeline.feed(heartbeat(1))
+    assert pipeline.mismatch is None

@@ -1,4 +1,4 @@
-"""What the vehicle says about itself: armed or not, on the ground or in the air."""
+"""What the vehicle says about itself: armed or not, on the ground or in the air, what kind of vehicle it is."""
 
 from __future__ import annotations
 
@@ -37,6 +37,8 @@ class FlightPhase:
         Bit 128 of HEARTBEAT.base_mode; None before the first heartbeat.
     landed : {"ground", "air", "takeoff", "landing"} | None
         EXTENDED_SYS_STATE.landed_state; None where the vehicle does not say.
+    vehicle_type : int | None
+        HEARTBEAT.type; None where the vehicle does not say. A stretch taken at once may leave a later change unnoticed.
     interests : frozenset[str]
         Names of the messages it reads.
     """
@@ -46,6 +48,7 @@ class FlightPhase:
     def __init__(self) -> None:
         self.armed: bool | None = None
         self.landed: Landed | None = None
+        self.vehicle_type: int | None = None
 
     def feed(self, message: Message) -> None:
         """Take a message; one of no interest changes nothing."""
@@ -56,6 +59,10 @@ class FlightPhase:
             state = fields.get("landed_state")
             self.landed = _LANDED.get(state) if isinstance(state, int) else None
             return
-        mode = fields.get("base_mode")
-        if is_autopilot_heartbeat(message) and isinstance(mode, int):
+        if not is_autopilot_heartbeat(message):
+            return
+        mode, kind = fields.get("base_mode"), fields.get("type")
+        if isinstance(mode, int):
             self.armed = bool(mode & _ARMED)
+        if type(kind) is int:
+            self.vehicle_type = kind

@@ -247,6 +247,8 @@ class VehicleMonitor:
             reasons += self._watch.lacks(now_ns)
         if behind:
             reasons.append(f"the monitor does not keep up: {recent.p99_s:.1f} s behind")
+        if (mismatch := self.pipeline.mismatch) is not None:
+            reasons.append(mismatch)
         state = "starting"
         if self.pipeline.stale:
             state = "stale"

@@ -92,11 +92,13 @@ def fit(kind: str, logs: Sequence[Log], folder: Path, name: str, model: Path | N
     observers: list[Fitted] = []
     notes: list[str] = []
     warnings: tuple[str, ...] = ()
+    vehicle_types: frozenset[str] = frozenset()
     if model is not None:
         custom, gate = fit_custom(logs, model)
         observers.append(custom)
     else:
         surveys = [survey(log()) for log in logs]
+        vehicle_types = frozenset[str]().union(*(found.vehicle_types for found in surveys))
         if kind == "multirotor":
             gate = multirotor_gate(surveys, SETTLE_S)
             observers.append(fit_motors(name, logs, surveys, gate))
@@ -114,13 +116,15 @@ def fit(kind: str, logs: Sequence[Log], folder: Path, name: str, model: Path | N
             if not observers:
                 raise
             notes.append(f"inertial: {error}")
-        warnings = _slow(kind, surveys, observers)
+        warnings = (*_slow(kind, surveys, observers), *_of_several(vehicle_types))
     report = FitReport(kind, tuple(_measured(fitted, gate) for fitted in observers), tuple(notes), warnings)
-    write_profile(folder, name, kind, gate, report)
+    write_profile(folder, name, kind, gate, report, next(iter(vehicle_types)) if len(vehicle_types) == 1 else "")
     return report
 
 
-def write_profile(folder: Path, name: str, kind: str, gate: GateRule, report: FitReport) -> None:
+def write_profile(
+    folder: Path, name: str, kind: str, gate: GateRule, report: FitReport, vehicle_type: str = ""
+) -> None:
     """Write what was fitted as a profile folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for fitted in report.observers:
@@ -128,7 +132,9 @@ def write_profile(folder: Path, name: str, kind: str, gate: GateRule, report: Fi
     tables = {fitted.name: fitted.table() for fitted in report.observers}
     known = {found.rule.channel for fitted in report.observers for found in fitted.alarms}
     excuses = [rule for rule in EXCUSES if known.issuperset((*rule.channels, *rule.by))]
-    content = profile_table(name=name, vehicle=kind, gate=gate, observers=tables, excuses=excuses)
+    content = profile_table(
+        name=name, vehicle=kind, vehicle_type=vehicle_type, gate=gate, observers=tables, excuses=excuses
+    )
     (folder / PROFILE_FILE).write_text(tomli_w.dumps(content, multiline_strings=False))
     (folder / "fit.json").write_text(json.dumps(report.to_json(), indent=1) + "\n")
     (folder / "fit.txt").write_text(
@@ -145,6 +151,13 @@ def _slow(kind: str, surveys: Sequence[Survey], observers: Sequence[Fitted]) -> 
     messages = {channel.message for fitted in observers for channel in fitted.source.channels}
     slow = slow_messages([found.rate_hz for found in surveys], messages, wanted_hz)
     return (slow_text(slow, wanted_hz),) if slow else ()
+
+
+def _of_several(vehicle_types: frozenset[str]) -> tuple[str, ...]:
+    if len(vehicle_types) < 2:
+        return ()
+    told = ", ".join(sorted(vehicle_types))
+    return (f"recordings of different vehicles ({told}): a profile is of one; fit each from its own recordings",)
 
 
 def _measured(fitted: Fitted, gate: GateRule) -> Fitted:

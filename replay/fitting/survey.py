@@ -10,6 +10,7 @@ from typing import Any
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
+from adapters.mavlink.vehicle_type import vehicle_type
 from adapters.message import LATEST_NS, Message
 from adapters.sampling.phase import FlightPhase
 from adapters.sampling.strapdown_channels import INERTIAL_MESSAGES
@@ -107,12 +108,15 @@ class Survey:
         How servo outputs moved while armed, by number.
     examples : dict[str, Mapping[str, Any]]
         Fields of the last message of each name while armed; of the GPS, the last that knew speed and course.
+    vehicle_types : frozenset[str]
+        What the autopilot's heartbeats say it is (``quadrotor``).
     """
 
     counts: dict[str, int]
     rate_hz: dict[str, float]
     outputs: dict[int, Output]
     examples: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    vehicle_types: frozenset[str] = frozenset()
 
 
 def survey(messages: Iterable[Message]) -> Survey:
@@ -123,6 +127,7 @@ def survey(messages: Iterable[Message]) -> Survey:
     armed = True
     clock = Channel("clock", "", ("",))
     examples: dict[str, Mapping[str, Any]] = {}
+    types: set[int] = set()
     for message in messages:
         counts[message.name] += 1
         if armed and not (message.name == _GPS_MESSAGE and _UNKNOWN in map(message.fields.get, ("vel", "cog"))):
@@ -134,6 +139,8 @@ def survey(messages: Iterable[Message]) -> Survey:
         if message.name == "HEARTBEAT" and message.fields.get("autopilot") != 8:
             mode = message.fields.get("base_mode")
             armed = isinstance(mode, int) and bool(mode & 128)
+            if isinstance(kind := message.fields.get("type"), int):
+                types.add(kind)
         elif message.name == MOTOR_MESSAGE and armed and not message.fields.get("port"):
             for number in range(1, _OUTPUTS_PER_MESSAGE + 1):
                 pulse = message.fields.get(f"servo{number}_raw")
@@ -141,7 +148,8 @@ def survey(messages: Iterable[Message]) -> Survey:
                     tallies.setdefault(number, _Tally()).add(pulse)
     rates = {name: (counts[name] - 1) * 1e9 / (last - first) for name, (first, last) in spans.items() if last > first}
     outputs = {number: tally.output() for number, tally in sorted(tallies.items())}
-    return Survey(dict(counts), rates, outputs, examples)
+    vehicle_types = frozenset(map(vehicle_type, types)) - {""}
+    return Survey(dict(counts), rates, outputs, examples, vehicle_types)
 
 
 class _Tally:

@@ -12,6 +12,7 @@ from typing import Any
 from adapters.channels import Channel, channel_table
 from adapters.errors import TelemetryError
 from adapters.logs.recordings import Recording, recorded_alarms, recorded_metadata, recording_kind
+from adapters.mavlink.vehicle_type import enumerated
 from adapters.message import Message
 from adapters.sampling.phase import is_autopilot_heartbeat
 from adapters.sampling.slow_telemetry import INERTIAL_HZ, WANTED_HZ, slow_messages
@@ -167,11 +168,7 @@ def _system(number: int, sender: _Sender) -> dict[str, Any]:
 
 
 def _enumerated(enumeration: str, number: int | None) -> str | None:
-    """Return the name of a number in one of MAVLink's enumerations."""
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    entry = None if number is None else ardupilotmega.enums[enumeration].get(number)
-    return None if entry is None else str(entry.name).removeprefix(f"{enumeration}_").lower()
+    return None if number is None else enumerated(enumeration, number)
 
 
 def _fits(found: Survey, tally: _Tally) -> dict[str, Any] | None:

@@ -47,6 +47,7 @@ def unchecked(
         What of the recording could not be read.
     """
     return [
+        *([Unchecked("everything that was found or not found", replay.mismatch)] if replay.mismatch else []),
         *(Unchecked(f"what is missing of {one.file}", "; ".join(one.found)) for one in damage),
         *(one for observer in profile.observers for one in _observer(profile, observer, replay)),
         *(one for observer in profile.observers for one in _bridged(observer, replay.watches[observer.name])),

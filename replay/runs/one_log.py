@@ -85,6 +85,8 @@ class LogOutcome:
         Time over which alarms could be raised, seconds.
     lacking : Mapping[str, tuple[str, ...]]
         Messages that the log lacks, by observer that therefore watched nothing.
+    mismatch : str | None
+        What says that it is of another vehicle than the profile's.
     damage : tuple[Damage, ...]
         What of it could not be read.
     processor_s : float
@@ -102,6 +104,7 @@ class LogOutcome:
     evidence: int = 0
     watched_s: float = 0.0
     lacking: Mapping[str, tuple[str, ...]] | None = None
+    mismatch: str | None = None
     damage: tuple[Damage, ...] = ()
     processor_s: float = 0.0
 
@@ -117,6 +120,8 @@ class LogOutcome:
             found["error"] = self.error
         found |= {"samples": self.samples, "evidence": self.evidence}
         found["lacking"] = {name: list(lacks) for name, lacks in (self.lacking or {}).items()}
+        if self.mismatch is not None:
+            found["mismatch"] = self.mismatch
         found["damage"] = [one.to_json() for one in self.damage]
         return found | {"alarms": [event.to_json() for event in self.events]}
 
@@ -218,6 +223,7 @@ def _replay(
         evidence=found.evidence,
         watched_s=found.watched_s,
         lacking=dict(found.lacking),
+        mismatch=found.mismatch,
         damage=recording.damage(),
         processor_s=time.thread_time() - started_s,
     )
@@ -276,15 +282,18 @@ def _verdict(found: Replay, profile: Profile) -> str:
     if not found.samples:
         needed = ", ".join(sorted(interests(profile)))
         return f"no samples; the log lacks channels of the profile (needed: {needed})"
+    if not found.evidence and found.mismatch is not None:
+        return f"nothing was watched; {found.mismatch}"
     if not found.evidence:
         return (
             "nothing was watched; the vehicle was never seen in flight: is it the profile's vehicle? "
             "(see [phase] in the profile)"
         )
+    other = f"; {found.mismatch}" if found.mismatch is not None else ""
     raised = len(first_raised(found.events))
     alarms = {0: "no alarm", 1: "1 alarm"}.get(raised, f"{raised} alarms")
     blind = "".join(f"; {name} saw nothing (no {', '.join(lacks)})" for name, lacks in found.lacking.items())
-    return f"{alarms} in {found.watched_s:.0f} s of watched flight{blind}"
+    return f"{alarms} in {found.watched_s:.0f} s of watched flight{blind}{other}"
 
 
 def _reason(task: LogTask, error: Exception) -> str:
