@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from fuzz_input import Draw, random_inputs
-from fuzz_monitor import QUAD, changed, flight, own
+from fuzz_pipeline import QUAD, changed, flight, own
 from fuzz_target import Run, Target
 
 from adapters.block import pack

@@ -4,10 +4,23 @@ from __future__ import annotations
 
 import fuzz_adapters
 import fuzz_blocks
+import fuzz_files
 import fuzz_logs
 import fuzz_monitor
+import fuzz_onboard
+import fuzz_pipeline
+import fuzz_recordings
 
-_MODULES = (fuzz_adapters, fuzz_logs, fuzz_monitor, fuzz_blocks)
+_MODULES = (
+    fuzz_adapters,
+    fuzz_recordings,
+    fuzz_logs,
+    fuzz_onboard,
+    fuzz_pipeline,
+    fuzz_monitor,
+    fuzz_files,
+    fuzz_blocks,
+)
 _ORDER = ("mavlink", "zenoh", "commands", "subscriber", "pipeline-quad", "cdr", "mcap", "tlog", "foreign", "blocks")
 _ALL = {target.name: target for module in _MODULES for target in module.TARGETS}
 
