@@ -103,6 +103,7 @@ def run_fit(args: argparse.Namespace) -> int:
     from adapters.errors import TelemetryError
     from adapters.logs.recordings import Recording, recording_kind
     from gains.errors import InfeasibleError, ModelError
+    from monitor.profile import PROFILE_FILE
     from replay.fitting.fit import fit
     from replay.fitting.fit_custom import custom_messages
     from replay.fitting.survey import FIT_MESSAGES, of_one_vehicle
@@ -130,6 +131,9 @@ def run_fit(args: argparse.Namespace) -> int:
     found = _warn(one for path in args.logs for one in damage.get(path, ()))
     for warning in report.warnings:
         sys.stderr.write(f"fauio: {warning}\n")
+    if report.set_aside is not None:
+        was = args.out / PROFILE_FILE
+        sys.stderr.write(f"fauio: {was} is written anew; what stood there, edited or not, is {report.set_aside}\n")
     if args.json:
         _say(json.dumps(report.to_json() | {"damage": found}))
         return 0

@@ -30,15 +30,15 @@ def test_a_fit_notes_what_its_recordings_say_the_vehicle_is(quad_profile: Profil
 def test_a_fit_on_different_vehicles_says_so_and_takes_none_of_their_types(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    square, other = data / "copter_healthy_square.tlog.xz", tmp_path / "other.mcap"
+    rover, other = data / "rover_healthy_manual.tlog.xz", tmp_path / "other.mcap"
     with MessageLogWriter(other) as writer:
-        for message in read_recording(square):
-            hexarotor = message.name == "HEARTBEAT" and message.fields["type"] == 2
-            writer.write(replace(message, fields=dict(message.fields) | {"type": 13}) if hexarotor else message)
-    logs = [str(square), str(other)]
-    assert fauio.main(["fit", "--vehicle", "multirotor", *logs, "-o", str(tmp_path / "quad")]) == 0
-    assert "fauio: recordings of different vehicles (hexarotor, quadrotor): " in capsys.readouterr().err
-    assert read_profile(tmp_path / "quad").vehicle_type == ""
+        for message in read_recording(rover):
+            boat = message.name == "HEARTBEAT" and message.fields["type"] == 10
+            writer.write(replace(message, fields=dict(message.fields) | {"type": 11}) if boat else message)
+    folder = tmp_path / "rover"
+    assert fauio.main(["fit", "--vehicle", "rover", str(rover), str(other), "-o", str(folder)]) == 0
+    assert "fauio: recordings of different vehicles (ground rover, surface boat): " in capsys.readouterr().err
+    assert read_profile(folder).vehicle_type == ""
 
 
 def test_a_replay_of_another_vehicle_says_so_in_verdict_json_table_and_report(
@@ -64,9 +64,7 @@ def test_a_daemon_logs_that_it_hears_another_vehicle(data: Path, tmp_path: Path)
     [udp] = free_ports(1, socket.SOCK_DGRAM)
     [tcp] = free_ports(1)
     config = tmp_path / "fauio.toml"
-    config.write_text(
-        f'profile = "{QUAD}"\nmavlink = "udpin:127.0.0.1:{udp}"\nlisten = ["tcp/127.0.0.1:{tcp}"]\n'
-    )
+    config.write_text(f'profile = "{QUAD}"\nmavlink = "udpin:127.0.0.1:{udp}"\nlisten = ["tcp/127.0.0.1:{tcp}"]\n')
     with DaemonProcess(config) as daemon:
         Flight(data / "plane_healthy.tlog.xz", [udp], 0.0)
         deadline = time.monotonic() + PATIENCE_S

@@ -73,7 +73,7 @@ def profile_page() -> str:
     minimal = _minimal_profile()
     (observer,) = minimal.observers
     rule = observer.alarms[0]
-    top = {key: getattr(minimal, key) for key in ("system", "stale_s")}
+    top = {key: getattr(minimal, key) for key in ("vehicle_type", "system", "stale_s")}
     isolation = {key: getattr(observer.isolation, key) for key in ("smoothing_s", "tolerance", "gain_penalty")}
     single = parameters_of(SingleRule) | {key: parameters_of(SingleFaultIsolator)[key] for key in _BANK}
     bank = {key: (single[key][0], _BANK.get(key, single[key][1])) for key in single if key in _SHARED}

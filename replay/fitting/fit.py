@@ -44,12 +44,15 @@ class FitReport:
         What could not be fitted, and why.
     warnings : tuple[str, ...]
         What makes the profile worse than it could be.
+    set_aside : Path | None
+        Where the profile.toml went that stood in the folder before, with what a person may have edited in it.
     """
 
     vehicle: str
     observers: tuple[Fitted, ...]
     notes: tuple[str, ...]
     warnings: tuple[str, ...] = ()
+    set_aside: Path | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as a JSON object."""
@@ -58,6 +61,7 @@ class FitReport:
             "observers": {fitted.name: fitted.report() for fitted in self.observers},
             "notes": list(self.notes),
             **({"warnings": list(self.warnings)} if self.warnings else {}),
+            **({"set_aside": str(self.set_aside)} if self.set_aside is not None else {}),
         }
 
     def text(self, details: bool = False) -> list[str]:
@@ -118,14 +122,14 @@ def fit(kind: str, logs: Sequence[Log], folder: Path, name: str, model: Path | N
             notes.append(f"inertial: {error}")
         warnings = (*_slow(kind, surveys, observers), *_of_several(vehicle_types))
     report = FitReport(kind, tuple(_measured(fitted, gate) for fitted in observers), tuple(notes), warnings)
-    write_profile(folder, name, kind, gate, report, next(iter(vehicle_types)) if len(vehicle_types) == 1 else "")
-    return report
+    [vehicle_type] = vehicle_types if len(vehicle_types) == 1 else ("",)
+    return replace(report, set_aside=write_profile(folder, name, kind, gate, report, vehicle_type))
 
 
 def write_profile(
     folder: Path, name: str, kind: str, gate: GateRule, report: FitReport, vehicle_type: str = ""
-) -> None:
-    """Write what was fitted as a profile folder."""
+) -> Path | None:
+    """Write what was fitted as a profile folder; return where another profile.toml went that stood there."""
     folder.mkdir(parents=True, exist_ok=True)
     for fitted in report.observers:
         fitted.write(folder)
@@ -135,7 +139,7 @@ def write_profile(
     content = profile_table(
         name=name, vehicle=kind, vehicle_type=vehicle_type, gate=gate, observers=tables, excuses=excuses
     )
-    (folder / PROFILE_FILE).write_text(tomli_w.dumps(content, multiline_strings=False))
+    set_aside = replace_kept(folder / PROFILE_FILE, tomli_w.dumps(content, multiline_strings=False))
     (folder / "fit.json").write_text(json.dumps(report.to_json(), indent=1) + "\n")
     (folder / "fit.txt").write_text(
         "\n".join([f"{name} ({kind})", *report.text(details=True)]) + "\n", encoding="utf-8"
@@ -144,6 +148,16 @@ def write_profile(
     for observer, comparison in drawn.items():
         file = "fit.png" if len(drawn) == 1 else f"fit.{observer}.png"
         draw_comparison(folder / file, comparison, f"{name}, {observer}: {comparison.about}")
+    return set_aside
+
+
+def replace_kept(path: Path, text: str) -> Path | None:
+    """Write a file; return where it went if it was there and said something else."""
+    before = path.with_name(f"{path.name}.before") if path.is_file() and path.read_bytes() != text.encode() else None
+    if before is not None:
+        path.replace(before)
+    path.write_text(text, encoding="utf-8")
+    return before
 
 
 def _slow(kind: str, surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str, ...]:
