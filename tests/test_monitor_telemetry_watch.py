@@ -62,6 +62,15 @@ def test_a_message_that_does_not_come_is_named_and_not_called_slow(telemetry: Te
     assert telemetry.run(12, rates, samples=False) == ["motors watches nothing: no ATTITUDE"]
 
 
+def test_a_vehicle_that_comes_late_is_given_time_for_its_first_sample(telemetry: Telemetry) -> None:
+    rates = dict.fromkeys(telemetry.names, round(telemetry.observer.rate_hz))
+    [said] = telemetry.run(60, {})
+    assert said.startswith("motors watches nothing: no ")
+    assert telemetry.run(4, rates, samples=False) == []
+    assert telemetry.run(2, rates, samples=False) == ["motors watches nothing: its measurements do not come together"]
+    assert telemetry.run(1, rates) == []
+
+
 def test_silence_is_not_counted_as_slowness(telemetry: Telemetry) -> None:
     rates = dict.fromkeys(telemetry.names, round(telemetry.observer.rate_hz))
     telemetry.run(9, rates)

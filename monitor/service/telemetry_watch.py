@@ -35,7 +35,8 @@ class TelemetryWatch:
         self._observers = tuple(observers)
         self._needs = needs
         self._needed = frozenset[str]().union(*needs.values())
-        self._started_ns = now_ns
+        self._since_ns = now_ns
+        self._silent = True
         self._heard: dict[str, int] = {}
         self._sampled: dict[str, int] = {}
         self._counts: Counter[str] = Counter()
@@ -45,6 +46,9 @@ class TelemetryWatch:
     def hear(self, name: str, received_ns: int) -> None:
         """Take note of a message of the vehicle."""
         if name in self._needed:
+            if self._silent:
+                # an observer needs some time from its first messages to its first sample
+                self._since_ns, self._silent = received_ns, False
             self._heard[name] = self.heard_ns = received_ns
             self._counts[name] += 1
 
@@ -54,7 +58,7 @@ class TelemetryWatch:
 
     def pause(self, now_ns: int) -> None:
         """Begin anew: until now nothing came, or what came was not taken in time."""
-        self._started_ns = now_ns
+        self._since_ns, self._silent = now_ns, True
         self._counts.clear()
         self._counted_ns = now_ns
         self._rates = {}
@@ -80,7 +84,7 @@ class TelemetryWatch:
             self._counted_ns = now_ns
 
     def _nothing(self, observer: str, now_ns: int) -> str | None:
-        if now_ns - max(self._started_ns, self._sampled.get(observer, 0)) < _LACKING_NS:
+        if now_ns - max(self._since_ns, self._sampled.get(observer, 0)) < _LACKING_NS:
             return None
         names = self._needs[observer]
         missing = sorted(name for name in names if now_ns - self._heard.get(name, 0) >= _LACKING_NS)
