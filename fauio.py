@@ -39,7 +39,7 @@ first steps:
   fauio alarms                     in another terminal: what the monitor says
 """
 _GROUPS = {
-    "your vehicle": ("fit", "replay", "run", "alarms"),
+    "your vehicle": ("record", "fit", "replay", "run", "alarms"),
     "recordings": ("info", "convert", "inject", "detectability"),
     "models and observers": ("check", "design", "simulate"),
     "this machine": ("demo", "doctor", "schema", "completion"),

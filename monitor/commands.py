@@ -1,10 +1,16 @@
-"""Commands of the monitor: ``fauio run``, ``fauio alarms`` and what goes with it, ``fauio schema`` and ``doctor``."""
+"""Commands beside a vehicle: ``fauio record``, ``run``, ``alarms`` and what goes with it, ``schema``, ``doctor``."""
 
 from __future__ import annotations
 
 import argparse
 import functools
+import json
+import math
+import sys
+from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from monitor.console.alarm_commands import add_alarms, add_schema
 from monitor.diagnosis.doctor import add_doctor
@@ -12,10 +18,33 @@ from monitor.diagnosis.doctor import add_doctor
 
 def add_parsers(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the commands of this package."""
+    _add_record(subparsers)
     _add_run(subparsers)
     add_alarms(subparsers)
     add_schema(subparsers)
     add_doctor(subparsers)
+
+
+def _add_record(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    record = subparsers.add_parser(
+        "record",
+        help="record live telemetry, for a first fit",
+        description="Record a vehicle's telemetry as it comes, without a profile: a healthy flight to fit one to. All "
+        "senders on the link are recorded. Sends nothing to the vehicle unless the configuration allows it; with "
+        "[send] rates in it, asks for them. Ends on Ctrl-C, SIGTERM or after --seconds.",
+        epilog="example: fauio record --mavlink udpin:127.0.0.1:14550 -o monday.mcap",
+    )
+    _add_source(record)
+    record.add_argument("-o", "--out", type=Path, required=True, metavar="OUT.mcap", help="file to make")
+    record.add_argument(
+        "--seconds", type=_seconds, metavar="S", help="end so long after the first message (default: Ctrl-C)"
+    )
+    record.add_argument(
+        "--config", type=Path, metavar="FILE.toml", help="configuration: links, signing, message rates, Zenoh"
+    )
+    _add_endpoints(record)
+    record.add_argument("--json", action="store_true", help="print what was recorded as one JSON object")
+    record.set_defaults(handler=run_record)
 
 
 def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -33,23 +62,10 @@ def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="PROFILE",
         help="profile folder, made by 'fauio fit'; may be left out where --config names profiles",
     )
-    source = run.add_mutually_exclusive_group()
-    source.add_argument(
-        "--mavlink",
-        metavar="URL",
-        help="udpin:HOST:PORT (the vehicle sends to us), udpout:HOST:PORT, "
-        "tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD",
-    )
-    source.add_argument("--zenoh", metavar="KEYEXPR", help="telemetry over Zenoh on these keys")
+    _add_source(run)
     run.add_argument("--config", type=Path, metavar="FILE.toml", help="configuration; options given here override it")
     run.add_argument("--vehicle", metavar="NAME", help="name in topics (default: the profile's)")
-    run.add_argument(
-        "--listen", metavar="ENDPOINT", action="append", help="Zenoh endpoint to listen on (tcp/127.0.0.1:7447)"
-    )
-    run.add_argument("--connect", metavar="ENDPOINT", action="append", help="Zenoh endpoint to connect to")
-    run.add_argument(
-        "--allow-public", action="store_true", help="let MAVLink, Zenoh and metrics listen beyond this machine"
-    )
+    _add_endpoints(run)
     run.add_argument("--prefix", metavar="KEY", help="what the keys begin with (fauio)")
     run.add_argument("--record", type=Path, metavar="OUT.mcap", help="record telemetry, estimates and alarms")
     run.add_argument(
@@ -63,17 +79,71 @@ def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     run.set_defaults(handler=run_run)
 
 
+def _add_source(command: argparse.ArgumentParser) -> None:
+    source = command.add_mutually_exclusive_group()
+    source.add_argument(
+        "--mavlink",
+        metavar="URL",
+        help="udpin:HOST:PORT (the vehicle sends to us), udpout:HOST:PORT, "
+        "tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD",
+    )
+    source.add_argument("--zenoh", metavar="KEYEXPR", help="telemetry over Zenoh on these keys")
+
+
+def _add_endpoints(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--listen", metavar="ENDPOINT", action="append", help="Zenoh endpoint to listen on (tcp/127.0.0.1:7447)"
+    )
+    command.add_argument("--connect", metavar="ENDPOINT", action="append", help="Zenoh endpoint to connect to")
+    command.add_argument(
+        "--allow-public", action="store_true", help="let MAVLink, Zenoh and metrics listen beyond this machine"
+    )
+
+
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not 0.0 < seconds < math.inf:
+        raise argparse.ArgumentTypeError(f"'{text}' is no time in seconds above 0")
+    return seconds
+
+
+def _given(args: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
+    """Return what the command line says of the configuration."""
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    if args.mavlink is not None or args.zenoh is not None:
+        given |= {"mavlink": args.mavlink or (), "zenoh": args.zenoh or ()}
+    return given | ({"allow_public": True} if args.allow_public else {})
+
+
+def run_record(args: argparse.Namespace) -> int:
+    """Record until it is told to stop."""
+    from monitor.configuration.config import read_config
+    from monitor.service.record_live import record_live
+
+    config = read_config(args.config, _given(args, ("listen", "connect")), links_only=True)
+    found = record_live(config, args.out, args.seconds, as_json=args.json)
+    if args.json:
+        sys.stdout.write(json.dumps({"file": str(args.out)} | asdict(found)) + "\n")
+    else:
+        senders = f", from system {', '.join(map(str, found.systems))}" if found.systems else ""
+        lost = f"; {found.dropped} more came too fast" if found.dropped else ""
+        sys.stdout.write(
+            f"{args.out}: {found.messages} messages of {found.names} kinds in {found.seconds:.1f} s{senders}{lost}\n"
+            f"See what can be fitted to it: fauio info {args.out}\n"
+        )
+    return 130 if found.interrupted else 0
+
+
 def run_run(args: argparse.Namespace) -> int:
     """Run the daemon until it is told to stop."""
     from monitor.configuration.config import read_config
     from monitor.service.live import run_live
 
     names = ("profile", "vehicle", "listen", "connect", "prefix", "record")
-    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
-    if args.mavlink is not None or args.zenoh is not None:
-        given |= {"mavlink": args.mavlink or (), "zenoh": args.zenoh or ()}
-    if args.allow_public:
-        given["allow_public"] = True
+    given = _given(args, names)
     if args.rerun is not None:
         given["rerun"] = {"mode": args.rerun}
     read = functools.partial(read_config, args.config, given)

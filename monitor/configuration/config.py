@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from monitor.configuration.config_checks import conflicts
+from monitor.configuration.config_checks import conflicts, link_conflicts
 from monitor.configuration.config_reading import read_model
 from monitor.configuration.config_values import (
     ChannelPath,
@@ -311,7 +311,7 @@ class Config(_Table):
         )
 
 
-def read_config(path: str | Path | None, given: Mapping[str, Any] | None = None) -> Config:
+def read_config(path: str | Path | None, given: Mapping[str, Any] | None = None, *, links_only: bool = False) -> Config:
     """Read a configuration file and check all of it.
 
     Parameters
@@ -321,6 +321,8 @@ def read_config(path: str | Path | None, given: Mapping[str, Any] | None = None)
     given : Mapping[str, Any] | None
         Keys of the top level from the command line, which override the file's. A text is a path relative to the
         file also here; give a :class:`pathlib.Path` for one relative to the working directory.
+    links_only : bool
+        Whether only links matter: there may be no vehicle yet, and profiles may not have been made.
 
     Returns
     -------
@@ -333,4 +335,4 @@ def read_config(path: str | Path | None, given: Mapping[str, Any] | None = None)
         The file cannot be read, is not TOML, has keys that are unknown, values of the wrong kind, or values that
         contradict each other. The message has a line for each: ``FILE:LINE: 'key' what is wrong; what to do``.
     """
-    return read_model(Config, path, given or {}, conflicts)
+    return read_model(Config, path, given or {}, link_conflicts if links_only else conflicts)

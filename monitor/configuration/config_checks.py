@@ -26,12 +26,18 @@ def conflicts(config: Config) -> Iterator[Conflict]:
     """Yield all contradictions of a configuration, missing files included."""
     yield from _vehicles(config)
     yield from _telemetry(config)
+    yield from link_conflicts(config)
+    yield from _sizes(config)
+    yield from _profiles(config)
+    yield from _channels(config)
+
+
+def link_conflicts(config: Config) -> Iterator[Conflict]:
+    """Yield the contradictions of what says where telemetry comes from, missing files included."""
     yield from _listeners(config)
     yield from _ports(config)
     yield from _sending(config)
-    yield from _sizes(config)
     yield from _files(config)
-    yield from _channels(config)
 
 
 def _vehicles(config: Config) -> Iterator[Conflict]:
@@ -178,17 +184,21 @@ def _sizes(config: Config) -> Iterator[Conflict]:
         )
 
 
-def _files(config: Config) -> Iterator[Conflict]:
-    made = "name the one that 'fauio fit' made"
-    folders: list[tuple[KeyPath, Path | None, str]] = [
-        (("profile",), config.profile, made),
-        (("new_vehicles", "profile"), config.new_vehicles.profile, made),
-        (("definitions",), config.definitions, "name the one with the .msg files"),
+def _profiles(config: Config) -> Iterator[Conflict]:
+    folders: list[tuple[KeyPath, Path | None]] = [
+        (("profile",), config.profile),
+        (("new_vehicles", "profile"), config.new_vehicles.profile),
     ]
-    folders += [(("vehicle", k, "profile"), vehicle.profile, made) for k, vehicle in enumerate(config.vehicle)]
-    for path, folder, mend in folders:
+    folders += [(("vehicle", k, "profile"), vehicle.profile) for k, vehicle in enumerate(config.vehicle)]
+    for path, folder in folders:
         if folder is not None and not folder.is_dir():
-            yield Conflict(path, f"is {folder}: no such folder; {mend}")
+            yield Conflict(path, f"is {folder}: no such folder; name the one that 'fauio fit' made")
+
+
+def _files(config: Config) -> Iterator[Conflict]:
+    folder = config.definitions
+    if folder is not None and not folder.is_dir():
+        yield Conflict(("definitions",), f"is {folder}: no such folder; name the one with the .msg files")
     files: list[tuple[KeyPath, Path | None]] = [
         (("zenoh_config",), config.zenoh_config),
         (("signing", "key_file"), config.signing.key_file),

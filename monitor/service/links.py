@@ -1,0 +1,100 @@
+"""Open the links that a configuration names, and say which of them bring nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from adapters.mavlink.mavlink_link import MavlinkLink
+from adapters.mavlink.message_rates import RateRequests
+from adapters.mavlink.requesting_link import RequestingLink
+from adapters.mavlink.signing import SigningKey, read_key
+from adapters.zenoh.zenoh_link import ZenohLink
+from adapters.zenoh.zenoh_payload import PayloadDecoder
+from monitor.configuration.config import Config, Vehicle
+from monitor.service.inbox import Link
+from monitor.service.log import Log
+from monitor.service.station_health import Counting
+
+if TYPE_CHECKING:
+    import zenoh
+
+_FIRST_NS = 5_000_000_000
+
+
+class OpenedLink(NamedTuple):
+    """An open link, what reads it, and the vehicle whose own it is."""
+
+    name: str
+    link: Counting
+    reader: Link
+    vehicle: Vehicle | None = None
+
+
+def open_links(config: Config, session: zenoh.Session | None, stack: ExitStack) -> list[OpenedLink]:
+    """Open all links; nobody reads them yet.
+
+    Parameters
+    ----------
+    config : Config
+        Names them.
+    session : zenoh.Session | None
+        An open session; None leaves links over Zenoh out.
+    stack : ExitStack
+        Closes them.
+
+    Raises
+    ------
+    ProfileError, TelemetryError
+        A link, the signing key or a message definition cannot be used.
+    """
+    key = read_key(config.signing.key_file) if config.signing.key_file is not None else None
+    opened = []
+    for url in config.mavlink:
+        link = MavlinkLink(url, key, config.signing.require, may_send=config.send.allow)
+        stack.callback(link.close)
+        opened.append(OpenedLink(url, link, _requesting(link, config, key)))
+    if session is None:
+        return opened
+    folders = () if config.definitions is None else (config.definitions,)
+    shared = [(keyexpr, None) for keyexpr in config.zenoh]
+    own = [(vehicle.zenoh, vehicle) for vehicle in config.vehicles if vehicle.zenoh is not None]
+    for keyexpr, vehicle in (*shared, *own):
+        zenoh_link = ZenohLink(session, keyexpr, PayloadDecoder(config.zenoh_types, folders))
+        stack.callback(zenoh_link.close)
+        opened.append(OpenedLink(keyexpr, zenoh_link, zenoh_link, vehicle))
+    return opened
+
+
+def _requesting(link: MavlinkLink, config: Config, key: SigningKey | None) -> Link:
+    """Return what reads a link: itself, or with requests for message rates where the config allows them."""
+    send = config.send
+    if not (send.allow and send.rates):
+        return link
+    named = {vehicle.system for vehicle in config.vehicles}
+    systems = () if 0 in named or config.new_vehicles.profile is not None else named
+    requests = RateRequests(key, (send.source_system, send.source_component))
+    return RequestingLink(link, requests, send.rates, systems, send.target_component)
+
+
+class FirstLook:
+    """Says once which links have brought nothing in their first seconds: a wrong port looks like a quiet vehicle."""
+
+    def __init__(self, links: Mapping[str, Any], log: Log) -> None:
+        self._links = links
+        self._log = log
+        self._due_ns: int | None = 0
+
+    def turn(self, now_ns: int) -> None:
+        """Look once, when it is due."""
+        if self._due_ns is None or now_ns < self._due_ns:
+            return
+        if self._due_ns == 0:
+            self._due_ns = now_ns + _FIRST_NS
+            return
+        self._due_ns = None
+        for name, link in self._links.items():
+            if not link.statistics().messages:
+                advice = "is the vehicle on, and does it send to this address? See 'fauio doctor'"
+                self._log.say("no telemetry yet", level="warning", link=name, advice=advice)

@@ -1,0 +1,157 @@
+"""Record live telemetry as it comes, without a profile: what a first fit is made from."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from adapters.errors import TelemetryError
+from adapters.logs.mcap_log import MessageLogWriter
+from adapters.message import Message
+from adapters.zenoh.zenoh_session import open_session
+from monitor.configuration.config import Config
+from monitor.errors import ProfileError
+from monitor.service.inbox import Inbox
+from monitor.service.links import FirstLook, open_links
+from monitor.service.log import Log
+from monitor.service.noted_signals import noted_signals
+
+_POLL_S = 0.1
+_SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class LiveRecording:
+    """What was recorded.
+
+    Parameters
+    ----------
+    messages : int
+        Messages in the file.
+    names : int
+        Different names among them.
+    systems : tuple[int, ...]
+        MAVLink systems among their senders.
+    seconds : float
+        From the first message to the last.
+    dropped, unrecordable : int
+        Messages that there was no time for; messages that no record can hold.
+    interrupted : bool
+        Whether SIGINT ended it.
+    """
+
+    messages: int
+    names: int
+    systems: tuple[int, ...]
+    seconds: float
+    dropped: int
+    unrecordable: int
+    interrupted: bool
+
+
+def record_live(config: Config, path: Path, seconds: float | None = None, *, as_json: bool = False) -> LiveRecording:
+    """Record what the links bring, of all senders, until SIGINT, SIGTERM or enough time.
+
+    Parameters
+    ----------
+    config : Config
+        Where telemetry comes from, and which message rates are asked of the vehicle, if any.
+    path : Path
+        MCAP file to make. What is older than a second survives a crash.
+    seconds : float | None
+        Time from the first message on; None: until a signal.
+    as_json : bool
+        Whether log lines on stderr are JSON objects, whatever the configuration says.
+
+    Raises
+    ------
+    ProfileError, TelemetryError
+        The file exists, or cannot be written; a link or the session cannot be used; nothing came until the end.
+    OSError
+        The disk fails; what was flushed before stands in the file.
+    """
+    over_zenoh = bool(config.zenoh) or any(vehicle.zenoh for vehicle in config.vehicles)
+    if not config.mavlink and not over_zenoh:
+        raise ProfileError("no telemetry to listen to: give --mavlink URL or --zenoh KEYEXPR, or set it in --config")
+    if path.exists():
+        raise TelemetryError(f"{path}: is there already; name another file, or move it away")
+    json_lines = {"auto": not sys.stderr.isatty(), "json": True, "text": False}[config.log_format]
+    tally = _Tally()
+    with ExitStack() as stack, noted_signals() as received:
+        log = Log(as_json or json_lines)
+        stack.callback(log.close)
+        session = None
+        if over_zenoh:
+            opened = open_session(config.connect, config.listen, config.zenoh_config, config.zenoh_mode)
+            session = stack.enter_context(opened)
+        links = open_links(config, session, stack)
+        writer = stack.enter_context(MessageLogWriter(path))
+        writer.add_metadata("fauio", {"fauio": version("fauio")})
+        inbox = Inbox(config.inbox)
+        stack.callback(inbox.close)
+        for one in links:
+            inbox.listen(one.name, one.reader)
+        log.say("recording", file=str(path), telemetry=", ".join(one.name for one in links))
+        first_look = FirstLook({one.name: one.link for one in links}, log)
+        flushed_ns = time.time_ns()
+        while not {signal.SIGINT, signal.SIGTERM} & set(received):
+            for arrival in inbox.take(_POLL_S):
+                tally.add(arrival.message)
+                writer.write(arrival.message)
+            now_ns = time.time_ns()
+            if seconds is not None and tally.first_ns is not None and now_ns - tally.first_ns >= seconds * 1e9:
+                break
+            first_look.turn(now_ns)
+            if not 0 <= now_ns - flushed_ns < _SECOND_NS:
+                flushed_ns = now_ns
+                writer.flush()
+                _tell(f"{tally.seconds:.0f} s, {tally.names.total()} messages")
+        _tell("")
+        found = LiveRecording(
+            messages=writer.statistics().records,
+            names=len(tally.names),
+            systems=tuple(sorted(tally.systems)),
+            seconds=tally.seconds,
+            dropped=inbox.statistics().dropped,
+            unrecordable=writer.statistics().unrecordable,
+            interrupted=signal.SIGINT in received,
+        )
+    if not found.messages:
+        path.unlink()
+        heard = ", ".join(one.name for one in links)
+        raise TelemetryError(f"{path}: not made, nothing came over {heard}; does the vehicle send to this address?")
+    return found
+
+
+class _Tally:
+    """What came so far."""
+
+    def __init__(self) -> None:
+        self.names: Counter[str] = Counter()
+        self.systems: set[int] = set()
+        self.first_ns: int | None = None
+        self._last_ns = 0
+
+    def add(self, message: Message) -> None:
+        self.first_ns = message.received_ns if self.first_ns is None else self.first_ns
+        self._last_ns = message.received_ns
+        self.names[message.name] += 1
+        if message.source == "mavlink":
+            self.systems.add(message.system)
+
+    @property
+    def seconds(self) -> float:
+        return 0.0 if self.first_ns is None else max(0, self._last_ns - self.first_ns) / 1e9
+
+
+def _tell(text: str) -> None:
+    """Say on a terminal how far it has got, on a line that the next one wipes."""
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r\x1b[K{text}")
+        sys.stderr.flush()
