@@ -1,6 +1,7 @@
 """Telemetry that comes too seldom is told: by the fit, by info, by what a replay could not check."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -69,3 +70,10 @@ def test_an_observer_names_messages_between_which_it_takes_many_samples(quad_pro
     assert spanned(motors, 100.0, rates) == dict.fromkeys(FAST, 25.0)
     assert set(spanned(inertial, 25.0, rates)) == {"ATTITUDE", "HIGHRES_IMU"}
     assert spanned(motors, 100.0, dict.fromkeys(FAST, 50.0)) == {}
+
+
+def test_a_command_that_holds_until_the_next_one_may_come_seldom(quad_profile: Profile) -> None:
+    source = quad_profile.observers[0].source
+    held = tuple(replace(channel, interpolation="previous") for channel in source.inputs)
+    found = spanned(replace(source, inputs=held), 100.0, dict.fromkeys(FAST, 4.0))
+    assert set(found) == {channel.message for channel in source.outputs}

@@ -26,16 +26,16 @@ class Telemetry:
         self.watch = TelemetryWatch([observer], {observer.name: self.names}, START_NS)
         self.now_ns = START_NS
 
-    def run(self, seconds: int, rates: dict[str, int], *, samples: bool = True) -> list[str]:
-        """Let messages come for a while; return what is said in the end."""
+    def run(self, seconds: int, rates: dict[str, int], *, samples: bool = True, speed: float = 1.0) -> list[str]:
+        """Let messages come for a while of the vehicle's time; return what is said in the end."""
         said: list[str] = []
         for _ in range(seconds):
             for name, rate in rates.items():
                 for k in range(rate):
-                    self.watch.hear(name, self.now_ns + k * SECOND_NS // rate)
-                    if samples:
-                        self.watch.sampled(self.observer.name)
-            self.now_ns += SECOND_NS
+                    self.watch.hear(name, self.now_ns + round(k * SECOND_NS / rate / speed))
+            for _ in range(round(self.observer.rate_hz) if samples and rates else 0):
+                self.watch.sampled(self.observer.name)
+            self.now_ns += round(SECOND_NS / speed)
             said = self.watch.lacks(self.now_ns)
         return said
 
@@ -55,6 +55,14 @@ def test_a_message_that_comes_too_seldom_is_named_with_its_rate(telemetry: Telem
     [said] = telemetry.run(12, dict.fromkeys(telemetry.names, rate) | {"ATTITUDE": 4})
     assert said == f"motors sees faults late or not at all: ATTITUDE 4 Hz for {rate} samples a second"
     assert telemetry.run(20, dict.fromkeys(telemetry.names, rate)) == []
+
+
+@pytest.mark.parametrize("speed", [0.2, 8.0])
+def test_a_simulation_may_run_at_any_speed(telemetry: Telemetry, speed: float) -> None:
+    rates = dict.fromkeys(telemetry.names, round(telemetry.observer.rate_hz))
+    assert telemetry.run(120, rates, speed=speed) == []
+    [said] = telemetry.run(240, rates | {"ATTITUDE": 4}, speed=speed)
+    assert "ATTITUDE 4 Hz" in said
 
 
 def test_a_message_that_does_not_come_is_named_and_not_called_slow(telemetry: Telemetry) -> None:

@@ -38,7 +38,8 @@ class FlightPhase:
     landed : {"ground", "air", "takeoff", "landing"} | None
         EXTENDED_SYS_STATE.landed_state; None where the vehicle does not say.
     vehicle_type : int | None
-        HEARTBEAT.type; None where the vehicle does not say. A stretch taken at once may leave a later change unnoticed.
+        HEARTBEAT.type where it says something (0 is "generic"), else None. Stretches taken at once may pass over a
+        later change.
     interests : frozenset[str]
         Names of the messages it reads.
     """
@@ -64,5 +65,5 @@ class FlightPhase:
         mode, kind = fields.get("base_mode"), fields.get("type")
         if isinstance(mode, int):
             self.armed = bool(mode & _ARMED)
-        if type(kind) is int:
+        if type(kind) is int and kind:
             self.vehicle_type = kind

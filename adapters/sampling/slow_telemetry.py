@@ -48,6 +48,8 @@ def slow_text(slow: Mapping[str, float], wanted_hz: float) -> str:
 def spanned(source: Source, rate_hz: float, rates: Mapping[str, float]) -> dict[str, float]:
     """Return the messages between which an observer takes three samples or more, and how many.
 
+    Those whose values hold until the next one are left out: they may come only when they change.
+
     Parameters
     ----------
     source : Source
@@ -57,7 +59,7 @@ def spanned(source: Source, rate_hz: float, rates: Mapping[str, float]) -> dict[
     rates : Mapping[str, float]
         Messages per second, by name, as they came; those not named, and those of rate zero, are left out.
     """
-    names = {channel.message for channel in source.channels}
+    names = {channel.message for channel in source.channels if channel.interpolation == "linear"}
     if source.transform is not None:
         names -= SELDOM
     return {name: rate_hz / rates[name] for name in sorted(names) if 0.0 < rates.get(name, 0.0) < rate_hz / _SPANNED}

@@ -10,6 +10,7 @@ from monitor.profile import ObserverProfile
 
 _LACKING_NS = 5_000_000_000
 _COUNTED_NS = 10_000_000_000
+_FEWEST_SAMPLES = 20
 
 
 class TelemetryWatch:
@@ -40,8 +41,9 @@ class TelemetryWatch:
         self._heard: dict[str, int] = {}
         self._sampled: dict[str, int] = {}
         self._counts: Counter[str] = Counter()
+        self._samples: Counter[str] = Counter()
         self._counted_ns = now_ns
-        self._rates: dict[str, float] = {}
+        self._slow: dict[str, str] = {}
 
     def hear(self, name: str, received_ns: int) -> None:
         """Take note of a message of the vehicle."""
@@ -55,13 +57,13 @@ class TelemetryWatch:
     def sampled(self, observer: str) -> None:
         """Take note of a sample."""
         self._sampled[observer] = self.heard_ns
+        self._samples[observer] += 1
 
     def pause(self, now_ns: int) -> None:
         """Begin anew: until now nothing came, or what came was not taken in time."""
         self._since_ns, self._silent = now_ns, True
-        self._counts.clear()
-        self._counted_ns = now_ns
-        self._rates = {}
+        self._slow = {}
+        self._count_anew(now_ns)
 
     def lacks(self, now_ns: int) -> list[str]:
         """Return what keeps which observer from watching as it should, a line each."""
@@ -70,8 +72,8 @@ class TelemetryWatch:
         for observer in self._observers:
             if nothing := self._nothing(observer.name, now_ns):
                 found.append(nothing)
-            elif seldom := self._seldom(observer):
-                found.append(seldom)
+            elif slow := self._slow.get(observer.name):
+                found.append(slow)
         return found
 
     def _count(self, now_ns: int) -> None:
@@ -79,9 +81,14 @@ class TelemetryWatch:
         if elapsed_ns < 0:
             self.pause(now_ns)
         elif elapsed_ns >= _COUNTED_NS:
-            self._rates = {name: count * 1e9 / elapsed_ns for name, count in self._counts.items()}
-            self._counts.clear()
-            self._counted_ns = now_ns
+            told = {observer.name: self._seldom(observer) for observer in self._observers}
+            self._slow = {name: line for name, line in told.items() if line}
+            self._count_anew(now_ns)
+
+    def _count_anew(self, now_ns: int) -> None:
+        self._counts.clear()
+        self._samples.clear()
+        self._counted_ns = now_ns
 
     def _nothing(self, observer: str, now_ns: int) -> str | None:
         if now_ns - max(self._since_ns, self._sampled.get(observer, 0)) < _LACKING_NS:
@@ -92,8 +99,13 @@ class TelemetryWatch:
         return f"{observer} watches nothing: {why}"
 
     def _seldom(self, observer: ObserverProfile) -> str | None:
-        slow = spanned(observer.source, observer.rate_hz, self._rates)
+        samples = self._samples[observer.name]
+        if samples < _FEWEST_SAMPLES:
+            return None
+        # by the vehicle's clock, which in a simulation may run at another speed
+        rates = {name: observer.rate_hz * count / samples for name, count in self._counts.items()}
+        slow = spanned(observer.source, observer.rate_hz, rates)
         if not slow:
             return None
-        told = ", ".join(f"{name} {self._rates[name]:.2g} Hz" for name in slow)
+        told = ", ".join(f"{name} {rates[name]:.2g} Hz" for name in slow)
         return f"{observer.name} sees faults late or not at all: {told} for {observer.rate_hz:g} samples a second"
