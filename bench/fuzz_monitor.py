@@ -18,9 +18,10 @@ from fuzz_pipeline import EVENT, QUAD, VEHICLE, Sink, event_json, silent_monitor
 from fuzz_target import Run, Target, only
 
 from adapters.message import silence
-from monitor.bus.alarm_text import alarm_line
+from monitor.bus.alarm_text import alarm_line, printable
 from monitor.bus.operators import VERBS, Operators
 from monitor.bus.payload import to_json
+from monitor.bus.status_watch import valid_status
 from monitor.errors import ProfileError
 from monitor.event import AlarmEvent, valid_event
 from monitor.pipeline import standing_message
@@ -145,6 +146,27 @@ def _event_seeds() -> list[bytes]:
     ]
 
 
+def _status(folder: Path) -> Run:
+    def run(data: bytes) -> None:
+        try:
+            found = Draw(data[1:]).fields() if data[:1] == b"\0" else json.loads(data)
+        except (ValueError, RecursionError):
+            return
+        status = valid_status(VEHICLE, found)
+        if status is not None:
+            assert len(status.line()) < 4000
+            assert len(status.kind) < 20
+            printable(status.line()).encode(errors="replace")
+
+    return run
+
+
+def _status_seeds() -> list[bytes]:
+    right: dict[str, Any] = {"state": "degraded", "reasons": ["motors watches nothing: no HIGHRES_IMU", "2.5 s behind"]}
+    odd = [{**right, name: value} for name in right for value in ODD_VALUES]
+    return [*(json.dumps(one).encode() for one in (right, [right], *odd)), *(b"\0" + one for one in random_inputs(40))]
+
+
 def _journal(folder: Path) -> Run:
     base = folder / "base.sqlite"
     journal = Journal(base)
@@ -208,6 +230,7 @@ def _http_seeds() -> list[bytes]:
 TARGETS = (
     Target("commands", "operators' commands: queries with any payload", _commands, _command_seeds),
     Target("subscriber", "alarm events from other monitors", _subscriber, _event_seeds),
+    Target("status", "how other vehicles' monitors are doing", _status, _status_seeds),
     Target("journal", "a damaged journal", _journal, lambda: random_inputs(60)),
     Target("metrics", "HTTP requests", _metrics, _http_seeds, 1 << 14),
 )

@@ -20,6 +20,7 @@ from loopback import START_NS, Endpoint, event
 from rich.console import Console
 
 from monitor.bus.publisher import Publisher
+from monitor.bus.status_watch import VehicleStatus
 from monitor.console.alarm_table import AlarmTable
 from monitor.console.alarm_view import draw
 
@@ -151,6 +152,28 @@ def test_what_and_in_which_state_is_never_cut_while_there_is_room_for_it(width: 
     assert all(part in drawn for part in ("copter-1", "inertial/gps_north", "-5.0 %", "raised"))
     assert ("severity" in drawn) == (width >= 62)
     assert ("fraction of full command" in drawn) == (width >= 160)
+
+
+def test_a_vehicle_that_is_not_watched_stands_above_the_alarms(endpoint: Endpoint, screen: Screen) -> None:
+    publisher = Publisher(endpoint.session, "copter-1", [])
+    screen.until("monitored: copter-1")
+    publisher.status({"state": "degraded", "reasons": ["motors watches nothing: no HIGHRES_IMU\x1b[2J"]})
+    screen.until(r"copter-1 is degraded: motors watches nothing: no HIGHRES_IMU\?\[2J\s+no alarm stands")
+    publisher.status({"state": "monitoring", "reasons": []})
+    screen.until(r"monitored: copter-1\s+no alarm stands")
+
+
+def test_many_vehicles_that_are_not_watched_leave_room_for_alarms() -> None:
+    table = AlarmTable()
+    table.take(event(1), START_NS)
+    unwell = [VehicleStatus("copter-1", "stale")] * 9
+    console = Console(width=80, color_system=None)
+    with console.capture() as capture:
+        console.print(draw(table.rows(START_NS), Monitors(), ["tcp/here"], 80, 12, unwell))
+    drawn = capture.get()
+    assert drawn.count("copter-1 is stale") == 3
+    assert "and 6 more vehicles are not watched as they should be" in drawn
+    assert "motors/motor1" in drawn
 
 
 def test_a_terminal_that_cannot_redraw_gets_a_line_for_each_event(endpoint: Endpoint) -> None:

@@ -6,6 +6,8 @@ import json
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
@@ -64,6 +66,36 @@ def test_current_state_and_changes_are_json_lines_in_a_pipe_and_ctrl_c_ends_with
         process.send_signal(signal.SIGINT)
         assert process.communicate() == ("", "")
     assert process.returncode == 130
+
+
+def test_a_vehicle_that_is_not_watched_as_it_should_be_is_told_beside_the_lines(endpoint: Endpoint) -> None:
+    publisher = Publisher(endpoint.session, "copter-1", [])
+    done = threading.Event()
+    status: dict[str, object] = {"state": "degraded", "reasons": ["motors watches nothing: no HIGHRES_IMU for 3 s"]}
+
+    def say() -> None:
+        while not done.wait(0.05):
+            publisher.status(status)
+
+    speaker = threading.Thread(target=say)
+    speaker.start()
+    try:
+        with alarms(endpoint) as process:
+            assert lines(process.stderr, 2) == [
+                "fauio: monitor of copter-1 is there",
+                "fauio: copter-1 is degraded: motors watches nothing: no HIGHRES_IMU for 3 s",
+            ]
+            # the figures alone are no news
+            status["reasons"] = ["motors watches nothing: no HIGHRES_IMU for 4 s"]
+            time.sleep(0.5)
+            status.update(state="monitoring", reasons=[])
+            assert lines(process.stderr, 1) == ["fauio: copter-1 is monitoring"]
+            process.send_signal(signal.SIGINT)
+            out, _ = process.communicate()
+            assert (process.returncode, out) == (130, "")
+    finally:
+        done.set()
+        speaker.join()
 
 
 def test_json_is_one_object_per_line_with_the_history_first(endpoint: Endpoint) -> None:

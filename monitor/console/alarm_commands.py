@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from monitor.bus.status_watch import StatusWatch
     from monitor.bus.subscriber import AlarmSubscriber
     from monitor.event import AlarmEvent
 
@@ -104,6 +105,7 @@ def run_alarms(args: argparse.Namespace) -> int:
     from adapters.zenoh.zenoh_session import endpoints, open_session
     from monitor.bus.alarm_text import alarm_line
     from monitor.bus.payload import to_json
+    from monitor.bus.status_watch import StatusWatch
     from monitor.bus.subscriber import AlarmSubscriber
 
     connect = args.connect or [DEFAULT_CONNECT]
@@ -114,21 +116,29 @@ def run_alarms(args: argparse.Namespace) -> int:
     # a session left open would keep the process alive for ever
     with open_session(connect=connect, config_file=args.zenoh_config) as session:
         subscriber = AlarmSubscriber(session, args.vehicle, args.prefix, args.history)
+        statuses = StatusWatch(session, args.vehicle, args.prefix)
         if args.json or not sys.stdout.isatty():
-            _print_lines(subscriber, nobody, until, lambda event: to_json(event.to_json()).decode())
+            _print_lines(subscriber, statuses, nobody, until, lambda event: to_json(event.to_json()).decode())
             return 0
         from monitor.console.alarm_view import can_redraw, watch
 
         if can_redraw():
-            watch(subscriber, where, until)
+            watch(subscriber, statuses, where, until)
         else:
-            _print_lines(subscriber, nobody, until, alarm_line)
+            _print_lines(subscriber, statuses, nobody, until, alarm_line)
     return 0
 
 
-def _print_lines(subscriber: AlarmSubscriber, nobody: str, until: float, as_text: Callable[[AlarmEvent], str]) -> None:
+def _print_lines(
+    subscriber: AlarmSubscriber,
+    statuses: StatusWatch,
+    nobody: str,
+    until: float,
+    as_text: Callable[[AlarmEvent], str],
+) -> None:
     started = time.monotonic()
     live: frozenset[str] = frozenset()
+    said: dict[str, tuple[str, ...]] = {}
     silent = True
     while (now := time.monotonic()) < until:
         event = subscriber.receive(min(0.2, until - now))
@@ -140,6 +150,10 @@ def _print_lines(subscriber: AlarmSubscriber, nobody: str, until: float, as_text
             _say(f"monitor of {vehicle} is there")
         for vehicle in sorted(before - live):
             _say(f"monitor of {vehicle} is gone; waiting for it")
+        for status in statuses.latest():
+            if status.kind != said.get(status.vehicle) and (not status.well or status.vehicle in said):
+                said[status.vehicle] = status.kind
+                _say(status.line())
         if silent and not live and now - started >= NOBODY_AFTER_S:
             _say(f"{nobody} yet; waiting (start one with 'fauio run')")
         silent = silent and not live and now - started < NOBODY_AFTER_S

@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from monitor.bus.alarm_text import printable
+from monitor.bus.status_watch import StatusWatch, VehicleStatus
 from monitor.bus.subscriber import AlarmSubscriber
 from monitor.console.alarm_table import AlarmRow, AlarmTable
 from monitor.views.palette import SEVERITY
@@ -23,6 +24,7 @@ _COLOURS = {str(severity): colour for severity, colour in SEVERITY.items()}
 _HELP = "fauio alarms ack | shelve | unshelve | reset CHANNEL   Ctrl-C ends"
 _AROUND_ROWS = 5
 _LEAST_ROWS = 3
+_MOST_WARNINGS = 3
 _LAST = "message"
 _LAST_WIDTH = 20
 _GAP = 3
@@ -44,13 +46,15 @@ def can_redraw() -> bool:
     return console.is_terminal and not console.is_dumb_terminal
 
 
-def watch(subscriber: AlarmSubscriber, endpoints: Sequence[str], until: float) -> None:
-    """Draw the alarms that stand, again and again.
+def watch(subscriber: AlarmSubscriber, statuses: StatusWatch, endpoints: Sequence[str], until: float) -> None:
+    """Draw the alarms that stand, again and again, and which vehicles are not watched as they should be.
 
     Parameters
     ----------
     subscriber : AlarmSubscriber
         Where events come from.
+    statuses : StatusWatch
+        How the vehicles' monitors are doing.
     endpoints : Sequence[str]
         What its session connects to, for the header where no monitor is there.
     until : float
@@ -66,14 +70,21 @@ def watch(subscriber: AlarmSubscriber, endpoints: Sequence[str], until: float) -
                 # at most one refresh a period, however many come
                 event = subscriber.receive(0.0) if time.monotonic() - now < REFRESH_S else None
             rows = table.rows(time.time_ns())
-            live.update(draw(rows, subscriber, endpoints, *console.size), refresh=True)
+            unwell = [one for one in statuses.latest() if not one.well]
+            live.update(draw(rows, subscriber, endpoints, *console.size, unwell), refresh=True)
 
 
 def draw(
-    rows: Sequence[AlarmRow], subscriber: AlarmSubscriber, endpoints: Sequence[str], width: int, height: int
+    rows: Sequence[AlarmRow],
+    subscriber: AlarmSubscriber,
+    endpoints: Sequence[str],
+    width: int,
+    height: int,
+    unwell: Sequence[VehicleStatus] = (),
 ) -> Group:
     """Return header, table and help for a terminal with this many columns and lines."""
-    shown = rows[: max(_LEAST_ROWS, height - _AROUND_ROWS)]
+    warnings = _warnings([status for status in unwell if status.vehicle in subscriber.live])
+    shown = rows[: max(_LEAST_ROWS, height - _AROUND_ROWS - len(warnings))]
     columns = _columns(shown, width)
     table = Table(box=box.SIMPLE_HEAD, expand=True, padding=(0, 1), pad_edge=False, show_edge=False)
     for name in columns:
@@ -84,7 +95,8 @@ def draw(
         table.add_row(*(Text(getattr(row, name)) for name in columns), style=_style(row))
     active = sum(row.group == "active" for row in rows)
     gone = sorted({row.vehicle for row in rows} - subscriber.live)
-    lines = [_header(active, gone, subscriber, endpoints), table if rows else Text("no alarm stands", style="dim")]
+    header = _header(active, gone, subscriber, endpoints)
+    lines = [header, *warnings, table if rows else Text("no alarm stands", style="dim")]
     if len(rows) > len(shown):
         lines.append(Text(f"and {len(rows) - len(shown)} more", style="dim"))
     return Group(*lines, Text(_HELP, style="dim", no_wrap=True, overflow="ellipsis"))
@@ -117,6 +129,14 @@ def _header(active: int, gone: Sequence[str], subscriber: AlarmSubscriber, endpo
     if subscriber.invalid:
         words += f"   {subscriber.invalid} payloads were no events"
     return Text(words, style="bold" if live else "", no_wrap=True, overflow="ellipsis")
+
+
+def _warnings(unwell: Sequence[VehicleStatus]) -> list[Text]:
+    """Return a line for each of the first vehicles of which no alarm says little."""
+    told = [status.line() for status in unwell[:_MOST_WARNINGS]]
+    if len(unwell) > _MOST_WARNINGS:
+        told.append(f"and {len(unwell) - _MOST_WARNINGS} more vehicles are not watched as they should be")
+    return [Text(printable(line), style=_COLOURS["warning"], no_wrap=True, overflow="ellipsis") for line in told]
 
 
 def _style(row: AlarmRow) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import queue
-import re
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from adapters.zenoh.zenoh_session import endpoints
 from monitor.alarms.desk_rule import DeskRule
+from monitor.bus.status_watch import VehicleStatus
 from monitor.configuration.config import Config, Vehicle
 from monitor.errors import ProfileError
 from monitor.event import AlarmEvent
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
 _SECOND_NS = 1_000_000_000
 _MEGABYTE = 1_000_000
-_FIGURES = re.compile(r"[0-9.]+")
 
 
 class Station:
@@ -265,14 +264,13 @@ class Station:
     def _say_states(self) -> None:
         """Log how each vehicle's status has changed: not every one has a subscriber."""
         for name, post in self._posts.items():
-            state, reasons = post.last_status.get("state", "starting"), post.last_status.get("reasons", [])
-            # the figures in a reason change every second
-            kind = state, *(_FIGURES.sub("", reason) for reason in reasons)
-            if kind != self._said.get(name, ("starting",)):
-                self._said[name] = kind
-                level: Level = "warning" if reasons or state == "stale" else "info"
-                why = {"because": "; ".join(reasons)} if reasons else {}
-                self._log.say("status", level=level, vehicle=name, state=state, **why)
+            said = post.last_status
+            status = VehicleStatus(name, said.get("state", "starting"), tuple(said.get("reasons", ())))
+            if status.kind != self._said.get(name, ("starting",)):
+                self._said[name] = status.kind
+                why = {"because": "; ".join(status.reasons)} if status.reasons else {}
+                level: Level = "info" if status.well else "warning"
+                self._log.say("status", level=level, vehicle=name, state=status.state, **why)
 
     def _links_of(self, vehicle: Vehicle) -> tuple[LinkHealth, ...]:
         """Return the links that all share, and the vehicle's own."""

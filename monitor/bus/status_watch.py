@@ -1,0 +1,106 @@
+"""How the monitors of one or all vehicles are doing, from their status topics: who hears no alarm may be blind."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from monitor.bus.keys import ANY, vehicle_of, vehicle_root
+from monitor.bus.payload import decode_payload
+
+if TYPE_CHECKING:
+    import zenoh
+
+MAX_VEHICLES = 1000
+_MAX_REASONS = 10
+_MAX_TEXT = 300
+_STATES = ("starting", "monitoring", "degraded", "stale")
+_FIGURES = re.compile(r"[0-9.]+")
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleStatus:
+    """A vehicle's status in short.
+
+    Parameters
+    ----------
+    vehicle : str
+        The vehicle's name.
+    state : str
+        ``starting``, ``monitoring``, ``degraded`` or ``stale``.
+    reasons : tuple[str, ...]
+        What keeps it from being watched as it should.
+    """
+
+    vehicle: str
+    state: str = "starting"
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def kind(self) -> tuple[str, ...]:
+        """State and reasons without their figures, which change every second."""
+        return self.state, *(_FIGURES.sub("", reason) for reason in self.reasons)
+
+    @property
+    def well(self) -> bool:
+        """Whether there is nothing to say about it."""
+        return self.state in ("starting", "monitoring") and not self.reasons
+
+    def line(self) -> str:
+        """Return it as a line for people."""
+        return f"{self.vehicle} is {self.state}" + (f": {'; '.join(self.reasons)}" if self.reasons else "")
+
+
+def valid_status(vehicle: str, payload: Any) -> VehicleStatus | None:
+    """Return what a status payload says, cut to what a terminal can show; None where it is none."""
+    if not isinstance(payload, Mapping) or payload.get("state") not in _STATES:
+        return None
+    reasons = payload.get("reasons", ())
+    if not isinstance(reasons, Sequence) or isinstance(reasons, str):
+        return None
+    texts = tuple(reason[:_MAX_TEXT] for reason in reasons[:_MAX_REASONS] if isinstance(reason, str))
+    return VehicleStatus(vehicle, str(payload["state"]), texts)
+
+
+class StatusWatch:
+    """Keeps the latest status of each vehicle.
+
+    Parameters
+    ----------
+    session : zenoh.Session
+        An open session; left open by :meth:`close`.
+    vehicle : str
+        Name of the vehicle, ``"*"`` for all.
+    prefix : str
+        What the keys begin with.
+
+    Raises
+    ------
+    ProfileError
+        The vehicle's name or the prefix cannot be part of a key.
+    """
+
+    def __init__(self, session: zenoh.Session, vehicle: str = ANY, prefix: str = "fauio") -> None:
+        self._root = vehicle_root(prefix, vehicle)
+        self._lock = threading.Lock()
+        self._latest: dict[str, VehicleStatus] = {}
+        self._subscriber: Any = session.declare_subscriber(f"{self._root}/status", self._on_status)
+
+    def latest(self) -> list[VehicleStatus]:
+        """Return the latest status of each vehicle, by name."""
+        with self._lock:
+            return [self._latest[vehicle] for vehicle in sorted(self._latest)]
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._subscriber.undeclare()
+
+    def _on_status(self, sample: zenoh.Sample) -> None:
+        vehicle = vehicle_of(self._root, str(sample.key_expr))
+        status = valid_status(vehicle, decode_payload(sample.payload))
+        with self._lock:
+            if status is not None and (vehicle in self._latest or len(self._latest) < MAX_VEHICLES):
+                self._latest[vehicle] = status
