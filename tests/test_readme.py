@@ -20,7 +20,7 @@ from loopback import until
 import fauio
 
 README = (ROOT / "README.md").read_text()
-FOR_EVER = ("run", "alarms")
+FOR_EVER = ("record", "run", "alarms")
 SLOW = ("demo", "detectability")
 
 
@@ -85,6 +85,21 @@ def test_each_command_of_the_readme_does_what_it_says(words: list[str], desk: Pa
     written = [desk / word for option, word in pairwise(words) if option.startswith("-") and "." in word]
     for path in (path for path in written if path.suffix in (".mcap", ".html", ".png", ".csv", ".rrd", ".jsonl")):
         assert path.stat().st_size > 0
+
+
+def test_the_recording_of_the_readme_is_made_from_what_the_vehicle_sends(desk: Path) -> None:
+    record = next(words for words in TYPED if words[0] == "record")
+    [port] = free_ports(1, socket.SOCK_DGRAM)
+    record = [re.sub(r":14550$", f":{port}", word) for word in record]
+    process = subprocess.Popen([*FAUIO, *record, "--seconds", "1"], cwd=desk, env=ENVIRONMENT, stdout=subprocess.PIPE)
+    try:
+        until((desk / record[-1]).exists)
+        Flight(desk / "flight.tlog", [port], 0.0)
+        said, _ = process.communicate(timeout=20)
+    finally:
+        process.kill()
+    assert process.returncode == 0
+    assert said.decode().startswith(f"{record[-1]}: ")
 
 
 def test_the_monitor_of_the_readme_raises_motor1_and_the_terminal_beside_it_says_so(desk: Path) -> None:
