@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import strapdown_truth as truth
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from stretches import in_stretches, one_by_one, partitions
 
@@ -66,6 +66,7 @@ def compare(make: Callable[[], Transform], raw: Samples, parts: list[tuple[int, 
 
 @pytest.mark.parametrize("shape", SHAPES)
 @settings(max_examples=40, deadline=None)
+@example(parts=[(0, 90, False)], seed=0, first=0, restarts=[], breaks=[], odd=[(0, 16, -1e308)])
 @given(
     parts=partitions(COUNT),
     seed=st.integers(0, 10**6),

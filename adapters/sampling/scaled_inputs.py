@@ -243,12 +243,15 @@ class _Groups:
         self._complete = self._complete and sample.complete and evidence
         if len(self._u) < self._size or place != self._size - 1:
             return None
+        # absurd values may add up to infinity, as in a stretch
+        with np.errstate(all="ignore"):
+            u, y = np.mean(self._u, axis=0), np.mean(self._y, axis=0)
         given = Sample(
             index=sample.index // self._size,
             vehicle_time_ns=sample.vehicle_time_ns,
             time_ns=sample.time_ns,
-            u=np.mean(self._u, axis=0),
-            y=np.mean(self._y, axis=0),
+            u=u,
+            y=y,
             restart=self._restart,
             complete=self._complete,
         )
