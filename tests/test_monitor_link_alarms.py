@@ -1,5 +1,6 @@
 """Alarms of the link: wrong signatures and a missing heartbeat, by messages and their times alone."""
 
+import math
 from typing import Any
 
 from hypothesis import given
@@ -58,6 +59,14 @@ def test_a_link_that_was_opened_anew_counts_from_zero() -> None:
     fed(alarms, signing(0, forged=50))
     (told,) = fed(alarms, signing(2, forged=2))
     assert told.estimate == 2.0
+
+
+def test_counts_that_no_float_holds_are_an_attack_like_any_other() -> None:
+    alarms = LinkAlarms("copter-1")
+    [raised] = fed(alarms, signing(0.0, forged=10**400, replayed=1))
+    assert (raised.state, raised.severity) == ("raised", "critical")
+    assert raised.estimate is not None
+    assert math.isfinite(raised.estimate)
 
 
 def test_a_heartbeat_that_stops_while_telemetry_goes_on_is_an_alarm_until_it_is_back() -> None:

@@ -20,6 +20,7 @@ HEARTBEAT = "link"
 
 _QUIET_NS = 10_000_000_000
 _HEARTBEAT_NS = 10_000_000_000
+_MOST_PACKETS = 1 << 62
 _SECOND_NS = 1_000_000_000
 
 
@@ -180,4 +181,5 @@ class LinkAlarms:
 
 
 def _count(value: object) -> int:
-    return value if isinstance(value, int) and not isinstance(value, bool) and value > 0 else 0
+    """Return a count as a recording may hold it: whole, and no larger than any link counts to."""
+    return min(value, _MOST_PACKETS) if isinstance(value, int) and not isinstance(value, bool) and value > 0 else 0
