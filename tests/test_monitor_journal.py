@@ -437,3 +437,15 @@ def test_a_journal_from_before_shelved_channels_were_kept_goes_on(path: Path) ->
         assert seqs(journal) == [1]
         journal.shelve("copter-1", {"motors/motor1": 5})
         assert journal.shelved("copter-1") == {"motors/motor1": 5}
+
+
+@pytest.mark.parametrize("damaged", ["", "{", "[1]", "[" * 100_000])
+def test_a_damaged_freeze_frame_is_none(tmp_path: Path, damaged: str) -> None:
+    journal = Journal(tmp_path / "events.sqlite")
+    journal.write(event(1), {"u": {"a": 1.0}})
+    assert journal.frame(event(1).id) == {"u": {"a": 1.0}}
+    with contextlib.closing(sqlite3.connect(tmp_path / "events.sqlite")) as connection:
+        connection.execute("UPDATE alarm SET frame = ?", (damaged,))
+        connection.commit()
+    assert journal.frame(event(1).id) is None
+    journal.close()

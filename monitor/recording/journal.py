@@ -230,9 +230,13 @@ class Journal:
         return self._readable(body for _, body in sorted(rows))
 
     def frame(self, alarm_id: str) -> dict[str, Any] | None:
-        """Return the freeze frame of an alarm, None where there is none."""
+        """Return the freeze frame of an alarm, None where there is none or the file is damaged there."""
         rows = self._query("SELECT frame FROM alarm WHERE id = ? AND frame IS NOT NULL", (plain(alarm_id),))
-        return dict(json.loads(rows[0][0])) if rows else None
+        try:
+            found = json.loads(rows[0][0]) if rows else None
+        except (TypeError, ValueError, RecursionError):
+            return None
+        return found if isinstance(found, dict) else None
 
     def close(self) -> None:
         """Write what waits as far as the disk takes it, and close; a second call does nothing."""
