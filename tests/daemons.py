@@ -88,7 +88,7 @@ class DaemonProcess:
 
 
 class Flight(threading.Thread):
-    """Sends each packet of a flight to several ports of loopback, in real time."""
+    """Sends each packet of a flight to several ports of loopback, in real time, until it or its context ends."""
 
     def __init__(self, log: Path, ports: Sequence[int], start_s: float) -> None:
         super().__init__(name=f"flight {log.name}", daemon=True)
@@ -99,13 +99,25 @@ class Flight(threading.Thread):
         self._ports = ports
         self.at_s = 0.0
         """Time since the log's first packet, seconds."""
+        self._ended = threading.Event()
         self.start()
+
+    def __enter__(self) -> Flight:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self.join()
 
     def run(self) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
             for time_ns, packet in paced(self._packets, 1.0):
                 for port in self._ports:
                     out.sendto(packet, ("127.0.0.1", port))
+                if self._ended.is_set():
+                    return
                 self.at_s = (time_ns - self._first_ns) / 1e9
 
 

@@ -44,6 +44,18 @@ def until(condition: Callable[[], bool]) -> None:
         time.sleep(0.005)
 
 
+def put(session: zenoh.Session, key: str, payload: bytes | str) -> None:
+    """Put what the test counts on: by default a busy machine may drop it."""
+    session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+
+
+def publisher(session: zenoh.Session, key: str) -> Any:
+    """Declare a publisher that waits for its subscriber instead of dropping."""
+    made = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+    until(lambda: bool(made.matching_status.matching))
+    return made
+
+
 def free_port() -> int:
     """Return a TCP port of loopback that nobody listens on."""
     with socket.socket() as probe:

@@ -9,11 +9,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import zenoh
-from loopback import free_port, until
+from loopback import free_port, publisher, until
 from mcap_ros2._dynamic import serialize_dynamic
 
 from adapters.channels import parse_channel
@@ -60,12 +59,6 @@ def soon(condition: Callable[[], bool]) -> None:
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.005)
-
-
-def publisher(session: zenoh.Session, key: str) -> Any:
-    made = session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
-    soon(lambda: bool(made.matching_status.matching))
-    return made
 
 
 def collect(link: ZenohLink, count: int) -> list[Message]:

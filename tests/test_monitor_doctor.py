@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import socket
+import time
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from daemons import free_ports
@@ -166,7 +168,8 @@ def test_a_receive_buffer_that_is_too_small_is_told(tmp_path: Path) -> None:
 
 def test_a_clock_that_was_never_set_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [check.name for check in clock_checks()] == ["clock", "ntp"]
-    monkeypatch.setattr("monitor.diagnosis.doctor_machine.time.time", lambda: 0.0)
+    clock = SimpleNamespace(**vars(time) | {"time": lambda: 0.0})
+    monkeypatch.setattr("monitor.diagnosis.doctor_machine.time", clock)
     [found] = clock_checks()
     assert (found.verdict, found.found) == ("failed", "it shows 1970-01-01")
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from loopback import Endpoint, until
+from loopback import Endpoint, put, until
 
 from adapters.zenoh.zenoh_session import open_session
 from monitor.bus.publisher import Publisher
@@ -59,7 +59,7 @@ def test_the_latest_status_of_each_vehicle_is_kept_and_no_more_than_so_many() ->
 
         until(lambda: VehicleStatus("copter-1", "degraded", ("no ATTITUDE",)) in latest())
         for k in range(MAX_VEHICLES + 50):
-            endpoint.session.put(f"fauio/x{k}/status", '{"state": "monitoring"}')
+            put(endpoint.session, f"fauio/x{k}/status", '{"state": "monitoring"}')
         until(lambda: len(watch.latest()) == MAX_VEHICLES)
         watch.close()
     endpoint.close()

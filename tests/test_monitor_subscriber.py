@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from loopback import Endpoint, event, matched, until
+from loopback import Endpoint, event, matched, put, until
 
 from monitor.bus.publisher import Publisher
 from monitor.bus.subscriber import HELD_EVENTS, AlarmSubscriber
@@ -98,8 +98,8 @@ ALMOST = [
 def test_what_is_no_event_is_counted_and_the_next_one_is_heard(endpoint: Endpoint, payload: bytes) -> None:
     subscriber = AlarmSubscriber(endpoint.client())
     until(lambda: matched(endpoint, KEY))
-    endpoint.session.put(KEY, payload)
-    endpoint.session.put(KEY, json.dumps(GOOD).encode())
+    put(endpoint.session, KEY, payload)
+    put(endpoint.session, KEY, json.dumps(GOOD).encode())
     assert take(subscriber, 1) == [event(1)]
     assert subscriber.invalid == 1
 
@@ -107,7 +107,7 @@ def test_what_is_no_event_is_counted_and_the_next_one_is_heard(endpoint: Endpoin
 def test_an_event_of_a_newer_monitor_with_more_fields_is_understood(endpoint: Endpoint) -> None:
     subscriber = AlarmSubscriber(endpoint.client())
     until(lambda: matched(endpoint, KEY))
-    endpoint.session.put(KEY, json.dumps(GOOD | {"tomorrow": 1, "estimate": 1, "peak": None}).encode())
+    put(endpoint.session, KEY, json.dumps(GOOD | {"tomorrow": 1, "estimate": 1, "peak": None}).encode())
     assert take(subscriber, 1) == [event(1, estimate=1, peak=None)]
 
 

@@ -94,8 +94,8 @@ def test_the_recording_of_the_readme_is_made_from_what_the_vehicle_sends(desk: P
     process = subprocess.Popen([*FAUIO, *record, "--seconds", "1"], cwd=desk, env=ENVIRONMENT, stdout=subprocess.PIPE)
     try:
         until((desk / record[-1]).exists)
-        Flight(desk / "flight.tlog", [port], 0.0)
-        said, _ = process.communicate(timeout=20)
+        with Flight(desk / "flight.tlog", [port], 0.0):
+            said, _ = process.communicate(timeout=20)
     finally:
         process.kill()
     assert process.returncode == 0
@@ -118,8 +118,8 @@ def test_the_monitor_of_the_readme_raises_motor1_and_the_terminal_beside_it_says
         )
         try:
             until(lambda: "monitor of quad is there" in (desk / "heard").read_text())
-            Flight(desk / "flight.tlog", [udp_port], 0.0)
-            until(lambda: '"raised"' in (desk / "heard").read_text())
+            with Flight(desk / "flight.tlog", [udp_port], 0.0):
+                until(lambda: '"raised"' in (desk / "heard").read_text())
         finally:
             for process in (terminal, monitor):
                 process.send_signal(signal.SIGINT)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from daemons import ENVIRONMENT, FAUIO, Flight, free_ports
+from loopback import publisher
 
 import fauio
 from adapters.logs.recordings import read_recording
@@ -80,8 +81,8 @@ def test_it_ends_by_itself_and_what_it_made_can_be_looked_at_and_fitted_to(
     [port] = free_ports(1, socket.SOCK_DGRAM)
     out = tmp_path / "monday.mcap"
     recording = Recording(out, "--mavlink", f"udpin:127.0.0.1:{port}", "--seconds", "3")
-    Flight(data / "copter_healthy_square.tlog.xz", [port], 0.0)
-    status, said = recording.end()
+    with Flight(data / "copter_healthy_square.tlog.xz", [port], 0.0):
+        status, said = recording.end()
     assert status == 0
     assert 2.5 <= json.loads(said)["seconds"] <= 3.5
     assert fauio.main(["info", str(out)]) == 0
@@ -96,13 +97,9 @@ def test_what_comes_over_zenoh_is_recorded_and_ctrl_c_is_told_from_the_end(tmp_p
     endpoint, out = f"tcp/127.0.0.1:{port}", tmp_path / "arm.mcap"
     recording = Recording(out, "--zenoh", "arm/telemetry", "--listen", endpoint)
     with open_session(connect=[endpoint]) as session:
-        publisher = session.declare_publisher("arm/telemetry")
-        deadline = time.monotonic() + PATIENCE_S
-        while not publisher.matching_status.matching:
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        sender = publisher(session, "arm/telemetry")
         for k in range(20):
-            publisher.put(json.dumps({"time_ns": 10**18 + k, "y": [float(k)]}))
+            sender.put(json.dumps({"time_ns": 10**18 + k, "y": [float(k)]}))
         time.sleep(0.5)
         status, said = recording.end(signal.SIGINT)
     assert (status, json.loads(said)["messages"], json.loads(said)["interrupted"]) == (130, 20, True)
@@ -113,9 +110,9 @@ def test_a_recording_that_is_killed_holds_all_but_its_last_second(data: Path, tm
     [port] = free_ports(1, socket.SOCK_DGRAM)
     out = tmp_path / "monday.mcap"
     recording = Recording(out, "--mavlink", f"udpin:127.0.0.1:{port}")
-    Flight(data / "copter_healthy_square.tlog.xz", [port], 0.0)
-    time.sleep(4.0)
-    recording.end(signal.SIGKILL)
+    with Flight(data / "copter_healthy_square.tlog.xz", [port], 0.0):
+        time.sleep(4.0)
+        recording.end(signal.SIGKILL)
     messages: list[Message] = list(read_recording(out))
     assert (messages[-1].received_ns - messages[0].received_ns) / 1e9 > 1.5
 

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jsonschema
@@ -85,8 +86,8 @@ def test_packets_go_out_as_they_came_and_when_they_are_due(
     log = data / "copter_5s.tlog.xz"
     packets = list(TlogReader(log).packets())
     naps: list[float] = []
-    monkeypatch.setattr("adapters.simulation.pacing.time.sleep", naps.append)
-    monkeypatch.setattr("adapters.simulation.pacing.time.monotonic_ns", lambda: round(1e9 * sum(naps)))
+    clock = SimpleNamespace(sleep=naps.append, monotonic_ns=lambda: round(1e9 * sum(naps)))
+    monkeypatch.setattr("adapters.simulation.pacing.time", clock)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
         receiver.bind(("127.0.0.1", 0))

@@ -65,8 +65,7 @@ def test_a_daemon_logs_that_it_hears_another_vehicle(data: Path, tmp_path: Path)
     [tcp] = free_ports(1)
     config = tmp_path / "fauio.toml"
     config.write_text(f'profile = "{QUAD}"\nmavlink = "udpin:127.0.0.1:{udp}"\nlisten = ["tcp/127.0.0.1:{tcp}"]\n')
-    with DaemonProcess(config) as daemon:
-        Flight(data / "plane_healthy.tlog.xz", [udp], 0.0)
+    with DaemonProcess(config) as daemon, Flight(data / "plane_healthy.tlog.xz", [udp], 0.0):
         deadline = time.monotonic() + PATIENCE_S
         while not (said := [line for line in daemon.log() if MISMATCH in line.get("because", "")]):
             assert time.monotonic() < deadline, daemon.log()

@@ -14,7 +14,7 @@ import pytest
 import trustme
 import zenoh
 from daemons import ENVIRONMENT, FAUIO
-from loopback import event, free_port, until
+from loopback import event, free_port, publisher, put, until
 
 import fauio
 from adapters.zenoh.zenoh_link import ZenohLink
@@ -84,9 +84,7 @@ def nodes(session: zenoh.Session) -> int:
 def receives(session: zenoh.Session, client: zenoh.Session) -> bool:
     """Return whether what a client puts arrives."""
     with ZenohLink(session, "telemetry/**") as link:
-        out = client.declare_publisher("telemetry/a")
-        until(lambda: bool(out.matching_status.matching))
-        out.put(b"{}")
+        publisher(client, "telemetry/a").put(b"{}")
         return bool(link.receive(5.0))
 
 
@@ -258,10 +256,10 @@ def test_only_the_operator_commands_and_nobody_else_writes_alarms(site: Site, mo
         commands.seen.clear()
         for name in ("viewer", "vehicle"):
             assert not answered(clients[name], 0.3)
-            clients[name].put(COMMAND, b"forbidden")
+            put(clients[name], COMMAND, b"forbidden")
         for client in clients.values():
-            client.put(ALARM, b"forged")
-        operator.put(COMMAND, b"last")
+            put(client, ALARM, b"forged")
+        put(operator, COMMAND, b"last")
         until(lambda: (COMMAND, b"last") in commands.seen)
         assert commands.seen == [(COMMAND, b"last")]
         # what follows is how a client can tell that nobody may hear it
@@ -297,10 +295,9 @@ def test_viewers_get_alarms_as_without_access_control_and_vehicles_none(site: Si
 @pytest.mark.parametrize("mode", ["peer", "router"])
 def test_vehicles_send_telemetry_and_nobody_else_does(site: Site, mode: str) -> None:
     with access_controlled(site, mode) as (daemon, clients), ZenohLink(daemon, "telemetry/**") as link:
-        out = clients["vehicle"].declare_publisher("telemetry/copter-1/imu")
-        until(lambda: bool(out.matching_status.matching))
+        out = publisher(clients["vehicle"], "telemetry/copter-1/imu")
         for name in ("viewer", "operator"):
-            clients[name].put("telemetry/copter-1/imu", b'{"from": "' + name.encode() + b'"}')
+            put(clients[name], "telemetry/copter-1/imu", b'{"from": "' + name.encode() + b'"}')
         out.put(b'{"from": "vehicle"}')
         (message,) = link.receive(5.0)
         assert message.fields == {"from": "vehicle"}
