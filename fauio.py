@@ -122,9 +122,10 @@ def _complain(line: str, status: int) -> int:
 
 
 def _os_error_line(error: OSError) -> str:
-    if error.filename is None or error.strerror is None:
+    if error.strerror is None:
         return str(error)
-    return f"{error.filename}: {error.strerror}{_ADVICE.get(error.errno or 0, '')}"
+    named = "" if error.filename is None else f"{error.filename}: "
+    return f"{named}{error.strerror}{_ADVICE.get(error.errno or 0, '')}"
 
 
 class _PrintVersions(argparse.Action):

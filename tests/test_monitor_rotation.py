@@ -274,7 +274,7 @@ def test_a_device_without_space_is_no_error_of_ours(tmp_path: Path, monkeypatch:
     log.flush()
     log.add_metadata({"a": "b"})
     log.close()
-    assert log.statistics().failed == f"[Errno {errno.ENOSPC}] No space left on device"
+    assert log.statistics().failed == f"[Errno {errno.ENOSPC}] No space left on device: '/dev/full'"
     assert log.statistics().dropped == 1
     assert Path("/dev/full").exists()
 

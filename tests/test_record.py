@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import resource
 import signal
 import socket
 import subprocess
@@ -115,6 +116,20 @@ def test_a_recording_that_is_killed_holds_all_but_its_last_second(data: Path, tm
         recording.end(signal.SIGKILL)
     messages: list[Message] = list(read_recording(out))
     assert (messages[-1].received_ns - messages[0].received_ns) / 1e9 > 1.5
+
+
+def test_a_full_disk_ends_it_with_a_line_and_what_was_recorded_stands(data: Path, tmp_path: Path) -> None:
+    [port] = free_ports(1, socket.SOCK_DGRAM)
+    out = tmp_path / "monday.mcap"
+    recording = Recording(out, "--mavlink", f"udpin:127.0.0.1:{port}")
+    # no file may grow beyond this: writing fails as on a full disk
+    resource.prlimit(recording.process.pid, resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
+    with Flight(data / "copter_healthy_square.tlog.xz", [port], 0.0):
+        status, said = recording.end()
+    assert (status, said) == (2, "")
+    assert f"fauio: {out}: File too large; what came until a second before is in it" in recording.log.read_text()
+    messages = list(read_recording(out))
+    assert (messages[-1].received_ns - messages[0].received_ns) / 1e9 > 0.5
 
 
 def test_it_asks_for_the_rates_of_a_configuration_whose_profile_is_yet_to_be_made(data: Path, tmp_path: Path) -> None:

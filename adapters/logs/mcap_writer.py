@@ -308,12 +308,13 @@ class McapWriter:
                 # an unbuffered file may take a part and say why it took no more only when asked again
                 rest = rest[self._stream.write(rest) :]
         except OSError as error:
-            self._failed = error
+            # what a write raises does not name the file
+            self._failed = OSError(error.errno, error.strerror, getattr(self._stream, "name", None))
             if isinstance(self._stream, io.FileIO):
                 with contextlib.suppress(OSError):
                     self._stream.truncate(self._at)
                     self._stream.seek(self._at)
-            raise
+            raise _again(self._failed) from error
         self._at += len(data)
 
 
@@ -324,4 +325,4 @@ def _encoded(record: McapRecord) -> bytes:
 
 
 def _again(error: OSError) -> OSError:
-    return OSError(error.errno, error.strerror)
+    return OSError(error.errno, error.strerror, error.filename)

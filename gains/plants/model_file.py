@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from gains.errors import ModelError
+from gains.output_file import write_file
 from gains.plants.model_table import Table
 from gains.plants.plant import Disturbance, Domain, Fault, FaultKind, FloatArray, Noise, Nonlinearity, Plant
 from gains.plants.slopes import check_slopes, slope_bounds
@@ -108,7 +109,7 @@ def read_document(path: str | Path) -> dict[str, Any]:
 
 def write_model(plant: Plant, path: str | Path) -> None:
     """Write a plant model with tables by name; :func:`read_model` gives an equal plant back."""
-    Path(path).write_text(_text(_document(plant)), encoding="utf-8")
+    write_file(path, _text(_document(plant)))
 
 
 def model_hash(plant: Plant) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gains.errors import ModelError
+from gains.output_file import write_file
 from gains.plants.expression import compile_expression
 
 FORMAT = 1
@@ -104,7 +105,7 @@ def write_gains(gains: Gains, path: str | Path) -> None:
         elif isinstance(value, tuple):
             value = list(value)
         document[field.name] = value
-    Path(path).write_text(_one_row_per_line(document), encoding="utf-8")
+    write_file(path, _one_row_per_line(document))
 
 
 def read_gains(path: str | Path) -> Gains:

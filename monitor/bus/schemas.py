@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from gains.output_file import write_file
 from monitor.bus.payload import ALARM_SCHEMA
 from monitor.errors import ProfileError
 
@@ -159,7 +160,7 @@ def main(folder: str) -> None:
     """Write each schema into a folder as ``NAME.json``."""
     Path(folder).mkdir(parents=True, exist_ok=True)
     for name in SCHEMAS:
-        (Path(folder) / f"{name}.json").write_text(schema_text(name), encoding="utf-8")
+        write_file(Path(folder) / f"{name}.json", schema_text(name))
 
 
 if __name__ == "__main__":

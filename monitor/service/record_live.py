@@ -44,6 +44,8 @@ class LiveRecording:
         Messages that there was no time for; messages that no record can hold.
     interrupted : bool
         Whether SIGINT ended it.
+    links : str
+        What was listened to.
     """
 
     messages: int
@@ -53,6 +55,7 @@ class LiveRecording:
     dropped: int
     unrecordable: int
     interrupted: bool
+    links: str
 
 
 def record_live(config: Config, path: Path, seconds: float | None = None, *, as_json: bool = False) -> LiveRecording:
@@ -72,22 +75,42 @@ def record_live(config: Config, path: Path, seconds: float | None = None, *, as_
     Raises
     ------
     ProfileError, TelemetryError
-        The file exists, or cannot be written; a link or the session cannot be used; nothing came until the end.
-    OSError
-        The disk fails; what was flushed before stands in the file.
+        The file exists, or cannot be written; a link or the session cannot be used; nothing came until the end; the
+        disk takes no more: what was flushed before stands in the file.
     """
-    over_zenoh = bool(config.zenoh) or any(vehicle.zenoh for vehicle in config.vehicles)
-    if not config.mavlink and not over_zenoh:
+    if not config.mavlink and not _over_zenoh(config):
         raise ProfileError("no telemetry to listen to: give --mavlink URL or --zenoh KEYEXPR, or set it in --config")
     if path.exists():
         raise TelemetryError(f"{path}: is there already; name another file, or move it away")
+    try:
+        found = _record(config, path, seconds, as_json)
+    except OSError as error:
+        if error.filename != str(path):
+            raise
+        raise TelemetryError(
+            f"{path}: {error.strerror}; what came until a second before is in it: free some space, and record to "
+            "another file"
+        ) from error
+    if not found.messages:
+        path.unlink()
+        raise TelemetryError(
+            f"{path}: not made, nothing came over {found.links}; does the vehicle send to this address?"
+        )
+    return found
+
+
+def _over_zenoh(config: Config) -> bool:
+    return bool(config.zenoh) or any(vehicle.zenoh for vehicle in config.vehicles)
+
+
+def _record(config: Config, path: Path, seconds: float | None, as_json: bool) -> LiveRecording:
     json_lines = {"auto": not sys.stderr.isatty(), "json": True, "text": False}[config.log_format]
     tally = _Tally()
     with ExitStack() as stack, noted_signals() as received:
         log = Log(as_json or json_lines)
         stack.callback(log.close)
         session = None
-        if over_zenoh:
+        if _over_zenoh(config):
             opened = open_session(config.connect, config.listen, config.zenoh_config, config.zenoh_mode)
             session = stack.enter_context(opened)
         links = open_links(config, session, stack)
@@ -113,7 +136,7 @@ def record_live(config: Config, path: Path, seconds: float | None = None, *, as_
                 writer.flush()
                 _tell(f"{tally.seconds:.0f} s, {tally.names.total()} messages")
         _tell("")
-        found = LiveRecording(
+        return LiveRecording(
             messages=writer.statistics().records,
             names=len(tally.names),
             systems=tuple(sorted(tally.systems)),
@@ -121,12 +144,8 @@ def record_live(config: Config, path: Path, seconds: float | None = None, *, as_
             dropped=inbox.statistics().dropped,
             unrecordable=writer.statistics().unrecordable,
             interrupted=signal.SIGINT in received,
+            links=", ".join(one.name for one in links),
         )
-    if not found.messages:
-        path.unlink()
-        heard = ", ".join(one.name for one in links)
-        raise TelemetryError(f"{path}: not made, nothing came over {heard}; does the vehicle send to this address?")
-    return found
 
 
 class _Tally:

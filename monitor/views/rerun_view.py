@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Sequence
 
@@ -42,6 +43,11 @@ def write_rrd(
         Alarm threshold by observer and fault channel.
     truth : Mapping[str, tuple[NDArray, NDArray]] | None
         By fault channel: times on the vehicle's clock (s) and the true size at them.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
     """
     truth = truth or {}
     traces = [trace for trace in traces if len(trace.vehicle_ns)]
@@ -64,6 +70,9 @@ def write_rrd(
             scene.truth(trace, truth)
         scene.events(events)
         recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
+    except RuntimeError as error:
+        # Rerun's own kind of error for a disk that takes no more
+        raise OSError(errno.EIO, str(error), os.fspath(path)) from error
     finally:
         recording.disconnect()
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gains.output_file import write_file
 
 if TYPE_CHECKING:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -28,7 +31,9 @@ def save_small(figure: Figure, path: str | os.PathLike[str]) -> None:
     picture = Image.fromarray(places)
     picture.putpalette(palette.tobytes())
     dpi = float(figure.dpi)
-    picture.save(path, format="PNG", optimize=True, dpi=(dpi, dpi))
+    encoded = io.BytesIO()
+    picture.save(encoded, format="PNG", optimize=True, dpi=(dpi, dpi))
+    write_file(path, encoded.getvalue())
 
 
 def to_palette(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:

@@ -13,6 +13,7 @@ from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import read_mcap_metadata
 from adapters.logs.recordings import read_recording, recording_kind
 from adapters.message import Message
+from gains.output_file import write_file
 from monitor.profile import read_profile
 from replay.attacks.attack import Attack, InjectionError, Kind
 from replay.attacks.injector import Injector, Plan, Senders, inject, plan, profile_clocks, survey_senders
@@ -123,7 +124,7 @@ def inject_recording(
         raise InjectionError(
             f"{log}: --kind {order.kind} altered nothing on {order.channel}; give a larger --size or another time"
         )
-    truth_path(out).write_text(json.dumps(truth, indent=1) + "\n")
+    write_file(truth_path(out), json.dumps(truth, indent=1) + "\n")
     return truth
 
 

@@ -11,6 +11,7 @@ from adapters.channels import Channel
 from adapters.sampling.transform import Source
 from adapters.simulation.arm import SCENARIOS, TORQUES, simulate_arm
 from adapters.simulation.arm_source import arm_messages
+from gains.output_file import write_file
 from gains.plants.model_file import builtin_model, write_model
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
@@ -81,7 +82,7 @@ def write_arm_profile(folder: Path) -> Profile:
         ]
         table = observer_table(source=Source(inputs, outputs), isolation=isolation, alarms=alarms)
         content = profile_table(name="arm", vehicle="custom", gate=_GATE, observers={OBSERVER: table})
-        (folder / PROFILE_FILE).write_text(tomli_w.dumps(content))
+        write_file(folder / PROFILE_FILE, tomli_w.dumps(content))
         return read_profile(folder)
 
     runs = [simulate_arm(SCENARIOS["healthy"], _HEALTHY_S, RATE_HZ, torque) for torque in TORQUES]

@@ -13,6 +13,7 @@ import tomli_w
 from adapters.errors import TelemetryError
 from adapters.sampling.slow_telemetry import INERTIAL_HZ, WANTED_HZ, slow_messages, slow_text
 from gains.errors import InfeasibleError, ModelError
+from gains.output_file import write_file
 from monitor.alarms.gate import GateRule
 from monitor.errors import ProfileError
 from monitor.profile import PROFILE_FILE, profile_table
@@ -140,10 +141,8 @@ def write_profile(
         name=name, vehicle=kind, vehicle_type=vehicle_type, gate=gate, observers=tables, excuses=excuses
     )
     set_aside = replace_kept(folder / PROFILE_FILE, tomli_w.dumps(content, multiline_strings=False))
-    (folder / "fit.json").write_text(json.dumps(report.to_json(), indent=1) + "\n")
-    (folder / "fit.txt").write_text(
-        "\n".join([f"{name} ({kind})", *report.text(details=True)]) + "\n", encoding="utf-8"
-    )
+    write_file(folder / "fit.json", json.dumps(report.to_json(), indent=1) + "\n")
+    write_file(folder / "fit.txt", "\n".join([f"{name} ({kind})", *report.text(details=True)]) + "\n")
     drawn = {fitted.name: fitted.comparison for fitted in report.observers if fitted.comparison is not None}
     for observer, comparison in drawn.items():
         file = "fit.png" if len(drawn) == 1 else f"fit.{observer}.png"
@@ -155,8 +154,8 @@ def replace_kept(path: Path, text: str) -> Path | None:
     """Write a file; return where it went if it was there and said something else."""
     before = path.with_name(f"{path.name}.before") if path.is_file() and path.read_bytes() != text.encode() else None
     if before is not None:
-        path.replace(before)
-    path.write_text(text, encoding="utf-8")
+        write_file(before, path.read_bytes())
+    write_file(path, text)
     return before
 
 

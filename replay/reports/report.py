@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from adapters.logs.damage import Damage
+from gains.output_file import write_file
 from monitor.bus.alarm_text import utc
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.profile import Profile
@@ -76,7 +77,7 @@ class Run:
 
 def write_report(path: str | os.PathLike[str], run: Run) -> None:
     """Write the report of a run: HTML with its pictures inside, light and dark, that loads and runs nothing."""
-    Path(path).write_text(report(run), encoding="utf-8")
+    write_file(path, report(run))
 
 
 def report(run: Run) -> str:

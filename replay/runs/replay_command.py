@@ -5,10 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from gains.output_file import naming
 
 if TYPE_CHECKING:
     from monitor.profile import Profile
@@ -110,7 +113,7 @@ def run_replay(args: argparse.Namespace) -> int:
     failed = raised = 0
     with ExitStack() as stack:
         # what cannot be written shall be known before the first log
-        alarms = stack.enter_context(args.alarms.open("w")) if args.alarms else None
+        alarms = stack.enter_context(_Lines(args.alarms)) if args.alarms else None
         table = stack.enter_context(SummaryTable(args.table)) if args.table else None
         live = stack.enter_context(_live(args)) if args.publish or args.udp or args.speed is not None else None
         outcomes = _outcomes(args, profile, tasks, live)
@@ -121,7 +124,7 @@ def run_replay(args: argparse.Namespace) -> int:
             _tell(outcome, as_json=args.json, with_events=many)
             if alarms is not None:
                 origin = {"log": outcome.log} if many else {}
-                alarms.writelines(json.dumps(event.to_json() | origin) + "\n" for event in outcome.events)
+                alarms.add(json.dumps(event.to_json() | origin) for event in outcome.events)
             if table is not None:
                 table.add(outcome)
     if args.fail_on_alarm and raised:
@@ -224,6 +227,28 @@ def _outcomes(
         on_event = (lambda event: _say(alarm_line(event))) if alone and not args.json else None
         for task in tasks:
             yield replay_log(profile, task, on_event, live=live, progress=alone)
+
+
+class _Lines:
+    """A file that lines are added to, each there as soon as it is added."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file = path.open("w", encoding="utf-8")
+
+    def add(self, lines: Iterable[str]) -> None:
+        with naming(self._path):
+            self._file.writelines(f"{line}\n" for line in lines)
+            self._file.flush()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with naming(self._path):
+            self._file.close()
 
 
 def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:

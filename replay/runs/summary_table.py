@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from adapters.errors import TelemetryError
+from gains.output_file import naming
 from monitor.bus.alarm_text import utc
 from monitor.errors import ExtraMissingError
 from replay.runs.one_log import LogOutcome
@@ -97,15 +98,19 @@ class SummaryTable:
         kinds: Mapping[str, Callable[[Path], _Csv | _Parquet]] = {".csv": _Csv, ".parquet": _Parquet}
         if path.suffix.lower() not in kinds:
             raise TelemetryError(f"--table {path}: unknown kind of table; use .csv or .parquet")
-        self._rows = kinds[path.suffix.lower()](path)
+        self._path = path
+        with naming(path):
+            self._rows = kinds[path.suffix.lower()](path)
 
     def add(self, outcome: LogOutcome) -> None:
         """Add a log's row."""
-        self._rows.add(summary_row(outcome))
+        with naming(self._path):
+            self._rows.add(summary_row(outcome))
 
     def close(self) -> None:
         """Finish the file."""
-        self._rows.close()
+        with naming(self._path):
+            self._rows.close()
 
     def __enter__(self) -> Self:
         return self

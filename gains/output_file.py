@@ -1,0 +1,67 @@
+"""Writes files whole or not at all: a full disk costs nothing that stood there, and the error says which file."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+_IN_PLACE_ONLY = (errno.EACCES, errno.EPERM, errno.EBUSY)
+"""A file may be writable where its folder is not, or be mounted by itself."""
+
+
+def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:
+    """Write a file, in place of one that is there only once all of it is on the disk.
+
+    Parameters
+    ----------
+    path : str | PathLike
+        File to write; a link is followed. What is no file (``/dev/stdout``, a pipe) is written to as it comes.
+    content : str | bytes
+        Text is written as UTF-8.
+
+    Raises
+    ------
+    OSError
+        It cannot be written; ``filename`` is the path as given.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    given = Path(path).absolute()
+    with naming(path):
+        if given.parts[1] in ("dev", "proc") or (given.exists() and not given.is_file()):
+            given.write_bytes(data)
+            return
+        try:
+            _replace(given.resolve(), data)
+        except OSError as error:
+            if error.errno not in _IN_PLACE_ONLY or not given.exists():
+                raise
+            given.write_bytes(data)
+
+
+def _replace(target: Path, data: bytes) -> None:
+    beside = target.with_name(f".{target.name}.{os.getpid()}")
+    try:
+        with beside.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        if target.exists():
+            shutil.copymode(target, beside)
+        beside.replace(target)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Say in any OSError from inside which file it is about: those of a write or a close do not."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, os.fspath(path)) from error

@@ -1,0 +1,82 @@
+"""A file is written whole or stays as it was; a disk that takes no more is named with the file it failed for."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gains.output_file import naming, write_file
+
+FULL_DISK = """
+import resource, signal, sys
+from gains.output_file import write_file
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+try:
+    write_file(sys.argv[1], b"y" * 5000)
+except OSError as error:
+    print(error.filename)
+"""
+
+
+def test_what_cannot_be_written_whole_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "gains.json"
+    write_file(path, "before")
+    done = subprocess.run([sys.executable, "-c", FULL_DISK, str(path)], capture_output=True, text=True, check=True)
+    assert done.stdout == f"{path}\n"
+    assert path.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_link_and_its_files_mode_stay(tmp_path: Path) -> None:
+    path, link = tmp_path / "a", tmp_path / "b"
+    write_file(path, b"1")
+    path.chmod(0o640)
+    link.symlink_to(path)
+    write_file(link, "naïve")
+    assert link.is_symlink()
+    assert path.read_text(encoding="utf-8") == "naïve"
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
+def test_a_file_whose_folder_takes_no_other_is_written_in_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a"
+    path.write_text("before")
+    place = path.stat().st_ino
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("gains.output_file._replace", refuse)
+    write_file(path, "after")
+    assert (path.read_text(), path.stat().st_ino) == ("after", place)
+    with pytest.raises(PermissionError) as found:
+        write_file(tmp_path / "new", "after")
+    assert found.value.filename == str(tmp_path / "new")
+
+
+def test_what_is_no_file_is_written_to_as_it_comes(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with subprocess.Popen(["cat", pipe], stdout=subprocess.PIPE) as reader:
+        write_file(pipe, "through")
+        assert reader.communicate(timeout=10)[0] == b"through"
+    done = subprocess.run(
+        [sys.executable, "-c", "from gains.output_file import write_file; write_file('/dev/stdout', 'said')"],
+        capture_output=True,
+        check=True,
+    )
+    assert done.stdout == b"said"
+    with pytest.raises(OSError, match=r"No space left on device: '/dev/full'"):
+        write_file("/dev/full", "lost")
+
+
+def test_an_error_without_a_number_stays_as_it_is() -> None:
+    with pytest.raises(OSError, match=r"^strange$"), naming("a"):
+        raise OSError("strange")
