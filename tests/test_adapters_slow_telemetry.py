@@ -36,6 +36,7 @@ def test_slow_messages_are_those_far_below_what_is_wanted_and_not_slow_by_nature
     assert slow_messages([rates, rates | {"ATTITUDE": 50.0}], rates, 50.0) == {"ATTITUDE": 4.0}
 
 
+@pytest.mark.long
 def test_a_fit_on_slow_telemetry_says_in_one_line_what_is_needed(
     slow_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -181,6 +181,7 @@ def test_an_estimate_is_compared_while_its_fault_is_on() -> None:
     assert reading(fault, time_ms, estimate, np.ones(len(time_ms), np.bool_), Spell("motor3", OFF - 900, OFF)) is None
 
 
+@pytest.mark.long
 def test_all_detectors_are_measured_on_a_flight_and_make_a_page(quad_folder: Path, data: Path, tmp_path: Path) -> None:
     healthy = [described(name, data / f"{name}.tlog.xz", healthy=True, faults=[]) for name in HEALTHY]
     suite = make_suite(quad_folder, [healthy[0].messages])

@@ -122,6 +122,7 @@ def test_all_slopes_can_be_proven_at_once(capsys: pytest.CaptureFixture[str]) ->
     assert ", for all slopes at once\n" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_gains_are_kept_small_by_a_bound_and_a_price(capsys: pytest.CaptureFixture[str]) -> None:
     found = []
     for options in (["--gain-bound", "8"], ["--gain-weight", "1"], []):

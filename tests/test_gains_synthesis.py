@@ -109,6 +109,7 @@ def test_without_actuator_faults_the_order_of_the_integrators_changes_nothing() 
     assert design_convex(plant, integrator_order=2).sqrt_mu == design_convex(plant).sqrt_mu
 
 
+@LONG
 def test_a_multirotor_of_12_states_and_4_motors_with_3_slopes_is_certified_at_each_of_their_8_vertices() -> None:
     plant = flying_multirotor()
     design = design_convex(plant, 50.0)
@@ -154,6 +155,7 @@ def test_multipliers_bound_the_norm_and_the_poles_at_any_slopes(seed: int, nonli
     assert poles <= radius
 
 
+@LONG
 def test_a_plant_with_12_sines_is_designed_without_its_4096_vertices() -> None:
     plant = random_plant(0, 1, 1, nonlinear=12)
     plant = replace(plant, G=0.3 * plant.G)
@@ -176,7 +178,7 @@ def test_without_slopes_there_is_nothing_to_be_free_of() -> None:
 @pytest.mark.parametrize(
     ("name", "rate", "share"),
     [
-        ("arm", 10.0, 0.8),
+        pytest.param("arm", 10.0, 0.8, marks=LONG),
         ("arm-disturbed", 100.0, 0.2),
         ("arm-disturbed", 1000.0, 0.2),
         pytest.param("arm", 100.0, 0.2, marks=LONG),
@@ -391,7 +393,7 @@ def h2_norms(plant: Plant, design: Design) -> list[float]:
     return [float(np.sqrt(np.trace(C_e @ X @ C_e.T) + np.sum(D_e**2))) for X in gramians]
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", [1, pytest.param(2, marks=LONG)])
 def test_the_share_of_h2_trades_the_one_certified_bound_for_the_other(order: int) -> None:
     plant = builtin_model("arm-disturbed")
     designs = [design_convex(plant, 100.0, integrator_order=order, h2=share) for share in (0.0, 0.1, 0.5, 0.9, 1.0)]

@@ -11,6 +11,8 @@ from monitor.profile import Profile, read_profile
 from replay.fitting.fit import fit
 from replay.player import play
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:

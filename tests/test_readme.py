@@ -21,7 +21,7 @@ import fauio
 
 README = (ROOT / "README.md").read_text()
 FOR_EVER = ("record", "run", "alarms")
-SLOW = ("demo", "detectability")
+SLOW = ("demo", "detectability", "fit")
 
 
 def code_lines() -> Iterator[str]:

@@ -89,6 +89,7 @@ def quad(quad_profile: Profile, quad_folder: Path, healthy: list[list[GatedSampl
     return {one.channel: one for one in measured}
 
 
+@pytest.mark.long
 def test_small_losses_of_each_motor_are_detected_and_larger_ones_sooner(quad: dict[str, Capability]) -> None:
     assert tuple(quad) == MOTORS
     for one in quad.values():
@@ -133,6 +134,7 @@ def test_flights_too_short_for_an_onset_say_so(
     assert all("not measured" in capability_text(one) for one in found)
 
 
+@pytest.mark.long
 def test_faults_that_scale_no_command_worth_losing_are_steps_in_their_own_units(arm_profile: Profile) -> None:
     (observer,) = arm_profile.observers
     runs = [simulate_arm(SCENARIOS["healthy"], 30.0, observer.rate_hz, torque) for torque in TORQUES]

@@ -82,11 +82,13 @@ def test_a_large_loss_is_seen_fast_and_alone_and_a_tiny_one_is_missed(found: Det
     assert len(found.onsets_ms["motors"]) == 2
 
 
+@pytest.mark.long
 def test_more_processes_give_the_same_result(quad_folder: Path, healthy_log: Path, found: Detectability) -> None:
     sweep = Sweep(channels=("motor2",), sizes=(0.002, 0.1), onsets=2, before_s=3.0, after_s=2.0, jobs=2)
     assert detectability(quad_folder, healthy_log, sweep) == found
 
 
+@pytest.mark.long
 def test_sensors_of_a_users_own_plant_are_swept_around_their_threshold(arm_folder: Path, arm_log: Path) -> None:
     sweep = Sweep(onsets=1, before_s=9.0, after_s=2.0)
     result = detectability(arm_folder, arm_log, sweep)
@@ -166,6 +168,7 @@ def has_colour(path: Path, colour: str) -> bool:
     return bool((np.abs(image.imread(path)[:, :, :3] - wanted).max(axis=2) < 0.01).any())
 
 
+@pytest.mark.long
 def test_the_picture_shows_delays_and_misses_and_draws_any_result(tmp_path: Path, found: Detectability) -> None:
     plot_detectability(tmp_path / "found.png", found)
     assert has_colour(tmp_path / "found.png", BLUE)

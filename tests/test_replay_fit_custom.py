@@ -120,6 +120,7 @@ def test_what_will_be_detected_stands_beside_the_alarms(folder: Path, arm: dict[
         assert alarms[channel]["sees"].endswith(f"{said} within 0.25 s")
 
 
+@pytest.mark.long
 def test_faults_that_cannot_be_estimated_together_get_a_bank(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # what a profile will detect is measured in other tests
     monkeypatch.setattr("replay.fitting.fit._measured", lambda fitted, gate: replace(fitted, flights=()))
@@ -161,6 +162,7 @@ def test_a_custom_vehicle_needs_its_model_and_no_other_takes_one(
     assert "takes no --model" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_recordings_that_move_nothing_are_refused_with_what_to_record(tmp_path: Path) -> None:
     idle = simulate_arm(SCENARIOS["healthy"], 20.0, 100.0)
     with pytest.raises(ModelError, match=r"'parameters\.gain' .*record manoeuvres that move torque") as caught:

@@ -42,6 +42,7 @@ def test_estimates_and_alarms_are_drawn_in_their_colours(tmp_path: Path) -> None
     assert not has_colour(tmp_path / "calm.png", SEVERITY["critical"], SPAN_ALPHA["critical"])
 
 
+@pytest.mark.long
 def test_each_observer_adds_its_panels(tmp_path: Path) -> None:
     plot_png(tmp_path / "one.png", [trace(200)], [], {})
     plot_png(tmp_path / "two.png", [trace(200), trace(200)], [], {})
@@ -49,6 +50,7 @@ def test_each_observer_adds_its_panels(tmp_path: Path) -> None:
     assert two > 1.8 * one
 
 
+@pytest.mark.long
 def test_quiet_channels_of_many_share_a_panel_with_a_band(tmp_path: Path) -> None:
     run = trace()
     both = [run, replace(run, layout=STANDBY)]
@@ -64,6 +66,7 @@ def test_an_alarm_about_no_fault_channel_is_shaded_too(tmp_path: Path) -> None:
     assert has_colour(tmp_path / "run.png", SEVERITY["warning"], SPAN_ALPHA["warning"])
 
 
+@pytest.mark.long
 def test_a_dozen_alarms_under_long_names_fit_a_page(tmp_path: Path) -> None:
     run = trace(200)
     layout = replace(LAYOUT, inputs=tuple(f"a_very_long_name_of_an_input_{k}" for k in range(4)))
@@ -91,6 +94,7 @@ def test_no_pyplot_state_is_left_behind(tmp_path: Path) -> None:
     assert dict(matplotlib.rcParams) == before
 
 
+@pytest.mark.long
 def test_thresholds_and_standard_deviations_are_shaded_unless_they_belong_to_something_else(tmp_path: Path) -> None:
     run = trace()
     run.sd[:] = 0.01

@@ -89,6 +89,7 @@ def as_speeds(messages: Iterator[Message]) -> Iterator[Message]:
         yield replace(message, fields=fields)
 
 
+@pytest.mark.long
 def test_a_quadrotor_that_sends_speeds_is_fitted_and_the_range_is_stated(data: Path, quad_folder: Path) -> None:
     def log(path: Path) -> Iterator[Message]:
         return as_speeds(of_one_vehicle(read_recording(path, FIT_MESSAGES)))

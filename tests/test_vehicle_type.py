@@ -27,6 +27,7 @@ def test_a_fit_notes_what_its_recordings_say_the_vehicle_is(quad_profile: Profil
     assert quad_profile.vehicle_type == read_profile(QUAD).vehicle_type == "quadrotor"
 
 
+@pytest.mark.long
 def test_a_fit_on_different_vehicles_says_so_and_takes_none_of_their_types(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
