@@ -16,8 +16,8 @@ Interpolation = Literal["linear", "previous"]
 _STEP = re.compile(r"([^.\[\]]+)|\[(?:(\d+)|([^\[\]]+))\]")
 _KEYS = {"message", "field", "where", "scale", "offset", "clock", "clock_unit_ns", "interpolation", "period"}
 CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
-# The difference of two values up to here is finite, so interpolation cannot overflow.
-MAX_VALUE = 1e300
+MAX_VALUE = 1e12
+"""Beyond it no vehicle measures anything, in any unit; an observer that believed it would be blind for seconds."""
 # Where messages of ROS 2, and those of Foxglove's schemas, have their time: seconds and nanoseconds.
 _ROS_STAMP = ("header", "stamp")
 _FOXGLOVE_STAMP = "timestamp"
@@ -72,7 +72,7 @@ class Channel:
         return all(fields.get(name) == value for name, value in self.where)
 
     def value(self, fields: Mapping[str, Any]) -> float | None:
-        """Return the channel's value, None where the message does not hold a finite number there."""
+        """Return the channel's value, None where no number is there that can be one: NaN, beyond :data:`MAX_VALUE`."""
         path = self.path
         # Most paths are one name; they are read some thousand times a second.
         found = fields.get(path[0]) if len(path) == 1 else follow(fields, path)  # type: ignore[arg-type]

@@ -50,6 +50,9 @@ _LARGEST_LOOK = 1 << 17
 
 Stretch = Estimates | AlarmEvent
 
+# Values that overflow are no evidence, and no news for whoever reads the log.
+_ABSURD = np.errstate(all="ignore")
+
 
 class Pipeline:
     """State of one monitored vehicle.
@@ -168,6 +171,7 @@ class Pipeline:
             self._system = message.system
         return message.system == self._system
 
+    @_ABSURD
     def feed(self, message: Message) -> list[Output]:
         """Take one message; return estimates and events in the order they arise."""
         if not self.accepts(message):
@@ -197,6 +201,7 @@ class Pipeline:
                         outputs.append(output)
         return outputs
 
+    @_ABSURD
     def run(self, block: Block) -> list[Stretch]:
         """Take a whole block; return what feeding its messages one by one would return, estimates as arrays.
 

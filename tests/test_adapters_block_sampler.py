@@ -164,7 +164,7 @@ def damaged(messages: list[Message], at: int, how: str) -> list[Message]:
         "nan": {"a": math.nan},
         "inf": {"b": math.inf, "turn": -math.inf},
         "none": {"a": None},
-        "huge": {"a": 1e301, "b": 10**400},
+        "huge": {"a": 2e12, "b": 10**400},
         "text": {"b": "2", "turn": "no"},
         "zero": {"time_usec": 0},
         "far": {"time_usec": 9_000_000_000_000_000_000},

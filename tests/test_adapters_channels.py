@@ -81,6 +81,7 @@ def test_a_value_is_scaled_and_found_inside_lists_and_tables() -> None:
         {"a": -math.inf},
         {"a": 10**400},
         {"a": 1e301},
+        {"a": -1.1e12},
     ],
 )
 def test_what_is_no_finite_number_is_no_value(fields: dict[str, Any]) -> None:

@@ -55,6 +55,21 @@ def test_other_stations_change_nothing(
     assert events(quad_profile, crowded()) == expected
 
 
+@pytest.mark.parametrize("absurd", [1e6, 1e11, 3.4e38, 1e200, 1e308])
+@pytest.mark.parametrize(("name", "field"), [("ATTITUDE", "rollspeed"), ("SERVO_OUTPUT_RAW", "servo1_raw")])
+def test_absurd_measurements_before_a_fault_neither_hide_it_nor_accuse_a_motor(
+    quad_profile: Profile, flight: list[Message], expected: list[AlarmEvent], name: str, field: str, absurd: float
+) -> None:
+    places = [place for place, message in enumerate(flight) if message.name == name]
+    spoilt = list(flight)
+    for place in places[40:43]:
+        spoilt[place] = dataclasses.replace(flight[place], fields={**flight[place].fields, field: absurd})
+    [raised] = (event for event in expected if event.state == "raised")
+    found = [event for event in events(quad_profile, spoilt) if event.state == "raised"]
+    accused = {event.channel: event.time_ns for event in found if event.channel != "unexplained"}
+    assert accused == {raised.channel: raised.time_ns}
+
+
 def test_messages_of_no_interest_change_nothing(
     quad_profile: Profile, flight: list[Message], expected: list[AlarmEvent]
 ) -> None:
