@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from monitor.service.fleet import Fleet
-from monitor.service.inbox import Inbox
+from monitor.service.inbox import Arrival, Inbox
 from monitor.service.post import Post
 
 _POLL_S = 0.05
@@ -66,12 +66,21 @@ class Daemon:
                 troubles = self._troubles()
                 for post in self._posts():
                     post.work(now_ns, troubles)
-            for arrival in arrivals:
-                vehicle = self._fleet.vehicle_of(arrival)
-                if vehicle is not None:
-                    vehicle.take(arrival.message, time.time_ns)
+            self._hand_out(arrivals)
             # Time may pass only where nothing older waits: a message that is there already ends a silence.
             if self._inbox.empty:
                 now_ns = time.time_ns()
                 for monitor in self._fleet:
                     monitor.pass_time(now_ns)
+
+    def finish(self, patience_s: float) -> None:
+        """Take what has arrived but waits still, for so long at most: once nothing more comes in."""
+        until = time.monotonic() + patience_s
+        while not self._inbox.empty and time.monotonic() < until:
+            self._hand_out(self._inbox.take(0.0))
+
+    def _hand_out(self, arrivals: Sequence[Arrival]) -> None:
+        for arrival in arrivals:
+            vehicle = self._fleet.vehicle_of(arrival)
+            if vehicle is not None:
+                vehicle.take(arrival.message, time.time_ns)

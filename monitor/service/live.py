@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from monitor.views.live_view import LiveView
 
 _SYNC_S = 1.0
+_FINISH_S = 1.0
+"""For what still waits at the end: a monitor that could not keep up may have more than there is time for."""
 
 
 def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool = False) -> int:
@@ -106,6 +108,8 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         gc.freeze()
         daemon.run()
         notifier.stopping()
+        inbox.close()
+        daemon.finish(_FINISH_S)
         for post in station.posts:
             monitor = post.monitor
             log.say("stopped", vehicle=monitor.name, messages=monitor.messages, samples=monitor.samples)

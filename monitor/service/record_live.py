@@ -122,11 +122,15 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
             inbox.listen(one.name, one.reader)
         log.say("recording", file=str(path), telemetry=", ".join(one.name for one in links))
         first_look = FirstLook({one.name: one.link for one in links}, log)
-        flushed_ns = time.time_ns()
-        while not {signal.SIGINT, signal.SIGTERM} & set(received):
-            for arrival in inbox.take(_POLL_S):
+
+        def record(timeout_s: float) -> None:
+            for arrival in inbox.take(timeout_s):
                 tally.add(arrival.message)
                 writer.write(arrival.message)
+
+        flushed_ns = time.time_ns()
+        while not {signal.SIGINT, signal.SIGTERM} & set(received):
+            record(_POLL_S)
             now_ns = time.time_ns()
             if seconds is not None and tally.first_ns is not None and now_ns - tally.first_ns >= seconds * 1e9:
                 break
@@ -135,6 +139,9 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
                 flushed_ns = now_ns
                 writer.flush()
                 _tell(f"{tally.seconds:.0f} s, {tally.names.total()} messages")
+        inbox.close()
+        while not inbox.empty:
+            record(0.0)
         _tell("")
         return LiveRecording(
             messages=writer.statistics().records,

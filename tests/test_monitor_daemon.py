@@ -1,0 +1,34 @@
+"""The daemon's loop: what had arrived when it was told to end is taken, as far as there is time."""
+
+import pytest
+
+from adapters.message import Message
+from monitor.pipeline import Pipeline
+from monitor.profile import Profile
+from monitor.service.daemon import Daemon
+from monitor.service.fleet import Fleet
+from monitor.service.inbox import Inbox
+from monitor.service.vehicle_monitor import VehicleMonitor
+
+WAITING = 2000
+
+
+@pytest.fixture
+def inbox() -> Inbox:
+    found = Inbox(10_000)
+    found.put([Message("mavlink", "HEARTBEAT", k, {"type": 2, "autopilot": 3}, 1, 1) for k in range(WAITING)])
+    return found
+
+
+@pytest.mark.parametrize(("patience_s", "taken"), [(10.0, WAITING), (0.0, 0)])
+def test_what_waits_at_the_end_is_taken_within_the_time_there_is(
+    quad_profile: Profile, inbox: Inbox, patience_s: float, taken: int
+) -> None:
+    vehicle = VehicleMonitor(Pipeline(quad_profile, "one", 1), (), None, lambda event: None, 0)
+    daemon = Daemon(inbox, Fleet([vehicle]), lambda: (), lambda: (), lambda now_ns: None)
+    daemon.stop()
+    daemon.run()
+    assert vehicle.messages == 0
+    daemon.finish(patience_s)
+    assert vehicle.messages == taken
+    assert inbox.statistics().waiting == WAITING - taken
