@@ -24,6 +24,7 @@ import json
 import os
 import random
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -134,6 +135,7 @@ def work(name: str, seconds: float, seed: int, folder: Path) -> None:
 
     target = TARGETS[name]
     corpus, scratch = folder / "corpus", folder / "scratch"
+    shutil.rmtree(scratch, ignore_errors=True)
     for one in (corpus, scratch):
         one.mkdir(parents=True, exist_ok=True)
     for data in target.seeds():
