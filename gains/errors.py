@@ -4,9 +4,15 @@ from __future__ import annotations
 
 
 class ModelError(ValueError):
-    """A plant model or gains file that cannot be used; the message names the file, the key and the mend."""
+    """A plant model or gains file that cannot be used; the message names the file, the key and the mend.
+
+    It is one line whatever it quotes: control characters become question marks.
+    """
 
     exit_status = 2
+
+    def __init__(self, message: str) -> None:
+        super().__init__("".join(c if c.isprintable() else "?" for c in message))
 
 
 class InfeasibleError(ValueError):

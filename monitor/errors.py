@@ -4,9 +4,18 @@ from __future__ import annotations
 
 
 class ProfileError(ValueError):
-    """A profile that cannot be used; the message names the file, the key and the mend."""
+    """A profile or configuration that cannot be used; the message names the file, the key and the mend.
+
+    Several mistakes are a line each, whatever they quote: control characters become question marks.
+    """
 
     exit_status = 2
+
+    def __init__(self, *lines: str) -> None:
+        super().__init__(*lines)
+
+    def __str__(self) -> str:
+        return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in self.args)
 
 
 class ExtraMissingError(ValueError):

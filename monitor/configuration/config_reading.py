@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, Protocol, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from monitor.bus.alarm_text import printable
 from monitor.configuration.toml_lines import KeyPath, key_lines, line_of
 from monitor.errors import ProfileError
 
@@ -106,7 +105,7 @@ def read_model(
     lines = key_lines(text)
     places = [_place(path, lines, given, mistake.path) for mistake in mistakes]
     order = sorted(range(len(mistakes)), key=lambda k: places[k][0])
-    raise ProfileError("\n".join(printable(f"{places[k][1]} {mistakes[k].what}") for k in order))
+    raise ProfileError(*(f"{places[k][1]} {mistakes[k].what}" for k in order))
 
 
 def _text(path: str | Path) -> str:
@@ -126,7 +125,7 @@ def _parsed(path: str | Path | None, text: str) -> dict[str, Any]:
         line = at[1] if at else str(text.count("\n") + 1)
         what = _AT_LINE.sub("", str(error)).removesuffix(" (at end of document)")
         column = f"column {at[2]}" if at else "end of file"
-        raise ProfileError(printable(f"{path}:{line}: not valid TOML at {column}: {what}")) from error
+        raise ProfileError(f"{path}:{line}: not valid TOML at {column}: {what}") from error
     except RecursionError as error:
         raise ProfileError(f"{path}: not valid TOML: nested too deeply") from error
     except ValueError as error:

@@ -1,0 +1,37 @@
+"""Errors are lines for a terminal, whatever names they quote, and stay so on their way between processes."""
+
+import pickle
+from pathlib import Path
+
+import pytest
+
+import fauio
+from adapters.errors import TelemetryError
+from gains.errors import ModelError
+from monitor.errors import ProfileError
+
+HOSTILE = "\x1b[31mred\r\n'axis' is\u202e fine\x00"
+SHOWN = "?[31mred??'axis' is? fine?"
+
+
+@pytest.mark.parametrize("kind", [TelemetryError, ModelError, ProfileError])
+def test_what_an_error_quotes_adds_no_line_and_no_control_character(kind: type[ValueError]) -> None:
+    error = kind(f"a.toml: '{HOSTILE}' is unknown")
+    again = pickle.loads(pickle.dumps(error))  # noqa: S301 - our own
+    assert str(error) == str(again) == f"a.toml: '{SHOWN}' is unknown"
+
+
+def test_several_mistakes_are_a_line_each() -> None:
+    error = ProfileError("one", "two\nthree")
+    assert str(error) == str(pickle.loads(pickle.dumps(error))) == "one\ntwo?three"  # noqa: S301 - our own
+
+
+def test_a_model_whose_names_hold_line_ends_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = (Path(__file__).parent.parent / "gains" / "models" / "arm.toml").read_text()
+    path = tmp_path / "arm.toml"
+    path.write_text(model.replace('"link_angle"', '"link\\nangle"'))
+    assert fauio.main(["design", str(path)]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert "link?angle" in line
