@@ -12,9 +12,12 @@ from pathlib import Path
 import chaos
 import pytest
 from chaos import Sufferer
-from chaos_run import MOTOR1, Monitor, monitoring, name_of, own_records, waits
+from chaos_run import MOTOR1, QUAD, Monitor, monitoring, name_of, own_records, waits
 
+from adapters.logs.recordings import read_recording
 from monitor.event import AlarmEvent
+from monitor.profile import read_profile
+from replay.player import play
 
 SYSTEMS = (1, 2)
 
@@ -94,3 +97,8 @@ def test_a_full_disk_stops_nothing_and_is_told_of(tmp_path: Path) -> None:
         assert sorted(places(recorded(monitor, 1))) == sorted(places(heard))
         assert len(recorded(monitor, 1)) == len(places(heard))
         assert len(list((tmp_path / "recordings" / name_of(1)).glob("*.mcap"))) == 2
+        # The alarm's clip, begun on the full disk, has it.
+        [raised] = monitor.raised(1)
+        [clip] = (tmp_path / "clips").rglob(f"*{raised.id}.mcap")
+        again = play(read_profile(QUAD), read_recording(clip), vehicle=name_of(1)).events
+        assert [event.channel for event in again if event.state == "raised"] == ["motor1"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import random
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,9 @@ from loopback import START_NS, event
 from mcap.reader import make_reader
 from test_monitor_recorder import LAYOUT, estimate
 
+from adapters.encoding.record import Record
 from adapters.errors import TelemetryError
+from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_metadata
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
@@ -19,7 +22,7 @@ from monitor.estimate import Estimate
 from monitor.event import AlarmEvent, alarm_id
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
-from monitor.recording.black_box import MAX_OPEN_CLIPS, BlackBox
+from monitor.recording.black_box import MAX_OPEN_CLIPS, MAX_TRIES, MAX_WAITING_CLIPS, BlackBox
 from monitor.recording.record_encoder import RecordEncoder
 from replay.player import play
 
@@ -272,23 +275,78 @@ def test_a_clip_of_a_quarter_of_the_budget_ends_early_and_is_whole(tmp_path: Pat
     assert box.statistics().dropped > 0
 
 
-def test_a_disk_that_takes_no_clip_is_counted_and_the_next_alarm_tries_again(tmp_path: Path) -> None:
+def retry(box: BlackBox, second: float) -> None:
+    """Let it try all again that it may try at that time."""
+    while box.work(1000, START_NS + round(second * SECOND)):
+        pass
+
+
+def test_a_clip_that_the_disk_refuses_is_written_when_there_is_room_again(tmp_path: Path) -> None:
     folder = tmp_path / "clips"
     box = black_box(folder)
     folder.rmdir()
     feed(box, 0, 10)
     box.alarm(raised(9))
     finish(box)
-    assert (box.statistics().failures, box.statistics().open) == (1, 0)
+    assert (box.statistics().failures, box.statistics().open) == (0, 1)
+    assert "No such file" in str(box.statistics().failed)
+    feed(box, 10, 15)
+    folder.mkdir()
+    retry(box, 18.9)
+    assert clips(folder) == []
+    retry(box, 19.1)
+    assert seconds(clips(folder)[0]) == list(range(4, 13))
+    assert (box.statistics().written, box.statistics().open, box.statistics().failed) == (1, 0, None)
+
+
+def test_a_disk_that_fills_within_a_clip_costs_none_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    box = black_box(tmp_path)
+    feed(box, 0, 10)
+    box.alarm(raised(9))
+    box.work(3)
+    with monkeypatch.context() as full:
+
+        def refuse(self: MessageLogWriter, record: Record) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        full.setattr(MessageLogWriter, "write_record", refuse)
+        finish(box)
+        assert clips(tmp_path) == []
+    feed(box, 10, 20)
+    retry(box, 20.0)
+    box.alarm(raised(19, "motor2"))
+    retry(box, 30.0)
+    assert [seconds(path) for path in clips(tmp_path)] == [list(range(4, 13)), list(range(14, 20))]
+    assert (box.statistics().written, box.statistics().failures) == (2, 0)
+
+
+def test_clips_that_the_disk_never_takes_are_given_up_the_oldest_first(tmp_path: Path) -> None:
+    folder = tmp_path / "clips"
+    box = black_box(folder)
+    folder.rmdir()
+    for number in range(MAX_WAITING_CLIPS + 2):
+        feed(box, 5 * number, 5 * number + 5)
+        box.alarm(raised(5 * number + 4))
+        finish(box)
+    assert (box.statistics().failures, box.statistics().open) == (2, MAX_WAITING_CLIPS)
+    for number in range(MAX_TRIES + 1):
+        retry(box, 100.0 + 11.0 * number)
+    assert (box.statistics().failures, box.statistics().open) == (MAX_WAITING_CLIPS + 2, 0)
     assert "No such file" in str(box.statistics().failed)
     folder.mkdir()
-    alarm = raised(9, "motor2")
-    (folder / f"copter-1-{alarm.id}.mcap").symlink_to("/dev/full")
-    (folder / f"copter-1-{raised(9, 'motor3').id}.mcap").symlink_to("/nowhere/at/all")
-    box.alarm(raised(9, "motor3"))
-    box.alarm(raised(9, "motor4"))
+    box.alarm(raised(49))
     box.close()
-    assert (box.statistics().failures, box.statistics().written, box.statistics().failed) == (2, 1, None)
+    assert (box.statistics().written, box.statistics().failed) == (1, None)
+
+
+def test_what_a_full_disk_took_of_a_clip_stays_when_the_monitor_ends(tmp_path: Path) -> None:
+    box = black_box(tmp_path)
+    feed(box, 0, 10)
+    (tmp_path / f"copter-1-{raised(9).id}.mcap").symlink_to("/nowhere/at/all")
+    box.alarm(raised(9))
+    box.alarm(raised(9, "motor2"))
+    box.close()
+    assert (box.statistics().failures, box.statistics().written, box.statistics().open) == (1, 1, 0)
 
 
 def test_a_folder_that_is_none_is_one_line(tmp_path: Path) -> None:

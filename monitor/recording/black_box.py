@@ -7,7 +7,7 @@ import os
 import re
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -22,6 +22,10 @@ from monitor.recording.retention import Retention, file_stem
 from monitor.recording.rotation import writable_folder
 
 MAX_OPEN_CLIPS: Final = 4
+MAX_WAITING_CLIPS: Final = 8
+"""Of those a disk refused: the oldest is given up for the next."""
+MAX_TRIES: Final = 60
+RETRY_S: Final = 10.0
 
 _PHASE_TOPICS = frozenset(f"/mavlink/{name}" for name in FlightPhase.interests)
 _ULID = r"[0-9A-HJKMNP-TV-Z]{26}"
@@ -36,7 +40,7 @@ class BlackBoxStatistics:
     held_records, held_bytes : int
         Records kept for alarms to come.
     open : int
-        Clips being made.
+        Clips being made, those that wait for the disk included.
     written : int
         Clips completed.
     covered : int
@@ -46,7 +50,7 @@ class BlackBoxStatistics:
     failures : int
         Clips given up because they could not be written.
     failed : str | None
-        Why the last clip was given up; None after one that was not.
+        Why a clip could not be written; None once one was.
     deleted : int
         Clips deleted to stay within the budget.
     """
@@ -64,7 +68,7 @@ class BlackBoxStatistics:
 
 @dataclass(slots=True)
 class _Clip:
-    """A clip being made: what waits to be written, and its file once there is one."""
+    """A clip being made: what waits to be written, its file once there is one, and what is in that."""
 
     path: Path
     begun_ns: int
@@ -74,7 +78,11 @@ class _Clip:
     alarms: list[str]
     log: MessageLogWriter | None = None
     ended: bool = False
-    failed: str | None = None
+    done: list[Record] | None = field(default_factory=list)
+    """None where they are too many to be kept, in case that the file has to be begun again."""
+    done_bytes: int = 0
+    tries: int = 0
+    retry_ns: int = 0
 
 
 class BlackBox:
@@ -83,6 +91,7 @@ class BlackBox:
     A clip is complete in itself: profile, metadata (``alarm_id``, ``alarm_channel``, ``alarm_observer``, and
     ``alarm_ids`` of all alarms raised in its span), telemetry, estimates and alarms. It begins with what the vehicle
     last said of its phase before that, so that a replay knows it armed. Time is that of the telemetry's arrival.
+    A clip that the disk refuses is begun again every :data:`RETRY_S`, up to :data:`MAX_TRIES` times, from memory.
     Nothing is written but by :meth:`work` and :meth:`close`; no method raises after construction.
     Not for several threads at once.
 
@@ -172,9 +181,11 @@ class BlackBox:
         path = self._folder / f"{self._stem}-{file_stem(event.id)}.mcap"
         if path.exists() or any(clip.path == path for clip in self._clips):
             return
-        if len(self._clips) >= MAX_OPEN_CLIPS:
+        if sum(not clip.ended for clip in self._clips) >= MAX_OPEN_CLIPS:
             self._covered += 1
             return
+        if len(self._clips) >= MAX_WAITING_CLIPS:
+            self._give_up(next(clip for clip in self._clips if clip.ended))
         alarm = {"alarm_id": event.id, "alarm_channel": event.channel, "alarm_observer": event.observer}
         alarms = [*dict.fromkeys(raised for at_ns, raised in self._raised if now - at_ns <= self._before_ns)]
         waiting = self._held.copy()
@@ -198,19 +209,17 @@ class BlackBox:
         """
         if now_ns is not None:
             self._pass_time(now_ns)
-        left = max_records
+        left, now = max_records, self._now_ns or 0
         for clip in [*self._clips]:
-            left -= self._write(clip, left)
-            if clip.ended and not clip.waiting:
-                self._complete(clip)
+            if not 0 < clip.retry_ns - now <= RETRY_S * 1e9:
+                left -= self._advance(clip, left)
         return max_records - left
 
     def close(self) -> None:
-        """Complete all clips with what there is."""
-        for clip in self._clips:
-            clip.ended = True
-        while self._clips:
-            self.work(max(len(clip.waiting) for clip in self._clips))
+        """Complete all clips with what there is, as far as the disk takes them."""
+        for clip in [*self._clips]:
+            clip.ended, clip.tries = True, MAX_TRIES
+            self._advance(clip, len(clip.waiting))
         self._retention.wait()
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
@@ -260,43 +269,76 @@ class BlackBox:
         else:
             clip.waiting.append(record)
 
-    def _write(self, clip: _Clip, max_records: int) -> int:
-        """Write up to so many of a clip's records; return how many."""
-        count = 0
+    def _advance(self, clip: _Clip, max_records: int) -> int:
+        """Write up to so many of a clip's records and complete it after the last; return how many."""
         try:
-            while clip.waiting and count < max_records:
-                clip.log = clip.log or self._start(clip)
-                clip.log.write_record(clip.waiting.popleft())
-                count += 1
-                if clip.log.size > self._clip_bytes:
-                    self._dropped += len(clip.waiting)
-                    clip.waiting.clear()
-                    clip.ended = True
+            count = self._write(clip, max_records)
+            if clip.ended and not clip.waiting:
+                self._complete(clip)
         except (OSError, TelemetryError) as error:
-            clip.failed = str(error)
-            clip.waiting.clear()
-            clip.ended = True
+            self._failed = str(error)
+            self._postpone(clip)
+            return 0
+        return count
+
+    def _write(self, clip: _Clip, max_records: int) -> int:
+        count = 0
+        while clip.waiting and count < max_records:
+            clip.log = clip.log or self._start(clip)
+            record = clip.waiting.popleft()
+            if clip.done is not None:
+                clip.done.append(record)
+                clip.done_bytes += len(record.data)
+                if clip.done_bytes > self._held_bytes:
+                    clip.done = None
+            clip.log.write_record(record)
+            count += 1
+            if clip.log.size > self._clip_bytes:
+                self._dropped += len(clip.waiting)
+                clip.waiting.clear()
+                clip.ended = True
         return count
 
     def _start(self, clip: _Clip) -> MessageLogWriter:
         return start_log(clip.path, clip.metadata | {"alarm_ids": ",".join(clip.alarms)}, self._profile_files)
 
     def _complete(self, clip: _Clip) -> None:
-        """Finish a clip's file, or what the disk took of it, and make room for it."""
-        self._clips.remove(clip)
+        """Finish a clip's file and make room for it."""
         if clip.log is not None:
-            try:
-                if clip.failed is None:
-                    clip.log.add_metadata(METADATA, {"alarm_ids": ",".join(clip.alarms)})
+            clip.log.add_metadata(METADATA, {"alarm_ids": ",".join(clip.alarms)})
+            clip.log.close()
+        self._clips.remove(clip)
+        self._written += 1
+        if not any(other.tries for other in self._clips):
+            self._failed = None
+        self._make_room(clip)
+
+    def _postpone(self, clip: _Clip) -> None:
+        """Begin a clip's file anew later, as long as all that belongs into it is at hand."""
+        clip.tries += 1
+        if clip.done is None or clip.tries > MAX_TRIES:
+            self._give_up(clip)
+            return
+        if clip.log is not None:
+            with contextlib.suppress(OSError):
                 clip.log.close()
-            except OSError as error:
-                clip.failed = clip.failed or str(error)
+            with contextlib.suppress(OSError):
+                clip.path.unlink()
+        clip.waiting.extendleft(reversed(clip.done))
+        clip.log, clip.done, clip.done_bytes = None, [], 0
+        clip.retry_ns = (self._now_ns or 0) + round(RETRY_S * 1e9)
+
+    def _give_up(self, clip: _Clip) -> None:
+        """Leave what the disk took of a clip."""
+        self._clips.remove(clip)
+        self._failures += 1
+        if clip.log is not None:
+            with contextlib.suppress(OSError):
+                clip.log.close()
             if not clip.log.statistics().written:
                 with contextlib.suppress(OSError):
                     clip.path.unlink()
-        self._failed = clip.failed
-        if clip.failed is None:
-            self._written += 1
-        else:
-            self._failures += 1
+        self._make_room(clip)
+
+    def _make_room(self, clip: _Clip) -> None:
         self._retention.make_room(keep={clip.path, *(other.path for other in self._clips)})
