@@ -117,7 +117,8 @@ def _run(argv: Sequence[str]) -> int:
 
 
 def _complain(line: str, status: int) -> int:
-    sys.stderr.write(f"fauio: {line}\n")
+    # a file's name may hold what a terminal obeys
+    sys.stderr.write("".join(c if c.isprintable() or c == "\n" else "?" for c in f"fauio: {line}\n"))
     return status
 
 

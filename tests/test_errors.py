@@ -35,3 +35,11 @@ def test_a_model_whose_names_hold_line_ends_is_refused_in_one_line(
     assert fauio.main(["design", str(path)]) == 2
     [line] = capsys.readouterr().err.splitlines()
     assert "link?angle" in line
+
+
+def test_a_file_whose_name_would_command_the_terminal_is_named_without_that(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "\x1b[2J.toml"
+    assert fauio.main(["convert", str(path), "-o", str(tmp_path / "out.mcap")]) == 2
+    assert "\x1b" not in capsys.readouterr().err
