@@ -40,6 +40,16 @@ def test_a_model_whose_names_hold_line_ends_is_refused_in_one_line(
 def test_a_file_whose_name_would_command_the_terminal_is_named_without_that(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = tmp_path / "\x1b[2J.toml"
-    assert fauio.main(["convert", str(path), "-o", str(tmp_path / "out.mcap")]) == 2
-    assert "\x1b" not in capsys.readouterr().err
+    path = tmp_path / "\x1b[2J.tlog.xz"
+    convert = ["convert", str(path), "-o", str(tmp_path / "out.mcap")]
+    root = Path(__file__).parent.parent
+    replay = ["replay", str(root / "replay" / "data" / "quad"), str(path)]
+    assert fauio.main(convert) == fauio.main(replay) == 2
+    path.write_bytes((root / "tests" / "data" / "copter_5s.tlog.xz").read_bytes())
+    assert fauio.main(replay) == 0
+    path.write_bytes(path.read_bytes()[:1000])
+    fauio.main(replay)
+    said = capsys.readouterr()
+    assert "?[2J.tlog" in said.out
+    assert "?[2J.tlog" in said.err
+    assert "\x1b" not in said.out + said.err

@@ -253,19 +253,19 @@ class _Lines:
 
 def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:
     """Say what was found in a log."""
-    from monitor.bus.alarm_text import alarm_line
+    from monitor.bus.alarm_text import alarm_line, printable
 
     damage = [one.line() for one in outcome.damage]
     if outcome.error is not None:
-        sys.stderr.write(f"fauio: {'; '.join([outcome.error, *damage])}\n")
+        sys.stderr.write(printable(f"fauio: {'; '.join([outcome.error, *damage])}") + "\n")
     else:
-        sys.stderr.writelines(f"fauio: {line}; all else was read\n" for line in damage)
+        sys.stderr.writelines(printable(f"fauio: {line}; all else was read") + "\n" for line in damage)
     if as_json:
         _say(json.dumps(outcome.to_json()))
     elif outcome.error is None:
         for event in outcome.events if with_events else ():
-            _say(alarm_line(event))
-        _say(outcome.verdict)
+            _say(printable(alarm_line(event)))
+        _say(printable(outcome.verdict))
 
 
 def _say(text: str) -> None:
