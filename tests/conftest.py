@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,6 +26,10 @@ LIVE = (
 """Tests of daemons, which wait for flights in real time and leave the processor to others meanwhile."""
 FITS = "test_flights.py"
 """Begins with the fit that many other files need."""
+
+# A shell starts what runs in the background deaf to Ctrl-C, and so would be every process that a test interrupts.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A slow example on a loaded machine is no failure.
 settings.register_profile("fauio", deadline=None)
