@@ -132,7 +132,9 @@ def check_commands(
         assert damaged.data == path.read_bytes()
 
 
-@pytest.mark.parametrize("kind", ["tlog", "ros2", "ulog", "dataflash"])
+@pytest.mark.parametrize(
+    "kind", ["tlog", "ros2", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("ulog", "dataflash"))]
+)
 def test_commands_on_damaged_recordings_end_with_a_result_or_a_line(
     kind: str, profiles: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -59,6 +59,7 @@ def test_the_motors_fault_alone_needs_the_command_alone_to_be_corrected() -> Non
     assert 10.0 * rms_after(taken_out, 9.0) < rms_after(without, 9.0)
 
 
+@pytest.mark.long
 def test_over_zenoh_with_the_daemon_the_loop_does_the_same_to_the_bit(tmp_path: Path) -> None:
     faults = (make_fault("f_a", "step", 8.6, 9.5, 2.0), make_fault("f_s", "step", 9.0, 9.5, 1.0))
     plant = Plant(ArmScenario(faults), 9.5)
@@ -71,6 +72,7 @@ def test_over_zenoh_with_the_daemon_the_loop_does_the_same_to_the_bit(tmp_path: 
     assert np.array_equal(found.link, expected.link)
 
 
+@pytest.mark.long
 def test_the_example_prints_its_figures_and_draws_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -17,10 +17,12 @@ COMMANDS = [
     (*REPLAY, "-o", "out.mcap"),
     ("replay", str(QUAD), str(FAULTY), "--alarms", "out.jsonl"),
     (*REPLAY, "--table", "out.csv"),
+    ("simulate", "arm", "--duration", "1", "-o", "out.mcap"),
+]
+MORE = [
     (*REPLAY, "--report", "out.html"),
     (*REPLAY, "--rrd", "out.rrd"),
     ("convert", str(LOG), "-o", "out.mcap"),
-    ("simulate", "arm", "--duration", "1", "-o", "out.mcap"),
     ("design", "arm-disturbed", "-o", "out.gains.json"),
 ]
 
@@ -38,7 +40,11 @@ def on_a_full_disk(command: tuple[str, ...], folder: Path) -> subprocess.Complet
     )
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: f"{command[0]} {command[-2]} {command[-1]}")
+@pytest.mark.parametrize(
+    "command",
+    [*COMMANDS, *(pytest.param(command, marks=pytest.mark.long) for command in MORE)],
+    ids=lambda command: f"{command[0]} {command[-2]} {command[-1]}",
+)
 def test_the_file_that_could_not_be_written_is_named(command: tuple[str, ...], tmp_path: Path) -> None:
     done = on_a_full_disk(command, tmp_path)
     assert done.returncode == 2

@@ -34,6 +34,7 @@ def test_a_filter_runs_and_proves_nothing(capsys: pytest.CaptureFixture[str], tm
     assert found["poles_max_abs"] < 1.0
 
 
+@pytest.mark.long
 def test_one_command_compares_all_methods_on_one_model(capsys: pytest.CaptureFixture[str]) -> None:
     status, found = designed(capsys, "arm-disturbed", "--method", "all", "--rate", "100")
     assert status == 0

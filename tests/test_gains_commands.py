@@ -96,6 +96,7 @@ def test_a_model_without_an_observer_is_reported_with_exit_status_3(
     assert captured.err.count("\n") == 1
 
 
+@pytest.mark.long
 def test_a_failure_has_the_keys_of_a_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     drift = replace(
         integrator_with_drift(), domain="continuous", rate_hz=None, A=np.array([[0.0, 1.0], [0.0, -1.0]]), taps=(1.0,)

@@ -40,7 +40,7 @@ def test_the_printed_gains_have_one_pole_faster_than_any_sample() -> None:
     assert np.max(np.abs(poles.imag)) < 0.01
 
 
-@pytest.mark.parametrize("rate", [10.0, 100.0, 1000.0])
+@pytest.mark.parametrize("rate", [10.0, 100.0, pytest.param(1000.0, marks=pytest.mark.long)])
 def test_the_printed_gains_run_at_telemetry_rates(rate: float) -> None:
     run = simulate_arm(SCENARIOS["case2"], 50.0, rate)
     found = Observer(compile_continuous(printed_observer(), rate)).run(run.u, run.y)
@@ -60,6 +60,7 @@ def test_the_errors_of_the_printed_gains_at_100_hz(case: str, aligned_fa: float,
     assert rmse(found.fault[:, 1:] - run.f_s) == pytest.approx(0.00775, abs=2e-5)
 
 
+@pytest.mark.long
 def test_samples_joined_by_straight_lines_give_what_the_continuous_observer_gives() -> None:
     observer, fine = printed_observer(), 50
     run = simulate_arm(SCENARIOS["case3"], 35.0, 100.0)

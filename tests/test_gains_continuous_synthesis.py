@@ -72,6 +72,7 @@ def test_an_arm_without_noise_gets_finite_gains() -> None:
     assert design.gains.gain_max_abs < 1e6
 
 
+@pytest.mark.long
 @settings(deadline=None, derandomize=True, max_examples=20)
 @given(
     st.integers(0, 10_000),

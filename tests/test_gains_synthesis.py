@@ -86,7 +86,7 @@ def test_a_multirotor_in_very_different_units_is_certified() -> None:
     assert design.sqrt_mu <= 1.001 * certificate.norm
 
 
-@pytest.mark.parametrize("rate", some([10.0, 100.0, 500.0], 10.0, 500.0))
+@pytest.mark.parametrize("rate", some([10.0, 100.0, 500.0], 10.0))
 @pytest.mark.parametrize("name", some(["arm", "arm-disturbed"], "arm-disturbed"))
 def test_integrators_of_order_2_are_certified_on_the_arm(name: str, rate: float) -> None:
     plant = builtin_model(name)
@@ -275,6 +275,7 @@ def test_scales_mean_what_they_say() -> None:
     assert design_convex(tenfold).sqrt_mu == pytest.approx(0.1 * design_convex(plant).sqrt_mu, rel=1e-4)
 
 
+@pytest.mark.long
 @settings(deadline=None, derandomize=True, max_examples=16)
 @given(
     st.integers(0, 10_000),
@@ -364,6 +365,7 @@ def test_the_simulated_energy_of_the_error_obeys_the_bound(designed: tuple[Plant
     assert 0.0 < error <= design.mu * into
 
 
+@pytest.mark.long
 def test_the_bound_is_nearly_attained_by_the_worst_steady_disturbance_of_the_arm() -> None:
     plant = discretise(builtin_model("arm-disturbed"), 50.0)
     design = design_convex(plant)

@@ -74,7 +74,7 @@ def product(rows: Any, slopes: Any) -> Nonlinearity:
     return Nonlinearity("sin(" + " + ".join(names) + ")", names, np.array(rows), np.array(slopes), box)
 
 
-@pytest.mark.parametrize("theorem", ["theorem1", "theorem2"])
+@pytest.mark.parametrize("theorem", ["theorem1", pytest.param("theorem2", marks=pytest.mark.long)])
 def test_several_nonlinearities_of_several_arguments_share_a_multiplier(theorem: Theorem) -> None:
     plant = builtin_model("arm-disturbed" if theorem == "theorem2" else "arm")
     plant = replace(
@@ -88,7 +88,10 @@ def test_several_nonlinearities_of_several_arguments_share_a_multiplier(theorem:
     assert_proven(plant, design_theorem(plant, theorem, epsilon=0.1, delta=5.0))
 
 
-@pytest.mark.parametrize(("actuators", "sensors"), [(1, 0), (0, 1), (1, 1), (2, 0)])
+@pytest.mark.parametrize(
+    ("actuators", "sensors"),
+    [(1, 0), (0, 1), pytest.param(1, 1, marks=pytest.mark.long), pytest.param(2, 0, marks=pytest.mark.long)],
+)
 def test_any_number_of_faults_is_handled(actuators: int, sensors: int) -> None:
     proven = 0
     for seed in range(6):

@@ -222,6 +222,7 @@ def test_what_cannot_be_swept_is_refused_in_one_line(
     assert said.count("\n") == 1
 
 
+@pytest.mark.long
 def test_the_sweep_follows_the_vehicle_that_the_pipeline_follows(
     quad_folder: Path, healthy_log: Path, tmp_path: Path, found: Detectability
 ) -> None:
@@ -238,6 +239,7 @@ def test_the_sweep_follows_the_vehicle_that_the_pipeline_follows(
     assert rows == found.rows[1:]
 
 
+@pytest.mark.long
 def test_a_sweep_without_any_fault_that_fits_says_why(quad_folder: Path, healthy_log: Path) -> None:
     with pytest.raises(InjectionError, match="does not go with motor1"):
         detectability(quad_folder, healthy_log, Sweep(channels=("motor1",), kinds=("spoof",)))

@@ -11,6 +11,7 @@ from monitor.profile import read_profile
 from replay.fitting.fit import replace_kept
 
 
+@pytest.mark.long
 def test_a_profile_that_is_fitted_again_is_kept_as_it_was_edited(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

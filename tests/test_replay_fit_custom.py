@@ -70,6 +70,7 @@ def arm(folder: Path) -> dict[str, Any]:
     return report
 
 
+@pytest.mark.long
 def test_the_arms_parameters_are_found_within_a_few_standard_errors(arm: dict[str, Any]) -> None:
     for name, found in arm["parameters"].items():
         assert abs(found["value"] - TRUTH[name]) < 3.0 * found["standard_error"]
@@ -77,6 +78,7 @@ def test_the_arms_parameters_are_found_within_a_few_standard_errors(arm: dict[st
     assert arm["delay_s"] == 0.0
 
 
+@pytest.mark.long
 def test_the_arms_disturbance_and_noise_are_told_apart(folder: Path, arm: dict[str, Any]) -> None:
     plant = read_model(folder / "arm.model.toml")
     scales = {w.name: w.scale for w in (*plant.disturbances, *plant.noises)}
@@ -86,6 +88,7 @@ def test_the_arms_disturbance_and_noise_are_told_apart(folder: Path, arm: dict[s
     assert scales["noise_link_sum"] < 0.01
 
 
+@pytest.mark.long
 def test_the_fitted_profile_detects_the_papers_faults_and_nothing_before(folder: Path) -> None:
     run = simulate_arm(SCENARIOS["case2"], 37.0, 100.0, "tracking")
     events = play(read_profile(folder), log(run)()).events
@@ -99,6 +102,7 @@ def test_the_fitted_profile_detects_the_papers_faults_and_nothing_before(folder:
     assert [time for *_, time in found] == pytest.approx([10.15, 20.7, 30.15, 35.8], abs=0.5)
 
 
+@pytest.mark.long
 def test_the_folder_holds_what_the_fit_is_worth(folder: Path, arm: dict[str, Any]) -> None:
     assert arm["validation"]["explained"]["simulation explains"]["link_sum"] > 0.99
     text = (folder / "fit.txt").read_text()
@@ -111,6 +115,7 @@ def test_the_folder_holds_what_the_fit_is_worth(folder: Path, arm: dict[str, Any
     assert not profile.gate.require_armed
 
 
+@pytest.mark.long
 def test_what_will_be_detected_stands_beside_the_alarms(folder: Path, arm: dict[str, Any]) -> None:
     alarms = tomllib.loads((folder / "profile.toml").read_text())["observers"]["arm"]["alarms"]
     assert set(arm["capability"]) == set(alarms) == {"motor", "encoder"}

@@ -77,6 +77,7 @@ def test_a_dozen_alarms_under_long_names_fit_a_page(tmp_path: Path) -> None:
     assert height <= HIGHEST_IN * DPI
 
 
+@pytest.mark.long
 def test_runs_with_nothing_to_draw_are_drawn_too(tmp_path: Path) -> None:
     empty = TraceBuilder(LAYOUT).build()
     plot_png(tmp_path / "empty.png", [empty], EVENTS, THRESHOLDS, {})
@@ -110,6 +111,7 @@ def test_thresholds_and_standard_deviations_are_shaded_unless_they_belong_to_som
     assert bare < 1_000
 
 
+@pytest.mark.long
 def test_a_dark_picture_is_dark(tmp_path: Path) -> None:
     plot_png(tmp_path / "run.png", [trace()], EVENTS, THRESHOLDS, title="a run", dark=True)
     picture = image.imread(tmp_path / "run.png")[:, :, :3]
@@ -118,6 +120,7 @@ def test_a_dark_picture_is_dark(tmp_path: Path) -> None:
     assert (picture > 0.99).all(axis=2).mean() < 0.001
 
 
+@pytest.mark.long
 def test_an_observer_without_a_sample_has_no_panels(tmp_path: Path) -> None:
     plot_png(tmp_path / "one.png", [trace(200)], [], THRESHOLDS)
     plot_png(tmp_path / "same.png", [trace(200), TraceBuilder(STANDBY).build()], [], BOTH_THRESHOLDS)
@@ -147,6 +150,7 @@ def test_a_picture_for_a_page_has_the_page_s_colours_and_fits_between_others() -
     assert one == plot_svg(trace(200), EVENTS, THRESHOLDS)
 
 
+@pytest.mark.long
 def test_other_observers_alarms_do_not_stand_in_a_picture_but_their_time_does() -> None:
     one, other = replace(trace(300), layout=STANDBY), trace(1500)
     alone, beside = plot_svg(one, EVENTS, BOTH_THRESHOLDS), plot_svg(one, EVENTS, BOTH_THRESHOLDS, [other])
@@ -155,6 +159,7 @@ def test_other_observers_alarms_do_not_stand_in_a_picture_but_their_time_does() 
     assert ">14<" not in alone
 
 
+@pytest.mark.long
 def test_many_inputs_have_a_lane_each(tmp_path: Path) -> None:
     run = trace(200)
     wide = replace(run, layout=replace(LAYOUT, inputs=tuple(f"input{k}" for k in range(8))), u=np.tile(run.u, 2))

@@ -61,6 +61,7 @@ def everything() -> Figure:
     return figure([run, replace(run, layout=STANDBY)], ALARMS, truth)
 
 
+@pytest.mark.long
 def test_no_text_overlaps_another_or_leaves_the_page() -> None:
     drawn = everything()
     page = drawn.bbox
@@ -115,6 +116,7 @@ def marks_beyond(drawn: Figure) -> list[str]:
     ]
 
 
+@pytest.mark.long
 def test_an_estimate_that_spikes_beyond_its_panel_is_marked_there() -> None:
     run = trace(8000)
     assert marks_beyond(figure([run])) == []
