@@ -17,6 +17,8 @@ from adapters.errors import TelemetryError
 from adapters.logs.recordings import Recording
 from monitor.profile import Profile
 
+LONG = pytest.mark.long
+
 # Messages of these have no checksum but that of whole blocks, or none at all.
 _UNPROTECTED = {"tlog", "unchunked", "ros2-plain", "ulog", "dataflash"}
 # Without any checksum a record that lost its end takes in what follows, and with it the beginning of other records.
@@ -132,9 +134,7 @@ def check_commands(
         assert damaged.data == path.read_bytes()
 
 
-@pytest.mark.parametrize(
-    "kind", ["tlog", "ros2", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("ulog", "dataflash"))]
-)
+@pytest.mark.parametrize("kind", ["tlog", "ros2", *(pytest.param(kind, marks=LONG) for kind in ("ulog", "dataflash"))])
 def test_commands_on_damaged_recordings_end_with_a_result_or_a_line(
     kind: str, profiles: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,6 +15,8 @@ from gains.synthesis.continuous_design import ContinuousDesign
 from gains.synthesis.continuous_observer import compile_continuous
 from gains.synthesis.theorem import Theorem, design_theorem
 
+LONG = pytest.mark.long
+
 
 def assert_proven(plant: Plant, design: ContinuousDesign) -> ContinuousCertificate:
     certificate = certify_continuous(plant, design)
@@ -74,7 +76,7 @@ def product(rows: Any, slopes: Any) -> Nonlinearity:
     return Nonlinearity("sin(" + " + ".join(names) + ")", names, np.array(rows), np.array(slopes), box)
 
 
-@pytest.mark.parametrize("theorem", ["theorem1", pytest.param("theorem2", marks=pytest.mark.long)])
+@pytest.mark.parametrize("theorem", ["theorem1", pytest.param("theorem2", marks=LONG)])
 def test_several_nonlinearities_of_several_arguments_share_a_multiplier(theorem: Theorem) -> None:
     plant = builtin_model("arm-disturbed" if theorem == "theorem2" else "arm")
     plant = replace(
@@ -90,7 +92,7 @@ def test_several_nonlinearities_of_several_arguments_share_a_multiplier(theorem:
 
 @pytest.mark.parametrize(
     ("actuators", "sensors"),
-    [(1, 0), (0, 1), pytest.param(1, 1, marks=pytest.mark.long), pytest.param(2, 0, marks=pytest.mark.long)],
+    [(1, 0), (0, 1), pytest.param(1, 1, marks=LONG), pytest.param(2, 0, marks=LONG)],
 )
 def test_any_number_of_faults_is_handled(actuators: int, sensors: int) -> None:
     proven = 0

@@ -20,6 +20,8 @@ from monitor.pipeline import Pipeline, rules_message, standing_message
 from monitor.profile import Profile
 from monitor.recording.recorder import Recorder
 
+LONG = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def flight(data: Path) -> list[Message]:
@@ -55,9 +57,7 @@ def test_other_stations_change_nothing(
     assert events(quad_profile, crowded()) == expected
 
 
-@pytest.mark.parametrize(
-    "absurd", [1e11, 1e200, *(pytest.param(size, marks=pytest.mark.long) for size in (1e6, 3.4e38, 1e308))]
-)
+@pytest.mark.parametrize("absurd", [1e11, 1e200, *(pytest.param(size, marks=LONG) for size in (1e6, 3.4e38, 1e308))])
 @pytest.mark.parametrize(("name", "field"), [("ATTITUDE", "rollspeed"), ("SERVO_OUTPUT_RAW", "servo1_raw")])
 def test_absurd_measurements_before_a_fault_neither_hide_it_nor_accuse_a_motor(
     quad_profile: Profile, flight: list[Message], expected: list[AlarmEvent], name: str, field: str, absurd: float

@@ -24,6 +24,8 @@ from replay.fitting.capability import (
 )
 from replay.player import play
 
+LONG = pytest.mark.long
+
 ONSET_S = 112.704
 MOTORS = ("motor2", "motor3")
 
@@ -105,7 +107,7 @@ def test_small_losses_of_each_motor_are_detected_and_larger_ones_sooner(quad: di
 
 @pytest.mark.parametrize(
     ("name", "motor", "loss"),
-    [pytest.param("copter_motor3_090", "motor3", 0.10, marks=pytest.mark.long), ("copter_motor2_080", "motor2", 0.20)],
+    [pytest.param("copter_motor3_090", "motor3", 0.10, marks=LONG), ("copter_motor2_080", "motor2", 0.20)],
 )
 def test_a_real_loss_is_detected_as_soon_as_measured_beforehand(
     name: str, motor: str, loss: float, quad: dict[str, Capability], quad_profile: Profile, data: Path
