@@ -117,8 +117,10 @@ def _run(argv: Sequence[str]) -> int:
 
 
 def _complain(line: str, status: int) -> int:
+    from monitor.printable import printable
+
     # a file's name may hold what a terminal obeys
-    sys.stderr.write("".join(c if c.isprintable() or c == "\n" else "?" for c in f"fauio: {line}\n"))
+    sys.stderr.write("\n".join(map(printable, f"fauio: {line}".split("\n"))) + "\n")
     return status
 
 

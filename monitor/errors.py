@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from monitor.printable import printable
+
 
 class ProfileError(ValueError):
     """A profile or configuration that cannot be used; the message names the file, the key and the mend.
@@ -15,7 +17,7 @@ class ProfileError(ValueError):
         super().__init__(*lines)
 
     def __str__(self) -> str:
-        return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in self.args)
+        return "\n".join(map(printable, self.args))
 
 
 class ExtraMissingError(ValueError):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 from monitor.event import AlarmEvent
+from monitor.printable import printable
 
 
 def alarm_line(event: AlarmEvent) -> str:
@@ -25,11 +26,6 @@ def alarm_line(event: AlarmEvent) -> str:
         event.message,
     )
     return printable("  ".join(part for part in parts if part))
-
-
-def printable(text: str) -> str:
-    """Return a text with a question mark for each control character."""
-    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def utc(time_ns: int) -> str:

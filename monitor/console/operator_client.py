@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from monitor.bus.alarm_text import printable
 from monitor.bus.keys import ANY, vehicle_of, vehicle_root
 from monitor.bus.payload import decode_payload, to_json
 from monitor.errors import ProfileError
+from monitor.printable import printable
 
 ANSWER_S = 5.0
 TRIES = 10

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from monitor.bus.alarm_text import printable
+from monitor.printable import printable
 
 _FORMATS = {
     "tlog": "MAVLink telemetry log",

@@ -13,8 +13,9 @@ from functools import partial
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
-from monitor.bus.alarm_text import printable, utc
+from monitor.bus.alarm_text import utc
 from monitor.event import AlarmEvent
+from monitor.printable import printable
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.views.palette import DARK, LIGHT, Theme
 from monitor.views.panels import Panels, Thresholds, Truth, choose_panels, same_scale

@@ -253,7 +253,8 @@ class _Lines:
 
 def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:
     """Say what was found in a log."""
-    from monitor.bus.alarm_text import alarm_line, printable
+    from monitor.bus.alarm_text import alarm_line
+    from monitor.printable import printable
 
     damage = [one.line() for one in outcome.damage]
     if outcome.error is not None:
@@ -264,7 +265,7 @@ def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:
         _say(json.dumps(outcome.to_json()))
     elif outcome.error is None:
         for event in outcome.events if with_events else ():
-            _say(printable(alarm_line(event)))
+            _say(alarm_line(event))
         _say(printable(outcome.verdict))
 
 
