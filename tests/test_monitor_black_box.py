@@ -299,6 +299,26 @@ def test_a_clip_that_the_disk_refuses_is_written_when_there_is_room_again(tmp_pa
     assert (box.statistics().written, box.statistics().open, box.statistics().failed) == (1, 0, None)
 
 
+def test_a_disk_that_takes_a_clip_again_is_no_trouble_any_more_while_the_clip_goes_on(tmp_path: Path) -> None:
+    folder = tmp_path / "clips"
+    box = black_box(folder, after_s=30.0)
+    folder.rmdir()
+    feed(box, 0, 10)
+    box.alarm(raised(9))
+    finish(box)
+    feed(box, 10, 15)
+    folder.mkdir()
+    retry(box, 18.9)
+    assert box.statistics().failed is not None
+    retry(box, 19.1)
+    assert (box.statistics().failed, box.statistics().open, box.statistics().written) == (None, 1, 0)
+    assert seconds(clips(folder)[0]) == list(range(4, 15))
+    feed(box, 20, 50)
+    finish(box)
+    assert seconds(clips(folder)[0]) == [*range(4, 15), *range(20, 40)]
+    assert box.statistics().written == 1
+
+
 def test_a_disk_that_fills_within_a_clip_costs_none_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     box = black_box(tmp_path)
     feed(box, 0, 10)

@@ -1,4 +1,7 @@
-"""The daemon's loop: what had arrived when it was told to end is taken, as far as there is time."""
+"""The daemon's loop: what had arrived when it was told to end is taken, as far as there is time; clips can wait."""
+
+from collections.abc import Sequence
+from typing import Any, cast
 
 import pytest
 
@@ -32,3 +35,35 @@ def test_what_waits_at_the_end_is_taken_within_the_time_there_is(
     daemon.finish(patience_s)
     assert vehicle.messages == taken
     assert inbox.statistics().waiting == WAITING - taken
+
+
+class Clips:
+    """A post that has so many portions of clips to write."""
+
+    def __init__(self, name: str, portions: int, inbox: Inbox, written: list[str]) -> None:
+        self.name, self.left, self.inbox, self.written = name, portions, inbox, written
+
+    def work(self, now_ns: int, troubles: Sequence[str]) -> None: ...
+
+    def work_on_clips(self, now_ns: int) -> bool:
+        if not self.left:
+            return False
+        assert self.inbox.empty
+        self.left -= 1
+        self.written.append(self.name)
+        return True
+
+
+def test_clips_are_written_by_turns_once_no_message_waits(quad_profile: Profile, inbox: Inbox) -> None:
+    written: list[str] = []
+    posts = [Clips("one", 3, inbox, written), Clips("two", 1, inbox, written), Clips("three", 2, inbox, written)]
+    vehicle = VehicleMonitor(Pipeline(quad_profile, "one", 1), (), None, lambda event: None, 0)
+
+    def every_turn(now_ns: int) -> None:
+        if not any(post.left for post in posts):
+            daemon.stop()
+
+    daemon = Daemon(inbox, Fleet([vehicle]), lambda: cast(Any, posts), lambda: (), every_turn)
+    daemon.run()
+    assert written == ["two", "three", "one", "three", "one", "one"]
+    assert vehicle.messages == WAITING

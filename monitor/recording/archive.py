@@ -14,9 +14,6 @@ from monitor.event import AlarmEvent
 from monitor.recording.black_box import BlackBox
 from monitor.recording.record_encoder import RecordEncoder
 
-_PORTION = 400
-
-
 RETRY_S = 10.0
 
 
@@ -111,10 +108,9 @@ class Archive:
             found = replace(found, trouble=self._black_box.statistics().failed)
         return found
 
-    def work(self, now_ns: int) -> None:
-        """Write a portion of the clips that are open."""
-        if self._black_box is not None:
-            self._black_box.work(_PORTION, now_ns)
+    def work(self, max_records: int, now_ns: int) -> int:
+        """Write so many records at most of the clips that are open; return how many."""
+        return 0 if self._black_box is None else self._black_box.work(max_records, now_ns)
 
     def _note(self, error: OSError) -> None:
         self._failed = f"recording stopped: {error.strerror or error}"

@@ -16,6 +16,7 @@ from adapters.errors import TelemetryError
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.sampling.phase import FlightPhase
 from monitor.event import AlarmEvent
+from monitor.recording.packed_record import PackedRecord, RecordPacking
 from monitor.recording.record_encoder import OWN_TOPICS
 from monitor.recording.recorder import METADATA, start_log
 from monitor.recording.retention import Retention, file_stem
@@ -50,7 +51,7 @@ class BlackBoxStatistics:
     failures : int
         Clips given up because they could not be written.
     failed : str | None
-        Why a clip could not be written; None once one was.
+        Why a clip could not be written; None once the disk takes clips again.
     deleted : int
         Clips deleted to stay within the budget.
     """
@@ -74,11 +75,11 @@ class _Clip:
     begun_ns: int
     ends_ns: int
     metadata: dict[str, str]
-    waiting: deque[Record]
+    waiting: deque[PackedRecord]
     alarms: list[str]
     log: MessageLogWriter | None = None
     ended: bool = False
-    done: list[Record] | None = field(default_factory=list)
+    done: list[PackedRecord] | None = field(default_factory=list)
     """None where they are too many to be kept, in case that the file has to be begun again."""
     done_bytes: int = 0
     tries: int = 0
@@ -146,10 +147,11 @@ class BlackBox:
         )
         self._now_ns: int | None = None
         # apart from each other, so that an alarm copies the records at once
-        self._held: deque[Record] = deque()
+        self._held: deque[PackedRecord] = deque()
+        self._packing = RecordPacking()
         self._arrived_ns: deque[int] = deque()
         self._bytes = 0
-        self._phase: dict[tuple[str, int], Record] = {}
+        self._phase: dict[int, PackedRecord] = {}
         self._clips: list[_Clip] = []
         self._raised: deque[tuple[int, str]] = deque(maxlen=256)
         self._written = self._covered = self._dropped = self._failures = 0
@@ -161,13 +163,14 @@ class BlackBox:
             if not record.topic.startswith(OWN_TOPICS):
                 self._pass_time(record.time_ns)
             now = self._now_ns if self._now_ns is not None else record.time_ns
-            self._held.append(record)
+            packed = self._packing.pack(record)
+            self._held.append(packed)
             self._arrived_ns.append(now)
             self._bytes += len(record.data)
             while self._held and self._is_over(now):
                 self._forget()
             for clip in self._clips:
-                self._give(clip, record)
+                self._give(clip, packed)
 
     def alarm(self, event: AlarmEvent) -> None:
         """Begin the clip of an alarm that was just raised; events of other states change nothing."""
@@ -189,7 +192,7 @@ class BlackBox:
         alarm = {"alarm_id": event.id, "alarm_channel": event.channel, "alarm_observer": event.observer}
         alarms = [*dict.fromkeys(raised for at_ns, raised in self._raised if now - at_ns <= self._before_ns)]
         waiting = self._held.copy()
-        waiting.extendleft(sorted(self._phase.values(), key=lambda record: record.time_ns, reverse=True))
+        waiting.extendleft(sorted(self._phase.values(), key=lambda packed: packed[2], reverse=True))
         self._clips.append(_Clip(path, now, now + self._after_ns, self._metadata | alarm, waiting, alarms))
 
     def work(self, max_records: int, now_ns: int | None = None) -> int:
@@ -255,24 +258,29 @@ class BlackBox:
         return age_ns > self._before_ns or age_ns < -self._before_ns
 
     def _forget(self) -> None:
-        record = self._held.popleft()
+        packed = self._held.popleft()
         self._arrived_ns.popleft()
-        self._bytes -= len(record.data)
-        if record.topic in _PHASE_TOPICS:
-            self._phase[record.topic, record.component] = record
+        kind, data, *_ = packed
+        self._bytes -= len(data)
+        if self._packing.topic(packed) in _PHASE_TOPICS:
+            self._phase[kind] = packed
 
-    def _give(self, clip: _Clip, record: Record) -> None:
+    def _give(self, clip: _Clip, packed: PackedRecord) -> None:
         if clip.ended:
             return
         if len(clip.waiting) >= 2 * self._held_records:
             self._dropped += 1
         else:
-            clip.waiting.append(record)
+            clip.waiting.append(packed)
 
     def _advance(self, clip: _Clip, max_records: int) -> int:
         """Write up to so many of a clip's records and complete it after the last; return how many."""
         try:
             count = self._write(clip, max_records)
+            if clip.tries and not clip.ended and not clip.waiting and clip.log is not None:
+                clip.log.flush()
+                clip.tries = 0
+                self._recover()
             if clip.ended and not clip.waiting:
                 self._complete(clip)
         except (OSError, TelemetryError) as error:
@@ -285,9 +293,10 @@ class BlackBox:
         count = 0
         while clip.waiting and count < max_records:
             clip.log = clip.log or self._start(clip)
-            record = clip.waiting.popleft()
+            packed = clip.waiting.popleft()
+            record = self._packing.unpack(packed)
             if clip.done is not None:
-                clip.done.append(record)
+                clip.done.append(packed)
                 clip.done_bytes += len(record.data)
                 if clip.done_bytes > self._held_bytes:
                     clip.done = None
@@ -309,9 +318,13 @@ class BlackBox:
             clip.log.close()
         self._clips.remove(clip)
         self._written += 1
+        self._recover()
+        self._make_room(clip)
+
+    def _recover(self) -> None:
+        """Note that the disk takes clips again, unless it refused another one."""
         if not any(other.tries for other in self._clips):
             self._failed = None
-        self._make_room(clip)
 
     def _postpone(self, clip: _Clip) -> None:
         """Begin a clip's file anew later, as long as all that belongs into it is at hand."""

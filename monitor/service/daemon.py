@@ -14,6 +14,8 @@ from monitor.service.inbox import Arrival, Inbox
 from monitor.service.post import Post
 
 _POLL_S = 0.05
+# in between portions of longer work the links' threads get their turn
+_PAUSE_S = 0.002
 _EVERY_NS = 50_000_000
 
 
@@ -31,7 +33,7 @@ class Daemon:
     troubles : Callable[[], Sequence[str]]
         What is wrong with links and disks, for the status.
     every_turn : Callable[[int], None]
-        Called about twenty times a second with Unix time: reloads, retries, portions of longer work.
+        Called about twenty times a second with Unix time: reloads, retries.
     """
 
     def __init__(
@@ -48,6 +50,7 @@ class Daemon:
         self._troubles = troubles
         self._every_turn = every_turn
         self._stopping = False
+        self._clips_turn = 0
 
     def stop(self) -> None:
         """Ask :meth:`run` to return after the message in hand."""
@@ -56,8 +59,9 @@ class Daemon:
     def run(self) -> None:
         """Monitor until :meth:`stop`."""
         due_ns = 0
+        busy = False
         while not self._stopping:
-            arrivals = self._inbox.take(_POLL_S)
+            arrivals = self._inbox.take(_PAUSE_S if busy else _POLL_S)
             now_ns = time.time_ns()
             # Before the messages: who was frozen has to know who speaks before it says what they cause.
             if not 0 <= due_ns - now_ns <= _EVERY_NS:
@@ -72,12 +76,22 @@ class Daemon:
                 now_ns = time.time_ns()
                 for monitor in self._fleet:
                     monitor.pass_time(now_ns)
+                busy = self._work_on_clips(now_ns)
 
     def finish(self, patience_s: float) -> None:
         """Take what has arrived but waits still, for so long at most: once nothing more comes in."""
         until = time.monotonic() + patience_s
         while not self._inbox.empty and time.monotonic() < until:
             self._hand_out(self._inbox.take(0.0))
+
+    def _work_on_clips(self, now_ns: int) -> bool:
+        """Let the next vehicle that has clips to write do some of it; return whether there was one."""
+        posts = self._posts()
+        for _ in posts:
+            self._clips_turn = (self._clips_turn + 1) % len(posts)
+            if posts[self._clips_turn].work_on_clips(now_ns):
+                return True
+        return False
 
     def _hand_out(self, arrivals: Sequence[Arrival]) -> None:
         for arrival in arrivals:

@@ -30,6 +30,8 @@ _FLUSH_NS = 500_000_000
 _AWAY_NS = 1_000_000_000
 _HEARD_AT_ONCE = 500
 _PAST_EVENTS = 4096
+# records of clips: about a millisecond's worth, which is what an alarm may have to wait for
+_CLIP_PORTION = 30
 
 
 class PastEvents(Protocol):
@@ -130,8 +132,8 @@ class Post:
     def work(self, now_ns: int, troubles: Sequence[str]) -> None:
         """Do what is due: take over or step down, answer operators, flush, say how it goes."""
         self._decide(now_ns)
-        if self.archive is not None:
-            self.archive.work(now_ns)
+        # clips grow also where there is never a moment to spare
+        self.work_on_clips(now_ns)
         if self._operators is not None:
             self._answer(self._operators)
         if now_ns - self._flushed_ns >= _FLUSH_NS:
@@ -141,6 +143,10 @@ class Post:
             self._status_ns = now_ns
             trouble = None if self.archive is None else self.archive.statistics().trouble
             self.last_status = self.monitor.status(now_ns, [*troubles, *([trouble] if trouble else [])], self._links())
+
+    def work_on_clips(self, now_ns: int) -> bool:
+        """Write a little of the clips that are open; return whether there was anything."""
+        return self.archive is not None and self.archive.work(_CLIP_PORTION, now_ns) > 0
 
     def close(self) -> None:
         """Fall silent and finish what is recorded."""
