@@ -23,6 +23,7 @@ def test_packed_records_come_back_as_they_were(found: list[Record]) -> None:
     packed = [packing.pack(record) for record in found]
     assert [packing.unpack(one) for one in packed] == found
     assert [packing.topic(one) for one in packed] == [record.topic for record in found]
+    assert [packing.time_ns(one) for one in packed] == [record.time_ns for record in found]
 
 
 def test_what_a_black_box_holds_is_nothing_that_the_garbage_collector_searches(tmp_path: Path) -> None:

@@ -192,7 +192,7 @@ class BlackBox:
         alarm = {"alarm_id": event.id, "alarm_channel": event.channel, "alarm_observer": event.observer}
         alarms = [*dict.fromkeys(raised for at_ns, raised in self._raised if now - at_ns <= self._before_ns)]
         waiting = self._held.copy()
-        waiting.extendleft(sorted(self._phase.values(), key=lambda packed: packed[2], reverse=True))
+        waiting.extendleft(sorted(self._phase.values(), key=RecordPacking.time_ns, reverse=True))
         self._clips.append(_Clip(path, now, now + self._after_ns, self._metadata | alarm, waiting, alarms))
 
     def work(self, max_records: int, now_ns: int | None = None) -> int:

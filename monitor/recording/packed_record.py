@@ -43,6 +43,11 @@ class RecordPacking:
         topic, encoding, schema, component = self._kinds[number]
         return Record(topic, encoding, schema, data, time_ns, component, publish_ns)
 
+    @staticmethod
+    def time_ns(packed: PackedRecord) -> int:
+        """Return a packed record's log time, Unix nanoseconds."""
+        return packed[2]
+
     def topic(self, packed: PackedRecord) -> str:
         """Return a packed record's topic."""
         return self._kinds[packed[0]][0]
