@@ -97,8 +97,13 @@ def test_a_full_disk_stops_nothing_and_is_told_of(tmp_path: Path) -> None:
         assert sorted(places(recorded(monitor, 1))) == sorted(places(heard))
         assert len(recorded(monitor, 1)) == len(places(heard))
         assert len(list((tmp_path / "recordings" / name_of(1)).glob("*.mcap"))) == 2
-        # The alarm's clip, begun on the full disk, has it (and the end of the telemetry, where it was late).
+        # The alarm's clip, begun on the full disk, has it, and what was said in its span is what a replay of it says.
         [raised] = monitor.raised(1)
         [clip] = (tmp_path / "clips").rglob(f"*{raised.id}.mcap")
         again = play(read_profile(QUAD), read_recording(clip), vehicle=name_of(1)).events
-        assert [event.channel for event in again if event.state == "raised" and event.kind != "stale"] == ["motor1"]
+        own = [AlarmEvent(**json.loads(data)) for data in own_records([clip])["/fauio/alarm_json"]]
+        said, found = (
+            [(event.observer, event.channel) for event in events if event.state == "raised"] for events in (own, again)
+        )
+        assert said == found
+        assert [place for place in said if place[0] != "link"] == [("motors", "motor1")]
