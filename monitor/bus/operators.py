@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from adapters.message import Message
 from monitor.bus.payload import to_json
+from monitor.printable import printable
 
 if TYPE_CHECKING:
     import zenoh
@@ -130,7 +131,7 @@ def _fields(query: zenoh.Query) -> dict[str, Any] | None:
         return None
     # Texts end up on terminals, in logs and in a database: nothing that cannot be printed gets that far.
     fields: dict[str, Any] = {
-        key: "".join(letter if letter.isprintable() else "?" for letter in value[:_MAX_TEXT])
+        key: printable(value[:_MAX_TEXT])
         for key in ("id", "channel", "by", "reason")
         if isinstance(value := found.get(key), str)
     }

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, TextIO
 
 from monitor.event import AlarmEvent
+from monitor.printable import printable
 
 Level = Literal["debug", "info", "warning", "error"]
 
@@ -202,7 +203,7 @@ def _line_for_people(record: logging.LogRecord, left_out: int) -> str:
     more = f"  ({left_out} more like it left out)" if left_out else ""
     clock = time.strftime("%H:%M:%S", time.localtime(record.created))
     line = f"{clock}{level} {name}  {text}{more}"
-    return "".join(c if c.isprintable() else "?" for c in line)
+    return printable(line)
 
 
 def _content(record: logging.LogRecord) -> tuple[str, Mapping[str, Any]]:
