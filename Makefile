@@ -1,11 +1,17 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# What is compiled on installing: a change installs anew.
+CORE := $(wildcard monitor/core/*.pyx monitor/core/*.pxd)
 
 # Three processes for two cores: tests of daemons wait for flights in real time. tests/conftest.py orders the files.
 PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test test-long test-system lint format docs dist clean
+# The compiled core in place, for whoever works on it.
+.PHONY: core demo test test-long test-system lint format docs dist clean
+
+core:
+	CFLAGS="-O2 -ffp-contract=off" $(BIN)/cythonize --inplace --quiet $(CORE)
 
 demo: $(VENV)/.app
 	$(BIN)/fauio demo
@@ -45,15 +51,15 @@ dist: $(VENV)/.dev
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.app: $(BIN)/python pyproject.toml
+$(VENV)/.app: $(BIN)/python pyproject.toml $(CORE)
 	$(BIN)/python -m pip install --quiet --editable .
 	touch $@
 
-$(VENV)/.dev: $(BIN)/python pyproject.toml
+$(VENV)/.dev: $(BIN)/python pyproject.toml $(CORE)
 	$(BIN)/python -m pip install --quiet --editable ".[dev]"
 	touch $@ $(VENV)/.app
 
-$(VENV)/.docs: $(BIN)/python pyproject.toml
+$(VENV)/.docs: $(BIN)/python pyproject.toml $(CORE)
 	$(BIN)/python -m pip install --quiet --editable ".[docs]"
 	touch $@ $(VENV)/.app
 

@@ -23,9 +23,9 @@ os.environ.setdefault("MAVLINK_DIALECT", "ardupilotmega")
 
 from pymavlink import mavutil
 
-from adapters.block import messages
+from adapters.batch import messages
 from adapters.logs.compressed import CompressedFile
-from adapters.logs.recordings import read_blocks
+from adapters.logs.recordings import read_batches
 from adapters.logs.tlog import read_tlog
 
 LOG = Path(__file__).parent.parent / "replay" / "data" / "copter_motor1.tlog.xz"
@@ -51,7 +51,7 @@ def agree(path: Path) -> int:
         They differ.
     """
     theirs = (one for one in by_pymavlink(path) if not one.get_type().startswith(_NO_MESSAGE))
-    blocks = (message for block in read_blocks(path) for message in messages(block))
+    blocks = (message for block in read_batches(path) for message in messages(block))
     count = 0
     for their, our, packed in zip(theirs, read_tlog(path), blocks, strict=True):
         count += 1
@@ -85,8 +85,8 @@ def main() -> None:
     readers: dict[str, Callable[[Path], Iterator[Any]]] = {
         "pymavlink recv_msg": by_pymavlink,
         "message by message": read_tlog,
-        "blocks": read_blocks,
-        "blocks, wanted": lambda path: read_blocks(path, WANTED),
+        "blocks": read_batches,
+        "blocks, wanted": lambda path: read_batches(path, WANTED),
     }
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.tlog"

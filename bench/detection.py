@@ -38,9 +38,9 @@ from detectors import DETECTORS, ENERGY, FAUIO, Run, Suite, make_suite, run_suit
 from flights import Fault, Flight, read_flights
 from numpy.typing import NDArray
 
+from monitor.fitting.survey import FIT_MESSAGES
 from monitor.trace import Trace
-from replay.fitting.fit import KINDS, fit
-from replay.fitting.survey import FIT_MESSAGES
+from replay.fit import KINDS, fit
 from replay.player import interests
 
 ROOT = Path(__file__).parent.parent

@@ -10,7 +10,7 @@ from accounting import AFTERMATH_S, FIRST_S, SETTLING_S, Found, Reading, Result,
 from detectors import FAUIO, WINDOW_S
 from flights import Fault
 
-from replay.fitting.thresholds import FALSE_ALARMS_PER_HOUR
+from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR
 
 CLEARS_WITHIN_S = 5.0
 

@@ -1,7 +1,7 @@
 """The detectors that are compared: a fitted profile, Kalman filters with the same models, windowed residual energy.
 
 All take the same samples through the same gate and are calibrated on the same healthy flights by the same rule
-(:mod:`replay.fitting.thresholds`: extreme values at the same number of false alarms per hour and observer, same
+(:mod:`monitor.fitting.thresholds`: extreme values at the same number of false alarms per hour and observer, same
 debounce).
 
 Kalman filter: states augmented by random-walk faults at the rates of the model. One filter for as many faults of the
@@ -29,25 +29,25 @@ from numpy.typing import NDArray
 
 from adapters.message import Message
 from adapters.sample import Sample
-from adapters.sampling.clock import VehicleClock
 from gains.analysis.estimability import problem_of, restricted
-from gains.baselines.kalman import design_ekf
 from gains.errors import InfeasibleError
 from gains.plants.model_file import read_model
 from gains.plants.plant import Plant
+from gains.published.kalman import design_ekf
 from gains.synthesis.gains_file import Gains
 from monitor.alarms.alarm import Alarm, AlarmRule
-from monitor.alarms.gate import GateRule
 from monitor.chain import ObserverChain
 from monitor.estimate import Estimate
 from monitor.estimation.isolation_rule import BankRule, IndependentRule
 from monitor.estimation.observer import Observer
 from monitor.event import AlarmEvent
+from monitor.fitting.calibrate import GatedSample, bank_rule, contiguous, flight_samples
+from monitor.fitting.extremes import return_level, standing
+from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
 from monitor.profile import ObserverProfile, Profile, fault_channels, read_profile
+from monitor.sampling.clock import VehicleClock
+from monitor.sampling.gate import GateRule
 from monitor.trace import Trace, TraceBuilder
-from replay.fitting.calibrate import GatedSample, bank_rule, contiguous, flight_samples
-from replay.fitting.extremes import return_level, standing
-from replay.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
 from replay.player import interests, play
 
 FAUIO, KALMAN, KALMAN_BANK, ENERGY = "fauio", "Kalman filter", "Kalman bank", "residual energy"

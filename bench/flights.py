@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.message import Message
-from replay.fitting.survey import of_one_vehicle
+from monitor.fitting.survey import of_one_vehicle
 
 LOUD = 4
 """Largest MAVLink severity that is an announcement: warning."""

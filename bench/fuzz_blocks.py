@@ -13,7 +13,7 @@ from fuzz_input import Draw, random_inputs
 from fuzz_pipeline import QUAD, changed, flight, own
 from fuzz_target import Run, Target
 
-from adapters.block import pack
+from adapters.batch import pack
 from adapters.message import LATEST_NS, Message, silence
 from monitor.estimate import Estimate, Estimates
 from monitor.event import AlarmEvent

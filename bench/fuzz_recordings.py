@@ -15,7 +15,7 @@ from fuzz_adapters import DATA, START_NS, packet, schema_of
 from fuzz_input import Draw, random_inputs
 from fuzz_target import Run, Target, only
 
-from adapters.block import messages
+from adapters.batch import messages
 from adapters.encoding.foreign_record import foreign_decoder
 from adapters.encoding.message_record import decoder, encode
 from adapters.encoding.record import Record, Schema

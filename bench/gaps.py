@@ -71,7 +71,7 @@ def ruled(first: int, resumed: bool) -> Iterator[None]:
         return CoastingMaps(coast, StepMap(np.pad(gains.step_matrix, more), np.pad(gains.argument_matrix, nu)))
 
     with (
-        patch("adapters.sampling.lane._LINE_PERIODS", first),
+        patch("monitor.sampling.lane._LINE_PERIODS", first),
         patch("monitor.estimation.observer_stack.coasting_maps", maps),
         patch("monitor.estimation.observer.coasting_maps", maps),
     ):

@@ -21,14 +21,15 @@ from numpy.typing import NDArray
 
 from adapters.simulation.arm import SCENARIOS, ArmRun, simulate_arm
 from gains.analysis.floor import floor_sqrt_mu
-from gains.baselines.chen2006 import design_chen2006
-from gains.baselines.gao2016 import design_gao2016
-from gains.baselines.gao2022 import design_gao2022
-from gains.baselines.kalman import design_ekf
-from gains.baselines.zhang2008 import design_zhang2008
 from gains.errors import InfeasibleError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
+from gains.published.chen2006 import design_chen2006
+from gains.published.gao2016 import design_gao2016
+from gains.published.gao2022 import design_gao2022
+from gains.published.kalman import design_ekf
+from gains.published.theorem import design_theorem
+from gains.published.zhang2008 import design_zhang2008
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.continuous_observer import ContinuousObserver, compile_continuous, fauio_observer
@@ -36,7 +37,6 @@ from gains.synthesis.continuous_synthesis import design_continuous
 from gains.synthesis.convex import design_convex
 from gains.synthesis.error_system import ErrorNorm, Inputs, NoisePath, error_norm
 from gains.synthesis.gains_file import Gains
-from gains.synthesis.theorem import design_theorem
 from monitor.estimation.whole_run import run_whole
 from monitor.views.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILION
 

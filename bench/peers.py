@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 from observer_cases import Case, linear_case
 from scipy.signal import dlsim
 
-from gains.baselines.kalman import ExtendedKalmanFilter, design_ekf, filter_model
 from gains.identification.simulation import linearised
 from gains.plants.discretise import discretise
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
+from gains.published.kalman import ExtendedKalmanFilter, design_ekf, filter_model
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
@@ -138,7 +138,7 @@ def kalman_filters() -> dict[str, Any]:
 
     ways: dict[str, tuple[Callable[[], Array], str | None]] = {
         "filterpy, full": (lambda: theirs(True), None),
-        "ours, full (gains.baselines.kalman)": (ours, "filterpy, full"),
+        "ours, full (gains.published.kalman)": (ours, "filterpy, full"),
         "filterpy, steady state": (lambda: theirs(False), None),
         "ours, steady state, stepped": (lambda: stepped(steady), "filterpy, steady state"),
         "ours, steady state, whole": (lambda: at_once(steady), "filterpy, steady state"),

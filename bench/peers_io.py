@@ -23,13 +23,13 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
-from adapters.block import messages
+from adapters.batch import messages
 from adapters.encoding.message_record import encode
 from adapters.encoding.record import Record
 from adapters.logs.compressed import CompressedFile
 from adapters.logs.mcap_reader import read_mcap_messages
 from adapters.logs.mcap_writer import CHUNK_BYTES, McapWriter
-from adapters.logs.recordings import read_blocks
+from adapters.logs.recordings import read_batches
 from adapters.logs.tlog import read_tlog
 
 Writing = Callable[[Sequence[Record], Path], None]
@@ -130,7 +130,7 @@ def same_messages(path: Path) -> None:
     AssertionError
         They do not.
     """
-    blocks = (message for block in read_blocks(path) for message in messages(block))
+    blocks = (message for block in read_batches(path) for message in messages(block))
     for our, packed, their in zip(read_mcap_messages(path), blocks, decoded(path), strict=True):
         assert repr(our) == repr(packed)
         assert our.received_ns == their.message.log_time
@@ -148,7 +148,7 @@ def measure(log: Path, repeat: int) -> dict[str, Any]:
         parsing = {
             "pymavlink recv_msg": count / seconds(by_pymavlink, path, repeat),
             "ours, message by message": count / seconds(read_tlog, path, repeat),
-            "ours, blocks": count / seconds(read_blocks, path, repeat),
+            "ours, blocks": count / seconds(read_batches, path, repeat),
         }
         records = [encode(message) for message in read_tlog(path)]
         writers: dict[str, Writing] = {"mcap": by_mcap, "foxglove-sdk": by_foxglove, "ours": by_us}
@@ -169,7 +169,7 @@ def measure(log: Path, repeat: int) -> dict[str, Any]:
             "mcap, non-seeking, raw": non_seeking,
             "mcap, non-seeking, decoded": decoded,
             "ours, message by message, decoded": read_mcap_messages,
-            "ours, blocks, decoded": read_blocks,
+            "ours, blocks, decoded": read_batches,
         }
         reading = {name: len(records) / seconds(read, file, repeat) for name, read in readers.items()}
     return {

@@ -26,11 +26,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from long_log import LongLog
 
-from adapters.logs.recordings import read_blocks, read_recording
+from adapters.logs.recordings import read_batches, read_recording
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile, read_profile
-from replay.player import interests, play_blocks
+from replay.player import interests, play_batches
 
 ROOT = Path(__file__).parent.parent
 PROFILE = ROOT / "replay" / "data" / "quad"
@@ -73,7 +73,7 @@ def measure(profile_path: Path, log: Path, repeat: int, least_s: float) -> dict[
         blocks_s = math.inf
         for _ in range(repeat):
             started = time.process_time()
-            found = play_blocks(profile, read_blocks(path, interests(profile)))
+            found = play_batches(profile, read_batches(path, interests(profile)))
             blocks_s = min(blocks_s, time.process_time() - started)
         started = time.process_time()
         expected = by_message(profile, path)

@@ -31,11 +31,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from long_log import LongLog
 
-from adapters.logs.recordings import read_blocks
+from adapters.logs.recordings import read_batches
+from monitor.fitting.small_png import save_small
 from monitor.profile import Profile, read_profile
 from monitor.views.palette import BLUE, GREY
-from monitor.views.small_png import save_small
-from replay.player import interests, play_blocks
+from replay.player import interests, play_batches
 
 ROOT = Path(__file__).parent.parent
 PROFILE = ROOT / "replay" / "data" / "quad"
@@ -57,7 +57,7 @@ def one(profile_path: Path, log: Path, observers: int) -> dict[str, Any]:
     """Return what one replay costs the process that it is called in."""
     profile = with_observers(read_profile(profile_path), observers)
     started = time.process_time()
-    found = play_blocks(profile, read_blocks(log, interests(profile)))
+    found = play_batches(profile, read_batches(log, interests(profile)))
     return {
         "cpu_s": time.process_time() - started,
         "resident_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,

@@ -289,7 +289,7 @@ def _design_baseline(plant: Plant, args: argparse.Namespace, model_hash: str) ->
     """Design a baseline and compile it for the rate, if one is given."""
     from dataclasses import replace
 
-    from gains.baselines.catalogue import design_baseline
+    from gains.published.catalogue import design_baseline
     from gains.synthesis.gains_file import write_gains
 
     gains, found = design_baseline(plant, args.method, args.rate)
@@ -323,8 +323,8 @@ def _design_continuous(plant: Plant, args: argparse.Namespace, model_hash: str) 
 
 
 def _continuous_design(plant: Plant, args: argparse.Namespace) -> ContinuousDesign:
+    from gains.published.theorem import design_theorem
     from gains.synthesis.continuous_synthesis import design_continuous
-    from gains.synthesis.theorem import design_theorem
 
     scalars = {name: value for name in _SCALARS if (value := getattr(args, name)) is not None}
     if args.method == "convex":

@@ -15,13 +15,9 @@ from numpy.typing import NDArray
 
 from adapters.message import Message
 from adapters.sample import Sample, Samples
-from adapters.sampling.clock import VehicleClock
-from adapters.sampling.phase import FlightPhase
-from adapters.sampling.sampler import Sampler, SamplerStatistics
 from monitor.alarms.alarm import Alarm, retuned
 from monitor.alarms.alarm_stretch import AlarmStretch
 from monitor.alarms.excuse import Excuses
-from monitor.alarms.gate import GatedSampler, GateRule
 from monitor.chain_stretch import ChainStretch, Evidence
 from monitor.command_units import CommandUnits
 from monitor.effectiveness_stage import EffectivenessRun, EffectivenessStage
@@ -32,6 +28,10 @@ from monitor.estimation.settling import settling_s
 from monitor.estimation.uncertainty import Uncertainty
 from monitor.event import AlarmEvent
 from monitor.profile import ObserverProfile
+from monitor.sampling.clock import VehicleClock
+from monitor.sampling.gate import GatedSampler, GateRule
+from monitor.sampling.phase import FlightPhase
+from monitor.sampling.sampler import Sampler, SamplerStatistics
 
 Output = Estimate | AlarmEvent
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sampling.stretch import first_order
 from monitor.estimation.input_curve import fault_in_command
 from monitor.profile import ObserverProfile
+from monitor.sampling.stretch import first_order
 
 
 class CommandRun(NamedTuple):

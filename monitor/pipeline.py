@@ -17,13 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.block import Block, cut
+from adapters.batch import Batch, cut
 from adapters.mavlink.vehicle_type import vehicle_type
 from adapters.message import SILENCE, Message
-from adapters.sampling.block_sampler import sample_block
-from adapters.sampling.clock import VehicleClock
-from adapters.sampling.phase import FlightPhase
-from adapters.sampling.sampler import SamplerStatistics
 from monitor.alarms import link_alarms, stale
 from monitor.alarms.alarm import TUNABLE
 from monitor.alarms.desk import AlarmDesk
@@ -36,6 +32,10 @@ from monitor.chain_stretch import events_in_order
 from monitor.estimate import Estimate, Estimates, Layout, alone
 from monitor.event import AlarmEvent, is_seq, valid_event
 from monitor.profile import Profile
+from monitor.sampling.block_sampler import sample_block
+from monitor.sampling.clock import VehicleClock
+from monitor.sampling.phase import FlightPhase
+from monitor.sampling.sampler import SamplerStatistics
 from monitor.uniform import changes_phase, heartbeats, in_order, selected
 
 AUTOPILOT = 1
@@ -202,7 +202,7 @@ class Pipeline:
         return outputs
 
     @_ABSURD
-    def run(self, block: Block) -> list[Stretch]:
+    def run(self, block: Batch) -> list[Stretch]:
         """Take a whole block; return what feeding its messages one by one would return, estimates as arrays.
 
         Stretches in which the messages do nothing but carry samples are taken at once, the others one by one. Within
@@ -230,7 +230,7 @@ class Pipeline:
             place = min(place + single, chosen.count)
         return outputs
 
-    def _run_until_known(self, block: Block, outputs: list[Stretch]) -> Block:
+    def _run_until_known(self, block: Batch, outputs: list[Stretch]) -> Batch:
         """Feed messages one by one until the system that is monitored is known; return the rest of the block."""
         order = in_order(block)
         for place in range(block.count):
@@ -239,7 +239,7 @@ class Pipeline:
                 return cut(block, place + 1, block.count)
         return cut(block, 0, 0)
 
-    def _foreign_in(self, block: Block) -> int:
+    def _foreign_in(self, block: Batch) -> int:
         """Return how many messages are another vehicle's; those that are fed one by one are counted there."""
         unfed = (one for one in block.others.values() if one.name not in self._interests)
         return sum(not self.accepts(one) for one in unfed) + sum(
@@ -249,7 +249,7 @@ class Pipeline:
             and (one.system != self._system or (self._component and one.component != self._component))
         )
 
-    def _run_uniform(self, block: Block, outputs: list[Stretch]) -> int:
+    def _run_uniform(self, block: Batch, outputs: list[Stretch]) -> int:
         """Take the first messages of a block as far as they can be taken as a whole; return how many."""
         order = in_order(block)
         received_ns, heartbeat = order.received_ns, heartbeats(order)

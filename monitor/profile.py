@@ -16,14 +16,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from adapters.sampling.transform import Source
 from gains.errors import ModelError
 from gains.plants.model_file import model_hash, read_model
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, read_gains
 from monitor.alarms.alarm import AlarmRule
 from monitor.alarms.excuse import ExcuseRule, excuse_tables, read_excuses
-from monitor.alarms.gate import GateRule
 from monitor.errors import ProfileError
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.effectiveness_rule import effectiveness_table, read_effectiveness
@@ -34,6 +32,8 @@ from monitor.estimation.isolation_rule import (
     read_hypotheses,
     read_isolation,
 )
+from monitor.sampling.gate import GateRule
+from monitor.sampling.transform import Source
 from monitor.source_tables import read_source, source_table
 from monitor.tables import Table
 

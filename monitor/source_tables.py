@@ -7,9 +7,9 @@ from typing import Any
 
 from adapters.channels import Channel, channel_table, parse_channel
 from adapters.errors import TelemetryError
-from adapters.sampling.transform import Source, TransformRule, make_transform
 from gains.synthesis.gains_file import Gains
 from monitor.errors import ProfileError
+from monitor.sampling.transform import Source, TransformRule, make_transform
 from monitor.tables import Table
 
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.block import Block, Columns, one_message
+from adapters.batch import Batch, Columns, one_message
+from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import Message
-from adapters.sampling.phase import FlightPhase, is_autopilot_heartbeat
+from monitor.sampling.phase import FlightPhase
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +24,7 @@ class Order:
 
     Parameters
     ----------
-    block : Block
+    block : Batch
         The block.
     received_ns : NDArray[np.int64]
         Times of arrival (count,).
@@ -31,7 +32,7 @@ class Order:
         Where in ``block.columns`` each stands (count,), column -1 for one of ``block.others``.
     """
 
-    block: Block
+    block: Batch
     received_ns: NDArray[np.int64]
     column: NDArray[np.intp]
     row: NDArray[np.intp]
@@ -44,7 +45,7 @@ class Order:
         return one_message(self.block.columns[column], int(self.row[place]))
 
 
-def in_order(block: Block) -> Order:
+def in_order(block: Batch) -> Order:
     """Return the order of a block's messages."""
     received_ns = np.zeros(block.count, np.int64)
     column, row = np.full(block.count, -1), np.zeros(block.count, np.intp)
@@ -57,7 +58,7 @@ def in_order(block: Block) -> Order:
     return Order(block, received_ns, column, row)
 
 
-def selected(block: Block, names: Collection[str], system: int, component: int) -> Block:
+def selected(block: Batch, names: Collection[str], system: int, component: int) -> Batch:
     """Return the messages of these names that come from one system and component (0: any), as a block.
 
     What is no column stays if its name is among them. Places are counted anew.
@@ -79,7 +80,7 @@ def selected(block: Block, names: Collection[str], system: int, component: int) 
         Columns(one.source, one.name, one.system, one.component, place[one.position], one.received_ns, one.fields)
         for one in kept
     )
-    return Block(int(stays.sum()), columns, {int(place[at]): message for at, message in others.items()})
+    return Batch(int(stays.sum()), columns, {int(place[at]): message for at, message in others.items()})
 
 
 def heartbeats(order: Order) -> NDArray[np.bool_]:

@@ -130,8 +130,8 @@ def _add_detectability(subparsers: Any) -> None:
 
 def run_inject(args: argparse.Namespace) -> int:
     """Run ``fauio inject``."""
+    from monitor.fitting.progress import track
     from replay.attacks.inject import Order, inject_recording, truth_path
-    from replay.progress import track
 
     order = Order(
         channel=args.channel,
@@ -160,7 +160,7 @@ def run_inject(args: argparse.Namespace) -> int:
 
 def run_detectability(args: argparse.Namespace) -> int:
     """Run ``fauio detectability``."""
-    from replay.progress import track
+    from monitor.fitting.progress import track
     from replay.runs.log_list import check_output
     from replay.sensitivity.detectability import Sweep, detectability
     from replay.sensitivity.detectability_text import result_json, result_lines

@@ -103,11 +103,11 @@ def run_fit(args: argparse.Namespace) -> int:
     from adapters.errors import TelemetryError
     from adapters.logs.recordings import Recording, recording_kind
     from gains.errors import InfeasibleError, ModelError
+    from monitor.fitting.progress import track
+    from monitor.fitting.survey import FIT_MESSAGES, of_one_vehicle
     from monitor.profile import PROFILE_FILE
-    from replay.fitting.fit import fit
-    from replay.fitting.fit_custom import custom_messages
-    from replay.fitting.survey import FIT_MESSAGES, of_one_vehicle
-    from replay.progress import track
+    from monitor.vehicles.custom.fit import custom_messages
+    from replay.fit import fit
     from replay.runs.log_list import check_output_folder
 
     for path in args.logs:
@@ -148,8 +148,8 @@ def run_convert(args: argparse.Namespace) -> int:
     """Run ``fauio convert``."""
     from adapters.errors import TelemetryError
     from adapters.logs.recordings import Recording, onboard_source
+    from monitor.fitting.progress import recording_bytes, track
     from replay.convert import convert
-    from replay.progress import recording_bytes, track
 
     recording, onboard = Recording(args.log), onboard_source(args.log)
     if args.out.exists() and args.out.samefile(args.log):

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adapters.block import Block, cut, one_message
-from adapters.block import messages as messages_of
+from adapters.batch import Batch, cut, one_message
+from adapters.batch import messages as messages_of
 from adapters.logs.recordings import packed
 from adapters.message import Message
-from adapters.sampling.sampler import SamplerStatistics
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
+from monitor.sampling.sampler import SamplerStatistics
 from monitor.trace import Trace, TraceBuilder
 
 if TYPE_CHECKING:
@@ -97,13 +97,13 @@ class Replay:
 
 
 def play(profile: Profile, messages: Iterable[Message], **options: Any) -> Replay:
-    """Run recorded messages through the pipeline: :func:`play_blocks` of them."""
-    return play_blocks(profile, packed(messages), **options)
+    """Run recorded messages through the pipeline: :func:`play_batches` of them."""
+    return play_batches(profile, packed(messages), **options)
 
 
-def play_blocks(
+def play_batches(
     profile: Profile,
-    blocks: Iterable[Block],
+    blocks: Iterable[Batch],
     *,
     vehicle: str | None = None,
     record: Path | None = None,
@@ -116,7 +116,7 @@ def play_blocks(
     ----------
     profile : Profile
         The vehicle's profile.
-    blocks : Iterable[Block]
+    blocks : Iterable[Batch]
         The recording.
     vehicle : str | None
         Name in events; None takes the profile's.
@@ -185,7 +185,7 @@ def play_blocks(
     )
 
 
-def _record(recorder: Recorder, pipeline: Pipeline, block: Block) -> None:
+def _record(recorder: Recorder, pipeline: Pipeline, block: Batch) -> None:
     """Record what of a block comes from the monitored vehicle, ahead of the pipeline's taking it."""
     place = 0
     if not pipeline.system:
@@ -199,7 +199,7 @@ def _record(recorder: Recorder, pipeline: Pipeline, block: Block) -> None:
     rest = cut(block, place, block.count)
     columns = tuple(one for one in rest.columns if pipeline.accepts(one_message(one, 0)))
     others = {at: message for at, message in rest.others.items() if pipeline.accepts(message)}
-    recorder.block(Block(rest.count, columns, others))
+    recorder.block(Batch(rest.count, columns, others))
 
 
 def _recorder(stack: ExitStack, path: Path, pipeline: Pipeline) -> Recorder:

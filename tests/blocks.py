@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from adapters.block import Block, Columns
+from adapters.batch import Batch, Columns
 from adapters.message import Message
 from adapters.sample import Sample, Samples
-from adapters.sampling.clock import VehicleClock
-from adapters.sampling.sampler import Sampler
+from monitor.sampling.clock import VehicleClock
+from monitor.sampling.sampler import Sampler
 
 
-def pack(messages: Sequence[Message], types: dict[str, Any] | None = None) -> Block:
+def pack(messages: Sequence[Message], types: dict[str, Any] | None = None) -> Batch:
     """Return messages as a block; those whose fields are not all numbers, or unlike the first's, stay messages.
 
     ``types`` gives NumPy types of fields by name; otherwise they are int64 and float64.
@@ -51,7 +51,7 @@ def pack(messages: Sequence[Message], types: dict[str, Any] | None = None) -> Bl
                 fields,
             )
         )
-    return Block(len(messages), tuple(columns), others)
+    return Batch(len(messages), tuple(columns), others)
 
 
 def _kind(value: Any) -> tuple[str, int] | None:

@@ -154,7 +154,7 @@ def damaged_files(data: bytes, count: int, seed: int) -> Iterator[tuple[str, Dam
         yield damage.__name__, damage(data, draw)
 
 
-class Block(NamedTuple):
+class Batch(NamedTuple):
     """A stretch of an undamaged file that is read as a whole or not at all, and how many messages it holds.
 
     ``defines``: what stands behind may be readable only with it.
@@ -166,50 +166,50 @@ class Block(NamedTuple):
     defines: bool = False
 
 
-def blocks(suffix: str, data: bytes) -> list[Block]:
+def blocks(suffix: str, data: bytes) -> list[Batch]:
     """Return the blocks of a file, by the format's own lengths: packets, chunks, or messages outside of chunks."""
     found = {".tlog": _packets, ".mcap": _records, ".ulg": _ulog_records, ".bin": _dataflash_records}[suffix]
     return [*found(data)]
 
 
-def _packets(data: bytes) -> Iterator[Block]:
+def _packets(data: bytes) -> Iterator[Batch]:
     at = 0
     while at < len(data):
         magic, length = data[at + 8 : at + 10]
         stop = at + 8 + length + (8 if magic == 0xFE else 12 + 13 * (data[at + 10] & 1))
-        yield Block(at, stop, 1)
+        yield Batch(at, stop, 1)
         at = stop
 
 
-def _records(data: bytes) -> Iterator[Block]:
+def _records(data: bytes) -> Iterator[Batch]:
     at = 8
     while data[at] != Opcode.FOOTER:
         stop = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
         if data[at] == Opcode.MESSAGE:
-            yield Block(at, stop, 1)
+            yield Batch(at, stop, 1)
         elif data[at] == Opcode.CHUNK:
             records = breakup_chunk(Chunk.read(ReadDataStream(BytesIO(data[at + 9 : stop]))))
-            yield Block(at, stop, sum(isinstance(record, Message) for record in records))
+            yield Batch(at, stop, sum(isinstance(record, Message) for record in records))
         at = stop
 
 
-def _ulog_records(data: bytes) -> Iterator[Block]:
-    yield Block(0, 16, 0, defines=True)
+def _ulog_records(data: bytes) -> Iterator[Batch]:
+    yield Batch(0, 16, 0, defines=True)
     at = 16
     while at < len(data):
         stop = at + 3 + int.from_bytes(data[at : at + 2], "little")
         kind = data[at + 2 : at + 3]
-        yield Block(at, stop, kind not in b"ABFRS", kind in b"ABF")
+        yield Batch(at, stop, kind not in b"ABFRS", kind in b"ABF")
         at = stop
 
 
-def _dataflash_records(data: bytes) -> Iterator[Block]:
+def _dataflash_records(data: bytes) -> Iterator[Batch]:
     at, lengths = 0, {128: 89}
     while at < len(data):
         stop = at + lengths[data[at + 2]]
         if data[at + 2] == 128:
             lengths[data[at + 3]] = data[at + 4]
-        yield Block(at, stop, 1, data[at + 2] == 128)
+        yield Batch(at, stop, 1, data[at + 2] == 128)
         at = stop
 
 

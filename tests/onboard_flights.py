@@ -10,8 +10,8 @@ from typing import Any
 from dataflash_writer import DataflashWriter
 from ulog_writer import UlogWriter
 
+from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import Message
-from adapters.sampling.phase import is_autopilot_heartbeat
 
 # ArduPilot streams magnetic fields in micro-, not in whole gauss.
 # Boot was then, microseconds since 1970; GPS week and time of week of it, 18 leap seconds ahead.

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sampling.scaled_inputs import DriveInputs, SurfaceInputs
-from gains.identification.multirotor import Segment
 from gains.identification.regression import lagged
+from gains.identification.segment import Segment
+from monitor.sampling.scaled_inputs import DriveInputs, SurfaceInputs
 
 RATE_HZ = 50.0
 ROLL, PITCH, YAW, THRUST = (0.8, 0.9), (0.85, 0.6), (0.75, 0.4), (0.0, 12.0)

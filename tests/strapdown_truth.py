@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.sample import Sample
-from adapters.sampling.kinematics import STANDARD_GRAVITY, metres_per_degree
-from adapters.sampling.strapdown import DEFAULTS, Strapdown
+from monitor.vehicles.inertial.kinematics import STANDARD_GRAVITY, metres_per_degree
+from monitor.vehicles.inertial.strapdown import DEFAULTS, Strapdown
 
 SIGNAL_HZ, RATE_HZ = 100.0, 25.0
 HOME = (47.4, 8.5)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from adapters.sample import Sample, Samples, stacked
-from adapters.sampling.transform import Transform
+from monitor.sampling.transform import Transform
 
 FIELDS = ("index", "vehicle_time_ns", "time_ns", "restart", "complete", "known_ns", "measured")
 

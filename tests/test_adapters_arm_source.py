@@ -18,13 +18,13 @@ from adapters.logs.recordings import read_recording
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.message import Message
 from adapters.sample import Sample
-from adapters.sampling.clock import VehicleClock
-from adapters.sampling.phase import FlightPhase
-from adapters.sampling.sampler import Sampler
 from adapters.simulation.arm import SCENARIOS, ArmRun, ArmScenario, make_fault, simulate_arm
 from adapters.simulation.arm_source import arm_messages, arm_packets, publish_arm, send_arm
 from adapters.zenoh.zenoh_link import ZenohLink
 from adapters.zenoh.zenoh_session import open_session
+from monitor.sampling.clock import VehicleClock
+from monitor.sampling.phase import FlightPhase
+from monitor.sampling.sampler import Sampler
 
 UNIX = 1_795_251_917_000_000_000
 ARRAY = "DEBUG_FLOAT_ARRAY"

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.block import cut, messages, pack
+from adapters.batch import cut, messages, pack
 from adapters.message import Message, silence
 
 NUMBERS = st.one_of(st.integers(-(1 << 64), 1 << 64), st.integers(0, 9), st.floats(), st.booleans())

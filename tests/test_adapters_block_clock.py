@@ -7,8 +7,8 @@ from blocks import clock_state
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.sampling.block_clock import LineChange, observe_block, unix_times, unwrapped
-from adapters.sampling.clock import TURNS_NS, Line, Point, VehicleClock
+from monitor.sampling.block_clock import LineChange, observe_block, unix_times, unwrapped
+from monitor.sampling.clock import TURNS_NS, Line, Point, VehicleClock
 
 MS = 1_000_000
 SECOND = 1_000 * MS

@@ -15,14 +15,14 @@ from blocks import clock_state, pack, sample_bits, sampler_state, samples_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.block import cut
+from adapters.batch import cut
 from adapters.channels import Channel
 from adapters.logs.tlog import read_tlog
 from adapters.message import Message
-from adapters.sampling.block_sampler import sample_block
-from adapters.sampling.clock import VehicleClock
-from adapters.sampling.sampler import Sampler
-from adapters.sampling.strapdown_channels import strapdown_channels
+from monitor.sampling.block_sampler import sample_block
+from monitor.sampling.clock import VehicleClock
+from monitor.sampling.sampler import Sampler
+from monitor.vehicles.inertial.strapdown_channels import strapdown_channels
 
 DATA = Path(__file__).parent / "data"
 MS = 1_000_000

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.sampling.clock import VehicleClock
+from monitor.sampling.clock import VehicleClock
 
 MS = 1_000_000
 SECOND = 1_000 * MS

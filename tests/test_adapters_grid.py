@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.sampling.grid import Grid
+from monitor.sampling.grid import Grid
 
 RATES = st.floats(0.01, 1e6) | st.sampled_from([100.0, 33.3, 29.97, 3.0, 59.94005994])
 

@@ -8,8 +8,8 @@ import pytest
 
 from adapters.errors import TelemetryError
 from adapters.logs.log_mapping import SOURCES, builtin_mapping, parse_mapping, read_mapping
-from adapters.sampling.strapdown_channels import INERTIAL_MESSAGES
-from replay.fitting.survey import MOTOR_MESSAGE
+from monitor.fitting.survey import MOTOR_MESSAGE
+from monitor.vehicles.inertial.strapdown_channels import INERTIAL_MESSAGES
 
 RATES = {"timestamp": 1, "xyz": [0.0, 0.0, 0.0]}
 ATTITUDE = {"timestamp": 1, "q": [1.0, 0.0, 0.0, 0.0]}

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from adapters.message import Message
-from adapters.sampling.phase import FlightPhase
+from monitor.sampling.phase import FlightPhase
 
 
 def mavlink(name: str, **fields: Any) -> Message:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from adapters.block import messages
+from adapters.batch import messages
 from adapters.errors import TelemetryError
 from adapters.logs.mcap_log import MessageLogWriter
-from adapters.logs.recordings import read_blocks, read_recording, recording_kind
+from adapters.logs.recordings import read_batches, read_recording, recording_kind
 from adapters.message import Message
 
 FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
@@ -36,7 +36,7 @@ def test_blocks_hold_the_messages_of_any_recording(tmp_path: Path) -> None:
             log.write(message)
     for recording in (FLIGHT, path):
         for only in (None, {"ATTITUDE", "STATUSTEXT"}):
-            blocks = list(read_blocks(recording, only, count=1_000))
+            blocks = list(read_batches(recording, only, count=1_000))
             found = [message for block in blocks for message in messages(block)]
             assert [repr(one) for one in found] == [repr(one) for one in read_recording(recording, only)]
             assert {one.name for block in blocks for one in block.columns} >= {"ATTITUDE"}

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from adapters.channels import Channel
 from adapters.message import Message
 from adapters.sample import Sample
-from adapters.sampling.clock import VehicleClock
-from adapters.sampling.sampler import Sampler
+from monitor.sampling.clock import VehicleClock
+from monitor.sampling.sampler import Sampler
 
 MS = 1_000_000
 UNIX = 1_795_251_917_000 * MS

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from adapters.errors import TelemetryError
 from adapters.sample import Sample
-from adapters.sampling.scaled_inputs import DriveInputs, SurfaceInputs
 from gains.identification.regression import lagged
+from monitor.sampling.scaled_inputs import DriveInputs, SurfaceInputs
 
 RATE_HZ = 100.0
 SPEEDS = {"reference_speed": 20.0, "minimum_speed": 10.0}

@@ -9,8 +9,8 @@ import pytest
 import fauio
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import read_recording
-from adapters.sampling.slow_telemetry import SELDOM, slow_messages, spanned
 from monitor.profile import Profile
+from monitor.sampling.slow_telemetry import SELDOM, slow_messages, spanned
 from replay.inspection.log_info import log_info
 
 FAST = ("ATTITUDE", "HIGHRES_IMU", "SERVO_OUTPUT_RAW")

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from stretches import in_stretches, one_by_one, partitions
 
 from adapters.sample import Samples, stacked
-from adapters.sampling.scaled_inputs import DriveInputs, SurfaceInputs
-from adapters.sampling.strapdown import Strapdown
-from adapters.sampling.stretch import first_order, joined, since
-from adapters.sampling.transform import Transform
+from monitor.sampling.scaled_inputs import DriveInputs, SurfaceInputs
+from monitor.sampling.stretch import first_order, joined, since
+from monitor.sampling.transform import Transform
+from monitor.vehicles.inertial.strapdown import Strapdown
 
 COUNT = 90
 DELAYS = {"gps_delay_s": 0.074, "baro_delay_s": 0.045, "compass_delay_s": 0.099}

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.block import messages
+from adapters.batch import messages
 from adapters.errors import TelemetryError
 from adapters.logs import compressed, tlog_columns
 from adapters.logs.tlog import TlogReader, TlogStatistics

@@ -8,10 +8,10 @@ import pytest
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.message import Message
-from adapters.sampling.clock import VehicleClock
-from adapters.sampling.sampler import Sampler
-from adapters.sampling.strapdown import IMU
-from adapters.sampling.transform import Source, TransformedSampler, TransformRule, make_sampler, make_transform
+from monitor.sampling.clock import VehicleClock
+from monitor.sampling.sampler import Sampler
+from monitor.sampling.transform import Source, TransformedSampler, TransformRule, make_sampler, make_transform
+from monitor.vehicles.inertial.strapdown import IMU
 
 SIGNALS = tuple(Channel(name, "HIGHRES_IMU", (name,)) for name in IMU)
 RULE = TransformRule("strapdown", 100.0, {"gps": 0.0, "barometer": 0.0, "magnetometer": 0.0})

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 ALLOWED = {
     "adapters": set(),
-    "gains": set(),
+    "gains": {"adapters"},
     "monitor": {"adapters", "gains"},
     "replay": {"adapters", "gains", "monitor"},
 }

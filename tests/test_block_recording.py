@@ -7,17 +7,17 @@ from typing import Any
 
 from mcap.reader import NonSeekingReader
 
-from adapters.block import Block, messages
+from adapters.batch import Batch, messages
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader
-from adapters.logs.recordings import packed, read_blocks, read_recording
+from adapters.logs.recordings import packed, read_batches, read_recording
 from adapters.logs.tlog import read_tlog
 from adapters.message import Message
 from monitor.estimate import Estimates
 from monitor.pipeline import Pipeline
 from monitor.profile import read_profile
 from monitor.recording.recorder import Recorder
-from replay.player import play, play_blocks
+from replay.player import play, play_batches
 
 START_NS = 1_790_000_000_000_000_000
 FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
@@ -41,7 +41,7 @@ def records(path: Path) -> list[Any]:
         return [(channel.topic, schema and schema.data, one.log_time, one.data) for schema, channel, one in found]
 
 
-def all_messages(blocks: list[Block]) -> list[str]:
+def all_messages(blocks: list[Batch]) -> list[str]:
     return [repr(message) for block in blocks for message in messages(block)]
 
 
@@ -55,9 +55,9 @@ def test_blocks_of_a_recording_are_its_messages(tmp_path: Path) -> None:
     expected = [repr(message) for message in read_recording(path)]
     assert len(expected) > 1000
     for count in (1, 170, 1 << 20):
-        assert all_messages([*read_blocks(path, count=count)]) == expected
+        assert all_messages([*read_batches(path, count=count)]) == expected
     only = {"ATTITUDE", "HEARTBEAT"}
-    assert all_messages([*read_blocks(path, only)]) == [repr(message) for message in read_recording(path, only)]
+    assert all_messages([*read_batches(path, only)]) == [repr(message) for message in read_recording(path, only)]
 
 
 def test_blocks_pass_over_what_cannot_be_decoded_and_count_it(tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_a_replay_records_in_blocks_what_a_monitor_records_one_by_one(tmp_path: 
                 else:
                     recorder.event(output)
         recorder.add_metadata(pipeline.metadata())
-    play_blocks(profile, packed(stretch, 700), record=together)
+    play_batches(profile, packed(stretch, 700), record=together)
     expected, found = records(one_by_one), records(together)
     assert {topic for topic, *_ in expected} >= {"/fauio/motors/estimate", "/mavlink/ATTITUDE", "/zenoh/ATTITUDE"}
     assert found == expected
@@ -103,7 +103,7 @@ def test_a_replay_records_in_blocks_what_a_monitor_records_one_by_one(tmp_path: 
 def test_a_recording_replays_in_blocks_as_its_messages_do(tmp_path: Path) -> None:
     profile = read_profile(PROFILE)
     path = tmp_path / "flight.mcap"
-    expected = play_blocks(profile, read_blocks(FLIGHT), record=path)
-    found, single = play_blocks(profile, read_blocks(path)), play(profile, read_recording(path))
+    expected = play_batches(profile, read_batches(FLIGHT), record=path)
+    found, single = play_batches(profile, read_batches(path)), play(profile, read_recording(path))
     assert found.events == single.events == expected.events
     assert found.samples == single.samples == expected.samples > 0

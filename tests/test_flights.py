@@ -141,7 +141,7 @@ def test_a_recorded_replay_replays_to_the_same_bits(quad_profile: Profile, tmp_p
 
 
 def test_other_vehicles_in_a_log_do_not_enter_the_fit(data: Path) -> None:
-    from replay.fitting.survey import of_one_vehicle
+    from monitor.fitting.survey import of_one_vehicle
 
     flight = list(read_recording(data / "copter_5s.tlog.xz"))
     assert {message.system for message in flight} > {1}

@@ -8,10 +8,10 @@ import pytest
 from gains_samples import integrator_with_drift, multirotor, with_rates
 
 from adapters.simulation.arm import SCENARIOS, simulate_arm
-from gains.baselines.kalman import ExtendedKalmanFilter, design_ekf, filter_model
 from gains.errors import InfeasibleError, ModelError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import FloatArray, Plant
+from gains.published.kalman import ExtendedKalmanFilter, design_ekf, filter_model
 from gains.synthesis.gains_file import read_gains, write_gains
 from monitor.estimation.observer import Observer
 

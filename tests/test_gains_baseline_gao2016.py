@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gains.baselines.gao2016 import design_gao2016
 from gains.errors import InfeasibleError
 from gains.plants.model_file import builtin_model
+from gains.published.gao2016 import design_gao2016
 from gains.synthesis.error_system import error_norm, error_system
 
 

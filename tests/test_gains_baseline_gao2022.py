@@ -5,9 +5,9 @@ import pytest
 from gains_samples import multirotor
 
 from adapters.simulation.arm import SCENARIOS, simulate_arm
-from gains.baselines.gao2022 import design_gao2022
 from gains.errors import InfeasibleError
 from gains.plants.model_file import builtin_model
+from gains.published.gao2022 import design_gao2022
 from gains.synthesis.continuous_observer import compile_continuous
 from gains.synthesis.error_system import error_norm
 from monitor.estimation.observer import Observer

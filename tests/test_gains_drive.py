@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from simulated_vehicles import DRIVE, RATE_HZ, STEERING, ride
 
-from adapters.sampling.scaled_inputs import DriveInputs
 from gains.errors import ModelError
-from gains.identification.drive import drive_plant, identify_drive
-from gains.identification.multirotor import Segment
+from gains.identification.segment import Segment
+from monitor.sampling.scaled_inputs import DriveInputs
+from monitor.vehicles.rover.identify import drive_plant, identify_drive
 
 
 def test_steering_and_throttle_are_recovered_also_in_reverse() -> None:

@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 import strapdown_truth as truth
 
-from adapters.sampling.strapdown import Strapdown
 from gains.analysis.estimability import problem_of
 from gains.errors import ModelError
-from gains.identification.inertial import inertial_bank, inertial_hypotheses, inertial_plant, smallest_faults
-from gains.identification.inertial_fit import (
+from gains.plants.plant import FloatArray, Plant
+from gains.synthesis.bank import Hypothesis
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from monitor.estimation.observer import Observer
+from monitor.vehicles.inertial.identify import inertial_bank, inertial_hypotheses, inertial_plant, smallest_faults
+from monitor.vehicles.inertial.sensor_fit import (
     InertialFit,
     InertialSegment,
     best_delays,
     delay_costs,
     identify_inertial,
 )
-from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.bank import Hypothesis
-from gains.synthesis.certificate import certify
-from gains.synthesis.compilation import compile_gains
-from monitor.estimation.observer import Observer
+from monitor.vehicles.inertial.strapdown import Strapdown
 
 ONSET = 500
 

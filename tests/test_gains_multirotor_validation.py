@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from gains.identification.multirotor import MultirotorFit, Segment, identify_multirotor, multirotor_plant
-from gains.identification.multirotor_validation import (
+from gains.identification.segment import Segment
+from monitor.vehicles.multirotor.identify import MultirotorFit, identify_multirotor, multirotor_plant
+from monitor.vehicles.multirotor.validation import (
     explained_change,
     motor_effect,
     motor_uncertainty,

@@ -8,8 +8,8 @@ import pytest
 from gains.errors import ModelError
 from gains.identification.fitted_plant import fitted_plant, parameter_uncertainty
 from gains.identification.free_model import FreeModel, read_free_model
-from gains.identification.multirotor import Segment
 from gains.identification.output_error import OutputErrorFit, identify
+from gains.identification.segment import Segment
 from gains.identification.shooting import split_segments
 from gains.identification.simulation import Stepper, dynamics_of
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from gains.output_file import naming, write_file
+from adapters.output_file import naming, write_file
 
 FULL_DISK = """
 import resource, signal, sys
-from gains.output_file import write_file
+from adapters.output_file import write_file
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 try:
@@ -53,7 +53,7 @@ def test_a_file_whose_folder_takes_no_other_is_written_in_place(
     def refuse(*_: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("gains.output_file._replace", refuse)
+    monkeypatch.setattr("adapters.output_file._replace", refuse)
     write_file(path, "after")
     assert (path.read_text(), path.stat().st_ino) == ("after", place)
     with pytest.raises(PermissionError) as found:
@@ -68,7 +68,7 @@ def test_what_is_no_file_is_written_to_as_it_comes(tmp_path: Path) -> None:
         write_file(pipe, "through")
         assert reader.communicate(timeout=10)[0] == b"through"
     done = subprocess.run(
-        [sys.executable, "-c", "from gains.output_file import write_file; write_file('/dev/stdout', 'said')"],
+        [sys.executable, "-c", "from adapters.output_file import write_file; write_file('/dev/stdout', 'said')"],
         capture_output=True,
         check=True,
     )

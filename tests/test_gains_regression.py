@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from simulated_vehicles import DELAY_S, LAG_S, RATE_HZ, ROLL, SIDE_FORCE, flight
 
-from adapters.sampling.scaled_inputs import SurfaceInputs
 from gains.errors import ModelError
 from gains.identification.regression import AxisModel, coloured_inflation, fit_axis
+from monitor.sampling.scaled_inputs import SurfaceInputs
 
 ROLL_AXIS = AxisModel("roll_rate", "aileron", ("pressure", "side_force"), offset=False)
 OUTPUTS = SurfaceInputs.outputs

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from simulated_vehicles import DELAY_S, LAG_S, PITCH, RATE_HZ, ROLL, THRUST, YAW, flight
 
-from adapters.sampling.scaled_inputs import SurfaceInputs
 from gains.errors import ModelError
-from gains.identification.multirotor import Segment
 from gains.identification.regression import lagged
-from gains.identification.surfaces import SurfacesFit, identify_surfaces, surfaces_plant
+from gains.identification.segment import Segment
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.observer import Observer
+from monitor.sampling.scaled_inputs import SurfaceInputs
+from monitor.vehicles.plane.identify import SurfacesFit, identify_surfaces, surfaces_plant
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,10 @@ from gains_samples import continuous_plant, multirotor
 from gains.errors import InfeasibleError, ModelError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Nonlinearity, Plant
+from gains.published.theorem import Theorem, design_theorem
 from gains.synthesis.continuous_certificate import ContinuousCertificate, certify_continuous
 from gains.synthesis.continuous_design import ContinuousDesign
 from gains.synthesis.continuous_observer import compile_continuous
-from gains.synthesis.theorem import Theorem, design_theorem
 
 LONG = pytest.mark.long
 

@@ -8,7 +8,7 @@ from hexacopter import hexacopter_flight
 
 from monitor.event import AlarmEvent
 from monitor.profile import Profile, read_profile
-from replay.fitting.fit import fit
+from replay.fit import fit
 from replay.player import play
 
 pytestmark = pytest.mark.long
@@ -20,7 +20,7 @@ def profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
     first, second = (list(hexacopter_flight(seed, 60.0)) for seed in (1, 2))
     with pytest.MonkeyPatch.context() as patch:
         # what a profile will detect is measured in other tests
-        patch.setattr("replay.fitting.fit._measured", lambda fitted, gate: replace(fitted, flights=()))
+        patch.setattr("replay.fit._measured", lambda fitted, gate: replace(fitted, flights=()))
         fit("multirotor", [lambda: first, lambda: second], folder, "hexa")
     return read_profile(folder)
 

@@ -11,7 +11,6 @@ import pytest
 
 from adapters.logs.recordings import read_recording
 from adapters.message import Message, silence
-from adapters.sampling.phase import FlightPhase
 from monitor.alarms.desk_rule import DeskRule
 from monitor.chain import Output
 from monitor.estimate import Estimate
@@ -19,6 +18,7 @@ from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, rules_message, standing_message
 from monitor.profile import Profile
 from monitor.recording.recorder import Recorder
+from monitor.sampling.phase import FlightPhase
 
 LONG = pytest.mark.long
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from monitor.views.small_png import COLOURS, to_palette
+from monitor.fitting.small_png import COLOURS, to_palette
 
 
 def test_few_colours_are_kept_to_the_bit() -> None:

@@ -16,9 +16,9 @@ from onboard_flights import BOOT_US, dataflash_of, ulog_of
 
 import fauio
 from adapters.logs.recordings import Recording, read_recording, recording_kind
-from adapters.sampling.strapdown_channels import strapdown_channels
+from monitor.fitting.survey import FIT_MESSAGES, common_rate_hz, multirotor_channels, of_one_vehicle, survey
 from monitor.profile import Profile, read_profile
-from replay.fitting.survey import FIT_MESSAGES, common_rate_hz, multirotor_channels, of_one_vehicle, survey
+from monitor.vehicles.inertial.strapdown_channels import strapdown_channels
 from replay.player import Replay, interests, play
 
 KINDS = (".ulg", ".bin")

@@ -12,16 +12,16 @@ from adapters.logs.recordings import read_recording
 from adapters.simulation.arm import SCENARIOS, TORQUES, simulate_arm
 from adapters.simulation.arm_source import arm_messages
 from gains.plants.model_file import builtin_model, read_model
-from monitor.alarms.gate import GatedSample
-from monitor.profile import Profile
-from replay.fitting.calibrate import flight_samples
-from replay.fitting.capability import (
+from monitor.fitting.calibrate import flight_samples
+from monitor.fitting.capability import (
     Capability,
     Detection,
     capability,
     capability_text,
     step_sizes,
 )
+from monitor.profile import Profile
+from monitor.sampling.gate import GatedSample
 from replay.player import play
 
 LONG = pytest.mark.long

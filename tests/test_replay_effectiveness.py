@@ -8,7 +8,7 @@ from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from monitor.estimation.effectiveness import EffectivenessEstimator, EffectivenessRule
-from replay.fitting.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
+from monitor.fitting.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
 
 RATE_HZ = 50.0
 UNCALIBRATED = EffectivenessRule(noise=1.0, inflation=1.0, lag_s=0.0, loss_doubt=0.0, offset_doubt=0.0, certainty=5.0)

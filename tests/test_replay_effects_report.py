@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gains.errors import ModelError
-from gains.identification.multirotor import Segment
+from gains.identification.segment import Segment
 from gains.plants.plant import Plant
-from replay.fitting.effects_report import compare_effects, predict_ahead
+from monitor.fitting.effects_report import compare_effects, predict_ahead
 
 RATE_HZ = 50.0
 

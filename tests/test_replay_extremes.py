@@ -10,7 +10,7 @@ from scipy.stats import t as student
 
 from adapters.sample import Sample
 from monitor.alarms.alarm import Alarm, AlarmRule
-from replay.fitting.extremes import local_peaks, return_level, standing
+from monitor.fitting.extremes import local_peaks, return_level, standing
 
 RATE_HZ = 50.0
 TRIALS = 40

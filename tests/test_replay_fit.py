@@ -8,7 +8,7 @@ import pytest
 
 import fauio
 from monitor.profile import read_profile
-from replay.fitting.fit import replace_kept
+from replay.fit import replace_kept
 
 
 @pytest.mark.long

@@ -23,8 +23,8 @@ from gains.errors import ModelError
 from gains.plants.model_file import read_model
 from monitor.estimation.isolation_rule import BankRule
 from monitor.profile import UNEXPLAINED, read_profile
-from replay.fitting.fit import fit
-from replay.fitting.fit_custom import _alarms, custom_messages, fit_custom
+from monitor.vehicles.custom.fit import _alarms, custom_messages, fit_custom
+from replay.fit import fit
 from replay.player import play
 
 MODEL = Path(__file__).parent / "data" / "arm_free.toml"
@@ -128,7 +128,7 @@ def test_what_will_be_detected_stands_beside_the_alarms(folder: Path, arm: dict[
 @pytest.mark.long
 def test_faults_that_cannot_be_estimated_together_get_a_bank(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # what a profile will detect is measured in other tests
-    monkeypatch.setattr("replay.fitting.fit._measured", lambda fitted, gate: replace(fitted, flights=()))
+    monkeypatch.setattr("replay.fit._measured", lambda fitted, gate: replace(fitted, flights=()))
     path, folder = tmp_path / "arm.toml", tmp_path / "profile"
     sensors = "".join(
         f'[[fault]]\nname = "{name}_sensor"\nkind = "sensor"\ninto = "{name}"\n\n'

@@ -6,7 +6,7 @@ import numpy as np
 
 from gains.identification.excitation import Verdict
 from gains.identification.residuals import residual_statistics
-from replay.fitting.fit_report import Comparison, comparison_lines, draw_comparison, parameter_lines
+from monitor.fitting.fit_report import Comparison, comparison_lines, draw_comparison, parameter_lines
 
 
 def comparison() -> Comparison:

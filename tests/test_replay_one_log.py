@@ -65,7 +65,7 @@ def test_what_was_not_foreseen_is_one_line(
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("replay.runs.one_log.play_blocks", fail)
+    monkeypatch.setattr("replay.runs.one_log.play_batches", fail)
     outcome = replay_log(PROFILE, LogTask("flight.tlog", data / "copter_5s.tlog.xz"))
     assert outcome.error is not None
     assert outcome.error.startswith(line)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from adapters.logs.compressed import ON_BYTES, CompressedFile
-from replay.progress import recording_bytes, track
+from monitor.fitting.progress import recording_bytes, track
 
 
 class Terminal(StringIO):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from adapters.block import pack
+from adapters.batch import pack
 from adapters.message import Message
 from replay.reports.recording_facts import MOST_GAPS, RecordingFacts, RecordingMeter
 

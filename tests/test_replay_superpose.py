@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from gains.plants.plant import Fault, Nonlinearity, Plant
 from monitor.estimation.input_curve import effect_of_command
-from replay.fitting.superpose import effect_change, fault_response
+from monitor.fitting.superpose import effect_change, fault_response
 
 TAPS = (0.5, 0.3, 0.2)
 CURVE = (0.8, 0.4)

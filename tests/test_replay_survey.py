@@ -12,8 +12,8 @@ import pytest
 from adapters.errors import TelemetryError
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
-from replay.fitting.fit_motors import fit_motors, multirotor_gate
-from replay.fitting.survey import FIT_MESSAGES, CommandRange, Survey, motor_commands, of_one_vehicle, survey
+from monitor.fitting.survey import FIT_MESSAGES, CommandRange, Survey, motor_commands, of_one_vehicle, survey
+from monitor.vehicles.multirotor.fit import fit_motors, multirotor_gate
 
 FLIGHTS = ("copter_healthy_square.tlog.xz", "copter_healthy_vel_gusty.tlog.xz")
 

@@ -9,14 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adapters.logs.recordings import read_recording
-from adapters.sampling.clock import VehicleClock
-from monitor.alarms.gate import GatedSample
 from monitor.chain import ObserverChain
 from monitor.estimate import Estimate
+from monitor.fitting.calibrate import flight_samples
+from monitor.fitting.fitted import bare_rule
+from monitor.fitting.thresholds import Times, calibrated, healthy_evidence, healthy_levels, plain_only, weighted_mean
 from monitor.profile import Profile
-from replay.fitting.calibrate import flight_samples
-from replay.fitting.fitted import bare_rule
-from replay.fitting.thresholds import Times, calibrated, healthy_evidence, healthy_levels, plain_only, weighted_mean
+from monitor.sampling.clock import VehicleClock
+from monitor.sampling.gate import GatedSample
 
 RATE_HZ = 50.0
 BARE = bare_rule("motors", "motor1", "actuator", "share")

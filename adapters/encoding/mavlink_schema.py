@@ -10,7 +10,7 @@ import numpy as np
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from adapters.block import Columns
+from adapters.batch import Columns
 from adapters.encoding.protobuf_rows import ProtobufRows
 from adapters.encoding.protobuf_types import Field, Scalar, message_class
 from adapters.message import Message

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.block import Columns
+from adapters.batch import Columns
 from adapters.encoding.foreign_record import json_object
 from adapters.encoding.log_schema import LogProtobuf, to_protobuf
 from adapters.encoding.mavlink_schema import PACKAGE, MavlinkProtobuf, mavlink_protobuf

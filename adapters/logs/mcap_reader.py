@@ -21,7 +21,7 @@ from mcap.records import Channel, Metadata, Statistics
 from mcap.records import Schema as McapSchema
 from mcap.writer import MCAP0_MAGIC
 
-from adapters.block import Block, Columns, gathered, pack
+from adapters.batch import Batch, Columns, gathered, pack
 from adapters.encoding.foreign_record import described, foreign_decoder, foreign_name
 from adapters.encoding.message_record import Decode, MavlinkRecords, decoder, recorded_name
 from adapters.encoding.record import Record, Schema
@@ -172,7 +172,7 @@ class MessageLogReader:
         self._messages += 1
         return message
 
-    def blocks(self, count: int) -> Iterator[Block]:
+    def blocks(self, count: int) -> Iterator[Batch]:
         """Return the messages in blocks of ``count``, fewer where some cannot be read; raises as iteration does."""
         data = self._data()
         while stretch := list(islice(data, count)):
@@ -325,7 +325,7 @@ class MessageLogReader:
         return self._messages + self._other_records + self._damaged_records
 
 
-def _block(columns: list[Columns], single: Mapping[int, Message]) -> Block:
+def _block(columns: list[Columns], single: Mapping[int, Message]) -> Batch:
     """Return what was decoded together and one by one as a block; of the latter, what can be, as columns too."""
     packed, place = pack([*single.values()]), np.array([*single], np.int64)
     columns += (replace(one, position=place[one.position]) for one in packed.columns)

@@ -10,7 +10,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from adapters.block import Block, pack
+from adapters.batch import Batch, pack
 from adapters.errors import TelemetryError
 from adapters.logs.damage import Damage, scan_damage
 from adapters.message import Message
@@ -138,7 +138,7 @@ class Recording:
         wanted = None if self._only is None else self._tables.topics(self._only) | frozenset(self._only)
         return telemetry(self._read(wanted), self._tables, self._only)
 
-    def blocks(self, count: int = BLOCK_MESSAGES) -> Iterator[Block]:
+    def blocks(self, count: int = BLOCK_MESSAGES) -> Iterator[Batch]:
         """Return the messages in blocks, in the same order.
 
         ``count`` says how far to read ahead: about as many messages, wanted or not, of a telemetry log; as many wanted
@@ -219,7 +219,7 @@ def _open_entries(
 
 def _open_blocks(
     kind: RecordingKind, file: Path, only: Collection[str] | None, count: int
-) -> tuple[Iterable[Block], Callable[[], Damage | None]]:
+) -> tuple[Iterable[Batch], Callable[[], Damage | None]]:
     """Return the blocks of a telemetry log or MCAP file, and what says afterwards what of it is missing."""
     if kind == "tlog":
         from adapters.logs.tlog_columns import TlogBlocks
@@ -251,14 +251,14 @@ def read_recording(
     return iter(Recording(path, only, mapping))
 
 
-def read_blocks(
+def read_batches(
     path: str | os.PathLike[str], only: Collection[str] | None = None, count: int = BLOCK_MESSAGES
-) -> Iterator[Block]:
+) -> Iterator[Batch]:
     """Return the messages of a recording in blocks; see :meth:`Recording.blocks`."""
     return Recording(path, only).blocks(count)
 
 
-def packed(messages: Iterable[Message], count: int = BLOCK_MESSAGES) -> Iterator[Block]:
+def packed(messages: Iterable[Message], count: int = BLOCK_MESSAGES) -> Iterator[Batch]:
     """Return messages in blocks of ``count``, the last one shorter."""
     messages = iter(messages)
     while stretch := list(islice(messages, count)):

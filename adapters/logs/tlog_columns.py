@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.block import Block, Columns
+from adapters.batch import Batch, Columns
 from adapters.logs.compressed import CompressedFile
 from adapters.logs.tlog import MAX_TIME_US, TIME_BYTES, RecordScan, TlogStatistics, last_record
 from adapters.mavlink.mavlink_columns import PADDING, Heads, fields, heads, intact, kinds, payload_layout
@@ -61,7 +61,7 @@ class TlogBlocks:
         """Return the counts so far."""
         return self._scan.statistics()
 
-    def __iter__(self) -> Iterator[Block]:
+    def __iter__(self) -> Iterator[Batch]:
         """Return the blocks in which there are wanted messages.
 
         Raises
@@ -168,7 +168,7 @@ def _times_us(data: NDArray[np.uint8], starts: NDArray[np.int64]) -> NDArray[np.
     return stamps[starts].astype(np.uint64)
 
 
-def _block(buffer: bytes, data: NDArray[np.uint8], starts: NDArray[np.int64]) -> Block:
+def _block(buffer: bytes, data: NDArray[np.uint8], starts: NDArray[np.int64]) -> Batch:
     """Return the messages of intact records."""
     packets = heads(data, starts + TIME_BYTES)
     received_ns = _times_us(data, starts).astype(np.int64) * 1_000
@@ -194,7 +194,7 @@ def _block(buffer: bytes, data: NDArray[np.uint8], starts: NDArray[np.int64]) ->
                 fields=fields(data, layout, packets.payload[position], packets.length[position]),
             )
         )
-    return Block(len(starts), tuple(columns), others)
+    return Batch(len(starts), tuple(columns), others)
 
 
 def _groups(packets: Heads) -> Iterator[NDArray[np.int64]]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Mapping
 
+from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.mavlink.message_rates import RateRequests, RateStatistics
 from adapters.message import Message
-from adapters.sampling.phase import is_autopilot_heartbeat
 
 
 class RequestingLink:

@@ -19,18 +19,18 @@ from markup import block, code, parameters_of, prose, table
 import gains.plants.model_file
 import replay
 from adapters.channels import Channel
-from adapters.sampling.strapdown import DEFAULTS, Strapdown
-from adapters.sampling.transform import KINDS, TransformRule
 from gains.identification.free_model import Parameter
 from gains.plants.plant import Fault, Nonlinearity, Plant
 from gains.synthesis.gains_file import Gains
 from monitor.alarms.alarm import TUNABLE, AlarmRule
 from monitor.alarms.excuse import ExcuseRule
-from monitor.alarms.gate import GateRule
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.isolation import SingleFaultIsolator
 from monitor.estimation.isolation_rule import METHODS, BankRule, SingleRule
 from monitor.profile import ObserverProfile, Profile, read_profile
+from monitor.sampling.gate import GateRule
+from monitor.sampling.transform import KINDS, TransformRule
+from monitor.vehicles.inertial.strapdown import DEFAULTS, Strapdown
 
 _EXAMPLE = Path(replay.__file__).parent / "data" / "quad"
 _HEAD = ("key", "type", "default", "what it is")

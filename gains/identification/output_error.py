@@ -20,9 +20,9 @@ import numpy as np
 from gains.errors import ModelError
 from gains.identification.excitation import Verdict, excitation_verdicts
 from gains.identification.free_model import FreeModel
-from gains.identification.multirotor import Segment
 from gains.identification.noise_scales import NoiseScales, fit_noise_scales
 from gains.identification.residuals import ResidualStatistics, residual_statistics
+from gains.identification.segment import Segment
 from gains.identification.shooting import Shooting, Windows, cut_windows
 from gains.identification.simulation import Hold, linearised
 from gains.plants.discretise import discretise

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from gains.errors import ModelError
-from gains.identification.multirotor import Segment
+from gains.identification.segment import Segment
 
 FloatArray = NDArray[np.float64]
 

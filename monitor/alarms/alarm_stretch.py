@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sampling.stretch import first_order
 from monitor.alarms.alarm import Alarm, Standing
+from monitor.sampling.stretch import first_order
 
 _FIRST_LOOK = 64
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import Message
-from adapters.sampling.phase import is_autopilot_heartbeat
 from monitor.event import UNNUMBERED, AlarmEvent, Kind, Severity, State, alarm_id
 
 OBSERVER = "link"

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from gains.output_file import write_file
+from adapters.output_file import write_file
 from monitor.bus.payload import ALARM_SCHEMA
 from monitor.errors import ProfileError
 

@@ -30,7 +30,6 @@ from math import exp, inf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sampling.stretch import first_order, since
 from monitor.estimation.effectiveness_run import (
     ACQUITTAL,
     CONTRADICTION,
@@ -39,6 +38,7 @@ from monitor.estimation.effectiveness_run import (
     Moments,
     heard_verdicts,
 )
+from monitor.sampling.stretch import first_order, since
 
 Array = NDArray[np.float64]
 

@@ -14,13 +14,13 @@ from typing import Final
 from adapters.encoding.record import Record
 from adapters.errors import TelemetryError
 from adapters.logs.mcap_log import MessageLogWriter
-from adapters.sampling.phase import FlightPhase
 from monitor.event import AlarmEvent
 from monitor.recording.packed_record import PackedRecord, RecordPacking
 from monitor.recording.record_encoder import OWN_TOPICS
 from monitor.recording.recorder import METADATA, start_log
 from monitor.recording.retention import Retention, file_stem
 from monitor.recording.rotation import writable_folder
+from monitor.sampling.phase import FlightPhase
 
 MAX_OPEN_CLIPS: Final = 4
 MAX_WAITING_CLIPS: Final = 8

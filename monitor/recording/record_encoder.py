@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from adapters.block import Block, one_message
+from adapters.batch import Batch, one_message
 from adapters.encoding.message_record import encode, encode_columns
 from adapters.encoding.protobuf_types import descriptor_set
 from adapters.encoding.record import Record, Records, Schema, single
@@ -74,7 +74,7 @@ class RecordEncoder:
             Record(f"{OWN_TOPICS}{name}/estimate", "protobuf", self._estimate_schemas[name], _bytes(found), time_ns),
         )
 
-    def block(self, block: Block) -> list[Records]:
+    def block(self, block: Batch) -> list[Records]:
         """Return the records of a stretch of telemetry by topic."""
         found: list[Records] = []
         for columns in block.columns:

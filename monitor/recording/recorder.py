@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 from types import TracebackType
 from typing import Self
 
-from adapters.block import Block
+from adapters.batch import Batch
 from adapters.encoding.record import Record
 from adapters.logs.mcap_log import MessageLogWriter, WriterStatistics
 from adapters.message import Message
@@ -127,7 +127,7 @@ class Recorder:
         if failure is not None:
             raise failure
 
-    def block(self, block: Block) -> None:
+    def block(self, block: Batch) -> None:
         """Record a stretch of telemetry as received."""
         self._log.write_together(self._encoder.block(block))
 

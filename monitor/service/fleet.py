@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
+from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import Message
-from adapters.sampling.phase import is_autopilot_heartbeat
 from monitor.service.inbox import Arrival
 from monitor.service.vehicle_monitor import VehicleMonitor
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from adapters.sampling.slow_telemetry import spanned
 from monitor.profile import ObserverProfile
+from monitor.sampling.slow_telemetry import spanned
 
 _LACKING_NS = 5_000_000_000
 _COUNTED_NS = 10_000_000_000

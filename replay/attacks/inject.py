@@ -13,7 +13,7 @@ from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import read_mcap_metadata
 from adapters.logs.recordings import read_recording, recording_kind
 from adapters.message import Message
-from gains.output_file import write_file
+from adapters.output_file import write_file
 from monitor.profile import read_profile
 from replay.attacks.attack import Attack, InjectionError, Kind
 from replay.attacks.injector import Injector, Plan, Senders, inject, plan, profile_clocks, survey_senders

@@ -8,18 +8,17 @@ from pathlib import Path
 import tomli_w
 
 from adapters.channels import Channel
-from adapters.sampling.transform import Source
+from adapters.output_file import write_file
 from adapters.simulation.arm import SCENARIOS, TORQUES, simulate_arm
 from adapters.simulation.arm_source import arm_messages
-from gains.output_file import write_file
 from gains.plants.model_file import builtin_model, write_model
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import write_gains
 from monitor.alarms.alarm import AlarmRule
-from monitor.alarms.gate import GateRule
 from monitor.estimation.isolation_rule import IndependentRule
+from monitor.fitting.calibrate import flight_samples, healthy_maxima
 from monitor.profile import (
     PROFILE_FILE,
     Profile,
@@ -27,7 +26,8 @@ from monitor.profile import (
     profile_table,
     read_profile,
 )
-from replay.fitting.calibrate import flight_samples, healthy_maxima
+from monitor.sampling.gate import GateRule
+from monitor.sampling.transform import Source
 
 OBSERVER = "arm"
 MODEL = "arm-disturbed"

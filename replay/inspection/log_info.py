@@ -12,15 +12,15 @@ from typing import Any
 from adapters.channels import Channel, channel_table
 from adapters.errors import TelemetryError
 from adapters.logs.recordings import Recording, recorded_alarms, recorded_metadata, recording_kind
+from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.mavlink.vehicle_type import enumerated
 from adapters.message import Message
-from adapters.sampling.phase import is_autopilot_heartbeat
-from adapters.sampling.slow_telemetry import INERTIAL_HZ, WANTED_HZ, slow_messages
-from adapters.sampling.strapdown_channels import strapdown_channels
-from replay.fitting.fit_drive import rover_signals
-from replay.fitting.fit_surfaces import plane_signals
-from replay.fitting.survey import Survey, common_rate_hz, multirotor_channels, of_one_vehicle, survey
-from replay.progress import track
+from monitor.fitting.progress import track
+from monitor.fitting.survey import Survey, common_rate_hz, multirotor_channels, of_one_vehicle, survey
+from monitor.sampling.slow_telemetry import INERTIAL_HZ, WANTED_HZ, slow_messages
+from monitor.vehicles.inertial.strapdown_channels import strapdown_channels
+from monitor.vehicles.plane.fit import plane_signals
+from monitor.vehicles.rover.fit import rover_signals
 
 _ARMED = 128
 # what comes all at once, as the head of a log does, has no rate

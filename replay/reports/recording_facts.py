@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.block import Block
+from adapters.batch import Batch
 from adapters.message import Message
 
 GAP_S = 0.5
@@ -104,7 +104,7 @@ class RecordingMeter:
             self.take(message)
             yield message
 
-    def watch_blocks(self, blocks: Iterable[Block]) -> Iterator[Block]:
+    def watch_blocks(self, blocks: Iterable[Batch]) -> Iterator[Batch]:
         """Yield the blocks and take note of their messages."""
         for block in blocks:
             self.take_block(block)
@@ -114,7 +114,7 @@ class RecordingMeter:
         """Take note of a message."""
         self._stream((message.source, message.name, message.system, message.component)).one(message.received_ns)
 
-    def take_block(self, block: Block) -> None:
+    def take_block(self, block: Batch) -> None:
         """Take note of the messages of a block."""
         for columns in block.columns:
             key = (columns.source, columns.name, columns.system, columns.component)

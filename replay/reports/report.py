@@ -10,12 +10,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 from adapters.logs.damage import Damage
-from gains.output_file import write_file
+from adapters.output_file import write_file
 from monitor.bus.alarm_text import utc
 from monitor.estimation.effectiveness import EffectivenessRule
+from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR
 from monitor.profile import Profile
 from monitor.views.panels import Truth
-from replay.fitting.thresholds import FALSE_ALARMS_PER_HOUR
 from replay.player import Replay
 from replay.reports.findings import Calibration, Finding, WatchedChannel, effects, findings, watched_channels
 from replay.reports.plot import plot_svg

@@ -7,9 +7,9 @@ from itertools import combinations
 from typing import NamedTuple
 
 from adapters.logs.damage import Damage
-from adapters.sampling.slow_telemetry import spanned
 from monitor.estimation.isolation_rule import BankRule, SingleRule
 from monitor.profile import ObserverProfile, Profile
+from monitor.sampling.slow_telemetry import spanned
 from replay.player import Replay, Watch
 from replay.reports.findings import Finding
 from replay.reports.recording_facts import RecordingFacts

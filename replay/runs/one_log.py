@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from adapters.block import Block
+from adapters.batch import Batch
 from adapters.logs.damage import Damage
 from adapters.logs.recordings import Recording, packed, recorded_vehicle, recording_kind
 from adapters.message import Message
 from monitor.event import AlarmEvent
+from monitor.fitting.progress import recording_bytes, track
 from monitor.profile import Profile
 from monitor.views.panels import Truth
-from replay.player import Replay, interests, play_blocks
-from replay.progress import recording_bytes, track
+from replay.player import Replay, interests, play_batches
 from replay.reports.known_truth import known_truth
 from replay.reports.recording_facts import RecordingMeter
 
@@ -184,7 +184,7 @@ def _replay(
             size = recording_bytes(task.path)
             blocks = track(blocks, Path(task.log).name, total_bytes=size, weigh=lambda block: block.count)
     blocks = span.blocks(blocks)
-    found = play_blocks(
+    found = play_batches(
         profile,
         meter.watch_blocks(blocks) if task.report else blocks,
         vehicle=vehicle,
@@ -257,7 +257,7 @@ class _Span:
     def __init__(self) -> None:
         self.start_ns = self.end_ns = 0
 
-    def blocks(self, source: Iterable[Block]) -> Iterator[Block]:
+    def blocks(self, source: Iterable[Batch]) -> Iterator[Batch]:
         for block in source:
             others = [message.received_ns for message in block.others.values()]
             firsts = [int(one.received_ns[0]) for one in block.columns]

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from gains.output_file import naming
+from adapters.output_file import naming
 
 if TYPE_CHECKING:
     from monitor.profile import Profile
@@ -100,8 +100,8 @@ def add_replay(subparsers: Any) -> None:
 
 def run_replay(args: argparse.Namespace) -> int:
     """Run ``fauio replay``."""
+    from monitor.fitting.progress import track
     from monitor.profile import read_profile
-    from replay.progress import track
     from replay.runs.log_list import find_logs
     from replay.runs.summary_table import SummaryTable
 

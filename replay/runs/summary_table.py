@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from adapters.errors import TelemetryError
-from gains.output_file import naming
+from adapters.output_file import naming
 from monitor.bus.alarm_text import utc
 from monitor.errors import ExtraMissingError
 from replay.runs.one_log import LogOutcome

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
-from adapters.sampling.phase import FlightPhase
 from monitor.alarms.alarm import AlarmRule
 from monitor.estimate import Estimate
 from monitor.pipeline import Pipeline
 from monitor.profile import ObserverProfile, Profile, read_profile
+from monitor.sampling.phase import FlightPhase
 from replay.attacks.attack import KINDS, Attack, InjectionError
 from replay.attacks.injector import plan
 from replay.sensitivity import windows

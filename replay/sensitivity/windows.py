@@ -6,8 +6,8 @@ from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 
 from adapters.message import Message
-from adapters.sampling.phase import FlightPhase
 from monitor.profile import Profile
+from monitor.sampling.phase import FlightPhase
 from replay.attacks.injector import VehicleTime, profile_clocks
 
 Span = tuple[int, int]

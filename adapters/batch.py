@@ -1,0 +1,203 @@
+"""A stretch of telemetry by columns: what a recording holds of each message, as arrays, in the order of arrival.
+
+Recordings are read in blocks so that whatever is the same for thousands of messages is done once. A block says
+exactly what the messages say one by one: :func:`messages` gives them back, :func:`pack` makes blocks of messages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.message import Message
+
+# What comes from other sources acts on the pipeline, each in its own way.
+_TELEMETRY = ("mavlink", "zenoh")
+_DTYPES: Mapping[type, type[np.generic]] = {int: np.int64, float: np.float64, bool: np.bool_}
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """The m messages of one name and one sender in a block.
+
+    Parameters
+    ----------
+    source, name : str
+        As of :class:`adapters.message.Message`.
+    system, component : int
+        MAVLink ids of the sender.
+    position : NDArray[np.int64]
+        Place of each among all messages of the block (m,), ascending.
+    received_ns : NDArray[np.int64]
+        Unix times of arrival, nanoseconds (m,).
+    fields : Mapping[str, NDArray]
+        Decoded fields in the type they have on the wire (m,); an array field has shape (m, its length).
+    """
+
+    source: str
+    name: str
+    system: int
+    component: int
+    position: NDArray[np.int64]
+    received_ns: NDArray[np.int64]
+    fields: Mapping[str, NDArray[np.generic]]
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """A stretch of telemetry.
+
+    Parameters
+    ----------
+    count : int
+        Number of messages.
+    columns : tuple[Columns, ...]
+        By name and sender; no two have both in common.
+    others : Mapping[int, Message]
+        Messages that are no columns (texts, other kinds of source), by their place in the block.
+    """
+
+    count: int
+    columns: tuple[Columns, ...]
+    others: Mapping[int, Message]
+
+
+def messages(block: Batch) -> Iterator[Message]:
+    """Yield the messages of a block one by one, in the order of arrival."""
+    place: list[tuple[Columns, int] | Message | None] = [None] * block.count
+    for columns in block.columns:
+        for row, position in enumerate(columns.position.tolist()):
+            place[position] = columns, row
+    for position, message in block.others.items():
+        place[position] = message
+    for entry in place:
+        if isinstance(entry, Message):
+            yield entry
+        elif entry is not None:
+            yield one_message(*entry)
+
+
+def one_message(columns: Columns, row: int) -> Message:
+    """Return one message of its columns."""
+    return Message(
+        source=columns.source,
+        name=columns.name,
+        received_ns=int(columns.received_ns[row]),
+        fields={name: values[row].tolist() for name, values in columns.fields.items()},
+        system=columns.system,
+        component=columns.component,
+    )
+
+
+def cut(block: Batch, start: int, stop: int) -> Batch:
+    """Return the messages at places start <= place < stop as a block of their own."""
+    columns = []
+    for one in block.columns:
+        first, last = np.searchsorted(one.position, (start, stop))
+        if first == last:
+            continue
+        part = slice(int(first), int(last))
+        columns.append(
+            Columns(
+                source=one.source,
+                name=one.name,
+                system=one.system,
+                component=one.component,
+                position=one.position[part] - start,
+                received_ns=one.received_ns[part],
+                fields={name: values[part] for name, values in one.fields.items()},
+            )
+        )
+    others = {place - start: message for place, message in block.others.items() if start <= place < stop}
+    return Batch(stop - start, tuple(columns), others)
+
+
+def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Batch:
+    """Return columns and messages, all at places of their own, as a block; where there is none, places close up.
+
+    Columns of a name and sender that came before become messages.
+    """
+    kept: dict[tuple[str, int, int], Columns] = {}
+    others = dict(single)
+    for one in columns:
+        if one is not kept.setdefault((one.name, one.system, one.component), one):
+            others.update((int(one.position[row]), one_message(one, row)) for row in range(len(one.position)))
+    places = np.concatenate([np.array([*others], np.int64), *(one.position for one in kept.values())])
+    places.sort()
+    closed = tuple(
+        replace(one, position=np.searchsorted(places, one.position).astype(np.int64)) for one in kept.values()
+    )
+    at = np.searchsorted(places, [*others]).tolist()
+    return Batch(len(places), closed, dict(zip(at, others.values(), strict=True)))
+
+
+def pack(stretch: Sequence[Message]) -> Batch:
+    """Return messages as a block.
+
+    Telemetry whose fields are numbers or lists of numbers, the same ones in each message of a name and sender and of
+    the same Python type and length, becomes columns of int64, float64 or bool; all else stays as messages.
+
+    Parameters
+    ----------
+    stretch : Sequence[Message]
+        The messages, in the order of arrival.
+    """
+    groups: dict[tuple[str, int, int], list[int]] = {}
+    for position, message in enumerate(stretch):
+        groups.setdefault((message.name, message.system, message.component), []).append(position)
+    columns: list[Columns] = []
+    others: dict[int, Message] = {}
+    for positions in groups.values():
+        found = _columns(positions, [stretch[position] for position in positions])
+        if found is None:
+            others.update((position, stretch[position]) for position in positions)
+        else:
+            columns.append(found)
+    return Batch(len(stretch), tuple(columns), others)
+
+
+def _columns(positions: list[int], group: list[Message]) -> Columns | None:
+    first = group[0]
+    names = tuple(first.fields)
+    if first.source not in _TELEMETRY or any(one.source != first.source or tuple(one.fields) != names for one in group):
+        return None
+    arrays = [_numbers([one.fields[name] for one in group]) for name in names]
+    received_ns = _numbers([one.received_ns for one in group])
+    if received_ns is None:
+        return None
+    fields = {name: array for name, array in zip(names, arrays, strict=True) if array is not None}
+    if len(fields) != len(names):
+        return None
+    return Columns(
+        source=first.source,
+        name=first.name,
+        system=first.system,
+        component=first.component,
+        position=np.array(positions, np.int64),
+        received_ns=received_ns.astype(np.int64),
+        fields=fields,
+    )
+
+
+def _numbers(values: list[Any]) -> NDArray[np.generic] | None:
+    """Return an array whose rows give back the values exactly, None where there is none."""
+    kind = type(values[0])
+    if any(type(value) is not kind for value in values):
+        return None
+    if kind is list:
+        length = len(values[0])
+        parts = [part for value in values for part in value]
+        if any(len(value) != length for value in values) or (parts and type(parts[0]) not in _DTYPES):
+            return None
+        flat = _numbers(parts) if parts else np.empty(0)
+        return None if flat is None else flat.reshape(len(values), length)
+    if kind not in _DTYPES:
+        return None
+    try:
+        return np.array(values, _DTYPES[kind])
+    except OverflowError:
+        return None

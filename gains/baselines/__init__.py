@@ -1,1 +1,0 @@
-"""Reconstructions of earlier observers and a Kalman filter, to compare with."""

@@ -1,0 +1,82 @@
+"""Which messages hold the raw signals of vehicles whose deflections act with speed, and how often they fill a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from adapters.channels import Channel
+from adapters.errors import TelemetryError
+from monitor.fitting.survey import MOTOR_MESSAGE, Survey
+
+_TURN = 6.283185307179586
+_G = 9.80665
+_ATTITUDE = "ATTITUDE"
+_IMU = (("HIGHRES_IMU", 1.0), ("SCALED_IMU", _G / 1000.0), ("RAW_IMU", _G / 1000.0))
+_ANGLES = {"roll": "roll", "pitch": "pitch", "yaw": "yaw"}
+_RATES = {"roll_rate": "rollspeed", "pitch_rate": "pitchspeed", "yaw_rate": "yawspeed"}
+_FORCES = {"forward_acceleration": "xacc", "lateral_acceleration": "yacc", "vertical_acceleration": "zacc"}
+_RATES_HZ = (100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
+_NEARLY = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class EffectSignals:
+    """Channels of a transform's raw signals, in its order, and how many samples a second they fill."""
+
+    channels: tuple[Channel, ...]
+    rate_hz: float
+
+
+def effect_signals(
+    surveys: Sequence[Survey], names: Sequence[str], servos: Mapping[str, Channel], speeds: Mapping[str, Channel]
+) -> EffectSignals:
+    """Choose the channels.
+
+    The grid follows the slowest of attitude, acceleration and servo outputs; speeds may come less often.
+
+    Parameters
+    ----------
+    surveys : Sequence[Survey]
+        What the recordings hold.
+    names : Sequence[str]
+        The transform's signals.
+    servos, speeds : Mapping[str, Channel]
+        Channels of actuators and of what tells the speed, by signal.
+
+    Raises
+    ------
+    TelemetryError
+        A message that is needed is missing or comes too seldom; the text says which to record.
+    """
+    common = set.intersection(*(set(found.rate_hz) for found in surveys))
+    imu = next((source for source in _IMU if source[0] in common), None)
+    for message, what in ((_ATTITUDE, "attitude"), (MOTOR_MESSAGE, "servo outputs")):
+        if message not in common:
+            raise TelemetryError(f"no {what} in every log; record {message} at 50 Hz or more")
+    if imu is None:
+        raise TelemetryError(
+            f"no accelerations in every log; record one of {', '.join(s[0] for s in _IMU)} at 50 Hz or more"
+        )
+    known = {
+        **{name: Channel(name, _ATTITUDE, (field,), period=_TURN) for name, field in _ANGLES.items()},
+        **{name: Channel(name, _ATTITUDE, (field,)) for name, field in _RATES.items()},
+        **{name: Channel(name, imu[0], (field,), scale=imu[1]) for name, field in _FORCES.items()},
+        **servos,
+        **speeds,
+    }
+    return EffectSignals(tuple(known[name] for name in names), _rate_hz(surveys, (_ATTITUDE, MOTOR_MESSAGE, imu[0])))
+
+
+def servo(name: str, number: int, centre: float, span: float) -> Channel:
+    """Return a servo output as (pulse - centre) / span."""
+    field = (f"servo{number}_raw",)
+    return Channel(name, MOTOR_MESSAGE, field, scale=1.0 / span, offset=-centre / span, where=(("port", 0),))
+
+
+def _rate_hz(surveys: Sequence[Survey], messages: Sequence[str]) -> float:
+    slowest, message = min((found.rate_hz[message], message) for found in surveys for message in messages)
+    for rate in _RATES_HZ:
+        if slowest >= _NEARLY * rate:
+            return rate
+    raise TelemetryError(f"{message} comes {slowest:.1f} times a second; record it at 50 Hz or more")

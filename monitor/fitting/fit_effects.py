@@ -1,0 +1,268 @@
+"""Fit the observer of a vehicle whose deflections act with speed: model, gains, how its estimates are to be read.
+
+The raw signals of a log are sampled once. A transform that knows no more than the speeds gives what the model is
+identified from; with the timing and curves found it then gives what the observer sees in operation, on which the
+reading of its estimates is calibrated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.errors import TelemetryError
+from gains.identification.regression import AxisFit
+from gains.identification.segment import Segment
+from gains.plants.plant import Plant
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from gains.synthesis.gains_file import Gains
+from monitor.estimation.effectiveness import EffectivenessRule
+from monitor.estimation.isolation_rule import IndependentRule
+from monitor.estimation.observer import Observer
+from monitor.fitting.calibrate import SETTLE_S, contiguous, flight_samples, transformed
+from monitor.fitting.effect_signals import EffectSignals
+from monitor.fitting.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
+from monitor.fitting.effects_report import compare_effects
+from monitor.fitting.fit_report import comparison_lines
+from monitor.fitting.fitted import Fitted, Log, bare_rule
+from monitor.fitting.thresholds import Calibrated
+from monitor.sampling.gate import GatedSample, GateRule
+from monitor.sampling.transform import Source, TransformRule, make_transform
+from monitor.vehicles.plane.identify import Excitation
+
+_OBSERVER_HZ = 50.0
+_MOVING = 0.1
+_SMOOTHING_S = 0.05
+_LEAST_RUN_S = 1.0
+# Evidence is exactly zero where nothing is certain, so any size tells.
+_THRESHOLD, _CLEAR, _CRITICAL = 0.001, 0.0005, 0.25
+_RAISE_S, _CLEAR_S = 0.15, 0.3
+
+
+class EffectsFit(Protocol):
+    """What an identification of such a vehicle gives."""
+
+    @property
+    def axes(self) -> tuple[AxisFit, ...]:
+        """One for each output."""
+
+    @property
+    def excitation(self) -> tuple[Excitation, ...]:
+        """One for each actuator."""
+
+    def parameters(self) -> dict[str, float]:
+        """Return what the transform has to know beside the speeds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of vehicle.
+
+    Parameters
+    ----------
+    observer : str
+        Name of the observer, and of its transform.
+    slowest : float
+        Speed below which samples are no evidence, as a share of the reference speed.
+    speed : Callable[[NDArray[np.float64]], NDArray[np.float64]]
+        Speeds (N,) in raw signals (N, s).
+    full : Mapping[str, str]
+        Input that is the effect of a full deflection, by actuator; an actuator without acts the same at every speed.
+    learn : Callable[[Sequence[Segment], float, Sequence[str], str], tuple[EffectsFit, Plant]]
+        From segments, rate, input names and the vehicle's name to the fit and its plant.
+    """
+
+    observer: str
+    slowest: float
+    speed: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    full: Mapping[str, str]
+    learn: Callable[[Sequence[Segment], float, Sequence[str], str], tuple[EffectsFit, Plant]]
+
+
+def fit_effects(kind: Kind, name: str, logs: Sequence[Log], signals: EffectSignals, gate: GateRule) -> Fitted:
+    """Identify, design and calibrate.
+
+    Parameters
+    ----------
+    kind : Kind
+        The kind of vehicle.
+    name : str
+        Name of the vehicle.
+    logs : Sequence[Log]
+        Healthy recordings.
+    signals : EffectSignals
+        The transform's raw signals.
+    gate : GateRule
+        When samples are evidence.
+
+    Raises
+    ------
+    TelemetryError, ModelError, InfeasibleError
+        The recordings do not hold what is needed, excite no axis, or allow no certified design.
+    """
+    rate_hz = min(signals.rate_hz, _OBSERVER_HZ)
+    source = Source(inputs=signals.channels)
+    raw = [flight_samples(log(), source, signals.rate_hz, replace(gate, airborne_command=0.0)) for log in logs]
+    reference = _reference_speed(kind, raw)
+    speeds = {"reference_speed": reference, "minimum_speed": kind.slowest * reference}
+    bare = TransformRule(kind.observer, signals.rate_hz, speeds)
+    inputs = make_transform(bare, rate_hz).inputs
+
+    def segments(parameters: Mapping[str, float]) -> list[list[Segment]]:
+        delayed = replace(bare, parameters=speeds | dict(parameters))
+        return [contiguous(transformed(flight, make_transform(delayed, rate_hz))) for flight in raw]
+
+    def learn(some: Sequence[Segment]) -> tuple[Mapping[str, float], Plant]:
+        found, model = kind.learn(some, rate_hz, inputs, name)
+        return found.parameters(), model
+
+    fit, plant = kind.learn([part for flight in segments({}) for part in flight], rate_hz, inputs, name)
+    design = design_convex(plant, rate_hz)
+    gains = compile_gains(plant, design, certify(plant, design))
+    rule = replace(bare, parameters=speeds | {key: round(value, 6) for key, value in fit.parameters().items()})
+    flights = [transformed(flight, make_transform(rule, rate_hz)) for flight in raw]
+    reading = _reading(kind, fit, plant, gains, flights)
+    units = dict(zip(gains.faults, gains.fault_units, strict=True))
+    alarms = [
+        replace(
+            bare_rule(kind.observer, fault, "actuator", units[fault]),
+            threshold=_THRESHOLD,
+            clear=_CLEAR,
+            critical=_CRITICAL,
+            raise_s=_RAISE_S,
+            clear_s=_CLEAR_S,
+        )
+        for fault in gains.faults
+    ]
+    comparison = compare_effects(learn, segments, rate_hz)
+    return Fitted(
+        name=kind.observer,
+        plant=plant,
+        gains=(gains,),
+        source=Source(transform=rule, signals=signals.channels),
+        isolation=IndependentRule(_SMOOTHING_S),
+        alarms=tuple(Calibrated(alarm, None) for alarm in alarms),
+        effectiveness=reading,
+        flight_s=sum(armed for flight in flights for _, armed in flight) / rate_hz,
+        findings=_findings(fit, rate_hz, reference, reading),
+        lines=tuple(_lines(fit, rate_hz, reference, reading)),
+        details=() if comparison is None else ("on data kept back:", *comparison_lines(comparison)),
+        comparison=comparison,
+    )
+
+
+def _reference_speed(kind: Kind, raw: Sequence[Sequence[GatedSample]]) -> float:
+    """Return the median healthy speed while moving."""
+    rows = [sample.u for flight in raw for sample, armed in flight if armed]
+    speed = kind.speed(np.stack(rows)) if rows else np.zeros(1)
+    fastest = float(np.quantile(speed, 0.95))
+    if fastest <= 0.0:
+        raise TelemetryError("no healthy motion in these logs: the vehicle was never seen armed and moving")
+    return float(f"{np.median(speed[speed > _MOVING * fastest]):.3g}")
+
+
+def _reading(
+    kind: Kind, fit: EffectsFit, plant: Plant, gains: Gains, flights: Sequence[Sequence[GatedSample]]
+) -> dict[str, EffectivenessRule]:
+    """Return how each fault's estimate is read."""
+    runs = [run for flight in flights for run in _observed(gains, flight)]
+    doubts = {axis.model.actuator: 1.0 / axis.t_value for axis in fit.axes}
+    found = {}
+    for place, fault in enumerate(gains.faults):
+        command, full = gains.inputs.index(fault), kind.full.get(fault)
+        start = EffectivenessRule(
+            noise=1.0,
+            inflation=1.0,
+            lag_s=response_delay_s(plant, gains, fault),
+            loss_doubt=doubts[fault],
+            offset_doubt=0.0,
+            certainty=1.0,
+            full=full,
+        )
+        healthy = [
+            HealthyRun(
+                estimates[:, place],
+                u[:, command],
+                np.ones(len(u)) if full is None else u[:, gains.inputs.index(full)],
+            )
+            for estimates, u in runs
+        ]
+        rule = calibrate_effectiveness(healthy, gains.rate_hz, start)
+        found[fault] = replace(
+            rule,
+            noise=_rounded(rule.noise),
+            inflation=_rounded(rule.inflation),
+            lag_s=_rounded(rule.lag_s),
+            loss_doubt=_rounded(rule.loss_doubt),
+            offset_doubt=_rounded(rule.offset_doubt),
+            certainty=_rounded(rule.certainty),
+        )
+    return found
+
+
+def _observed(gains: Gains, flight: Sequence[GatedSample]) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Return fault estimates and inputs of each healthy stretch, the observer settled."""
+    observer = Observer(gains)
+    runs: list[list[tuple[NDArray[np.float64], NDArray[np.float64]]]] = [[]]
+    for sample, armed in flight:
+        if sample.restart:
+            observer.restart(sample.u, sample.y)
+        observer.step(sample.u, sample.y)
+        if runs[-1] and (not armed or sample.restart):
+            runs.append([])
+        if armed:
+            runs[-1].append((observer.fault.copy(), sample.u))
+    settle, least = round(SETTLE_S * gains.rate_hz), round((SETTLE_S + _LEAST_RUN_S) * gains.rate_hz)
+    return [
+        (np.stack([fault for fault, _ in run[settle:]]), np.stack([u for _, u in run[settle:]]))
+        for run in runs
+        if len(run) > least
+    ]
+
+
+def _findings(
+    fit: EffectsFit, rate_hz: float, reference: float, reading: Mapping[str, EffectivenessRule]
+) -> dict[str, object]:
+    return {
+        "rate_hz": rate_hz,
+        "reference_speed": reference,
+        "axes": {
+            axis.model.output: {
+                "actuator": axis.model.actuator,
+                "explained": axis.explained,
+                "t_value": axis.t_value,
+                "delay_s": axis.delay_s,
+                "lag_s": axis.lag_s,
+                "residual_std": axis.residual_std,
+                "whiteness": axis.whiteness,
+            }
+            for axis in fit.axes
+        },
+        "watched": list(reading),
+        "advice": {verdict.actuator: verdict.advice for verdict in fit.excitation if not verdict.excited},
+    }
+
+
+def _lines(
+    fit: EffectsFit, rate_hz: float, reference: float, reading: Mapping[str, EffectivenessRule]
+) -> Iterable[str]:
+    explained = ", ".join(f"{axis.model.output.replace('_', ' ')} {100 * axis.explained:.1f} %" for axis in fit.axes)
+    yield f"model {rate_hz:g} Hz, speed {reference:g} m/s, actuators explain {explained} of what changes"
+    for fault, rule in reading.items():
+        yield (
+            f"{fault} alarm from {100 * rule.least_loss:.0f} % loss or {100 * rule.least_offset:.0f} % of full "
+            f"deflection off, at {rule.certainty:.1f} standard errors"
+        )
+    for verdict in fit.excitation:
+        if not verdict.excited:
+            yield f"note: {verdict.actuator} is not watched: {verdict.advice}"
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")

@@ -1,0 +1,174 @@
+"""What a fit is worth, for any kind of vehicle: prediction against measurement, residuals, as text and as one PNG."""
+
+from __future__ import annotations
+
+import os
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gains.identification.excitation import Verdict
+from gains.identification.residuals import ResidualStatistics
+from monitor.fitting.plot_style import DPI, STYLE, WIDTH_IN
+from monitor.fitting.small_png import save_small
+from monitor.views.palette import GREY, LIGHT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.gridspec import GridSpec
+
+OUTPUT_IN = 1.7
+MODEL_UNIT = "model's unit"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """A stretch of data that the fit did not see, and what the model says about it.
+
+    Parameters
+    ----------
+    names : tuple[str, ...]
+        Names of the outputs (p,).
+    times : NDArray[np.float64]
+        Seconds (N,).
+    measured, predicted, residuals : NDArray[np.float64]
+        (N, p); NaN breaks the lines. The residuals are those the statistics are about: they may be one-step errors
+        while the prediction is a simulation.
+    explained : dict[str, NDArray[np.float64]]
+        By what explains: share explained of each output (p,).
+    statistics : tuple[ResidualStatistics, ...]
+        Statistics of each output's residual.
+    about : str
+        What is compared, for the title.
+    units : tuple[str, ...]
+        Units of the outputs (p,); empty where the model does not say.
+    """
+
+    names: tuple[str, ...]
+    times: NDArray[np.float64]
+    measured: NDArray[np.float64]
+    predicted: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+    explained: dict[str, NDArray[np.float64]]
+    statistics: tuple[ResidualStatistics, ...]
+    about: str = "prediction against measurement, data kept back"
+    units: tuple[str, ...] = ()
+
+
+def parameter_lines(verdicts: Sequence[Verdict]) -> list[str]:
+    """Return one line for each parameter: value, standard error, and what is wrong with it."""
+    width = max((len(verdict.name) for verdict in verdicts), default=0)
+    lines = []
+    for verdict in verdicts:
+        sure = "" if verdict.determined else "NOT DETERMINED: "
+        note = f"  {sure}{verdict.note}" if verdict.note or sure else ""
+        lines.append(f"{verdict.name:<{width}}  {verdict.value:.6g} +- {verdict.standard_error:.2g}{note}")
+    return lines
+
+
+def comparison_lines(comparison: Comparison) -> list[str]:
+    """Return one line for each output: shares explained, and what its residual looks like."""
+    width = max(len(name) for name in comparison.names)
+    lines = []
+    for i, (name, found) in enumerate(zip(comparison.names, comparison.statistics, strict=True)):
+        shares = ", ".join(f"{what} {100.0 * share[i]:.1f} %" for what, share in comparison.explained.items())
+        lines.append(f"{name:<{width}}  {shares}; residual {found.rms:.3g} rms, {found.note}")
+    return lines
+
+
+def comparison_json(comparison: Comparison) -> dict[str, Any]:
+    """Return shares explained and the residuals' statistics as a JSON object."""
+    return {
+        "explained": {
+            what: dict(zip(comparison.names, share.tolist(), strict=True))
+            for what, share in comparison.explained.items()
+        },
+        "residual": {
+            found.name: {
+                "rms": found.rms,
+                "ljung_box_p": found.ljung_box_p,
+                "skewness": found.skewness,
+                "excess_kurtosis": found.excess_kurtosis,
+                "autocorrelation": found.autocorrelation.tolist(),
+                "note": found.note,
+            }
+            for found in comparison.statistics
+        },
+    }
+
+
+def draw_comparison(path: str | os.PathLike[str], comparison: Comparison, title: str) -> None:
+    """Draw prediction against measurement, residual and its autocorrelation, one row for each output.
+
+    Parameters
+    ----------
+    path : str | PathLike
+        PNG to write.
+    comparison : Comparison
+        What to draw.
+    title : str
+        Stands above.
+    """
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    count = len(comparison.names)
+    with rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, OUTPUT_IN * count + 0.9), dpi=DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        grid = figure.add_gridspec(2 * count, 2, width_ratios=[3.2, 1.0], height_ratios=[2.0, 1.0] * count)
+        series: list[Axes] = []
+        for i in range(count):
+            series += _draw_series(figure, grid, comparison, i, series[0] if series else None)
+            _draw_correlation(figure.add_subplot(grid[2 * i : 2 * i + 2, 1]), comparison, i)
+        for panel in series[:-1]:
+            panel.tick_params(labelbottom=False)
+        series[-1].set_xlabel("time (s)")
+        figure.align_ylabels(series)
+        handles, labels = series[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper left", ncols=len(labels), title=title, alignment="left")
+        save_small(figure, path)
+
+
+def _draw_series(figure: Any, grid: GridSpec, comparison: Comparison, i: int, shared: Axes | None) -> tuple[Axes, Axes]:
+    upper = figure.add_subplot(grid[2 * i, 0], sharex=shared)
+    lower = figure.add_subplot(grid[2 * i + 1, 0], sharex=shared or upper)
+    unit = comparison.units[i] if comparison.units else MODEL_UNIT
+    upper.plot(comparison.times, comparison.measured[:, i], color=LIGHT.measured, label="measured")
+    upper.plot(comparison.times, comparison.predicted[:, i], color=LIGHT.estimate, label="predicted")
+    upper.set_ylabel("\n".join([*textwrap.wrap(comparison.names[i].replace("_", " "), 14), f"({unit})"]))
+    [line] = lower.plot(comparison.times, comparison.residuals[:, i], color=LIGHT.residual, linewidth=0.6)
+    line.set_label("residual" if i == 0 else "")
+    lower.axhline(0.0, color=GREY, linewidth=0.5)
+    # in the same unit; a short one has room
+    lower.set_ylabel(f"residual\n({unit})" if comparison.units else "residual")
+    lower.locator_params(axis="y", nbins=3)
+    return upper, lower
+
+
+def _draw_correlation(panel: Axes, comparison: Comparison, i: int) -> None:
+    found = comparison.statistics[i]
+    lags = np.arange(1, len(found.autocorrelation) + 1)
+    panel.axhspan(-found.bound, found.bound, color=GREY, alpha=0.3, linewidth=0)
+    panel.vlines(lags, 0.0, found.autocorrelation, color=LIGHT.residual, linewidth=1.2)
+    panel.axhline(0.0, color=GREY, linewidth=0.5)
+    panel.set_ylim(-1.05, 1.05)
+    panel.set_yticks([-1.0, 0.0, 1.0])
+    if i == 0:
+        panel.set_title("autocorrelation of the residual\n(of white noise: within grey)", fontsize=8)
+    if i == len(comparison.names) - 1:
+        panel.set_xlabel("lag (samples)")
+
+
+def liveliest(values: NDArray[np.float64], samples: int) -> slice:
+    """Return the stretch of at most ``samples`` where all columns together move most, each in units of its spread."""
+    if len(values) <= samples:
+        return slice(0, len(values))
+    power = np.sum((values / np.maximum(values.std(axis=0), 1e-12)) ** 2, axis=1)
+    start = int(np.argmax(np.convolve(power, np.ones(samples), "valid")))
+    return slice(start, start + samples)

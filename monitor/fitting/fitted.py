@@ -1,0 +1,171 @@
+"""One fitted observer: model, gains, where its samples come from, calibrated alarms, and what was found on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.message import Message
+from gains.plants.model_file import write_model
+from gains.plants.plant import Plant
+from gains.synthesis.gains_file import Gains, write_gains
+from monitor.alarms.alarm import AlarmRule
+from monitor.estimation.effectiveness import EffectivenessRule
+from monitor.estimation.isolation_rule import BankRule, IsolationRule, gains_file_names
+from monitor.fitting.capability import Capability, capability_text
+from monitor.fitting.fit_report import Comparison
+from monitor.fitting.thresholds import Calibrated, Times, calibrated, healthy_levels, plain_only
+from monitor.profile import UNEXPLAINED, ObserverProfile, fault_channels, observer_table
+from monitor.sampling.gate import GatedSample
+from monitor.sampling.transform import Source
+
+Log = Callable[[], Iterable[Message]]
+
+_UNEXPLAINED = Times(fast_s=2.0, raise_s=2.0, clear_s=0.5)
+"""A push or a collision is over sooner, two faults at once are not."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """A fitted observer.
+
+    Parameters
+    ----------
+    name : str
+        Name in the profile.
+    plant : Plant
+        The identified model.
+    gains : tuple[Gains, ...]
+        Its gains, those of each hypothesis for a bank.
+    source : Source
+        Where its samples come from.
+    isolation : IsolationRule
+        How estimates become evidence.
+    alarms : tuple[Calibrated, ...]
+        Calibrated alarm rules.
+    effectiveness : Mapping[str, EffectivenessRule]
+        How the estimates of faults that scale a deflection are read, by fault.
+    flight_s : float
+        Healthy flight it was fitted on, seconds.
+    findings : Mapping[str, Any]
+        What the identification found, for ``fit.json``.
+    lines : tuple[str, ...]
+        The same for people.
+    settle_s : float
+        Wait before its samples are evidence, seconds.
+    details : tuple[str, ...]
+        More for people, for ``fit.txt`` alone.
+    comparison : Comparison | None
+        Prediction against measurement on data kept back, for ``fit.png``.
+    flights : Sequence[Sequence[GatedSample]]
+        Healthy samples to measure on what will be detected; not written. Empty: it is not measured.
+    capability : tuple[Capability, ...]
+        What will be detected, and how fast.
+    """
+
+    name: str
+    plant: Plant
+    gains: tuple[Gains, ...]
+    source: Source
+    isolation: IsolationRule
+    alarms: tuple[Calibrated, ...] = ()
+    effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
+    flight_s: float = 0.0
+    findings: Mapping[str, Any] = field(default_factory=dict)
+    lines: tuple[str, ...] = ()
+    settle_s: float = 0.0
+    details: tuple[str, ...] = ()
+    comparison: Comparison | None = None
+    flights: Sequence[Sequence[GatedSample]] = ()
+    capability: tuple[Capability, ...] = ()
+
+    @property
+    def sqrt_mu(self) -> float:
+        """Largest certified bound of its designs."""
+        return max(float(gains.report["sqrt_mu"]) for gains in self.gains)
+
+    def profile(self) -> ObserverProfile:
+        """Return the observer as it will be read from the profile."""
+        return ObserverProfile(
+            name=self.name,
+            gains=self.gains,
+            faults=fault_channels(self.gains),
+            source=self.source,
+            isolation=self.isolation,
+            alarms=tuple(found.rule for found in self.alarms),
+            settle_s=self.settle_s,
+            effectiveness=self.effectiveness,
+        )
+
+    def table(self) -> dict[str, Any]:
+        """Return the observer's part of profile.toml."""
+        alarms = [found.rule for found in self.alarms]
+        sees = {one.channel: capability_text(one).removeprefix(f"{one.channel}: ") for one in self.capability}
+        return observer_table(
+            source=self.source,
+            isolation=self.isolation,
+            alarms=alarms,
+            settle_s=self.settle_s,
+            effectiveness=self.effectiveness,
+            sees=sees,
+        )
+
+    def write(self, folder: Path) -> None:
+        """Write model and gains into a profile's folder."""
+        write_model(self.plant, folder / f"{self.name}.model.toml")
+        hypotheses = self.isolation.hypotheses if isinstance(self.isolation, BankRule) else ()
+        for gains, file in zip(self.gains, gains_file_names(self.name, hypotheses), strict=True):
+            write_gains(gains, folder / file)
+
+    def report(self) -> dict[str, Any]:
+        """Return what was found as a JSON object."""
+        return {
+            **self.findings,
+            "flight_s": self.flight_s,
+            "sqrt_mu": self.sqrt_mu,
+            "alarms": {found.rule.channel: _alarm_report(found) for found in self.alarms},
+            "capability": {one.channel: asdict(one) | {"text": capability_text(one)} for one in self.capability},
+        }
+
+    def text(self, details: bool = False) -> list[str]:
+        """Return what was found as lines for people, the first one a headline."""
+        return [
+            f"{self.name}: {self.flight_s:.0f} s of healthy samples, certified sqrt(mu) {self.sqrt_mu:.4g}",
+            *(f"  {line}" for line in self.lines),
+            *(f"  {line}" for line in self.details if details),
+            *(f"  sees {capability_text(one)}" for one in self.capability),
+        ]
+
+
+def bare_rule(observer: str, channel: str, kind: str, unit: str) -> AlarmRule:
+    """Return a rule that names its channel and has no sizes yet."""
+    of_kind = {"actuator": "actuator", "sensor": "sensor"}.get(kind, "residual")
+    return AlarmRule(observer, channel, of_kind, unit, 0.0, 0.0, 0.0, 0.0, 0.0)  # type: ignore[arg-type]
+
+
+def unexplained_alarm(
+    observer: str, evidence: Sequence[NDArray[np.float64]], rate_hz: float, alarms_per_hour: float, floor: float
+) -> Calibrated:
+    """Return a bank's alarm that no hypothesis explains the data, from healthy evidence (its last column)."""
+    scores = healthy_levels([stretch[:, -1] for stretch in evidence], rate_hz, alarms_per_hour, _UNEXPLAINED)
+    bare = bare_rule(observer, UNEXPLAINED, "residual", "times healthy")
+    return plain_only(calibrated(bare, scores, 1.0, floor=floor, critical=5 * floor, times=_UNEXPLAINED))
+
+
+def _alarm_report(found: Calibrated) -> dict[str, float | int | str]:
+    rule, level = found.rule, found.level
+    sizes: dict[str, float | int | str] = {"unit": rule.unit, "threshold": rule.threshold}
+    if level is None:
+        return sizes
+    return sizes | {
+        "level": found.scale * level.level,
+        "level_low": found.scale * level.low,
+        "level_high": found.scale * level.high,
+        "healthy_hours": level.hours,
+        "peaks": level.peaks,
+    }

@@ -1,0 +1,197 @@
+"""Alarm thresholds from healthy evidence, for a stated rate of false alarms.
+
+Each path of a channel's alarm (fast, plain, slow) asks a statistic of the evidence to exceed a size. The size is the
+level that the statistic exceeds at the path's share of the rate granted to the observer, by extreme-value fit over
+healthy flights (:mod:`monitor.fitting.extremes`), and never below a floor: the smallest fault that the model is good
+enough to speak about. The confidence limits of the level are reported: minutes of flight leave them wide.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from monitor.alarms.alarm import AlarmRule
+from monitor.chain import ObserverChain
+from monitor.estimate import Estimate
+from monitor.fitting.extremes import ReturnLevel, return_level, standing
+from monitor.profile import ObserverProfile
+from monitor.sampling.clock import VehicleClock
+from monitor.sampling.gate import GatedSample, GateRule
+
+FALSE_ALARMS_PER_HOUR = 0.1
+_PATHS = 3
+_LEAD_S = 30.0
+"""Longer than any observer takes to settle before a sample is evidence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """How long evidence has to stand on each path and to be gone, seconds; ``slow_s`` is the mean's time constant."""
+
+    fast_s: float = 0.06
+    raise_s: float = 0.15
+    slow_s: float = 2.0
+    clear_s: float = 0.5
+    latch_s: float = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """Healthy levels of the three paths' statistics, in the unit of what was pooled."""
+
+    fast: ReturnLevel
+    plain: ReturnLevel
+    slow: ReturnLevel
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """A rule and what it rests on: the level of the plain path with its confidence, per ``scale``.
+
+    Without a level the evidence is zero in healthy operation: what makes it more is calibrated before it.
+    """
+
+    rule: AlarmRule
+    level: ReturnLevel | None
+    scale: float = 1.0
+
+
+def healthy_evidence(
+    observer: ObserverProfile, gate: GateRule, flights: Sequence[Sequence[GatedSample]], *, own: bool = False
+) -> list[NDArray[np.float64]]:
+    """Step an observer's chain over healthy samples as the monitor does.
+
+    ``own`` takes each fault's smoothed estimate under its own hypothesis, whichever is believed: a hypothesis that
+    healthy flight hardly ever brought to be believed would else look quieter than it is. It is in effect units.
+
+    Returns
+    -------
+    list[NDArray[np.float64]]
+        Evidence (N, a + 1) of each stretch of counting samples; the last column is the unexplained score.
+    """
+    found: list[list[NDArray[np.float64]]] = []
+    for flight in flights:
+        chain = ObserverChain(observer, "healthy", gate, VehicleClock())
+        found.append([])
+        for sample, armed in _without_waiting(flight, observer.rate_hz * max(_LEAD_S, 3.0 * gate.settle_s)):
+            for output in chain.step(sample, armed):
+                if not isinstance(output, Estimate):
+                    continue
+                if output.armed:
+                    found[-1].append(np.append(chain.smoothed if own else output.isolated, chain.unexplained))
+                elif found[-1]:
+                    found.append([])
+    return [np.stack(rows) for rows in found if rows]
+
+
+def _without_waiting(flight: Sequence[GatedSample], lead: float) -> Iterator[GatedSample]:
+    """Yield a flight's samples without those that no evidence follows within ``lead`` samples, as on the ground."""
+    evidence = np.flatnonzero([armed for _, armed in flight])
+    following = evidence[np.searchsorted(evidence, np.arange(evidence[-1] + 1))] if len(evidence) else evidence
+    skipped = True
+    for k, ahead in enumerate(following.tolist()):
+        if ahead - k > lead:
+            skipped = True
+            continue
+        sample, armed = flight[k]
+        yield GatedSample(replace(sample, restart=True) if skipped else sample, armed)
+        skipped = False
+
+
+def healthy_levels(
+    evidence: Sequence[NDArray[np.float64]],
+    rate_hz: float,
+    alarms_per_hour: float,
+    times: Times,
+    most: float = math.inf,
+) -> Levels:
+    """Return the levels that healthy evidence exceeds at a rate.
+
+    Parameters
+    ----------
+    evidence : Sequence[NDArray[np.float64]]
+        Signed evidence, an array for each stretch (N_i,); of several channels of one kind, pooled in a unit that makes
+        them comparable: a calm log of one motor cannot foresee what a gusty one of another has shown.
+    rate_hz : float
+        Samples per second.
+    alarms_per_hour : float
+        False alarms granted to each channel, shared by its paths.
+    times : Times
+        Times of the paths.
+    most : float
+        How many times the largest value seen a level may be at most.
+    """
+    per_path = alarms_per_hour / _PATHS
+
+    def level(statistic: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> ReturnLevel:
+        series = [statistic(one) for one in evidence]
+        found = return_level(series, rate_hz, per_path)
+        largest = max((float(one.max(initial=0.0)) for one in series), default=0.0)
+        return found if math.isinf(most) else replace(found, level=min(found.level, most * largest))
+
+    return Levels(
+        fast=level(lambda one: standing(np.abs(one), round(times.fast_s * rate_hz))),
+        plain=level(lambda one: standing(np.abs(one), round(times.raise_s * rate_hz))),
+        slow=level(lambda one: np.abs(weighted_mean(one, times.slow_s, rate_hz))),
+    )
+
+
+def calibrated(
+    rule: AlarmRule, levels: Levels, scale: float, *, floor: float, critical: float, times: Times
+) -> Calibrated:
+    """Return a channel's alarm rule with its sizes and times.
+
+    Parameters
+    ----------
+    rule : AlarmRule
+        Names, kind and unit.
+    levels : Levels
+        Healthy levels, ``scale`` of the rule's units each.
+    scale : float
+        What the levels were divided by.
+    floor : float
+        Smallest size worth an alarm, in the rule's unit.
+    critical : float
+        Size of a critical fault, at least twice the threshold.
+    times : Times
+        Times of the paths.
+    """
+    threshold = max(scale * levels.plain.level, floor)
+    return Calibrated(
+        replace(
+            rule,
+            threshold=_rounded(threshold),
+            clear=_rounded(threshold / 2),
+            critical=_rounded(max(critical, 2 * threshold)),
+            raise_s=times.raise_s,
+            clear_s=times.clear_s,
+            fast=_rounded(max(scale * levels.fast.level, 2 * threshold)),
+            fast_s=times.fast_s,
+            slow=_rounded(max(scale * levels.slow.level, threshold / 2)),
+            slow_s=times.slow_s,
+            latch_s=times.latch_s,
+        ),
+        levels.plain,
+        scale,
+    )
+
+
+def plain_only(found: Calibrated) -> Calibrated:
+    """Return the alarm with its plain path alone: an edge does not fade, and a mean of scores says nothing."""
+    return replace(found, rule=replace(found.rule, fast=math.inf, slow=math.inf, latch_s=0.0))
+
+
+def weighted_mean(evidence: NDArray[np.float64], seconds: float, rate_hz: float) -> NDArray[np.float64]:
+    """Return the exponentially weighted mean (N,) of evidence (N,) with a time constant in seconds."""
+    keep = float(np.exp(-1.0 / (seconds * rate_hz)))
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], evidence))
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.4g}")

@@ -1,0 +1,1 @@
+"""From messages of different rates to samples on one grid, and when they count as evidence."""

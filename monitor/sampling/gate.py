@@ -1,0 +1,166 @@
+"""Samples and when they count as evidence: armed, in the air, and settled; never on the ground, at take-off or landing.
+
+Rules, in order: a vehicle known to be disarmed is not watched; where the vehicle reports its landed state, only
+"in the air" counts; where it does not, a mean command of at least ``airborne_command`` stands for it. Each time the
+rules come to hold, ``settle_s`` of vehicle time passes before evidence counts. When what the vehicle says of itself
+comes to allow evidence, a new stretch of samples begins: what was estimated on the ground, before the first fix of the
+GPS or while the vehicle was carried about, is forgotten.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.message import Message
+from adapters.sample import Sample, Samples
+from monitor.sampling.clock import VehicleClock
+from monitor.sampling.phase import FlightPhase
+from monitor.sampling.sampler import Sampler, SamplerStatistics
+from monitor.sampling.stretch import Given
+from monitor.sampling.transform import Source, make_sampler
+
+
+@dataclass(frozen=True, slots=True)
+class GateRule:
+    """What has to hold for samples to count.
+
+    Parameters
+    ----------
+    require_armed, require_airborne : bool
+        Which of the rules apply.
+    settle_s : float
+        Wait after they come to hold, seconds.
+    airborne_command : float
+        Mean command above which a vehicle that does not report its landed state is taken to be in the air.
+    """
+
+    require_armed: bool = True
+    require_airborne: bool = True
+    settle_s: float = 1.0
+    airborne_command: float = 0.0
+
+
+class FlightGate:
+    """Keeps the time since the rules hold."""
+
+    def __init__(self, rule: GateRule) -> None:
+        self._rule = rule
+        self._since_ns: int | None = None
+
+    def admits(self, phase: FlightPhase, sample: Sample, commands: bool = True) -> bool:
+        """Return whether the sample counts as evidence.
+
+        Without ``commands`` its inputs are none, and say nothing about being in the air.
+        """
+        if sample.restart:
+            self._since_ns = None
+        if not self._holds(phase, sample, commands):
+            self._since_ns = None
+            return False
+        if self._since_ns is None:
+            self._since_ns = sample.vehicle_time_ns
+        return sample.vehicle_time_ns - self._since_ns >= self._rule.settle_s * 1e9
+
+    def admitted(self, phase: FlightPhase, samples: Samples, commands: bool = True) -> NDArray[np.bool_]:
+        """Return :meth:`admits` of each of the samples of a stretch (n,) in which the phase stays as it is."""
+        times = samples.vehicle_time_ns
+        holds = np.full(len(times), _allowed(self._rule, phase))
+        if self._rule.require_airborne and phase.landed is None and commands and len(times):
+            holds &= np.mean(samples.u, axis=1) >= self._rule.airborne_command
+        # Row at which the rules came to hold, for each row: the first of the stretch goes on from before it.
+        begins = holds.copy()
+        begins[1:] &= ~holds[:-1] | samples.restart[1:]
+        if len(times) and self._since_ns is not None and not samples.restart[0]:
+            begins[0] = False
+        since = np.maximum.accumulate(np.where(begins, np.arange(len(times)), -1))
+        since_ns = np.where(since >= 0, times[since], self._since_ns or 0)
+        if len(times):
+            self._since_ns = int(since_ns[-1]) if holds[-1] else None
+        return np.asarray(holds & (times - since_ns >= self._rule.settle_s * 1e9))
+
+    def _holds(self, phase: FlightPhase, sample: Sample, commands: bool) -> bool:
+        if not _allowed(self._rule, phase):
+            return False
+        if not self._rule.require_airborne or phase.landed is not None or not commands:
+            return True
+        return float(np.mean(sample.u)) >= self._rule.airborne_command
+
+
+class GatedSample(NamedTuple):
+    """A sample and whether it is evidence."""
+
+    sample: Sample
+    armed: bool
+
+
+class GatedSampler:
+    """An observer's samples from the vehicle's messages, each with whether it is evidence.
+
+    Parameters
+    ----------
+    source : Source
+        Where u and y come from.
+    rate_hz : float
+        Samples per second.
+    clock : VehicleClock
+        The vehicle's clock.
+    rule : GateRule
+        When samples count.
+    """
+
+    def __init__(self, source: Source, rate_hz: float, clock: VehicleClock, rule: GateRule) -> None:
+        self._sampler = make_sampler(source, rate_hz, clock)
+        self._gate = FlightGate(rule)
+        self._rule = rule
+        self._commands = source.transform is None
+        self._allowed = False
+
+    @property
+    def interests(self) -> frozenset[str]:
+        """Names of the messages the channels come from."""
+        return self._sampler.interests
+
+    def statistics(self) -> SamplerStatistics:
+        """Return what the sampler counted."""
+        return self._sampler.statistics()
+
+    @property
+    def sampler(self) -> Sampler:
+        """What turns messages into samples, of raw signals where a transform follows."""
+        return self._sampler if isinstance(self._sampler, Sampler) else self._sampler.sampler
+
+    def enter(self, phase: FlightPhase) -> None:
+        """Begin a new stretch of samples where the phase has come to allow evidence."""
+        allowed = _allowed(self._rule, phase)
+        if allowed and not self._allowed:
+            self._sampler.restart()
+        self._allowed = allowed
+
+    def run(self, samples: Samples) -> Given:
+        """Return the observer's samples that a stretch of samples of :attr:`sampler` gives, and from which rows."""
+        if isinstance(self._sampler, Sampler):
+            return Given(samples, np.arange(len(samples)))
+        return self._sampler.run(samples)
+
+    def admitted(self, samples: Samples, phase: FlightPhase) -> NDArray[np.bool_]:
+        """Return which samples of a stretch are evidence (n,), the phase having been entered."""
+        return np.asarray(self._gate.admitted(phase, samples, self._commands) & samples.complete)
+
+    def feed(self, message: Message, phase: FlightPhase) -> list[GatedSample]:
+        """Take one message; return the samples it completes, in order of time."""
+        self.enter(phase)
+        return [
+            GatedSample(sample, self._gate.admits(phase, sample, self._commands) and sample.complete)
+            for sample in self._sampler.feed(message)
+        ]
+
+
+def _allowed(rule: GateRule, phase: FlightPhase) -> bool:
+    """Return whether what the vehicle says of itself allows evidence; what it does not say does."""
+    if rule.require_armed and phase.armed is False:
+        return False
+    return not rule.require_airborne or phase.landed in (None, "air")

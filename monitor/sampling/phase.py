@@ -1,0 +1,54 @@
+"""What the vehicle says about itself: armed or not, on the ground or in the air, what kind of vehicle it is."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from adapters.mavlink.heartbeat import is_autopilot_heartbeat
+from adapters.message import Message
+
+Landed = Literal["ground", "air", "takeoff", "landing"]
+
+_ARMED = 128
+_LANDED: dict[int, Landed] = {1: "ground", 2: "air", 3: "takeoff", 4: "landing"}
+
+
+class FlightPhase:
+    """Follows HEARTBEAT and EXTENDED_SYS_STATE of the autopilot; other stations' heartbeats are ignored.
+
+    Attributes
+    ----------
+    armed : bool | None
+        Bit 128 of HEARTBEAT.base_mode; None before the first heartbeat.
+    landed : {"ground", "air", "takeoff", "landing"} | None
+        EXTENDED_SYS_STATE.landed_state; None where the vehicle does not say.
+    vehicle_type : int | None
+        HEARTBEAT.type where it says something (0 is "generic"), else None. Stretches taken at once may pass over a
+        later change.
+    interests : frozenset[str]
+        Names of the messages it reads.
+    """
+
+    interests: ClassVar[frozenset[str]] = frozenset({"HEARTBEAT", "EXTENDED_SYS_STATE"})
+
+    def __init__(self) -> None:
+        self.armed: bool | None = None
+        self.landed: Landed | None = None
+        self.vehicle_type: int | None = None
+
+    def feed(self, message: Message) -> None:
+        """Take a message; one of no interest changes nothing."""
+        if message.name not in self.interests or message.source != "mavlink":
+            return
+        fields = message.fields
+        if message.name == "EXTENDED_SYS_STATE":
+            state = fields.get("landed_state")
+            self.landed = _LANDED.get(state) if isinstance(state, int) else None
+            return
+        if not is_autopilot_heartbeat(message):
+            return
+        mode, kind = fields.get("base_mode"), fields.get("type")
+        if isinstance(mode, int):
+            self.armed = bool(mode & _ARMED)
+        if type(kind) is int and kind:
+            self.vehicle_type = kind

@@ -1,0 +1,65 @@
+"""Which messages come too seldom: for a fit, and for an observer that samples faster than they come."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+from monitor.sampling.transform import Source
+
+WANTED_HZ = 50.0
+INERTIAL_HZ = 25.0
+"""The observer of the sensors asks for less: their faults are slower than those of motors."""
+SELDOM = frozenset({"GPS_RAW_INT", "SCALED_PRESSURE", "VFR_HUD", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT"})
+"""Slow by their nature; the transforms that read them wait for them."""
+
+_ENOUGH = 0.8
+_SPANNED = 3.0
+
+
+def slow_messages(
+    recordings: Sequence[Mapping[str, float]], messages: Collection[str], wanted_hz: float
+) -> dict[str, float]:
+    """Return the messages that come clearly more seldom than wanted in some recording, and how often they come.
+
+    Parameters
+    ----------
+    recordings : Sequence[Mapping[str, float]]
+        Of each recording, how often messages come per second, by name.
+    messages : Collection[str]
+        Names of the messages that channels are taken from.
+    wanted_hz : float
+        How often they should come per second.
+    """
+    fast = sorted(set(messages) - SELDOM)
+    rates = {name: min(found.get(name, 0.0) for found in recordings) for name in fast}
+    return {name: rate for name, rate in rates.items() if rate < _ENOUGH * wanted_hz}
+
+
+def slow_text(slow: Mapping[str, float], wanted_hz: float) -> str:
+    """Return a line about messages that come too seldom: how often, what is needed, how to get it."""
+    told = ", ".join(f"{name} {rate:.3g} Hz" for name, rate in slow.items())
+    return (
+        f"slow telemetry: {told}; {wanted_hz:g} Hz or more are needed to see faults early and small ones at all. Raise "
+        "the rates in the autopilot (ArduPilot SRx_*, PX4 mavlink stream) or with [send] rates of fauio.toml, record "
+        "again and fit again"
+    )
+
+
+def spanned(source: Source, rate_hz: float, rates: Mapping[str, float]) -> dict[str, float]:
+    """Return the messages between which an observer takes three samples or more, and how many.
+
+    Those whose values hold until the next one are left out: they may come only when they change.
+
+    Parameters
+    ----------
+    source : Source
+        Where its samples come from.
+    rate_hz : float
+        Samples per second.
+    rates : Mapping[str, float]
+        Messages per second, by name, as they came; those not named, and those of rate zero, are left out.
+    """
+    names = {channel.message for channel in source.channels if channel.interpolation == "linear"}
+    if source.transform is not None:
+        names -= SELDOM
+    return {name: rate_hz / rates[name] for name in sorted(names) if 0.0 < rates.get(name, 0.0) < rate_hz / _SPANNED}

@@ -1,0 +1,169 @@
+"""Where an observer's samples come from: channels as they are, or raw signals through a named transform.
+
+A transform turns samples of raw signals (``Sample.u`` in the order of its ``signals``) into samples (u, y) at the
+observer's rate. It is deterministic, keeps its own state and starts anew with a sample that is marked ``restart``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+from adapters.channels import Channel
+from adapters.errors import TelemetryError
+from adapters.message import Message
+from adapters.sample import Sample, Samples
+from monitor.sampling.clock import VehicleClock
+from monitor.sampling.sampler import Sampler, SamplerStatistics
+from monitor.sampling.scaled_inputs import DriveInputs, SurfaceInputs
+from monitor.sampling.stretch import Given
+from monitor.vehicles.inertial.strapdown import Strapdown
+
+
+class Transform(Protocol):
+    """What a kind of transform offers."""
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the raw signals, in order."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of u."""
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of y."""
+
+    def feed(self, sample: Sample) -> Sample | None:
+        """Take a sample of raw signals; return the observer's sample, None where there is none at this tick."""
+
+    def run(self, samples: Samples) -> Given:
+        """Take a stretch of raw signals as ``feed`` does; return what it gives, and at which rows of the stretch.
+
+        Outputs and state afterwards are those of ``feed`` to the bit, so both may be mixed. Each sample has the
+        ``known_ns`` of the raw one that completed it, which behind ``feed`` is filled in by the sampler.
+        """
+
+
+KINDS: Mapping[str, Callable[[Mapping[str, float], float, float], Transform]] = {
+    "strapdown": Strapdown,
+    "surfaces": SurfaceInputs,
+    "drive": DriveInputs,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class TransformRule:
+    """A transform of a profile.
+
+    Parameters
+    ----------
+    kind : str
+        One of ``KINDS``.
+    rate_hz : float
+        Samples of the raw signals per second.
+    parameters : Mapping[str, float]
+        What the kind asks for.
+    """
+
+    kind: str
+    rate_hz: float
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where (u, y) come from.
+
+    Parameters
+    ----------
+    inputs, outputs : tuple[Channel, ...]
+        Channels of u and y; empty with a transform.
+    transform : TransformRule | None
+        None takes the channels as they are.
+    signals : tuple[Channel, ...]
+        Channels of the transform's raw signals, in its order.
+    """
+
+    inputs: tuple[Channel, ...] = ()
+    outputs: tuple[Channel, ...] = ()
+    transform: TransformRule | None = None
+    signals: tuple[Channel, ...] = ()
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """All channels it takes."""
+        return (*self.inputs, *self.outputs, *self.signals)
+
+
+def make_transform(rule: TransformRule, rate_hz: float) -> Transform:
+    """Return a transform that gives samples at ``rate_hz``.
+
+    Raises
+    ------
+    TelemetryError
+        There is no such kind, or it does not take these parameters or rates.
+    """
+    kind = KINDS.get(rule.kind)
+    if kind is None:
+        raise TelemetryError(f"no transform is called '{rule.kind}'; there are {', '.join(KINDS)}")
+    return kind(rule.parameters, rule.rate_hz, rate_hz)
+
+
+class TransformedSampler:
+    """A sampler of raw signals and the transform behind it, together like a sampler.
+
+    Parameters
+    ----------
+    rule : TransformRule
+        The transform.
+    signals : Sequence[Channel]
+        Where its raw signals come from.
+    rate_hz : float
+        Samples given out per second.
+    clock : VehicleClock
+        The vehicle's clock.
+    """
+
+    def __init__(self, rule: TransformRule, signals: Sequence[Channel], rate_hz: float, clock: VehicleClock) -> None:
+        self._sampler = Sampler(signals, (), rule.rate_hz, clock)
+        self._transform = make_transform(rule, rate_hz)
+
+    def run(self, samples: Samples) -> Given:
+        """Take a stretch of raw samples; return the observer's samples and the rows that completed them."""
+        return self._transform.run(samples)
+
+    @property
+    def sampler(self) -> Sampler:
+        """The sampler of the raw signals."""
+        return self._sampler
+
+    @property
+    def interests(self) -> frozenset[str]:
+        """Names of the messages the signals come from."""
+        return self._sampler.interests
+
+    def restart(self) -> None:
+        """Start the transform anew with the next raw sample."""
+        self._sampler.restart()
+
+    def statistics(self) -> SamplerStatistics:
+        """Return what the sampler of the raw signals counted."""
+        return self._sampler.statistics()
+
+    def feed(self, message: Message) -> list[Sample]:
+        """Take one message; return the samples it completes, in order of time."""
+        raw = self._sampler.feed(message)
+        if not raw:
+            return raw
+        given = ((self._transform.feed(sample), sample.known_ns) for sample in raw)
+        return [replace(sample, known_ns=known_ns) for sample, known_ns in given if sample is not None]
+
+
+def make_sampler(source: Source, rate_hz: float, clock: VehicleClock) -> Sampler | TransformedSampler:
+    """Return what turns the vehicle's messages into an observer's samples."""
+    if source.transform is not None:
+        return TransformedSampler(source.transform, source.signals, rate_hz, clock)
+    return Sampler(source.inputs, source.outputs, rate_hz, clock)

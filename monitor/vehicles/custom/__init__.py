@@ -1,0 +1,1 @@
+"""Any vehicle with a model of its own."""

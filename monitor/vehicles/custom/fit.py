@@ -1,0 +1,304 @@
+"""An observer of any plant: a model with free parameters, healthy recordings, certified gains, alarms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.channels import Channel, parse_channel
+from adapters.errors import TelemetryError
+from adapters.message import Message
+from gains.analysis.estimability import problem_of
+from gains.errors import InfeasibleError, ModelError
+from gains.identification.fitted_plant import fitted_plant
+from gains.identification.free_model import FreeModel, read_free_model
+from gains.identification.output_error import FittedData, OutputErrorFit, identify
+from gains.identification.segment import Segment
+from gains.identification.shooting import split_segments
+from gains.plants.plant import Disturbance, Noise, Plant
+from gains.synthesis.bank import compile_bank, design_bank
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from gains.synthesis.gains_file import Gains
+from monitor.estimation.isolation_rule import BankRule, IndependentRule
+from monitor.fitting.calibrate import SETTLE_S, bank_rule, contiguous, flight_samples, settling_s
+from monitor.fitting.fit_report import Comparison, comparison_json, comparison_lines, parameter_lines
+from monitor.fitting.fitted import Fitted, Log, bare_rule, unexplained_alarm
+from monitor.fitting.thresholds import (
+    FALSE_ALARMS_PER_HOUR,
+    Calibrated,
+    Times,
+    calibrated,
+    healthy_evidence,
+    healthy_levels,
+)
+from monitor.sampling.gate import GateRule
+from monitor.sampling.phase import FlightPhase
+from monitor.sampling.transform import Source
+from monitor.tables import Table
+
+_SMOOTHING_S = 0.05
+_LEAST_THRESHOLD = 1e-3
+_CRITICAL = 5.0
+_SHOWN_S = 20.0
+_FORGET_S = 0.5
+
+
+def fit_custom(logs: Sequence[Log], model_path: Path) -> tuple[Fitted, GateRule]:
+    """Identify the plant that a model file with free parameters describes, design its observer, calibrate its alarms.
+
+    Parameters
+    ----------
+    logs : Sequence[Log]
+        Healthy recordings; each call of a log goes through it once from the start.
+    model_path : Path
+        The model: see :mod:`gains.identification.free_model`; its ``[channels]`` say where inputs and outputs come
+        from, its ``[phase]`` when samples count (as in a profile; flight is not required unless it says so).
+
+    Returns
+    -------
+    fitted : Fitted
+        The observer, named after the model.
+    gate : GateRule
+        When samples are evidence: as the model says, and not before the observer has settled.
+
+    Raises
+    ------
+    ModelError, TelemetryError, ProfileError, InfeasibleError
+        The model is not valid, the recordings lack a channel or do not determine a parameter (the message says what to
+        record), or no certified design exists.
+    """
+    model = read_free_model(model_path)
+    source = Source(*model_channels(model))
+    gate = _gate(model)
+    own = [_of_one_system(log, {channel.message for channel in source.channels}) for log in logs]
+    rate_hz = model.example.rate_hz or _rate_hz(own, source.channels, str(model_path))
+    stretches = [contiguous(flight_samples(log(), source, rate_hz, gate)) for log in own]
+    segments = [segment for flight in stretches for segment in flight]
+    fit = identify(model, *split_segments(stretches), rate_hz)
+    _check_determined(fit)
+    plant = fitted_plant(fit)
+    gains, isolation = _design(plant, rate_hz, segments)
+    gate = replace(gate, settle_s=max(gate.settle_s, settling_s(gains)))
+    flights = [flight_samples(log(), source, rate_hz, gate) for log in own]
+    bare = Fitted(plant.name, plant, gains, source, isolation)
+    declared = {fault["name"] for fault in model.document.get("fault", ()) if "error" in fault}
+    alarms = _alarms(bare, healthy_evidence(bare.profile(), gate, flights), declared)
+    comparison = comparison_of(fit)
+    fitted = replace(
+        bare,
+        alarms=tuple(alarms),
+        flight_s=sum(len(segment.u) for segment in segments) / rate_hz,
+        findings=_findings(fit, plant, comparison),
+        lines=_lines(fit, alarms),
+        details=_details(fit, plant, comparison),
+        comparison=comparison,
+        flights=flights,
+    )
+    return fitted, gate
+
+
+def custom_messages(model_path: Path) -> frozenset[str]:
+    """Return the names of the messages that a fit of this model reads: a filter for recordings."""
+    inputs, outputs = model_channels(read_free_model(model_path))
+    return frozenset(channel.message for channel in (*inputs, *outputs)) | FlightPhase.interests
+
+
+def model_channels(model: FreeModel) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
+    """Return the channels of a model's inputs and outputs.
+
+    Raises
+    ------
+    ModelError, TelemetryError
+        One is missing, unknown or wrong; the message names file and key.
+    """
+    signals = (*model.example.inputs, *model.example.outputs)
+    for channel in model.channels:
+        if channel not in signals:
+            raise ModelError(
+                f"{model.path}: 'channels.{channel}' is no input or output; there are {', '.join(signals)}"
+            )
+    found = []
+    for signal in signals:
+        table, key = model.channels.get(signal), f"{model.path}: 'channels.{signal}'"
+        if not isinstance(table, Mapping):
+            raise ModelError(f"{key} is missing or no table; write [channels.{signal}] with 'message' and 'field'")
+        found.append(parse_channel(signal, table, key))
+    split = len(model.example.inputs)
+    return tuple(found[:split]), tuple(found[split:])
+
+
+def comparison_of(fit: OutputErrorFit) -> Comparison:
+    """Return what was kept back, at most :data:`_SHOWN_S` seconds of it, beside what the model says."""
+    data = fit.validation
+    W, T, p = data.measured.shape
+    shown = min(W, max(1, round(_SHOWN_S * fit.rate_hz / T)))
+
+    def line(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.concatenate([values[:shown], np.full((shown, 1, p), np.nan)], axis=1).reshape(-1, p)
+
+    times = np.add.outer(np.arange(shown) * T, np.append(np.arange(T), T - 1)).ravel() / fit.rate_hz
+    return Comparison(
+        names=fit.model.example.outputs,
+        times=times,
+        measured=line(data.measured),
+        predicted=line(data.simulated),
+        residuals=line(data.innovations),
+        explained=_shares(data),
+        statistics=fit.residuals,
+        about="simulated against measured, data kept back; residual one step ahead",
+    )
+
+
+def _alarms(bare: Fitted, evidence: Sequence[NDArray[np.float64]], declared: Collection[str]) -> list[Calibrated]:
+    """Return the alarms: each channel at its own healthy level, and what no hypothesis of a bank explains.
+
+    A channel that was never held responsible while healthy gets the level of the worst other one, each in units of the
+    error that matters. A fault is critical from five times its healthy level on; where the model declares the error
+    that matters (``declared`` names the faults), not below that.
+    """
+    rate_hz, channels = bare.gains[0].rate_hz, bare.profile().faults
+    bank = isinstance(bare.isolation, BankRule)
+    share, times = FALSE_ALARMS_PER_HOUR / (len(channels) + bank), Times()
+    errors = {fault.name: fault.error for fault in bare.plant.faults}
+    levels = [healthy_levels([one[:, at] for one in evidence], rate_hz, share, times) for at in range(len(channels))]
+    known = [found.plain.level / errors[channel.name] for found, channel in zip(levels, channels, strict=True)]
+    alarms = []
+    for channel, found, relative in zip(channels, levels, known, strict=True):
+        least = errors[channel.name] * (_LEAST_THRESHOLD if relative else max(*known, _LEAST_THRESHOLD))
+        critical = _CRITICAL * max(found.plain.level, least)
+        if channel.name in declared:
+            critical = max(critical, errors[channel.name])
+        rule = bare_rule(bare.name, channel.name, channel.kind, channel.unit)
+        alarms.append(calibrated(rule, found, 1.0, floor=least, critical=critical, times=times))
+    if isinstance(bare.isolation, BankRule):
+        alarms.append(unexplained_alarm(bare.name, evidence, rate_hz, share, bare.isolation.score_floor))
+    return alarms
+
+
+def _lines(fit: OutputErrorFit, alarms: Sequence[Calibrated]) -> tuple[str, ...]:
+    hold = "ramps between samples" if fit.hold == "first" else "steps that last a sample"
+    explained = ", ".join(
+        f"{name} {100 * share:.1f} %"
+        for name, share in zip(fit.model.example.outputs, fit.validation.predicted_share, strict=True)
+    )
+    rules = [found.rule for found in alarms]
+    return (
+        f"model {fit.rate_hz:g} Hz, explains {explained} of the changes one step ahead on data kept back",
+        f"inputs act {fit.delay / fit.rate_hz:.3g} s late, as {hold}",
+        *parameter_lines(fit.verdicts),
+        *(f"{rule.channel} alarm from {rule.threshold:g} {rule.unit}".rstrip() for rule in rules),
+    )
+
+
+def _details(fit: OutputErrorFit, plant: Plant, comparison: Comparison) -> tuple[str, ...]:
+    windows, length = fit.validation.measured.shape[:2]
+    signals: list[Disturbance | Noise] = [*plant.disturbances, *plant.noises]
+    return (
+        f"on data kept back ({windows} windows of {length / fit.rate_hz:.3g} s):",
+        *(f"  {line}" for line in comparison_lines(comparison)),
+        "disturbances and noises, with what the parameters' uncertainty adds:",
+        *(f"  {signal.name} {signal.scale:.3g}" for signal in signals),
+    )
+
+
+def _findings(fit: OutputErrorFit, plant: Plant, comparison: Comparison) -> dict[str, object]:
+    outputs = fit.model.example.outputs
+    return {
+        "rate_hz": fit.rate_hz,
+        "delay_s": fit.delay / fit.rate_hz,
+        "hold": fit.hold,
+        "parameters": {
+            verdict.name: {"value": verdict.value, "standard_error": verdict.standard_error, "note": verdict.note}
+            for verdict in fit.verdicts
+        },
+        "validation": comparison_json(comparison),
+        "explained_training": {
+            what: dict(zip(outputs, share.tolist(), strict=True)) for what, share in _shares(fit.training).items()
+        },
+        "disturbances": {signal.name: signal.scale for signal in plant.disturbances},
+        "noises": {signal.name: signal.scale for signal in plant.noises},
+    }
+
+
+def _shares(data: FittedData) -> dict[str, NDArray[np.float64]]:
+    return {"simulation explains": data.simulated_share, "one step ahead": data.predicted_share}
+
+
+def _gate(model: FreeModel) -> GateRule:
+    table = Table(model.path, "phase.", model.phase)
+    gate = GateRule(
+        require_armed=table.boolean("require_armed", True),
+        require_airborne=table.boolean("require_airborne", False),
+        settle_s=table.number("settle_s", SETTLE_S, at_least=0.0),
+        airborne_command=table.number("airborne_command", 0.0),
+    )
+    table.done()
+    return gate
+
+
+def _of_one_system(log: Log, names: set[str]) -> Log:
+    """Return the log with the messages of the first system that sends a channel, from then on."""
+
+    def messages() -> Iterator[Message]:
+        system: int | None = None
+        for message in log():
+            if system is None and message.name in names:
+                system = message.system
+            if message.system == system:
+                yield message
+
+    return messages
+
+
+def _rate_hz(logs: Sequence[Log], channels: Sequence[Channel], where: str) -> float:
+    """Return the rate of the grid: that of the slowest channel in its slowest log, rounded to a whole number."""
+    slowest = np.inf
+    for number, log in enumerate(logs, 1):
+        stamps: dict[str, list[int]] = {channel.name: [] for channel in channels}
+        for message in log():
+            for channel in channels:
+                if message.name == channel.message and channel.selects(message.fields):
+                    stamp = channel.stamp_ns(message.fields)
+                    stamps[channel.name].append(message.received_ns if stamp is None else stamp)
+        for channel in channels:
+            found = np.unique(stamps[channel.name])
+            if len(found) < 2:
+                raise TelemetryError(
+                    f"{where}: 'channels.{channel.name}': recording {number} holds no {channel.message} that fits it"
+                )
+            slowest = min(slowest, 1e9 / float(np.median(np.diff(found))))
+    return float(max(1, round(slowest)))
+
+
+def _check_determined(fit: OutputErrorFit) -> None:
+    missing = [verdict for verdict in fit.verdicts if not verdict.determined]
+    if missing:
+        reasons = "; ".join(
+            f"'parameters.{verdict.name}' ({verdict.value:.3g} +- {verdict.standard_error:.2g}): {verdict.note}"
+            for verdict in missing
+        )
+        raise ModelError(f"{fit.model.path}: the recordings do not determine {reasons}")
+
+
+def _design(
+    plant: Plant, rate_hz: float, segments: Sequence[Segment]
+) -> tuple[tuple[Gains, ...], IndependentRule | BankRule]:
+    """Return one observer where all faults can be estimated together, else a bank.
+
+    One observer forgets its initial state with a time constant of at most ``_FORGET_S`` where that is possible.
+    """
+    if problem_of(plant, [fault.name for fault in plant.faults]) is not None:
+        bank = compile_bank(plant, design_bank(plant, rate_hz))
+        return bank, bank_rule(bank, segments)
+    try:
+        design = design_convex(plant, rate_hz, pole_radius=math.exp(-1.0 / (_FORGET_S * rate_hz)))
+    except InfeasibleError:
+        design = design_convex(plant, rate_hz)
+    return (compile_gains(plant, design, certify(plant, design)),), IndependentRule(_SMOOTHING_S)

@@ -1,0 +1,1 @@
+"""Sensors against each other: strapdown kinematics, for any vehicle."""

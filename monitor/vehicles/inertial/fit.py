@@ -1,0 +1,193 @@
+"""The inertial observer of any vehicle: GPS, barometer, compass, gyro and accelerometer against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.errors import TelemetryError
+from gains.synthesis.bank import compile_bank
+from monitor.alarms.excuse import ExcuseRule
+from monitor.fitting.calibrate import bank_rule, contiguous, flight_samples, transformed
+from monitor.fitting.fitted import Fitted, Log, bare_rule
+from monitor.fitting.survey import Survey, common_rate_hz
+from monitor.fitting.thresholds import (
+    FALSE_ALARMS_PER_HOUR,
+    Calibrated,
+    Times,
+    calibrated,
+    healthy_evidence,
+    healthy_levels,
+)
+from monitor.profile import FaultChannel
+from monitor.sampling.gate import GatedSample, GateRule
+from monitor.sampling.transform import Source, TransformRule
+from monitor.vehicles.inertial.identify import WASHED_FAULTS, inertial_bank, inertial_plant, smallest_faults
+from monitor.vehicles.inertial.sensor_fit import (
+    InertialFit,
+    InertialSegment,
+    best_delays,
+    delay_costs,
+    identify_inertial,
+)
+from monitor.vehicles.inertial.strapdown import Strapdown
+from monitor.vehicles.inertial.strapdown_channels import StrapdownSource, strapdown_channels
+
+OBSERVER = "inertial"
+
+_RATE_HZ = 25.0
+_FASTEST_HZ = 100.0
+_WASHOUT_S = 30.0
+_VELOCITY_WASHOUT_S = 10.0
+_SMOOTHING_S = 0.12
+_SETTLE_S = 5.0
+_TIMES = Times(fast_s=0.08, raise_s=0.2, slow_s=4.0, clear_s=0.5)
+_TRIAL_DELAYS_S = tuple(0.04 * step for step in range(8))
+_TRIAL_S = 90.0
+_CRITICAL = 5.0
+_SLOWEST = ("GPS_RAW_INT", "SCALED_PRESSURE")
+
+_GYROS = ("gyro_x", "gyro_y", "gyro_z")
+_POSITION, _VELOCITY = ("gps_north", "gps_east"), ("gps_velocity_north", "gps_velocity_east")
+_POOLS = (_POSITION, _VELOCITY, _GYROS)
+
+EXCUSES = (
+    # A gyro that jumps tilts the attitude, which the velocity forgets with its washout.
+    ExcuseRule(_VELOCITY, _GYROS, 2.0 * _VELOCITY_WASHOUT_S),
+    # The position is compared with the velocity: where that is wrong the position is no culprit.
+    ExcuseRule(_POSITION, _VELOCITY, 0.5 * _VELOCITY_WASHOUT_S),
+)
+
+
+def fit_inertial(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate: GateRule) -> Fitted:
+    """Measure on healthy recordings how well the sensors agree, design the bank, calibrate its alarms.
+
+    Raises
+    ------
+    TelemetryError, ModelError, InfeasibleError
+        Attitude or inertial measurements are missing, or too little healthy motion was recorded.
+    """
+    gate = replace(gate, settle_s=max(gate.settle_s, _SETTLE_S))
+    channels = _channels(surveys)
+    signal_hz, rate_hz = _rates(surveys, channels)
+    raw_source = Source(inputs=channels.channels)
+    raw = [flight_samples(log(), raw_source, signal_hz, replace(gate, airborne_command=0.0)) for log in logs]
+    parameters = {**channels.parameters, "washout_s": _WASHOUT_S, "velocity_washout_s": _VELOCITY_WASHOUT_S}
+    parameters |= _delays(raw, parameters, signal_hz, rate_hz)
+    rule = TransformRule("strapdown", signal_hz, parameters)
+    flights = [transformed(flight, Strapdown(parameters, signal_hz, rate_hz)) for flight in raw]
+    segments = [segment for flight in flights for segment in contiguous(flight)]
+    transform = Strapdown(parameters, signal_hz, rate_hz)
+    fit = identify_inertial(
+        [InertialSegment(segment.u, segment.y) for segment in segments],
+        transform.inputs,
+        transform.outputs,
+        rate_hz,
+        _WASHOUT_S,
+        _VELOCITY_WASHOUT_S,
+    )
+    plant = inertial_plant(fit, name)
+    gains = compile_bank(plant, inertial_bank(plant))
+    names = {fault.name for fault in plant.faults}
+    isolation = bank_rule(
+        gains,
+        segments,
+        smoothing_s=_SMOOTHING_S,
+        settle_s=_SETTLE_S,
+        noise=np.array([fit.noise[output] for output in fit.outputs]),
+        washouts={fault: _WASHOUT_S for fault in WASHED_FAULTS if fault in names},
+    )
+    source = Source(transform=rule, signals=channels.channels)
+    bare = Fitted(OBSERVER, plant, gains, source, isolation, settle_s=_SETTLE_S)
+    evidence = healthy_evidence(bare.profile(), gate, flights, own=True)
+    alarms = _alarms(bare.profile().faults, evidence, rate_hz, smallest_faults(fit))
+    return replace(
+        bare,
+        alarms=tuple(alarms),
+        flight_s=fit.seconds,
+        findings=_findings(fit, parameters),
+        lines=_lines(parameters, alarms),
+    )
+
+
+def _channels(surveys: Sequence[Survey]) -> StrapdownSource:
+    common = set.intersection(*(set(found.examples) for found in surveys))
+    return strapdown_channels({message: surveys[0].examples[message] for message in common})
+
+
+def _rates(surveys: Sequence[Survey], found: StrapdownSource) -> tuple[float, float]:
+    """Return the rate of the raw signals, that of the slowest inertial message, and a fraction of it."""
+    inertial = [channel for channel in found.channels if channel.message not in _SLOWEST]
+    signal_hz = min(common_rate_hz(surveys, inertial), _FASTEST_HZ)
+    return signal_hz, signal_hz / max(1, round(signal_hz / _RATE_HZ))
+
+
+def _delays(
+    raw: Sequence[Sequence[GatedSample]], parameters: Mapping[str, float], signal_hz: float, rate_hz: float
+) -> dict[str, float]:
+    """Return by how much GPS, barometer and compass are late, from trial delays over the middle of each flight."""
+    keys = ("gps_delay_s", "baro_delay_s", "compass_delay_s")
+    length = round(_TRIAL_S * signal_hz)
+    trials = {}
+    for delay in _TRIAL_DELAYS_S:
+        values = {**parameters, **dict.fromkeys(keys, delay)}
+        segments = []
+        for flight in raw:
+            evidence = [k for k, sample in enumerate(flight) if sample.armed]
+            if not evidence:
+                continue
+            start = max(evidence[0], evidence[len(evidence) // 2] - length // 2)
+            transform = Strapdown(values, signal_hz, rate_hz)
+            segments += contiguous(transformed(_restarted(flight[start : start + length]), transform))
+        if not segments:
+            raise TelemetryError("no healthy motion in the logs; record the vehicle moving, armed and in the air")
+        longest = [InertialSegment(segment.u, segment.y) for segment in segments if len(segment.u) > 10 * rate_hz]
+        names = transform.inputs, transform.outputs
+        trials[delay] = delay_costs(longest, *names, rate_hz, _WASHOUT_S, _VELOCITY_WASHOUT_S)
+    return best_delays(trials)
+
+
+def _restarted(flight: Sequence[GatedSample]) -> list[GatedSample]:
+    first, armed = flight[0]
+    return [GatedSample(replace(first, restart=True), armed), *flight[1:]]
+
+
+def _alarms(
+    channels: Sequence[FaultChannel],
+    evidence: Sequence[NDArray[np.float64]],
+    rate_hz: float,
+    smallest: Mapping[str, float],
+) -> list[Calibrated]:
+    """Return the alarms; channels of one kind share their levels, since what one axis has not seen another has."""
+    share = FALSE_ALARMS_PER_HOUR / len(channels)
+    places = {channel.name: at for at, channel in enumerate(channels)}
+    alarms = []
+    for channel in channels:
+        pool = next((pool for pool in _POOLS if channel.name in pool), (channel.name,))
+        series = [stretch[:, places[name]] for name in pool if name in places for stretch in evidence]
+        floor = smallest[channel.name]
+        levels = healthy_levels(series, rate_hz, share, _TIMES)
+        bare = bare_rule(OBSERVER, channel.name, channel.kind, channel.unit)
+        alarms.append(calibrated(bare, levels, 1.0, floor=floor, critical=_CRITICAL * floor, times=_TIMES))
+    return alarms
+
+
+def _findings(fit: InertialFit, parameters: Mapping[str, float]) -> dict[str, object]:
+    return {
+        "rate_hz": fit.rate_hz,
+        "delays_s": {key.removesuffix("_delay_s"): value for key, value in parameters.items() if "delay" in key},
+        "noise": dict(fit.noise),
+        "disturbance": dict(fit.disturbance),
+        "speed_scale": dict(fit.speed_scale),
+    }
+
+
+def _lines(parameters: Mapping[str, float], alarms: Sequence[Calibrated]) -> tuple[str, ...]:
+    late = ", ".join(
+        f"{key.removesuffix('_delay_s')} {value:.2f} s" for key, value in parameters.items() if "delay" in key
+    )
+    sizes = ", ".join(f"{found.rule.channel} {found.rule.threshold:.3g} {found.rule.unit}" for found in alarms)
+    return (f"late against the IMU: {late}", f"alarms from: {sizes}")

@@ -1,0 +1,182 @@
+"""Strapdown kinematics as a plant: what GPS, barometer, compass and gyro say against each other, for any vehicle.
+
+The transform of the adapters gives mean rates u and washed-out integrals y by name. Over one period T, with
+phi = exp(-T/tau) and gain = tau (1 - phi), each block is a discrete plant of its own and none has a vehicle parameter:
+
+    position   p+ = phi p + gain s v_gps                   y = p + f_position       v_gps the GPS's own velocity, s ~ 1
+    velocity   v+ = phi v + gain a                         y = v + f_velocity       a = R f + g from the accelerometers
+    vertical   d+ = phi d + gain (w + T a/2), w+ = w + T (a + f_accel)    y = d + f_gps, d - f_baro
+    rotation   r+ = phi r + gain (omega - f_gyro)          y = r                    from the autopilot's attitude
+    heading    h+ = phi h + gain (h' - f_gyro_z)           y = h + f_compass
+
+So a GPS position that walks away from its own velocity is a fault of the position alone; a consistent spoof of position
+and velocity shows in the velocity alone, against the accelerometers (of which it cannot be told: a horizontal
+accelerometer fault or a tilted attitude looks the same). Everything can be estimated together but for the vertical:
+two altitudes and one accelerometer name one culprit, hence one hypothesis for each of them.
+The scale s takes up that simulators are flat where the earth is an ellipsoid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gains.analysis.estimability import restricted
+from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant
+from gains.synthesis.bank import Hypothesis
+from gains.synthesis.blocks import design_blocks
+from monitor.vehicles.inertial.sensor_fit import BODY, HORIZONTAL, Chain, InertialFit, chains_of, washout
+
+VERTICAL_CULPRITS = ("baro", "gps_down", "accel_z")
+WASHED_FAULTS = ("gps_north", "gps_east", "gps_down", "baro", "compass")
+"""Faults whose estimate fades with ``washout_s`` although they stand; the monitor gives them back.
+
+Not the velocity: its washout is what keeps the error of a tilted attitude from standing for ever.
+"""
+
+_SMALLEST = 1e-4
+_H2_SHARE = 0.9
+_GRAVITY = 9.80665
+_TILT = 0.01
+
+
+def inertial_plant(fit: InertialFit, name: str, gyro_bandwidth: float = 0.15, accel_rate: float = 0.1) -> Plant:
+    """Return the blocks whose signals are there as one discrete plant, with the faults that may act in it.
+
+    Parameters
+    ----------
+    fit : InertialFit
+        Scales from healthy flight.
+    name : str
+        Name of the plant.
+    gyro_bandwidth : float
+        How fast a gyro's bias may move, as a share per second of the attitude's own random walk (rad/s): the bandwidth
+        of its estimate, the same for a calm and for a noisy axis.
+    accel_rate : float
+        How fast the bias of the vertical accelerometer may move, m/s^2 per second. The other faults are sensor faults,
+        which may jump.
+    """
+    chains = chains_of(fit.inputs, fit.outputs, fit.washout_s, fit.velocity_washout_s)
+    vertical = [output for output in ("gps_down", "baro_down") if output in fit.outputs]
+    states = [chain.state for chain in chains] + (["down", "velocity_down"] if vertical else [])
+    n, T = len(states), 1.0 / fit.rate_hz
+    A, B = np.zeros((n, n)), np.zeros((n, len(fit.inputs)))
+    C = np.zeros((len(fit.outputs), n))
+    for k, chain in enumerate(chains):
+        keep, gain = washout(chain.tau, fit.rate_hz)
+        A[k, k] = keep
+        B[k, fit.inputs.index(chain.source)] = gain * fit.speed_scale.get(chain.state, 1.0)
+        C[fit.outputs.index(chain.output), k] = 1.0
+    if vertical:
+        keep, gain = washout(fit.washout_s, fit.rate_hz)
+        d, w, a = n - 2, n - 1, fit.inputs.index("acceleration_down")
+        A[d, d], A[d, w], A[w, w] = keep, gain, 1.0
+        B[d, a], B[w, a] = 0.5 * gain * T, T
+        for output in vertical:
+            C[fit.outputs.index(output), d] = 1.0
+    outputs = np.eye(len(fit.outputs))
+    identity = np.eye(n)
+    return Plant(
+        name=name,
+        domain="discrete",
+        rate_hz=fit.rate_hz,
+        states=tuple(states),
+        inputs=fit.inputs,
+        outputs=fit.outputs,
+        A=A,
+        B=B,
+        C=C,
+        faults=tuple(_faults(fit, states, B, gyro_bandwidth, accel_rate)),
+        disturbances=tuple(
+            Disturbance(f"disturbance_{state}", identity[:, k], fit.disturbance[state])
+            for k, state in enumerate(states)
+        ),
+        noises=tuple(
+            Noise(f"noise_{output}", outputs[:, k], fit.noise[output]) for k, output in enumerate(fit.outputs)
+        ),
+        state_errors=np.array([_state_error(fit, state, chains) for state in states]),
+        description="Strapdown kinematics: GPS, barometer, compass and gyro against each other",
+    )
+
+
+def inertial_hypotheses(plant: Plant) -> tuple[tuple[str, ...], ...]:
+    """Return the sets of faults to make observers for: all that are told apart, with one vertical culprit each.
+
+    With one altitude only the accelerometer is left to be named, and there is one hypothesis.
+    """
+    names = tuple(fault.name for fault in plant.faults)
+    culprits = tuple(name for name in VERTICAL_CULPRITS if name in names)
+    others = tuple(name for name in names if name not in culprits)
+    return tuple((*others, culprit) for culprit in culprits) or ((others,) if others else ())
+
+
+def inertial_bank(plant: Plant) -> tuple[Hypothesis, ...]:
+    """Return a certified observer for each hypothesis, designed block by block.
+
+    Raises
+    ------
+    ModelError, InfeasibleError, InaccurateError
+        As :func:`gains.synthesis.blocks.design_blocks`.
+    """
+    plants = [(found, restricted(plant, found)) for found in inertial_hypotheses(plant)]
+    return tuple(Hypothesis(found, part, design_blocks(part, h2=_H2_SHARE)) for found, part in plants)
+
+
+def smallest_faults(fit: InertialFit) -> dict[str, float]:
+    """Return the smallest size of each fault that is worth an alarm, however calm the healthy flights were.
+
+    Positions half a metre: beyond what receivers and barometers drift within the washout. Velocity: what an attitude
+    that is wrong by 10 mrad, as good autopilots are, makes of gravity within the velocity's washout. Compass 10
+    degrees: what a power cable may do. Gyro 0.03 rad/s, accelerometer 0.5 m/s^2: beyond biases that estimators learn.
+    """
+    velocity = _GRAVITY * _TILT * fit.velocity_washout_s
+    sizes = {
+        **dict.fromkeys(("gps_north", "gps_east", "gps_down", "baro"), 0.5),
+        **dict.fromkeys(("gps_velocity_north", "gps_velocity_east"), velocity),
+        **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), 0.03),
+        "compass": float(np.radians(10.0)),
+        "accel_z": 0.5,
+    }
+    present = {name for found in inertial_hypotheses(inertial_plant(fit, "inertial")) for name in found}
+    return {name: size for name, size in sizes.items() if name in present}
+
+
+def _faults(
+    fit: InertialFit, states: Sequence[str], B: FloatArray, gyro_bandwidth: float, accel_rate: float
+) -> list[Fault]:
+    rows = np.eye(len(fit.outputs))
+    faults = []
+
+    def sensor(name: str, output: str, unit: str, sign: float = 1.0) -> None:
+        if output in fit.outputs:
+            column = sign * rows[:, fit.outputs.index(output)]
+            faults.append(Fault(name, "sensor", column, error=fit.noise[output], unit=unit))
+
+    for axis in HORIZONTAL:
+        sensor(f"gps_{axis}", f"gps_{axis}", "m")
+    for axis in HORIZONTAL:
+        sensor(f"gps_velocity_{axis}", f"gps_velocity_{axis}", "m/s")
+    if "gps_down" in fit.outputs and "baro_down" in fit.outputs:
+        sensor("gps_down", "gps_down", "m")
+        sensor("baro", "baro_down", "m", -1.0)
+    if "acceleration_down" in fit.inputs:
+        column = -B[:, fit.inputs.index("acceleration_down")]
+        faults.append(Fault("accel_z", "actuator", column, rate=accel_rate, error=0.1, unit="m/s^2"))
+    sensor("compass", "heading", "rad")
+    for axis in BODY:
+        column = -B[:, fit.inputs.index(f"rate_{axis}")]
+        if axis == "z" and "heading" in states:
+            column = column - B[:, fit.inputs.index("heading_rate")]
+        rate = gyro_bandwidth * fit.disturbance[f"rotation_{axis}"] * fit.rate_hz
+        faults.append(Fault(f"gyro_{axis}", "actuator", column, rate=rate, error=0.01, unit="rad/s"))
+    return faults
+
+
+def _state_error(fit: InertialFit, state: str, chains: Sequence[Chain]) -> float:
+    for chain in chains:
+        if chain.state == state:
+            return fit.noise[chain.output]
+    if state == "down":
+        return min(fit.noise[output] for output in ("gps_down", "baro_down") if output in fit.noise)
+    return max(fit.disturbance[state] * fit.rate_hz, _SMALLEST)

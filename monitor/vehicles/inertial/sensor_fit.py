@@ -1,0 +1,291 @@
+"""Measure on healthy recordings how well GPS, barometer, compass and gyro agree: scales and delays.
+
+No vehicle parameter is identified. The kinematics are known (:mod:`monitor.vehicles.inertial.identify`); what flight has to
+show is how large the disagreement of healthy sensors is, fast (noise) and slow (disturbance), and by how much a sensor
+is late.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import exp
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gains.errors import ModelError
+
+HORIZONTAL = ("north", "east")
+BODY = ("x", "y", "z")
+
+_LEAST_S = 20.0
+_SETTLE_S = 5.0
+_FAST_S = 0.5
+_SLOW_S = 4.0
+_SHOWN = 1.05
+_EXCITED = 20.0
+_LARGEST_SCALE_ERROR = 0.05
+_SMALLEST = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InertialSegment:
+    """Contiguous healthy samples of the transform, one period apart: ``u`` (N, s) and ``y`` (N, p)."""
+
+    u: NDArray[np.float64]
+    y: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InertialFit:
+    """What healthy flights say about how well the sensors agree.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Samples per second.
+    washout_s, velocity_washout_s : float
+        Time constants of the transform: of positions and angles, and of the velocity.
+    inputs, outputs : tuple[str, ...]
+        Names as the transform gives them.
+    speed_scale : Mapping[str, float]
+        s of position north and east; 1 where flight did not show it.
+    noise : Mapping[str, float]
+        Noise of each output, in its unit.
+    disturbance : Mapping[str, float]
+        Random walk of each state within one period, in its unit.
+    seconds : float
+        Healthy flight used.
+    """
+
+    rate_hz: float
+    washout_s: float
+    velocity_washout_s: float
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    speed_scale: Mapping[str, float]
+    noise: Mapping[str, float]
+    disturbance: Mapping[str, float]
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """One state that integrates one input and is measured by one output."""
+
+    state: str
+    source: str
+    output: str
+    tau: float
+
+
+def identify_inertial(
+    segments: Sequence[InertialSegment],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    rate_hz: float,
+    washout_s: float,
+    velocity_washout_s: float,
+) -> InertialFit:
+    """Measure how well the sensors agree in healthy flight.
+
+    Noise is what the difference between an output and the integral of its input does within half a second, disturbance
+    what it does beyond that within four.
+
+    Parameters
+    ----------
+    segments : Sequence[InertialSegment]
+        Healthy flight.
+    inputs, outputs : Sequence[str]
+        Names of the columns of u and y.
+    rate_hz, washout_s, velocity_washout_s : float
+        As the transform has them.
+
+    Raises
+    ------
+    ModelError
+        Less than 20 s of flight, or nothing to compare.
+    """
+    usable = [segment for segment in segments if len(segment.u) > (_SETTLE_S + 2.0 * _SLOW_S) * rate_hz]
+    seconds = sum(len(segment.u) for segment in usable) / rate_hz
+    if seconds < _LEAST_S:
+        raise ModelError(f"only {seconds:.0f} s of healthy recording; at least {_LEAST_S:.0f} s in motion are needed")
+    chains = chains_of(inputs, outputs, washout_s, velocity_washout_s)
+    settle = round(_SETTLE_S * rate_hz)
+    scale: dict[str, float] = {}
+    noise: dict[str, float] = {}
+    disturbance: dict[str, float] = {}
+    for chain in chains:
+        i, j = list(inputs).index(chain.source), list(outputs).index(chain.output)
+        x = [washed(segment.u[:, i], rate_hz, chain.tau)[settle:] for segment in usable]
+        y = [segment.y[settle:, j] for segment in usable]
+        if chain.source.startswith("speed_"):
+            scale[chain.state] = _scale(x, y)
+            x = [scale[chain.state] * one for one in x]
+        errors = [a - b for a, b in zip(y, x, strict=True)]
+        fast = _spread(errors, 1)
+        slow = _spread(errors, round(_SLOW_S * rate_hz))
+        noise[chain.output] = max(fast / np.sqrt(2.0), _SMALLEST)
+        growth = np.sqrt(max(slow * slow - fast * fast, 0.0) / (_SLOW_S * rate_hz))
+        disturbance[chain.state] = max(float(growth), _SMALLEST)
+    if "acceleration_down" in inputs:
+        _identify_vertical(usable, inputs, outputs, rate_hz, washout_s, noise, disturbance)
+    return InertialFit(
+        rate_hz=rate_hz,
+        washout_s=washout_s,
+        velocity_washout_s=velocity_washout_s,
+        inputs=tuple(inputs),
+        outputs=tuple(outputs),
+        speed_scale=scale,
+        noise=noise,
+        disturbance=disturbance,
+        seconds=seconds,
+    )
+
+
+def delay_costs(
+    segments: Sequence[InertialSegment],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    rate_hz: float,
+    washout_s: float,
+    velocity_washout_s: float,
+) -> dict[str, float]:
+    """Return how badly GPS, barometer and compass fit the inertial sensors, for samples of a transform.
+
+    Run the transform with all its delays at 0, 0.02, ... 0.3 s: each sensor's delay is that of its least cost.
+
+    Returns
+    -------
+    dict[str, float]
+        Under ``gps_delay_s`` (velocity against the accelerometers), ``baro_delay_s`` (against the vertical one) and
+        ``compass_delay_s`` (against the gyro), of the sensors that are there, the standard deviation of their
+        difference over a second (for the barometer of second order over two: accelerometers integrate to speed first).
+    """
+    names, columns = list(outputs), list(inputs)
+    settle, lag = round(_SETTLE_S * rate_hz), round(rate_hz)
+    pairs = {
+        "gps_delay_s": [(f"acceleration_{axis}", f"gps_velocity_{axis}") for axis in HORIZONTAL],
+        "baro_delay_s": [("acceleration_down", "baro_down")],
+        "compass_delay_s": [("heading_rate", "heading")],
+    }
+    costs = {}
+    for key, compared in pairs.items():
+        errors = []
+        for source, output in compared:
+            if source not in columns or output not in names:
+                continue
+            for segment in segments:
+                rate, y = segment.u[:, columns.index(source)], segment.y[:, names.index(output)]
+                if key == "baro_delay_s":
+                    rate = _speed(rate, rate_hz)
+                tau = velocity_washout_s if key == "gps_delay_s" else washout_s
+                errors.append((y - washed(rate, rate_hz, tau))[settle:])
+        if errors:
+            costs[key] = _spread(errors, 2 * lag, 2) if key == "baro_delay_s" else _spread(errors, lag)
+    return costs
+
+
+def best_delays(trials: Mapping[float, Mapping[str, float]]) -> dict[str, float]:
+    """Return each sensor's delay from the costs at each trial delay: the least of a parabola through the best three.
+
+    Zero where flight does not show it: the costs hardly differ, or are least at the end of the range.
+    """
+    delays = sorted(trials)
+    found = {}
+    for key in trials[delays[0]]:
+        costs = np.array([trials[delay][key] ** 2 for delay in delays])
+        best = int(np.argmin(costs))
+        if not 0 < best < len(delays) - 1 or costs[0] < _SHOWN * costs[best]:
+            found[key] = 0.0
+            continue
+        left, middle, right = costs[best - 1 : best + 2]
+        shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
+        found[key] = round(float(delays[best] + shift * (delays[best + 1] - delays[best])), 3)
+    return found
+
+
+def washed(rate: NDArray[np.float64], rate_hz: float, tau: float) -> NDArray[np.float64]:
+    """Return x (N,) of x+ = phi x + tau (1 - phi) rate from x = 0."""
+    keep, gain = washout(tau, rate_hz)
+    x = np.zeros(len(rate))
+    for k in range(len(rate) - 1):
+        x[k + 1] = keep * x[k] + gain * rate[k]
+    return x
+
+
+def chains_of(inputs: Sequence[str], outputs: Sequence[str], slow: float, fast: float) -> list[Chain]:
+    """Return the blocks with one state whose signals are there, for the washouts of positions and of the velocity."""
+    found = [
+        *(Chain(f"position_{axis}", f"speed_{axis}", f"gps_{axis}", slow) for axis in HORIZONTAL),
+        *(Chain(f"velocity_{axis}", f"acceleration_{axis}", f"gps_velocity_{axis}", fast) for axis in HORIZONTAL),
+        *(Chain(f"rotation_{axis}", f"rate_{axis}", f"rotation_{axis}", slow) for axis in BODY),
+        Chain("heading", "heading_rate", "heading", slow),
+    ]
+    chains = [chain for chain in found if chain.source in inputs and chain.output in outputs]
+    if not chains:
+        raise ModelError("no sensor to compare with another: attitude and gyro are needed, GPS and compass help")
+    return chains
+
+
+def _identify_vertical(
+    segments: Sequence[InertialSegment],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    rate_hz: float,
+    washout_s: float,
+    noise: dict[str, float],
+    disturbance: dict[str, float],
+) -> None:
+    """Measure noise of the altitudes and error of the vertical accelerometer by second differences."""
+    a = list(inputs).index("acceleration_down")
+    settle, slow = round(_SETTLE_S * rate_hz), round(_SLOW_S * rate_hz)
+    drift = []
+    for output in ("gps_down", "baro_down"):
+        if output not in outputs:
+            continue
+        j = list(outputs).index(output)
+        errors = []
+        for segment in segments:
+            down = washed(_speed(segment.u[:, a], rate_hz), rate_hz, washout_s)
+            errors.append((segment.y[:, j] - down)[settle:])
+        noise[output] = max(_spread(errors, round(_FAST_S * rate_hz), 2) / np.sqrt(6.0), _SMALLEST)
+        drift.append(_spread(errors, slow, 2) / _SLOW_S**2)
+    disturbance["velocity_down"] = max(min(drift) / rate_hz, _SMALLEST)
+    disturbance["down"] = max(0.5 * min(drift) / rate_hz**2, _SMALLEST)
+
+
+def _scale(x: Sequence[NDArray[np.float64]], y: Sequence[NDArray[np.float64]]) -> float:
+    """Return the ratio of y to x, 1 where they moved too little to show it."""
+    flat, measured = np.concatenate(x), np.concatenate(y)
+    energy = float(flat @ flat)
+    if energy <= 0.0:
+        return 1.0
+    ratio = float(flat @ measured) / energy
+    error = float(np.std(measured - ratio * flat))
+    excited = float(np.sqrt(energy / len(flat))) > _EXCITED * error
+    return ratio if excited and abs(ratio - 1.0) < _LARGEST_SCALE_ERROR else 1.0
+
+
+def _spread(errors: Sequence[NDArray[np.float64]], lag: int, order: int = 1) -> float:
+    """Return the standard deviation of differences of the given order over a lag."""
+    differences = []
+    for error in errors:
+        difference = error
+        for _ in range(order):
+            difference = difference[lag:] - difference[:-lag]
+        differences.append(difference)
+    return float(np.concatenate(differences).std())
+
+
+def _speed(acceleration: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
+    """Return the mean speed of each period, from rest."""
+    before = np.concatenate([[0.0], np.cumsum(acceleration)[:-1]])
+    return np.asarray((before + 0.5 * acceleration) / rate_hz, dtype=np.float64)
+
+
+def washout(tau: float, rate_hz: float) -> tuple[float, float]:
+    """Return phi = exp(-T/tau) and tau (1 - phi)."""
+    keep = exp(-1.0 / (tau * rate_hz))
+    return keep, tau * (1.0 - keep)

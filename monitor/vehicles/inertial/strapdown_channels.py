@@ -1,0 +1,82 @@
+"""Which messages hold the raw signals of the strapdown transform, as far as a vehicle sends them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from adapters.channels import Channel
+from adapters.errors import TelemetryError
+from monitor.vehicles.inertial.strapdown import BAROMETER, GPS, IMU, MAGNETOMETER
+
+INERTIAL_MESSAGES = frozenset({"ATTITUDE", "HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "GPS_RAW_INT", "SCALED_PRESSURE"})
+
+_G = 9.80665
+_TURN = 6.283185307179586
+_LARGEST = 1.7e308
+
+
+class StrapdownSource(NamedTuple):
+    """Channels in the order of the transform's signals, and its parameters that say which of them are there."""
+
+    channels: tuple[Channel, ...]
+    parameters: dict[str, float]
+
+
+def strapdown_channels(examples: Mapping[str, Mapping[str, Any]]) -> StrapdownSource:
+    """Choose the channels.
+
+    The IMU is HIGHRES_IMU (SI units, microseconds), else SCALED_IMU or RAW_IMU (which ArduPilot sends in the same
+    units). The barometer is the pressure altitude of HIGHRES_IMU, which comes with the IMU's own time stamp, else
+    the pressure of SCALED_PRESSURE. The altitude of VFR_HUD is no barometer: it is the autopilot's estimate, which a
+    fault of any sensor moves, and it has no time stamp.
+
+    Parameters
+    ----------
+    examples : Mapping[str, Mapping[str, Any]]
+        Fields of one message (in motion, after the first GPS fix) for each message name that the vehicle sends.
+
+    Raises
+    ------
+    TelemetryError
+        No attitude or no inertial measurement.
+    """
+    if "ATTITUDE" not in examples:
+        raise TelemetryError("no ATTITUDE message: the inertial observer needs it; request it from the autopilot")
+    imu = next((name for name in ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU") if name in examples), None)
+    if imu is None:
+        raise TelemetryError("no HIGHRES_IMU, SCALED_IMU or RAW_IMU message: request one from the autopilot")
+    force, rate = (1.0, 1.0) if imu == "HIGHRES_IMU" else (_G / 1000.0, 1e-3)
+    channels = [Channel(name, imu, (name,), scale=force if "acc" in name else rate) for name in IMU[:6]]
+    channels += [Channel(name, "ATTITUDE", (name,)) for name in ("roll", "pitch")]
+    channels.append(Channel("yaw", "ATTITUDE", ("yaw",), period=_TURN))
+    gps = _there(examples, "GPS_RAW_INT", ("lat", "lon", "vel", "cog")) and not _unknown(examples["GPS_RAW_INT"])
+    if gps:
+        fields = (("lat", 1e-7), ("lon", 1e-7), ("alt", 1e-3), ("vel", 1e-2), ("cog", 1e-2))
+        channels += [
+            Channel(name, "GPS_RAW_INT", (field,), scale=scale, period=360.0 if field == "cog" else None)
+            for name, (field, scale) in zip(GPS, fields, strict=True)
+        ]
+    barometer = 0.0
+    if _there(examples, "HIGHRES_IMU", ("pressure_alt",)):
+        barometer = 1.0
+        channels.append(Channel(BAROMETER[0], "HIGHRES_IMU", ("pressure_alt",)))
+    elif _there(examples, "SCALED_PRESSURE", ("press_abs",)):
+        barometer = 2.0
+        channels.append(Channel(BAROMETER[0], "SCALED_PRESSURE", ("press_abs",)))
+    magnetometer = _there(examples, imu, MAGNETOMETER) and any(examples[imu][name] for name in MAGNETOMETER)
+    if magnetometer:
+        channels += [Channel(name, imu, (name,)) for name in MAGNETOMETER]
+    flags = {"gps": float(gps), "barometer": barometer, "magnetometer": float(magnetometer)}
+    return StrapdownSource(tuple(channels), flags)
+
+
+def _there(examples: Mapping[str, Mapping[str, Any]], message: str, names: tuple[str, ...]) -> bool:
+    fields = examples.get(message, {})
+    # compared, not converted: whole numbers may be larger than any float
+    return all(isinstance(fields.get(name), int | float) and abs(fields[name]) <= _LARGEST for name in names)
+
+
+def _unknown(fields: Mapping[str, Any]) -> bool:
+    """Return whether speed or course hold the value that stands for unknown."""
+    return 65_535 in (fields["vel"], fields["cog"])

@@ -1,0 +1,186 @@
+"""The motors observer of a multirotor: any number of motors, effectiveness learned, one hypothesis for each motor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gains.synthesis.bank import compile_bank, design_bank
+from monitor.fitting.calibrate import bank_rule, contiguous, flight_samples
+from monitor.fitting.fit_report import comparison_json, comparison_lines
+from monitor.fitting.fitted import Fitted, Log, bare_rule, unexplained_alarm
+from monitor.fitting.survey import Survey, common_rate_hz, motor_commands, multirotor_channels, range_text
+from monitor.fitting.thresholds import (
+    FALSE_ALARMS_PER_HOUR,
+    Calibrated,
+    Levels,
+    Times,
+    calibrated,
+    healthy_evidence,
+    healthy_levels,
+    plain_only,
+)
+from monitor.profile import FaultChannel
+from monitor.sampling.gate import GateRule
+from monitor.sampling.transform import Source
+from monitor.vehicles.multirotor.identify import GYROS, MultirotorFit, identify_multirotor, multirotor_plant
+from monitor.vehicles.multirotor.report import compare_kept_back
+from monitor.vehicles.multirotor.validation import Drift, MotorUncertainty, motor_uncertainty, response_drift
+
+OBSERVER = "motors"
+
+_AIRBORNE_SHARE = 0.5
+_SMALLEST_LOSS = 0.015
+_CRITICAL_LOSS = 0.25
+_SMALLEST_JUMP = 0.05
+"""rad/s: an autopilot rides out a smaller jump of a gyro, and gusts make steps of that size."""
+_MOST_OF_JUMPS = 1.5
+"""How many times the largest healthy step the level may be: steps are too rare for a tail to be fitted to them."""
+_JUMP = Times(fast_s=0.0, raise_s=0.0, clear_s=0.5)
+_AXES = ("roll", "pitch", "yaw")
+
+
+def multirotor_gate(surveys: Sequence[Survey], settle_s: float) -> GateRule:
+    """Return when a multirotor's samples are evidence: in the air, by half the mean command if it does not say."""
+    inputs, _ = multirotor_channels(surveys)
+    numbers = [int(channel.name.removeprefix("motor")) for channel in inputs]
+    pulses = [found.outputs[number].mean for found in surveys for number in numbers]
+    mean = float(np.mean([inputs[0].scale * pulse + inputs[0].offset for pulse in pulses]))
+    return GateRule(settle_s=settle_s, airborne_command=_AIRBORNE_SHARE * mean)
+
+
+def fit_motors(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate: GateRule) -> Fitted:
+    """Identify the motors' model on healthy recordings, design its bank, calibrate its alarms.
+
+    Raises
+    ------
+    TelemetryError, ModelError, InfeasibleError
+        The recordings do not hold what is needed, do not excite an axis, or allow no certified design.
+    """
+    inputs, outputs = multirotor_channels(surveys)
+    source = Source(inputs, outputs)
+    rate_hz = common_rate_hz(surveys, source.channels)
+    flights = [flight_samples(log(), source, rate_hz, gate) for log in logs]
+    stretches = [contiguous(flight) for flight in flights]
+    segments = [segment for flight in stretches for segment in flight]
+    comparison, taps = compare_kept_back(stretches, rate_hz)
+    model = identify_multirotor(segments, rate_hz, taps)
+    uncertainty, drift = motor_uncertainty(model, segments), response_drift(model, stretches)
+    motors = tuple(channel.name for channel in inputs)
+    plant = multirotor_plant(model, name, motors, doubt=uncertainty.drive)
+    gains = compile_bank(plant, design_bank(plant, rate_hz))
+    rule = bank_rule(gains, segments, edges=GYROS)
+    bare = Fitted(OBSERVER, plant, gains, source, rule)
+    channels = bare.profile().faults
+    evidence = healthy_evidence(bare.profile(), gate, flights)
+    hover = np.median(np.concatenate([segment.u for segment in segments]), axis=0)
+    alarms = _alarms(channels, evidence, hover, rate_hz, rule.score_floor)
+    commands = motor_commands(surveys)
+    ranges = {} if commands.pulses else {"command_range": {"none": commands.stop, "full": commands.full}}
+    return Fitted(
+        name=OBSERVER,
+        plant=plant,
+        gains=gains,
+        source=source,
+        isolation=rule,
+        alarms=tuple(alarms),
+        flight_s=sum(len(segment.u) for segment in segments) / rate_hz,
+        findings={
+            **_findings(model, motors, hover.tolist(), uncertainty, drift),
+            **ranges,
+            "validation": None if comparison is None else comparison_json(comparison),
+        },
+        lines=(
+            *([] if commands.pulses else [range_text(commands, surveys)]),
+            *_lines(model, motors, hover.tolist(), alarms),
+        ),
+        details=(
+            *_details(motors, uncertainty, drift),
+            *(
+                ("on data kept back:", *(f"  {line}" for line in comparison_lines(comparison)))
+                if comparison
+                else ("too little to keep any back",)
+            ),
+        ),
+        comparison=comparison,
+        flights=flights,
+    )
+
+
+def _alarms(
+    channels: Sequence[FaultChannel],
+    evidence: Sequence[NDArray[np.float64]],
+    hover: NDArray[np.float64],
+    rate_hz: float,
+    score_floor: float,
+) -> list[Calibrated]:
+    """Return the alarms: motors pooled relative to their hover commands, gyros pooled, and what nothing explains."""
+    share = FALSE_ALARMS_PER_HOUR / (len(channels) + 1)
+    commands = [None if channel.input is None else float(hover[channel.input]) for channel in channels]
+
+    def levels(places: Sequence[int], times: Times, most: float = math.inf) -> Levels:
+        series = [stretch[:, at] / (commands[at] or 1.0) for at in places for stretch in evidence]
+        return healthy_levels(series, rate_hz, share, times, most)
+
+    of_motors = levels([at for at, command in enumerate(commands) if command is not None], Times())
+    of_gyros = levels([at for at, command in enumerate(commands) if command is None], _JUMP, _MOST_OF_JUMPS)
+    alarms = []
+    for channel, command in zip(channels, commands, strict=True):
+        bare = bare_rule(OBSERVER, channel.name, channel.kind, channel.unit)
+        if command is None:
+            jump = calibrated(bare, of_gyros, 1.0, floor=_SMALLEST_JUMP, critical=4 * _SMALLEST_JUMP, times=_JUMP)
+            alarms.append(plain_only(jump))
+        else:
+            floor, critical = _SMALLEST_LOSS * command, _CRITICAL_LOSS * command
+            alarms.append(calibrated(bare, of_motors, command, floor=floor, critical=critical, times=Times()))
+    return [*alarms, unexplained_alarm(OBSERVER, evidence, rate_hz, share, score_floor)]
+
+
+def _findings(
+    model: MultirotorFit,
+    motors: Sequence[str],
+    hover: Sequence[float],
+    uncertainty: MotorUncertainty,
+    drift: Drift,
+) -> dict[str, object]:
+    return {
+        "rate_hz": model.rate_hz,
+        "motors": list(motors),
+        "explained": dict(zip(_AXES, model.explained.tolist(), strict=True)),
+        "t_value": dict(zip(_AXES, model.t_value.tolist(), strict=True)),
+        "lag_taps": model.taps.tolist(),
+        "thrust_curvature": model.kappa,
+        "hover_command": dict(zip(motors, hover, strict=True)),
+        "effectiveness": {motor: model.B[:3, i].tolist() for i, motor in enumerate(motors)},
+        "effectiveness_error": {motor: uncertainty.B_error[:, i].tolist() for i, motor in enumerate(motors)},
+        "effectiveness_relative_error": dict(zip(motors, uncertainty.relative.tolist(), strict=True)),
+        "response_drift_per_minute": {"value": drift.per_minute, "standard_error": drift.error},
+    }
+
+
+def _details(motors: Sequence[str], uncertainty: MotorUncertainty, drift: Drift) -> tuple[str, ...]:
+    known = ", ".join(f"{motor} {100 * error:.1f} %" for motor, error in zip(motors, uncertainty.relative, strict=True))
+    found = f"{100 * drift.per_minute:+.2f} +- {100 * drift.error:.2f} % per minute in the air"
+    meaning = "changes as they do when the battery sags" if drift.matters else "does not change as the battery drains"
+    return (
+        f"standard error of each motor's effect: {known}",
+        f"the response to commands {meaning} ({found})",
+    )
+
+
+def _lines(
+    model: MultirotorFit, motors: Sequence[str], hover: Sequence[float], alarms: Sequence[Calibrated]
+) -> tuple[str, ...]:
+    explained = ", ".join(f"{axis} {100 * share:.1f} %" for axis, share in zip(_AXES, model.explained, strict=True))
+    rules = {found.rule.channel: found.rule for found in alarms}
+    return (
+        f"model {model.rate_hz:g} Hz, explains {explained} of each rate's changes",
+        *(
+            f"{motor} alarm from {100 * rules[motor].threshold / command:.1f} % loss at hover (command {command:.2f}, "
+            f"threshold {rules[motor].threshold:g} of full command)"
+            for motor, command in zip(motors, hover, strict=True)
+        ),
+    )

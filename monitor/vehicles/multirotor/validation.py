@@ -1,0 +1,183 @@
+"""How far to trust a multirotor's model: uncertainty of what its motors do, prediction of data kept back, drift.
+
+In the symbols of :mod:`monitor.vehicles.multirotor.identify`, with w(k) = sum_d h_d v(k-d) and the errors e_o(k) = y_o(k+1)
+- a_o y_o(k) - B_o w(k) - c_o of one step, the coefficients of an axis have the covariance
+
+    (X'X)^-1 (sum_b X_b' e_b e_b' X_b) (X'X)^-1,         b: blocks of a few seconds,
+
+which holds whatever the errors' colour and however they vary from block to block (White 1980, Arellano 1987). Taps
+and thrust curve are taken as known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gains.identification.segment import Segment
+from monitor.vehicles.multirotor.identify import MultirotorFit, control_directions
+
+FloatArray = NDArray[np.float64]
+
+_BLOCK_S = 5.0
+_FEWEST_BLOCKS = 20
+_SURE = 3.0
+_MATTERS = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotorUncertainty:
+    """How well the recordings determine what the motors do.
+
+    As far as an autopilot moves them: in directions that no control drives, which more than four motors have, B is an
+    assumption and has no standard error.
+
+    Parameters
+    ----------
+    B_error : FloatArray
+        Standard errors of B's rows of body rates (3, s).
+    relative : FloatArray
+        Standard error of each motor's effect as a share of it (s,), the axes weighted by how well they show it.
+    drive : FloatArray
+        Root mean square over the recordings of what the uncertainty of all coefficients puts into the next body
+        rates (3,).
+    """
+
+    B_error: FloatArray
+    relative: FloatArray
+    drive: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """How the response to commands changes as a flight goes on, as with a battery that sags.
+
+    Parameters
+    ----------
+    per_minute, error : float
+        Relative change per minute in the air, and its standard error.
+    minutes : float
+        Longest flight.
+    """
+
+    per_minute: float
+    error: float
+    minutes: float
+
+    @property
+    def matters(self) -> bool:
+        """Whether it is certain and more than a per cent over the flight."""
+        return abs(self.per_minute) > _SURE * self.error and abs(self.per_minute) * self.minutes > _MATTERS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """One stretch of body rates beside their predictions ``steps`` samples ahead.
+
+    Parameters
+    ----------
+    before, measured, predicted : FloatArray
+        Measured when the prediction was made, measured then, and predicted (N, 3).
+    """
+
+    before: FloatArray
+    measured: FloatArray
+    predicted: FloatArray
+
+
+def motor_uncertainty(fit: MultirotorFit, segments: Sequence[Segment]) -> MotorUncertainty:
+    """Return how far to trust the coefficients, from the segments they were fitted on."""
+    now, effect, after = _equations(fit, segments)
+    mean, V = control_directions(effect)
+    z = (effect - mean) @ V
+    s = fit.B.shape[1]
+    B_error, drive = np.empty((3, s)), np.empty(3)
+    for o in range(3):
+        X = np.column_stack([now[:, o], z, np.ones(len(z))])
+        e = after[:, o] - fit.a[o] * now[:, o] - effect @ fit.B[o] - fit.c[o]
+        covariance = _clustered(X, e, fit.rate_hz)
+        B_error[o] = np.sqrt(np.diag(V @ covariance[1:-1, 1:-1] @ V.T))
+        drive[o] = np.sqrt(np.trace(covariance @ (X.T @ X)) / len(X))
+    weight = 1.0 / fit.residual_std[:3, None]
+    relative = np.linalg.norm(weight * B_error, axis=0) / np.linalg.norm(weight * fit.B[:3], axis=0)
+    return MotorUncertainty(B_error, relative, drive)
+
+
+def predict_rates(fit: MultirotorFit, segments: Sequence[Segment], steps: int) -> list[Prediction]:
+    """Return predictions of body rates ``steps`` samples ahead, from the rates then and the commands since."""
+    found = []
+    for segment in segments:
+        effect = motor_effect(fit, segment.u)
+        count = len(effect) - steps + 1
+        if count < 1:
+            continue
+        drive = effect @ fit.B[:3].T + fit.c[:3]
+        start = len(segment.u) - 1 - len(effect)
+        before = segment.y[start : start + count, :3]
+        predicted = before
+        for ahead in range(steps):
+            predicted = fit.a * predicted + drive[ahead : ahead + count]
+        found.append(Prediction(before, segment.y[start + steps : start + steps + count, :3], predicted))
+    return found
+
+
+def explained_change(predictions: Sequence[Prediction]) -> FloatArray:
+    """Return the share of the body rates' changes over the predictions' horizon that these explain (3,)."""
+    missed = np.vstack([one.measured - one.predicted for one in predictions])
+    change = np.vstack([one.measured - one.before for one in predictions])
+    return np.asarray(1.0 - (missed**2).mean(axis=0) / np.maximum((change**2).mean(axis=0), 1e-300))
+
+
+def response_drift(fit: MultirotorFit, flights: Sequence[Sequence[Segment]]) -> Drift:
+    """Return how the response to commands drifts with the time in the air; each flight starts with a fresh battery.
+
+    The effect of the commands times the minutes flown is regressed beside the effect itself; the axes are averaged,
+    each weighted by how well it shows it.
+    """
+    minutes = []
+    for flight in flights:
+        flown = 0
+        for segment in flight:
+            count = len(motor_effect(fit, segment.u))
+            minutes.append((flown + np.arange(count)) / fit.rate_hz / 60.0)
+            flown += len(segment.u)
+    t = np.concatenate(minutes)
+    now, effect, after = _equations(fit, [segment for flight in flights for segment in flight])
+    slopes, errors = np.empty(3), np.empty(3)
+    for o in range(3):
+        moved = effect @ fit.B[o]
+        moved = moved - moved.mean()
+        X = np.column_stack([moved, moved * (t - t.mean()), np.ones(len(t))])
+        target = after[:, o] - fit.a[o] * now[:, o]
+        theta = np.linalg.lstsq(X, target, rcond=None)[0]
+        slopes[o] = theta[1]
+        errors[o] = np.sqrt(_clustered(X, target - X @ theta, fit.rate_hz)[1, 1])
+    weight = 1.0 / np.maximum(errors, 1e-12) ** 2
+    return Drift(float(slopes @ weight / weight.sum()), float(weight.sum() ** -0.5), float(t.max()))
+
+
+def motor_effect(fit: MultirotorFit, u: FloatArray) -> FloatArray:
+    """Return w(k) of commands ``u`` (N, s) for k = L - 1, ..., N - 2, L the number of taps (max(0, N - L), s)."""
+    v = u + fit.kappa * u**2
+    count = max(0, len(u) - len(fit.taps))
+    return np.asarray(sum(h * v[len(fit.taps) - 1 - d :][:count] for d, h in enumerate(fit.taps)))
+
+
+def _equations(fit: MultirotorFit, segments: Sequence[Segment]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return y(k), w(k) and y(k+1) of all segments."""
+    effects = [motor_effect(fit, segment.u) for segment in segments]
+    pairs = [(segment.y[:, :3], len(effect)) for segment, effect in zip(segments, effects, strict=True)]
+    now = np.vstack([y[len(y) - 1 - count : len(y) - 1] for y, count in pairs])
+    after = np.vstack([y[len(y) - count :] for y, count in pairs])
+    return now, np.vstack(effects), after
+
+
+def _clustered(X: FloatArray, e: FloatArray, rate_hz: float) -> FloatArray:
+    """Return the covariance of coefficients with regressors X and errors e, blocks of time being independent."""
+    blocks = max(_FEWEST_BLOCKS, round(len(e) / (_BLOCK_S * rate_hz)))
+    scores = np.stack([part.sum(axis=0) for part in np.array_split(X * e[:, None], blocks)])
+    inverse = np.linalg.pinv(X.T @ X)
+    return np.asarray(inverse @ (scores.T @ scores) @ inverse * blocks / (blocks - 1))

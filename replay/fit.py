@@ -1,0 +1,180 @@
+"""Fit a profile: healthy recordings -> identified models -> designed gains -> calibrated alarms, written as text."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from adapters.errors import TelemetryError
+from adapters.output_file import write_file
+from gains.errors import InfeasibleError, ModelError
+from monitor.errors import ProfileError
+from monitor.fitting.calibrate import SETTLE_S
+from monitor.fitting.capability import capability
+from monitor.fitting.fit_report import draw_comparison
+from monitor.fitting.fitted import Fitted, Log
+from monitor.fitting.survey import Survey, survey
+from monitor.profile import PROFILE_FILE, profile_table
+from monitor.sampling.gate import GateRule
+from monitor.sampling.slow_telemetry import INERTIAL_HZ, WANTED_HZ, slow_messages, slow_text
+from monitor.vehicles.custom.fit import fit_custom
+from monitor.vehicles.inertial.fit import EXCUSES, fit_inertial
+from monitor.vehicles.multirotor.fit import fit_motors, multirotor_gate
+from monitor.vehicles.plane.fit import fit_surfaces, plane_gate
+from monitor.vehicles.rover.fit import fit_drive, rover_gate
+
+KINDS = ("multirotor", "plane", "rover", "inertial", "custom")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitReport:
+    """What ``fauio fit`` found.
+
+    Parameters
+    ----------
+    vehicle : str
+        Kind of vehicle.
+    observers : tuple[Fitted, ...]
+        The fitted observers.
+    notes : tuple[str, ...]
+        What could not be fitted, and why.
+    warnings : tuple[str, ...]
+        What makes the profile worse than it could be.
+    set_aside : Path | None
+        Where the profile.toml went that stood in the folder before, with what a person may have edited in it.
+    """
+
+    vehicle: str
+    observers: tuple[Fitted, ...]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    set_aside: Path | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the report as a JSON object."""
+        return {
+            "vehicle": self.vehicle,
+            "observers": {fitted.name: fitted.report() for fitted in self.observers},
+            "notes": list(self.notes),
+            **({"warnings": list(self.warnings)} if self.warnings else {}),
+            **({"set_aside": str(self.set_aside)} if self.set_aside is not None else {}),
+        }
+
+    def text(self, details: bool = False) -> list[str]:
+        """Return the report as lines for people."""
+        lines = [line for fitted in self.observers for line in fitted.text(details)]
+        return [*lines, *(f"not fitted: {note}" for note in self.notes), *(self.warnings if details else ())]
+
+
+def fit(kind: str, logs: Sequence[Log], folder: Path, name: str, model: Path | None = None) -> FitReport:
+    """Write a profile.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of vehicle, one of ``KINDS``.
+    logs : Sequence[Log]
+        Healthy recordings; each call of a log goes through it once from the start.
+    folder : Path
+        The profile's folder; made where it does not exist.
+    name : str
+        Name of the vehicle and its models.
+    model : Path | None
+        Model file of a custom vehicle.
+
+    Raises
+    ------
+    TelemetryError, ModelError, InfeasibleError
+        The recordings do not hold what is needed, do not excite an axis, or allow no certified design.
+    """
+    if (kind == "custom") != (model is not None):
+        raise ProfileError(f"--vehicle {kind}: {'needs' if model is None else 'takes no'} --model MODEL.toml")
+    observers: list[Fitted] = []
+    notes: list[str] = []
+    warnings: tuple[str, ...] = ()
+    vehicle_types: frozenset[str] = frozenset()
+    if model is not None:
+        custom, gate = fit_custom(logs, model)
+        observers.append(custom)
+    else:
+        surveys = [survey(log()) for log in logs]
+        vehicle_types = frozenset[str]().union(*(found.vehicle_types for found in surveys))
+        if kind == "multirotor":
+            gate = multirotor_gate(surveys, SETTLE_S)
+            observers.append(fit_motors(name, logs, surveys, gate))
+        elif kind == "plane":
+            gate = plane_gate(SETTLE_S)
+            observers.append(fit_surfaces(name, logs, surveys, gate))
+        elif kind == "rover":
+            gate = rover_gate(SETTLE_S)
+            observers.append(fit_drive(name, logs, surveys, gate))
+        else:
+            gate = GateRule(settle_s=SETTLE_S, require_airborne=False)
+        try:
+            observers.append(fit_inertial(name, logs, surveys, gate))
+        except (TelemetryError, ModelError, InfeasibleError) as error:
+            if not observers:
+                raise
+            notes.append(f"inertial: {error}")
+        warnings = (*_slow(kind, surveys, observers), *_of_several(vehicle_types))
+    report = FitReport(kind, tuple(_measured(fitted, gate) for fitted in observers), tuple(notes), warnings)
+    [vehicle_type] = vehicle_types if len(vehicle_types) == 1 else ("",)
+    return replace(report, set_aside=write_profile(folder, name, kind, gate, report, vehicle_type))
+
+
+def write_profile(
+    folder: Path, name: str, kind: str, gate: GateRule, report: FitReport, vehicle_type: str = ""
+) -> Path | None:
+    """Write what was fitted as a profile folder; return where another profile.toml went that stood there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for fitted in report.observers:
+        fitted.write(folder)
+    tables = {fitted.name: fitted.table() for fitted in report.observers}
+    known = {found.rule.channel for fitted in report.observers for found in fitted.alarms}
+    excuses = [rule for rule in EXCUSES if known.issuperset((*rule.channels, *rule.by))]
+    content = profile_table(
+        name=name, vehicle=kind, vehicle_type=vehicle_type, gate=gate, observers=tables, excuses=excuses
+    )
+    set_aside = replace_kept(folder / PROFILE_FILE, tomli_w.dumps(content, multiline_strings=False))
+    write_file(folder / "fit.json", json.dumps(report.to_json(), indent=1) + "\n")
+    write_file(folder / "fit.txt", "\n".join([f"{name} ({kind})", *report.text(details=True)]) + "\n")
+    drawn = {fitted.name: fitted.comparison for fitted in report.observers if fitted.comparison is not None}
+    for observer, comparison in drawn.items():
+        file = "fit.png" if len(drawn) == 1 else f"fit.{observer}.png"
+        draw_comparison(folder / file, comparison, f"{name}, {observer}: {comparison.about}")
+    return set_aside
+
+
+def replace_kept(path: Path, text: str) -> Path | None:
+    """Write a file; return where it went if it was there and said something else."""
+    before = path.with_name(f"{path.name}.before") if path.is_file() and path.read_bytes() != text.encode() else None
+    if before is not None:
+        write_file(before, path.read_bytes())
+    write_file(path, text)
+    return before
+
+
+def _slow(kind: str, surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str, ...]:
+    wanted_hz = INERTIAL_HZ if kind == "inertial" else WANTED_HZ
+    messages = {channel.message for fitted in observers for channel in fitted.source.channels}
+    slow = slow_messages([found.rate_hz for found in surveys], messages, wanted_hz)
+    return (slow_text(slow, wanted_hz),) if slow else ()
+
+
+def _of_several(vehicle_types: frozenset[str]) -> tuple[str, ...]:
+    if len(vehicle_types) < 2:
+        return ()
+    told = ", ".join(sorted(vehicle_types))
+    return (f"recordings of different vehicles ({told}): a profile is of one; fit each from its own recordings",)
+
+
+def _measured(fitted: Fitted, gate: GateRule) -> Fitted:
+    """Return the observer with what it will detect, where it brings healthy samples to measure that on."""
+    if not fitted.flights:
+        return fitted
+    return replace(fitted, capability=capability(fitted.profile(), fitted.plant, fitted.flights, gate), flights=())

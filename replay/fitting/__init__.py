@@ -1,1 +1,0 @@
-"""Healthy logs to a profile: identified models, designed gains, calibrated thresholds."""
