@@ -1,0 +1,168 @@
+"""Every number at the head of a module has its reason beside it.
+
+``python tests/test_constants.py`` lists the constants that lack one.
+"""
+
+import ast
+import io
+import re
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGES = ("adapters", "gains", "monitor", "replay")
+CONSTANT = re.compile(r"_?[A-Z][A-Z0-9_]*")
+COMPILED = re.compile(r"(?:cdef\s+(?:\w+\s+)+?)?(_?[A-Z][A-Z0-9_]*)\s*=[^=]*\d")
+"""A constant of a Cython module, which ``ast`` cannot read."""
+SPEAKS_FOR_ITSELF = re.compile(
+    r"_?(SECOND|MINUTE|HOUR|DAY)_(NS|US|MS|S)|_?NS_PER_(SECOND|MS|US)|_?MEGABYTE|_?MAX_U?INT\d+"
+    r"|_?G|_?(STANDARD_)?GRAVITY|_?TURN|_?WGS84_\w+|_?UNIT_ROUNDOFF"
+)
+"""Names of units, limits of types and constants of nature: their values are no choice."""
+
+PENDING = (
+    "adapters/channels.py",
+    "adapters/encoding/",
+    "adapters/logs/",
+    "adapters/mavlink/",
+    "adapters/simulation/",
+    "adapters/zenoh/",
+    "gains/analysis/",
+    "gains/commands.py",
+    "gains/identification/",
+    "gains/plants/",
+    "gains/published/",
+    "gains/synthesis/",
+    "monitor/alarms/",
+    "monitor/bus/",
+    "monitor/configuration/",
+    "monitor/console/",
+    "monitor/diagnosis/",
+    "monitor/estimation/",
+    "monitor/fitting/",
+    "monitor/pipeline.py",
+    "monitor/profile.py",
+    "monitor/recording/",
+    "monitor/sampling/",
+    "monitor/service/",
+    "monitor/trace.py",
+    "monitor/vehicles/",
+    "monitor/views/",
+    "replay/attacks/",
+    "replay/demonstration/",
+    "replay/inspection/",
+    "replay/reports/",
+    "replay/runs/",
+    "replay/sensitivity/",
+)
+"""Folders whose constants still lack reasons: a folder that has them all leaves this list."""
+
+
+class Constant(NamedTuple):
+    """A number, or a collection of numbers, that a module names."""
+
+    path: Path
+    line: int
+    name: str
+    value: str
+    explained: bool
+
+
+def numbers(value: ast.expr) -> Iterator[float]:
+    """Yield the numbers in an expression that functions inside it do not compute."""
+    if isinstance(value, ast.Lambda):
+        return
+    if isinstance(value, ast.Constant) and isinstance(value.value, int | float) and not isinstance(value.value, bool):
+        yield value.value
+    for child in ast.iter_child_nodes(value):
+        if isinstance(child, ast.expr | ast.keyword | ast.comprehension):
+            yield from numbers(child)
+
+
+def of_module(path: Path) -> Iterator[Constant]:
+    """Yield the constants of a module.
+
+    A reason is a string below the constant, or a comment above it, at the end of its line or between its lines; one
+    above a run of constants without a blank line is the reason of them all.
+    """
+    text = path.read_text()
+    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+    comments = {token.start[0] for token in tokens if token.type == tokenize.COMMENT}
+    alone = {line for line in comments if text.splitlines()[line - 1].startswith("#")}
+    body = ast.parse(text).body
+    covered_until = -1  # the last line that a comment above a run of assignments still covers
+    for node, following in zip(body, [*body[1:], None], strict=True):
+        first, last = node.lineno, node.end_lineno or node.lineno
+        above = first - 1 in alone or first - 1 == covered_until
+        covered_until = last if above else -1
+        if (
+            not isinstance(node, ast.Assign | ast.AnnAssign)
+            or node.value is None
+            or not any(True for _ in numbers(node.value))
+        ):
+            continue
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+        names = [name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name)]
+        if not all(CONSTANT.fullmatch(name) for name in names):
+            continue
+        below = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
+        beside = any(line in comments for line in range(first, last + 1))
+        named = all(SPEAKS_FOR_ITSELF.fullmatch(name) for name in names)
+        yield Constant(path, first, ", ".join(names), ast.unparse(node.value), below or beside or above or named)
+
+
+def of_compiled_module(path: Path) -> Iterator[Constant]:
+    """Yield the constants of a Cython module, which has comments alone."""
+    lines = path.read_text().splitlines()
+    covered = False
+    for k, line in enumerate(lines):
+        found = COMPILED.match(line)
+        covered = (k > 0 and lines[k - 1].startswith("#")) or (covered and found is not None)
+        if found:
+            explained = covered or "#" in line or bool(SPEAKS_FOR_ITSELF.fullmatch(found[1]))
+            yield Constant(path, k + 1, found[1], line.partition("=")[2].strip(), explained)
+
+
+def unexplained(folder: Path) -> list[Constant]:
+    """Return the constants below a folder that have no reason beside them."""
+    python = (constant for path in sorted(folder.rglob("*.py")) for constant in of_module(path))
+    compiled = (constant for path in sorted(folder.rglob("*.pyx")) for constant in of_compiled_module(path))
+    return [constant for constant in (*python, *compiled) if not constant.explained]
+
+
+def lines_of(constants: list[Constant]) -> list[str]:
+    """Return a line for each constant: where it is, its name and its value."""
+    return [f"{c.path.relative_to(ROOT)}:{c.line}: {c.name} = {c.value:.60}" for c in constants]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_constant_has_a_reason_beside_it(package: str) -> None:
+    lacking = lines_of(unexplained(ROOT / package))
+    assert [line for line in lacking if not line.startswith(PENDING)] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "explained"),
+    [
+        ("_LIMIT = 3.0", False),
+        ("_LIMIT = 3.0  # of the standard", True),
+        ('_LIMIT = 3.0\n"""Of the standard."""', True),
+        ("# Of the standard.\n_LIMIT = 3.0", True),
+        ("# Of the standard.\n_LOW = 1.0\n_LIMIT = 3.0", True),
+        ("# Of the standard.\n_LOW = 1.0\n\n_LIMIT = 3.0", False),
+        ("_LOW = 1.0  # of the standard\n_LIMIT = 3.0", False),
+        ("_GRAVITY = 9.80665", True),
+    ],
+)
+def test_a_reason_is_a_string_below_or_a_comment_above_or_beside(tmp_path: Path, text: str, explained: bool) -> None:
+    module = tmp_path / "module.py"
+    module.write_text(text + "\n")
+    assert [constant.explained for constant in of_module(module)][-1] is explained
+
+
+if __name__ == "__main__":
+    print("\n".join(line for package in PACKAGES for line in lines_of(unexplained(ROOT / package))))  # noqa: T201
