@@ -24,7 +24,7 @@ from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.design import Design
 from gains.synthesis.gains_file import Gains
-from monitor.estimation.recursion import ObserverRun, recursion_of
+from monitor.estimation.observer import ObserverRun
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from random_gains import random_gains
@@ -118,6 +118,14 @@ def random_case(count: int, states: int, outputs: int, faults: int, nonlinear: i
     return Case("random", linear_plant(1, 0, 0), gains, rng.normal(size=(count, 4)), rng.normal(size=(count, outputs)))
 
 
+def ordered_step(gains: Gains) -> Array:
+    """Return the rows of an observer's step matrix as [s+; x^; fa^; fs^; yt], the order of its estimates."""
+    n, a, ns = len(gains.states), len(gains.faults), len(gains.initial_matrix)
+    a1 = gains.fault_kinds.count("actuator")
+    fs, fa = ns + n + np.arange(a - a1), ns + n + a - a1 + np.arange(a1)
+    return gains.step_matrix[np.concatenate([np.arange(ns + n), fa, fs, np.arange(ns + n + a, len(gains.step_matrix))])]
+
+
 def textbook(case: Case) -> Callable[[Array, Array], ObserverRun]:
     """Return the loop over samples that writes the observer's equations as they stand in the theory."""
     plant, gains = case.plant, case.gains
@@ -160,17 +168,18 @@ def in_c(case: Case, folder: Path) -> Callable[[Array, Array], ObserverRun] | No
         command = [compiler, "-O2", "-shared", "-fPIC", "-o", library, SOURCE, "-lm"]
         subprocess.run(command, check=True)  # noqa: S603  # our own source, the system's compiler
     function = ctypes.CDLL(str(library)).run
-    recursion, gains = recursion_of(case.gains), case.gains
-    step, arguments = np.ascontiguousarray(recursion.step.T), np.ascontiguousarray(recursion.arguments.T)
-    s, p, m = len(gains.inputs), len(gains.outputs), len(gains.nonlinearities)
-    sizes = [ctypes.c_long(size) for size in (recursion.ns, s, p, m, len(recursion.step))]
+    gains, rows = case.gains, ordered_step(case.gains)
+    step, arguments = np.ascontiguousarray(rows.T), np.ascontiguousarray(gains.argument_matrix.T)
+    s, p, m, ns = len(gains.inputs), len(gains.outputs), len(gains.nonlinearities), len(gains.initial_matrix)
+    ends = np.cumsum([len(gains.states), len(gains.faults)]).tolist()
+    sizes = [ctypes.c_long(size) for size in (ns, s, p, m, len(rows))]
 
     def run(u: Array, y: Array) -> ObserverRun:
         state = gains.initial_matrix @ np.concatenate([u[0], y[0], [1.0]])
-        out = np.empty((len(u), len(recursion.step) - recursion.ns))
+        out = np.empty((len(u), len(rows) - ns))
         arrays = [ctypes.c_void_p(array.ctypes.data) for array in (step, arguments, state, u, y)]
         failed = function(*sizes, *arrays, ctypes.c_long(len(u)), ctypes.c_void_p(out.ctypes.data))
         assert not failed
-        return recursion.split(out)
+        return ObserverRun(*np.split(out, ends, axis=1))
 
     return run

@@ -3,7 +3,7 @@
     python bench/peers.py            print the tables
     python bench/peers.py --json     print the same as JSON
 
-Needs the extras ``bench`` and ``fast``. Times are processor time a sample, the best of several runs on one core.
+Needs the extra ``bench``. Times are processor time a sample, the best of several runs on one core.
 Answers that should agree and do not end the run with exit status 1.
 """
 
@@ -25,7 +25,7 @@ import control
 import numpy as np
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
-from observer_cases import Case, linear_case
+from observer_cases import Case, linear_case, ordered_step
 from scipy.signal import dlsim
 
 from gains.identification.simulation import linearised
@@ -37,8 +37,6 @@ from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from monitor.estimation.observer import Observer
-from monitor.estimation.recursion import recursion_of
-from monitor.estimation.whole_run import run_whole
 
 RATE_HZ, COUNT, REPEATS = 100.0, 5_000, 3
 FAULT_RATE = 20.0
@@ -128,21 +126,16 @@ def kalman_filters() -> dict[str, Any]:
             found[k, :n], found[k, n:] = filtered.x, filtered.fault
         return found
 
-    def stepped(gains: Any) -> Array:
+    def estimated(gains: Any) -> Array:
         run = Observer(gains).run(data.u, data.y)
-        return np.hstack([run.x, run.fault])
-
-    def at_once(gains: Any) -> Array:
-        run = run_whole(gains, data.u, data.y, compiled=False)
         return np.hstack([run.x, run.fault])
 
     ways: dict[str, tuple[Callable[[], Array], str | None]] = {
         "filterpy, full": (lambda: theirs(True), None),
         "ours, full (gains.published.kalman)": (ours, "filterpy, full"),
         "filterpy, steady state": (lambda: theirs(False), None),
-        "ours, steady state, stepped": (lambda: stepped(steady), "filterpy, steady state"),
-        "ours, steady state, whole": (lambda: at_once(steady), "filterpy, steady state"),
-        "our observer (convex), stepped": (lambda: stepped(convex), None),
+        "ours, steady state": (lambda: estimated(steady), "filterpy, steady state"),
+        "our observer (convex)": (lambda: estimated(convex), None),
     }
     found: dict[str, Any] = {}
     estimates: dict[str, Array] = {}
@@ -161,10 +154,10 @@ def kalman_filters() -> dict[str, Any]:
 
 def simulations(case: Case) -> dict[str, Any]:
     """Compare simulations of one linear recursion: its estimates."""
-    recursion, gains = recursion_of(case.gains), case.gains
-    ns = recursion.ns
-    A, B = np.split(recursion.step[:ns], [ns], axis=1)
-    C, D = np.split(recursion.step[ns:], [ns], axis=1)
+    gains, step = case.gains, ordered_step(case.gains)
+    ns = len(gains.initial_matrix)
+    A, B = np.split(step[:ns], [ns], axis=1)
+    C, D = np.split(step[ns:], [ns], axis=1)
     w = np.column_stack([case.u, case.y, np.ones(len(case.u))])
     start, step_s = gains.initial_matrix @ w[0], 1.0 / gains.rate_hz
     system = control.ss(A, B, C, D, step_s)
@@ -174,9 +167,7 @@ def simulations(case: Case) -> dict[str, Any]:
             np.asarray(control.forced_response(system, times, w.T, start).outputs).T
         ),
         "scipy.signal.dlsim": lambda: np.asarray(dlsim((A, B, C, D, step_s), w, x0=start)[1]),
-        "ours, stepped": lambda: np.hstack(Observer(gains).run(case.u, case.y)),
-        "ours, whole, NumPy": lambda: np.hstack(run_whole(gains, case.u, case.y, compiled=False)),
-        "ours, whole, compiled": lambda: np.hstack(run_whole(gains, case.u, case.y, compiled=True)),
+        "ours": lambda: np.hstack(Observer(gains).run(case.u, case.y)),
     }
     found, first = {}, None
     for name, run in ways.items():

@@ -17,7 +17,6 @@ ALLOWED = {
     "replay": {"adapters", "gains", "monitor"},
 }
 HEAVY = {
-    "numba",
     "numpy",
     "scipy",
     "cvxpy",

@@ -7,8 +7,7 @@ import pytest
 
 from adapters.simulation.arm import SCENARIOS, ArmRun, simulate_arm
 from adapters.simulation.arm_source import arm_messages
-from monitor.estimation.observer import Observer
-from monitor.estimation.recursion import ObserverRun
+from monitor.estimation.observer import Observer, ObserverRun
 from monitor.profile import Profile
 from replay.player import play
 

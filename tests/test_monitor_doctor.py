@@ -181,13 +181,13 @@ def test_libraries_that_are_missing_or_too_old_fail(monkeypatch: pytest.MonkeyPa
     found = [
         Library("numpy", "", "2.0", "1.26.4"),
         Library("mcap", "", "1.6", None),
-        Library("numba", "fast", "", None),
+        Library("pyarrow", "parquet", "", None),
     ]
     monkeypatch.setattr("monitor.diagnosis.versions.libraries", lambda: found)
     failed = [check for check in version_checks() if check.verdict == "failed"]
     assert [check.found for check in failed] == ["numpy 1.26.4 is too old", "mcap is not installed"]
     assert failed[0].advice == "pip install 'numpy>=2.0'"
-    assert any("pip install 'fauio[fast]'" in check.found for check in version_checks() if check.name == "extra")
+    assert any("pip install 'fauio[parquet]'" in check.found for check in version_checks() if check.name == "extra")
 
 
 def test_the_worst_check_counts() -> None:

@@ -7,12 +7,14 @@ input nonlinearity, past v are part of the state s and carry motor lag and trans
     [s+; zeta^; fa^; yt] = step_matrix [s; v; y; 1; g(nu)],      s = [eta; q; v(k-1); ...]
 
 so a step is one small matrix product, and nothing is allocated in it. A run over arrays calls the same product
-in the same order and therefore gives the same bits; where rounding may differ, :mod:`monitor.estimation.whole_run` is
-many times faster. A sample without measurements is one product with another matrix
+in the same order and therefore gives the same bits. A sample without measurements is one product with another matrix
 (:mod:`monitor.estimation.coasting`), and so is the first one after it.
 """
 
 from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +23,14 @@ from gains.plants.expression import compile_expression
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.coasting import StepMap, coasting_maps
 from monitor.estimation.input_curve import curve_columns, effect_into
-from monitor.estimation.recursion import ObserverRun, argument_spans
+
+
+class ObserverRun(NamedTuple):
+    """Estimates over N samples: x (N, n), fault (N, a1 + a2) and residual (N, p)."""
+
+    x: NDArray[np.float64]
+    fault: NDArray[np.float64]
+    residual: NDArray[np.float64]
 
 
 class Observer:
@@ -50,7 +59,8 @@ class Observer:
         self._arguments = np.ascontiguousarray(gains.argument_matrix).dot
         self._initial = np.ascontiguousarray(gains.initial_matrix)
         self._g = [compile_expression(item.expression, item.arguments) for item in gains.nonlinearities]
-        self._spans = argument_spans(gains)
+        ends = np.cumsum([0, *(len(g.arguments) for g in gains.nonlinearities)]).tolist()
+        self._spans = tuple(slice(start, stop) for start, stop in pairwise(ends))
         self._coast, self._resume = coasting_maps(gains)
         self._coasted = False
         self._z = np.zeros(ns + s + p + 1 + m + len(gains.faults))
