@@ -87,3 +87,13 @@ def single(record: Record, place: int) -> Records:
     """Return one record as the only one of its topic."""
     times = np.array([record.time_ns])
     return Records(record.topic, record.encoding, record.schema, [record.data], times, np.array([place]))
+
+
+def in_order(topics: Sequence[Records]) -> list[Record]:
+    """Return the records of several topics one by one, by their places."""
+    found = [
+        (place, Record(one.topic, one.encoding, one.schema, data, time_ns))
+        for one in topics
+        for place, data, time_ns in zip(one.place.tolist(), one.data, one.time_ns.tolist(), strict=True)
+    ]
+    return [record for _, record in sorted(found, key=lambda entry: entry[0])]

@@ -7,9 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from adapters.encoding.record import Record
+from adapters.batch import Batch
+from adapters.encoding.record import Record, in_order
 from adapters.message import Message
-from monitor.estimate import Estimate
+from monitor.estimate import Estimate, Estimates
 from monitor.event import AlarmEvent
 from monitor.recording.black_box import BlackBox
 from monitor.recording.record_encoder import RecordEncoder
@@ -80,6 +81,14 @@ class Archive:
     def estimate(self, estimate: Estimate) -> None:
         """Take an estimate and the sample it was computed from."""
         self._record(*self._encoder.estimate(estimate))
+
+    def batch(self, batch: Batch) -> None:
+        """Record telemetry as received."""
+        self._record(*in_order(self._encoder.block(batch)))
+
+    def estimates(self, estimates: Estimates) -> None:
+        """Record estimates and the samples they were computed from."""
+        self._record(*in_order(self._encoder.estimates(estimates)))
 
     def event(self, event: AlarmEvent) -> None:
         """Take an alarm event; one that is raised begins a clip of the black box."""

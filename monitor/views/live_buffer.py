@@ -13,9 +13,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.batch import Batch, one_message
 from adapters.channels import follow
 from adapters.message import Message
-from monitor.estimate import Estimate, Layout
+from monitor.estimate import Estimate, Estimates, Layout
 from monitor.event import AlarmEvent
 from monitor.trace import Trace, TraceBuilder
 from monitor.views.panels import Thresholds
@@ -57,8 +58,8 @@ class RawBatch:
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
-    """All that came since the last batch."""
+class Shown:
+    """All that came since the last call of :meth:`VehicleView.drain`."""
 
     traces: tuple[Trace, ...]
     events: tuple[AlarmEvent, ...]
@@ -129,6 +130,24 @@ class VehicleView:
         with self._lock:
             self._keep(buffer, estimate)
 
+    def batch(self, batch: Batch) -> None:
+        """Keep the telemetry to be shown."""
+        for columns in batch.columns:
+            if columns.name in self._wanted:
+                for row in range(len(columns.position)):
+                    self.message(one_message(columns, row))
+        for message in batch.others.values():
+            self.message(message)
+
+    def estimates(self, estimates: Estimates) -> None:
+        """Keep estimates."""
+        for row in range(len(estimates)):
+            self.estimate(estimates.one(row))
+
+    def work(self, max_records: int, now_ns: int) -> int:
+        """Do nothing: all that waits leaves by itself."""
+        return 0
+
     def event(self, event: AlarmEvent) -> None:
         """Take an alarm event."""
         with self._lock:
@@ -141,7 +160,7 @@ class VehicleView:
         """Show other thresholds from now on."""
         self.thresholds = dict(thresholds)
 
-    def drain(self) -> Batch:
+    def drain(self) -> Shown:
         """Return and forget all that came since the last call; for one thread other than the monitor's."""
         with self._lock:
             estimates = {name: list(buffer) for name, buffer in self._estimates.items()}
@@ -152,7 +171,7 @@ class VehicleView:
                 buffer.clear()
             for one in self._raw.values():
                 one.rows.clear()
-        return Batch(
+        return Shown(
             traces=tuple(
                 _trace(layout, estimates[layout.observer]) for layout in self.layouts if estimates[layout.observer]
             ),
