@@ -25,6 +25,7 @@ from gains.errors import InfeasibleError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
 from gains.published.chen2006 import design_chen2006
+from gains.published.error_system import ErrorNorm, Inputs, NoisePath, error_norm
 from gains.published.gao2016 import design_gao2016
 from gains.published.gao2022 import design_gao2022
 from gains.published.kalman import design_ekf
@@ -35,7 +36,6 @@ from gains.synthesis.compilation import compile_gains
 from gains.synthesis.continuous_observer import ContinuousObserver, compile_continuous, fauio_observer
 from gains.synthesis.continuous_synthesis import design_continuous
 from gains.synthesis.convex import design_convex
-from gains.synthesis.error_system import ErrorNorm, Inputs, NoisePath, error_norm
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.observer import Observer
 from monitor.views.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILION

@@ -23,6 +23,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import control
 import numpy as np
+from extended_kalman import ExtendedKalmanFilter
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from observer_cases import Case, linear_case, ordered_step
@@ -32,7 +33,7 @@ from gains.identification.simulation import linearised
 from gains.plants.discretise import discretise
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
-from gains.published.kalman import ExtendedKalmanFilter, design_ekf, filter_model
+from gains.published.kalman import design_ekf, filter_model
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex

@@ -9,7 +9,7 @@ from gains_samples import random_plant
 
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
-from gains.synthesis.certificate import certify, grid_norm, report
+from gains.synthesis.certificate import certify, report
 from gains.synthesis.convex import design_convex
 from gains.synthesis.design import Design
 
@@ -22,42 +22,6 @@ def arm() -> Plant:
 @pytest.fixture(scope="module")
 def design(arm: Plant) -> Design:
     return design_convex(arm, 100.0)
-
-
-def one(x: float) -> np.ndarray:
-    return np.array([[x]])
-
-
-def test_the_norm_of_a_lag_is_its_steady_gain() -> None:
-    peak = grid_norm(one(0.9), one(1.0), one(2.0), one(0.5))
-    assert peak.value == pytest.approx(20.5, rel=1e-12)
-    assert peak.angle == 0.0
-
-
-def test_the_norm_of_a_high_pass_is_at_half_the_rate() -> None:
-    peak = grid_norm(one(-0.5), one(1.0), one(1.0), one(0.0))
-    assert peak.value == pytest.approx(2.0, rel=1e-12)
-    assert peak.angle == pytest.approx(math.pi)
-
-
-@pytest.mark.parametrize(("radius", "angle"), [(0.9, 1.0), (0.999, 0.3), (0.99999, 2.0), (0.99, 0.001)])
-def test_a_sharp_resonance_is_not_missed(radius: float, angle: float) -> None:
-    pole = radius * np.exp(1j * angle)
-    A = np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
-    peak = grid_norm(A, np.eye(2), np.eye(2), np.zeros((2, 2)))
-    assert peak.value == pytest.approx(1.0 / (1.0 - radius), rel=1e-6)
-
-
-def test_the_norm_of_random_systems_is_that_of_a_dense_grid() -> None:
-    for seed in range(10):
-        rng = np.random.default_rng(seed)
-        A = rng.normal(size=(4, 4))
-        A *= 0.9 / np.max(np.abs(np.linalg.eigvals(A)))
-        B, C, D = rng.normal(size=(4, 2)), rng.normal(size=(3, 4)), rng.normal(size=(3, 2))
-        z = np.exp(1j * np.linspace(0, math.pi, 20_001))
-        grid = C @ np.linalg.solve(z[:, None, None] * np.eye(4) - A, np.broadcast_to(B, (len(z), 4, 2))) + D
-        dense = np.max(np.linalg.norm(grid, 2, axis=(1, 2)))
-        assert dense * (1 - 1e-9) <= grid_norm(A, B, C, D).value <= dense * (1 + 1e-4)
 
 
 def test_a_design_is_certified_with_a_margin_and_its_norm_within_the_bound(arm: Plant, design: Design) -> None:

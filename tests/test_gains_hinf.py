@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from gains.analysis.hinf import gains_at, hinf_norm
 from gains.plants.plant import FloatArray
-from gains.synthesis.certificate import grid_norm
 
 System = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -36,9 +35,10 @@ def test_the_discrete_norm_encloses_the_grid(
         A[:, 0] = 0.0
     A *= (1.0 - 10.0**margin) / max(float(np.max(np.abs(np.linalg.eigvals(A)))), 1e-3)
     D = D * feedthrough
-    found, grid = hinf_norm(A, B, C, D, discrete=True), grid_norm(A, B, C, D)
+    angles = np.concatenate([[0.0], np.geomspace(1e-6, math.pi, 400), np.abs(np.angle(np.linalg.eigvals(A)))])
+    found, grid = hinf_norm(A, B, C, D, discrete=True), gains_at(A, B, C, D, angles, True)
     rounding = 1e-12 * 10.0**-margin
-    assert grid.value <= found.upper * (1.0 + rounding)
+    assert grid.max() <= found.upper * (1.0 + rounding)
     assert found.upper <= found.lower * (1.0 + 2e-9)
     assert found.lower == pytest.approx(gains_at(A, B, C, D, np.array([found.omega]), True)[0], rel=1e-9 + rounding)
 
@@ -59,6 +59,14 @@ def test_the_continuous_norm_encloses_a_grid(
     assert highest <= found.upper * (1.0 + 1e-8)
     assert found.lower <= highest * 1.05
     assert found.upper <= found.lower * (1.0 + 2e-9)
+
+
+@pytest.mark.parametrize(("radius", "angle"), [(0.9, 1.0), (0.999, 0.3), (0.99999, 2.0), (0.99, 0.001)])
+def test_a_sharp_discrete_resonance_is_not_missed(radius: float, angle: float) -> None:
+    pole = radius * np.exp(1j * angle)
+    A = matrix((pole.real, pole.imag), (-pole.imag, pole.real))
+    found = hinf_norm(A, np.eye(2), np.eye(2), np.zeros((2, 2)), discrete=True)
+    assert found.lower == pytest.approx(1.0 / (1.0 - radius), rel=1e-6)
 
 
 @pytest.mark.parametrize("damping", [0.5, 0.1, 1e-3, 1e-6])

@@ -10,12 +10,12 @@ import numpy as np
 
 from gains.plants.plant import Plant
 from gains.published.chen2006 import design_chen2006
+from gains.published.error_system import error_norm
 from gains.published.gao2016 import design_gao2016
 from gains.published.gao2022 import design_gao2022
 from gains.published.kalman import design_ekf
 from gains.published.zhang2008 import design_zhang2008
 from gains.synthesis.continuous_observer import ContinuousObserver, compile_continuous
-from gains.synthesis.error_system import error_norm
 from gains.synthesis.gains_file import Gains
 
 _DESIGNS: dict[str, Callable[[Plant], ContinuousObserver]] = {

@@ -28,9 +28,9 @@ import numpy as np
 
 from gains.errors import InfeasibleError
 from gains.plants.plant import FloatArray, Plant
+from gains.published.error_system import argument_rows
 from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_constant, scaled, solve
 from gains.synthesis.continuous_observer import ContinuousObserver
-from gains.synthesis.error_system import argument_rows
 
 _RANK_TOLERANCE = 1e-9
 _SMALLEST_CONSTANT = 1e-3

@@ -30,9 +30,9 @@ import numpy as np
 
 from gains.errors import InfeasibleError
 from gains.plants.plant import FloatArray, Plant
+from gains.published.error_system import argument_rows
 from gains.published.lmi import block_matrix, confirmed, gain_energy, reported_bound, scaled, solve_tempered
 from gains.synthesis.continuous_observer import ContinuousObserver
-from gains.synthesis.error_system import argument_rows
 
 _RANK_TOLERANCE = 1e-9
 

@@ -17,8 +17,8 @@ import numpy as np
 from gains.analysis.augment import augment
 from gains.errors import InaccurateError, InfeasibleError
 from gains.plants.plant import FloatArray, Plant
+from gains.published.error_system import Inputs, NoisePath, argument_rows, error_norm
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
-from gains.synthesis.error_system import Inputs, NoisePath, argument_rows, error_norm
 
 SLACK = 1e-4
 ALLOWANCE = 1e-2

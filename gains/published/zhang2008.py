@@ -26,9 +26,9 @@ import numpy as np
 from gains.analysis.augment import slope_vertices
 from gains.errors import InfeasibleError
 from gains.plants.plant import Plant
+from gains.published.error_system import argument_rows, slope_matrix
 from gains.published.lmi import block_matrix, confirmed, gain_energy, solve
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
-from gains.synthesis.error_system import argument_rows, slope_matrix
 
 
 def design_zhang2008(

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,10 +35,6 @@ from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.design import Design
 
-_GRID = 240
-_SLOWEST = 1e-6
-_REFINEMENTS = 40
-_FLAT = 1e-9
 _CONSISTENCY = 1e-9
 _UNIT_ROUNDOFF = np.finfo(np.float64).eps / 2.0
 
@@ -83,13 +79,6 @@ class Certificate:
     norm_slopes: tuple[float, ...]
     poles_max_abs: float
     h2: float
-
-
-class Peak(NamedTuple):
-    """A gain of a system and the angle in [0, pi] on the unit circle where it has it."""
-
-    value: float
-    angle: float
 
 
 def certify(plant: Plant, design: Design) -> Certificate:
@@ -178,41 +167,6 @@ def _sample_note(plant: Plant, certificate: Certificate) -> tuple[str, ...]:
         f"norm and poles are those of the mean slopes and {certificate.slopes - 1} of their 2^{varying} vertices; "
         "the bound is proven at all",
     )
-
-
-def grid_norm(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Peak:
-    """Return the largest singular value of C (zI - A)^-1 B + D over the unit circle.
-
-    A grid that is logarithmic towards angle 0, with the angles of the poles, is refined around its highest
-    point by golden section: a lower bound of the norm that is exact to many digits for smooth peaks.
-    """
-    poles = np.abs(np.angle(np.linalg.eigvals(A)))
-    fine, even = np.geomspace(_SLOWEST, math.pi, _GRID), np.linspace(0.0, math.pi, _GRID // 4)
-    angles = np.unique(np.concatenate([fine, even, poles]))
-    gains = _gains(A, B, C, D, angles)
-    top = int(np.argmax(gains))
-    best = Peak(float(gains[top]), float(angles[top]))
-    low, high = float(angles[max(top - 1, 0)]), float(angles[min(top + 1, len(angles) - 1)])
-    ratio = (math.sqrt(5.0) - 1.0) / 2.0
-    for _ in range(_REFINEMENTS):
-        inner = np.array([high - ratio * (high - low), low + ratio * (high - low)])
-        found = _gains(A, B, C, D, inner)
-        better = int(np.argmax(found))
-        if found[better] > best.value * (1.0 + _FLAT):
-            best = Peak(float(found[better]), float(inner[better]))
-        low, high = (low, float(inner[1])) if better == 0 else (float(inner[0]), high)
-    return best
-
-
-def _gains(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, angles: FloatArray) -> FloatArray:
-    """Return the largest singular value at each angle; infinite at a pole on the circle."""
-    pencil = np.exp(1j * angles)[:, None, None] * np.eye(len(A)) - A
-    try:
-        response = C @ np.linalg.solve(pencil, np.broadcast_to(B, (len(angles), *B.shape))) + D
-    except np.linalg.LinAlgError:
-        return np.full(len(angles), math.inf)
-    norms: FloatArray = np.linalg.norm(response, ord=2, axis=(1, 2))
-    return norms
 
 
 def _margin(model: ErrorModel, injection: FloatArray, design: Design) -> float:

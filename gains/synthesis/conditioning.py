@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gains.analysis.augment import ErrorModel
+from gains.analysis.hinf import hinf_norm
 from gains.errors import InfeasibleError
 from gains.plants.plant import FloatArray
-from gains.synthesis.certificate import grid_norm
 
 FLOOR = 1e-2
 _SMALLEST_SHARE = 1e-6
@@ -73,8 +73,8 @@ def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0, caution: flo
     floored = with_floor(model, S_factor, Y_factor)
     nz = len(model.weights) - model.a1
     C_e, D_e = floored.output(direct[nz : nz + model.a1])
-    norm = grid_norm(A - gain @ C, floored.B - gain @ floored.D, C_e, D_e)
-    return Coordinates(S_factor, Y_factor, norm.value**2)
+    norm = hinf_norm(A - gain @ C, floored.B - gain @ floored.D, C_e, D_e, discrete=True)
+    return Coordinates(S_factor, Y_factor, norm.lower**2)
 
 
 def with_floor(model: ErrorModel, S: FloatArray, Y: FloatArray) -> ErrorModel:

@@ -7,9 +7,9 @@ from gains_samples import multirotor
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from gains.errors import InfeasibleError
 from gains.plants.model_file import builtin_model
+from gains.published.error_system import error_norm
 from gains.published.gao2022 import design_gao2022
 from gains.synthesis.continuous_observer import compile_continuous
-from gains.synthesis.error_system import error_norm
 from monitor.estimation.observer import Observer
 
 

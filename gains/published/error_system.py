@@ -22,12 +22,13 @@ printed inequalities do. Y_s is zero where an observer needs no assumption about
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from gains.analysis.augment import slope_vertices
+from gains.analysis.hinf import hinf_norm
 from gains.errors import ModelError
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.continuous_observer import ContinuousObserver
@@ -36,9 +37,6 @@ NoisePath = Literal["zeta", "all"]
 Inputs = Literal["all", "disturbances"]
 
 _TOLERANCE = 1e-6
-_GRID = 400
-_DECADES = 4.0
-_REFINEMENTS = 60
 _CONSISTENCY = 1e-6
 
 
@@ -58,7 +56,7 @@ class ErrorNorm:
     Parameters
     ----------
     value : float
-        Largest gain found on a refined frequency grid, worst slope vertex.
+        A gain that the system has, exact to nine digits, worst slope vertex.
     hz : float
         Its frequency (infinite where the direct path is the largest).
     slopes : tuple[float, ...]
@@ -156,45 +154,16 @@ def error_norm(
     InfeasibleError
         Too many slopes vary.
     """
-    found: list[ErrorNorm] = []
+    norms: list[ErrorNorm] = []
     kept = 2 * (len(plant.disturbances) + len(plant.noises))
     for slopes in slope_vertices(plant):
         A, B, C, D = error_system(plant, observer, slopes, noise_path=noise_path)
         used = slice(None) if inputs == "all" else slice(kept)
-        value, hz = grid_norm(StateSpace(A, B[:, used], C, D[:, used]))
+        norm = hinf_norm(A, B[:, used], C, D[:, used], discrete=False)
         pole = float(np.max(np.linalg.eigvals(A).real))
-        found.append(ErrorNorm(value if pole < 0.0 else math.inf, hz, tuple(slopes.tolist()), pole))
-    worst = max(found, key=lambda norm: norm.value)
-    return ErrorNorm(worst.value, worst.hz, worst.slopes, max(norm.pole_max for norm in found))
-
-
-def grid_norm(system: StateSpace) -> tuple[float, float]:
-    """Return the largest singular value of C (jw I - A)^-1 B + D and its frequency in Hz.
-
-    The grid holds 0, infinity, the poles and frequencies from below the slowest to above the fastest pole; its highest
-    point is refined by golden section. It is a lower bound of the norm.
-    """
-    A, B, D = system.A, system.B, system.D
-    direct = float(np.linalg.norm(D, ord=2)) if D.size else 0.0
-    if not B.size:
-        return 0.0, 0.0
-    sizes = np.abs(np.linalg.eigvals(A))
-    sizes = sizes[sizes > 0.0] if np.any(sizes > 0.0) else np.ones(1)
-    low, high = math.log10(sizes.min()) - _DECADES, math.log10(sizes.max()) + _DECADES
-    omegas = np.unique(np.concatenate([[0.0], np.logspace(low, high, _GRID), sizes]))
-    gains = _gains(system, omegas)
-    top = int(np.argmax(gains))
-    best, at = float(gains[top]), float(omegas[top])
-    left, right = float(omegas[max(top - 1, 0)]), float(omegas[min(top + 1, len(omegas) - 1)])
-    ratio = (math.sqrt(5.0) - 1.0) / 2.0
-    for _ in range(_REFINEMENTS):
-        inner = np.array([right - ratio * (right - left), left + ratio * (right - left)])
-        values = _gains(system, inner)
-        better = int(np.argmax(values))
-        if values[better] > best:
-            best, at = float(values[better]), float(inner[better])
-        left, right = (left, float(inner[1])) if better == 0 else (float(inner[0]), right)
-    return (direct, math.inf) if direct > best else (best, at / (2.0 * math.pi))
+        norms.append(ErrorNorm(norm.lower, norm.omega / (2.0 * math.pi), tuple(slopes.tolist()), pole))
+    worst = max(norms, key=lambda norm: norm.value)
+    return replace(worst, pole_max=max(norm.pole_max for norm in norms))
 
 
 def argument_rows(plant: Plant) -> FloatArray:
@@ -264,14 +233,3 @@ def _solved(plant: Plant, observer: ContinuousObserver, M: FloatArray, right: Fl
     if not miss <= _TOLERANCE * max(1.0, float(np.max(np.abs(solution), initial=0.0))):
         raise ModelError(f"{plant.name}: the error of the {observer.method} observer depends on {what}")
     return np.asarray(solution, dtype=np.float64)
-
-
-def _gains(system: StateSpace, omegas: FloatArray) -> FloatArray:
-    """Return the largest singular value at each angular frequency; infinite at a pole on the axis."""
-    A, B, C, D = system
-    pencil = 1j * omegas[:, None, None] * np.eye(len(A)) - A
-    try:
-        response = C @ np.linalg.solve(pencil, np.broadcast_to(B, (len(omegas), *B.shape))) + D
-    except np.linalg.LinAlgError:
-        return np.full(len(omegas), math.inf)
-    return np.asarray(np.linalg.norm(response, ord=2, axis=(1, 2)), dtype=np.float64)

@@ -1,5 +1,6 @@
-"""The augmented-state Kalman filter: compiled steady state, and the extended filter beside it."""
+"""The augmented-state Kalman filter: compiled steady state, and the extended filter of the benchmark beside it."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +12,12 @@ from adapters.simulation.arm import SCENARIOS, simulate_arm
 from gains.errors import InfeasibleError, ModelError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import FloatArray, Plant
-from gains.published.kalman import ExtendedKalmanFilter, design_ekf, filter_model
+from gains.published.kalman import design_ekf, filter_model
 from gains.synthesis.gains_file import read_gains, write_gains
 from monitor.estimation.observer import Observer
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
+from extended_kalman import ExtendedKalmanFilter
 
 
 def rmse(error: FloatArray) -> float:

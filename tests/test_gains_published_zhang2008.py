@@ -8,9 +8,9 @@ import pytest
 from adapters.simulation.arm import ArmScenario, make_fault, simulate_arm
 from gains.errors import InfeasibleError
 from gains.plants.model_file import builtin_model
+from gains.published.error_system import error_norm
 from gains.published.zhang2008 import design_zhang2008
 from gains.synthesis.continuous_observer import compile_continuous
-from gains.synthesis.error_system import error_norm
 from monitor.estimation.observer import Observer
 
 

@@ -1,6 +1,7 @@
 """The baselines behind the same command: what each is worth, and why some have no solution."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -55,3 +56,11 @@ def test_the_comparison_reads_as_a_table(capsys: pytest.CaptureFixture[str]) -> 
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split() == ["method", "sqrt(mu)", "norm", "floor", "status"]
     assert any(line.startswith("chen2006") and "Lipschitz" in line for line in lines)
+
+
+def test_what_was_published_before_is_imported_by_its_commands_alone() -> None:
+    root = Path(__file__).parent.parent
+    packages = (path for name in ("adapters", "gains", "monitor", "replay") for path in (root / name).rglob("*.py"))
+    importers = [path for path in packages if "gains.published" in path.read_text()]
+    outside = [str(path.relative_to(root)) for path in importers if path.parent.name != "published"]
+    assert outside == ["gains/commands.py"]

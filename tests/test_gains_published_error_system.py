@@ -10,8 +10,8 @@ from gains.analysis.augment import augment
 from gains.errors import ModelError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
+from gains.published.error_system import error_norm, error_system, slope_matrix
 from gains.synthesis.continuous_observer import ContinuousObserver, fauio_observer
-from gains.synthesis.error_system import error_norm, error_system, slope_matrix
 
 
 def printed(name: str) -> tuple[Plant, ContinuousObserver]:

@@ -9,8 +9,8 @@ from gains.errors import InaccurateError, InfeasibleError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
 from gains.published.chen2006 import design_chen2006
+from gains.published.error_system import error_norm
 from gains.synthesis.continuous_observer import compile_continuous
-from gains.synthesis.error_system import error_norm
 from monitor.estimation.observer import Observer
 
 

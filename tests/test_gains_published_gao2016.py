@@ -7,8 +7,8 @@ import pytest
 
 from gains.errors import InfeasibleError
 from gains.plants.model_file import builtin_model
+from gains.published.error_system import error_norm, error_system
 from gains.published.gao2016 import design_gao2016
-from gains.synthesis.error_system import error_norm, error_system
 
 
 def test_without_decoupling_the_bound_lies_where_it_was_seen_and_the_norm_confirms_it() -> None:
