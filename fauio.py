@@ -18,6 +18,7 @@ import adapters.commands
 import gains.commands
 import monitor.commands
 import replay.commands
+from adapters.errors import FauioError, printable
 from monitor.console.completion import add_completion
 
 INTERRUPTED = 130
@@ -109,16 +110,11 @@ def _run(argv: Sequence[str]) -> int:
         raise
     except OSError as error:
         return _complain(_os_error_line(error), USAGE)
-    except ValueError as error:
-        status: int | None = getattr(error, "exit_status", None)
-        if status is None:
-            raise
-        return _complain(str(error), status)
+    except FauioError as error:
+        return _complain(str(error), error.exit_status)
 
 
 def _complain(line: str, status: int) -> int:
-    from monitor.printable import printable
-
     # a file's name may hold what a terminal obeys
     sys.stderr.write("\n".join(map(printable, f"fauio: {line}".split("\n"))) + "\n")
     return status

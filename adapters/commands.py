@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from adapters.errors import UsageError
+
 SCENARIOS = ("healthy", "undisturbed", "case1", "case2", "case3")
 DEFAULT_SCENARIO = "case2"
 
@@ -63,7 +65,6 @@ def _simulate_arm(args: argparse.Namespace) -> int:
     import sys
     import time
 
-    from adapters.errors import TelemetryError
     from adapters.simulation.arm import SCENARIOS as KNOWN
     from adapters.simulation.arm import ArmScenario, parse_fault, simulate_arm
     from adapters.zenoh.zenoh_session import DEFAULT_ENDPOINT
@@ -72,7 +73,7 @@ def _simulate_arm(args: argparse.Namespace) -> int:
     base = KNOWN[name]
     scenario = ArmScenario((*base.faults, *(parse_fault(text) for text in args.fault)), base.disturbed)
     if (args.connect or args.zenoh_config) and not args.zenoh:
-        raise TelemetryError(f"{'--connect' if args.connect else '--zenoh-config'} goes with --zenoh only")
+        raise UsageError(f"{'--connect' if args.connect else '--zenoh-config'} goes with --zenoh only")
     run = simulate_arm(scenario, args.duration, args.rate, args.torque)
     if args.output:
         from adapters.logs.mcap_log import MessageLogWriter

@@ -1,15 +1,98 @@
-"""Errors of telemetry and recordings; ``exit_status`` is what the command line returns for them."""
+"""All errors that are meant for a user, and the one way to make text printable.
+
+::
+
+    ValueError
+    └── FauioError                one or more lines for a user; the command line prints them and returns 2
+        ├── UsageError            an option, address, name or argument that cannot be used; a part not installed
+        ├── ConfigError           a configuration file of the monitor
+        ├── ProfileError          a profile folder
+        ├── ModelError            a plant model, a gains file, or recordings that determine no model
+        ├── InfeasibleError       no design of the asked kind exists; the command line returns 3
+        │   └── InaccurateError   a solver's answer that no certificate confirms
+        ├── TelemetryError        a link or a recording
+        ├── PayloadError          one received message; the receiver counts it and goes on
+        │   └── UndefinedTypeError    a message of a type whose definition is not known here
+        └── StorageError          a place to write to: a journal, a folder of recordings, an output
+
+Whatever else is raised is either an ``OSError`` of the operating system, which the command line prints in a line too,
+or a defect of this program.
+"""
 
 from __future__ import annotations
 
 
-class TelemetryError(ValueError):
-    """A link, a recording or a channel mapping that cannot be used; the message is one line for the user.
+def printable(text: str) -> str:
+    """Return a text with a question mark for each control character, line ends included.
 
-    It is one line whatever it quotes: control characters become question marks.
+    Use it on every text from elsewhere (a file, a network, an operator) before it is shown: a terminal obeys control
+    characters.
+    """
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+class FauioError(ValueError):
+    """What keeps a command from its work, told to its user: what is wrong, where, and what to do.
+
+    Raise one of the classes below; this one itself only where none of them fits.
+
+    Parameters
+    ----------
+    *lines : str
+        A line for each mistake. Whatever they quote they stay a line each: control characters become question marks.
+
+    Attributes
+    ----------
+    exit_status : int
+        What the command line returns.
     """
 
     exit_status = 2
 
-    def __init__(self, message: str) -> None:
-        super().__init__("".join(c if c.isprintable() else "?" for c in message))
+    def __init__(self, *lines: str) -> None:
+        super().__init__(*lines)
+
+    def __str__(self) -> str:
+        return "\n".join(map(printable, self.args))
+
+
+class UsageError(FauioError):
+    """An option, address, name or argument that cannot be used as given, or a part of fauio that is not installed."""
+
+
+class ConfigError(FauioError):
+    """A configuration file of the monitor that cannot be used; a line for each of its mistakes."""
+
+
+class ProfileError(FauioError):
+    """A profile that cannot be used; a line for each mistake of one of its files."""
+
+
+class ModelError(FauioError):
+    """A plant model or gains file that cannot be used, or recordings that do not determine a model."""
+
+
+class InfeasibleError(FauioError):
+    """No design of the asked kind exists (or the solver could not prove one); the message says why."""
+
+    exit_status = 3
+
+
+class InaccurateError(InfeasibleError):
+    """The solver returned gains, or nothing, but no certificate confirms them: they are not for use."""
+
+
+class TelemetryError(FauioError):
+    """A link or a recording that cannot be used, or that lacks the messages that are needed."""
+
+
+class PayloadError(FauioError):
+    """One message cannot be decoded; its receiver counts it and goes on with the next."""
+
+
+class UndefinedTypeError(PayloadError):
+    """One message is of a type whose definition is not known here; naming the type mends it."""
+
+
+class StorageError(FauioError):
+    """A journal, a folder of recordings or an output that cannot be written, or that would overwrite a file."""

@@ -27,10 +27,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.errors import InfeasibleError
 from adapters.message import Message
 from adapters.sample import Sample
 from gains.analysis.estimability import problem_of, restricted
-from gains.errors import InfeasibleError
 from gains.plants.model_file import read_model
 from gains.plants.plant import Plant
 from gains.published.kalman import design_ekf

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.plants.expression import compile_expression, compile_node, derivative, parse_expression
 from gains.plants.plant import FloatArray, Plant
 from gains.published.error_system import slope_matrix

@@ -17,17 +17,17 @@ from pymavlink.dialects.v20 import ardupilotmega
 from pymavlink.generator.mavcrc import x25crc
 
 from adapters.channels import parse_channel
-from adapters.encoding.cdr import CdrDecoder, CdrError
+from adapters.encoding.cdr import CdrDecoder
 from adapters.encoding.message_definition import SHIPPED, find_definition, parse_definitions
 from adapters.encoding.message_record import decoder, encode
 from adapters.encoding.record import Schema
-from adapters.errors import TelemetryError
+from adapters.errors import PayloadError, TelemetryError, UndefinedTypeError
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink import mavlink_link
 from adapters.mavlink.mavlink_message import PacketParser
 from adapters.mavlink.signing import SigningKey, read_key
 from adapters.message import Message
-from adapters.zenoh.zenoh_payload import MalformedPayload, PayloadDecoder, UndefinedType
+from adapters.zenoh.zenoh_payload import PayloadDecoder
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
 START_NS = 1_795_251_917_000_000_000
@@ -197,7 +197,7 @@ def _zenoh(folder: Path) -> Run:
                 zenoh.KeyExpr(key)
             except zenoh.ZError:
                 return
-        with only(UndefinedType, MalformedPayload):
+        with only(UndefinedTypeError, PayloadError):
             name, fields = payloads.decode(key, encoding, draw.rest())
             _read_channels(fields)
             with contextlib.suppress(ValueError):
@@ -245,7 +245,7 @@ def _cdr(folder: Path) -> Run:
 
     def run(data: bytes) -> None:
         for decode in [Draw(data).choice(decoders)] if data[:1] < b"\xf0" else decoders:
-            with only(CdrError):
+            with only(PayloadError):
                 _read_channels(decode.decode(data[1:]))
 
     return run
@@ -266,7 +266,7 @@ def _definition(folder: Path) -> Run:
         text, _, payload = data.partition(b"\0")
         with only(TelemetryError):
             parse_definitions("x_msgs/Mixed", text.decode(errors="replace"))
-        with only(TelemetryError, CdrError):
+        with only(TelemetryError, PayloadError):
             CdrDecoder("x_msgs/Mixed", text.decode(errors="replace")).decode(b"\0\1\0\0" + payload)
 
     return run

@@ -12,13 +12,12 @@ from fuzz_input import Draw, random_inputs
 from fuzz_pipeline import QUAD, ROOT
 from fuzz_target import Run, Target, only
 
+from adapters.errors import ModelError, ProfileError
 from adapters.message import silence
-from gains.errors import ModelError
 from gains.plants.model_file import read_model
 from gains.synthesis.gains_file import read_gains
 from monitor.configuration.config import read_config
 from monitor.configuration.toml_lines import key_lines
-from monitor.errors import ProfileError
 from monitor.pipeline import Pipeline
 from monitor.profile import read_profile
 from replay.demonstration.arm_profile import write_arm_profile

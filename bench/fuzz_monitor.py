@@ -17,15 +17,14 @@ from fuzz_input import ODD_VALUES, Draw, random_inputs
 from fuzz_pipeline import EVENT, QUAD, VEHICLE, Sink, event_json, silent_monitor
 from fuzz_target import Run, Target, only
 
+from adapters.errors import ProfileError, printable
 from adapters.message import silence
 from monitor.bus.alarm_text import alarm_line
 from monitor.bus.operators import VERBS, Operators
 from monitor.bus.payload import to_json
 from monitor.bus.status_watch import valid_status
-from monitor.errors import ProfileError
 from monitor.event import AlarmEvent, valid_event
 from monitor.pipeline import standing_message
-from monitor.printable import printable
 from monitor.profile import read_profile
 from monitor.recording.journal import Journal
 from monitor.service.health import Health, ProcessHealth

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.errors import InfeasibleError
 from adapters.simulation.arm import SCENARIOS, ArmRun, simulate_arm
 from gains.analysis.floor import floor_sqrt_mu
-from gains.errors import InfeasibleError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
 from gains.published.chen2006 import design_chen2006

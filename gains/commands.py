@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gains.errors import InaccurateError, InfeasibleError, ModelError
+from adapters.errors import InaccurateError, InfeasibleError, ModelError, UsageError
 
 if TYPE_CHECKING:
     from gains.plants.plant import Plant
@@ -138,7 +138,7 @@ def run_design(args: argparse.Namespace) -> int:
     plant = model
     if args.fault_rate is not None:
         if not 0.0 < args.fault_rate < math.inf:
-            raise ModelError(f"{model.name}: a fault rate of {args.fault_rate} per second is not positive")
+            raise UsageError(f"{model.name}: a fault rate of {args.fault_rate} per second is not positive")
         rated = (replace(fault, rate=args.fault_rate) for fault in model.faults)
         plant = replace(model, faults=tuple(rated))
     if args.faults is not None:
@@ -172,7 +172,7 @@ def _only(plant: Plant, names: str) -> Plant:
 
     Raises
     ------
-    ModelError
+    UsageError
         One is no fault of the model.
     """
     from gains.analysis.estimability import restricted
@@ -180,14 +180,14 @@ def _only(plant: Plant, names: str) -> Plant:
     wanted = tuple(name.strip() for name in names.split(","))
     known = [fault.name for fault in plant.faults]
     if strange := [name for name in wanted if name not in known]:
-        raise ModelError(f"{plant.name}: --faults names '{strange[0]}'; the model has {', '.join(known)}")
+        raise UsageError(f"{plant.name}: --faults names '{strange[0]}'; the model has {', '.join(known)}")
     return restricted(plant, wanted)
 
 
 def _compare(plant: Plant, args: argparse.Namespace, model_hash: str) -> int:
     """Design with every method and print a line (or JSON line) for each; what is infeasible says why."""
     if args.out is not None:
-        raise ModelError(f"{plant.name}: -o takes the gains of one method; leave out --method all")
+        raise UsageError(f"{plant.name}: -o takes the gains of one method; leave out --method all")
     if not args.json:
         sys.stdout.write(f"{'method':<22}{'sqrt(mu)':>12}{'norm':>12}{'floor':>12}  status\n")
     runs = [("convex", False), ("convex", True), *((method, True) for method in (*_THEOREMS, *_BASELINES))]
@@ -245,13 +245,13 @@ def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str
     if args.method in _BASELINES or _continuous(args):
         for option, default in _DISCRETE_OPTIONS.items():
             if getattr(args, option) != default:
-                raise ModelError(f"{plant.name}: --{option.replace('_', '-')} belongs to the discrete convex synthesis")
+                raise UsageError(f"{plant.name}: --{option.replace('_', '-')} belongs to the discrete convex synthesis")
     if args.method in _BASELINES:
         return _design_baseline(plant, args, model_hash)
     if _continuous(args):
         return _design_continuous(plant, args, model_hash)
     if stray := [name for name in ("decay_rates", *_SCALARS) if getattr(args, name) is not None]:
-        raise ModelError(f"{plant.name}: --{stray[0].replace('_', '-')} belongs to a continuous design (--continuous)")
+        raise UsageError(f"{plant.name}: --{stray[0].replace('_', '-')} belongs to a continuous design (--continuous)")
     from dataclasses import replace
 
     from gains.synthesis.certificate import certify, report
@@ -295,7 +295,7 @@ def _design_baseline(plant: Plant, args: argparse.Namespace, model_hash: str) ->
     gains, found = design_baseline(plant, args.method, args.rate)
     if args.out is not None:
         if gains is None:
-            raise ModelError(f"{plant.name}: gains that run need a rate in samples per second (--rate)")
+            raise UsageError(f"{plant.name}: gains that run need a rate in samples per second (--rate)")
         write_gains(replace(gains, model_hash=model_hash), args.out)
     return found
 
@@ -309,9 +309,9 @@ def _design_continuous(plant: Plant, args: argparse.Namespace, model_hash: str) 
     from gains.synthesis.gains_file import write_gains
 
     if args.pole_radius != 1.0:
-        raise ModelError(f"{plant.name}: a pole radius belongs to a discrete design; use --decay-rates")
+        raise UsageError(f"{plant.name}: a pole radius belongs to a discrete design; use --decay-rates")
     if args.out is not None and args.rate is None:
-        raise ModelError(f"{plant.name}: gains that run need a rate in samples per second (--rate)")
+        raise UsageError(f"{plant.name}: gains that run need a rate in samples per second (--rate)")
     design = _continuous_design(plant, args)
     certificate = certify_continuous(plant, design)
     found = continuous_report(plant, design, certificate, args.rate)
@@ -329,11 +329,11 @@ def _continuous_design(plant: Plant, args: argparse.Namespace) -> ContinuousDesi
     scalars = {name: value for name in _SCALARS if (value := getattr(args, name)) is not None}
     if args.method == "convex":
         if scalars:
-            raise ModelError(f"{plant.name}: --{next(iter(scalars))} belongs to theorem1 and theorem2")
+            raise UsageError(f"{plant.name}: --{next(iter(scalars))} belongs to theorem1 and theorem2")
         low, high = args.decay_rates or (0.0, math.inf)
         return design_continuous(plant, decay=(low, high))
     if args.decay_rates is not None:
-        raise ModelError(f"{plant.name}: --decay-rates belongs to the convex synthesis")
+        raise UsageError(f"{plant.name}: --decay-rates belongs to the convex synthesis")
     return design_theorem(plant, args.method, **scalars)
 
 

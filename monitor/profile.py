@@ -16,13 +16,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from gains.errors import ModelError
+from adapters.errors import ModelError, ProfileError
 from gains.plants.model_file import model_hash, read_model
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, read_gains
 from monitor.alarms.alarm import AlarmRule
 from monitor.alarms.excuse import ExcuseRule, excuse_tables, read_excuses
-from monitor.errors import ProfileError
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.effectiveness_rule import effectiveness_table, read_effectiveness
 from monitor.estimation.isolation_rule import (

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from adapters.channels import Channel, channel_table, parse_channel
-from adapters.errors import TelemetryError
+from adapters.errors import ProfileError, TelemetryError
 from gains.synthesis.gains_file import Gains
-from monitor.errors import ProfileError
 from monitor.sampling.transform import Source, TransformRule, make_transform
 from monitor.tables import Table
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.channels import is_number
-from monitor.errors import ProfileError
+from adapters.errors import ProfileError
 
 
 class Table:

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adapters.errors import StorageError
 from replay import attack_commands
 from replay.runs.replay_command import LOG_HELP, MAPPING_HELP, add_replay
 
@@ -100,9 +101,8 @@ def run_demo(args: argparse.Namespace) -> int:
 
 def run_fit(args: argparse.Namespace) -> int:
     """Run ``fauio fit``."""
-    from adapters.errors import TelemetryError
+    from adapters.errors import InfeasibleError, ModelError, TelemetryError
     from adapters.logs.recordings import Recording, recording_kind
-    from gains.errors import InfeasibleError, ModelError
     from monitor.fitting.progress import track
     from monitor.fitting.survey import FIT_MESSAGES, of_one_vehicle
     from monitor.profile import PROFILE_FILE
@@ -146,14 +146,13 @@ def run_fit(args: argparse.Namespace) -> int:
 
 def run_convert(args: argparse.Namespace) -> int:
     """Run ``fauio convert``."""
-    from adapters.errors import TelemetryError
     from adapters.logs.recordings import Recording, onboard_source
     from monitor.fitting.progress import recording_bytes, track
     from replay.convert import convert
 
     recording, onboard = Recording(args.log), onboard_source(args.log)
     if args.out.exists() and args.out.samefile(args.log):
-        raise TelemetryError(f"{args.out}: is the recording itself; give -o another name")
+        raise StorageError(f"{args.out}: is the recording itself; give -o another name")
     entries = track(recording.entries(), args.log.name, total_bytes=recording_bytes(args.log))
     count = convert(entries, args.log.name, args.out, onboard)
     damage = _warn(recording.damage())

@@ -10,10 +10,8 @@ from typing import Any
 
 import tomli_w
 
-from adapters.errors import TelemetryError
+from adapters.errors import InfeasibleError, ModelError, TelemetryError, UsageError
 from adapters.output_file import write_file
-from gains.errors import InfeasibleError, ModelError
-from monitor.errors import ProfileError
 from monitor.fitting.calibrate import SETTLE_S
 from monitor.fitting.capability import capability
 from monitor.fitting.fit_report import draw_comparison
@@ -93,7 +91,7 @@ def fit(kind: str, logs: Sequence[Log], folder: Path, name: str, model: Path | N
         The recordings do not hold what is needed, do not excite an axis, or allow no certified design.
     """
     if (kind == "custom") != (model is not None):
-        raise ProfileError(f"--vehicle {kind}: {'needs' if model is None else 'takes no'} --model MODEL.toml")
+        raise UsageError(f"--vehicle {kind}: {'needs' if model is None else 'takes no'} --model MODEL.toml")
     observers: list[Fitted] = []
     notes: list[str] = []
     warnings: tuple[str, ...] = ()

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from adapters.errors import TelemetryError
+from adapters.errors import UsageError
 from adapters.simulation import arm
 from adapters.simulation.arm import SCENARIOS, ArmFault, ArmRun, ArmScenario, make_fault, parse_fault, simulate_arm
 
@@ -143,7 +143,7 @@ def test_faults_of_simple_kinds_are_composed() -> None:
     ],
 )
 def test_a_fault_that_cannot_be_read_is_reported(text: str, said: str) -> None:
-    with pytest.raises(TelemetryError, match=f"fault '{text}'") as caught:
+    with pytest.raises(UsageError, match=f"fault '{text}'") as caught:
         parse_fault(text)
     assert said in str(caught.value)
 
@@ -152,5 +152,5 @@ def test_a_fault_that_cannot_be_read_is_reported(text: str, said: str) -> None:
     ("duration", "rate"), [(0.0, 100.0), (-1.0, 100.0), (1.0, 0.0), (math.inf, 100.0), (math.nan, 1.0)]
 )
 def test_a_run_needs_a_duration_and_a_rate(duration: float, rate: float) -> None:
-    with pytest.raises(TelemetryError, match="positive duration and rate"):
+    with pytest.raises(UsageError, match="positive duration and rate"):
         simulate_arm(ArmScenario(), duration, rate)

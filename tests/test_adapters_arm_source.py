@@ -13,7 +13,7 @@ import pytest
 
 import adapters.commands
 from adapters.channels import Channel
-from adapters.errors import TelemetryError
+from adapters.errors import TelemetryError, UsageError
 from adapters.logs.recordings import read_recording
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.message import Message
@@ -140,7 +140,7 @@ def test_what_cannot_be_sent_to_is_reported(run: ArmRun) -> None:
     for url in ("tcp:127.0.0.1:1", "127.0.0.1:14550", "udpout:14550"):
         with pytest.raises(TelemetryError, match=f"^{url}: "):
             send_arm(run, url)
-    with pytest.raises(TelemetryError, match="speed 0: has to be positive"):
+    with pytest.raises(UsageError, match="speed 0: has to be positive"):
         send_arm(run, "udpout:127.0.0.1:9", 0.0)
     with pytest.raises(TelemetryError, match="'arm//x' is not a Zenoh key"):
         publish_arm(run, "arm//x", [])
@@ -187,7 +187,7 @@ def test_the_command_sends_over_udp_and_prints_nothing_on_stdout(port: int, caps
 
 def test_the_command_offers_every_scenario_and_refuses_what_does_not_fit() -> None:
     assert set(adapters.commands.SCENARIOS) == set(SCENARIOS)
-    with pytest.raises(TelemetryError, match="--connect goes with --zenoh"):
+    with pytest.raises(UsageError, match="--connect goes with --zenoh"):
         command_line("simulate", "arm", "--mavlink", "udpout:127.0.0.1:9", "--connect", "tcp/127.0.0.1:1")
     with pytest.raises(SystemExit):
         command_line("simulate", "arm")

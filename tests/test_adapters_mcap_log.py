@@ -20,7 +20,7 @@ from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from adapters.encoding.record import Record, Schema
-from adapters.errors import TelemetryError
+from adapters.errors import StorageError, TelemetryError
 from adapters.logs.mcap_log import MAX_CHANNELS, MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages, read_mcap_metadata
 from adapters.logs.mcap_writer import CHUNK_BYTES
@@ -305,5 +305,5 @@ def test_a_path_that_cannot_be_opened_is_one_line_for_the_user(tmp_path: Path) -
         list(read_mcap_messages(tmp_path / "nothing.mcap"))
     with pytest.raises(TelemetryError, match=r"Is a directory"):
         list(read_mcap_messages(tmp_path))
-    with pytest.raises(TelemetryError, match=r"x\.mcap: cannot be written: No such file"):
+    with pytest.raises(StorageError, match=r"x\.mcap: cannot be written: No such file"):
         MessageLogWriter(tmp_path / "nowhere" / "x.mcap")

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from adapters.errors import TelemetryError
+from adapters.errors import UsageError
 from adapters.simulation.pacing import paced
 
 
@@ -38,5 +38,5 @@ def test_the_schedule_moves_where_too_much_time_was_lost() -> None:
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, float("nan")])
 def test_a_speed_has_to_be_positive(speed: float) -> None:
-    with pytest.raises(TelemetryError, match="has to be positive"):
+    with pytest.raises(UsageError, match="has to be positive"):
         list(paced([], speed))

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.errors import TelemetryError
-from adapters.zenoh.zenoh_payload import MalformedPayload, PayloadDecoder, UndefinedType
+from adapters.errors import PayloadError, TelemetryError, UndefinedTypeError
+from adapters.zenoh.zenoh_payload import PayloadDecoder
 
 HASH = "RIHS01_" + "7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b"
 ARRAY = b"\0\1\0\0" + struct.pack("<IIIxxxxdd", 0, 0, 2, 1.5, 2.5)
@@ -58,7 +58,7 @@ def test_json_stays_json_whatever_the_encoding_calls_it() -> None:
     ],
 )
 def test_a_type_that_nobody_told_or_defined_is_said_to_be_so(key: str, encoding: str) -> None:
-    with pytest.raises(UndefinedType):
+    with pytest.raises(UndefinedTypeError):
         PayloadDecoder().decode(key, encoding, ARRAY)
 
 
@@ -88,7 +88,7 @@ def test_a_type_of_ones_own_is_read_from_its_folder(tmp_path: Path) -> None:
     ids=range(9),
 )
 def test_what_is_no_json_object_is_malformed(payload: bytes) -> None:
-    with pytest.raises(MalformedPayload):
+    with pytest.raises(PayloadError):
         PayloadDecoder().decode("t", "application/json", payload)
 
 
@@ -99,14 +99,14 @@ def test_odd_json_is_read_as_it_stands_and_of_two_values_the_last_one() -> None:
 
 
 def test_cdr_that_is_cut_off_is_malformed() -> None:
-    with pytest.raises(MalformedPayload, match="std_msgs/Float64MultiArray: 'data' claims 2 elements"):
+    with pytest.raises(PayloadError, match="std_msgs/Float64MultiArray: 'data' claims 2 elements"):
         PayloadDecoder({"a": KIND}).decode("a", "zenoh/bytes", ARRAY[:-1])
 
 
 @given(key=st.text(max_size=40), encoding=st.text(max_size=40), payload=st.binary(max_size=200))
 def test_any_sample_is_a_message_or_refused(key: str, encoding: str, payload: bytes) -> None:
     for encoded in (encoding, "application/cdr;" + encoding, f"application/cdr;{KIND}"):
-        with contextlib.suppress(UndefinedType, MalformedPayload):
+        with contextlib.suppress(UndefinedTypeError, PayloadError):
             PayloadDecoder().decode(key, encoded, payload)
 
 
@@ -114,7 +114,7 @@ def test_keys_without_end_do_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("adapters.zenoh.zenoh_payload._MAX_KEYS", 10)
     decoder = PayloadDecoder()
     for k in range(100):
-        with pytest.raises(UndefinedType):
+        with pytest.raises(UndefinedTypeError):
             decoder.decode(f"k{k}", f"application/cdr;a_msgs/msg/M{k}", ARRAY)
     assert len(decoder._keys) <= 10
     assert len(decoder._decoders) <= 10

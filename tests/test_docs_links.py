@@ -11,9 +11,8 @@ import pytest
 import tomli_w
 
 import fauio
-from gains.errors import ModelError
+from adapters.errors import ModelError, ProfileError
 from gains.plants.model_file import plant_of_document, read_document
-from monitor.errors import ProfileError
 from monitor.profile import read_profile
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs/hooks"))

@@ -6,9 +6,7 @@ from pathlib import Path
 import pytest
 
 import fauio
-from adapters.errors import TelemetryError
-from gains.errors import ModelError
-from monitor.errors import ProfileError
+from adapters.errors import ModelError, ProfileError, TelemetryError
 
 HOSTILE = "\x1b[31mred\r\n'axis' is\u202e fine\x00"
 SHOWN = "?[31mred??'axis' is? fine?"

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from gains_samples import random_plant, sine
 
+from adapters.errors import InfeasibleError
 from gains.analysis.augment import (
     LARGEST_VERTEX_COUNT,
     SAMPLE_COUNT,
@@ -15,7 +16,6 @@ from gains.analysis.augment import (
     slope_vertices,
     sloped_dynamics,
 )
-from gains.errors import InfeasibleError
 from gains.plants.discretise import discretise
 from gains.plants.model_file import builtin_model
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gains_samples import hexacopter, integrator_with_drift
 
-from gains.errors import InfeasibleError
+from adapters.errors import InfeasibleError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Fault
 from gains.synthesis.bank import admissible_hypotheses, design_bank

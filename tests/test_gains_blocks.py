@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.plants.plant import Disturbance, Fault, Noise, Plant
 from gains.synthesis.blocks import block_plant, blocks_of, design_blocks
 from gains.synthesis.certificate import certify

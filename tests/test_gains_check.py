@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fauio
+from adapters.errors import ModelError
 from gains.analysis.check import check_plant, report
 from gains.analysis.check_text import text
 from gains.analysis.existence import check_existence
-from gains.errors import ModelError
 from gains.plants.model_file import builtin_model, write_model
 from gains.plants.plant import Fault, FloatArray, Plant
 

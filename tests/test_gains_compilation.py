@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gains_samples import multirotor, random_plant
 
-from gains.errors import InaccurateError
+from adapters.errors import InaccurateError
 from gains.plants.discretise import discretise
 from gains.plants.model_file import builtin_model, model_hash
 from gains.plants.plant import FloatArray, Plant

@@ -8,8 +8,8 @@ import pytest
 from gains_samples import multirotor
 from paper_gains import BETA, DISTURBED, UNDISTURBED, Printed
 
+from adapters.errors import ModelError
 from adapters.simulation.arm import SCENARIOS, simulate_arm
-from gains.errors import ModelError
 from gains.plants.model_file import builtin_model, model_hash
 from gains.plants.plant import FloatArray
 from gains.synthesis.continuous_observer import ContinuousObserver, compile_continuous, fauio_observer

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gains.synthesis.continuous_synthesis
+from adapters.errors import InaccurateError, InfeasibleError, ModelError
 from adapters.simulation.arm import SCENARIOS, simulate_arm
-from gains.errors import InaccurateError, InfeasibleError, ModelError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Fault, Plant
 from gains.synthesis.continuous_certificate import ContinuousCertificate, certify_continuous

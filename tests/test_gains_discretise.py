@@ -7,7 +7,7 @@ import pytest
 from gains_samples import multirotor
 from scipy.integrate import solve_ivp
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.plants.discretise import discretise
 from gains.plants.model_file import builtin_model
 

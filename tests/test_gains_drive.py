@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from simulated_vehicles import DRIVE, RATE_HZ, STEERING, ride
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.segment import Segment
 from monitor.sampling.scaled_inputs import DriveInputs
 from monitor.vehicles.rover.identify import drive_plant, identify_drive

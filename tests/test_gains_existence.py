@@ -8,9 +8,9 @@ from gains_samples import integrator_with_drift, multirotor, random_plant, sine
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from adapters.errors import InfeasibleError, ModelError
 from gains.analysis.check import check_plant
 from gains.analysis.existence import check_existence
-from gains.errors import InfeasibleError, ModelError
 from gains.plants.discretise import discretise
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Fault, Plant

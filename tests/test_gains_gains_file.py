@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from gains_samples import multirotor, random_plant
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.plants.plant import Plant
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import strapdown_truth as truth
 
+from adapters.errors import ModelError
 from gains.analysis.estimability import problem_of
-from gains.errors import ModelError
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.bank import Hypothesis
 from gains.synthesis.certificate import certify

@@ -10,7 +10,7 @@ from gains_samples import PRINTED, multirotor, random_plant
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.plants.discretise import discretise
 from gains.plants.model_file import (
     BUILTIN_MODELS,

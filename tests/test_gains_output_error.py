@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.fitted_plant import fitted_plant, parameter_uncertainty
 from gains.identification.free_model import FreeModel, read_free_model
 from gains.identification.output_error import OutputErrorFit, identify

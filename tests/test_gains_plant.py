@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from gains_samples import multirotor, random_plant, sine
 
+from adapters.errors import ModelError
 from gains.analysis.augment import augment
-from gains.errors import ModelError
 from gains.plants.plant import Disturbance, Fault, Noise, Plant
 
 

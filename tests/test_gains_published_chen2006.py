@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gains.errors import InaccurateError, InfeasibleError
+from adapters.errors import InaccurateError, InfeasibleError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
 from gains.published.chen2006 import design_chen2006

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from gains_samples import integrator_with_drift, multirotor, with_rates
 
+from adapters.errors import InfeasibleError, ModelError
 from adapters.simulation.arm import SCENARIOS, simulate_arm
-from gains.errors import InfeasibleError, ModelError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import FloatArray, Plant
 from gains.published.kalman import design_ekf, filter_model

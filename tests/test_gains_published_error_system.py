@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from paper_gains import BETA, PRINTED
 
+from adapters.errors import ModelError
 from gains.analysis.augment import augment
-from gains.errors import ModelError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
 from gains.published.error_system import error_norm, error_system, slope_matrix

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gains.errors import InfeasibleError
+from adapters.errors import InfeasibleError
 from gains.plants.model_file import builtin_model
 from gains.published.error_system import error_norm, error_system
 from gains.published.gao2016 import design_gao2016

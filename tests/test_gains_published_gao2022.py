@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from gains_samples import multirotor
 
+from adapters.errors import InfeasibleError
 from adapters.simulation.arm import SCENARIOS, simulate_arm
-from gains.errors import InfeasibleError
 from gains.plants.model_file import builtin_model
 from gains.published.error_system import error_norm
 from gains.published.gao2022 import design_gao2022

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gains_samples import continuous_plant, multirotor
 
-from gains.errors import InfeasibleError, ModelError
+from adapters.errors import InfeasibleError, ModelError
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Nonlinearity, Plant
 from gains.published.theorem import Theorem, design_theorem

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adapters.errors import InfeasibleError
 from adapters.simulation.arm import ArmScenario, make_fault, simulate_arm
-from gains.errors import InfeasibleError
 from gains.plants.model_file import builtin_model
 from gains.published.error_system import error_norm
 from gains.published.zhang2008 import design_zhang2008

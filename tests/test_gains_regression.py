@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from simulated_vehicles import DELAY_S, LAG_S, RATE_HZ, ROLL, SIDE_FORCE, flight
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.regression import AxisModel, coloured_inflation, fit_axis
 from monitor.sampling.scaled_inputs import SurfaceInputs
 

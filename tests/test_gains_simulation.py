@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.simulation import Stepper, dynamics_of, linearised
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant

@@ -7,7 +7,7 @@ from gains_samples import trees
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.plants.expression import Node, compile_node
 from gains.plants.slopes import check_slopes, enclosure, slope_bounds
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from simulated_vehicles import DELAY_S, LAG_S, PITCH, RATE_HZ, ROLL, THRUST, YAW, flight
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.regression import lagged
 from gains.identification.segment import Segment
 from gains.synthesis.certificate import certify

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_lyapunov
 
 import gains.synthesis.convex
+from adapters.errors import InaccurateError, InfeasibleError, ModelError
 from gains.analysis.augment import augment, error_model
 from gains.analysis.floor import floor_sqrt_mu
-from gains.errors import InaccurateError, InfeasibleError, ModelError
 from gains.plants.discretise import discretise
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Disturbance, Fault, FloatArray, Plant

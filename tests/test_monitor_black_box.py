@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from test_monitor_recorder import LAYOUT, estimate
 
 from adapters.encoding.record import Record
-from adapters.errors import TelemetryError
+from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_metadata
 from adapters.logs.recordings import read_recording
@@ -371,5 +371,5 @@ def test_what_a_full_disk_took_of_a_clip_stays_when_the_monitor_ends(tmp_path: P
 
 def test_a_folder_that_is_none_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(TelemetryError, match=r"file/sub: cannot hold recordings: Not a directory"):
+    with pytest.raises(StorageError, match=r"file/sub: cannot hold recordings: Not a directory"):
         black_box(tmp_path / "file" / "sub")

@@ -12,9 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from adapters.errors import ConfigError
 from monitor.configuration.config import Config, Vehicle, read_config
 from monitor.configuration.config_page import render
-from monitor.errors import ProfileError
 from monitor.profile import Profile
 
 ROOT = Path(__file__).parent.parent
@@ -26,7 +26,7 @@ def complaints(tmp_path: Path, text: str, **given: Any) -> list[str]:
     """Return the lines of the error, without the name of the file."""
     path = tmp_path / "run.toml"
     path.write_text(text)
-    with pytest.raises(ProfileError) as caught:
+    with pytest.raises(ConfigError) as caught:
         read_config(path, given)
     return str(caught.value).replace(f"{path}:", "").splitlines()
 
@@ -207,13 +207,13 @@ def test_a_mistake_on_the_command_line_has_no_line(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ProfileError, match=r"none\.toml: no such file"):
+    with pytest.raises(ConfigError, match=r"none\.toml: no such file"):
         read_config(tmp_path / "none.toml")
     (tmp_path / "latin.toml").write_bytes(b'prefix = "\xe4"')
-    with pytest.raises(ProfileError, match=r"latin\.toml: not valid TOML: byte 10 is no UTF-8"):
+    with pytest.raises(ConfigError, match=r"latin\.toml: not valid TOML: byte 10 is no UTF-8"):
         read_config(tmp_path / "latin.toml")
     (tmp_path / "deep.toml").write_text(f"a = {'[' * 10_000}")
-    with pytest.raises(ProfileError, match=r"deep\.toml: not valid TOML"):
+    with pytest.raises(ConfigError, match=r"deep\.toml: not valid TOML"):
         read_config(tmp_path / "deep.toml")
 
 
@@ -267,7 +267,7 @@ def test_every_key_has_a_description_and_an_example_that_is_right(tmp_path: Path
         keys = "\n".join(re.findall(r"`(\w+ = .+)` \|$", part, re.MULTILINE))
         path = tmp_path / "run.toml"
         path.write_text(f"{header[1] if header else ''}\n{keys}\n")
-        with pytest.raises(ProfileError) as caught:
+        with pytest.raises(ConfigError) as caught:
             read_config(path)
         # nothing but files and what belongs beside them is missing
         assert all(
@@ -294,7 +294,7 @@ def test_any_content_is_read_or_every_line_of_the_error_names_a_key(tmp_path: Pa
     path.write_text(tomli_w.dumps(content))
     try:
         read_config(path)
-    except ProfileError as error:
+    except ConfigError as error:
         assert all(re.match(rf"{path}(:\d+)?: '[^']+", line) for line in str(error).splitlines())
 
 

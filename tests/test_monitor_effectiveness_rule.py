@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from monitor.errors import ProfileError
+from adapters.errors import ProfileError
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.effectiveness_rule import effectiveness_table, read_effectiveness
 from monitor.tables import Table

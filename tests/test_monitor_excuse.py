@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from adapters.errors import ProfileError
 from monitor.alarms.excuse import ExcuseRule, Excuses, excuse_tables, read_excuses
-from monitor.errors import ProfileError
 from monitor.event import AlarmEvent, State
 from monitor.tables import Table
 

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loopback import event
 
-from monitor.errors import ProfileError
+from adapters.errors import StorageError
 from monitor.recording import journal as module
 from monitor.recording.journal import Journal
 from monitor.recording.journal_file import APPLICATION_ID, read_connection
@@ -350,7 +350,7 @@ def test_what_can_be_no_journal_is_refused_in_one_line(tmp_path: Path) -> None:
     }
     before = (tmp_path / "flight.tlog").read_bytes()
     for name, complaint in complaints.items():
-        with pytest.raises(ProfileError, match=complaint) as refused:
+        with pytest.raises(StorageError, match=complaint) as refused:
             Journal(tmp_path / name)
         assert "\n" not in str(refused.value)
         assert str(tmp_path / name) in str(refused.value)
@@ -358,7 +358,7 @@ def test_what_can_be_no_journal_is_refused_in_one_line(tmp_path: Path) -> None:
 
 
 def test_a_journal_that_may_not_be_written_is_refused_in_one_line() -> None:
-    with pytest.raises(ProfileError, match=r"^/proc/self/journal\.db: cannot be written as journal: unable to open"):
+    with pytest.raises(StorageError, match=r"^/proc/self/journal\.db: cannot be written as journal: unable to open"):
         Journal("/proc/self/journal.db")
 
 

@@ -21,6 +21,7 @@ from loopback import free_port, until
 from rerun.chunk import RrdReader
 from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, estimate, event
 
+from adapters.errors import UsageError
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
 from monitor.estimate import Estimate
@@ -28,7 +29,7 @@ from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.views.live_buffer import VehicleView
 from monitor.views.live_view import LiveView
-from monitor.views.rerun_process import LiveViewError, rerun_binary
+from monitor.views.rerun_process import rerun_binary
 
 EVENTS = [event(1020, "raised"), event(1100, "updated", severity="critical"), event(1300, "cleared")]
 
@@ -221,10 +222,10 @@ def test_a_port_that_is_taken_and_a_missing_executable_are_said_in_one_line(monk
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
-        with pytest.raises(LiveViewError, match=r"cannot listen on 127.0.0.1:[0-9]+: .*; choose another port"):
+        with pytest.raises(UsageError, match=r"cannot listen on 127.0.0.1:[0-9]+: .*; choose another port"):
             LiveView("serve", port=other.getsockname()[1])
     monkeypatch.setenv("RERUN_CLI_PATH", "/nowhere/rerun")
-    with pytest.raises(LiveViewError, match="/nowhere/rerun: Rerun's executable is not there"):
+    with pytest.raises(UsageError, match="/nowhere/rerun: Rerun's executable is not there"):
         LiveView("spawn")
 
 

@@ -10,7 +10,7 @@ from http.client import HTTPConnection
 import pytest
 from loopback import free_port, until
 
-from monitor.errors import ProfileError
+from adapters.errors import UsageError
 from monitor.service import metrics_server as module
 from monitor.service.health import Health, ProcessHealth, VehicleHealth
 from monitor.service.metrics_server import MetricsServer
@@ -129,7 +129,7 @@ def test_many_idle_clients_take_no_threads_and_those_beyond_the_bound_are_closed
     "address", ["0.0.0.0:9464", "192.168.1.2:0", "9464", "127.0.0.1:", "127.0.0.1:99999", "::", "host:1"]
 )
 def test_an_address_that_is_not_loopback_is_refused_in_one_line(address: str) -> None:
-    with pytest.raises(ProfileError, match="metrics address") as refused:
+    with pytest.raises(UsageError, match="metrics address") as refused:
         MetricsServer(address, lambda: WELL)
     assert "\n" not in str(refused.value)
 
@@ -137,7 +137,7 @@ def test_an_address_that_is_not_loopback_is_refused_in_one_line(address: str) ->
 def test_a_port_in_use_is_refused_in_one_line_and_free_again_after_closing() -> None:
     address = f"127.0.0.1:{free_port()}"
     first = MetricsServer(address, lambda: WELL)
-    with pytest.raises(ProfileError, match=r"Address already in use"):
+    with pytest.raises(UsageError, match=r"Address already in use"):
         MetricsServer(address, lambda: WELL)
     first.close()
     first.close()

@@ -14,6 +14,7 @@ import zenoh
 from jsonschema import Draft202012Validator
 from loopback import Endpoint, event
 
+from adapters.errors import UsageError
 from adapters.zenoh.zenoh_session import open_session
 from monitor.bus.alarm_text import alarm_line
 from monitor.bus.payload import to_json
@@ -21,7 +22,6 @@ from monitor.bus.publisher import Publisher
 from monitor.bus.schemas import SCHEMAS
 from monitor.console import operator_client
 from monitor.console.operator_client import Target, find_target, send_command
-from monitor.errors import ProfileError
 
 ROOT = Path(__file__).parent.parent
 ULID = "01J0000000000000000000ABCD"
@@ -115,7 +115,7 @@ def test_a_refusal_is_one_line_and_ends_with_2(endpoint: Endpoint, reply: bytes,
 @pytest.mark.parametrize("reply", [b"nonsense", b"[]", b"\xff", b"[" * 100_000])
 def test_a_reply_that_is_none_is_said_so(endpoint: Endpoint, reply: bytes) -> None:
     monitor = Monitor(endpoint, reply)
-    with pytest.raises(ProfileError, match="the answer is no JSON object"):
+    with pytest.raises(UsageError, match="the answer is no JSON object"):
         send_command(endpoint.client(), "fauio", "copter-1", "ack", {"id": ULID})
     assert len(monitor.asked) == 1
 
@@ -130,12 +130,12 @@ def test_an_event_that_is_none_is_not_printed_as_one(endpoint: Endpoint) -> None
 def test_nobody_who_answers_is_explained(endpoint: Endpoint, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(operator_client, "TRIES", 2)
     session = endpoint.client()
-    with pytest.raises(ProfileError, match="no monitor answers at tcp/here; start one with 'fauio run'"):
+    with pytest.raises(UsageError, match="no monitor answers at tcp/here; start one with 'fauio run'"):
         find(session, "motor1")
-    with pytest.raises(ProfileError, match="no monitor of 'copter-1' answers to 'ack': it is not running, or its"):
+    with pytest.raises(UsageError, match="no monitor of 'copter-1' answers to 'ack': it is not running, or its"):
         send_command(session, "fauio", "copter-1", "ack", {"id": ULID})
     publisher = Publisher(endpoint.session, "copter-1", [])
-    with pytest.raises(ProfileError, match=r"does not take 'ack'; .* \[commands\] allow = \[\"ack\"\]"):
+    with pytest.raises(UsageError, match=r"does not take 'ack'; .* \[commands\] allow = \[\"ack\"\]"):
         send_command(session, "fauio", "copter-1", "ack", {"id": ULID})
     publisher.close()
 
@@ -143,7 +143,7 @@ def test_nobody_who_answers_is_explained(endpoint: Endpoint, monkeypatch: pytest
 def test_nobody_on_the_whole_network_ends_with_2(tmp_path: Path) -> None:
     session = open_session()
     try:
-        with pytest.raises(ProfileError, match="no monitor of 'copter-1' answers at tcp/here"):
+        with pytest.raises(UsageError, match="no monitor of 'copter-1' answers at tcp/here"):
             find(session, "motor1", "copter-1")
     finally:
         session.close()
@@ -160,7 +160,7 @@ def test_an_alarm_is_found_by_id_by_channel_and_by_its_last_name(endpoint: Endpo
     assert find(session, "motor1") == Target("copter-1", {"channel": "motors/motor1"})
     assert find(session, "motors/motor9", "copter-2") == Target("copter-2", {"channel": "motors/motor9"})
     with pytest.raises(
-        ProfileError,
+        UsageError,
         match="no active alarm 'motor3'; active are motors/motor1 of copter-1, motors/motor2 of copter-2",
     ):
         find(session, "motor3")
@@ -172,7 +172,7 @@ def test_what_several_vehicles_have_needs_the_vehicle(endpoint: Endpoint) -> Non
         publisher.event(event(1, vehicle=name))
     session = endpoint.client()
     with pytest.raises(
-        ProfileError, match=r"'motor1' is more than one alarm: .* of copter-1, .* of copter-2; add --vehi"
+        UsageError, match=r"'motor1' is more than one alarm: .* of copter-1, .* of copter-2; add --vehi"
     ):
         find(session, "motor1")
     assert find(session, "motor1", "copter-2") == Target("copter-2", {"channel": "motors/motor1"})
@@ -182,7 +182,7 @@ def test_the_only_vehicle_is_asked_about_a_channel_that_is_not_active(endpoint: 
     publisher = Publisher(endpoint.session, "copter-1", [])
     session = endpoint.client()
     assert find(session, "motors/motor1") == Target("copter-1", {"channel": "motors/motor1"})
-    with pytest.raises(ProfileError, match="no active alarm 'motor1'; none is active"):
+    with pytest.raises(UsageError, match="no active alarm 'motor1'; none is active"):
         find(session, "motor1")
     publisher.close()
 
@@ -192,7 +192,7 @@ def test_a_list_of_alarms_that_is_none_holds_none(
     endpoint: Endpoint, payload: bytes, until_answer: Callable[[str, bytes], None]
 ) -> None:
     until_answer("fauio/copter-1/alarms", payload)
-    with pytest.raises(ProfileError, match="no active alarm 'motor1'; none is active"):
+    with pytest.raises(UsageError, match="no active alarm 'motor1'; none is active"):
         find(endpoint.client(), "motor1")
 
 

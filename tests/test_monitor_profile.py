@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import fauio
-from monitor.errors import ProfileError
+from adapters.errors import ProfileError
 from monitor.estimation.isolation_rule import BankRule
 from monitor.profile import read_profile
 

@@ -22,7 +22,7 @@ from loopback import START_NS, event, until
 from mcap.reader import make_reader
 from test_monitor_recorder import LAYOUT, estimate
 
-from adapters.errors import TelemetryError
+from adapters.errors import StorageError
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_metadata
 from adapters.logs.recordings import read_recording, recording_kind
 from adapters.message import Message
@@ -155,10 +155,10 @@ def test_a_record_larger_than_a_file_gets_one_of_its_own(tmp_path: Path) -> None
 
 
 def test_a_budget_of_less_than_two_files_and_a_folder_that_is_none_are_one_line(tmp_path: Path) -> None:
-    with pytest.raises(TelemetryError, match=r"budget of 100 bytes is less than two files of 90 bytes; raise"):
+    with pytest.raises(StorageError, match=r"budget of 100 bytes is less than two files of 90 bytes; raise"):
         recorder(tmp_path, file_bytes=90, budget_bytes=100)
     (tmp_path / "file").touch()
-    with pytest.raises(TelemetryError, match=r"file/sub: cannot hold recordings: Not a directory"):
+    with pytest.raises(StorageError, match=r"file/sub: cannot hold recordings: Not a directory"):
         recorder(tmp_path / "file" / "sub")
 
 

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from loopback import Endpoint, event, matched, put, until
 
+from adapters.errors import UsageError
 from monitor.bus.publisher import Publisher
 from monitor.bus.subscriber import HELD_EVENTS, AlarmSubscriber
-from monitor.errors import ProfileError
 from monitor.event import AlarmEvent, valid_event
 
 KEY = "fauio/copter-1/alarm/motors/motor1"
@@ -123,7 +123,7 @@ def test_a_reader_that_does_not_read_loses_the_oldest_events(endpoint: Endpoint)
 
 @pytest.mark.parametrize("vehicle", ["", "a/b", "**", "$*"])
 def test_a_name_that_no_key_can_hold_is_refused(endpoint: Endpoint, vehicle: str) -> None:
-    with pytest.raises(ProfileError, match="cannot be part of a Zenoh key"):
+    with pytest.raises(UsageError, match="cannot be part of a Zenoh key"):
         AlarmSubscriber(endpoint.session, vehicle)
 
 

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from matplotlib import image
 
 import fauio
+from adapters.errors import UsageError
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
@@ -22,7 +23,7 @@ from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
 from monitor.profile import Profile
 from monitor.views.palette import BLUE, PURPLE, rgba
-from replay.attacks.attack import Attack, InjectionError
+from replay.attacks.attack import Attack
 from replay.sensitivity.detectability import Detectability, Row, Sweep, detectability
 from replay.sensitivity.detectability_plot import plot_detectability
 from replay.sensitivity.detectability_text import result_lines
@@ -241,5 +242,5 @@ def test_the_sweep_follows_the_vehicle_that_the_pipeline_follows(
 
 @pytest.mark.long
 def test_a_sweep_without_any_fault_that_fits_says_why(quad_folder: Path, healthy_log: Path) -> None:
-    with pytest.raises(InjectionError, match="does not go with motor1"):
+    with pytest.raises(UsageError, match="does not go with motor1"):
         detectability(quad_folder, healthy_log, Sweep(channels=("motor1",), kinds=("spoof",)))

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.segment import Segment
 from gains.plants.plant import Plant
 from monitor.fitting.effects_report import compare_effects, predict_ahead

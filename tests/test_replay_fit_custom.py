@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 
 import fauio
-from adapters.errors import TelemetryError
+from adapters.errors import ModelError, TelemetryError
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
 from adapters.simulation.arm import SCENARIOS, ArmFault, ArmRun, ArmScenario, simulate_arm
 from adapters.simulation.arm_source import arm_messages
-from gains.errors import ModelError
 from gains.plants.model_file import read_model
 from monitor.estimation.isolation_rule import BankRule
 from monitor.profile import UNEXPLAINED, read_profile

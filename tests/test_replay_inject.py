@@ -16,12 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fauio
+from adapters.errors import UsageError
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import read_mcap_metadata
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
 from monitor.profile import Profile
-from replay.attacks.attack import KINDS, Attack, InjectionError
+from replay.attacks.attack import KINDS, Attack
 from replay.attacks.injector import Injector, inject, plan
 from replay.attacks.instruments import INSTRUMENTS, metres_per_degree, pressure_altitude
 from replay.attacks.plant_response import PlantResponse, find_fault
@@ -511,7 +512,7 @@ def test_every_kind_says_what_it_does(kind: str) -> None:
 
 
 def test_an_attack_without_what_it_needs_is_refused_before_anything_is_read() -> None:
-    with pytest.raises(InjectionError, match="needs --rate"):
+    with pytest.raises(UsageError, match="needs --rate"):
         attack("gps_north", "spoof").check()
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from adapters.errors import TelemetryError
+from adapters.errors import StorageError, TelemetryError, UsageError
 from replay.runs.log_list import Log, find_logs, forbid_overwriting, target
 
 
@@ -71,7 +71,7 @@ def test_each_log_gets_a_file_of_its_own(tmp_path: Path) -> None:
     assert target("--plot", pattern, log, ".png", many=True) == tmp_path / "day1_a" / "estimates.png"
     assert (tmp_path / "day1_a").is_dir()
     assert target("--plot", "one.png", log, ".png", many=False) == Path("one.png")
-    with pytest.raises(TelemetryError, match=r"--plot one.png: takes one log at a time"):
+    with pytest.raises(UsageError, match=r"--plot one.png: takes one log at a time"):
         target("--plot", "one.png", log, ".png", many=True)
 
 
@@ -79,5 +79,5 @@ def test_no_log_is_overwritten(flights: Path) -> None:
     logs = find_logs([flights])
     forbid_overwriting(logs, [flights / "new.mcap"])
     for path in (flights / "day1/../b.tlog", flights / "day2/quad-20260102T030405Z-0002.mcap"):
-        with pytest.raises(TelemetryError, match="would be overwritten"):
+        with pytest.raises(StorageError, match="would be overwritten"):
             forbid_overwriting(logs, [path])

@@ -10,9 +10,8 @@ import pyarrow.parquet
 import pytest
 from loopback import START_NS, event
 
-from adapters.errors import TelemetryError
+from adapters.errors import UsageError
 from adapters.logs.damage import Damage
-from monitor.errors import ExtraMissingError
 from replay.runs.one_log import LogOutcome
 from replay.runs.summary_table import COLUMNS, SummaryTable, summary_row
 
@@ -69,8 +68,8 @@ def test_rows_of_a_csv_file_are_there_at_once(tmp_path: Path) -> None:
 def test_another_kind_of_table_and_a_missing_library_get_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(TelemetryError, match=r"use \.csv or \.parquet"):
+    with pytest.raises(UsageError, match=r"use \.csv or \.parquet"):
         SummaryTable(tmp_path / "table.xlsx")
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ExtraMissingError, match=r"pip install 'fauio\[parquet\]'"):
+    with pytest.raises(UsageError, match=r"pip install 'fauio\[parquet\]'"):
         SummaryTable(tmp_path / "table.parquet")

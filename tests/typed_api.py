@@ -12,11 +12,11 @@ from pathlib import Path
 from numpy import float64
 from numpy.typing import NDArray
 
+from adapters.errors import InfeasibleError
 from adapters.logs.recordings import Recording, read_recording
 from adapters.message import Message
 from adapters.zenoh.zenoh_session import open_session
 from gains.analysis.check import Check, check_plant
-from gains.errors import InfeasibleError
 from gains.plants.model_file import load_model, read_model, write_model
 from gains.plants.plant import Plant
 from gains.synthesis.certificate import Certificate, certify

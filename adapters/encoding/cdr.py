@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from adapters.encoding.message_definition import Definitions, MessageField, canonical_type, parse_definitions
-from adapters.errors import TelemetryError
+from adapters.errors import PayloadError, TelemetryError
 
 MAX_NESTING = 32
 
@@ -26,10 +26,6 @@ _TRAILING_BYTES_PX4 = 128
 
 # (bytes behind the header, position) -> (value, position behind it); positions count from the header's end
 _Read = Callable[[bytes, int], tuple[Any, int]]
-
-
-class CdrError(ValueError):
-    """A payload is not what its definition says."""
 
 
 class CdrDecoder:
@@ -61,24 +57,25 @@ class CdrDecoder:
 
         Raises
         ------
-        CdrError
+        PayloadError
             The payload is cut off, too long, not plain CDR, or has a length that cannot be.
         """
         head = self._readers.get(payload[:2])
         if head is None or len(payload) < 4:
-            raise CdrError(f"{self._name}: not plain CDR: begins with {payload[:4].hex(' ') or 'nothing'}")
+            raise PayloadError(f"{self._name}: not plain CDR: begins with {payload[:4].hex(' ') or 'nothing'}")
         read, least = head
         body = payload[4:]
         if least > len(body):
-            raise CdrError(f"{self._name}: cut off")
+            raise PayloadError(f"{self._name}: cut off")
         try:
             fields, end = read(body, 0)
         except struct.error as error:
-            raise CdrError(f"{self._name}: cut off") from error
-        except CdrError as error:
-            raise CdrError(f"{self._name}: {error}") from error
+            raise PayloadError(f"{self._name}: cut off") from error
+        except PayloadError as error:
+            raise PayloadError(f"{self._name}: {error}") from error
         if not 0 <= len(body) - end <= self._trailing:
-            raise CdrError(f"{self._name}: {len(body)} bytes where the definition has {end}; is it of another version?")
+            size = f"{len(body)} bytes where the definition has {end}"
+            raise PayloadError(f"{self._name}: {size}; is it of another version?")
         return dict(fields)
 
 
@@ -195,7 +192,7 @@ class _Compiler:
         count, position = self._length(data, position)
         end = position + count
         if end > len(data) or (count and data[end - 1]):
-            raise CdrError("a text is cut off or does not end")
+            raise PayloadError("a text is cut off or does not end")
         return data[position : max(position, end - 1)].decode(errors="replace"), end
 
 
@@ -217,4 +214,4 @@ def _many(field: MessageField) -> bool:
 def _check(field: MessageField, count: int, least: int, left: int) -> None:
     """Refuse a number of elements that the bytes left cannot hold."""
     if count * least > left or (field.at_most is not None and count > field.at_most):
-        raise CdrError(f"'{field.name}' claims {count} elements, more than there can be")
+        raise PayloadError(f"'{field.name}' claims {count} elements, more than there can be")

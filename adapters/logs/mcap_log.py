@@ -13,7 +13,7 @@ import numpy as np
 
 from adapters.encoding.message_record import encode
 from adapters.encoding.record import Record, Records, Schema
-from adapters.errors import TelemetryError
+from adapters.errors import StorageError
 from adapters.logs.mcap_writer import McapWriter
 from adapters.message import Message
 
@@ -57,7 +57,7 @@ class MessageLogWriter:
 
     Raises
     ------
-    TelemetryError
+    StorageError
         The file cannot be created.
     OSError
         A write failed, in any method. The file is whole up to the last chunk; only :meth:`close` and :meth:`resume`
@@ -71,7 +71,7 @@ class MessageLogWriter:
                 # unbuffered: a buffer would keep what could not be written, and try again on closing
                 target = self._owned = cast(BinaryIO, Path(target).open("wb", buffering=0))  # noqa: SIM115 - close()
             except OSError as error:
-                raise TelemetryError(
+                raise StorageError(
                     f"{target}: cannot be written: {error.strerror}; its folder has to exist and be writable"
                 ) from error
         try:

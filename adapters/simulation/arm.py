@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.errors import TelemetryError
+from adapters.errors import UsageError
 
 Signal = Callable[[float], float]
 State = tuple[float, float, float, float]
@@ -163,28 +163,28 @@ def parse_fault(text: str) -> ArmFault:
 
     Raises
     ------
-    TelemetryError
+    UsageError
         It is not of this form.
     """
     form = f"fault '{text}': write CHANNEL:KIND:START:STOP:SIZE[:HZ], like f_a:step:10:20:2"
     parts = text.split(":")
     if len(parts) not in (5, 6):
-        raise TelemetryError(form)
+        raise UsageError(form)
     channel = next((name for name in FAULT_CHANNELS if name == parts[0]), None)
     if channel is None:
-        raise TelemetryError(f"fault '{text}': unknown channel '{parts[0]}'; use {' or '.join(FAULT_CHANNELS)}")
+        raise UsageError(f"fault '{text}': unknown channel '{parts[0]}'; use {' or '.join(FAULT_CHANNELS)}")
     kind = next((name for name in FAULT_KINDS if name == parts[1]), None)
     if kind is None:
-        raise TelemetryError(f"fault '{text}': unknown kind '{parts[1]}'; use {', '.join(FAULT_KINDS)}")
+        raise UsageError(f"fault '{text}': unknown kind '{parts[1]}'; use {', '.join(FAULT_KINDS)}")
     try:
         numbers = [float(part) for part in parts[2:]]
     except ValueError:
-        raise TelemetryError(form) from None
+        raise UsageError(form) from None
     if not all(math.isfinite(number) for number in numbers):
-        raise TelemetryError(form)
+        raise UsageError(form)
     start_s, stop_s, size, *hz = numbers
     if not 0.0 <= start_s < stop_s:
-        raise TelemetryError(f"fault '{text}': has to start at 0 s or later, and before it stops")
+        raise UsageError(f"fault '{text}': has to start at 0 s or later, and before it stops")
     return make_fault(channel, kind, start_s, stop_s, size, hz=hz[0] if hz else SINE_HZ)
 
 
@@ -206,11 +206,11 @@ def simulate_arm(
 
     Raises
     ------
-    TelemetryError
+    UsageError
         Duration or rate is not positive.
     """
     if not (0.0 < duration_s < math.inf and 0.0 < rate_hz < math.inf):
-        raise TelemetryError("the arm needs a positive duration and rate")
+        raise UsageError("the arm needs a positive duration and rate")
     t = np.arange(math.ceil(duration_s * rate_hz - 1e-9)) / rate_hz
     state, start_u = _start(torque)
     x, u, y = np.empty((len(t), 4)), np.empty((len(t), 1)), np.empty((len(t), 3))

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from math import inf
 from typing import TypeVar
 
-from adapters.errors import TelemetryError
+from adapters.errors import UsageError
 
 T = TypeVar("T")
 
@@ -28,11 +28,11 @@ def paced(items: Iterable[tuple[int, T]], speed: float, catch_up_s: float = inf)
 
     Raises
     ------
-    TelemetryError
+    UsageError
         The speed is not positive.
     """
     if not speed > 0.0:
-        raise TelemetryError(f"speed {speed:g}: has to be positive")
+        raise UsageError(f"speed {speed:g}: has to be positive")
     start: tuple[int, int] | None = None
     for time_ns, item in items:
         if start is None:

@@ -15,9 +15,9 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from adapters.errors import TelemetryError
+from adapters.errors import PayloadError, TelemetryError, UndefinedTypeError
 from adapters.message import Message
-from adapters.zenoh.zenoh_payload import MalformedPayload, PayloadDecoder, UndefinedType
+from adapters.zenoh.zenoh_payload import PayloadDecoder
 
 if TYPE_CHECKING:
     import zenoh
@@ -133,11 +133,11 @@ class ZenohLink:
         for key, encoding, payload, received_ns in arrived:
             try:
                 name, fields = self._decoder.decode(key, encoding, payload)
-            except MalformedPayload as error:
-                self._malformed += 1
-                self._say_once(key, error)
-            except UndefinedType as error:
+            except UndefinedTypeError as error:
                 self._undefined += 1
+                self._say_once(key, error)
+            except PayloadError as error:
+                self._malformed += 1
                 self._say_once(key, error)
             else:
                 messages.append(Message("zenoh", name, received_ns, fields))

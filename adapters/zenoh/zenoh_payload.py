@@ -8,22 +8,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from adapters.encoding.cdr import CdrDecoder, CdrError
+from adapters.encoding.cdr import CdrDecoder
 from adapters.encoding.message_definition import canonical_type, find_definition
-from adapters.errors import TelemetryError
+from adapters.errors import PayloadError, TelemetryError, UndefinedTypeError
 
 _CDR = "application/cdr"
 # The type is looked at afterwards: two open ends in one chunk would be tried out against each other.
 _RMW_KEY = re.compile(r"\d+/(.+)/([^/]+)/RIHS\d+_[^/]+")
 _MAX_KEYS = 4096
-
-
-class UndefinedType(ValueError):  # noqa: N818 - no programming error: the sender's type is not known here
-    """A payload is CDR of a type without a definition, or of an unknown type."""
-
-
-class MalformedPayload(ValueError):  # noqa: N818 - what a sender did, not what we did
-    """A payload is neither a JSON object nor CDR of its type."""
 
 
 class PayloadDecoder:
@@ -72,9 +64,9 @@ class PayloadDecoder:
 
         Raises
         ------
-        UndefinedType
+        UndefinedTypeError
             The payload is CDR, and its type or the type's definition is not known.
-        MalformedPayload
+        PayloadError
             The payload is not what it should be.
         """
         name, kind = self._look_up(key, encoding)
@@ -82,11 +74,8 @@ class PayloadDecoder:
             return name, _json_object(payload)
         decoder = self._decoders.get(kind)
         if decoder is None:
-            raise UndefinedType(f"CDR, and no definition of {kind}" if kind else "CDR of a type that nobody told")
-        try:
-            return name, decoder.decode(payload)
-        except CdrError as error:
-            raise MalformedPayload(str(error)) from error
+            raise UndefinedTypeError(f"CDR, and no definition of {kind}" if kind else "CDR of a type that nobody told")
+        return name, decoder.decode(payload)
 
     def _look_up(self, key: str, encoding: str) -> tuple[str, str | None]:
         """Return a key's message name and type: None for JSON, empty for CDR of a type that nobody told."""
@@ -128,7 +117,7 @@ def _json_object(payload: bytes) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         # the first byte of CDR, and none that JSON begins with
         cdr = "; if it is CDR, name its type in [zenoh_types]" if payload[:1] == b"\0" else ""
-        raise MalformedPayload(f"not JSON{cdr}") from error
+        raise PayloadError(f"not JSON{cdr}") from error
     if not isinstance(fields, dict):
-        raise MalformedPayload("not a JSON object")
+        raise PayloadError("not a JSON object")
     return fields

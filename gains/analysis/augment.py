@@ -30,7 +30,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gains.errors import InfeasibleError
+from adapters.errors import InfeasibleError
 from gains.plants.plant import FloatArray, Plant, check_independence
 
 LARGEST_VERTEX_COUNT = 1 << 10

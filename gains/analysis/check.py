@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from adapters.errors import ModelError
 from gains.analysis.augment import sloped_dynamics
 from gains.analysis.estimability import (
     Estimability,
@@ -22,7 +23,6 @@ from gains.analysis.estimability import (
 )
 from gains.analysis.hidden_modes import signal_scales, step_matrix
 from gains.analysis.zeros import Zero, invariant_zeros
-from gains.errors import ModelError
 from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant, first_dependent
 

@@ -17,10 +17,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from adapters.errors import InfeasibleError, ModelError
 from gains.analysis.augment import sloped_dynamics
 from gains.analysis.estimability import conditions, late_faults
 from gains.analysis.hidden_modes import HiddenMode
-from gains.errors import InfeasibleError, ModelError
 from gains.plants.plant import FloatArray, Plant, check_independence
 
 _SHARE = 0.05

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.simulation import Dynamics, Vectorised, compile_vectorised
 from gains.plants.expression import compile_expression, parse_expression
 from gains.plants.model_file import plant_of_document, read_document

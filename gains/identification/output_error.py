@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.excitation import Verdict, excitation_verdicts
 from gains.identification.free_model import FreeModel
 from gains.identification.noise_scales import NoiseScales, fit_noise_scales

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.segment import Segment
 
 FloatArray = NDArray[np.float64]

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.segment import Segment
 from gains.identification.simulation import Dynamics, Hold, Stepper
 from gains.plants.plant import FloatArray

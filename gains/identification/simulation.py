@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.plants.expression import FUNCTIONS, Apply, Argument, Node, Number, derivative, parse_expression
 from gains.plants.plant import FloatArray, Plant
 

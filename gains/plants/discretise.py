@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.plants.plant import Plant
 
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 
 _LONGEST = 300
 _CHARACTERS = re.compile(r"[A-Za-z0-9_+\-*/(). ]*")

@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
+from adapters.errors import ModelError
 from adapters.output_file import write_file
-from gains.errors import ModelError
 from gains.plants.model_table import Table
 from gains.plants.plant import Disturbance, Domain, Fault, FaultKind, FloatArray, Noise, Nonlinearity, Plant
 from gains.plants.slopes import check_slopes, slope_bounds

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.plants.plant import FloatArray, checked_array
 from gains.plants.slopes import Interval
 

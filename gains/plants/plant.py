@@ -18,7 +18,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 
 FloatArray = NDArray[np.float64]
 Domain = Literal["continuous", "discrete"]

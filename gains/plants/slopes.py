@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.plants.expression import (
     Apply,
     Argument,

@@ -26,7 +26,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gains.errors import InfeasibleError
+from adapters.errors import InfeasibleError
 from gains.plants.plant import FloatArray, Plant
 from gains.published.error_system import argument_rows
 from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_constant, scaled, solve

@@ -27,9 +27,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from adapters.errors import ModelError
 from gains.analysis.augment import slope_vertices
 from gains.analysis.hinf import hinf_norm
-from gains.errors import ModelError
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.continuous_observer import ContinuousObserver
 

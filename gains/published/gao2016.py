@@ -28,7 +28,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gains.errors import InfeasibleError
+from adapters.errors import InfeasibleError
 from gains.plants.plant import FloatArray, Plant
 from gains.published.error_system import argument_rows
 from gains.published.lmi import block_matrix, confirmed, gain_energy, reported_bound, scaled, solve_tempered

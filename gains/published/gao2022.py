@@ -24,7 +24,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gains.errors import InaccurateError, InfeasibleError
+from adapters.errors import InaccurateError, InfeasibleError
 from gains.plants.plant import Plant
 from gains.published.lmi import block_matrix, confirmed, gain_energy, reported_bound, scaled, solve_tempered
 from gains.synthesis.continuous_observer import ContinuousObserver, fauio_observer

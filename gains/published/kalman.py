@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from gains.errors import InfeasibleError, ModelError
+from adapters.errors import InfeasibleError, ModelError
 from gains.plants.discretise import discretise
 from gains.plants.model_file import model_hash
 from gains.plants.plant import FloatArray, Plant

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from adapters.errors import InaccurateError, InfeasibleError
 from gains.analysis.augment import augment
-from gains.errors import InaccurateError, InfeasibleError
 from gains.plants.plant import FloatArray, Plant
 from gains.published.error_system import Inputs, NoisePath, argument_rows, error_norm
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous

@@ -48,9 +48,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from adapters.errors import InaccurateError, InfeasibleError, ModelError
 from gains.analysis.augment import ErrorModel, augment, error_model, slope_vertices
 from gains.analysis.existence import check_existence
-from gains.errors import InaccurateError, InfeasibleError, ModelError
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.continuous_certificate import certify_continuous
 from gains.synthesis.continuous_design import ContinuousDesign

@@ -23,8 +23,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from adapters.errors import InfeasibleError
 from gains.analysis.augment import slope_vertices
-from gains.errors import InfeasibleError
 from gains.plants.plant import Plant
 from gains.published.error_system import argument_rows, slope_matrix
 from gains.published.lmi import block_matrix, confirmed, gain_energy, solve

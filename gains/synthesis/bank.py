@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from adapters.errors import InfeasibleError
 from gains.analysis.estimability import estimability, problem_of, restricted
-from gains.errors import InfeasibleError
 from gains.plants.model_file import model_hash
 from gains.plants.plant import Plant
 from gains.synthesis.design import Design

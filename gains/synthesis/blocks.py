@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adapters.errors import InaccurateError, ModelError
 from gains.analysis.augment import augment
-from gains.errors import InaccurateError, ModelError
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.certificate import certify
 from gains.synthesis.convex import GAIN_WEIGHT, design_convex

@@ -28,8 +28,8 @@ from typing import Any
 
 import numpy as np
 
+from adapters.errors import InfeasibleError
 from gains.analysis.augment import ErrorModel
-from gains.errors import InfeasibleError
 from gains.plants.plant import FloatArray
 from gains.synthesis.conditioning import Coordinates, with_floor
 

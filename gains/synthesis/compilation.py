@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from adapters.errors import InaccurateError, ModelError
 from gains.analysis.augment import augment, integrators
-from gains.errors import InaccurateError, ModelError
 from gains.plants.discretise import discretise
 from gains.plants.model_file import model_hash
 from gains.plants.plant import FloatArray, Plant

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adapters.errors import InfeasibleError
 from gains.analysis.augment import ErrorModel
 from gains.analysis.hinf import hinf_norm
-from gains.errors import InfeasibleError
 from gains.plants.plant import FloatArray
 
 FLOOR = 1e-2

@@ -29,8 +29,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from adapters.errors import ModelError
 from gains.analysis.augment import augment, slope_vertices
-from gains.errors import ModelError
 from gains.plants.model_file import model_hash
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.compilation import input_curves

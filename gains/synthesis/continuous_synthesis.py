@@ -31,10 +31,10 @@ from typing import Any
 
 import numpy as np
 
+from adapters.errors import InaccurateError, InfeasibleError, ModelError
 from gains.analysis.augment import ErrorModel, augment, error_model
 from gains.analysis.existence import check_existence
 from gains.analysis.hinf import hinf_norm
-from gains.errors import InaccurateError, InfeasibleError, ModelError
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.bounded_real import SOLVER, bordered
 from gains.synthesis.conditioning import FLOOR, Coordinates, doubled

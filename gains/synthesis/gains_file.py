@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.errors import ModelError
 from adapters.output_file import write_file
-from gains.errors import ModelError
 from gains.plants.expression import compile_expression
 
 FORMAT = 1

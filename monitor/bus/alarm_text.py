@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
+from adapters.errors import printable
 from monitor.event import AlarmEvent
-from monitor.printable import printable
 
 
 def alarm_line(event: AlarmEvent) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from monitor.errors import ProfileError
+from adapters.errors import UsageError
 
 ANY = "*"
 
@@ -16,7 +16,7 @@ def vehicle_root(prefix: str, vehicle: str) -> str:
 
     Raises
     ------
-    ProfileError
+    UsageError
         The prefix or the name cannot be part of a key.
     """
     chunks = [("prefix", chunk) for chunk in prefix.split("/")]
@@ -24,7 +24,7 @@ def vehicle_root(prefix: str, vehicle: str) -> str:
         chunks.append(("vehicle name", vehicle))
     for what, chunk in chunks:
         if not chunk or chunk.startswith("@") or _FORBIDDEN.search(chunk):
-            raise ProfileError(f"{what} '{chunk}' cannot be part of a Zenoh key; use letters, digits, - and _")
+            raise UsageError(f"{what} '{chunk}' cannot be part of a Zenoh key; use letters, digits, - and _")
     return f"{prefix}/{vehicle}"
 
 

@@ -10,9 +10,9 @@ from collections import deque
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from adapters.errors import printable
 from adapters.message import Message
 from monitor.bus.payload import to_json
-from monitor.printable import printable
 
 if TYPE_CHECKING:
     import zenoh

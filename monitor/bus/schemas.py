@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from adapters.errors import UsageError
 from adapters.output_file import write_file
 from monitor.bus.payload import ALARM_SCHEMA
-from monitor.errors import ProfileError
 
 _DIALECT = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
 _BY_NAME = {"type": "object", "additionalProperties": {"type": ["number", "null"]}}
@@ -148,11 +148,11 @@ def schema_text(name: str | None = None) -> str:
 
     Raises
     ------
-    ProfileError
+    UsageError
         There is none of this name.
     """
     if name is not None and name not in SCHEMAS:
-        raise ProfileError(f"schema '{name}': there is none; there are {', '.join(SCHEMAS)}")
+        raise UsageError(f"schema '{name}': there is none; there are {', '.join(SCHEMAS)}")
     return json.dumps(SCHEMAS if name is None else SCHEMAS[name], indent=2, ensure_ascii=False) + "\n"
 
 

@@ -331,7 +331,7 @@ def read_config(path: str | Path | None, given: Mapping[str, Any] | None = None,
 
     Raises
     ------
-    ProfileError
+    ConfigError
         The file cannot be read, is not TOML, has keys that are unknown, values of the wrong kind, or values that
         contradict each other. The message has a line for each: ``FILE:LINE: 'key' what is wrong; what to do``.
     """

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, Protocol, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from adapters.errors import ConfigError
 from monitor.configuration.toml_lines import KeyPath, key_lines, line_of
-from monitor.errors import ProfileError
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -79,7 +79,7 @@ def read_model(
 
     Raises
     ------
-    ProfileError
+    ConfigError
         With one line for each mistake, in the order of the file.
     """
     text = "" if path is None else _text(path)
@@ -105,16 +105,16 @@ def read_model(
     lines = key_lines(text)
     places = [_place(path, lines, given, mistake.path) for mistake in mistakes]
     order = sorted(range(len(mistakes)), key=lambda k: places[k][0])
-    raise ProfileError(*(f"{places[k][1]} {mistakes[k].what}" for k in order))
+    raise ConfigError(*(f"{places[k][1]} {mistakes[k].what}" for k in order))
 
 
 def _text(path: str | Path) -> str:
     try:
         return Path(path).read_text(encoding="utf-8")
     except FileNotFoundError as error:
-        raise ProfileError(f"{path}: no such file; docs/config-example.toml is one to begin with") from error
+        raise ConfigError(f"{path}: no such file; docs/config-example.toml is one to begin with") from error
     except UnicodeDecodeError as error:
-        raise ProfileError(f"{path}: not valid TOML: byte {error.start} is no UTF-8; save it as UTF-8") from error
+        raise ConfigError(f"{path}: not valid TOML: byte {error.start} is no UTF-8; save it as UTF-8") from error
 
 
 def _parsed(path: str | Path | None, text: str) -> dict[str, Any]:
@@ -125,17 +125,17 @@ def _parsed(path: str | Path | None, text: str) -> dict[str, Any]:
         line = at[1] if at else str(text.count("\n") + 1)
         what = _AT_LINE.sub("", str(error)).removesuffix(" (at end of document)")
         column = f"column {at[2]}" if at else "end of file"
-        raise ProfileError(f"{path}:{line}: not valid TOML at {column}: {what}") from error
+        raise ConfigError(f"{path}:{line}: not valid TOML at {column}: {what}") from error
     except RecursionError as error:
-        raise ProfileError(f"{path}: not valid TOML: nested too deeply") from error
+        raise ConfigError(f"{path}: not valid TOML: nested too deeply") from error
     except ValueError as error:
-        raise ProfileError(f"{path}: not valid TOML: a number in it is too long") from error
+        raise ConfigError(f"{path}: not valid TOML: a number in it is too long") from error
     level: list[Any] = [content]
     for _ in range(_DEEPEST):
         level = [inner for outer in level for inner in (outer.values() if isinstance(outer, dict) else outer)]
         level = [value for value in level if isinstance(value, dict | list)]
     if level:
-        raise ProfileError(f"{path}: nested more than {_DEEPEST} levels deep; nothing here needs that")
+        raise ConfigError(f"{path}: nested more than {_DEEPEST} levels deep; nothing here needs that")
     return content
 
 

@@ -161,12 +161,12 @@ def _print_lines(
 
 def run_command(args: argparse.Namespace) -> int:
     """Ask a monitor to do something to an alarm, print what it did."""
+    from adapters.errors import printable
     from adapters.zenoh.zenoh_session import endpoints, open_session
     from monitor.bus.alarm_text import alarm_line
     from monitor.bus.payload import to_json
     from monitor.console.operator_client import find_target, send_command
     from monitor.event import valid_event
-    from monitor.printable import printable
 
     details = {"by": args.by or _user(), "reason": args.reason, "minutes": getattr(args, "minutes", None)}
     connect = args.connect or [DEFAULT_CONNECT]
@@ -201,7 +201,7 @@ def _user() -> str:
 
 
 def _say(text: str) -> None:
-    from monitor.printable import printable
+    from adapters.errors import printable
 
     sys.stderr.write(f"fauio: {printable(text)}\n")
     sys.stderr.flush()

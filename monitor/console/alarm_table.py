@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Literal
 
+from adapters.errors import printable
 from monitor.event import AlarmEvent
-from monitor.printable import printable
 
 KEPT_CLEARED_S = 30.0
 MAX_ALARMS = 1000

@@ -12,10 +12,10 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from adapters.errors import printable
 from monitor.bus.status_watch import StatusWatch, VehicleStatus
 from monitor.bus.subscriber import AlarmSubscriber
 from monitor.console.alarm_table import AlarmRow, AlarmTable
-from monitor.printable import printable
 from monitor.views.palette import SEVERITY
 
 REFRESH_S = 0.25

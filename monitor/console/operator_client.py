@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 
 import zenoh
 
+from adapters.errors import UsageError, printable
 from monitor.bus.keys import ANY, vehicle_of, vehicle_root
 from monitor.bus.payload import decode_payload, to_json
-from monitor.errors import ProfileError
-from monitor.printable import printable
 
 ANSWER_S = 5.0
 TRIES = 10
@@ -54,7 +53,7 @@ def find_target(session: zenoh.Session, text: str, prefix: str, vehicle: str, en
 
     Raises
     ------
-    ProfileError
+    UsageError
         No monitor answers, or no alarm or several of them are meant.
     """
     root = vehicle_root(prefix, vehicle)
@@ -64,7 +63,7 @@ def find_target(session: zenoh.Session, text: str, prefix: str, vehicle: str, en
     answers = _ask(session, root, "alarms")
     if not answers:
         who = "no monitor answers" if vehicle == ANY else f"no monitor of '{vehicle}' answers"
-        raise ProfileError(f"{who} at {', '.join(endpoints)}; start one with 'fauio run', or give --connect")
+        raise UsageError(f"{who} at {', '.join(endpoints)}; start one with 'fauio run', or give --connect")
     active = {
         (answer.vehicle, alarm["id"], f"{alarm['observer']}/{alarm['channel']}")
         for answer in answers
@@ -74,9 +73,7 @@ def find_target(session: zenoh.Session, text: str, prefix: str, vehicle: str, en
         (name, channel) for name, own_id, channel in active if text in (own_id, channel, channel.partition("/")[2])
     )
     if len(meant) > 1:
-        raise ProfileError(
-            f"'{text}' is more than one alarm: {_listed(meant)}; add --vehicle, or name the observer too"
-        )
+        raise UsageError(f"'{text}' is more than one alarm: {_listed(meant)}; add --vehicle, or name the observer too")
     if meant:
         name, channel = meant[0]
         return Target(name, {"id": text} if whole == "id" else {"channel": channel})
@@ -85,7 +82,7 @@ def find_target(session: zenoh.Session, text: str, prefix: str, vehicle: str, en
     known = (
         f"active are {_listed(sorted((name, channel) for name, _, channel in active))}" if active else "none is active"
     )
-    raise ProfileError(f"no active alarm '{text}'; {known}")
+    raise UsageError(f"no active alarm '{text}'; {known}")
 
 
 def send_command(
@@ -95,7 +92,7 @@ def send_command(
 
     Raises
     ------
-    ProfileError
+    UsageError
         The monitor is not there, does not take this command, or says why not.
     """
     root = vehicle_root(prefix, vehicle)
@@ -104,13 +101,13 @@ def send_command(
     if isinstance(done, dict):
         return done
     if answers:
-        raise ProfileError(f"{verb}: {answers[0].error or 'the answer is no JSON object'}")
+        raise UsageError(f"{verb}: {answers[0].error or 'the answer is no JSON object'}")
     if any(reply.ok is not None for reply in session.liveliness().get(f"{root}/live", timeout=ANSWER_S)):
-        raise ProfileError(
+        raise UsageError(
             f"the monitor of '{vehicle}' does not take '{verb}'; its configuration has to allow it: "
             f'[commands] allow = ["{verb}"]'
         )
-    raise ProfileError(
+    raise UsageError(
         f"no monitor of '{vehicle}' answers to '{verb}': it is not running, or its configuration does not allow it "
         f'([commands] allow = ["{verb}"])'
     )

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
-from monitor.errors import ProfileError
+from adapters.errors import ProfileError
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.tables import Table
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.errors import ProfileError
+from adapters.errors import ProfileError
 from monitor.tables import Table
 
 METHODS = ("single", "independent", "bank")

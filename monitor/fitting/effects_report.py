@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.residuals import residual_statistics
 from gains.identification.segment import Segment
 from gains.identification.shooting import split_segments

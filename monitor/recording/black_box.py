@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from adapters.encoding.record import Record
-from adapters.errors import TelemetryError
+from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
 from monitor.event import AlarmEvent
 from monitor.recording.packed_record import PackedRecord, RecordPacking
@@ -116,7 +116,7 @@ class BlackBox:
 
     Raises
     ------
-    TelemetryError
+    StorageError
         The folder cannot be written to.
     """
 
@@ -283,7 +283,7 @@ class BlackBox:
                 self._recover()
             if clip.ended and not clip.waiting:
                 self._complete(clip)
-        except (OSError, TelemetryError) as error:
+        except (OSError, StorageError) as error:
             self._failed = str(error)
             self._postpone(clip)
             return 0

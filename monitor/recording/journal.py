@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from adapters.errors import StorageError
 from monitor.bus.payload import to_json
-from monitor.errors import ProfileError
 from monitor.event import AlarmEvent, valid_event
 from monitor.recording.journal_file import DamagedError, open_database, read_connection, set_aside
 from monitor.recording.journal_rows import LARGEST, Row, bounded, insert, plain, prune, shelve
@@ -100,7 +100,7 @@ class Journal:
 
     Raises
     ------
-    ProfileError
+    StorageError
         The file cannot be a journal: no folder, not writable, no database, another program's, of a newer version.
         A full or failing disk and a locked file raise nothing.
     """
@@ -154,7 +154,7 @@ class Journal:
             if self._connection is None:
                 try:
                     self._open()
-                except ProfileError as error:
+                except StorageError as error:
                     self._last_error = str(error)
             batch = [self._pending[index] for index in range(min(RETRIED_AT_ONCE, len(self._pending)))]
             if batch and self._commit(batch):

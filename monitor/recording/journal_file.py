@@ -7,7 +7,7 @@ import sqlite3
 import time
 from pathlib import Path
 
-from monitor.errors import ProfileError
+from adapters.errors import StorageError
 
 APPLICATION_ID = 0x6661_756A
 SCHEMA_VERSION = 1
@@ -69,7 +69,7 @@ def open_database(path: Path) -> sqlite3.Connection:
 
     Raises
     ------
-    ProfileError
+    StorageError
         The file cannot be a journal: no folder, not writable, another program's, of a newer version.
     DamagedError
         The file is a damaged database.
@@ -118,7 +118,7 @@ def set_aside(path: Path) -> Path:
 
     Raises
     ------
-    ProfileError
+    StorageError
         The folder does not allow it.
     """
     stem = f"{path.name}.damaged-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
@@ -133,27 +133,27 @@ def set_aside(path: Path) -> Path:
                 path.with_name(path.name + sidecar).rename(target.with_name(target.name + sidecar))
         path.rename(target)
     except OSError as error:
-        raise ProfileError(f"{path}: is damaged and cannot be renamed ({error.strerror}): move it away") from error
+        raise StorageError(f"{path}: is damaged and cannot be renamed ({error.strerror}): move it away") from error
     return target
 
 
 def _refuse_what_is_no_database(path: Path) -> None:
     """Tell a file that never was a database (somebody's, refused) from one that no longer is (damaged)."""
     if not path.parent.is_dir():
-        raise ProfileError(f"{path}: no folder '{path.parent}' for the journal: create it")
+        raise StorageError(f"{path}: no folder '{path.parent}' for the journal: create it")
     if path.is_dir():
-        raise ProfileError(f"{path}: is a folder: name a file for the journal")
+        raise StorageError(f"{path}: is a folder: name a file for the journal")
     try:
         with path.open("rb") as file:
             head = file.read(len(_MAGIC))
     except FileNotFoundError:
         return
     except OSError as error:
-        raise ProfileError(f"{path}: cannot be opened as journal: {error.strerror}") from error
+        raise StorageError(f"{path}: cannot be opened as journal: {error.strerror}") from error
     if head and not any(head):
         raise DamagedError("begins with zeros")
     if head and not _MAGIC.startswith(head) and head != _MAGIC:
-        raise ProfileError(f"{path}: is no database, so no journal: name another file")
+        raise StorageError(f"{path}: is no database, so no journal: name another file")
 
 
 def _prepare(path: Path, connection: sqlite3.Connection) -> None:
@@ -162,9 +162,9 @@ def _prepare(path: Path, connection: sqlite3.Connection) -> None:
     )
     tables = connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]
     if tables and application != APPLICATION_ID:
-        raise ProfileError(f"{path}: is the database of another program, not a journal: name another file")
+        raise StorageError(f"{path}: is the database of another program, not a journal: name another file")
     if tables and version > SCHEMA_VERSION:
-        raise ProfileError(f"{path}: journal of version {version}, written by a newer fauio: update, or move it away")
+        raise StorageError(f"{path}: journal of version {version}, written by a newer fauio: update, or move it away")
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = NORMAL")
     connection.execute(f"PRAGMA wal_autocheckpoint = {WAL_PAGES}")
@@ -191,4 +191,4 @@ def _explain(path: Path, error: sqlite3.DatabaseError) -> None:
         return
     if code in _DAMAGE:
         raise DamagedError(str(error)) from error
-    raise ProfileError(f"{path}: cannot be written as journal: {error}; may this user write there?") from error
+    raise StorageError(f"{path}: cannot be written as journal: {error}; may this user write there?") from error

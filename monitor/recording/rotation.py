@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Self
 
 from adapters.encoding.record import Record
-from adapters.errors import TelemetryError
+from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
 from monitor.estimate import Estimate, Layout
@@ -96,7 +96,7 @@ class RotatingRecorder:
 
     Raises
     ------
-    TelemetryError
+    StorageError
         The folder cannot be written to, or the budget is smaller than two files.
     """
 
@@ -115,7 +115,7 @@ class RotatingRecorder:
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         if budget_bytes < 2 * file_bytes:
-            raise TelemetryError(
+            raise StorageError(
                 f"{folder}: a recording budget of {budget_bytes} bytes is less than two files of {file_bytes} bytes; "
                 "raise the budget or lower the size of a file"
             )
@@ -167,7 +167,7 @@ class RotatingRecorder:
                     self._owed.sent(record, log.position + 1)
                     log.write_record(record)
                     self._file_records += 1
-            except (OSError, TelemetryError) as error:
+            except (OSError, StorageError) as error:
                 self._fail(error)
             if log is None and not self._owed.keep(record):
                 self._dropped += 1
@@ -189,7 +189,7 @@ class RotatingRecorder:
             if self._log is not None:
                 self._log.flush()
                 self._owed.settle()
-        except (OSError, TelemetryError) as error:
+        except (OSError, StorageError) as error:
             self._fail(error)
 
     def close(self) -> None:
@@ -318,7 +318,7 @@ def writable_folder(folder: str | os.PathLike[str]) -> Path:
 
     Raises
     ------
-    TelemetryError
+    StorageError
         There is none to be had, or nothing may be written there.
     """
     path = Path(folder)
@@ -326,7 +326,7 @@ def writable_folder(folder: str | os.PathLike[str]) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         advice = "name a folder that this user may write to"
-        raise TelemetryError(f"{path}: cannot hold recordings: {error.strerror}; {advice}") from error
+        raise StorageError(f"{path}: cannot hold recordings: {error.strerror}; {advice}") from error
     if not os.access(path, os.W_OK | os.X_OK):
-        raise TelemetryError(f"{path}: cannot hold recordings: it may not be written to")
+        raise StorageError(f"{path}: cannot hold recordings: it may not be written to")
     return path

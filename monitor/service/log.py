@@ -16,8 +16,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TextIO
 
+from adapters.errors import printable
 from monitor.event import AlarmEvent
-from monitor.printable import printable
 
 Level = Literal["debug", "info", "warning", "error"]
 

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from http import HTTPStatus
 
-from monitor.errors import ProfileError
+from adapters.errors import UsageError
 from monitor.service.health import Health, health_json
 from monitor.service.metrics import render
 
@@ -45,7 +45,7 @@ class MetricsServer:
 
     Raises
     ------
-    ProfileError
+    UsageError
         The address is none, is not on loopback, or is in use.
     """
 
@@ -135,18 +135,18 @@ def _listen(address: str) -> socket.socket:
     host, separator, port = address.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     if not separator or not port.isdecimal() or int(port) > 65535:
-        raise ProfileError(f"metrics address '{address}': is not HOST:PORT, for example 127.0.0.1:9464")
+        raise UsageError(f"metrics address '{address}': is not HOST:PORT, for example 127.0.0.1:9464")
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         host = "127.0.0.1" if host == "localhost" else host
         if not ipaddress.ip_address(host).is_loopback:
-            raise ProfileError(f"metrics address '{address}': is not on loopback; take 127.0.0.1 or [::1]")
-    except ProfileError:
+            raise UsageError(f"metrics address '{address}': is not on loopback; take 127.0.0.1 or [::1]")
+    except UsageError:
         raise
     except ValueError as error:
-        raise ProfileError(f"metrics address '{address}': host is no address; take 127.0.0.1 or [::1]") from error
+        raise UsageError(f"metrics address '{address}': host is no address; take 127.0.0.1 or [::1]") from error
     try:
         return socket.create_server((host, int(port)), family=family, backlog=MAX_CONNECTIONS)
     except OSError as error:
         reason = error.strerror or error
-        raise ProfileError(f"metrics address '{address}': cannot be listened on ({reason}): take another") from error
+        raise UsageError(f"metrics address '{address}': cannot be listened on ({reason}): take another") from error

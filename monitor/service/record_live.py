@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from adapters.errors import TelemetryError
+from adapters.errors import StorageError, TelemetryError, UsageError
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
 from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
-from monitor.errors import ProfileError
 from monitor.service.inbox import Inbox
 from monitor.service.links import FirstLook, open_links
 from monitor.service.log import Log
@@ -74,20 +73,20 @@ def record_live(config: Config, path: Path, seconds: float | None = None, *, as_
 
     Raises
     ------
-    ProfileError, TelemetryError
+    UsageError, StorageError, TelemetryError
         The file exists, or cannot be written; a link or the session cannot be used; nothing came until the end; the
         disk takes no more: what was flushed before stands in the file.
     """
     if not config.mavlink and not _over_zenoh(config):
-        raise ProfileError("no telemetry to listen to: give --mavlink URL or --zenoh KEYEXPR, or set it in --config")
+        raise UsageError("no telemetry to listen to: give --mavlink URL or --zenoh KEYEXPR, or set it in --config")
     if path.exists():
-        raise TelemetryError(f"{path}: is there already; name another file, or move it away")
+        raise StorageError(f"{path}: is there already; name another file, or move it away")
     try:
         found = _record(config, path, seconds, as_json)
     except OSError as error:
         if error.filename != str(path):
             raise
-        raise TelemetryError(
+        raise StorageError(
             f"{path}: {error.strerror}; what came until a second before is in it: free some space, and record to "
             "another file"
         ) from error

@@ -12,11 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adapters.errors import UsageError
 from adapters.zenoh.zenoh_session import endpoints
 from monitor.alarms.desk_rule import DeskRule
 from monitor.bus.status_watch import VehicleStatus
 from monitor.configuration.config import Config, Vehicle
-from monitor.errors import ProfileError
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import PROFILE_FILE, Profile, read_profile
@@ -73,7 +73,7 @@ class Station:
 
     Raises
     ------
-    ProfileError, TelemetryError
+    UsageError, TelemetryError
         A profile cannot be used, or a folder not written to.
     """
 
@@ -215,13 +215,13 @@ class Station:
     def _add(self, vehicle: Vehicle) -> Post:
         config, folder = self._config, vehicle.profile
         if folder is None:
-            raise ProfileError(f"vehicle '{vehicle.name}' has no profile: name one, made by 'fauio fit'")
+            raise UsageError(f"vehicle '{vehicle.name}' has no profile: name one, made by 'fauio fit'")
         if folder not in self._profiles:
             self._profiles[folder] = read_profile(folder)
         profile = self._profiles[folder]
         pipeline = Pipeline(profile, vehicle.name, vehicle.system or None, vehicle.component)
         if pipeline.vehicle in self._posts:
-            raise ProfileError(f"two vehicles are called '{pipeline.vehicle}'; give each a name of its own")
+            raise UsageError(f"two vehicles are called '{pipeline.vehicle}'; give each a name of its own")
         with ExitStack() as stack:
             archive = self._archive(pipeline, profile, stack)
             archives: list[Any] = [] if archive is None else [archive]

@@ -71,7 +71,7 @@ class LiveView:
 
     Raises
     ------
-    LiveViewError
+    UsageError
         The port is taken, or Rerun's executable is missing.
     """
 

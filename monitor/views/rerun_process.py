@@ -15,6 +15,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
+from adapters.errors import UsageError
+
 Mode = Literal["serve", "spawn"]
 
 LOOPBACK = "127.0.0.1"
@@ -25,12 +27,6 @@ _STOP_S = 1.0
 # waits for its standard input to end, as it does when whoever holds the other end is gone, however it went
 _KILL_AT_EOF = 'read -r _; kill -9 "$1"'
 _LEAVE_S = 0.3
-
-
-class LiveViewError(ValueError):
-    """A live view that cannot be started; the message says what to do."""
-
-    exit_status = 2
 
 
 class RerunProcess:
@@ -134,14 +130,14 @@ def rerun_binary() -> str:
 
     Raises
     ------
-    LiveViewError
+    UsageError
         There is none.
     """
     package = find_spec("rerun_cli")
     folders = package.submodule_search_locations if package is not None else None
     path = Path(os.environ.get("RERUN_CLI_PATH") or Path(folders[0] if folders else "", "rerun"))
     if not os.access(path, os.X_OK):
-        raise LiveViewError(f"{path}: Rerun's executable is not there; install rerun-sdk again or set RERUN_CLI_PATH")
+        raise UsageError(f"{path}: Rerun's executable is not there; install rerun-sdk again or set RERUN_CLI_PATH")
     return str(path)
 
 
@@ -150,7 +146,7 @@ def require_free(port: int) -> None:
 
     Raises
     ------
-    LiveViewError
+    UsageError
         Somebody does, or it is no port.
     """
     with socket.socket() as probe:
@@ -158,4 +154,4 @@ def require_free(port: int) -> None:
         try:
             probe.bind((LOOPBACK, port))
         except (OSError, OverflowError) as error:
-            raise LiveViewError(f"--rerun: cannot listen on {LOOPBACK}:{port}: {error}; choose another port") from error
+            raise UsageError(f"--rerun: cannot listen on {LOOPBACK}:{port}: {error}; choose another port") from error

@@ -14,6 +14,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from adapters.errors import UsageError
+
 Kind = Literal["bias", "ramp", "scale", "freeze", "replay", "noise", "delay", "drop", "spoof", "loss"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
@@ -47,12 +49,6 @@ _MEANINGS = {
     "spoof": "moves position and velocity together, up to {rate:g} m/s",
     "loss": "delivers {size:g} of the command less than commanded",
 }
-
-
-class InjectionError(ValueError):
-    """A fault that cannot be put on a recording; the message is one line for the user."""
-
-    exit_status = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,36 +103,36 @@ class Attack:
 
         Raises
         ------
-        InjectionError
+        UsageError
             It is not so.
         """
         if self.kind not in KINDS:
-            raise InjectionError(f"--kind {self.kind}: no such kind; use one of {', '.join(KINDS)}")
+            raise UsageError(f"--kind {self.kind}: no such kind; use one of {', '.join(KINDS)}")
         needed = _NEEDED[self.kind]
         for name, flag in _FLAGS.items():
             value = getattr(self, name)
             if value is None and name in needed:
-                raise InjectionError(f"--kind {self.kind} needs {flag}")
+                raise UsageError(f"--kind {self.kind} needs {flag}")
             if value is not None and name not in needed and name not in _ALLOWED.get(self.kind, ()):
-                raise InjectionError(f"{flag} means nothing to --kind {self.kind}; leave it out")
+                raise UsageError(f"{flag} means nothing to --kind {self.kind}; leave it out")
             if value is not None and not isfinite(value):
-                raise InjectionError(f"{flag} is {value}; give a finite number")
+                raise UsageError(f"{flag} is {value}; give a finite number")
         if self.end_ns <= self.start_ns:
-            raise InjectionError("--end is not after --start; nothing would be altered")
+            raise UsageError("--end is not after --start; nothing would be altered")
         if self.kind in ("noise", "delay") and not (self.size or 0.0) > 0.0:
-            raise InjectionError(f"--size {self.size:g} is not positive; --kind {self.kind} needs a positive one")
+            raise UsageError(f"--size {self.size:g} is not positive; --kind {self.kind} needs a positive one")
         if self.kind == "loss" and not 0.0 < (self.size or 0.0) <= 1.0:
-            raise InjectionError(f"--size {self.size:g}: a loss is a share of the command, above 0 and at most 1")
+            raise UsageError(f"--size {self.size:g}: a loss is a share of the command, above 0 and at most 1")
         if self.kind == "drop" and self.size is not None and not 0.0 < self.size <= 1.0:
-            raise InjectionError(f"--size {self.size:g}: the share of messages lost is above 0 and at most 1")
+            raise UsageError(f"--size {self.size:g}: the share of messages lost is above 0 and at most 1")
         if self.kind == "ramp" and (self.size or 0.0) * (self.rate or 0.0) < 0.0:
-            raise InjectionError("--size and --rate of a ramp have different signs; it would never get there")
+            raise UsageError("--size and --rate of a ramp have different signs; it would never get there")
         if self.kind == "loss" and self.rate is not None and self.rate <= 0.0:
-            raise InjectionError(f"--rate {self.rate:g} is not positive; a loss grows")
+            raise UsageError(f"--rate {self.rate:g} is not positive; a loss grows")
         if self.acceleration is not None and self.acceleration <= 0.0:
-            raise InjectionError(f"--accel {self.acceleration:g} is not positive; give the largest acceleration")
+            raise UsageError(f"--accel {self.acceleration:g} is not positive; give the largest acceleration")
         if self.source_ns is not None and self.source_ns >= self.start_ns:
-            raise InjectionError("--from is not before --start; only what was recorded earlier can be replayed")
+            raise UsageError("--from is not before --start; only what was recorded earlier can be replayed")
 
     def acts(self, stamp_ns: int) -> bool:
         """Return whether it acts at a time."""
@@ -191,7 +187,7 @@ class Attack:
 
         Raises
         ------
-        InjectionError
+        UsageError
             The kind changes no single value.
         """
         added = self.additive()
@@ -207,7 +203,7 @@ class Attack:
         if self.kind == "replay" and self.source_ns is not None:
             source_ns, length_ns = self.source_ns, self.start_ns - self.source_ns
             return _Past(lambda stamp_ns: source_ns + (stamp_ns - self.start_ns) % length_ns, self.start_ns)
-        raise InjectionError(f"--kind {self.kind} does not go with --channel {self.channel}")
+        raise UsageError(f"--kind {self.kind} does not go with --channel {self.channel}")
 
 
 class _Scaled:

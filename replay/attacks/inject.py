@@ -9,13 +9,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from adapters.errors import StorageError, TelemetryError, UsageError
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import read_mcap_metadata
 from adapters.logs.recordings import read_recording, recording_kind
 from adapters.message import Message
 from adapters.output_file import write_file
 from monitor.profile import read_profile
-from replay.attacks.attack import Attack, InjectionError, Kind
+from replay.attacks.attack import Attack, Kind
 from replay.attacks.injector import Injector, Plan, Senders, inject, plan, profile_clocks, survey_senders
 
 TRUTH = "truth"
@@ -87,14 +88,14 @@ def inject_recording(
 
     Raises
     ------
-    InjectionError
+    UsageError
         The attack does not make sense or would alter nothing.
     TelemetryError
         The recording cannot be read, or the file not be written.
     """
     kind = recording_kind(log)
     if out.resolve() == log.resolve():
-        raise InjectionError(f"{out}: is the recording itself; write to another file")
+        raise StorageError(f"{out}: is the recording itself; write to another file")
     draft = Attack(
         order.channel, order.kind, 0, 1 << 63, source_ns=None if order.source_s is None else -1, **_sizes(order)
     )
@@ -121,7 +122,7 @@ def inject_recording(
         raise
     if not injector.altered:
         out.unlink()
-        raise InjectionError(
+        raise UsageError(
             f"{log}: --kind {order.kind} altered nothing on {order.channel}; give a larger --size or another time"
         )
     write_file(truth_path(out), json.dumps(truth, indent=1) + "\n")
@@ -138,7 +139,7 @@ def choose_system(senders: Mapping[int, Senders], made: Plan, order: Order, log:
 
     Raises
     ------
-    InjectionError
+    UsageError
         None does.
     """
     wanted = sorted(made.messages)
@@ -147,9 +148,9 @@ def choose_system(senders: Mapping[int, Senders], made: Plan, order: Order, log:
         able = [number for number in able if number == order.system]
     if not able:
         whose = f" of system {order.system}" if order.system else ""
-        raise InjectionError(f"{log}: --channel {order.channel} needs {' or '.join(wanted)}{whose}, not in this log")
+        raise UsageError(f"{log}: --channel {order.channel} needs {' or '.join(wanted)}{whose}, not in this log")
     if senders[able[0]].first_ns is None:
-        raise InjectionError(f"{log}: no message of the vehicle has a time stamp; --start cannot be counted")
+        raise UsageError(f"{log}: no message of the vehicle has a time stamp; --start cannot be counted")
     return able[0]
 
 
@@ -171,7 +172,7 @@ def _timed(order: Order, sender: Senders, log: Path) -> Attack:
     elif order.duration_s is not None:
         end_ns = start_ns + round(order.duration_s * _SECOND_NS)
     if not first_ns <= start_ns <= last_ns:
-        raise InjectionError(
+        raise UsageError(
             f"{log}: the attack would begin outside; the log is {(last_ns - first_ns) / _SECOND_NS:.1f} s long, "
             f"{first_ns // 1_000_000} to {last_ns // 1_000_000} ms of the vehicle's clock"
         )
@@ -198,5 +199,5 @@ def _earlier(log: Path) -> list[dict[str, Any]]:
     try:
         faults = json.loads(text)["faults"] if text else []
     except (ValueError, KeyError, TypeError) as error:
-        raise InjectionError(f"{log}: its record of what was injected before is damaged: {error}") from error
+        raise TelemetryError(f"{log}: its record of what was injected before is damaged: {error}") from error
     return list(faults)

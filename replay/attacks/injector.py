@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from adapters.channels import Channel, parse_channel
-from adapters.errors import TelemetryError
+from adapters.errors import TelemetryError, UsageError
 from adapters.message import Message
 from monitor.profile import Profile
 from monitor.sampling.clock import VehicleClock
-from replay.attacks.attack import Attack, Change, InjectionError, Signal
+from replay.attacks.attack import Attack, Change, Signal
 from replay.attacks.instruments import INSTRUMENTS, SPOOFED, Quantity, Scene, alike, channel_quantity, unit_of
 from replay.attacks.plant_response import PlantResponse, find_fault, output_signals
 
@@ -133,7 +133,7 @@ def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, f
 
     Raises
     ------
-    InjectionError
+    UsageError
         The channel is unknown, or the kind does not go with it.
     """
     attack.check()
@@ -148,7 +148,7 @@ def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, f
         return _instrument_plan(attack, (channel_quantity(mapped),))
     faults = [fault.name for observer in (profile.observers if profile else ()) for fault in observer.faults]
     choice = ", ".join(dict.fromkeys((*INSTRUMENTS, *faults)))
-    raise InjectionError(
+    raise UsageError(
         f"--channel {channel}: no such channel; use one of {choice}, or MESSAGE.field with a message of the "
         f"log{'' if profile else '; a motor or another actuator needs --profile'}"
     )
@@ -163,7 +163,7 @@ def _field(channel: str, names: frozenset[str], clocks: Mapping[str, Channel]) -
     try:
         found = parse_channel(channel, {"message": message, "field": path}, f"--channel {channel}")
     except TelemetryError as error:
-        raise InjectionError(str(error)) from error
+        raise UsageError(str(error)) from error
     clock = clocks.get(message)
     return replace(found, clock=clock.clock, clock_unit_ns=clock.clock_unit_ns) if clock else found
 
@@ -172,12 +172,10 @@ def _instrument_plan(attack: Attack, quantities: Iterable[Quantity]) -> Plan:
     kind = attack.kind
     quantities = tuple(quantities)
     if kind == "loss":
-        raise InjectionError(f"--kind loss is for actuators with a model (--profile); {attack.channel} is a sensor")
+        raise UsageError(f"--kind loss is for actuators with a model (--profile); {attack.channel} is a sensor")
     if kind == "spoof":
         if attack.channel not in SPOOFED:
-            raise InjectionError(
-                f"--kind spoof moves a GPS: use --channel {' or '.join(SPOOFED)}, not {attack.channel}"
-            )
+            raise UsageError(f"--kind spoof moves a GPS: use --channel {' or '.join(SPOOFED)}, not {attack.channel}")
         position, velocity = attack.spoof()
         moved = INSTRUMENTS[SPOOFED[attack.channel]]
         targets = [Target(quantity, _plus(position)) for quantity in quantities]
@@ -185,7 +183,7 @@ def _instrument_plan(attack: Attack, quantities: Iterable[Quantity]) -> Plan:
     if kind == "drop":
         return Plan(tuple(Target(quantity, _plus(lambda _: 0.0)) for quantity in quantities), unit="share of messages")
     if kind == "scale" and any(quantity.circular for quantity in quantities):
-        raise InjectionError(f"--kind scale does not go with {attack.channel}: a heading has no size to scale")
+        raise UsageError(f"--kind scale does not go with {attack.channel}: a heading has no size to scale")
     unit = {"scale": "times", "delay": "s"}.get(kind, unit_of(attack.channel))
     grows = f"{unit} per second" if kind == "ramp" and unit else unit
     return Plan(tuple(Target(quantity, attack.change(quantity.from_home)) for quantity in quantities), unit=grows)
@@ -198,17 +196,15 @@ def _plant_plan(attack: Attack, observer: Any, plant: Any, fault: Any) -> Plan:
     if fault.kind == "sensor":
         signal = attack.additive()
         if signal is None:
-            raise InjectionError(f"--kind {kind} does not go with {channel} of the profile; use bias, ramp or noise")
+            raise UsageError(f"--kind {kind} does not go with {channel} of the profile; use bias, ramp or noise")
         moves = output_signals(plant, fault, lambda stamp_ns: fault.column * signal(stamp_ns))
     else:
         size = attack.growth if kind == "loss" else attack.additive()
         if size is None or (fault.input is None) == (kind == "loss"):
             use = "bias, ramp or noise" if fault.input is None else "loss"
-            raise InjectionError(f"--kind {kind} does not go with {channel} of the profile; use {use}")
+            raise UsageError(f"--kind {kind} does not go with {channel} of the profile; use {use}")
         if plant.nonlinearities:
-            raise InjectionError(
-                f"--channel {channel}: {plant.name} is nonlinear; only its sensors can be put at fault"
-            )
+            raise UsageError(f"--channel {channel}: {plant.name} is nonlinear; only its sensors can be put at fault")
         response = PlantResponse(plant, fault, observer.source.inputs, _within(attack, size))
         moves = output_signals(plant, fault, response.at)
         if response.command is not None:
@@ -216,7 +212,7 @@ def _plant_plan(attack: Attack, observer: Any, plant: Any, fault: Any) -> Plan:
     mapped = {output.name: output for output in observer.source.outputs}
     for output, move in moves:
         if output not in mapped:
-            raise InjectionError(f"--channel {channel}: output {output} of {plant.name} comes from no single message")
+            raise UsageError(f"--channel {channel}: output {output} of {plant.name} comes from no single message")
         for quantity, factor in alike(mapped[output]):
             targets.append(Target(quantity, _plus(move, factor), outlasts=response is not None))
     return Plan(tuple(targets), response, "share of the command" if kind == "loss" else fault.unit)

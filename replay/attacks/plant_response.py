@@ -29,13 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.channels import Channel
+from adapters.errors import UsageError
 from adapters.message import Message
 from gains.plants.discretise import discretise
 from gains.plants.model_file import read_model
 from gains.plants.plant import Fault, Plant
 from monitor.estimation.input_curve import effect_of_command
 from monitor.profile import ObserverProfile, Profile
-from replay.attacks.attack import InjectionError, Signal
+from replay.attacks.attack import Signal
 
 _MAX_STEPS = 2000
 _AUTOPILOT_OUTPUT = "SERVO_OUTPUT_RAW"
@@ -74,7 +75,7 @@ class PlantResponse:
         if fault.input is not None:
             self._channel = next((channel for channel in inputs if channel.name == fault.input), None)
             if self._channel is None:
-                raise InjectionError(f"{fault.name}: the profile maps no channel '{fault.input}'; nothing to lose")
+                raise UsageError(f"{fault.name}: the profile maps no channel '{fault.input}'; nothing to lose")
             if plant.curves:
                 self._curve = np.array([plant.curves[plant.inputs.index(fault.input)]])
         answered = self._channel is not None and self._channel.message == _AUTOPILOT_OUTPUT

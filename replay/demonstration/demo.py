@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.errors import FauioError
 from adapters.logs.mcap_reader import read_mcap_messages
 from adapters.simulation.arm import SCENARIOS
 from adapters.zenoh.zenoh_session import open_session
 from monitor.bus.subscriber import AlarmSubscriber
-from monitor.errors import ProfileError
 from monitor.event import AlarmEvent
 from monitor.profile import read_profile
 from monitor.trace import Trace
@@ -145,9 +145,9 @@ def _wait_for_monitor(subscriber: AlarmSubscriber, daemon: subprocess.Popen[str]
     while not subscriber.live:
         if daemon.poll() is not None:
             said = daemon.stderr.read().strip() if daemon.stderr is not None else ""
-            raise ProfileError(f"the monitor did not start: {said.splitlines()[-1] if said else 'no reason given'}")
+            raise FauioError(f"the monitor did not start: {said.splitlines()[-1] if said else 'no reason given'}")
         if time.monotonic() > deadline:
-            raise ProfileError(f"no monitor on Zenoh within {_START_TIMEOUT_S:g} s; is loopback TCP blocked?")
+            raise FauioError(f"no monitor on Zenoh within {_START_TIMEOUT_S:g} s; is loopback TCP blocked?")
         time.sleep(0.05)
 
 
@@ -168,7 +168,7 @@ def _watch(scene: Scene, subscriber: AlarmSubscriber, sender_command: Sequence[s
         sender.kill()
         sender.wait()
     if sender.returncode != 0:
-        raise ProfileError(f"the sender failed with status {sender.returncode}")
+        raise FauioError(f"the sender failed with status {sender.returncode}")
     return events
 
 

@@ -7,10 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from adapters.errors import TelemetryError
+from adapters.errors import InfeasibleError, ModelError, TelemetryError
 from gains.analysis.check import check_plant
 from gains.analysis.check_text import text as check_text
-from gains.errors import InfeasibleError, ModelError
 from gains.identification.free_model import read_free_model
 from gains.plants.model_file import BUILTIN_MODELS, load_model, read_document
 from gains.plants.plant import Plant

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from monitor.printable import printable
+from adapters.errors import printable
 
 _FORMATS = {
     "tlog": "MAVLink telemetry log",

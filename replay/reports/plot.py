@@ -13,11 +13,11 @@ from functools import partial
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
+from adapters.errors import printable
 from monitor.bus.alarm_text import utc
 from monitor.event import AlarmEvent
 from monitor.fitting.plot_style import DPI, STYLE, WIDTH_IN
 from monitor.fitting.small_png import save_small
-from monitor.printable import printable
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.views.palette import DARK, LIGHT, Theme
 from monitor.views.panels import Panels, Thresholds, Truth, choose_panels, same_scale

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.printable import printable
+from adapters.errors import printable
 from monitor.trace import AlarmSpan, Trace
 from monitor.views.palette import Theme
 from monitor.views.panels import Thresholds, Truth, evidence, fault_limits

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
-from monitor.printable import printable
+from adapters.errors import printable
 from monitor.views.palette import DARK, LIGHT
 from replay.reports.plot import colour_variables
 

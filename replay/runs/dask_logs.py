@@ -7,8 +7,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from adapters.errors import TelemetryError
-from monitor.errors import ExtraMissingError
+from adapters.errors import TelemetryError, UsageError
 from monitor.profile import Profile
 from replay.runs.many_logs import profile_of
 from replay.runs.one_log import LogOutcome, LogTask, replay_log
@@ -39,7 +38,7 @@ def replay_on_dask(files: Mapping[str, bytes], tasks: Sequence[LogTask], address
 
     Raises
     ------
-    ExtraMissingError
+    UsageError
         Dask is not installed.
     TelemetryError
         There is no cluster at that address.
@@ -47,7 +46,7 @@ def replay_on_dask(files: Mapping[str, bytes], tasks: Sequence[LogTask], address
     try:
         from distributed import Client
     except ImportError as error:
-        raise ExtraMissingError("--dask: Dask is not installed; run: pip install 'fauio[dask]'") from error
+        raise UsageError("--dask: Dask is not installed; run: pip install 'fauio[dask]'") from error
     try:
         client = Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:

@@ -11,7 +11,7 @@ from operator import itemgetter
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from adapters.errors import TelemetryError
+from adapters.errors import UsageError
 from adapters.logs.recordings import read_recording, recording_kind
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink.byte_link import Address, resolve
@@ -50,7 +50,7 @@ class LiveReplay:
 
     Raises
     ------
-    TelemetryError
+    UsageError
         The speed is not positive, an address is not understood, or the Zenoh session cannot be opened.
     """
 
@@ -65,7 +65,7 @@ class LiveReplay:
         on_event: Callable[[AlarmEvent], None] | None = None,
     ) -> None:
         if speed is not None and not speed > 0.0:
-            raise TelemetryError(f"--speed {speed:g}: has to be positive")
+            raise UsageError(f"--speed {speed:g}: has to be positive")
         self._speed = speed
         self._prefix = prefix
         self._on_event = on_event or _nothing
@@ -90,7 +90,7 @@ class LiveReplay:
 
         Raises
         ------
-        TelemetryError
+        UsageError
             The log cannot be read, or packets are to be sent and it holds none.
         """
         only = None if task.record else interests(profile)
@@ -99,7 +99,7 @@ class LiveReplay:
         )
         if self._to is not None:
             if recording_kind(task.path) != "tlog":
-                raise TelemetryError(f"{task.log}: --udp sends packets as they came, which only .tlog files hold")
+                raise UsageError(f"{task.log}: --udp sends packets as they came, which only .tlog files hold")
             source = heapq.merge(TlogReader(task.path).packets(), source, key=itemgetter(0))
         due = (item for _, item in source) if self._speed is None else paced(source, self._speed)
         return self._told(self._sent(due), Pipeline(profile, vehicle))
@@ -175,7 +175,7 @@ def _since(received_ns: int) -> Callable[[], int]:
 def _address(url: str) -> Address:
     kind, _, rest = url.partition(":")
     if kind not in ("udp", "udpout"):
-        raise TelemetryError(f"--udp {url}: use udp:HOST:PORT")
+        raise UsageError(f"--udp {url}: use udp:HOST:PORT")
     return resolve(f"--udp {url}", rest)
 
 

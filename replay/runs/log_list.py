@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from adapters.errors import TelemetryError
+from adapters.errors import StorageError, TelemetryError, UsageError
 from adapters.logs.recordings import recording_kind, session_files
 
 PLACE = "{log}"
@@ -80,7 +80,7 @@ def target(option: str, given: str | None, log: Log, suffix: str, *, many: bool)
 
     Raises
     ------
-    TelemetryError
+    UsageError
         One file was given for several logs.
     OSError
         A folder cannot be made.
@@ -92,7 +92,7 @@ def target(option: str, given: str | None, log: Log, suffix: str, *, many: bool)
     elif given.endswith(os.sep) or Path(given).is_dir() or (many and not Path(given).suffix):
         found = Path(given) / f"{log.name}{suffix}"
     elif many:
-        raise TelemetryError(
+        raise UsageError(
             f"{option} {given}: takes one log at a time; give a folder, or a name with {PLACE} in it, for several"
         )
     else:
@@ -106,13 +106,13 @@ def forbid_overwriting(logs: Sequence[Log], targets: Sequence[Path]) -> None:
 
     Raises
     ------
-    TelemetryError
+    StorageError
         It is one.
     """
     read = {path.resolve() for log in logs for path in (log.path, *_files(log.path))}
     for path in targets:
         if path.resolve() in read:
-            raise TelemetryError(f"{path}: is one of the logs and would be overwritten; write somewhere else")
+            raise StorageError(f"{path}: is one of the logs and would be overwritten; write somewhere else")
 
 
 def check_output(path: Path) -> None:
@@ -120,15 +120,15 @@ def check_output(path: Path) -> None:
 
     Raises
     ------
-    TelemetryError
+    StorageError
         It is a folder, its folder does not exist, or this user may not write there.
     """
     if path.is_dir():
-        raise TelemetryError(f"{path}: is a folder; name a file to write")
+        raise StorageError(f"{path}: is a folder; name a file to write")
     if not path.parent.is_dir():
-        raise TelemetryError(f"{path}: there is no folder {path.parent}; make it first")
+        raise StorageError(f"{path}: there is no folder {path.parent}; make it first")
     if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise TelemetryError(f"{path}: this user may not write there; choose another place")
+        raise StorageError(f"{path}: this user may not write there; choose another place")
 
 
 def check_output_folder(folder: Path) -> None:
@@ -136,14 +136,14 @@ def check_output_folder(folder: Path) -> None:
 
     Raises
     ------
-    TelemetryError
+    StorageError
         It is a file or below one, or this user may not write there.
     """
     there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     if not there.is_dir():
-        raise TelemetryError(f"{folder}: {there} is a file; name a folder to write")
+        raise StorageError(f"{folder}: {there} is a file; name a folder to write")
     if not os.access(there, os.W_OK):
-        raise TelemetryError(f"{folder}: this user may not write to {there}; choose another place")
+        raise StorageError(f"{folder}: this user may not write to {there}; choose another place")
 
 
 def _files(path: Path) -> Sequence[Path]:

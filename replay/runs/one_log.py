@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from adapters.batch import Batch
+from adapters.errors import FauioError
 from adapters.logs.damage import Damage
 from adapters.logs.recordings import Recording, packed, recorded_vehicle, recording_kind
 from adapters.message import Message
@@ -298,7 +299,7 @@ def _verdict(found: Replay, profile: Profile) -> str:
 
 def _reason(task: LogTask, error: Exception) -> str:
     """Return in one line why a log could not be replayed."""
-    if getattr(error, "exit_status", None) is not None:
+    if isinstance(error, FauioError):
         text = str(error)
     elif isinstance(error, OSError):
         text = f"{error.filename}: {error.strerror}" if error.filename else str(error)

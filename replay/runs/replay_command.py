@@ -11,6 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+from adapters.errors import UsageError
 from adapters.output_file import naming
 
 if TYPE_CHECKING:
@@ -134,24 +135,22 @@ def run_replay(args: argparse.Namespace) -> int:
 
 def _check(args: argparse.Namespace) -> None:
     """Refuse options that contradict each other."""
-    from adapters.errors import TelemetryError
     from monitor.configuration.config_values import listens_beyond_loopback
 
     if args.jobs is not None and args.jobs < 1:
-        raise TelemetryError(f"--jobs {args.jobs}: has to be at least 1")
+        raise UsageError(f"--jobs {args.jobs}: has to be at least 1")
     is_live = args.publish or args.udp is not None or args.speed is not None
     if is_live and (args.jobs is not None or args.dask is not None):
-        raise TelemetryError("--speed, --publish and --udp replay one log after the other, without --jobs or --dask")
+        raise UsageError("--speed, --publish and --udp replay one log after the other, without --jobs or --dask")
     if (args.listen or args.connect) and not args.publish:
-        raise TelemetryError("--listen and --connect go with --publish only")
+        raise UsageError("--listen and --connect go with --publish only")
     for endpoint in args.listen or ():
         if listens_beyond_loopback(endpoint) and not args.allow_public:
-            raise TelemetryError(f"--listen {endpoint}: other machines reach it; use 127.0.0.1, or --allow-public")
+            raise UsageError(f"--listen {endpoint}: other machines reach it; use 127.0.0.1, or --allow-public")
 
 
 def _tasks(args: argparse.Namespace, logs: Sequence[Log]) -> list[LogTask]:
     """Return what is to be done about each log."""
-    from adapters.errors import TelemetryError
     from replay.runs.log_list import check_output, forbid_overwriting, target
     from replay.runs.one_log import LogTask
 
@@ -185,9 +184,7 @@ def _tasks(args: argparse.Namespace, logs: Sequence[Log]) -> list[LogTask]:
         )
     targets = [path for task in tasks for path in task.targets]
     if len({path.resolve() for path in targets}) < len(targets):
-        raise TelemetryError(
-            "-o, --plot, --rrd and --report name the same file twice; give each output a name of its own"
-        )
+        raise UsageError("-o, --plot, --rrd and --report name the same file twice; give each output a name of its own")
     outputs = [*targets, *(path for path in (args.alarms, args.table) if path is not None)]
     forbid_overwriting(logs, outputs)
     for path in outputs:
@@ -253,8 +250,8 @@ class _Lines:
 
 def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:
     """Say what was found in a log."""
+    from adapters.errors import printable
     from monitor.bus.alarm_text import alarm_line
-    from monitor.printable import printable
 
     damage = [one.line() for one in outcome.damage]
     if outcome.error is not None:

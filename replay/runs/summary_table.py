@@ -8,10 +8,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from adapters.errors import TelemetryError
+from adapters.errors import UsageError
 from adapters.output_file import naming
 from monitor.bus.alarm_text import utc
-from monitor.errors import ExtraMissingError
 from replay.runs.one_log import LogOutcome
 
 COLUMNS: Mapping[str, type] = {
@@ -88,7 +87,7 @@ class SummaryTable:
     ------
     TelemetryError
         Another suffix.
-    ExtraMissingError
+    UsageError
         Parquet was asked for, and pyarrow is not installed.
     OSError
         The file cannot be written (any method).
@@ -97,7 +96,7 @@ class SummaryTable:
     def __init__(self, path: Path) -> None:
         kinds: Mapping[str, Callable[[Path], _Csv | _Parquet]] = {".csv": _Csv, ".parquet": _Parquet}
         if path.suffix.lower() not in kinds:
-            raise TelemetryError(f"--table {path}: unknown kind of table; use .csv or .parquet")
+            raise UsageError(f"--table {path}: unknown kind of table; use .csv or .parquet")
         self._path = path
         with naming(path):
             self._rows = kinds[path.suffix.lower()](path)
@@ -141,7 +140,7 @@ class _Parquet:
             import pyarrow
             import pyarrow.parquet
         except ImportError as error:
-            raise ExtraMissingError(
+            raise UsageError(
                 f"--table {path}: pyarrow is not installed; run: pip install 'fauio[parquet]', or write .csv"
             ) from error
         types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64()}

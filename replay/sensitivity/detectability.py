@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.errors import UsageError
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
 from monitor.alarms.alarm import AlarmRule
@@ -22,7 +23,7 @@ from monitor.estimate import Estimate
 from monitor.pipeline import Pipeline
 from monitor.profile import ObserverProfile, Profile, read_profile
 from monitor.sampling.phase import FlightPhase
-from replay.attacks.attack import KINDS, Attack, InjectionError
+from replay.attacks.attack import KINDS, Attack
 from replay.attacks.injector import plan
 from replay.sensitivity import windows
 from replay.sensitivity.trial import Outcome, Task, run_task
@@ -172,18 +173,18 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: Track = lambda i
 
     Raises
     ------
-    InjectionError
+    UsageError
         A channel or kind is unknown or does not go with the other, or too little flight was watched.
     TelemetryError, ProfileError
         The recording or the profile cannot be read.
     """
     profile = read_profile(folder)
     if not (sweep.before_s > 0.0 and sweep.after_s > 0.0):
-        raise InjectionError("--before and --after are seconds above zero; their sum is the window of a trial")
+        raise UsageError("--before and --after are seconds above zero; their sum is the window of a trial")
     chosen = _chosen(profile, sweep.channels)
     unknown = [kind for kind in sweep.kinds or () if kind not in KINDS]
     if unknown:
-        raise InjectionError(f"--kinds {unknown[0]}: no such kind; use some of {', '.join(KINDS)}")
+        raise UsageError(f"--kinds {unknown[0]}: no such kind; use some of {', '.join(KINDS)}")
     wanted = Pipeline(profile).interests | _SCENE_MESSAGES
     everything = list(track(read_recording(log, wanted), f"reading {log.name}"))
     system = _system(profile, everything)
@@ -197,7 +198,7 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: Track = lambda i
         if (attacks := _attacks(profile, folder, observer, rule, sweep, healthy, names, skipped))
     ]
     if not subjects:
-        raise InjectionError(skipped[0] if skipped else f"{folder}: the profile has no alarm to test")
+        raise UsageError(skipped[0] if skipped else f"{folder}: the profile has no alarm to test")
     onsets = {s.observer.name: _onsets(s.observer.name, healthy, sweep, log) for s in subjects}
     times_ns = windows.stamps(profile, messages)
     before_ns, after_ns = round(sweep.before_s * _SECOND_NS), round(sweep.after_s * _SECOND_NS)
@@ -245,7 +246,7 @@ def _chosen(profile: Profile, channels: Sequence[str]) -> list[tuple[ObserverPro
     known = [rule.channel for _, rule in found]
     for channel in channels:
         if channel not in known:
-            raise InjectionError(
+            raise UsageError(
                 f"--channel {channel}: the profile has no such alarm; it has {', '.join(dict.fromkeys(known))}"
             )
     return [(o, rule) for o, rule in found if not channels or rule.channel in channels]
@@ -302,8 +303,8 @@ def _attacks(
         attacks = [_attack(rule.channel, kind, size) for size in (sizes if kind not in _SIZELESS else (None,))]
         try:
             if not all(plan(attack, names, profile, folder).messages & names for attack in attacks):
-                raise InjectionError(f"--channel {rule.channel}: no message of the log carries it")
-        except InjectionError as error:
+                raise UsageError(f"--channel {rule.channel}: no message of the log carries it")
+        except UsageError as error:
             skipped.append(str(error))
             continue
         found += attacks
@@ -343,7 +344,7 @@ def _onsets(name: str, healthy: _Healthy, sweep: Sweep, log: Path) -> list[int]:
     found = windows.onsets(healthy.spans_ns[name], healthy.alarms_ns, before_ns, after_ns, sweep.onsets)
     if not found:
         longest = max((b - a for a, b in healthy.spans_ns[name]), default=0) / _SECOND_NS
-        raise InjectionError(
+        raise UsageError(
             f"{log}: no {sweep.before_s + sweep.after_s:g} s of watched flight without an alarm for '{name}' (longest "
             f"stretch {longest:.0f} s); give smaller --before and --after, or a longer healthy log"
         )

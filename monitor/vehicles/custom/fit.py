@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.channels import Channel, parse_channel
-from adapters.errors import TelemetryError
+from adapters.errors import InfeasibleError, ModelError, TelemetryError
 from adapters.message import Message
 from gains.analysis.estimability import problem_of
-from gains.errors import InfeasibleError, ModelError
 from gains.identification.fitted_plant import fitted_plant
 from gains.identification.free_model import FreeModel, read_free_model
 from gains.identification.output_error import FittedData, OutputErrorFit, identify

@@ -14,7 +14,7 @@ from math import exp
 import numpy as np
 from numpy.typing import NDArray
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 
 HORIZONTAL = ("north", "east")
 BODY = ("x", "y", "z")

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.segment import Segment
 from gains.plants.plant import Disturbance, Fault, Noise, Plant
 

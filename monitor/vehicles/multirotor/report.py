@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.residuals import residual_statistics
 from gains.identification.segment import Segment
 from gains.identification.shooting import split_segments

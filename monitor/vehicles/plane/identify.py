@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gains.errors import ModelError
+from adapters.errors import ModelError
 from gains.identification.regression import AxisFit, AxisModel, fit_axis
 from gains.identification.segment import Segment
 from gains.plants.plant import Disturbance, Fault, Noise, Plant
