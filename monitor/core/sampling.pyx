@@ -1,0 +1,1386 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+"""Messages of different rates -> samples (u, y) on a fixed-rate grid of the vehicle's clock.
+
+Tick k is at t_k = k / rate_hz on the vehicle's own clock, rounded to a nanosecond, so a monitor that starts
+late gives the same samples as one that was there from the start. The rules, in which only the messages and
+their order count:
+
+1. A measurement is (channel, stamp, value). The same channel and stamp again is a duplicate, ignored and
+   counted: GPS_RAW_INT repeated with an unchanged ``time_usec`` is one measurement. Stamp 0 of a MAVLink
+   message means that the sender has no time yet: ignored and counted, as is a clock field that is missing or
+   no number. A channel whose message has no clock field at all takes the newest time of the vehicle.
+2. Measurements may come in any order. One that is older than its channel's newest is put in its place as long
+   as its stamp lies after the last tick given out or skipped; otherwise it is late: dropped and counted.
+3. The grid starts when four measurements of every channel are there. Tick k is given out as soon as every
+   channel has a measurement at or after t_k: ``linear`` channels are interpolated between the two
+   measurements around t_k, ``previous`` ones hold the newest at or before it. So a sample comes at most one
+   period of the slowest channel after its time.
+4. A channel's nominal period is the median of its last 31 steps from stamp to stamp. If the measurements
+   around t_k are more than 1.5 periods apart (1 ms or a quarter of a period, whichever is less, is granted
+   for jitter), some were lost in between and the sample is marked ``complete=False``: an estimate, no
+   evidence. If three or more of an output's are missing, of one that comes at least at every second tick, it
+   is marked ``measured=False`` too: the observer coasts, for over such a distance its model says more than a
+   straight line. Without outputs any channel counts (the raw signals of a transform). If they are further apart
+   than 10 periods and than ``max_gap_s``, it is a gap: its ticks are skipped and the first sample after it is
+   marked ``restart=True``. The default of 0.1 s is ten samples at 100 Hz, about as long as a straight line says
+   something about a body rate; an observer is better started afresh than fed with more of it.
+5. A channel that stops while others go on is waited for until the vehicle's clock is 0.5 s and 10 of its
+   periods ahead; then ticks are skipped and measurements that only they would have used are dropped. Memory
+   is bounded.
+6. Which stamps to believe is decided by the clock (:class:`VehicleClock`): a reboot starts all buffers anew, a
+   single damaged stamp does not. A message with a doubtful stamp is held back until the next one decides about
+   it; the stamp of a 32-bit counter that turned over is continued.
+7. A value that is missing, no number or not finite is ignored and counted; other channels of the same message
+   are not affected.
+
+A batch is worked through message by message: of each message every sampler in turn, of each sampler every stream of
+that message. Nothing looks ahead, so it makes no difference how telemetry is cut into batches.
+"""
+
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from adapters.channels import CLOCK_UNITS_NS, MAX_VALUE, field_steps
+from adapters.sample import Samples
+
+from cpython.buffer cimport PyBUF_FORMAT, PyBUF_SIMPLE, PyBUF_STRIDES, PyBUF_WRITABLE
+from cpython.buffer cimport PyBuffer_Release, PyObject_GetBuffer
+from cpython.mem cimport PyMem_Free, PyMem_Malloc, PyMem_Realloc
+from libc.math cimport fmod, isfinite, rint
+from libc.stdlib cimport qsort
+from libc.string cimport memcpy, memmove
+
+cdef extern from *:
+    """
+    /* Products of two times need 126 bits; GCC and Clang have such integers on every 64-bit processor. */
+    typedef __int128 wide;
+    """
+    ctypedef long long wide
+
+ctypedef long long nanoseconds
+
+MAX_STAMP_NS = 1 << 62
+"""Stamps and arrival times at or beyond it (the year 2116) are damaged; sums of two below it fit into 64 bits."""
+
+cdef nanoseconds _MAX_STAMP = 1 << 62
+cdef nanoseconds _SECOND = 1_000_000_000
+cdef nanoseconds _MILLISECOND = 1_000_000
+# Codes in place of a stamp: a clock field that holds none, and no clock field at all.
+cdef nanoseconds _UNTIMED = -1
+cdef nanoseconds _CLOCKLESS = -2
+
+# The clock (VehicleClock says what for).
+cdef nanoseconds _TOLERANCE = _SECOND
+cdef nanoseconds _JUMP = 10 * _SECOND
+cdef nanoseconds _BUCKET = 5 * _SECOND
+cdef nanoseconds _BUCKETS = 12
+cdef nanoseconds _LEAST_SPAN = 15 * _SECOND
+cdef nanoseconds _LARGEST_SKEW_PPM = 500
+cdef nanoseconds[2] _TURNS
+_TURNS[0], _TURNS[1] = 1_000 << 32, 1_000_000 << 32
+
+# Lanes: rules 3 to 5.
+cdef int _FIRST_STEPS = 3
+cdef int _RELEARN_EVERY = 8
+cdef nanoseconds _SILENCE = 500 * _MILLISECOND
+cdef nanoseconds _GAP_PERIODS = 10
+cdef nanoseconds _LINE_PERIODS = 3
+cdef double _MAX_VALUE = MAX_VALUE
+CAPACITY = 1 << 14
+"""Most measurements a lane keeps; a flood of one channel while another is waited for drops the older half."""
+
+cdef Py_ssize_t _CAPACITY = CAPACITY
+# Ten times it still fits into 64 bits: a period of nine years.
+cdef nanoseconds _LONGEST_PERIOD = 1 << 58
+
+# Numbers of array lengths that C needs when it is compiled.
+cdef enum:
+    _MOST_POINTS = 64
+    _STEPS = 31
+
+
+cdef inline wide _floor_div(wide dividend, wide divisor) noexcept:
+    """Return the quotient rounded down; the divisor is positive."""
+    cdef wide quotient = dividend / divisor
+    if quotient * divisor > dividend:
+        quotient -= 1
+    return quotient
+
+
+cdef inline nanoseconds _bounded(wide value) noexcept:
+    """Return a time as 64 bits, the nearest that they hold."""
+    cdef wide most = <wide>_MAX_STAMP + (_MAX_STAMP - 1)
+    if value > most:
+        return <nanoseconds>most
+    if value < -most:
+        return <nanoseconds>-most
+    return <nanoseconds>value
+
+
+cdef struct Point:
+    # Stamp of a packet, and its delay: arrival minus stamp.
+    nanoseconds stamp
+    nanoseconds delay
+
+
+cdef class VehicleClock:
+    """Follows one vehicle's clock through its messages; what it says depends on nothing but them.
+
+    Belief. A stamp within 1 s of the newest one, before or after, is believed at once. One further away is
+    believed only when the next message has another stamp near it (at most 1 s before or 10 s after), so a
+    single damaged stamp changes nothing. Once believed, a step back of more than 1 s is a reboot and a step
+    ahead of more than 10 s a clock that was set: both start the clock anew and count in ``boot``.
+
+    Mapping. Arrival minus stamp is the clocks' offset, which drifts with the crystals' skew, plus a delay that is
+    never negative. Of each 5 s of vehicle time the least delayed packet is kept, for 60 s. The line below all of
+    these points with the least sum of distances to them is that of the packets nothing held up: offset and skew
+    at once (S. Moon, P. Skelly, D. Towsley, "Estimation and Removal of Clock Skew from Network Delay
+    Measurements", INFOCOM 1999). It is the edge of their lower convex hull below the mean of their stamps. Where
+    they span less than 15 s, or the edge is steeper than any crystal (500 ppm: simulated time that runs fast, a
+    clock that was just set), the least delay stands alone. A single arrival time that would lower the offset by
+    more than 1 s is not believed.
+
+    Attributes
+    ----------
+    boot : int
+        How often the clock started anew.
+    newest_ns : int
+        Newest believed vehicle time, nanoseconds; 0 before the first.
+    running : bool
+        Whether a stamp was believed since the clock started (anew).
+    """
+
+    cdef readonly int boot
+    cdef readonly nanoseconds newest_ns
+    cdef readonly bint running
+    cdef bint _has_candidate, _has_doubtful
+    cdef nanoseconds _candidate
+    cdef Point _doubtful
+    cdef Point[_MOST_POINTS] _points
+    cdef int _count
+    # The line: through a point, rise / run its slope.
+    cdef Point _anchor
+    cdef nanoseconds _rise, _run
+
+    def __cinit__(self):
+        self._run = 1
+
+    def near(self, stamp_ns):
+        """Return whether a stamp is close enough to the newest one to need no second opinion."""
+        return 0 <= stamp_ns < MAX_STAMP_NS and self._near(stamp_ns)
+
+    def unwrap(self, stamp_ns):
+        """Return the stamp of a 32-bit counter with the full turns added that bring it near the newest stamp.
+
+        ``time_boot_ms`` turns over after 49.7 days, the 32-bit ``time_usec`` of SERVO_OUTPUT_RAW after 71.6
+        minutes, while other clocks of the vehicle go on. A stamp no whole number of turns away is left as it
+        is.
+        """
+        return self._unwrap(stamp_ns) if 0 <= stamp_ns < MAX_STAMP_NS else stamp_ns
+
+    def observe(self, stamp_ns, received_ns):
+        """Learn a measurement's stamp and its time of arrival; return whether the stamp is believed."""
+        if not 0 <= stamp_ns < MAX_STAMP_NS:
+            return False
+        return self._observe(stamp_ns, max(-MAX_STAMP_NS, min(received_ns, MAX_STAMP_NS)))
+
+    def to_unix(self, vehicle_ns):
+        """Return the Unix time of a vehicle time, nanoseconds."""
+        return self._to_unix(vehicle_ns)
+
+    @property
+    def skew(self):
+        """How much faster Unix time goes than the vehicle's clock, as a share: 1e-4 is 100 ppm."""
+        return <double>self._rise / <double>self._run
+
+    cdef inline bint _near(self, nanoseconds stamp) noexcept:
+        return not self.running or -_TOLERANCE <= stamp - self.newest_ns <= _TOLERANCE
+
+    cdef nanoseconds _unwrap(self, nanoseconds stamp) noexcept:
+        cdef nanoseconds turn, unwrapped
+        cdef int i
+        for i in range(2):
+            turn = _TURNS[i]
+            unwrapped = stamp + <nanoseconds>rint(<double>(self.newest_ns - stamp) / <double>turn) * turn
+            if stamp < turn and self.running and self._near(unwrapped):
+                return unwrapped
+        return stamp
+
+    cdef bint _observe(self, nanoseconds stamp, nanoseconds received) noexcept:
+        cdef Point point
+        if not self._near(stamp):
+            if not self._confirmed(stamp):
+                return False
+            if not -_TOLERANCE <= stamp - self.newest_ns <= _JUMP:
+                self.boot += 1
+                self.running = False
+                self._count = 0
+                self._has_doubtful = False
+        self._has_candidate = False
+        if stamp > self.newest_ns or not self.running:
+            self.newest_ns = stamp
+            self.running = True
+        point.stamp = stamp
+        point.delay = received - stamp
+        self._learn(point)
+        return True
+
+    cdef bint _confirmed(self, nanoseconds stamp) noexcept:
+        """Return whether the stamp before, which was far from the newest one too, is near this one."""
+        cdef nanoseconds before = self._candidate
+        cdef bint had = self._has_candidate
+        if had and before == stamp:
+            return False
+        self._candidate = stamp
+        self._has_candidate = True
+        return had and -_TOLERANCE <= stamp - before <= _JUMP
+
+    cdef inline wide _delay_at(self, nanoseconds stamp) noexcept:
+        """Return the delay that the line has at a vehicle time, rounded down."""
+        if not self._rise:
+            return self._anchor.delay
+        return self._anchor.delay + _floor_div(<wide>(stamp - self._anchor.stamp) * self._rise, self._run)
+
+    cdef inline nanoseconds _to_unix(self, nanoseconds stamp) noexcept:
+        return _bounded(stamp + self._delay_at(stamp))
+
+    cdef void _learn(self, Point point) noexcept:
+        """Keep the delay of a message whose stamp is believed where it is the least of its 5 s."""
+        cdef wide early = self._delay_at(point.stamp) - point.delay
+        cdef wide apart
+        cdef Point before
+        cdef nanoseconds bucket
+        cdef int old
+        if self._count and early > _TOLERANCE:
+            before = self._doubtful
+            apart = <wide>before.delay - point.delay
+            had = self._has_doubtful
+            self._doubtful = point
+            self._has_doubtful = True
+            if not had or before.stamp == point.stamp or apart > _TOLERANCE or apart < -_TOLERANCE:
+                return
+            self._count = 0
+        self._has_doubtful = False
+        bucket = point.stamp // _BUCKET
+        if not self._count or bucket > self._points[self._count - 1].stamp // _BUCKET:
+            old = 1 if self._count == _MOST_POINTS else 0
+            while old < self._count and self._points[old].stamp // _BUCKET <= bucket - _BUCKETS:
+                old += 1
+            self._count -= old
+            memmove(self._points, self._points + old, self._count * sizeof(Point))
+            self._points[self._count] = point
+            self._count += 1
+        elif early > self._delay_at(self._points[self._count - 1].stamp) - self._points[self._count - 1].delay:
+            self._points[self._count - 1] = point
+        else:
+            return
+        self._draw_line()
+
+    cdef void _draw_line(self) noexcept:
+        """Draw the line below the points, horizontal where their lower edge tells no skew."""
+        cdef Point[_MOST_POINTS] hull
+        cdef Point least, left, right
+        cdef wide total = 0, rise
+        cdef int size = 0, i
+        # The lower convex hull of points in order of time (Andrew's monotone chain).
+        for i in range(self._count):
+            while size > 1 and not _turns_up(hull[size - 2], hull[size - 1], self._points[i]):
+                size -= 1
+            hull[size] = self._points[i]
+            size += 1
+            total += self._points[i].stamp
+        least = hull[0]
+        for i in range(1, size):
+            if hull[i].delay < least.delay:
+                least = hull[i]
+        self._anchor, self._rise, self._run = least, 0, 1
+        if hull[size - 1].stamp - hull[0].stamp < _LEAST_SPAN:
+            return
+        # The edge below the mean of the stamps has the least sum of distances to the points above it.
+        i = 1
+        while i < size - 1 and <wide>hull[i].stamp * self._count < total:
+            i += 1
+        left, right = hull[i - 1], hull[i]
+        rise = <wide>right.delay - left.delay
+        if (rise if rise >= 0 else -rise) * 1_000_000 <= <wide>_LARGEST_SKEW_PPM * (right.stamp - left.stamp):
+            self._anchor, self._rise, self._run = right, <nanoseconds>rise, right.stamp - left.stamp
+
+
+cdef inline bint _turns_up(Point first, Point middle, Point last) noexcept:
+    """Return whether the middle point lies below the line from the first to the last."""
+    return (<wide>middle.delay - first.delay) * (last.stamp - middle.stamp) < (
+        <wide>last.delay - middle.delay) * (middle.stamp - first.stamp)
+
+
+cdef class Grid:
+    """Ticks t_k = k / rate_hz, rounded to a nanosecond.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Ticks per second, as a fraction with a denominator of at most a million.
+    """
+
+    cdef wide _numerator, _denominator
+
+    def __init__(self, rate_hz):
+        period = 1_000_000_000 / Fraction(rate_hz).limit_denominator(1_000_000)
+        self._numerator, self._denominator = <nanoseconds>period.numerator, <nanoseconds>period.denominator
+
+    cpdef nanoseconds time_ns(self, nanoseconds index) noexcept:
+        """Return the time of a tick."""
+        return _bounded(_floor_div(2 * index * self._numerator + self._denominator, 2 * self._denominator))
+
+    cpdef nanoseconds index_at(self, nanoseconds time_ns) noexcept:
+        """Return the first tick at or after a time."""
+        cdef nanoseconds index = <nanoseconds>-_floor_div(-time_ns * self._denominator, self._numerator)
+        return index - 1 if self.time_ns(index - 1) >= time_ns else index
+
+
+cdef int _compare(const void* a, const void* b) noexcept nogil:
+    cdef nanoseconds first = (<const nanoseconds*>a)[0], second = (<const nanoseconds*>b)[0]
+    return (first > second) - (first < second)
+
+
+cdef nanoseconds _median(nanoseconds* steps, Py_ssize_t count) noexcept:
+    """Sort the steps and return the middle one, of an even number the smaller of the two."""
+    qsort(steps, count, sizeof(nanoseconds), _compare)
+    return steps[(count - 1) // 2]
+
+
+cdef enum Kind:
+    _LINEAR
+    _WRAPPING
+    _PREVIOUS
+
+
+cdef struct Column:
+    # One channel of a lane: its place in a row of its stream, and in [u; y].
+    int source
+    int place
+    Kind kind
+    double period
+
+
+cdef class Lane:
+    """Measurements of channels that came together: one stamp and one row of values each, in order of time.
+
+    Besides them it keeps the newest 31 steps from stamp to stamp among the measurements dropped, and what follows
+    from their median, in nanoseconds:
+
+    loss
+        Distance of neighbours beyond which measurements are missing between them.
+    line
+        Distance of neighbours beyond which a model says more of an output than the straight line between them.
+    gap
+        Distance of neighbours beyond which nothing is interpolated.
+    silence
+        How long a lane that stopped is waited for.
+    """
+
+    cdef Column* columns
+    cdef int width
+    cdef nanoseconds max_gap, slow
+    # Measurements start <= i < start + count of buffers with room for `room`.
+    cdef nanoseconds* _stamps
+    cdef double* _rows
+    cdef Py_ssize_t start, count, room
+    cdef nanoseconds[_STEPS] steps
+    cdef int newest_step
+    cdef nanoseconds learned
+    cdef nanoseconds loss, line, gap, silence
+
+    def __cinit__(self, int width, nanoseconds max_gap, nanoseconds slow):
+        self.width, self.max_gap, self.slow = width, max_gap, slow
+        self.columns = <Column*>PyMem_Malloc(width * sizeof(Column))
+        if self.columns == NULL:
+            raise MemoryError
+        self.set_limits(0)
+
+    def __dealloc__(self):
+        PyMem_Free(self.columns)
+        PyMem_Free(self._stamps)
+        PyMem_Free(self._rows)
+
+    cdef inline nanoseconds* stamps(self) noexcept:
+        return self._stamps + self.start
+
+    cdef inline double* row(self, Py_ssize_t i) noexcept:
+        return self._rows + (self.start + i) * self.width
+
+    cdef inline nanoseconds newest(self) noexcept:
+        return self._stamps[self.start + self.count - 1]
+
+    cdef void set_limits(self, nanoseconds period) noexcept:
+        """Let what follows from a period hold."""
+        period = min(period, _LONGEST_PERIOD)
+        self.gap = max(self.max_gap, _GAP_PERIODS * period)
+        self.loss = period + period // 2 + min(_MILLISECOND, period // 4)
+        self.line = self.gap if period >= self.slow else self.loss + (_LINE_PERIODS - 1) * period
+        self.silence = max(_SILENCE, _GAP_PERIODS * period)
+
+    cdef inline bint ready(self) noexcept:
+        """Return whether enough measurements came to tell their period."""
+        return self.learned + self.count > _FIRST_STEPS
+
+    cdef int settle(self) except -1:
+        """Learn the period from all that came so far."""
+        cdef Py_ssize_t known = min(self.learned, <nanoseconds>_STEPS), count = known + self.count - 1, i
+        cdef nanoseconds* steps = <nanoseconds*>PyMem_Malloc(count * sizeof(nanoseconds))
+        if steps == NULL:
+            raise MemoryError
+        memcpy(steps, self.steps, known * sizeof(nanoseconds))
+        for i in range(self.count - 1):
+            steps[known + i] = self.stamps()[i + 1] - self.stamps()[i]
+        self.set_limits(_median(steps, count))
+        PyMem_Free(steps)
+        return 0
+
+    cdef void clear(self) noexcept:
+        """Forget everything."""
+        self.start = self.count = self.learned = self.newest_step = 0
+        self.set_limits(0)
+
+    cdef inline void drop(self, Py_ssize_t count) noexcept:
+        """Drop the oldest measurements."""
+        self.start += count
+        self.count -= count
+
+    cdef int insert(self, Py_ssize_t at, nanoseconds stamp, const double* values) except -1:
+        """Put a measurement in its place; ``values`` are those of its stream's row."""
+        cdef Py_ssize_t room
+        cdef int i
+        cdef double* row
+        if self.start + self.count == self.room:
+            if self.start > self.room // 2:
+                memmove(self._stamps, self.stamps(), self.count * sizeof(nanoseconds))
+                memmove(self._rows, self.row(0), self.count * self.width * sizeof(double))
+                self.start = 0
+            else:
+                self.grow(2 * self.room if self.room else 16)
+        if at < self.count:
+            memmove(self.stamps() + at + 1, self.stamps() + at, (self.count - at) * sizeof(nanoseconds))
+            memmove(self.row(at + 1), self.row(at), (self.count - at) * self.width * sizeof(double))
+        self.stamps()[at] = stamp
+        row = self.row(at)
+        for i in range(self.width):
+            row[i] = values[self.columns[i].source]
+        self.count += 1
+        return 0
+
+    cdef int grow(self, Py_ssize_t room) except -1:
+        """Make room for so many measurements."""
+        cdef void* grown = PyMem_Realloc(self._stamps, room * sizeof(nanoseconds))
+        if grown == NULL:
+            raise MemoryError
+        self._stamps = <nanoseconds*>grown
+        grown = PyMem_Realloc(self._rows, room * self.width * sizeof(double))
+        if grown == NULL:
+            raise MemoryError
+        self._rows = <double*>grown
+        self.room = room
+        return 0
+
+    cdef void pass_to(self, nanoseconds time) noexcept:
+        """Drop what is older than the newest measurement at or before a time, and learn the steps passed."""
+        cdef nanoseconds* stamps = self.stamps()
+        cdef nanoseconds[_STEPS] steps
+        cdef Py_ssize_t count = 0
+        while count + 1 < self.count and stamps[count + 1] <= time:
+            self.steps[self.newest_step] = stamps[count + 1] - stamps[count]
+            self.newest_step = (self.newest_step + 1) % _STEPS
+            count += 1
+        self.learned += count
+        self.drop(count)
+        if self.learned >= _STEPS and self.learned % _RELEARN_EVERY < count:
+            memcpy(steps, self.steps, sizeof(steps))
+            self.set_limits(_median(steps, _STEPS))
+
+    cdef void interpolate(self, double fraction, double* vector) noexcept:
+        """Write the values between the two oldest measurements into [u; y]."""
+        cdef double* left = self.row(0)
+        cdef double* right = self.row(1)
+        cdef Column* column
+        cdef double step
+        cdef int i
+        for i in range(self.width):
+            column = self.columns + i
+            if column.kind == _LINEAR:
+                vector[column.place] = left[i] + (right[i] - left[i]) * fraction
+            elif column.kind == _WRAPPING:
+                step = _modulo(right[i] - left[i] + 0.5 * column.period, column.period) - 0.5 * column.period
+                vector[column.place] = left[i] + step * fraction
+            else:
+                vector[column.place] = left[i]
+
+    cdef Lane part(self, const double* values, bint missing):
+        """Return a lane with the same past of the columns whose value in a stream's row is there, or is missing."""
+        cdef int width = 0, i
+        cdef Py_ssize_t k
+        cdef Lane part
+        for i in range(self.width):
+            width += (values[self.columns[i].source] != values[self.columns[i].source]) == missing
+        part = Lane.__new__(Lane, width, self.max_gap, self.slow)
+        if self.count:
+            part.grow(self.count + 1)
+        width = 0
+        for i in range(self.width):
+            if (values[self.columns[i].source] != values[self.columns[i].source]) == missing:
+                part.columns[width] = self.columns[i]
+                for k in range(self.count):
+                    part._rows[k * part.width + width] = self.row(k)[i]
+                width += 1
+        if self.count:
+            memcpy(part._stamps, self.stamps(), self.count * sizeof(nanoseconds))
+        part.count = self.count
+        memcpy(part.steps, self.steps, sizeof(self.steps))
+        part.newest_step, part.learned = self.newest_step, self.learned
+        part.loss, part.line, part.gap, part.silence = self.loss, self.line, self.gap, self.silence
+        return part
+
+
+cdef inline double _modulo(double value, double period) noexcept:
+    """Return the remainder in [0, period)."""
+    cdef double rest = fmod(value, period)
+    return rest + period if rest < 0.0 else rest
+
+
+cdef class Stream:
+    """Channels that share message, selection and clock.
+
+    They start in one lane; a message that holds only some of them splits it.
+    """
+
+    cdef object channel
+    cdef list channels, lanes
+    cdef int width
+
+    def __init__(self, group, nanoseconds max_gap, nanoseconds slow, int first):
+        """Begin with ``group``, pairs of place in [u; y] and channel."""
+        cdef Lane lane = Lane.__new__(Lane, len(group), max_gap, slow)
+        cdef Column* column
+        cdef int i
+        self.channels = [channel for _, channel in group]
+        self.channel = self.channels[0]
+        self.width = len(group)
+        for i, (place, channel) in enumerate(group):
+            column = lane.columns + i
+            column.source, column.place = i, place
+            column.kind, column.period = _LINEAR, 0.0
+            if channel.interpolation == "previous":
+                column.kind = _PREVIOUS
+            elif channel.period is not None:
+                column.kind, column.period = _WRAPPING, channel.period
+        self.lanes = [lane]
+
+    cdef bint knows(self, nanoseconds stamp) noexcept:
+        """Return whether all channels have a newest measurement of this time."""
+        cdef Lane lane
+        for lane in self.lanes:
+            if not lane.count or lane.newest() != stamp:
+                return False
+        return True
+
+
+cdef struct Tick:
+    nanoseconds index
+    nanoseconds vehicle
+    nanoseconds unix_time
+    nanoseconds known
+    nanoseconds position
+    bint restart
+    bint complete
+    bint measured
+
+
+cdef class SamplerCore:
+    """Turns the messages of one vehicle into samples, by :func:`sample_batch`.
+
+    Parameters
+    ----------
+    inputs, outputs : Sequence[Channel]
+        Channels of u and of y, in the order of the plant model.
+    rate_hz : float
+        Samples per second of the vehicle's clock.
+    clock : VehicleClock
+        The vehicle's clock; several samplers may share it.
+    max_gap_s : float
+        Longest distance bridged by interpolation, seconds (at least 10 periods of the channel in any case).
+
+    Attributes
+    ----------
+    interests : frozenset[str]
+        Names of the messages the channels come from; others are ignored.
+
+    Raises
+    ------
+    ValueError
+        There is no channel, or the rate is not positive.
+    """
+
+    cdef readonly object interests
+    cdef VehicleClock _clock
+    cdef Grid _grid
+    cdef dict _streams
+    cdef list _lanes
+    cdef Lane _waiting
+    cdef int _boot, _inputs, _size, _first_measured
+    # The message held back because of its stamp.
+    cdef Stream _held
+    cdef nanoseconds _held_stamp
+    cdef double* _held_row
+    # The next tick and its time; the last tick given out or skipped; the last one given out and its Unix time.
+    cdef bint _started, _restarting, _has_unix
+    cdef nanoseconds _next_tick, _due, _last_tick, _unix_tick, _unix
+    cdef nanoseconds _messages, _duplicates, _late, _invalid, _untimed, _doubted
+    cdef nanoseconds _clock_restarts, _samples, _incomplete, _restarts, _skipped
+    # The samples of the batch.
+    cdef Tick* _ticks
+    cdef double* _vectors
+    cdef Py_ssize_t _count, _room
+    cdef nanoseconds _position
+    cdef object _none
+
+    def __init__(self, inputs, outputs, rate_hz, VehicleClock clock not None, max_gap_s=0.1):
+        cdef int widest
+        channels = (*inputs, *outputs)
+        if not channels or not 0 < rate_hz <= 1_000_000_000:
+            raise ValueError("a sampler needs a channel and a positive rate")
+        self._clock = clock
+        self._boot = clock.boot
+        self._inputs, self._size = len(inputs), len(channels)
+        # Raw signals of a transform count as inputs, and are all there is.
+        self._first_measured = len(inputs) if outputs else 0
+        self._grid = Grid(rate_hz)
+        groups = {}
+        for place, channel in enumerate(channels):
+            key = channel.message, channel.where, channel.clock, channel.clock_unit_ns
+            groups.setdefault(key, []).append((place, channel))
+        self._streams, self._lanes = {}, []
+        for (name, *_), group in groups.items():
+            stream = Stream(group, round(max_gap_s * 1e9), round(2.5e9 / rate_hz), self._first_measured)
+            self._streams.setdefault(name, []).append(stream)
+        for streams in self._streams.values():
+            for stream in streams:
+                self._lanes.extend((<Stream>stream).lanes)
+        self.interests = frozenset(self._streams)
+        widest = max(map(len, groups.values()))
+        self._held_row = <double*>PyMem_Malloc(widest * sizeof(double))
+        if self._held_row == NULL:
+            raise MemoryError
+        self._last_tick = self._due = -1
+        self._restarting = True
+
+    def __dealloc__(self):
+        PyMem_Free(self._held_row)
+        PyMem_Free(self._ticks)
+        PyMem_Free(self._vectors)
+
+    def restart(self):
+        """Mark the next sample as the first after a break."""
+        self._restarting = True
+
+    def counts(self):
+        """Return what was counted so far, by name."""
+        return {
+            "messages": self._messages,
+            "duplicates": self._duplicates,
+            "late": self._late,
+            "invalid": self._invalid,
+            "untimed": self._untimed,
+            "doubted": self._doubted,
+            "clock_restarts": self._clock_restarts,
+            "samples": self._samples,
+            "incomplete": self._incomplete,
+            "restarts": self._restarts,
+            "skipped": self._skipped,
+        }
+
+    @property
+    def waiting(self):
+        """Number of measurements of the lane that keeps most of them."""
+        return max([(<Lane>lane).count for lane in self._lanes])
+
+    cdef int feed(
+        self, Stream stream, nanoseconds stamp, nanoseconds received, const double* row, bint mavlink
+    ) except -1:
+        """Go on by one message of a stream: its stamp or a code, and its values, NaN where there is none."""
+        cdef VehicleClock clock = self._clock
+        cdef bint clockless = stamp == _CLOCKLESS
+        cdef Lane lane
+        self._messages += 1
+        if clockless and stream.channel.clock is None and clock.newest_ns > 0:
+            stamp = clock.newest_ns
+        if stamp < 0 or (stamp == 0 and mavlink):
+            self._untimed += 1
+            return 0
+        if stamp < clock.newest_ns - _SECOND:
+            stamp = clock._unwrap(stamp)
+        if stream.knows(stamp):
+            for lane in stream.lanes:
+                self._duplicates += lane.width
+        elif clockless or self.believe(stream, stamp, received, row):
+            self.store(stream, stamp, row)
+            self.give_out()
+        return 0
+
+    cdef int believe(self, Stream stream, nanoseconds stamp, nanoseconds received, const double* row) except -1:
+        """Return whether the stamp is believed; hold the message back where it is not, store the one held before."""
+        cdef VehicleClock clock = self._clock
+        cdef Stream held = self._held
+        cdef bint agrees = held is not None and not clock._near(stamp)
+        if not clock._observe(stamp, received):
+            self._doubted += held is not None
+            self._held, self._held_stamp = stream, stamp
+            memcpy(self._held_row, row, stream.width * sizeof(double))
+            return False
+        if clock.boot != self._boot:
+            self.start_anew()
+        if held is not None:
+            self._held = None
+            if agrees or clock._near(self._held_stamp):
+                self.store(held, self._held_stamp, self._held_row)
+            else:
+                self._doubted += 1
+        return True
+
+    cdef void start_anew(self) noexcept:
+        """Forget what came before the vehicle's clock started anew."""
+        cdef Lane lane
+        self._boot = self._clock.boot
+        self._clock_restarts += 1
+        for lane in self._lanes:
+            lane.clear()
+        self._waiting = None
+        self._started = self._has_unix = False
+        self._last_tick = self._due = -1
+        self._restarting = True
+
+    cdef int store(self, Stream stream, nanoseconds stamp, const double* row) except -1:
+        """Put a message's values into the lanes of its stream."""
+        cdef Lane lane, absent
+        cdef Py_ssize_t at = 0
+        cdef int missing, i
+        while at < len(stream.lanes):
+            lane = <Lane>stream.lanes[at]
+            at += 1
+            if lane.count and lane.newest() == stamp:
+                self._duplicates += lane.width
+                continue
+            missing = 0
+            for i in range(lane.width):
+                missing += row[lane.columns[i].source] != row[lane.columns[i].source]
+            self._invalid += missing
+            if missing == lane.width:
+                continue
+            if missing:
+                # Part the channels that are in the message from those that are not.
+                present, absent = lane.part(row, False), lane.part(row, True)
+                for lanes in (stream.lanes, self._lanes):
+                    place = lanes.index(lane)
+                    lanes[place : place + 1] = [present, absent]
+                if self._waiting is lane:
+                    self._waiting = None
+                lane = present
+                at += 1
+            self.insert(lane, stamp, row)
+        return 0
+
+    cdef int insert(self, Lane lane, nanoseconds stamp, const double* row) except -1:
+        """Put a measurement in its place in a lane, if it is neither known nor late."""
+        cdef Py_ssize_t low, high, middle
+        if not lane.count or stamp > lane.newest():
+            lane.insert(lane.count, stamp, row)
+            if lane.count > _CAPACITY:
+                lane.drop(_CAPACITY // 2)
+            return 0
+        low, high = 0, lane.count
+        while low < high:
+            middle = (low + high) // 2
+            if lane.stamps()[middle] < stamp:
+                low = middle + 1
+            else:
+                high = middle
+        if lane.stamps()[low] == stamp:
+            self._duplicates += lane.width
+        elif stamp <= self._last_tick or lane.count >= _CAPACITY:
+            self._late += lane.width
+        else:
+            lane.insert(low, stamp, row)
+        return 0
+
+    cdef int give_out(self) except -1:
+        """Give out all ticks for which every lane has a measurement at or after them."""
+        cdef Lane lane, waiting
+        cdef nanoseconds latest
+        while True:
+            waiting = self.find_waiting()
+            if waiting is not None:
+                self.give_up(waiting)
+                return 0
+            if self._started:
+                self.tick()
+                continue
+            latest = 0
+            for lane in self._lanes:
+                lane.settle()
+                latest = max(latest, lane.stamps()[0])
+            self._started = True
+            self.go_to(self._grid.index_at(latest))
+
+    cdef Lane find_waiting(self):
+        """Return a lane without a measurement at or after the next tick; before the first, one not ready."""
+        cdef Lane lane
+        if not self._started:
+            for lane in self._lanes:
+                if not lane.ready():
+                    return lane
+            return None
+        if self._waiting is None or self._waiting.newest() >= self._due:
+            self._waiting = None
+            for lane in self._lanes:
+                if lane.newest() < self._due:
+                    self._waiting = lane
+                    break
+        return self._waiting
+
+    cdef void go_to(self, nanoseconds index) noexcept:
+        self._next_tick = index
+        self._due = self._grid.time_ns(index)
+
+    cdef int tick(self) except -1:
+        """Give out the next tick, or skip the ticks of the gap it lies in."""
+        cdef nanoseconds due = self._due, left, right, width
+        cdef Tick* tick
+        cdef double* vector
+        cdef Lane lane
+        cdef int i
+        self.make_room()
+        tick, vector = self._ticks + self._count, self._vectors + self._count * self._size
+        tick.complete = tick.measured = True
+        tick.known = due
+        for lane in self._lanes:
+            if lane.count > 1 and lane.stamps()[1] <= due:
+                lane.pass_to(due)
+            left = lane.stamps()[0]
+            if left == due:
+                for i in range(lane.width):
+                    vector[lane.columns[i].place] = lane.row(0)[i]
+                continue
+            if left > due:
+                self.skip_to(left)
+                return 0
+            right = lane.stamps()[1]
+            width = right - left
+            tick.known = max(tick.known, right)
+            if width > lane.loss:
+                if width > lane.gap:
+                    self.skip_to(right)
+                    return 0
+                tick.complete = False
+                if width > lane.line and lane.columns[lane.width - 1].place >= self._first_measured:
+                    tick.measured = False
+            lane.interpolate(<double>(due - left) / <double>width, vector)
+        tick.index, tick.vehicle, tick.position = self._next_tick, due, self._position
+        tick.unix_time = self.to_unix(due)
+        tick.restart = self._restarting
+        self._count += 1
+        self._samples += 1
+        self._restarts += tick.restart
+        self._incomplete += not tick.complete
+        self._restarting = False
+        self._last_tick = due
+        self.go_to(self._next_tick + 1)
+        return 0
+
+    cdef int make_room(self) except -1:
+        """Make room for one more sample."""
+        cdef void* grown
+        cdef Py_ssize_t room
+        if self._count < self._room:
+            return 0
+        room = 2 * self._room if self._room else 8
+        grown = PyMem_Realloc(self._ticks, room * sizeof(Tick))
+        if grown == NULL:
+            raise MemoryError
+        self._ticks = <Tick*>grown
+        grown = PyMem_Realloc(self._vectors, room * self._size * sizeof(double))
+        if grown == NULL:
+            raise MemoryError
+        self._vectors = <double*>grown
+        self._room = room
+        return 0
+
+    cdef void skip_to(self, nanoseconds time) noexcept:
+        """Skip the ticks before a time."""
+        cdef nanoseconds index
+        if not self._started:
+            return
+        index = self._grid.index_at(time)
+        if index > self._next_tick:
+            self._skipped += index - self._next_tick
+            self._last_tick = self._grid.time_ns(index - 1)
+            self._restarting = True
+            self.go_to(index)
+
+    cdef void give_up(self, Lane lane) noexcept:
+        """Drop what has been waiting too long for a lane that stopped."""
+        cdef nanoseconds horizon = self._clock.newest_ns - lane.silence
+        cdef Lane other
+        if lane.count and lane.newest() >= horizon:
+            return
+        self.skip_to(horizon)
+        for other in self._lanes:
+            if other.count > 1 and other.stamps()[1] <= horizon:
+                other.pass_to(horizon)
+
+    cdef nanoseconds to_unix(self, nanoseconds tick) noexcept:
+        """Return a tick's Unix time, which never stands still while the clock's offset is being corrected."""
+        cdef nanoseconds unix_time = self._clock._to_unix(tick)
+        cdef wide least
+        if self._has_unix:
+            least = <wide>self._unix + (tick - self._unix_tick) // 2
+            if unix_time < least < <wide>unix_time + _SECOND:
+                unix_time = <nanoseconds>least
+        self._has_unix = True
+        self._unix_tick, self._unix = tick, unix_time
+        return unix_time
+
+    cdef object collect(self):
+        """Return the samples of the batch, and the position of the message that completed each."""
+        cdef Py_ssize_t count = self._count, k
+        cdef nanoseconds* times
+        cdef char* flags
+        cdef double* u
+        cdef double* y
+        cdef Tick* tick
+        cdef int outputs = self._size - self._inputs
+        if not count and self._none is not None:
+            return self._none
+        whole, marks = np.empty((5, count), np.int64), np.empty((3, count), np.bool_)
+        inputs, measured = np.empty((count, self._inputs)), np.empty((count, outputs))
+        times, flags = <nanoseconds*>_data(whole), <char*>_data(marks)
+        u, y = <double*>_data(inputs), <double*>_data(measured)
+        for k in range(count):
+            tick = self._ticks + k
+            times[k] = tick.index
+            times[count + k] = tick.vehicle
+            times[2 * count + k] = tick.unix_time
+            times[3 * count + k] = tick.known
+            times[4 * count + k] = tick.position
+            flags[k], flags[count + k], flags[2 * count + k] = tick.restart, tick.complete, tick.measured
+            memcpy(u + k * self._inputs, self._vectors + k * self._size, self._inputs * sizeof(double))
+            memcpy(y + k * outputs, self._vectors + k * self._size + self._inputs, outputs * sizeof(double))
+        samples = Samples(
+            whole[0], whole[1], whole[2], inputs, measured, marks[0], marks[1], whole[3], marks[2]
+        )
+        self._count = 0
+        found = samples, whole[4]
+        if not count:
+            # Most batches of a live link complete no sample of a slow observer.
+            self._none = found
+        return found
+
+
+cdef void* _data(array) except NULL:
+    """Return where a new array has its numbers."""
+    cdef Py_buffer view
+    PyObject_GetBuffer(array, &view, PyBUF_SIMPLE | PyBUF_WRITABLE)
+    cdef void* data = view.buf
+    PyBuffer_Release(&view)
+    return data
+
+
+class Taken(NamedTuple):
+    """What a batch of messages gave.
+
+    Parameters
+    ----------
+    samples : tuple[Samples, ...]
+        The samples of each sampler, in the order of the samplers.
+    position : tuple[NDArray[np.int64], ...]
+        For each sampler, the place in the batch of the message that completed each sample (n,).
+    newest_ns : NDArray[np.int64]
+        Newest time on the vehicle's clock after each message (batch.count,).
+    """
+
+    samples: tuple
+    position: tuple
+    newest_ns: object
+
+
+def sample_batch(VehicleClock clock not None, samplers, batch):
+    """Work through the messages of a batch; return the samples they complete. The whole batch is always used up.
+
+    Parameters
+    ----------
+    clock : VehicleClock
+        The vehicle's clock.
+    samplers : Sequence[SamplerCore]
+        Samplers that share this clock. Of each message they have their turns in this order.
+    batch : Batch
+        Messages of one vehicle, in the order of arrival. Those that are of no sampler's interest are passed over.
+    """
+    cdef Py_ssize_t count = batch.count, place
+    cdef SamplerCore sampler
+    cdef _Messages group
+    cdef list groups = [], feeds
+    cdef dict singles = {}
+    cdef int* owner
+    cdef nanoseconds* newest
+    for columns in batch.columns:
+        feeds = _interested(samplers, columns.name)
+        if feeds:
+            groups.append(_of_columns(columns, feeds))
+    for place, message in batch.others.items():
+        singles.setdefault(message.name, []).append((place, message))
+    for name, members in singles.items():
+        feeds = _interested(samplers, name)
+        if feeds:
+            groups.append(_of_messages(sorted(members, key=_place), feeds))
+    newest_ns = np.empty(count, np.int64)
+    newest = <nanoseconds*>_data(newest_ns)
+    owner = <int*>PyMem_Malloc((count + 1) * sizeof(int))
+    if owner == NULL:
+        raise MemoryError
+    try:
+        for place in range(count):
+            owner[place] = -1
+        for number, group in enumerate(groups):
+            for place in range(group.count):
+                if not 0 <= group.position[place] < count:
+                    raise IndexError("a message lies outside of its batch")
+                owner[group.position[place]] = number
+        for place in range(count):
+            if owner[place] >= 0:
+                group = <_Messages>groups[owner[place]]
+                group.feed_next(place)
+            newest[place] = clock.newest_ns
+    finally:
+        PyMem_Free(owner)
+    collected = [(<SamplerCore?>sampler).collect() for sampler in samplers]
+    return Taken(tuple([pair[0] for pair in collected]), tuple([pair[1] for pair in collected]), newest_ns)
+
+
+def _place(member):
+    return member[0]
+
+
+cdef list _interested(samplers, name):
+    """Return the streams that take messages of a name, with their samplers, in their turns."""
+    cdef SamplerCore sampler
+    return [(sampler, stream) for sampler in samplers for stream in sampler._streams.get(name, ())]
+
+
+cdef class _Feed:
+    """What one stream has of the messages of one name and sender: whether each is meant, its stamp, its values."""
+
+    cdef SamplerCore sampler
+    cdef Stream stream
+    cdef char* chosen
+    cdef nanoseconds* stamps
+    cdef double* values
+
+    def __cinit__(self, SamplerCore sampler, Stream stream, Py_ssize_t count):
+        cdef Py_ssize_t i
+        self.sampler, self.stream = sampler, stream
+        self.chosen = <char*>PyMem_Malloc(count + 1)
+        self.stamps = <nanoseconds*>PyMem_Malloc((count + 1) * sizeof(nanoseconds))
+        self.values = <double*>PyMem_Malloc((count * stream.width + 1) * sizeof(double))
+        if self.chosen == NULL or self.stamps == NULL or self.values == NULL:
+            raise MemoryError
+        for i in range(count):
+            self.chosen[i] = True
+            self.stamps[i] = _CLOCKLESS
+
+    def __dealloc__(self):
+        PyMem_Free(self.chosen)
+        PyMem_Free(self.stamps)
+        PyMem_Free(self.values)
+
+
+cdef class _Messages:
+    """The messages of one name and sender in a batch, and the feeds of the streams that take them."""
+
+    cdef Py_ssize_t count, next
+    cdef nanoseconds* position
+    cdef nanoseconds* received
+    cdef bint mavlink
+    cdef list feeds
+
+    def __cinit__(self, Py_ssize_t count, bint mavlink):
+        self.count, self.mavlink = count, mavlink
+        self.position = <nanoseconds*>PyMem_Malloc((count + 1) * sizeof(nanoseconds))
+        self.received = <nanoseconds*>PyMem_Malloc((count + 1) * sizeof(nanoseconds))
+        if self.position == NULL or self.received == NULL:
+            raise MemoryError
+
+    def __dealloc__(self):
+        PyMem_Free(self.position)
+        PyMem_Free(self.received)
+
+    cdef int feed_next(self, nanoseconds place) except -1:
+        """Give the next message to the samplers."""
+        cdef Py_ssize_t row = self.next
+        cdef _Feed feed
+        self.next += 1
+        for feed in self.feeds:
+            if feed.chosen[row]:
+                feed.sampler._position = place
+                feed.sampler.feed(
+                    feed.stream,
+                    feed.stamps[row],
+                    self.received[row],
+                    feed.values + row * feed.stream.width,
+                    self.mavlink,
+                )
+        return 0
+
+
+cdef _Messages _of_messages(list members, list feeds):
+    """Return messages that are no columns, with what the channels read in each."""
+    cdef Py_ssize_t count = len(members), row
+    cdef _Messages group = _Messages.__new__(_Messages, count, False)
+    cdef _Feed feed
+    cdef Stream stream
+    cdef int i
+    group.feeds = [_Feed.__new__(_Feed, sampler, stream, count) for sampler, stream in feeds]
+    for row, (place, message) in enumerate(members):
+        fields = message.fields
+        group.position[row] = place
+        group.received[row] = max(-MAX_STAMP_NS, min(message.received_ns, MAX_STAMP_NS))
+        for feed in group.feeds:
+            stream = feed.stream
+            feed.chosen[row] = stream.channel.selects(fields)
+            if not feed.chosen[row]:
+                continue
+            stamp = stream.channel.stamp_ns(fields)
+            if stamp is not None:
+                usable = 0 <= stamp < MAX_STAMP_NS and not (stamp == 0 and message.source == "mavlink")
+                feed.stamps[row] = stamp if usable else _UNTIMED
+            for i, channel in enumerate(stream.channels):
+                value = channel.value(fields)
+                feed.values[row * stream.width + i] = float("nan") if value is None else value
+    return group
+
+
+cdef _Messages _of_columns(columns, list feeds):
+    """Return the messages of columns, with what the channels read in each."""
+    cdef Py_ssize_t count = len(columns.position), row
+    cdef _Messages group = _Messages.__new__(_Messages, count, columns.source == "mavlink")
+    cdef _Feed feed
+    cdef Stream stream
+    cdef int i
+    fields = columns.fields
+    _read_times(columns.position, group.position, count)
+    _read_times(columns.received_ns, group.received, count)
+    for row in range(count):
+        group.received[row] = max(-_MAX_STAMP, min(group.received[row], _MAX_STAMP))
+    group.feeds = [_Feed.__new__(_Feed, sampler, stream, count) for sampler, stream in feeds]
+    for feed in group.feeds:
+        stream = feed.stream
+        for name, value in stream.channel.where:
+            _select(fields.get(name), value, feed.chosen, count)
+        _read_stamps(stream.channel, fields, feed.stamps, count)
+        for i, channel in enumerate(stream.channels):
+            _read_values(
+                _leaf(fields, channel.path), channel.scale, channel.offset, feed.values + i, stream.width, count
+            )
+    return group
+
+
+cdef object _leaf(fields, path):
+    """Return the column at the path of a field: one number of each message; None where there is none."""
+    column = fields.get(path[0])
+    if column is None or column.ndim != len(path):
+        return None
+    if len(path) == 1:
+        return column
+    step = path[1]
+    return column[:, step] if isinstance(step, int) and step < column.shape[1] else None
+
+
+cdef enum Number:
+    _NO_NUMBER
+    _SIGNED
+    _UNSIGNED
+    _FLOATING
+
+
+cdef struct View:
+    Py_buffer buffer
+    const char* start
+    Py_ssize_t stride
+    Py_ssize_t size
+    Number number
+
+
+cdef object _open(column, View* view, Py_ssize_t count):
+    """Open a column of numbers for reading; return what has to be kept meanwhile, None where it is no such column."""
+    cdef const char* code
+    if column is None:
+        return None
+    kind = column.dtype.kind
+    if kind not in "iuf" or column.ndim != 1 or len(column) < count:
+        return None
+    if not column.dtype.isnative or (kind == "f" and column.dtype.itemsize not in (4, 8)):
+        # Another byte order, or numbers of another width, as numbers that can be read.
+        column = column.astype(np.float64 if kind == "f" else column.dtype.newbyteorder("="))
+    PyObject_GetBuffer(column, &view.buffer, PyBUF_STRIDES)
+    view.start = <const char*>view.buffer.buf
+    view.stride = view.buffer.strides[0]
+    view.size = view.buffer.itemsize
+    view.number = _FLOATING if kind == "f" else _SIGNED if kind == "i" else _UNSIGNED
+    return column
+
+
+cdef inline long long _signed_at(View* view, Py_ssize_t row) noexcept:
+    """Return a signed integer; it need not lie at a multiple of its size."""
+    cdef const char* at = view.start + row * view.stride
+    cdef signed char one
+    cdef short two
+    cdef int four
+    cdef long long eight
+    if view.size == 8:
+        memcpy(&eight, at, 8)
+        return eight
+    if view.size == 4:
+        memcpy(&four, at, 4)
+        return four
+    if view.size == 2:
+        memcpy(&two, at, 2)
+        return two
+    memcpy(&one, at, 1)
+    return one
+
+
+cdef inline unsigned long long _unsigned_at(View* view, Py_ssize_t row) noexcept:
+    cdef const char* at = view.start + row * view.stride
+    cdef unsigned char one
+    cdef unsigned short two
+    cdef unsigned int four
+    cdef unsigned long long eight
+    if view.size == 8:
+        memcpy(&eight, at, 8)
+        return eight
+    if view.size == 4:
+        memcpy(&four, at, 4)
+        return four
+    if view.size == 2:
+        memcpy(&two, at, 2)
+        return two
+    memcpy(&one, at, 1)
+    return one
+
+
+cdef inline double _double_at(View* view, Py_ssize_t row) noexcept:
+    """Return a number as a float, rounded to the nearest."""
+    cdef const char* at = view.start + row * view.stride
+    cdef float four
+    cdef double eight
+    if view.number == _SIGNED:
+        return <double>_signed_at(view, row)
+    if view.number == _UNSIGNED:
+        return <double>_unsigned_at(view, row)
+    if view.size == 8:
+        memcpy(&eight, at, 8)
+        return eight
+    memcpy(&four, at, 4)
+    return four
+
+
+cdef int _read_times(column, nanoseconds* out, Py_ssize_t count) except -1:
+    """Copy a column of whole nanoseconds."""
+    cdef View view
+    cdef Py_ssize_t row
+    if _open(column, &view, count) is None:
+        raise TypeError("positions and times of arrival have to be columns of whole numbers")
+    for row in range(count):
+        out[row] = _signed_at(&view, row)
+    PyBuffer_Release(&view.buffer)
+    return 0
+
+
+cdef int _read_values(
+    column, double scale, double offset, double* out, Py_ssize_t stride, Py_ssize_t count
+) except -1:
+    """Read a channel's values, NaN where the field holds no number that can be one (rule 7)."""
+    cdef View view
+    cdef Py_ssize_t row
+    cdef double value
+    kept = _open(column, &view, count)
+    if kept is None:
+        for row in range(count):
+            out[row * stride] = float("nan")
+        return 0
+    for row in range(count):
+        value = scale * _double_at(&view, row) + offset
+        out[row * stride] = value if -_MAX_VALUE <= value <= _MAX_VALUE else float("nan")
+    PyBuffer_Release(&view.buffer)
+    return 0
+
+
+cdef int _read_stamps(channel, fields, nanoseconds* out, Py_ssize_t count) except -1:
+    """Read the stamps of a stream: its own clock, or the usual ones, the first that holds a number."""
+    if channel.clock is not None:
+        column = fields.get(channel.clock)
+        if column is None:
+            column = _leaf(fields, field_steps(channel.clock))
+        return _read_clock(column, channel.clock_unit_ns or CLOCK_UNITS_NS.get(channel.clock, 1), out, count)
+    for name, unit_ns in CLOCK_UNITS_NS.items():
+        column = fields.get(name)
+        if column is not None:
+            _read_clock(column, channel.clock_unit_ns or unit_ns, out, count)
+    return 0
+
+
+cdef int _read_clock(column, unit_ns, nanoseconds* out, Py_ssize_t count) except -1:
+    """Read the stamps of one clock field where none is known yet; codes where it holds none or one out of range."""
+    cdef View view
+    cdef Py_ssize_t row
+    cdef nanoseconds most = (MAX_STAMP_NS - 1) // unit_ns, unit = unit_ns if most else 0
+    cdef double factor = unit_ns, stamp
+    cdef unsigned long long whole
+    kept = _open(column, &view, count)
+    if kept is None:
+        return 0
+    for row in range(count):
+        if out[row] != _CLOCKLESS:
+            continue
+        if view.number == _FLOATING:
+            stamp = _double_at(&view, row) * factor
+            if isfinite(stamp):
+                stamp = rint(stamp)
+                out[row] = <nanoseconds>stamp if 0.0 <= stamp < 4611686018427387904.0 else _UNTIMED
+            continue
+        if view.number == _SIGNED and _signed_at(&view, row) < 0:
+            out[row] = _UNTIMED
+            continue
+        whole = _unsigned_at(&view, row)
+        out[row] = <nanoseconds>whole * unit if whole <= <unsigned long long>most else _UNTIMED
+    PyBuffer_Release(&view.buffer)
+    return 0
+
+
+cdef int _select(column, value, char* chosen, Py_ssize_t count) except -1:
+    """Keep the messages whose field has a value."""
+    cdef View view
+    cdef Py_ssize_t row
+    cdef long long wanted
+    kept = None
+    if isinstance(value, int) and -MAX_STAMP_NS < value < MAX_STAMP_NS and column is not None:
+        kept = _open(column, &view, count) if column.dtype.kind in "iu" else None
+    if kept is not None:
+        wanted = value
+        for row in range(count):
+            if view.number == _SIGNED:
+                chosen[row] &= _signed_at(&view, row) == wanted
+            else:
+                chosen[row] &= wanted >= 0 and _unsigned_at(&view, row) == <unsigned long long>wanted
+        PyBuffer_Release(&view.buffer)
+        return 0
+    for row in range(count):
+        chosen[row] &= column is not None and column[row].tolist() == value
+    return 0
