@@ -35,6 +35,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	PATH="$(BIN):$$PATH" cython-lint --max-line-length 120 $(CORE)
 	$(BIN)/hadolint Containerfile
 
 format: $(VENV)/.dev

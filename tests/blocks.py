@@ -11,7 +11,6 @@ import numpy as np
 from adapters.batch import Batch, Columns
 from adapters.message import Message
 from adapters.sample import Sample, Samples
-from adapters.source import MAVLINK
 from monitor.sampling.clock import VehicleClock
 from monitor.sampling.sampler import Sampler
 
@@ -25,7 +24,7 @@ def pack(messages: Sequence[Message], types: dict[str, Any] | None = None) -> Ba
     others: dict[int, Message] = {}
     for place, one in enumerate(messages):
         kinds = tuple((name, _kind(value)) for name, value in one.fields.items())
-        if one.source != MAVLINK or any(kind is None for _, kind in kinds):
+        if one.source != "mavlink" or any(kind is None for _, kind in kinds):
             others[place] = one
             continue
         members = groups.setdefault((one.source, one.name, one.system, one.component), [])

@@ -19,7 +19,6 @@ from adapters.batch import cut
 from adapters.channels import Channel
 from adapters.logs.tlog import read_tlog
 from adapters.message import Message
-from adapters.source import MAVLINK
 from monitor.sampling.block_sampler import sample_block
 from monitor.sampling.clock import VehicleClock
 from monitor.sampling.sampler import Sampler
@@ -88,7 +87,7 @@ def compare(
 
 
 def message(name: str, time_us: int, delay_ns: int = 0, **fields: Any) -> Message:
-    return Message(MAVLINK, name, UNIX + time_us * 1_000 + delay_ns, {"time_usec": time_us, **fields}, 1, 1)
+    return Message("mavlink", name, UNIX + time_us * 1_000 + delay_ns, {"time_usec": time_us, **fields}, 1, 1)
 
 
 WAVES = [Channel("a", "A", ("a",), 0.5, -1.0), Channel("turn", "A", ("turn",), period=6.25)]

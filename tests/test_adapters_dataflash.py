@@ -19,7 +19,6 @@ from adapters.errors import TelemetryError
 from adapters.logs.dataflash import CODES, DataflashReader
 from adapters.logs.log_bytes import LogStatistics
 from adapters.message import Message
-from adapters.source import DATAFLASH
 
 UNIX_S = 1_700_000_000
 
@@ -100,7 +99,7 @@ def test_values_times_and_instances_are_those_that_pymavlink_reads(
     assert len(ours) == len(LOG.ends)
     imu = next(message for message in ours if message.name == "IMU")
     assert imu.received_ns == (UNIX_S + 2) * 1_000_000_000
-    assert imu.source == DATAFLASH
+    assert imu.source == "dataflash"
 
 
 def test_the_codes_are_those_of_pymavlink() -> None:

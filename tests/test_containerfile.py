@@ -33,6 +33,12 @@ def test_what_is_copied_is_there_and_all_that_the_build_takes() -> None:
         assert any(path == one or path.startswith(f"{one}/") for one in copied()), f"{path} is not copied"
 
 
+def test_it_has_the_lowest_python_that_is_supported_which_the_tests_run_with_and_a_compiler_only_to_build() -> None:
+    lowest = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["requires-python"].removeprefix(">=")
+    (building, _, _), (shipped,) = (line.split() for line in instructions("FROM"))
+    assert (building, shipped) == (f"python:{lowest}-bookworm", f"python:{lowest}-slim-bookworm")
+
+
 def test_it_runs_the_daemon_as_nobody_special() -> None:
     (entry,), (command,) = instructions("ENTRYPOINT"), instructions("CMD")
     assert json.loads(entry) == ["fauio"]

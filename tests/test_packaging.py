@@ -11,7 +11,6 @@ import tarfile
 import venv
 import zipfile
 from collections.abc import Callable
-from email.message import Message
 from email.parser import Parser
 from pathlib import Path
 
@@ -19,6 +18,8 @@ import pytest
 from conftest import made_once
 
 ROOT = Path(__file__).parent.parent
+COMPILED = (".so", ".c")
+"""What compiling the core leaves beside its sources."""
 PACKAGES = ("adapters", "gains", "monitor", "replay")
 ALONGSIDE = (".ci", "bench", "docs", "examples", "systemd", "tests")
 FILES = (
@@ -34,23 +35,35 @@ FILES = (
 )
 
 
-def build(folder: Path) -> None:
-    """Build both distributions from a copy: nothing is left in the source tree or taken from an earlier build."""
+def build(folder: Path, *options: str) -> None:
+    """Build from a copy: nothing is left in the source tree, and nothing is taken that was built or compiled before."""
     source = folder / "source"
+    before = shutil.ignore_patterns("__pycache__", ".*_cache", *(f"*{ending}" for ending in COMPILED))
     for name in (*PACKAGES, *ALONGSIDE):
-        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", ".*_cache"))
+        shutil.copytree(ROOT / name, source / name, ignore=before)
     for name in FILES:
         shutil.copy(ROOT / name, source / name)
-    command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder / "dist"), str(source)]
+    command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder / "dist"), *options, str(source)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     shutil.rmtree(source / "fauio.egg-info")
+    for generated in source.rglob("*.c"):
+        if generated.with_suffix(".pyx").exists():
+            generated.unlink()
 
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with ``source/`` and what was built of it in ``dist/``."""
+    """Return a folder with ``source/`` and both distributions built of it in ``dist/``."""
     return made_once(tmp_path_factory, "distributions", build)
+
+
+@pytest.fixture(scope="module")
+def source_built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with ``source/`` and the source distribution in ``dist/``: nothing has to be compiled for it."""
+    folder = tmp_path_factory.mktemp("source_distribution")
+    build(folder, "--sdist")
+    return folder
 
 
 def wheel(built: Path) -> Path:
@@ -61,16 +74,17 @@ def files_below(root: Path, *folders: str) -> set[str]:
     return {str(path.relative_to(root)) for folder in folders for path in (root / folder).rglob("*") if path.is_file()}
 
 
-def metadata(built: Path) -> Message:
-    with zipfile.ZipFile(wheel(built)) as archive:
-        name = next(name for name in archive.namelist() if name.endswith("dist-info/METADATA"))
-        return Parser().parsestr(archive.read(name).decode())
-
-
-def test_the_wheel_holds_all_files_of_the_packages_and_nothing_else(built: Path) -> None:
+@pytest.mark.long
+def test_the_wheel_holds_all_files_of_the_packages_the_core_compiled_and_nothing_else(built: Path) -> None:
     names = set(zipfile.ZipFile(wheel(built)).namelist())
     about = {name for name in names if name.startswith("fauio-")}
-    assert names - about == {"fauio.py", *files_below(built / "source", *PACKAGES)}
+    sources = {"fauio.py", *files_below(built / "source", *PACKAGES)}
+    cython = {name for name in sources if name.endswith((".pyx", ".pxd"))}
+    suffix = sysconfig.get_config_var("EXT_SUFFIX")
+    core = {name.removesuffix(".pyx") + suffix for name in cython if name.endswith(".pyx")}
+    assert core
+    assert {name.removesuffix(suffix) + ".pyi" for name in core} <= names
+    assert names - about == (sources - cython) | core
     assert {f"{package}/py.typed" for package in PACKAGES} <= names
     assert {name.split("/", 1)[1] for name in about} == {
         "METADATA",
@@ -85,14 +99,19 @@ def test_the_wheel_holds_all_files_of_the_packages_and_nothing_else(built: Path)
     }
 
 
-def test_the_source_distribution_holds_all_that_builds_tests_and_documents_it(built: Path) -> None:
-    with tarfile.open(next((built / "dist").glob("*.tar.gz"))) as archive:
+def test_the_source_distribution_holds_all_that_builds_tests_and_documents_it(source_built: Path) -> None:
+    with tarfile.open(next((source_built / "dist").glob("*.tar.gz"))) as archive:
         names = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
-    assert names >= files_below(built / "source", *PACKAGES, *ALONGSIDE) | set(FILES)
+    assert names >= files_below(source_built / "source", *PACKAGES, *ALONGSIDE) | set(FILES)
+    assert not {name for name in names if name.startswith(PACKAGES) and name.endswith(COMPILED)}
 
 
-def test_the_metadata_states_licences_and_python_and_invents_no_address(built: Path) -> None:
-    stated = metadata(built)
+def test_the_metadata_states_licences_and_python_and_invents_no_address(source_built: Path) -> None:
+    with tarfile.open(next((source_built / "dist").glob("*.tar.gz"))) as archive:
+        name = min((name for name in archive.getnames() if name.endswith("/PKG-INFO")), key=len)
+        text = archive.extractfile(name)
+        assert text is not None
+        stated = Parser().parsestr(text.read().decode())
     assert stated["License-Expression"] == "Apache-2.0"
     assert stated.get_all("License-File") == ["LICENSE", "NOTICE"]
     assert stated["Requires-Python"] == ">=3.11"

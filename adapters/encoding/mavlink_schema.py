@@ -14,7 +14,6 @@ from adapters.batch import Columns
 from adapters.encoding.protobuf_rows import ProtobufRows
 from adapters.encoding.protobuf_types import Field, Scalar, message_class
 from adapters.message import Message
-from adapters.source import MAVLINK
 
 PACKAGE = "mavlink"
 
@@ -113,7 +112,7 @@ class MavlinkProtobuf:
         for field in self._repeated:
             fields[field] = list(fields[field])
         return Message(
-            source=MAVLINK,
+            source="mavlink",
             name=name,
             received_ns=received_ns,
             fields=fields,
@@ -159,7 +158,7 @@ class MavlinkProtobuf:
             rows = sender == one
             columns.append(
                 Columns(
-                    source=MAVLINK,
+                    source="mavlink",
                     name=name,
                     system=one >> 32,
                     component=one & 0xFFFFFFFF,

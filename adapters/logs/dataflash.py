@@ -16,7 +16,8 @@ from typing import Any, Final
 from adapters.errors import TelemetryError
 from adapters.logs.log_bytes import LogStatistics, Window, text
 from adapters.message import LATEST_NS, Message
-from adapters.source import DATAFLASH
+
+SOURCE: Final = "dataflash"
 
 # struct code, and by how much to divide: pymavlink's DFReader decodes the same, which the tests hold it against.
 CODES: Final[dict[str, tuple[str, float | None]]] = {
@@ -152,7 +153,7 @@ class DataflashReader:
                 continue
             name, fields = form.decode(body)
             if only is None or name in only:
-                yield Message(DATAFLASH, name, self._time_ns(fields, self._offset_ns), fields)
+                yield Message(SOURCE, name, self._time_ns(fields, self._offset_ns), fields)
         self._broken_off = window.cut or window.left > 0
         self._skipped_bytes += window.left
 

@@ -17,8 +17,8 @@ from adapters.errors import TelemetryError
 from adapters.logs.log_bytes import LogStatistics, Window, text
 from adapters.logs.ulog_format import UlogField, UlogType, compile_type, decode_keyed, parse_format
 from adapters.message import LATEST_NS, Message
-from adapters.source import ULOG
 
+SOURCE: Final = "ulog"
 # Records that are no topics, under names that no topic has.
 INFORMATION, PARAMETER, PARAMETER_DEFAULT = "log/information", "log/parameter", "log/parameter_default"
 TEXT, DROPOUT = "log/text", "log/dropout"
@@ -161,7 +161,7 @@ class UlogReader:
 
     def _message(self, name: str, fields: dict[str, Any]) -> Message:
         self._note_time(fields.get("timestamp"))
-        return Message(ULOG, name, (self._newest_us + (self._offset_us or 0)) * 1_000, fields)
+        return Message(SOURCE, name, (self._newest_us + (self._offset_us or 0)) * 1_000, fields)
 
     def _note_time(self, stamp_us: Any) -> None:
         """Take the time of a record, unless it is none or damaged."""

@@ -45,7 +45,7 @@ import numpy as np
 from adapters.channels import CLOCK_UNITS_NS, MAX_VALUE, field_steps
 from adapters.sample import Samples
 
-from cpython.buffer cimport PyBUF_FORMAT, PyBUF_SIMPLE, PyBUF_STRIDES, PyBUF_WRITABLE
+from cpython.buffer cimport PyBUF_SIMPLE, PyBUF_STRIDES, PyBUF_WRITABLE
 from cpython.buffer cimport PyBuffer_Release, PyObject_GetBuffer
 from cpython.mem cimport PyMem_Free, PyMem_Malloc, PyMem_Realloc
 from libc.math cimport fmod, isfinite, rint
@@ -450,7 +450,6 @@ cdef class Lane:
 
     cdef int insert(self, Py_ssize_t at, nanoseconds stamp, const double* values) except -1:
         """Put a measurement in its place; ``values`` are those of its stream's row."""
-        cdef Py_ssize_t room
         cdef int i
         cdef double* row
         if self.start + self.count == self.room:
@@ -1219,7 +1218,6 @@ cdef struct View:
 
 cdef object _open(column, View* view, Py_ssize_t count):
     """Open a column of numbers for reading; return what has to be kept meanwhile, None where it is no such column."""
-    cdef const char* code
     if column is None:
         return None
     kind = column.dtype.kind

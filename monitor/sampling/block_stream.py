@@ -91,7 +91,7 @@ class Heard:
                 self.limit = int(self.chosen[0])
         if stamps is None:
             stamps = np.full(count, UNTIMED)
-        least = 1 if columns.source.zero_stamp_is_unset else 0
+        least = 1 if columns.source == "mavlink" else 0
         row = np.flatnonzero(meant & (stamps >= least))
         self._raw = stamps[row]
         self._set(row, unwrapped(self._raw, np.full(len(row), newest_ns), _EXPECTED_NS))

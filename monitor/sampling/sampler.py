@@ -217,7 +217,7 @@ class Sampler:
         stream.clockless = stamp_ns is None
         if stamp_ns is None:
             return newest_ns if stream.channel.clock is None and newest_ns > 0 else None
-        if not 0 <= stamp_ns < MAX_STAMP_NS or (stamp_ns == 0 and message.source.zero_stamp_is_unset):
+        if not 0 <= stamp_ns < MAX_STAMP_NS or (stamp_ns == 0 and message.source == "mavlink"):
             return None
         if stamp_ns < newest_ns - _SECOND_NS:
             return self._clock.unwrap(stamp_ns)

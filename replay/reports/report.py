@@ -292,8 +292,7 @@ def _recording(run: Run) -> Iterator[Html]:
 
 def _of_stream(stream: StreamFacts) -> tuple[object, ...]:
     longest = max((gap.seconds for gap in stream.gaps), default=0.0)
-    has_ids = stream.source.is_telemetry and stream.source.has_ids
-    sender = f"system {stream.system}, component {stream.component}" if has_ids else stream.source.name
+    sender = f"system {stream.system}, component {stream.component}" if stream.source == "mavlink" else stream.source
     return (
         stream.name,
         sender,
