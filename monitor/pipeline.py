@@ -29,10 +29,10 @@ from monitor.alarms.link_alarms import LinkAlarms
 from monitor.alarms.stale import StaleAlarm
 from monitor.chain import ObserverChain, Output
 from monitor.chain_stretch import events_in_order
+from monitor.core.sampling import sample_batch
 from monitor.estimate import Estimate, Estimates, Layout, alone
 from monitor.event import AlarmEvent, is_seq, valid_event
 from monitor.profile import Profile
-from monitor.sampling.block_sampler import sample_block
 from monitor.sampling.clock import VehicleClock
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import SamplerStatistics
@@ -265,10 +265,7 @@ class Pipeline:
         before_ns = self._clock.newest_ns
         for chain in self._chains:
             chain.enter(self._phase)
-        taken = sample_block(self._clock, [chain.sampler for chain in self._chains], cut(block, 0, count))
-        count = taken.count
-        if not count:
-            return 0
+        taken = sample_batch(self._clock, [chain.sampler for chain in self._chains], cut(block, 0, count))
         newest_ns = np.concatenate(((before_ns,), taken.newest_ns))
         if (heard := np.flatnonzero(wanted[:count])).size:
             self._stale.pass_over(int(received_ns[heard].max()), int(newest_ns[heard[-1]]))

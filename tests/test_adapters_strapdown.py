@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import strapdown_truth as truth
+from sampled import rows
 
+from adapters.batch import pack
 from adapters.errors import TelemetryError
 from adapters.message import Message
-from monitor.sampling.clock import VehicleClock
+from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.sampler import Sampler
 from monitor.vehicles.inertial.kinematics import levelled_field, pressure_altitude
 from monitor.vehicles.inertial.strapdown import GPS, Strapdown
@@ -178,12 +180,9 @@ def test_angles_that_wrap_between_measurements_pass_the_sampler_unharmed() -> No
     raw, direct = truth.signals(30.0), disagreement(*truth.transformed(truth.signals(30.0)))
     assert np.ptp(raw[:, 13]) > 350.0
     sampler = Sampler(source.channels, [], 100.0, VehicleClock())
-    samples = []
-    for k, row in enumerate(raw):
-        for message in messages(k, row):
-            for sample in sampler.feed(message):
-                given = transform.feed(sample)
-                samples += [] if given is None else [given]
+    telemetry = [message for k, row in enumerate(raw) for message in messages(k, row)]
+    taken = sample_batch(sampler.clock, [sampler], pack(telemetry))
+    samples = rows(transform.run(taken.samples[0]).samples)
     errors = disagreement(transform, samples)
     assert len(samples) > 650
     assert all(sample.complete for sample in samples)

@@ -612,6 +612,10 @@ cdef class SamplerCore:
     ----------
     interests : frozenset[str]
         Names of the messages the channels come from; others are ignored.
+    clock : VehicleClock
+        The vehicle's clock.
+    waiting : int
+        Number of measurements that wait in the fullest lane.
 
     Raises
     ------
@@ -620,7 +624,7 @@ cdef class SamplerCore:
     """
 
     cdef readonly object interests
-    cdef VehicleClock _clock
+    cdef readonly VehicleClock clock
     cdef Grid _grid
     cdef dict _streams
     cdef list _lanes
@@ -647,7 +651,7 @@ cdef class SamplerCore:
         channels = (*inputs, *outputs)
         if not channels or not 0 < rate_hz <= 1_000_000_000:
             raise ValueError("a sampler needs a channel and a positive rate")
-        self._clock = clock
+        self.clock = clock
         self._boot = clock.boot
         self._inputs, self._size = len(inputs), len(channels)
         # Raw signals of a transform count as inputs, and are all there is.
@@ -699,14 +703,14 @@ cdef class SamplerCore:
 
     @property
     def waiting(self):
-        """Number of measurements of the lane that keeps most of them."""
+        """Number of measurements that wait in the fullest lane."""
         return max([(<Lane>lane).count for lane in self._lanes])
 
     cdef int feed(
         self, Stream stream, nanoseconds stamp, nanoseconds received, const double* row, bint mavlink
     ) except -1:
         """Go on by one message of a stream: its stamp or a code, and its values, NaN where there is none."""
-        cdef VehicleClock clock = self._clock
+        cdef VehicleClock clock = self.clock
         cdef bint clockless = stamp == _CLOCKLESS
         cdef Lane lane
         self._messages += 1
@@ -727,7 +731,7 @@ cdef class SamplerCore:
 
     cdef int believe(self, Stream stream, nanoseconds stamp, nanoseconds received, const double* row) except -1:
         """Return whether the stamp is believed; hold the message back where it is not, store the one held before."""
-        cdef VehicleClock clock = self._clock
+        cdef VehicleClock clock = self.clock
         cdef Stream held = self._held
         cdef bint agrees = held is not None and not clock._near(stamp)
         if not clock._observe(stamp, received):
@@ -748,7 +752,7 @@ cdef class SamplerCore:
     cdef void start_anew(self) noexcept:
         """Forget what came before the vehicle's clock started anew."""
         cdef Lane lane
-        self._boot = self._clock.boot
+        self._boot = self.clock.boot
         self._clock_restarts += 1
         for lane in self._lanes:
             lane.clear()
@@ -926,7 +930,7 @@ cdef class SamplerCore:
 
     cdef void give_up(self, Lane lane) noexcept:
         """Drop what has been waiting too long for a lane that stopped."""
-        cdef nanoseconds horizon = self._clock.newest_ns - lane.silence
+        cdef nanoseconds horizon = self.clock.newest_ns - lane.silence
         cdef Lane other
         if lane.count and lane.newest() >= horizon:
             return
@@ -937,7 +941,7 @@ cdef class SamplerCore:
 
     cdef nanoseconds to_unix(self, nanoseconds tick) noexcept:
         """Return a tick's Unix time, which never stands still while the clock's offset is being corrected."""
-        cdef nanoseconds unix_time = self._clock._to_unix(tick)
+        cdef nanoseconds unix_time = self.clock._to_unix(tick)
         cdef wide least
         if self._has_unix:
             least = <wide>self._unix + (tick - self._unix_tick) // 2

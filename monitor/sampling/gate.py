@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.batch import pack
 from adapters.message import Message
 from adapters.sample import Sample, Samples
-from monitor.sampling.clock import VehicleClock
+from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler, SamplerStatistics
 from monitor.sampling.stretch import Given
@@ -51,22 +52,11 @@ class FlightGate:
         self._rule = rule
         self._since_ns: int | None = None
 
-    def admits(self, phase: FlightPhase, sample: Sample, commands: bool = True) -> bool:
-        """Return whether the sample counts as evidence.
-
-        Without ``commands`` its inputs are none, and say nothing about being in the air.
-        """
-        if sample.restart:
-            self._since_ns = None
-        if not self._holds(phase, sample, commands):
-            self._since_ns = None
-            return False
-        if self._since_ns is None:
-            self._since_ns = sample.vehicle_time_ns
-        return sample.vehicle_time_ns - self._since_ns >= self._rule.settle_s * 1e9
-
     def admitted(self, phase: FlightPhase, samples: Samples, commands: bool = True) -> NDArray[np.bool_]:
-        """Return :meth:`admits` of each of the samples of a stretch (n,) in which the phase stays as it is."""
+        """Return which samples count as evidence (n,), the flight phase being the same for all of them.
+
+        Without ``commands`` their inputs are none, and say nothing about being in the air.
+        """
         times = samples.vehicle_time_ns
         holds = np.full(len(times), _allowed(self._rule, phase))
         if self._rule.require_airborne and phase.landed is None and commands and len(times):
@@ -81,13 +71,6 @@ class FlightGate:
         if len(times):
             self._since_ns = int(since_ns[-1]) if holds[-1] else None
         return np.asarray(holds & (times - since_ns >= self._rule.settle_s * 1e9))
-
-    def _holds(self, phase: FlightPhase, sample: Sample, commands: bool) -> bool:
-        if not _allowed(self._rule, phase):
-            return False
-        if not self._rule.require_airborne or phase.landed is not None or not commands:
-            return True
-        return float(np.mean(sample.u)) >= self._rule.airborne_command
 
 
 class GatedSample(NamedTuple):
@@ -151,12 +134,11 @@ class GatedSampler:
         return np.asarray(self._gate.admitted(phase, samples, self._commands) & samples.complete)
 
     def feed(self, message: Message, phase: FlightPhase) -> list[GatedSample]:
-        """Take one message; return the samples it completes, in order of time."""
+        """Process one message; return the samples it completes, in order of time."""
         self.enter(phase)
-        return [
-            GatedSample(sample, self._gate.admits(phase, sample, self._commands) and sample.complete)
-            for sample in self._sampler.feed(message)
-        ]
+        (samples, _) = self.run(sample_batch(self.sampler.clock, [self.sampler], pack([message])).samples[0])
+        armed = self.admitted(samples, phase).tolist()
+        return [GatedSample(samples.one(row), armed[row]) for row in range(len(samples))]
 
 
 def _allowed(rule: GateRule, phase: FlightPhase) -> bool:

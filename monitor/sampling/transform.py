@@ -7,14 +7,13 @@ observer's rate. It is deterministic, keeps its own state and starts anew with a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
-from adapters.message import Message
 from adapters.sample import Sample, Samples
-from monitor.sampling.clock import VehicleClock
+from monitor.core.sampling import VehicleClock
 from monitor.sampling.sampler import Sampler, SamplerStatistics
 from monitor.sampling.scaled_inputs import DriveInputs, SurfaceInputs
 from monitor.sampling.stretch import Given
@@ -152,14 +151,6 @@ class TransformedSampler:
     def statistics(self) -> SamplerStatistics:
         """Return what the sampler of the raw signals counted."""
         return self._sampler.statistics()
-
-    def feed(self, message: Message) -> list[Sample]:
-        """Take one message; return the samples it completes, in order of time."""
-        raw = self._sampler.feed(message)
-        if not raw:
-            return raw
-        given = ((self._transform.feed(sample), sample.known_ns) for sample in raw)
-        return [replace(sample, known_ns=known_ns) for sample, known_ns in given if sample is not None]
 
 
 def make_sampler(source: Source, rate_hz: float, clock: VehicleClock) -> Sampler | TransformedSampler:

@@ -1,14 +1,16 @@
 """Derived signals: a sampler of raw signals with a transform behind it behaves like a sampler."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pytest
+from sampled import Row, rows
 
+from adapters.batch import pack
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.message import Message
-from monitor.sampling.clock import VehicleClock
+from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.sampler import Sampler
 from monitor.sampling.transform import Source, TransformedSampler, TransformRule, make_sampler, make_transform
 from monitor.vehicles.inertial.strapdown import IMU
@@ -26,10 +28,17 @@ def still(seconds: float, gap_s: tuple[float, float] = (0.0, 0.0)) -> Iterator[M
             yield Message("mavlink", "HIGHRES_IMU", now_us * 1000, {"time_usec": now_us, **fields}, 1, 1)
 
 
+def given(sampler: TransformedSampler, messages: Sequence[Message]) -> list[Row]:
+    """Return the observer's samples that messages complete."""
+    raw = sample_batch(sampler.sampler.clock, [sampler.sampler], pack(messages)).samples[0]
+    return rows(sampler.run(raw).samples)
+
+
 def test_samples_come_at_the_observers_rate_with_the_transforms_names() -> None:
     sampler = make_sampler(Source(transform=RULE, signals=SIGNALS), 25.0, VehicleClock())
     assert sampler.interests == {"HIGHRES_IMU"}
-    samples = [sample for message in still(4.0) for sample in sampler.feed(message)]
+    assert isinstance(sampler, TransformedSampler)
+    samples = given(sampler, [*still(4.0)])
     transform = make_transform(RULE, 25.0)
     assert 90 <= len(samples) <= 100
     assert (len(samples[0].u), len(samples[0].y)) == (len(transform.inputs), len(transform.outputs))
@@ -41,11 +50,11 @@ def test_samples_come_at_the_observers_rate_with_the_transforms_names() -> None:
 @pytest.mark.parametrize("by_gap", [True, False])
 def test_a_gap_and_a_restart_start_the_transform_anew(by_gap: bool) -> None:
     sampler = TransformedSampler(RULE, SIGNALS, 25.0, VehicleClock())
-    samples = []
-    for k, message in enumerate(still(4.0, (2.0, 3.0) if by_gap else (0.0, 0.0))):
-        if k == 200 and not by_gap:
-            sampler.restart()
-        samples += sampler.feed(message)
+    messages = [*still(4.0, (2.0, 3.0) if by_gap else (0.0, 0.0))]
+    samples = given(sampler, messages[:200])
+    if not by_gap:
+        sampler.restart()
+    samples += given(sampler, messages[200:])
     assert sum(sample.restart for sample in samples) == 2
 
 

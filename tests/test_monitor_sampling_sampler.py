@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sampled import Row, feed, rows
 
+from adapters.batch import pack
 from adapters.channels import Channel
 from adapters.message import Message
-from adapters.sample import Sample
-from monitor.sampling.clock import VehicleClock
+from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.sampler import Sampler
 
 MS = 1_000_000
@@ -42,11 +42,7 @@ def telemetry(start_us: int, stop_us: int, step_a: int = 10_000, step_b: int = 1
     return sorted(both, key=lambda m: m.received_ns)
 
 
-def feed(to: Sampler, messages: Iterable[Message]) -> list[Sample]:
-    return [sample for one in messages for sample in to.feed(one)]
-
-
-def values(samples: list[Sample]) -> list[tuple[int, float, float]]:
+def values(samples: list[Row]) -> list[tuple[int, float, float]]:
     return [(sample.index, float(sample.u[0]), float(sample.y[0])) for sample in samples]
 
 
@@ -100,8 +96,8 @@ def test_a_channel_with_a_period_is_interpolated_the_shorter_way_round() -> None
 def test_a_sample_comes_as_soon_as_every_channel_has_reached_its_tick() -> None:
     to = sampler()
     feed(to, telemetry(0, 200_000))
-    assert to.feed(message("A", 210_000, speed=0.0)) == []
-    assert [sample.index for sample in to.feed(message("B", 210_000, command=0.0))] == [20, 21]
+    assert feed(to, [message("A", 210_000, speed=0.0)]) == []
+    assert [sample.index for sample in feed(to, [message("B", 210_000, command=0.0)])] == [20, 21]
 
 
 def test_channels_of_one_message_keep_their_places_in_u_and_y() -> None:
@@ -217,7 +213,7 @@ def test_a_repeated_message_with_unchanged_sensor_time_is_one_measurement() -> N
 def test_a_stamp_of_zero_is_no_time_on_mavlink_and_the_start_on_zenoh() -> None:
     channel = Channel("c", "A", ("speed",))
     to = sampler([], [channel])
-    assert to.feed(message("A", 0, speed=1.0)) == []
+    assert feed(to, [message("A", 0, speed=1.0)]) == []
     assert to.statistics().untimed == 1
     json = Sampler([], [Channel("c", "arm", ("v",))], 100.0, VehicleClock())
     samples = feed(
@@ -230,7 +226,7 @@ def test_a_stamp_of_zero_is_no_time_on_mavlink_and_the_start_on_zenoh() -> None:
 def test_a_channel_without_a_clock_of_its_own_takes_the_newest_time() -> None:
     wind = Channel("wind", "WIND", ("speed",))
     to = sampler([wind], [SPEED])
-    assert to.feed(Message("mavlink", "WIND", UNIX, {"speed": 5.0})) == []
+    assert feed(to, [Message("mavlink", "WIND", UNIX, {"speed": 5.0})]) == []
     assert to.statistics().untimed == 1
     messages = []
     for t in range(10_000, 300_000, 10_000):
@@ -333,9 +329,10 @@ def test_a_channel_that_stops_holds_up_neither_memory_nor_the_restart() -> None:
     to = sampler()
     feed(to, telemetry(0, 1_000_000))
     longest = 0
-    for t in range(1_000_000, 8_000_000, 1_000):
-        assert [s for s in to.feed(message("A", t, speed=0.0)) if s.index > 100] == []
-        longest = max(longest, *(len(lane.stamps) for lane in to.lanes))
+    for t in range(1_000_000, 8_000_000, 10_000):
+        news = [message("A", t + more, speed=0.0) for more in range(0, 10_000, 1_000)]
+        assert [s for s in feed(to, news) if s.index > 100] == []
+        longest = max(longest, to.waiting)
     assert longest <= 510
     samples = feed(to, telemetry(8_000_000, 9_000_000))
     assert [sample.index for sample in samples if sample.restart] == [801]
@@ -344,18 +341,15 @@ def test_a_channel_that_stops_holds_up_neither_memory_nor_the_restart() -> None:
 
 def test_a_channel_that_never_comes_costs_bounded_memory() -> None:
     to = sampler()
-    for t in range(1_000, 20_000_000, 1_000):
-        assert to.feed(message("A", t, speed=0.0)) == []
-    assert max(len(lane.stamps) for lane in to.lanes) <= 510
+    assert feed(to, [message("A", t, speed=0.0) for t in range(1_000, 20_000_000, 1_000)]) == []
+    assert to.waiting <= 510
 
 
 def test_a_flood_of_stamps_costs_bounded_memory() -> None:
     to = sampler()
-    for t in range(1, 60_000):
-        to.feed(Message("zenoh", "A", UNIX, {"time_ns": t, "speed": 0.0}))
-    for t in range(1, 60_000):
-        to.feed(Message("zenoh", "A", UNIX, {"time_ns": 1_000_000 - 10 * t, "speed": 0.0}))
-    assert max(len(lane.stamps) for lane in to.lanes) <= 1 << 14
+    feed(to, [Message("zenoh", "A", UNIX, {"time_ns": t, "speed": 0.0}) for t in range(1, 60_000)])
+    feed(to, [Message("zenoh", "A", UNIX, {"time_ns": 1_000_000 - 10 * t, "speed": 0.0}) for t in range(1, 60_000)])
+    assert to.waiting <= 1 << 14
 
 
 def test_a_reboot_starts_all_buffers_anew_without_losing_a_message() -> None:
@@ -388,10 +382,7 @@ def test_two_samplers_may_share_a_clock() -> None:
     first, second = Sampler([COMMAND], [SPEED], 100.0, clock), Sampler([], [SPEED], 50.0, clock)
     messages = telemetry(50_000_000, 51_000_000) + telemetry(2_000_000, 3_000_000)
     messages.insert(120, message("A", 7_000_000, speed=1e6))
-    got: tuple[list[Sample], list[Sample]] = ([], [])
-    for one in messages:
-        got[0].extend(first.feed(one))
-        got[1].extend(second.feed(one))
+    got = [rows(samples) for samples in sample_batch(clock, [first, second], pack(messages)).samples]
     assert clock.boot == 1
     assert [s.index for s in got[0] if s.restart] == [5001, 201]
     assert [s.index for s in got[1] if s.restart] == [2501, 101]
@@ -472,7 +463,7 @@ def test_the_same_messages_give_the_same_samples() -> None:
 def test_messages_of_no_interest_are_passed_over() -> None:
     to = sampler()
     assert to.interests == {"A", "B"}
-    assert to.feed(message("C", 1_000)) == []
+    assert feed(to, [message("C", 1_000)]) == []
     assert to.statistics().messages == 0
 
 
@@ -491,7 +482,7 @@ FIELDS = st.dictionaries(
 def test_no_message_makes_the_sampler_fail(messages: list[tuple[str, dict[str, Any], int]]) -> None:
     to = sampler(rate=1000.0)
     for name, fields, received_ns in messages:
-        for sample in to.feed(Message("zenoh", name, received_ns, fields)):
+        for sample in feed(to, [Message("zenoh", name, received_ns, fields)]):
             assert np.isfinite(sample.u).all()
             assert np.isfinite(sample.y).all()
     assert len(feed(to, telemetry(10_000_000_000, 10_001_000_000))) > 800
