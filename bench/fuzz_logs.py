@@ -17,7 +17,7 @@ from foreign_logs import ARM_DEFINITION, ARM_TYPE, arm_protobuf
 from fuzz_adapters import DATA, START_NS
 from fuzz_input import ODD_VALUES, Draw, random_inputs
 from fuzz_target import Run, Target, only
-from onboard_flights import dataflash_of, ulog_of
+from onboard_flights import dataflash_of, messages_of, ulog_of
 
 from adapters.encoding.foreign_record import foreign_decoder
 from adapters.encoding.message_record import decoder, encode
@@ -56,8 +56,8 @@ def as_recorded(messages: Iterable[Message]) -> None:
 def _mapping(folder: Path) -> Run:
     path = folder / "mapping.toml"
     logs = {
-        "ulog": list(UlogReader(ulog_of(recorded_flight(300), folder / "base.ulg"))),
-        "dataflash": list(DataflashReader(dataflash_of(recorded_flight(300), folder / "base.bin"))),
+        "ulog": messages_of(UlogReader(ulog_of(recorded_flight(300), folder / "base.ulg"))),
+        "dataflash": messages_of(DataflashReader(dataflash_of(recorded_flight(300), folder / "base.bin"))),
     }
 
     def run(data: bytes) -> None:

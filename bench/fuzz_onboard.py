@@ -13,9 +13,10 @@ from dataflash_writer import DataflashWriter
 from fuzz_input import Draw, random_inputs
 from fuzz_logs import as_recorded, recorded_flight
 from fuzz_target import Run, Target, only
-from onboard_flights import dataflash_of, ulog_of
+from onboard_flights import dataflash_of, messages_of, ulog_of
 from ulog_writer import SYNC, UlogWriter
 
+from adapters.batch import Batch
 from adapters.errors import TelemetryError
 from adapters.logs.dataflash import CODES, DataflashReader
 from adapters.logs.log_mapping import LogMapping, builtin_mapping
@@ -24,12 +25,12 @@ from adapters.logs.ulog import UlogReader
 from adapters.message import Message
 
 
-def _onboard(reader: Callable[[Path], Iterable[Message]], mapping: LogMapping, content: bytes, path: Path) -> None:
+def _onboard(reader: Callable[[Path], Iterable[Batch]], mapping: LogMapping, content: bytes, path: Path) -> None:
     """Read an onboard log, all of it as records and as telemetry, and in part."""
     path.write_bytes(content)
-    messages = []
+    messages: list[Message] = []
     with only(TelemetryError):
-        messages = list(reader(path))
+        messages = messages_of(reader(path))
     as_recorded(messages)
     as_recorded(
         telemetry(messages, mapping, {"ATTITUDE", "GPS_RAW_INT", "HEARTBEAT", "SERVO_OUTPUT_RAW", "HIGHRES_IMU"})
@@ -65,7 +66,7 @@ def _log_reader(
         _onboard(reader, mapping, content, path)
         with only(TelemetryError):
             some = reader(path, wanted)
-            assert {message.name for message in some} <= set(wanted)
+            assert {message.name for message in messages_of(some)} <= set(wanted)
             some.statistics()
 
     return run

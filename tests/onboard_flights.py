@@ -10,6 +10,8 @@ from typing import Any
 from dataflash_writer import DataflashWriter
 from ulog_writer import UlogWriter
 
+from adapters.batch import Batch
+from adapters.batch import messages as messages_of_batch
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import Message
 
@@ -35,6 +37,11 @@ _TOPICS = {
     "vehicle_status": "uint64_t timestamp;uint8_t arming_state;uint8_t nav_state;uint8_t system_type",
     "vehicle_land_detected": "uint64_t timestamp;bool landed",
 }
+
+
+def messages_of(batches: Iterable[Batch]) -> list[Message]:
+    """Return the messages of batches in their order."""
+    return [message for batch in batches for message in messages_of_batch(batch)]
 
 
 def ulog_of(messages: Iterable[Message], path: Path, *, motors: bool = False) -> Path:

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import array
-import contextlib
-import gzip
-import lzma
 import os
 from pathlib import Path
-from typing import Any
 
 import pytest
 from dataflash_writer import DataflashWriter
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from onboard_flights import messages_of
 
-from adapters.errors import TelemetryError
+from adapters.logs.damage import scan_damage
 from adapters.logs.dataflash import CODES, DataflashReader
-from adapters.logs.log_bytes import LogStatistics
+from adapters.logs.onboard_log import LogStatistics
 from adapters.message import Message
 
 UNIX_S = 1_700_000_000
@@ -51,21 +46,16 @@ LOG = flight()
 FLIGHT = bytes(LOG.data)
 
 
-def read(folder: Path, data: bytes) -> tuple[list[Message], LogStatistics]:
-    path = folder / "a.bin"
+def read(tmp_path: Path, data: bytes) -> tuple[list[Message], LogStatistics]:
+    path = tmp_path / "a.bin"
     path.write_bytes(data)
     reader = DataflashReader(path, utc_minus_boot_ns=0)
-    return list(reader), reader.statistics()
+    return messages_of(reader), reader.statistics()
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("dataflash")
-
-
-@pytest.fixture(scope="module")
-def whole(folder: Path) -> list[Message]:
-    return read(folder, FLIGHT)[0]
+def whole(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
+    return read(tmp_path_factory.mktemp("dataflash"), FLIGHT)[0]
 
 
 def key(message: Message) -> tuple[str, int, str]:
@@ -81,7 +71,7 @@ def test_values_times_and_instances_are_those_that_pymavlink_reads(
 
     path = LOG.write(tmp_path / "a.bin")
     theirs = DFReader_binary(str(path))
-    ours = list(DataflashReader(path))
+    ours = messages_of(DataflashReader(path))
     for message in ours:
         other = theirs.recv_msg()
         fields = other.to_dict()
@@ -110,7 +100,7 @@ def test_the_codes_are_those_of_pymavlink() -> None:
 
 
 def test_without_a_fix_boot_is_the_start_of_1970(tmp_path: Path) -> None:
-    found = [m for m in DataflashReader(flight(gps=False).write(tmp_path / "a.bin")) if m.name == "IMU"]
+    found = [m for m in messages_of(DataflashReader(flight(gps=False).write(tmp_path / "a.bin"))) if m.name == "IMU"]
     assert found[0].received_ns == 2_000_000_000
 
 
@@ -121,73 +111,11 @@ def test_pieces_of_files_keep_every_byte(tmp_path: Path) -> None:
     assert read(tmp_path, bytes(log.data))[0][-1].fields == {"FileName": "@SYS/x", "Data": "ab\0c" + "\0" * 60}
 
 
-def test_only_the_wanted_records_are_read(tmp_path: Path, whole: list[Message]) -> None:
-    path = LOG.write(tmp_path / "a.bin")
-    wanted = {"IMU/1", "GPS"}
-    assert list(DataflashReader(path, wanted, 0)) == [message for message in whole if message.name in wanted]
-
-
-@pytest.mark.parametrize(("suffix", "pack"), [(".xz", lzma.compress), (".gz", gzip.compress)])
-def test_compressed_logs_read_like_plain_ones(tmp_path: Path, whole: list[Message], suffix: str, pack: Any) -> None:
-    path = tmp_path / f"a.bin{suffix}"
-    path.write_bytes(pack(FLIGHT))
-    reader = DataflashReader(path, utc_minus_boot_ns=0)
-    assert [key(m) for m in reader] == [key(m) for m in whole]
-    assert not reader.statistics().unreadable
-
-
-@settings(max_examples=60, deadline=None)
-@given(cut=st.integers(3, len(FLIGHT) - 1))
-def test_a_truncated_log_gives_every_message_before_the_end(folder: Path, whole: list[Message], cut: int) -> None:
-    found, statistics = read(folder, FLIGHT[:cut])
-    complete = sum(end <= cut for end in LOG.ends)
-    assert [key(m) for m in found] == [key(m) for m in whole[:complete]]
-    assert statistics.broken_off is (cut not in LOG.ends)
-    assert (statistics.records, statistics.damaged) == (complete, 0)
-    assert statistics.skipped_bytes == cut - max((end for end in LOG.ends if end <= cut), default=0)
-
-
-@settings(max_examples=60, deadline=None)
-@given(data=st.data())
-def test_damage_costs_no_message_before_it_and_reading_goes_on_behind_it(
-    folder: Path, whole: list[Message], data: st.DataObject
-) -> None:
-    place = data.draw(st.integers(LOG.ends[30], len(FLIGHT) - 600))
-    junk = data.draw(st.one_of(st.binary(min_size=1, max_size=300), st.integers(1, 300).map(bytes)))
-    found, _ = read(folder, FLIGHT[:place] + junk + FLIGHT[place + len(junk) :])
-    before = sum(end <= place for end in LOG.ends)
-    assert [key(m) for m in found[:before]] == [key(m) for m in whole[:before]]
-    assert key(found[-1]) == key(whole[-1])
-
-
-@settings(max_examples=40, deadline=None)
-@given(junk=st.binary(max_size=600))
-def test_whatever_stands_behind_the_first_format_is_no_crash(folder: Path, junk: bytes) -> None:
-    found, statistics = read(folder, FLIGHT[:89] + junk)
-    assert statistics.records == len(found)
-    with contextlib.suppress(TelemetryError):
-        read(folder, junk)
-
-
-@pytest.mark.parametrize("data", [b"", b"\xa3", bytes(5_000), b"\xa3\x94" + FLIGHT[2:], b"x" * 99])
-def test_a_file_that_is_no_such_log_is_refused_in_one_line(tmp_path: Path, data: bytes) -> None:
-    with pytest.raises(TelemetryError, match=r"a\.bin: not a DataFlash log") as error:
-        read(tmp_path, data)
-    assert "\n" not in str(error.value)
-
-
 @pytest.mark.parametrize("fill", [b"\xff", b"\0"])
 def test_what_fills_the_last_block_up_is_no_damage(tmp_path: Path, whole: list[Message], fill: bytes) -> None:
     found, statistics = read(tmp_path, FLIGHT + 200 * fill)
     assert [key(m) for m in found] == [key(m) for m in whole]
-    assert not statistics.unreadable
-
-
-def test_a_long_stretch_of_zeros_is_passed_over(tmp_path: Path, whole: list[Message]) -> None:
-    place = LOG.ends[40]
-    found, statistics = read(tmp_path, FLIGHT[:place] + bytes(300_000) + FLIGHT[place:])
-    assert [key(m) for m in found] == [key(m) for m in whole]
-    assert (statistics.damaged, statistics.skipped_bytes) == (1, 300_000)
+    assert scan_damage("a.bin", statistics) is None
 
 
 def test_a_format_that_contradicts_itself_is_damage(tmp_path: Path, whole: list[Message]) -> None:
@@ -198,12 +126,3 @@ def test_a_format_that_contradicts_itself_is_damage(tmp_path: Path, whole: list[
     found, statistics = read(tmp_path, bytes(log.data))
     assert statistics.damaged == 1
     assert [key(m) for m in found] == [key(m) for m in whole]
-
-
-def test_a_damaged_time_is_that_of_the_record_before(tmp_path: Path) -> None:
-    log = DataflashWriter()
-    log.define("A", "Q", "TimeUS")
-    for time_us in (5, (1 << 64) - 1, 7):
-        log.add("A", time_us)
-    found = [message.received_ns for message in DataflashReader(log.write(tmp_path / "log.bin"), ("A",))]
-    assert found == [5_000, 5_000, 7_000]

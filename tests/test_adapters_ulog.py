@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import gzip
-import lzma
 import re
 import struct
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from onboard_flights import messages_of
 from pyulog import ULog
 from ulog_writer import UlogWriter
 
 from adapters.errors import TelemetryError
-from adapters.logs.log_bytes import LogStatistics
+from adapters.logs.onboard_log import LogStatistics
 from adapters.logs.ulog import DROPOUT, INFORMATION, PARAMETER, PARAMETER_DEFAULT, TEXT, UlogReader
 from adapters.message import Message
 
-WHOLE = LogStatistics(0, 0, 0, 0, broken_off=False)
 UTC_US = 1_700_000_000_000_000
 GPS = "uint64_t timestamp;uint64_t time_utc_usec;int32_t timestamp_time_relative;uint8_t fix_type"
 
@@ -77,17 +72,12 @@ def read(tmp_path: Path, data: bytes) -> tuple[list[Message], LogStatistics]:
     path = tmp_path / "a.ulg"
     path.write_bytes(data)
     reader = UlogReader(path, utc_minus_boot_us=0)
-    return list(reader), reader.statistics()
+    return messages_of(reader), reader.statistics()
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("ulog")
-
-
-@pytest.fixture(scope="module")
-def whole(folder: Path) -> list[Message]:
-    return read(folder, FLIGHT)[0]
+def whole(tmp_path_factory: pytest.TempPathFactory) -> list[Message]:
+    return read(tmp_path_factory.mktemp("ulog"), FLIGHT)[0]
 
 
 def flat(name: str, value: Any) -> dict[str, Any]:
@@ -148,77 +138,10 @@ def test_nested_types_are_fields_within_fields_and_text_is_text(whole: list[Mess
 
 
 def test_times_are_unix_times_by_the_first_position_fix(tmp_path: Path) -> None:
-    data = [m for m in UlogReader(LOG.write(tmp_path / "a.ulg")) if m.name == "sensor_baro"]
+    data = [m for m in messages_of(UlogReader(LOG.write(tmp_path / "a.ulg"))) if m.name == "sensor_baro"]
     assert data[0].received_ns == (UTC_US + 2_000_000) * 1_000
-    boot = [m for m in UlogReader(flight(gps=False).write(tmp_path / "b.ulg")) if m.name == "sensor_baro"]
+    boot = [m for m in messages_of(UlogReader(flight(gps=False).write(tmp_path / "b.ulg"))) if m.name == "sensor_baro"]
     assert boot[0].received_ns == 2_000_000_000
-
-
-def test_only_the_wanted_topics_are_read(tmp_path: Path, whole: list[Message]) -> None:
-    path = LOG.write(tmp_path / "a.ulg")
-    wanted = {"sensor_baro/1", TEXT}
-    assert list(UlogReader(path, wanted, 0)) == [message for message in whole if message.name in wanted]
-
-
-@pytest.mark.parametrize(("suffix", "pack"), [(".xz", lzma.compress), (".gz", gzip.compress)])
-def test_compressed_logs_read_like_plain_ones(tmp_path: Path, whole: list[Message], suffix: str, pack: Any) -> None:
-    path = tmp_path / f"a.ulg{suffix}"
-    path.write_bytes(pack(FLIGHT))
-    reader = UlogReader(path, utc_minus_boot_us=0)
-    assert list(reader) == whole
-    assert not reader.statistics().unreadable
-
-
-def key(message: Message) -> tuple[str, int, str]:
-    return message.name, message.received_ns, repr(message.fields)
-
-
-@settings(max_examples=60, deadline=None)
-@given(cut=st.integers(16, len(FLIGHT) - 1))
-def test_a_truncated_log_gives_every_message_before_the_end(folder: Path, whole: list[Message], cut: int) -> None:
-    found, statistics = read(folder, FLIGHT[:cut])
-    complete = sum(end <= cut for end in LOG.ends)
-    assert statistics.records == complete
-    assert [key(m) for m in found] == [key(m) for m in whole[: len(found)]]
-    assert statistics.broken_off is (cut not in (16, *LOG.ends))
-    assert statistics.damaged == 0
-    assert statistics.skipped_bytes == cut - max((end for end in LOG.ends if end <= cut), default=16)
-
-
-@settings(max_examples=60, deadline=None)
-@given(data=st.data())
-def test_damage_costs_no_message_before_it_and_reading_goes_on_behind_it(
-    folder: Path, whole: list[Message], data: st.DataObject
-) -> None:
-    first = LOG.ends[20]
-    place = data.draw(st.integers(first, len(FLIGHT) - 600))
-    junk = data.draw(st.one_of(st.binary(min_size=1, max_size=300), st.integers(1, 300).map(bytes)))
-    found, statistics = read(folder, FLIGHT[:place] + junk + FLIGHT[place + len(junk) :])
-    before = sum(end <= place for end in LOG.ends)
-    keys = [key(m) for m in whole]
-    # subscriptions, formats and marks are records and no messages
-    silent = sum(1 for start, end in pairwise([16, *LOG.ends[:before]]) if FLIGHT[start + 2] in b"ABFS" and end)
-    assert [key(m) for m in found[: before - silent]] == keys[: before - silent]
-    assert key(found[-1]) == keys[-1]
-    assert statistics.records <= len(LOG.ends) + 300
-
-
-@settings(max_examples=40, deadline=None)
-@given(junk=st.binary(max_size=600))
-def test_whatever_stands_behind_the_head_of_a_file_is_no_crash(folder: Path, junk: bytes) -> None:
-    try:
-        found, statistics = read(folder, FLIGHT[:16] + junk)
-    except TelemetryError as error:
-        assert "newer kind" in str(error)
-    else:
-        assert statistics.records >= len(found)
-
-
-@pytest.mark.parametrize("data", [b"", b"ULog", bytes(5_000), b"\x55\x4c\x6f\x66\x01\x12\x35" + FLIGHT[7:], b"x" * 99])
-def test_a_file_that_is_no_such_log_is_refused_in_one_line(tmp_path: Path, data: bytes) -> None:
-    with pytest.raises(TelemetryError, match=r"a\.ulg: not a ULog file") as error:
-        read(tmp_path, data)
-    assert "\n" not in str(error.value)
 
 
 def test_a_log_that_needs_a_newer_reader_is_refused(tmp_path: Path) -> None:
@@ -246,23 +169,6 @@ def test_a_record_of_a_kind_yet_unknown_is_stepped_over(tmp_path: Path, whole: l
     assert (statistics.unknown, statistics.damaged) == (1, 0)
 
 
-def test_a_long_stretch_of_zeros_is_passed_over(tmp_path: Path, whole: list[Message]) -> None:
-    place = LOG.ends[40]
-    found, statistics = read(tmp_path, FLIGHT[:place] + bytes(300_000) + FLIGHT[place:])
-    assert found == whole
-    assert (statistics.damaged, statistics.skipped_bytes) == (1, 300_000)
-    assert statistics.unreadable == "damaged in 1 place, 300000 bytes unreadable"
-
-
-def test_a_damaged_time_is_that_of_the_record_before(tmp_path: Path) -> None:
-    log = UlogWriter(start_us=(1 << 64) - 1)
-    log.define("a", "uint64_t timestamp")
-    number = log.subscribe("a")
-    for time_us in (5, (1 << 64) - 1, 7):
-        log.add(number, "a", {"timestamp": time_us})
-    assert [message.received_ns for message in UlogReader(log.write(tmp_path / "log.ulg"))] == [5_000, 5_000, 7_000]
-
-
 @pytest.mark.parametrize(("boot_us", "utc_us"), [((1 << 64) - 1, UTC_US), (0, (1 << 64) - 1)])
 def test_a_position_fix_of_a_damaged_time_sets_no_clock(tmp_path: Path, boot_us: int, utc_us: int) -> None:
     log = UlogWriter()
@@ -271,4 +177,4 @@ def test_a_position_fix_of_a_damaged_time_sets_no_clock(tmp_path: Path, boot_us:
     for time_us, told_us in ((boot_us, utc_us), (1_000, UTC_US + 1_000)):
         values = {"timestamp": time_us, "time_utc_usec": told_us, "fix_type": 3}
         log.add(number, "vehicle_gps_position", values)
-    assert list(UlogReader(log.write(tmp_path / "log.ulg")))[-1].received_ns == (UTC_US + 1_000) * 1_000
+    assert messages_of(UlogReader(log.write(tmp_path / "log.ulg")))[-1].received_ns == (UTC_US + 1_000) * 1_000

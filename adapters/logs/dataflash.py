@@ -8,14 +8,31 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.batch import Batch, messages
 from adapters.errors import TelemetryError
-from adapters.logs.log_bytes import LogStatistics, Window, text
-from adapters.message import LATEST_NS, Message
+from adapters.logs.onboard_log import (
+    READ_AHEAD_BYTES,
+    Layout,
+    LayoutField,
+    LogClock,
+    LogStatistics,
+    RecordKind,
+    Records,
+    Values,
+    Window,
+    layout,
+    text,
+)
+from adapters.message import LATEST_NS
 
 SOURCE: Final = "dataflash"
 
@@ -46,11 +63,15 @@ CODES: Final[dict[str, tuple[str, float | None]]] = {
 _MARK = b"\xa3\x95"
 _HEAD_BYTES = 3
 _FORMAT_KIND = 128
-_ARRAY = struct.Struct("<32h")
+_ARRAY = "a"
+_DEFINITIONS = ("FMT", "FMTU")
 _INSTANCE = "#"
 _SEARCHED_AT_ONCE = 1 << 16
-# Boards that log in blocks fill the last one up; pymavlink passes over as many.
+"""Bytes in which to look for the next record at a time. Chosen: little beside a batch, many beside a record."""
+_LARGEST_RECORD = 256
 _PADDING_BYTES = 528
+"""Boards that log in blocks fill the last one up; pymavlink passes over as many bytes."""
+_STAMPS = (("TimeUS", 1_000), ("TimeMS", 1_000_000))
 _GPS_EPOCH_S = 315_964_800
 _WEEK_S = 604_800
 # Since 2017; GPS time knows no leap seconds, and what the log holds is GPS time.
@@ -60,28 +81,15 @@ _FIX_3D = 3
 
 @dataclass(slots=True)
 class _Format:
-    """One kind of record: its name, length, and what turns the values at some places into fields."""
+    """A kind of record as the log defines it: its bytes with mark and number, and the names of its fields."""
 
-    name: str
+    kind: RecordKind
     length: int
-    columns: list[str]
-    unpack: Callable[[bytes], tuple[Any, ...]]
-    wanted: bool = True
-    instance: int | None = None
-    conversions: list[tuple[int, Callable[[Any], Any]]] = field(default_factory=list)
-
-    def decode(self, data: bytes) -> tuple[str, dict[str, Any]]:
-        """Return name and fields of a record without its mark and kind."""
-        values = list(self.unpack(data))
-        for place, convert in self.conversions:
-            values[place] = convert(values[place])
-        instance = values[self.instance] if self.instance is not None else 0
-        several = bool(instance) and isinstance(instance, int | str)
-        return f"{self.name}/{instance}" if several else self.name, dict(zip(self.columns, values, strict=True))
+    columns: tuple[str, ...]
 
 
 class DataflashReader:
-    """Reads an onboard log of ArduPilot in the order it was written, over damage if need be.
+    """Reads an onboard log of ArduPilot in the order it was written, over damage if need be, as batches.
 
     Records come under their names, ``BARO/1`` being the second instance where the log says which field tells
     instances apart (unit ``#``). Values are decoded as pymavlink's DFReader does. Time of arrival is the record's own
@@ -97,18 +105,22 @@ class DataflashReader:
         Names of the messages wanted; None wants all.
     utc_minus_boot_ns : int | None
         Where that relation is known already; None looks for it in the log.
+    read_ahead_bytes : int
+        Bytes of the log, decompressed, in a batch.
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], only: Collection[str] | None = None, utc_minus_boot_ns: int | None = None
+        self,
+        path: str | os.PathLike[str],
+        only: Collection[str] | None = None,
+        utc_minus_boot_ns: int | None = None,
+        read_ahead_bytes: int = READ_AHEAD_BYTES,
     ) -> None:
         self._path = Path(path)
         self._only = only
         self._offset_ns = utc_minus_boot_ns
-        self._newest_ns = 0
-        formats = _format("FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")
-        formats.wanted = self._wanted("FMT")
-        self._formats: dict[int, _Format] = {_FORMAT_KIND: formats}
+        self._read_ahead_bytes = read_ahead_bytes
+        self._formats = {_FORMAT_KIND: self._format("FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")}
         self._records = self._damaged = self._skipped_bytes = 0
         self._broken_off = False
 
@@ -116,8 +128,8 @@ class DataflashReader:
         """Return the counts so far."""
         return LogStatistics(self._records, 0, self._damaged, self._skipped_bytes, self._broken_off)
 
-    def __iter__(self) -> Iterator[Message]:
-        """Return the wanted messages.
+    def __iter__(self) -> Iterator[Batch]:
+        """Return the batches in which there are wanted messages.
 
         Raises
         ------
@@ -126,74 +138,102 @@ class DataflashReader:
         """
         if self._offset_ns is None:
             self._offset_ns = utc_minus_boot_ns(self._path) or 0
-        window, formats, only = Window(self._path), self._formats, self._only
+        window = Window(self._path, self._read_ahead_bytes)
+        records = Records(SOURCE, LogClock(self._offset_ns, _STAMPS), self._only)
         if not window.fill(_HEAD_BYTES) or window.data[:_HEAD_BYTES] != _MARK + bytes([_FORMAT_KIND]):
             raise TelemetryError(
                 f"{self._path}: not a DataFlash log although its name says so; check where it came from"
             )
         while window.fill(_HEAD_BYTES):
-            form = formats.get(window.data[window.at + 2]) if window.data.startswith(_MARK, window.at) else None
-            if form is None:
-                if not self._resume(window):
-                    break
-                continue
-            if not window.fill(form.length):
-                if not self._resume(window, end=True):
-                    break
-                continue
-            body = window.data[window.at + _HEAD_BYTES : window.at + form.length]
-            if form is formats[_FORMAT_KIND] and not self._define(form, body):
-                self._resume(window)
-                continue
-            if form.name == "FMTU":
-                self._learn_instances(form, body)
-            self._records += 1
-            window.at += form.length
-            if not form.wanted:
-                continue
-            name, fields = form.decode(body)
-            if only is None or name in only:
-                yield Message(SOURCE, name, self._time_ns(fields, self._offset_ns), fields)
+            if records.data is not window.data:
+                if records.start:
+                    yield records.batch()
+                records.data = window.data
+            self._chain(window, records)
+            if window.fill(_HEAD_BYTES) and not self._single(window):
+                break
+        if records.start:
+            yield records.batch()
         self._broken_off = window.cut or window.left > 0
         self._skipped_bytes += window.left
 
-    def _time_ns(self, fields: dict[str, Any], offset_ns: int) -> int:
-        """Return the time of a record, that of the one before where it has none or a damaged one."""
-        stamp, unit_ns = fields.get("TimeUS"), 1_000
-        if stamp is None:
-            stamp, unit_ns = fields.get("TimeMS"), 1_000_000
-        if type(stamp) is int and 0 <= stamp * unit_ns + offset_ns < LATEST_NS:
-            self._newest_ns = stamp * unit_ns
-        return self._newest_ns + offset_ns
+    def _chain(self, window: Window, records: Records) -> None:
+        """Take the records that follow one another among the bytes held."""
+        data, at, formats = window.data, window.at, self._formats
+        size = len(data)
+        last = size - _HEAD_BYTES
+        first, second = _MARK
+        start, kind = records.start, records.kind
+        while at <= last:
+            number = data[at + 2]
+            form = formats.get(number)
+            if form is None or data[at] != first or data[at + 1] != second:
+                break
+            behind = at + form.length
+            if behind > size:
+                break
+            if form.kind.name in _DEFINITIONS and not self._learn(number, form, data[at + _HEAD_BYTES : behind]):
+                break
+            self._records += 1
+            if form.kind.wanted:
+                start.append(at + _HEAD_BYTES)
+                kind.append(form.kind)
+            at = behind
+        window.at = at
 
-    def _learn_instances(self, form: _Format, body: bytes) -> None:
-        """Learn from a record of units which field tells instances apart."""
-        fields = form.decode(body)[1]
+    def _single(self, window: Window) -> bool:
+        """Go on from what ends a chain to where the next record is; return whether there may be any."""
+        form = self._formats.get(window.data[window.at + 2]) if window.data.startswith(_MARK, window.at) else None
+        if form is None:
+            return self._resume(window)
+        held = window.data
+        if not window.fill(form.length):
+            return self._resume(window, end=True)
+        # the chain goes on where more bytes had to be read
+        return window.data is not held or self._resume(window)
+
+    def _learn(self, number: int, form: _Format, body: bytes) -> bool:
+        """Learn from a record what others look like; return whether it is one."""
+        if number != _FORMAT_KIND and form.kind.name != "FMTU":
+            return True
+        fields = form.kind.layout.rows(np.frombuffer(body, form.kind.layout.dtype))[0]
+        if number == _FORMAT_KIND:
+            return self._define(form, fields)
         defined = self._formats.get(_whole(fields.get("FmtType")))
         place = str(fields.get("UnitIds", "")).find(_INSTANCE)
         if defined is not None and 0 <= place < len(defined.columns):
-            defined.instance = place
-
-    def _define(self, form: _Format, body: bytes) -> bool:
-        """Learn a format; return whether the record is one."""
-        fields = form.decode(body)[1]
-        kind, length, name = fields["Type"], fields["Length"], fields["Name"]
-        try:
-            made = _format(name, length, fields["Format"], fields["Columns"])
-        except ValueError:
-            return False
-        if kind == _FORMAT_KIND:
-            return made.length == form.length
-        before = self._formats.get(kind)
-        if before is not None and before.columns == made.columns:
-            made.instance = before.instance
-        made.wanted = self._wanted(name)
-        self._formats[kind] = made
+            instance = defined.columns[place]
+            if instance != defined.kind.instance:
+                # records that came before keep their names
+                defined.kind = replace(defined.kind, instance=instance)
         return True
 
-    def _wanted(self, name: str) -> bool:
-        """Return whether any instance of a kind is wanted."""
-        return self._only is None or any(one.partition("/")[0] == name for one in self._only)
+    def _define(self, form: _Format, fields: Mapping[str, Any]) -> bool:
+        """Learn a format; return whether the record is one."""
+        try:
+            made = self._format(fields["Name"], fields["Length"], fields["Format"], fields["Columns"])
+        except ValueError:
+            return False
+        number = fields["Type"]
+        if number == _FORMAT_KIND:
+            return made.length == form.length
+        before = self._formats.get(number)
+        if before is not None and before.columns == made.columns:
+            made.kind.instance = before.kind.instance
+        self._formats[number] = made
+        return True
+
+    def _format(self, name: str, length: int, codes: str, columns: str) -> _Format:
+        """Return a format; ValueError where none is defined that way."""
+        if not name.isascii() or not name.isprintable() or not name or "/" in name:
+            raise ValueError("no name of a format")
+        names = columns.split(",") if columns else []
+        kind = _layout(name, codes, names)
+        if kind.dtype.itemsize + _HEAD_BYTES != length:
+            raise ValueError(f"format of {name} contradicts itself")
+        # any instance of the kind may be wanted
+        wanted = self._only is None or any(one.partition("/")[0] == name for one in self._only)
+        return _Format(RecordKind(name, kind, wanted), length, tuple(names))
 
     def _stands(self, window: Window, ahead: int) -> bool:
         """Return whether a record of a known kind, or the end, stands so many bytes ahead."""
@@ -214,7 +254,7 @@ class DataflashReader:
     def _resume(self, window: Window, *, end: bool = False) -> bool:
         """Move on to where records stand again; False where none do, and nothing is left but the end of the file."""
         while True:
-            more = window.fill(_SEARCHED_AT_ONCE + 512)
+            more = window.fill(_SEARCHED_AT_ONCE + 2 * _LARGEST_RECORD)
             searched = _SEARCHED_AT_ONCE if more else window.left
             ahead = self._standing(window, searched)
             if ahead is not None or end or not more:
@@ -234,44 +274,45 @@ class DataflashReader:
         return True
 
 
-def _format(name: str, length: int, codes: str, columns: str) -> _Format:
-    """Return a format; ValueError where none is defined that way."""
-    if not name.isascii() or not name.isprintable() or not name or "/" in name:
-        raise ValueError("no name of a format")
+def _layout(name: str, codes: str, columns: Sequence[str]) -> Layout:
+    """Return where the fields of a format lie; ValueError where it contradicts itself."""
     if any(code not in CODES for code in codes):
         raise ValueError(f"unknown code in {codes}")
-    names = columns.split(",") if columns else []
-    whole = struct.Struct("<" + "".join(CODES[code][0] for code in codes))
-    if len(names) != len(codes) or len(set(names)) != len(names) or whole.size + _HEAD_BYTES != length:
+    if len(columns) != len(codes) or len(set(columns)) != len(columns):
         raise ValueError(f"format of {name} contradicts itself")
-    conversions: list[tuple[int, Callable[[Any], Any]]] = []
-    for place, code in enumerate(codes):
-        divisor = CODES[code][1]
+    fields, at = [], 0
+    for column, code in zip(columns, codes, strict=True):
+        shape, divisor = CODES[code]
+        size = struct.calcsize(f"<{shape}")
         if divisor is not None:
-            conversions.append((place, divisor.__rtruediv__))
-        elif code == "a":
-            conversions.append((place, _array))
-        elif code in "nNZ":
+            fields.append((LayoutField(column, partial(_divided, divisor)), f"<{shape}", at))
+        elif code == _ARRAY:
+            fields.append((LayoutField(column), ("<i2", (size // 2,)), at))
+        elif shape.endswith("s"):
             # pieces of files may hold anything, zeros included
-            conversions.append((place, _raw if name == "FILE" and code == "Z" else _text))
-    return _Format(name, length, names, whole.unpack, conversions=conversions)
+            read = _raw if name == "FILE" and code == "Z" else _texts
+            fields.append((LayoutField(column, read, numbers=False), f"V{size}", at))
+        else:
+            fields.append((LayoutField(column), f"<{shape}", at))
+        at += size
+    return layout(fields, at)
 
 
-def _array(data: bytes) -> list[int]:
-    return list(_ARRAY.unpack(data))
+def _divided(divisor: float, values: NDArray[Any]) -> Values:
+    return np.asarray(values / divisor)
 
 
-def _text(data: bytes) -> str:
-    return text(data.split(b"\0", 1)[0])
+def _texts(values: NDArray[np.void]) -> Values:
+    return [text(bytes(value).split(b"\0", 1)[0]) for value in values.tolist()]
 
 
-def _raw(data: bytes) -> str:
-    return data.decode("latin-1")
+def _raw(values: NDArray[np.void]) -> Values:
+    return [bytes(value).decode("latin-1") for value in values.tolist()]
 
 
 def utc_minus_boot_ns(path: str | os.PathLike[str]) -> int | None:
     """Return UTC minus time since boot in nanoseconds, from the first 3D fix in a log; None without one."""
-    for message in DataflashReader(path, ("GPS",), 0):
+    for message in (message for batch in DataflashReader(path, ("GPS",), 0) for message in messages(batch)):
         week, ms, boot_us, status = (_whole(message.fields.get(name)) for name in ("GWk", "GMS", "TimeUS", "Status"))
         if week > 0 and boot_us > 0 and status >= _FIX_3D:
             utc_ms = (_GPS_EPOCH_S + _WEEK_S * week - _LEAP_S) * 1_000 + ms

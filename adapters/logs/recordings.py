@@ -10,7 +10,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from adapters.batch import Batch, pack
+from adapters.batch import Batch, messages, pack
 from adapters.errors import TelemetryError
 from adapters.logs.damage import Damage, scan_damage
 from adapters.message import Message
@@ -193,16 +193,20 @@ def _open(
         from adapters.logs.ulog import UlogReader
 
         ulog = UlogReader(file, only)
-        return ulog, lambda: scan_damage(file.name, ulog.statistics())
+        return _messages(ulog), lambda: scan_damage(file.name, ulog.statistics())
     if kind == "dataflash":
         from adapters.logs.dataflash import DataflashReader
 
         dataflash = DataflashReader(file, only)
-        return dataflash, lambda: scan_damage(file.name, dataflash.statistics())
+        return _messages(dataflash), lambda: scan_damage(file.name, dataflash.statistics())
     from adapters.logs.mcap_reader import MessageLogReader
 
     mcap = MessageLogReader(file, only)
     return mcap, mcap.damage
+
+
+def _messages(batches: Iterable[Batch]) -> Iterator[Message]:
+    return (message for batch in batches for message in messages(batch))
 
 
 def _open_entries(
@@ -258,10 +262,10 @@ def read_batches(
     return Recording(path, only).blocks(count)
 
 
-def packed(messages: Iterable[Message], count: int = BLOCK_MESSAGES) -> Iterator[Batch]:
+def packed(source: Iterable[Message], count: int = BLOCK_MESSAGES) -> Iterator[Batch]:
     """Return messages in blocks of ``count``, the last one shorter."""
-    messages = iter(messages)
-    while stretch := list(islice(messages, count)):
+    remaining = iter(source)
+    while stretch := list(islice(remaining, count)):
         yield pack(stretch)
 
 

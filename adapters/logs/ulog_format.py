@@ -1,4 +1,4 @@
-"""Formats of ULog records: their text to what unpacks the bytes, nested types and arrays included.
+"""Formats of ULog records: their text to where the fields lie in the bytes, nested types and arrays included.
 
 https://docs.px4.io/main/en/dev_log/ulog_file_format
 """
@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from adapters.logs.log_bytes import text
+import numpy as np
+
+from adapters.logs.onboard_log import Layout, LayoutField, Values, layout, text, texts, truth
 
 _CODES = {
     "int8_t": "b",
@@ -30,10 +32,10 @@ _TYPE = re.compile(r"(?P<type>\w+)(?:\[(?P<count>\d+)\])?", re.ASCII)
 _FIELD = re.compile(rf"{_TYPE.pattern} (?P<name>\w+)", re.ASCII)
 _FORMAT = re.compile(r"(?P<name>[\w/\-]+):(?P<fields>.*)", re.ASCII)
 _LARGEST = 1 << 16
+"""Bytes of a record: its head has two for their number."""
 _DEEPEST = 16
-
-# Takes all values of a record and where the type's begin.
-_Build = Callable[[tuple[Any, ...], int], Any]
+"""Types within types. Chosen: PX4 nests twice; a type that holds itself must come to an end somewhere."""
+_PADDING = "_padding"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,29 +49,18 @@ class UlogField:
 
 @dataclass(frozen=True, slots=True)
 class UlogType:
-    """What decodes the records of one topic.
+    """Where the fields of one topic lie.
 
     Parameters
     ----------
-    smallest, size : int
-        Bytes of a record without and with the padding at its end, which the logger may leave out.
-    unpack : Callable[[bytes], tuple]
-        Bytes of full size to single values.
-    build : Callable
-        Single values, and where to begin, to the fields.
+    layout : Layout
+        Of a record without the padding at its end, which the logger may leave out.
+    size : int
+        Bytes of a record with it.
     """
 
-    smallest: int
+    layout: Layout
     size: int
-    unpack: Callable[[bytes], tuple[Any, ...]]
-    build: _Build
-
-    def decode(self, data: bytes) -> dict[str, Any]:
-        """Return a record's fields: numbers, text, lists, and mappings for nested types; padding is left out."""
-        if len(data) != self.size:
-            data = data.ljust(self.size, b"\0")
-        fields: dict[str, Any] = self.build(self.unpack(data), 0)
-        return fields
 
 
 def parse_format(definition: bytes) -> tuple[str, tuple[UlogField, ...]]:
@@ -93,75 +84,70 @@ def parse_format(definition: bytes) -> tuple[str, tuple[UlogField, ...]]:
 
 
 def compile_type(name: str, formats: Mapping[str, tuple[UlogField, ...]]) -> UlogType:
-    """Return what decodes the records of a format.
+    """Return where the fields of a format lie.
 
     Raises
     ------
     ValueError
         The format, or one that it is made of, is unknown, nested without end or larger than a record can be.
     """
-    codes, build, _ = _compile(name, formats, 0)
-    whole = struct.Struct("<" + codes)
+    fields, size = _fields(name, formats, 0)
     padding = 0
     for field in reversed(formats[name]):
-        if not field.name.startswith("_padding"):
+        if not field.name.startswith(_PADDING):
             break
-        inner, _, _ = _compile_field(field, formats, 0)
-        padding += struct.calcsize("<" + inner)
-    if whole.size > _LARGEST:
-        raise ValueError(f"{name} is larger than a record can be")
-    return UlogType(whole.size - padding, whole.size, whole.unpack, build)
+        padding += _field(field, formats, 0)[1].itemsize
+    return UlogType(layout(fields, size - padding), size)
 
 
-def _compile(name: str, formats: Mapping[str, tuple[UlogField, ...]], depth: int) -> tuple[str, _Build, int]:
-    """Return the struct codes of a format, what builds its fields, and how many single values it has."""
+def _fields(
+    name: str, formats: Mapping[str, tuple[UlogField, ...]], depth: int
+) -> tuple[list[tuple[LayoutField, np.dtype[Any], int]], int]:
+    """Return the fields of a format, the type of each and where it begins, and the bytes of all with their padding."""
     if name not in formats or depth > _DEEPEST:
         raise ValueError(f"no format {name}")
-    codes, builders, at = "", [], 0
+    fields, at = [], 0
     for field in formats[name]:
-        inner, build, width = _compile_field(field, formats, depth)
-        codes += inner
-        if len(codes) > _LARGEST:
+        made, dtype = _field(field, formats, depth)
+        if not field.name.startswith(_PADDING):
+            fields.append((made, dtype, at))
+        at += dtype.itemsize
+        if at > _LARGEST:
             raise ValueError(f"{name} is larger than a record can be")
-        if not field.name.startswith("_padding"):
-            builders.append((field.name, at, build))
-        at += width
-    if all(build is None for _, _, build in builders):
-        plain = [(name, at) for name, at, _ in builders]
-        return codes, lambda values, start: {name: values[start + at] for name, at in plain}, at
-    whole = [(name, at, build or _single) for name, at, build in builders]
-    return codes, lambda values, start: {name: build(values, start + at) for name, at, build in whole}, at
+    return fields, at
 
 
-def _compile_field(
+def _field(
     field: UlogField, formats: Mapping[str, tuple[UlogField, ...]], depth: int
-) -> tuple[str, _Build | None, int]:
-    """Return codes, builder (None for one plain value) and number of values of a field."""
+) -> tuple[LayoutField, np.dtype[Any]]:
+    """Return a field and the type of its values."""
     count = 1 if field.count is None else field.count
     if count > _LARGEST:
         raise ValueError(f"{field.name} is larger than a record can be")
     if field.kind == "char":
-        return f"{count}s", _text, 1
+        return LayoutField(field.name, texts, numbers=False), np.dtype(f"S{count}")
+    shape = () if field.count is None else (count,)
     code = _CODES.get(field.kind)
     if code is not None:
-        if field.count is None:
-            return code, None, 1
-        return code * count, lambda values, start: list(values[start : start + count]), count
-    inner, build, width = _compile(field.kind, formats, depth + 1)
-    if len(inner) * count > _LARGEST:
+        # any byte but zero is true, which numpy's own type is not made for
+        kind = "u1" if code == "?" else f"<{code}"
+        return LayoutField(field.name, truth if code == "?" else None), np.dtype((kind, shape))
+    fields, size = _fields(field.kind, formats, depth + 1)
+    if not size:
+        raise ValueError(f"{field.kind} has no fields")
+    if size * count > _LARGEST:
         raise ValueError(f"{field.name} is larger than a record can be")
-    if field.count is None:
-        return inner, build, width
-    starts = [place * width for place in range(count)]
-    return inner * count, lambda values, start: [build(values, start + place) for place in starts], width * count
+    inner = layout(fields, size)
+    return LayoutField(field.name, lambda values: _nested(inner, values), numbers=False), np.dtype((inner.dtype, shape))
 
 
-def _single(values: tuple[Any, ...], start: int) -> Any:
-    return values[start]
-
-
-def _text(values: tuple[Any, ...], start: int) -> str:
-    return text(values[start].rstrip(b"\0"))
+def _nested(inner: Layout, values: np.ndarray[Any, Any]) -> Values:
+    """Return values of a nested type as mappings, or lists of mappings where there are several in a record."""
+    rows = inner.rows(values.reshape(-1))
+    if values.ndim == 1:
+        return rows
+    width = values.shape[1]
+    return [rows[at : at + width] for at in range(0, len(values) * width, width)] if width else [[] for _ in values]
 
 
 def decode_keyed(data: bytes) -> tuple[str, str, Any]:

@@ -1,0 +1,398 @@
+"""What the readers of onboard logs share: a window onto a file's bytes, and records of many kinds as columns.
+
+An onboard log is a chain of records that say what they are and how long they are. A reader goes from one to the next
+and notes only where they begin; :class:`Records` then decodes all of a kind at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.batch import Batch, Columns, gathered
+from adapters.logs.compressed import CompressedFile
+from adapters.message import LATEST_NS, Message
+
+READ_AHEAD_BYTES: Final = 1 << 22
+"""Bytes of a log in a batch, some 70,000 records. Chosen: from 1 MB on the cost per batch no longer shows (100 MB of a
+PX4 log read in 1.3 s with 1, 4 and 16 MB), and what is decoded of it takes some ten times as much memory."""
+
+Values: TypeAlias = "NDArray[np.generic] | list[Any]"
+
+
+@dataclass(frozen=True, slots=True)
+class LogStatistics:
+    """Counts of a reader of onboard logs.
+
+    Parameters
+    ----------
+    records : int
+        Records of the log's own kinds, wanted or not.
+    unknown : int
+        Whole records of kinds that the format did not know when this was written.
+    damaged : int
+        Places where the log was damaged.
+    skipped_bytes : int
+        Bytes that belong to no record.
+    broken_off : bool
+        Whether the log ends within a record, or its compressed data early.
+    """
+
+    records: int
+    unknown: int
+    damaged: int
+    skipped_bytes: int
+    broken_off: bool
+
+
+@dataclass(frozen=True, slots=True)
+class LayoutField:
+    """One field of a layout.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    convert : Callable | None
+        From the field's values as they lie in the log, one row per record, to numbers (an array of as many rows) or
+        to anything else (a list); None leaves numbers as they are.
+    numbers : bool
+        Whether the values are numbers, or lists of numbers that are alike long.
+    """
+
+    name: str
+    convert: Callable[[NDArray[Any]], Values] | None = None
+    numbers: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where the fields lie in the records of one kind.
+
+    Parameters
+    ----------
+    dtype : np.dtype
+        Structured type of a record; padding has no field in it.
+    fields : tuple[LayoutField, ...]
+        The fields in their order.
+    """
+
+    dtype: np.dtype[np.void]
+    fields: tuple[LayoutField, ...]
+
+    @property
+    def numbers(self) -> bool:
+        """Whether all fields are numbers or lists of numbers: the records can be columns."""
+        return all(field.numbers for field in self.fields)
+
+    def take(self, data: bytes, start: NDArray[np.int64]) -> NDArray[np.void]:
+        """Return the records (n,) that begin at n places of ``data``."""
+        size = self.dtype.itemsize
+        if not size:
+            return np.zeros(len(start), self.dtype)
+        # each place of the data as the begin of a record: taking from that copies record by record
+        everywhere = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
+        return everywhere[start].view(self.dtype)
+
+    def columns(self, records: NDArray[np.void]) -> dict[str, Values]:
+        """Return the fields of n records by name: an array of n rows, or a list of n values that are no numbers."""
+        found: dict[str, Values] = {}
+        for one in self.fields:
+            values = np.ascontiguousarray(records[one.name])
+            found[one.name] = values if one.convert is None else one.convert(values)
+        return found
+
+    def rows(self, records: NDArray[np.void]) -> list[dict[str, Any]]:
+        """Return the fields of n records, one mapping for each."""
+        columns = self.columns(records)
+        values = [one if isinstance(one, list) else one.tolist() for one in columns.values()]
+        return [dict(zip(columns, (column[row] for column in values), strict=True)) for row in range(len(records))]
+
+
+@dataclass(eq=False, slots=True)
+class RecordKind:
+    """One kind of record of a log.
+
+    Parameters
+    ----------
+    name : str
+        Name of its messages.
+    layout : Layout
+        Where the fields lie.
+    wanted : bool
+        Whether anybody wants them.
+    instance : str | None
+        Field that tells instances apart: messages of the second are ``name/1``; None where there is one only.
+    """
+
+    name: str
+    layout: Layout
+    wanted: bool = True
+    instance: str | None = None
+
+    def named(self, columns: Mapping[str, Values]) -> list[tuple[str, NDArray[np.int64] | slice]]:
+        """Return the names of the messages, and the rows that bear each."""
+        values = None if self.instance is None else columns[self.instance]
+        if isinstance(values, np.ndarray) and (values.dtype.kind not in "iu" or values.ndim > 1):
+            values = None
+        if values is None or not len(values):
+            return [(self.name, slice(None))]
+        rows: dict[str, list[int]] = {}
+        for row, value in enumerate(values if isinstance(values, list) else values.tolist()):
+            rows.setdefault(f"{self.name}/{value}" if value else self.name, []).append(row)
+        return [(name, np.array(places, np.int64)) for name, places in rows.items()]
+
+
+class LogClock:
+    """Times of arrival of a log's records: their own stamps, on a known relation of boot to UTC.
+
+    Parameters
+    ----------
+    utc_minus_boot_ns : int
+        That relation.
+    stamps : Sequence[tuple[str, int]]
+        Names of fields that hold a stamp since boot, and how many nanoseconds one count is; the first that there is
+        counts.
+
+    Attributes
+    ----------
+    newest_ns : int
+        Time since boot of the newest record with a stamp that can be one.
+    """
+
+    def __init__(self, utc_minus_boot_ns: int, stamps: Sequence[tuple[str, int]]) -> None:
+        self.utc_minus_boot_ns = utc_minus_boot_ns
+        self.newest_ns = 0
+        self._stamps = tuple(stamps)
+
+    def stamps_ns(self, fields: Mapping[str, Any], count: int) -> NDArray[np.int64]:
+        """Return the times since boot of ``count`` records, below any that can be where there is none or no good one.
+
+        Parameters
+        ----------
+        fields : Mapping[str, Any]
+            Their fields by name: arrays, or lists of values.
+        count : int
+            Their number n.
+        """
+        found = np.full(count, _NO_TIME)
+        for name, unit_ns in self._stamps:
+            if name in fields:
+                values = np.asarray(fields[name])
+                if values.dtype.kind in "iu" and values.ndim == 1:
+                    stamp = values.astype(np.int64)
+                    least, end = -(self.utc_minus_boot_ns // unit_ns), (LATEST_NS - self.utc_minus_boot_ns) // unit_ns
+                    good = (stamp >= least) & (stamp < end) & ((stamp >= 0) | (values.dtype.kind == "i"))
+                    found[good] = stamp[good] * unit_ns
+                break
+        return found
+
+    def received_ns(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the times of arrival of n records in order (n,); one without a stamp has that of the one before."""
+        known = np.concatenate([[self.newest_ns], stamps_ns])
+        last = np.maximum.accumulate(np.where(known != _NO_TIME, np.arange(len(known)), 0))
+        filled = known[last]
+        self.newest_ns = int(filled[-1])
+        return np.asarray(filled[1:] + self.utc_minus_boot_ns, np.int64)
+
+
+_NO_TIME = np.iinfo(np.int64).min
+
+
+@dataclass(slots=True)
+class Records:
+    """The records of a stretch of a log, in their order, until they become a batch.
+
+    Parameters
+    ----------
+    source : str
+        Of the messages.
+    clock : LogClock
+        What gives them their times.
+    only : Collection[str] | None
+        Names of the messages wanted; None wants all.
+
+    Attributes
+    ----------
+    data : bytes
+        What the places refer to.
+    start : list[int]
+        Where in it the fields of each record begin.
+    kind : list[RecordKind | None]
+        Its kind; None where it was decoded by itself.
+    decoded : dict[int, tuple[str, dict]]
+        Names and fields of those, by their index.
+    """
+
+    source: str
+    clock: LogClock
+    only: Collection[str] | None
+    data: bytes = b""
+    start: list[int] = field(default_factory=list)
+    kind: list[RecordKind | None] = field(default_factory=list)
+    decoded: dict[int, tuple[str, dict[str, Any]]] = field(default_factory=dict)
+
+    def add(self, start: int, kind: RecordKind) -> None:
+        """Add a record whose fields begin at a place of the data."""
+        self.start.append(start)
+        self.kind.append(kind)
+
+    def add_decoded(self, name: str, fields: dict[str, Any]) -> None:
+        """Add a record that is decoded already."""
+        self.decoded[len(self.start)] = name, fields
+        self.start.append(0)
+        self.kind.append(None)
+
+    def batch(self) -> Batch:
+        """Return the records as a batch, and begin anew."""
+        start = np.array(self.start, np.int64)
+        codes = {kind: code for code, kind in enumerate(dict.fromkeys(self.kind))}
+        code = np.fromiter(map(codes.__getitem__, self.kind), np.int64, len(self.kind))
+        order = np.argsort(code, kind="stable")
+        groups = np.split(order, np.searchsorted(code[order], np.arange(1, len(codes))))
+        stamps_ns = np.full(len(start), _NO_TIME)
+        columns: list[tuple[str, NDArray[np.int64], dict[str, Values]]] = []
+        rows: list[tuple[str, int, dict[str, Any]]] = []
+        for kind, index in zip(codes, groups, strict=True):
+            if kind is None:
+                for at in index.tolist():
+                    name, fields = self.decoded[at]
+                    rows.append((name, at, fields))
+                    single = {key: [value] for key, value in fields.items()}
+                    stamps_ns[at] = self.clock.stamps_ns(single, 1)[0]
+                continue
+            records = kind.layout.take(self.data, start[index])
+            found = kind.layout.columns(records)
+            stamps_ns[index] = self.clock.stamps_ns(found, len(index))
+            for name, part in kind.named(found):
+                if self.only is not None and name not in self.only:
+                    continue
+                if kind.layout.numbers:
+                    columns.append((name, index[part], {key: values[part] for key, values in found.items()}))
+                else:
+                    chosen = zip(index[part].tolist(), kind.layout.rows(records[part]), strict=True)
+                    rows += ((name, at, fields) for at, fields in chosen)
+        self.start, self.kind, self.decoded = [], [], {}
+        return self._batch(stamps_ns, columns, rows)
+
+    def _batch(
+        self,
+        stamps_ns: NDArray[np.int64],
+        columns: Sequence[tuple[str, NDArray[np.int64], dict[str, Any]]],
+        rows: Sequence[tuple[str, int, dict[str, Any]]],
+    ) -> Batch:
+        kept = np.sort(np.concatenate([np.array([at for _, at, _ in rows], np.int64), *(at for _, at, _ in columns)]))
+        # unwanted instances leave no time behind either
+        times_ns = np.zeros(len(stamps_ns), np.int64)
+        times_ns[kept] = self.clock.received_ns(stamps_ns[kept])
+        return gathered(
+            (Columns(self.source, name, 0, 0, at, times_ns[at], fields) for name, at, fields in columns),
+            {at: Message(self.source, name, int(times_ns[at]), fields) for name, at, fields in rows},
+        )
+
+
+class Window:
+    """The bytes of a file from a place on, at least as many as were asked for, plain or decompressed.
+
+    Parameters
+    ----------
+    path : Path
+        The file; ``.xz`` and ``.gz`` are decompressed.
+    read_ahead_bytes : int
+        How many bytes to hold whenever more have to be read.
+
+    Attributes
+    ----------
+    data : bytes
+        The part of the file that is held; another object where more was read.
+    at : int
+        The place, as an index of ``data``; the reader moves it on.
+    """
+
+    def __init__(self, path: Path, read_ahead_bytes: int) -> None:
+        self._source = CompressedFile(path)
+        self._pieces = iter(self._source)
+        self._read_ahead_bytes = read_ahead_bytes
+        self._dropped = 0
+        self._ended = False
+        self.data = b""
+        self.at = 0
+
+    def fill(self, count: int) -> bool:
+        """Hold at least ``count`` bytes from the place on; return whether the file has as many.
+
+        Raises
+        ------
+        TelemetryError
+            The file cannot be opened.
+        """
+        if self.left >= count or self._ended:
+            return self.left >= count
+        pieces = [self.data[self.at :]]
+        missing = max(count, self._read_ahead_bytes) - len(pieces[0])
+        while missing > 0 and (piece := next(self._pieces, None)) is not None:
+            pieces.append(piece)
+            missing -= len(piece)
+        self._dropped += self.at
+        self._ended = missing > 0
+        self.data, self.at = b"".join(pieces), 0
+        return self.left >= count
+
+    @property
+    def offset(self) -> int:
+        """The place as a number of bytes from the start of the (decompressed) file."""
+        return self._dropped + self.at
+
+    def index(self, offset: int) -> int:
+        """Return a place of the file as an index of ``data``."""
+        return offset - self._dropped
+
+    @property
+    def left(self) -> int:
+        """How many bytes are held from the place on."""
+        return len(self.data) - self.at
+
+    @property
+    def cut(self) -> bool:
+        """Whether the compressed data was damaged, as far as was read."""
+        return self._source.damaged
+
+
+def layout(fields: Sequence[tuple[LayoutField, Any, int]], size: int) -> Layout:
+    """Return a layout of fields, the numpy type of each and where it begins, and the bytes of a record.
+
+    Of fields of the same name the last one counts.
+    """
+    by_name = {one.name: (one, kind, at) for one, kind, at in fields}
+    dtype = np.dtype(
+        {
+            "names": list(by_name),
+            "formats": [kind for _, kind, _ in by_name.values()],
+            "offsets": [at for _, _, at in by_name.values()],
+            "itemsize": size,
+        }
+    )
+    return Layout(dtype, tuple(one for one, _, _ in by_name.values()))
+
+
+def truth(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return bytes as truth values: all but zero is true."""
+    return np.asarray(values != 0)
+
+
+def text(data: bytes) -> str:
+    """Return bytes as text, as UTF-8 where they are that, else one character for each byte: nothing is lost."""
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def texts(values: NDArray[np.bytes_]) -> list[str]:
+    """Return byte strings of fixed length as texts, without the zeros that fill them up."""
+    return [text(value) for value in values.tolist()]

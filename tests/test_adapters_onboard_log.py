@@ -1,0 +1,203 @@
+"""What holds of every onboard log, of PX4 and of ArduPilot: order, times, and all that damage leaves."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import lzma
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+import test_adapters_dataflash
+import test_adapters_ulog
+from dataflash_writer import DataflashWriter
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from onboard_flights import messages_of
+from ulog_writer import UlogWriter
+
+from adapters.errors import TelemetryError
+from adapters.logs.damage import scan_damage
+from adapters.logs.dataflash import DataflashReader
+from adapters.logs.onboard_log import LogStatistics
+from adapters.logs.ulog import DROPOUT, TEXT, UlogReader
+from adapters.message import Message
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of onboard log: a flight, where its records end, and how it is read."""
+
+    suffix: str
+    flight: bytes
+    ends: list[int]
+    head: int
+    first: int
+    silent: bytes
+    wanted: frozenset[str]
+    refused: bytes
+    reader: Callable[..., Any]
+
+    def read(self, folder: Path, data: bytes, **options: Any) -> tuple[list[Message], LogStatistics]:
+        path = folder / f"a{self.suffix}"
+        path.write_bytes(data)
+        reader = self.reader(path, options.pop("only", None), 0, **options)
+        return messages_of(reader), reader.statistics()
+
+    def messages(self, places: list[int]) -> int:
+        """Return how many records are messages: formats, subscriptions and marks of ULog are none."""
+        return sum(self.flight[start + 2] not in self.silent for start, _ in pairwise(places))
+
+
+ULOG = Kind(
+    suffix=".ulg",
+    flight=bytes(test_adapters_ulog.LOG.data),
+    ends=test_adapters_ulog.LOG.ends,
+    head=16,
+    first=20,
+    silent=b"ABFS",
+    wanted=frozenset({"sensor_baro/1", TEXT}),
+    refused=b"\x55\x4c\x6f\x66\x01\x12\x35" + bytes(test_adapters_ulog.LOG.data[7:]),
+    reader=UlogReader,
+)
+DATAFLASH = Kind(
+    suffix=".bin",
+    flight=bytes(test_adapters_dataflash.LOG.data),
+    ends=test_adapters_dataflash.LOG.ends,
+    head=0,
+    first=30,
+    silent=b"",
+    wanted=frozenset({"IMU/1", "GPS"}),
+    refused=b"\xa3\x94" + bytes(test_adapters_dataflash.LOG.data[2:]),
+    reader=DataflashReader,
+)
+pytestmark = pytest.mark.parametrize("kind", [ULOG, DATAFLASH], ids=["ulog", "dataflash"])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("onboard")
+
+
+def keys(messages: list[Message]) -> list[str]:
+    return [repr(message) for message in messages]
+
+
+WHOLE: dict[str, list[str]] = {}
+
+
+def whole(kind: Kind, folder: Path) -> list[str]:
+    if kind.suffix not in WHOLE:
+        WHOLE[kind.suffix] = keys(kind.read(folder, kind.flight)[0])
+    return WHOLE[kind.suffix]
+
+
+def test_only_the_wanted_records_are_read(kind: Kind, folder: Path) -> None:
+    found, _ = kind.read(folder, kind.flight, only=kind.wanted)
+    assert {message.name for message in found} == kind.wanted
+    wanted = [message for message in kind.read(folder, kind.flight)[0] if message.name in kind.wanted]
+    assert keys(found) == keys(wanted)
+
+
+@settings(max_examples=20, deadline=None)
+@given(size=st.integers(1, 3_000))
+def test_however_a_log_is_cut_into_batches_its_messages_are_the_same(kind: Kind, folder: Path, size: int) -> None:
+    assert keys(kind.read(folder, kind.flight, read_ahead_bytes=size)[0]) == whole(kind, folder)
+
+
+def test_numbers_are_columns_and_nothing_else_is(kind: Kind, folder: Path) -> None:
+    (folder / f"a{kind.suffix}").write_bytes(kind.flight)
+    (batch,) = kind.reader(folder / f"a{kind.suffix}")
+    assert batch.count == len(whole(kind, folder))
+    for columns in batch.columns:
+        assert len(columns.position) == len(columns.received_ns)
+        assert all(
+            values.dtype.kind in "biuf" and len(values) == len(columns.position) for values in columns.fields.values()
+        )
+    for message in batch.others.values():
+        assert message.name == DROPOUT or any(isinstance(value, str | dict) for value in message.fields.values())
+
+
+@pytest.mark.parametrize(("suffix", "pack"), [(".xz", lzma.compress), (".gz", gzip.compress)])
+def test_compressed_logs_read_like_plain_ones(kind: Kind, folder: Path, suffix: str, pack: Any) -> None:
+    path = folder / f"a{kind.suffix}{suffix}"
+    path.write_bytes(pack(kind.flight))
+    reader = kind.reader(path, None, 0)
+    assert keys(messages_of(reader)) == whole(kind, folder)
+    assert scan_damage(path.name, reader.statistics()) is None
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_a_truncated_log_gives_every_message_before_the_end(kind: Kind, folder: Path, data: st.DataObject) -> None:
+    cut = data.draw(st.integers(max(kind.head, 3), len(kind.flight) - 1))
+    found, statistics = kind.read(folder, kind.flight[:cut])
+    complete = [kind.head, *(end for end in kind.ends if end <= cut)]
+    assert keys(found) == whole(kind, folder)[: kind.messages(complete)]
+    assert statistics.broken_off is (cut not in (kind.head, *kind.ends))
+    assert (statistics.records, statistics.damaged) == (len(complete) - 1, 0)
+    assert statistics.skipped_bytes == cut - complete[-1]
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_damage_costs_no_message_before_it_and_reading_goes_on_behind_it(
+    kind: Kind, folder: Path, data: st.DataObject
+) -> None:
+    place = data.draw(st.integers(kind.ends[kind.first], len(kind.flight) - 600))
+    junk = data.draw(st.one_of(st.binary(min_size=1, max_size=300), st.integers(1, 300).map(bytes)))
+    found, statistics = kind.read(folder, kind.flight[:place] + junk + kind.flight[place + len(junk) :])
+    before = kind.messages([kind.head, *(end for end in kind.ends if end <= place)])
+    assert keys(found[:before]) == whole(kind, folder)[:before]
+    assert repr(found[-1]) == whole(kind, folder)[-1]
+    assert statistics.records <= len(kind.ends) + 300
+
+
+@settings(max_examples=40, deadline=None)
+@given(junk=st.binary(max_size=600))
+def test_whatever_stands_behind_the_head_of_a_file_is_no_crash(kind: Kind, folder: Path, junk: bytes) -> None:
+    with contextlib.suppress(TelemetryError):
+        found, statistics = kind.read(folder, kind.flight[: kind.head or kind.ends[0]] + junk)
+        assert statistics.records >= len(found)
+    with contextlib.suppress(TelemetryError):
+        kind.read(folder, junk)
+
+
+@pytest.mark.parametrize("data", [b"", b"ULog", b"\xa3", bytes(5_000), None, b"x" * 99])
+def test_a_file_that_is_no_such_log_is_refused_in_one_line(kind: Kind, folder: Path, data: bytes | None) -> None:
+    with pytest.raises(TelemetryError, match=r"a\.\w+: not a (ULog file|DataFlash log)") as error:
+        kind.read(folder, kind.refused if data is None else data)
+    assert "\n" not in str(error.value)
+
+
+def test_a_long_run_of_zeros_is_passed_over(kind: Kind, folder: Path) -> None:
+    place = kind.ends[40]
+    data = kind.flight[:place] + bytes(300_000) + kind.flight[place:]
+    found, statistics = kind.read(folder, data, read_ahead_bytes=50_000)
+    assert keys(found) == whole(kind, folder)
+    damage = scan_damage("a", statistics)
+    assert damage is not None
+    assert damage.line() == "a: 1 damaged place, 300000 bytes unreadable"
+
+
+def test_a_damaged_time_is_that_of_the_record_before(kind: Kind, folder: Path) -> None:
+    times_us = (5, (1 << 64) - 1, 7)
+    log: UlogWriter | DataflashWriter
+    if kind is ULOG:
+        log = UlogWriter(start_us=(1 << 64) - 1)
+        log.define("A", "uint64_t timestamp")
+        number = log.subscribe("A")
+        for time_us in times_us:
+            log.add(number, "A", {"timestamp": time_us})
+    else:
+        log = DataflashWriter()
+        log.define("A", "Q", "TimeUS")
+        for time_us in times_us:
+            log.add("A", time_us)
+    for size in (1, 1 << 20):
+        found, _ = kind.read(folder, bytes(log.data), only=("A",), read_ahead_bytes=size)
+        assert [message.received_ns for message in found] == [5_000, 5_000, 7_000]
