@@ -38,9 +38,9 @@ from detectors import DETECTORS, ENERGY, FAUIO, Run, Suite, make_suite, run_suit
 from flights import Fault, Flight, read_flights
 from numpy.typing import NDArray
 
-from monitor.fitting.survey import FIT_MESSAGES
 from monitor.trace import Trace
-from replay.fit import KINDS, fit
+from monitor.vehicles.kinds import KINDS, fit_messages
+from replay.fit import fit
 from replay.player import interests
 
 ROOT = Path(__file__).parent.parent
@@ -65,7 +65,7 @@ def fits_of(flights: Sequence[Flight], folder: Path) -> tuple[list[Fit], list[st
     for group in sorted({flight.group for flight in flights}):
         members = tuple(flight for flight in flights if flight.group == group)
         healthy = tuple(flight for flight in members if flight.healthy)
-        if members[0].kind not in KINDS:
+        if members[0].kind not in [kind.name for kind in KINDS]:
             notes.append(f"{group}: `fauio fit` knows no {members[0].kind} ({len(members)} flights left out)")
             continue
         if not healthy:
@@ -81,7 +81,7 @@ def fits_of(flights: Sequence[Flight], folder: Path) -> tuple[list[Fit], list[st
 
 def make(task: Fit) -> Suite | str:
     """Fit and calibrate; return why not where the flights do not allow it."""
-    logs = [lambda flight=flight: flight.messages(FIT_MESSAGES) for flight in task.healthy]
+    logs = [lambda flight=flight: flight.messages(fit_messages()) for flight in task.healthy]
     try:
         fit(task.healthy[0].kind, logs, task.folder, "vehicle")
         return make_suite(task.folder, [flight.messages for flight in task.healthy])

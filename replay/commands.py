@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adapters.errors import StorageError
+from monitor.vehicles.kinds import KINDS, fit_messages
 from replay import attack_commands
 from replay.runs.replay_command import LOG_HELP, MAPPING_HELP, add_replay
 
@@ -55,8 +56,7 @@ def _add_fit(subparsers: Any) -> None:
         description="Identify a vehicle from healthy flights, design its observer, and calibrate its alarms.",
         epilog="example: fauio fit --vehicle multirotor monday.tlog tuesday.tlog -o quad/",
     )
-    kinds = ["multirotor", "plane", "rover", "inertial", "custom"]
-    parser.add_argument("--vehicle", required=True, choices=kinds, help="kind of vehicle")
+    parser.add_argument("--vehicle", required=True, choices=[kind.name for kind in KINDS], help="kind of vehicle")
     parser.add_argument("--model", type=Path, metavar="MODEL.toml", help="model with free parameters (custom only)")
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=LOG_HELP)
     parser.add_argument("-o", "--out", required=True, type=Path, metavar="PROFILE", help="profile folder to write")
@@ -104,7 +104,7 @@ def run_fit(args: argparse.Namespace) -> int:
     from adapters.errors import InfeasibleError, ModelError, TelemetryError
     from adapters.logs.recordings import Recording, recording_kind
     from monitor.fitting.progress import track
-    from monitor.fitting.survey import FIT_MESSAGES, of_one_vehicle
+    from monitor.fitting.survey import of_one_vehicle
     from monitor.profile import PROFILE_FILE
     from monitor.vehicles.custom.fit import custom_messages
     from replay.fit import fit
@@ -115,7 +115,7 @@ def run_fit(args: argparse.Namespace) -> int:
     check_output_folder(args.out)
     name = args.name or args.out.resolve().name
 
-    wanted = custom_messages(args.model) if args.model else FIT_MESSAGES
+    wanted = custom_messages(args.model) if args.model else fit_messages()
 
     def log(path: Path) -> Iterator[Message]:
         recording = Recording(path, wanted, args.mapping)

@@ -12,21 +12,16 @@ import tomli_w
 
 from adapters.errors import InfeasibleError, ModelError, TelemetryError, UsageError
 from adapters.output_file import write_file
-from monitor.fitting.calibrate import SETTLE_S
 from monitor.fitting.capability import capability
 from monitor.fitting.fit_report import draw_comparison
-from monitor.fitting.fitted import Fitted, Log
+from monitor.fitting.fitted import FitRequest, Fitted, Log
 from monitor.fitting.survey import Survey, survey
 from monitor.profile import PROFILE_FILE, profile_table
 from monitor.sampling.gate import GateRule
-from monitor.sampling.slow_telemetry import INERTIAL_HZ, WANTED_HZ, slow_messages, slow_text
-from monitor.vehicles.custom.fit import fit_custom
-from monitor.vehicles.inertial.fit import EXCUSES, fit_inertial
-from monitor.vehicles.multirotor.fit import fit_motors, multirotor_gate
-from monitor.vehicles.plane.fit import fit_surfaces, plane_gate
-from monitor.vehicles.rover.fit import fit_drive, rover_gate
-
-KINDS = ("multirotor", "plane", "rover", "inertial", "custom")
+from monitor.sampling.slow_telemetry import slow_messages, slow_text
+from monitor.vehicles.base import VehicleKind, load
+from monitor.vehicles.inertial.fit import fit_inertial
+from monitor.vehicles.kinds import kind_named
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +70,7 @@ def fit(kind: str, logs: Sequence[Log], folder: Path, name: str, model: Path | N
     Parameters
     ----------
     kind : str
-        Kind of vehicle, one of ``KINDS``.
+        Name of one of :data:`monitor.vehicles.kinds.KINDS`.
     logs : Sequence[Log]
         Healthy recordings; each call of a log goes through it once from the start.
     folder : Path
@@ -90,36 +85,21 @@ def fit(kind: str, logs: Sequence[Log], folder: Path, name: str, model: Path | N
     TelemetryError, ModelError, InfeasibleError
         The recordings do not hold what is needed, do not excite an axis, or allow no certified design.
     """
-    if (kind == "custom") != (model is not None):
+    vehicle = kind_named(kind)
+    if vehicle.needs_model != (model is not None):
         raise UsageError(f"--vehicle {kind}: {'needs' if model is None else 'takes no'} --model MODEL.toml")
-    observers: list[Fitted] = []
+    surveys = () if vehicle.needs_model else tuple(survey(log()) for log in logs)
+    request = FitRequest(name, logs, surveys, model)
+    vehicle_types = frozenset[str]().union(*(found.vehicle_types for found in surveys))
+    own, gate = load(vehicle.fit)(request)
+    observers: list[Fitted] = [own]
     notes: list[str] = []
-    warnings: tuple[str, ...] = ()
-    vehicle_types: frozenset[str] = frozenset()
-    if model is not None:
-        custom, gate = fit_custom(logs, model)
-        observers.append(custom)
-    else:
-        surveys = [survey(log()) for log in logs]
-        vehicle_types = frozenset[str]().union(*(found.vehicle_types for found in surveys))
-        if kind == "multirotor":
-            gate = multirotor_gate(surveys, SETTLE_S)
-            observers.append(fit_motors(name, logs, surveys, gate))
-        elif kind == "plane":
-            gate = plane_gate(SETTLE_S)
-            observers.append(fit_surfaces(name, logs, surveys, gate))
-        elif kind == "rover":
-            gate = rover_gate(SETTLE_S)
-            observers.append(fit_drive(name, logs, surveys, gate))
-        else:
-            gate = GateRule(settle_s=SETTLE_S, require_airborne=False)
+    if vehicle.inertial_too:
         try:
-            observers.append(fit_inertial(name, logs, surveys, gate))
+            observers.append(fit_inertial(request, gate))
         except (TelemetryError, ModelError, InfeasibleError) as error:
-            if not observers:
-                raise
             notes.append(f"inertial: {error}")
-        warnings = (*_slow(kind, surveys, observers), *_of_several(vehicle_types))
+    warnings = (*_slow(vehicle, surveys, observers), *_of_several(vehicle_types)) if surveys else ()
     report = FitReport(kind, tuple(_measured(fitted, gate) for fitted in observers), tuple(notes), warnings)
     [vehicle_type] = vehicle_types if len(vehicle_types) == 1 else ("",)
     return replace(report, set_aside=write_profile(folder, name, kind, gate, report, vehicle_type))
@@ -134,7 +114,8 @@ def write_profile(
         fitted.write(folder)
     tables = {fitted.name: fitted.table() for fitted in report.observers}
     known = {found.rule.channel for fitted in report.observers for found in fitted.alarms}
-    excuses = [rule for rule in EXCUSES if known.issuperset((*rule.channels, *rule.by))]
+    rules = (rule for fitted in report.observers for rule in fitted.excuses)
+    excuses = [rule for rule in rules if known.issuperset((*rule.channels, *rule.by))]
     content = profile_table(
         name=name, vehicle=kind, vehicle_type=vehicle_type, gate=gate, observers=tables, excuses=excuses
     )
@@ -157,11 +138,10 @@ def replace_kept(path: Path, text: str) -> Path | None:
     return before
 
 
-def _slow(kind: str, surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str, ...]:
-    wanted_hz = INERTIAL_HZ if kind == "inertial" else WANTED_HZ
+def _slow(kind: VehicleKind, surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str, ...]:
     messages = {channel.message for fitted in observers for channel in fitted.source.channels}
-    slow = slow_messages([found.rate_hz for found in surveys], messages, wanted_hz)
-    return (slow_text(slow, wanted_hz),) if slow else ()
+    slow = slow_messages([found.rate_hz for found in surveys], messages, kind.wanted_hz)
+    return (slow_text(slow, kind.wanted_hz),) if slow else ()
 
 
 def _of_several(vehicle_types: frozenset[str]) -> tuple[str, ...]:

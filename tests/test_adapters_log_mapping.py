@@ -9,7 +9,7 @@ import pytest
 from adapters.errors import TelemetryError
 from adapters.logs.log_mapping import SOURCES, builtin_mapping, parse_mapping, read_mapping
 from monitor.fitting.survey import MOTOR_MESSAGE
-from monitor.vehicles.inertial.strapdown_channels import INERTIAL_MESSAGES
+from monitor.vehicles.inertial.signals import MESSAGES
 
 RATES = {"timestamp": 1, "xyz": [0.0, 0.0, 0.0]}
 ATTITUDE = {"timestamp": 1, "q": [1.0, 0.0, 0.0, 0.0]}
@@ -20,7 +20,7 @@ COMMANDS = {"timestamp": 1, "control": [0.0] * 12}
 @pytest.mark.parametrize("source", SOURCES)
 def test_the_built_in_tables_fill_what_profiles_need(source: str) -> None:
     rules = builtin_mapping(source).rules
-    wanted = INERTIAL_MESSAGES - {"RAW_IMU"} | {MOTOR_MESSAGE, "HEARTBEAT", "EXTENDED_SYS_STATE", "VFR_HUD"}
+    wanted = MESSAGES - {"RAW_IMU"} | {MOTOR_MESSAGE, "HEARTBEAT", "EXTENDED_SYS_STATE", "VFR_HUD"}
     assert wanted <= rules.keys()
     timed = {name for name, found in rules.items() if name not in ("HEARTBEAT", "EXTENDED_SYS_STATE", "VFR_HUD")}
     for rule in (rule for name in timed for rule in rules[name]):

@@ -16,8 +16,8 @@ from adapters.message import Message
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.sampler import Sampler
 from monitor.vehicles.inertial.kinematics import levelled_field, pressure_altitude
+from monitor.vehicles.inertial.signals import strapdown_channels
 from monitor.vehicles.inertial.strapdown import GPS, Strapdown
-from monitor.vehicles.inertial.strapdown_channels import strapdown_channels
 
 EXAMPLES: dict[str, dict[str, Any]] = {
     "ATTITUDE": {"roll": 0.0, "pitch": 0.0, "yaw": 0.0},
@@ -248,7 +248,7 @@ def test_a_receiver_that_knows_no_speed_is_not_used() -> None:
 
 
 def test_a_number_that_no_float_can_hold_is_no_channel() -> None:
-    from monitor.vehicles.inertial.strapdown_channels import _there
+    from monitor.vehicles.inertial.signals import _there
 
     assert not _there({"IMU": {"xacc": 10**400}}, "IMU", ("xacc",))
     assert not _there({"IMU": {"xacc": float("nan")}}, "IMU", ("xacc",))

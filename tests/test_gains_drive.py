@@ -7,21 +7,21 @@ from simulated_vehicles import DRIVE, RATE_HZ, STEERING, ride
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
 from monitor.sampling.scaled_inputs import DriveInputs
-from monitor.vehicles.rover.identify import drive_plant, identify_drive
+from monitor.vehicles.rover.identify import identify_drive
 
 
 def test_steering_and_throttle_are_recovered_also_in_reverse() -> None:
     fit = identify_drive([ride(1), ride(2)], RATE_HZ, DriveInputs.inputs)
     assert [axis.a for axis in fit.axes] == pytest.approx([STEERING[0], DRIVE[0]], abs=0.02)
     assert [axis.b for axis in fit.axes] == pytest.approx([STEERING[1], DRIVE[1]], rel=0.03)
-    assert fit.steering_cubic == pytest.approx(0.0, abs=0.01)
+    assert fit.curves["steering_cubic"] == pytest.approx(0.0, abs=0.01)
     assert all(verdict.excited for verdict in fit.excitation)
 
 
 @pytest.mark.parametrize("cubic", [-0.2, 0.15])
 def test_the_steerings_curve_is_learned_through_noise(cubic: float) -> None:
     fit = identify_drive([ride(3, cubic=cubic, noise=0.02)], RATE_HZ, DriveInputs.inputs)
-    assert fit.steering_cubic == pytest.approx(cubic, abs=0.03)
+    assert fit.curves["steering_cubic"] == pytest.approx(cubic, abs=0.03)
     gain = fit.axes[0].b / (1.0 - fit.axes[0].a)
     assert gain == pytest.approx(STEERING[1] / (1.0 - STEERING[0]), rel=0.03)
 
@@ -32,7 +32,7 @@ def test_the_transform_takes_what_was_learned() -> None:
 
 
 def test_a_fault_is_the_actuators_own_column() -> None:
-    plant = drive_plant(identify_drive([ride(1)], RATE_HZ, DriveInputs.inputs), "rover")
+    plant = identify_drive([ride(1)], RATE_HZ, DriveInputs.inputs).plant("rover")
     assert [fault.name for fault in plant.faults] == ["steering", "throttle"]
     assert np.array_equal(plant.E_f, plant.B[:, :2])
 
@@ -41,7 +41,7 @@ def test_a_ride_straight_ahead_leaves_the_steering_unwatched_and_says_what_to_dr
     fit = identify_drive([ride(1, straight=True, noise=0.01)], RATE_HZ, DriveInputs.inputs)
     assert [verdict.excited for verdict in fit.excitation] == [False, True]
     assert "slalom" in fit.excitation[0].advice
-    assert [fault.name for fault in drive_plant(fit, "rover").faults] == ["throttle"]
+    assert [fault.name for fault in fit.plant("rover").faults] == ["throttle"]
 
 
 def test_outputs_that_drive_nothing_are_refused() -> None:

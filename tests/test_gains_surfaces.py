@@ -5,6 +5,7 @@ import pytest
 from simulated_vehicles import DELAY_S, LAG_S, PITCH, RATE_HZ, ROLL, THRUST, YAW, flight
 
 from adapters.errors import ModelError
+from gains.identification.axes import AxesFit
 from gains.identification.regression import lagged
 from gains.identification.segment import Segment
 from gains.synthesis.certificate import certify
@@ -13,29 +14,29 @@ from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.observer import Observer
 from monitor.sampling.scaled_inputs import SurfaceInputs
-from monitor.vehicles.plane.identify import SurfacesFit, identify_surfaces, surfaces_plant
+from monitor.vehicles.plane.identify import identify_surfaces
 
 
 @pytest.fixture(scope="module")
-def fit() -> SurfacesFit:
+def fit() -> AxesFit:
     return identify_surfaces([flight(1), flight(2)], RATE_HZ, SurfaceInputs.inputs)
 
 
 @pytest.fixture(scope="module")
-def gains(fit: SurfacesFit) -> Gains:
-    plant = surfaces_plant(fit, "plane")
+def gains(fit: AxesFit) -> Gains:
+    plant = fit.plant("plane")
     design = design_convex(plant, RATE_HZ)
     return compile_gains(plant, design, certify(plant, design))
 
 
-def test_every_surface_gets_its_own_coefficients(fit: SurfacesFit) -> None:
+def test_every_surface_gets_its_own_coefficients(fit: AxesFit) -> None:
     found = [(axis.a, axis.b) for axis in fit.axes]
     assert np.array(found) == pytest.approx(np.array([ROLL, PITCH, YAW, THRUST]), rel=0.03, abs=1e-9)
     assert [axis.model.actuator for axis in fit.axes] == list(SurfaceInputs.actuators)
     assert all(verdict.excited for verdict in fit.excitation)
 
 
-def test_the_timing_is_what_the_transform_takes(fit: SurfacesFit) -> None:
+def test_the_timing_is_what_the_transform_takes(fit: AxesFit) -> None:
     parameters = fit.parameters()
     assert parameters == {
         f"{name}_{key}": value for name in SurfaceInputs.actuators for key, value in (("delay_s", 0.04), ("lag_s", 0.1))
@@ -44,8 +45,8 @@ def test_the_timing_is_what_the_transform_takes(fit: SurfacesFit) -> None:
     assert (LAG_S, DELAY_S) == (0.1, 0.04)
 
 
-def test_a_fault_is_the_surfaces_own_column(fit: SurfacesFit) -> None:
-    plant = surfaces_plant(fit, "plane")
+def test_a_fault_is_the_surfaces_own_column(fit: AxesFit) -> None:
+    plant = fit.plant("plane")
     assert [fault.input for fault in plant.faults] == list(SurfaceInputs.actuators)
     assert np.array_equal(plant.E_f, plant.B[:, :4])
     assert plant.outputs == SurfaceInputs.outputs
@@ -72,7 +73,7 @@ def test_a_surface_that_did_not_move_is_not_watched_and_the_manoeuvre_is_named()
     verdict = fit.excitation[1]
     assert (verdict.actuator, verdict.excited) == ("elevator", False)
     assert "pull up and push over" in verdict.advice
-    assert [fault.name for fault in surfaces_plant(fit, "plane").faults] == ["aileron", "rudder", "throttle"]
+    assert [fault.name for fault in fit.plant("plane").faults] == ["aileron", "rudder", "throttle"]
 
 
 def test_a_rudder_that_only_follows_the_aileron_is_not_watched() -> None:

@@ -22,7 +22,7 @@ from adapters.logs.tlog import read_tlog
 from adapters.message import Message
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.sampler import Sampler
-from monitor.vehicles.inertial.strapdown_channels import strapdown_channels
+from monitor.vehicles.inertial.signals import strapdown_channels
 
 DATA = Path(__file__).parent / "data"
 MS = 1_000_000

@@ -16,9 +16,11 @@ from onboard_flights import BOOT_US, dataflash_of, ulog_of
 
 import fauio
 from adapters.logs.recordings import Recording, read_recording, recording_kind
-from monitor.fitting.survey import FIT_MESSAGES, common_rate_hz, multirotor_channels, of_one_vehicle, survey
+from monitor.fitting.survey import common_rate_hz, of_one_vehicle, survey
 from monitor.profile import Profile, read_profile
-from monitor.vehicles.inertial.strapdown_channels import strapdown_channels
+from monitor.vehicles.inertial.signals import strapdown_channels
+from monitor.vehicles.kinds import fit_messages
+from monitor.vehicles.multirotor.signals import multirotor_channels
 from replay.player import Replay, interests, play
 
 KINDS = (".ulg", ".bin")
@@ -160,7 +162,7 @@ def test_a_fit_sees_the_channels_and_rates_that_it_sees_in_telemetry(
     logs: dict[str, Path], data: Path, kind: str
 ) -> None:
     onboard, telemetry = (
-        survey(of_one_vehicle(read_recording(log, FIT_MESSAGES)))
+        survey(of_one_vehicle(read_recording(log, fit_messages())))
         for log in (logs[f"gps_step25m.{kind}"], data / "copter_gps_step25m.tlog.xz")
     )
     assert multirotor_channels([onboard]) == multirotor_channels([telemetry])

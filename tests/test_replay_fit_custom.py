@@ -21,6 +21,7 @@ from adapters.simulation.arm import SCENARIOS, ArmFault, ArmRun, ArmScenario, si
 from adapters.simulation.arm_source import arm_messages
 from gains.plants.model_file import read_model
 from monitor.estimation.isolation_rule import BankRule
+from monitor.fitting.fitted import FitRequest
 from monitor.profile import UNEXPLAINED, read_profile
 from monitor.vehicles.custom.fit import _alarms, custom_messages, fit_custom
 from replay.fit import fit
@@ -190,7 +191,7 @@ def test_mistakes_in_the_mapping_are_named(
     path.write_text(MODEL.read_text().replace(old, new))
     run = simulate_arm(SCENARIOS["healthy"], 1.0, 100.0)
     with pytest.raises(error, match=said):
-        fit_custom([log(run)], path)
+        fit_custom(FitRequest("arm", [log(run)], model=path))
 
 
 def test_a_recording_need_only_yield_the_models_messages() -> None:

@@ -12,8 +12,12 @@ import pytest
 from adapters.errors import TelemetryError
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
-from monitor.fitting.survey import FIT_MESSAGES, CommandRange, Survey, motor_commands, of_one_vehicle, survey
-from monitor.vehicles.multirotor.fit import fit_motors, multirotor_gate
+from adapters.source import MAVLINK
+from monitor.fitting.fitted import FitRequest
+from monitor.fitting.survey import Survey, of_one_vehicle, survey
+from monitor.vehicles.kinds import fit_messages
+from monitor.vehicles.multirotor.fit import fit_multirotor
+from monitor.vehicles.multirotor.signals import CommandRange, motor_commands
 
 FLIGHTS = ("copter_healthy_square.tlog.xz", "copter_healthy_vel_gusty.tlog.xz")
 
@@ -23,7 +27,7 @@ def outputs_over_time(values: Mapping[int, Sequence[int]]) -> Survey:
     count = max(map(len, values.values()))
     return survey(
         Message(
-            "mavlink",
+            MAVLINK,
             "SERVO_OUTPUT_RAW",
             10_000_000 * at,
             {"time_usec": 10_000 * (at + 1), "port": 0} | {f"servo{n}_raw": v[at] for n, v in values.items()},
@@ -92,11 +96,11 @@ def as_speeds(messages: Iterator[Message]) -> Iterator[Message]:
 @pytest.mark.long
 def test_a_quadrotor_that_sends_speeds_is_fitted_and_the_range_is_stated(data: Path, quad_folder: Path) -> None:
     def log(path: Path) -> Iterator[Message]:
-        return as_speeds(of_one_vehicle(read_recording(path, FIT_MESSAGES)))
+        return as_speeds(of_one_vehicle(read_recording(path, fit_messages())))
 
     logs = [partial(log, data / name) for name in FLIGHTS]
     surveys = [survey(one()) for one in logs]
-    fitted = fit_motors("quad", logs, surveys, multirotor_gate(surveys, 2.0))
+    fitted, _ = fit_multirotor(FitRequest("quad", logs, surveys))
     channel = fitted.source.inputs[0]
     assert (channel.scale, channel.offset) == pytest.approx((1 / 850, -150 / 850))
     assert fitted.findings["command_range"] == {"none": 150.0, "full": 1000.0}

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from monitor.fitting.survey import MOTOR_MESSAGE, Survey
+from monitor.sampling.phase import FlightPhase
 
 _TURN = 6.283185307179586
 _G = 9.80665
@@ -16,6 +17,8 @@ _IMU = (("HIGHRES_IMU", 1.0), ("SCALED_IMU", _G / 1000.0), ("RAW_IMU", _G / 1000
 _ANGLES = {"roll": "roll", "pitch": "pitch", "yaw": "yaw"}
 _RATES = {"roll_rate": "rollspeed", "pitch_rate": "pitchspeed", "yaw_rate": "yawspeed"}
 _FORCES = {"forward_acceleration": "xacc", "lateral_acceleration": "yacc", "vertical_acceleration": "zacc"}
+EFFECT_MESSAGES = FlightPhase.interests | {MOTOR_MESSAGE, _ATTITUDE} | {message for message, _ in _IMU}
+"""Messages of attitude, acceleration and servo outputs, and of the phase of flight."""
 _RATES_HZ = (100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
 _NEARLY = 0.9
 

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adapters.errors import TelemetryError
-from gains.identification.regression import AxisFit
+from gains.identification.axes import AxesFit
 from gains.identification.segment import Segment
 from gains.plants.plant import Plant
 from gains.synthesis.certificate import certify
@@ -30,11 +29,10 @@ from monitor.fitting.effect_signals import EffectSignals
 from monitor.fitting.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
 from monitor.fitting.effects_report import compare_effects
 from monitor.fitting.fit_report import comparison_lines
-from monitor.fitting.fitted import Fitted, Log, bare_rule
+from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.thresholds import Calibrated
 from monitor.sampling.gate import GatedSample, GateRule
 from monitor.sampling.transform import Source, TransformRule, make_transform
-from monitor.vehicles.plane.identify import Excitation
 
 _OBSERVER_HZ = 50.0
 _MOVING = 0.1
@@ -45,24 +43,9 @@ _THRESHOLD, _CLEAR, _CRITICAL = 0.001, 0.0005, 0.25
 _RAISE_S, _CLEAR_S = 0.15, 0.3
 
 
-class EffectsFit(Protocol):
-    """What an identification of such a vehicle gives."""
-
-    @property
-    def axes(self) -> tuple[AxisFit, ...]:
-        """One for each output."""
-
-    @property
-    def excitation(self) -> tuple[Excitation, ...]:
-        """One for each actuator."""
-
-    def parameters(self) -> dict[str, float]:
-        """Return what the transform has to know beside the speeds."""
-
-
 @dataclass(frozen=True, slots=True)
-class Kind:
-    """A kind of vehicle.
+class EffectKind:
+    """What differs between vehicles of this sort.
 
     Parameters
     ----------
@@ -74,28 +57,28 @@ class Kind:
         Speeds (N,) in raw signals (N, s).
     full : Mapping[str, str]
         Input that is the effect of a full deflection, by actuator; an actuator without acts the same at every speed.
-    learn : Callable[[Sequence[Segment], float, Sequence[str], str], tuple[EffectsFit, Plant]]
-        From segments, rate, input names and the vehicle's name to the fit and its plant.
+    identify : Callable[[Sequence[Segment], float, Sequence[str]], AxesFit]
+        From segments, rate and input names to the fit.
     """
 
     observer: str
     slowest: float
     speed: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     full: Mapping[str, str]
-    learn: Callable[[Sequence[Segment], float, Sequence[str], str], tuple[EffectsFit, Plant]]
+    identify: Callable[[Sequence[Segment], float, Sequence[str]], AxesFit]
 
 
-def fit_effects(kind: Kind, name: str, logs: Sequence[Log], signals: EffectSignals, gate: GateRule) -> Fitted:
-    """Identify, design and calibrate.
+def fit_effects(
+    kind: EffectKind, request: FitRequest, signals: EffectSignals, gate: GateRule
+) -> tuple[Fitted, GateRule]:
+    """Identify, design and calibrate; return the observer, and the gate as it is given.
 
     Parameters
     ----------
-    kind : Kind
-        The kind of vehicle.
-    name : str
-        Name of the vehicle.
-    logs : Sequence[Log]
-        Healthy recordings.
+    kind : EffectKind
+        What differs between them.
+    request : FitRequest
+        Name and healthy recordings.
     signals : EffectSignals
         The transform's raw signals.
     gate : GateRule
@@ -108,7 +91,7 @@ def fit_effects(kind: Kind, name: str, logs: Sequence[Log], signals: EffectSigna
     """
     rate_hz = min(signals.rate_hz, _OBSERVER_HZ)
     source = Source(inputs=signals.channels)
-    raw = [flight_samples(log(), source, signals.rate_hz, replace(gate, airborne_command=0.0)) for log in logs]
+    raw = [flight_samples(log(), source, signals.rate_hz, replace(gate, airborne_command=0.0)) for log in request.logs]
     reference = _reference_speed(kind, raw)
     speeds = {"reference_speed": reference, "minimum_speed": kind.slowest * reference}
     bare = TransformRule(kind.observer, signals.rate_hz, speeds)
@@ -119,10 +102,11 @@ def fit_effects(kind: Kind, name: str, logs: Sequence[Log], signals: EffectSigna
         return [contiguous(transformed(flight, make_transform(delayed, rate_hz))) for flight in raw]
 
     def learn(some: Sequence[Segment]) -> tuple[Mapping[str, float], Plant]:
-        found, model = kind.learn(some, rate_hz, inputs, name)
-        return found.parameters(), model
+        trained = kind.identify(some, rate_hz, inputs)
+        return trained.parameters(), trained.plant(request.name)
 
-    fit, plant = kind.learn([part for flight in segments({}) for part in flight], rate_hz, inputs, name)
+    fit = kind.identify([part for flight in segments({}) for part in flight], rate_hz, inputs)
+    plant = fit.plant(request.name)
     design = design_convex(plant, rate_hz)
     gains = compile_gains(plant, design, certify(plant, design))
     rule = replace(bare, parameters=speeds | {key: round(value, 6) for key, value in fit.parameters().items()})
@@ -141,7 +125,7 @@ def fit_effects(kind: Kind, name: str, logs: Sequence[Log], signals: EffectSigna
         for fault in gains.faults
     ]
     comparison = compare_effects(learn, segments, rate_hz)
-    return Fitted(
+    fitted = Fitted(
         name=kind.observer,
         plant=plant,
         gains=(gains,),
@@ -155,9 +139,10 @@ def fit_effects(kind: Kind, name: str, logs: Sequence[Log], signals: EffectSigna
         details=() if comparison is None else ("on data kept back:", *comparison_lines(comparison)),
         comparison=comparison,
     )
+    return fitted, gate
 
 
-def _reference_speed(kind: Kind, raw: Sequence[Sequence[GatedSample]]) -> float:
+def _reference_speed(kind: EffectKind, raw: Sequence[Sequence[GatedSample]]) -> float:
     """Return the median healthy speed while moving."""
     rows = [sample.u for flight in raw for sample, armed in flight if armed]
     speed = kind.speed(np.stack(rows)) if rows else np.zeros(1)
@@ -168,7 +153,7 @@ def _reference_speed(kind: Kind, raw: Sequence[Sequence[GatedSample]]) -> float:
 
 
 def _reading(
-    kind: Kind, fit: EffectsFit, plant: Plant, gains: Gains, flights: Sequence[Sequence[GatedSample]]
+    kind: EffectKind, fit: AxesFit, plant: Plant, gains: Gains, flights: Sequence[Sequence[GatedSample]]
 ) -> dict[str, EffectivenessRule]:
     """Return how each fault's estimate is read."""
     runs = [run for flight in flights for run in _observed(gains, flight)]
@@ -227,7 +212,7 @@ def _observed(gains: Gains, flight: Sequence[GatedSample]) -> list[tuple[NDArray
 
 
 def _findings(
-    fit: EffectsFit, rate_hz: float, reference: float, reading: Mapping[str, EffectivenessRule]
+    fit: AxesFit, rate_hz: float, reference: float, reading: Mapping[str, EffectivenessRule]
 ) -> dict[str, object]:
     return {
         "rate_hz": rate_hz,
@@ -249,9 +234,7 @@ def _findings(
     }
 
 
-def _lines(
-    fit: EffectsFit, rate_hz: float, reference: float, reading: Mapping[str, EffectivenessRule]
-) -> Iterable[str]:
+def _lines(fit: AxesFit, rate_hz: float, reference: float, reading: Mapping[str, EffectivenessRule]) -> Iterable[str]:
     explained = ", ".join(f"{axis.model.output.replace('_', ' ')} {100 * axis.explained:.1f} %" for axis in fit.axes)
     yield f"model {rate_hz:g} Hz, speed {reference:g} m/s, actuators explain {explained} of what changes"
     for fault, rule in reading.items():

@@ -15,10 +15,12 @@ from gains.plants.model_file import write_model
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, write_gains
 from monitor.alarms.alarm import AlarmRule
+from monitor.alarms.excuse import ExcuseRule
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.isolation_rule import BankRule, IsolationRule, gains_file_names
 from monitor.fitting.capability import Capability, capability_text
 from monitor.fitting.fit_report import Comparison
+from monitor.fitting.survey import Survey
 from monitor.fitting.thresholds import Calibrated, Times, calibrated, healthy_levels, plain_only
 from monitor.profile import UNEXPLAINED, ObserverProfile, fault_channels, observer_table
 from monitor.sampling.gate import GatedSample
@@ -28,6 +30,28 @@ Log = Callable[[], Iterable[Message]]
 
 _UNEXPLAINED = Times(fast_s=2.0, raise_s=2.0, clear_s=0.5)
 """A push or a collision is over sooner, two faults at once are not."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitRequest:
+    """What a kind of vehicle is fitted from.
+
+    Parameters
+    ----------
+    name : str
+        Name of the vehicle and its models.
+    logs : Sequence[Log]
+        Healthy recordings; each call of a log goes through it once from the start.
+    surveys : Sequence[Survey]
+        What each of them holds; empty for a kind that needs a model.
+    model : Path | None
+        Model file with free parameters, of a kind that needs one.
+    """
+
+    name: str
+    logs: Sequence[Log]
+    surveys: Sequence[Survey] = ()
+    model: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +90,8 @@ class Fitted:
         Healthy samples to measure on what will be detected; not written. Empty: it is not measured.
     capability : tuple[Capability, ...]
         What will be detected, and how fast.
+    excuses : tuple[ExcuseRule, ...]
+        Which of its alarms explain evidence of which others.
     """
 
     name: str
@@ -83,6 +109,7 @@ class Fitted:
     comparison: Comparison | None = None
     flights: Sequence[Sequence[GatedSample]] = ()
     capability: tuple[Capability, ...] = ()
+    excuses: tuple[ExcuseRule, ...] = ()
 
     @property
     def sqrt_mu(self) -> float:

@@ -6,9 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 
 from monitor.sampling.transform import Source
 
-WANTED_HZ = 50.0
-INERTIAL_HZ = 25.0
-"""The observer of the sensors asks for less: their faults are slower than those of motors."""
 SELDOM = frozenset({"GPS_RAW_INT", "SCALED_PRESSURE", "VFR_HUD", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT"})
 """Slow by their nature; the transforms that read them wait for them."""
 

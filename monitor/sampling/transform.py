@@ -6,7 +6,7 @@ observer's rate. It is deterministic, keeps its own state and starts anew with a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -15,9 +15,8 @@ from adapters.errors import TelemetryError
 from adapters.sample import Sample, Samples
 from monitor.core.sampling import VehicleClock
 from monitor.sampling.sampler import Sampler, SamplerStatistics
-from monitor.sampling.scaled_inputs import DriveInputs, SurfaceInputs
 from monitor.sampling.stretch import Given
-from monitor.vehicles.inertial.strapdown import Strapdown
+from monitor.vehicles.kinds import transform_classes
 
 
 class Transform(Protocol):
@@ -46,13 +45,6 @@ class Transform(Protocol):
         """
 
 
-KINDS: Mapping[str, Callable[[Mapping[str, float], float, float], Transform]] = {
-    "strapdown": Strapdown,
-    "surfaces": SurfaceInputs,
-    "drive": DriveInputs,
-}
-
-
 @dataclass(frozen=True, slots=True)
 class TransformRule:
     """A transform of a profile.
@@ -60,7 +52,7 @@ class TransformRule:
     Parameters
     ----------
     kind : str
-        One of ``KINDS``.
+        Name of a transform of a kind of vehicle.
     rate_hz : float
         Samples of the raw signals per second.
     parameters : Mapping[str, float]
@@ -105,10 +97,11 @@ def make_transform(rule: TransformRule, rate_hz: float) -> Transform:
     TelemetryError
         There is no such kind, or it does not take these parameters or rates.
     """
-    kind = KINDS.get(rule.kind)
-    if kind is None:
-        raise TelemetryError(f"no transform is called '{rule.kind}'; there are {', '.join(KINDS)}")
-    return kind(rule.parameters, rule.rate_hz, rate_hz)
+    classes = transform_classes()
+    if rule.kind not in classes:
+        raise TelemetryError(f"no transform is called '{rule.kind}'; there are {', '.join(classes)}")
+    transform: Transform = classes[rule.kind](rule.parameters, rule.rate_hz, rate_hz)
+    return transform
 
 
 class TransformedSampler:

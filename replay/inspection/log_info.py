@@ -3,38 +3,28 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from adapters.channels import Channel, channel_table
 from adapters.errors import TelemetryError
 from adapters.logs.recordings import Recording, recorded_alarms, recorded_metadata, recording_kind
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.mavlink.vehicle_type import enumerated
 from adapters.message import Message
 from monitor.fitting.progress import track
-from monitor.fitting.survey import Survey, common_rate_hz, multirotor_channels, of_one_vehicle, survey
-from monitor.sampling.slow_telemetry import INERTIAL_HZ, WANTED_HZ, slow_messages
-from monitor.vehicles.inertial.strapdown_channels import strapdown_channels
-from monitor.vehicles.plane.fit import plane_signals
-from monitor.vehicles.rover.fit import rover_signals
+from monitor.fitting.survey import Survey, of_one_vehicle, survey
+from monitor.sampling.slow_telemetry import slow_messages
+from monitor.vehicles.base import Preview, VehicleKind, likely_kind, load
+from monitor.vehicles.kinds import KINDS
 
 _ARMED = 128
 # what comes all at once, as the head of a log does, has no rate
 _SHORTEST_NS = 1_000_000
 _MAX_FIELDS = 400
 _MAX_ELEMENTS = 16
-_VEHICLE_WORDS = {
-    "multirotor": ("rotor", "copter"),
-    "plane": ("fixed_wing", "vtol"),
-    "rover": ("rover", "boat"),
-}
-_SURFACES = ("aileron", "elevator", "throttle", "rudder")
-_SELDOM = ("GPS_RAW_INT", "SCALED_PRESSURE")
-_GYROS = ("gyro_x", "gyro_y", "gyro_z")
 
 
 @dataclass(slots=True)
@@ -177,86 +167,23 @@ def _fits(found: Survey, tally: _Tally) -> dict[str, Any] | None:
     if sender is None:
         return None
     says = _enumerated("MAV_TYPE", sender.type) or ""
-    likely = next((kind for kind, words in _VEHICLE_WORDS.items() if any(word in says for word in words)), None)
-    kinds: dict[str, Callable[[Survey], dict[str, Any]]] = {
-        "multirotor": _multirotor,
-        "plane": _plane,
-        "rover": _rover,
-        "inertial": _inertial,
-    }
+    likely = likely_kind(KINDS, says)
     return {
         "system": tally.watched,
-        "likely": likely,
-        "fits": {kind: _fit(kind, try_kind, found) for kind, try_kind in kinds.items()},
+        "likely": likely and likely.name,
+        "fits": {kind.name: _fit(kind, found) for kind in KINDS if kind.preview},
     }
 
 
-def _fit(kind: str, try_kind: Callable[[Survey], dict[str, Any]], found: Survey) -> dict[str, Any]:
+def _fit(kind: VehicleKind, found: Survey) -> dict[str, Any]:
     try:
-        fit = try_kind(found)
-        wanted_hz = INERTIAL_HZ if kind == "inertial" else WANTED_HZ
-        slow = slow_messages(
-            [found.rate_hz], [place.partition(".")[0] for place in fit["channels"].values()], wanted_hz
-        )
-        fit["missing"] += [f"{name} at {wanted_hz:g} Hz: it comes at {rate:.3g} Hz" for name, rate in slow.items()]
-        return {"possible": True, **fit}
+        preview: Preview = load(kind.preview)(found)
     except TelemetryError as error:
         return {"possible": False, "missing": [str(error)], "watches": [], "channels": {}, "rate_hz": None}
-
-
-def _multirotor(found: Survey) -> dict[str, Any]:
-    inputs, outputs = multirotor_channels([found])
-    channels = (*inputs, *outputs)
-    return _possible([channel.name for channel in inputs] + [*_GYROS], channels, common_rate_hz([found], channels))
-
-
-def _plane(found: Survey) -> dict[str, Any]:
-    signals = plane_signals([found])
-    return _possible(_SURFACES, signals.channels, signals.rate_hz)
-
-
-def _rover(found: Survey) -> dict[str, Any]:
-    signals = rover_signals([found])
-    return _possible(("steering", "throttle"), signals.channels, signals.rate_hz)
-
-
-def _inertial(found: Survey) -> dict[str, Any]:
-    source = strapdown_channels(found.examples)
-    has = {name: bool(value) for name, value in source.parameters.items()}
-    watches, missing = [*_GYROS], []
-    gps, barometer = has["gps"], has["barometer"]
-    if gps:
-        watches += ["gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east"]
-    else:
-        missing.append("gps_*: no GPS_RAW_INT with position, speed and course")
-    if gps or barometer:
-        watches.append("accel_z")
-    if gps and barometer:
-        watches += ["gps_down", "baro"]
-    elif not barometer:
-        missing.append("baro, gps_down: no pressure (HIGHRES_IMU with pressure_alt, or SCALED_PRESSURE)")
-    if has["magnetometer"]:
-        watches.append("compass")
-    else:
-        missing.append("compass: no magnetic field in HIGHRES_IMU, SCALED_IMU or RAW_IMU")
-    inertial = [channel for channel in source.channels if channel.message not in _SELDOM]
-    known = all(channel.message in found.rate_hz for channel in inertial)
-    return _possible(watches, source.channels, common_rate_hz([found], inertial) if known else None, missing)
-
-
-def _possible(
-    watches: Sequence[str], channels: Sequence[Channel], rate_hz: float | None, missing: Sequence[str] = ()
-) -> dict[str, Any]:
-    return {
-        "missing": list(missing),
-        "watches": list(watches),
-        "channels": {channel.name: _place(channel) for channel in channels},
-        "rate_hz": rate_hz,
-    }
-
-
-def _place(channel: Channel) -> str:
-    return f"{channel.message}.{channel_table(channel)['field']}"
+    slow = slow_messages([found.rate_hz], [channel.message for channel in preview.channels], kind.wanted_hz)
+    seldom = [f"{name} at {kind.wanted_hz:g} Hz: it comes at {rate:.3g} Hz" for name, rate in slow.items()]
+    json = preview.to_json()
+    return {"possible": True, **json, "missing": json["missing"] + seldom}
 
 
 def _paths(fields: Mapping[str, Any]) -> list[str]:

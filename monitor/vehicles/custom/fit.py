@@ -28,7 +28,7 @@ from gains.synthesis.gains_file import Gains
 from monitor.estimation.isolation_rule import BankRule, IndependentRule
 from monitor.fitting.calibrate import SETTLE_S, bank_rule, contiguous, flight_samples, settling_s
 from monitor.fitting.fit_report import Comparison, comparison_json, comparison_lines, parameter_lines
-from monitor.fitting.fitted import Fitted, Log, bare_rule, unexplained_alarm
+from monitor.fitting.fitted import FitRequest, Fitted, Log, bare_rule, unexplained_alarm
 from monitor.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
     Calibrated,
@@ -49,16 +49,15 @@ _SHOWN_S = 20.0
 _FORGET_S = 0.5
 
 
-def fit_custom(logs: Sequence[Log], model_path: Path) -> tuple[Fitted, GateRule]:
+def fit_custom(request: FitRequest) -> tuple[Fitted, GateRule]:
     """Identify the plant that a model file with free parameters describes, design its observer, calibrate its alarms.
 
     Parameters
     ----------
-    logs : Sequence[Log]
-        Healthy recordings; each call of a log goes through it once from the start.
-    model_path : Path
-        The model: see :mod:`gains.identification.free_model`; its ``[channels]`` say where inputs and outputs come
-        from, its ``[phase]`` when samples count (as in a profile; flight is not required unless it says so).
+    request : FitRequest
+        Healthy recordings and the model: see :mod:`gains.identification.free_model`; its ``[channels]`` say where
+        inputs and outputs come from, its ``[phase]`` when samples count (as in a profile; flight is not required
+        unless it says so).
 
     Returns
     -------
@@ -73,6 +72,9 @@ def fit_custom(logs: Sequence[Log], model_path: Path) -> tuple[Fitted, GateRule]
         The model is not valid, the recordings lack a channel or do not determine a parameter (the message says what to
         record), or no certified design exists.
     """
+    if request.model is None:
+        raise ModelError("a custom vehicle needs a model file")
+    logs, model_path = request.logs, request.model
     model = read_free_model(model_path)
     source = Source(*model_channels(model))
     gate = _gate(model)

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from adapters.errors import TelemetryError
 from gains.synthesis.bank import compile_bank
 from monitor.alarms.excuse import ExcuseRule
-from monitor.fitting.calibrate import bank_rule, contiguous, flight_samples, transformed
-from monitor.fitting.fitted import Fitted, Log, bare_rule
-from monitor.fitting.survey import Survey, common_rate_hz
+from monitor.fitting.calibrate import SETTLE_S, bank_rule, contiguous, flight_samples, transformed
+from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
     Calibrated,
@@ -33,8 +32,8 @@ from monitor.vehicles.inertial.sensor_fit import (
     delay_costs,
     identify_inertial,
 )
+from monitor.vehicles.inertial.signals import common_channels, inertial_rate_hz
 from monitor.vehicles.inertial.strapdown import Strapdown
-from monitor.vehicles.inertial.strapdown_channels import StrapdownSource, strapdown_channels
 
 OBSERVER = "inertial"
 
@@ -48,13 +47,12 @@ _TIMES = Times(fast_s=0.08, raise_s=0.2, slow_s=4.0, clear_s=0.5)
 _TRIAL_DELAYS_S = tuple(0.04 * step for step in range(8))
 _TRIAL_S = 90.0
 _CRITICAL = 5.0
-_SLOWEST = ("GPS_RAW_INT", "SCALED_PRESSURE")
 
 _GYROS = ("gyro_x", "gyro_y", "gyro_z")
 _POSITION, _VELOCITY = ("gps_north", "gps_east"), ("gps_velocity_north", "gps_velocity_east")
 _POOLS = (_POSITION, _VELOCITY, _GYROS)
 
-EXCUSES = (
+_EXCUSES = (
     # A gyro that jumps tilts the attitude, which the velocity forgets with its washout.
     ExcuseRule(_VELOCITY, _GYROS, 2.0 * _VELOCITY_WASHOUT_S),
     # The position is compared with the velocity: where that is wrong the position is no culprit.
@@ -62,7 +60,19 @@ EXCUSES = (
 )
 
 
-def fit_inertial(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate: GateRule) -> Fitted:
+def fit_alone(request: FitRequest) -> tuple[Fitted, GateRule]:
+    """Fit the inertial observer of a vehicle that has no other: armed is enough for its samples to be evidence.
+
+    Raises
+    ------
+    TelemetryError, ModelError, InfeasibleError
+        As :func:`fit_inertial`.
+    """
+    gate = GateRule(settle_s=SETTLE_S, require_airborne=False)
+    return fit_inertial(request, gate), gate
+
+
+def fit_inertial(request: FitRequest, gate: GateRule) -> Fitted:
     """Measure on healthy recordings how well the sensors agree, design the bank, calibrate its alarms.
 
     Raises
@@ -70,9 +80,10 @@ def fit_inertial(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate
     TelemetryError, ModelError, InfeasibleError
         Attitude or inertial measurements are missing, or too little healthy motion was recorded.
     """
+    logs, surveys = request.logs, request.surveys
     gate = replace(gate, settle_s=max(gate.settle_s, _SETTLE_S))
-    channels = _channels(surveys)
-    signal_hz, rate_hz = _rates(surveys, channels)
+    channels = common_channels(surveys)
+    signal_hz, rate_hz = _rates(inertial_rate_hz(surveys, channels))
     raw_source = Source(inputs=channels.channels)
     raw = [flight_samples(log(), raw_source, signal_hz, replace(gate, airborne_command=0.0)) for log in logs]
     parameters = {**channels.parameters, "washout_s": _WASHOUT_S, "velocity_washout_s": _VELOCITY_WASHOUT_S}
@@ -89,7 +100,7 @@ def fit_inertial(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate
         _WASHOUT_S,
         _VELOCITY_WASHOUT_S,
     )
-    plant = inertial_plant(fit, name)
+    plant = inertial_plant(fit, request.name)
     gains = compile_bank(plant, inertial_bank(plant))
     names = {fault.name for fault in plant.faults}
     isolation = bank_rule(
@@ -110,18 +121,13 @@ def fit_inertial(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate
         flight_s=fit.seconds,
         findings=_findings(fit, parameters),
         lines=_lines(parameters, alarms),
+        excuses=_EXCUSES,
     )
 
 
-def _channels(surveys: Sequence[Survey]) -> StrapdownSource:
-    common = set.intersection(*(set(found.examples) for found in surveys))
-    return strapdown_channels({message: surveys[0].examples[message] for message in common})
-
-
-def _rates(surveys: Sequence[Survey], found: StrapdownSource) -> tuple[float, float]:
-    """Return the rate of the raw signals, that of the slowest inertial message, and a fraction of it."""
-    inertial = [channel for channel in found.channels if channel.message not in _SLOWEST]
-    signal_hz = min(common_rate_hz(surveys, inertial), _FASTEST_HZ)
+def _rates(message_hz: float) -> tuple[float, float]:
+    """Return the rate of the raw signals and that of the observer, a whole fraction of it, from the messages' rate."""
+    signal_hz = min(message_hz, _FASTEST_HZ)
     return signal_hz, signal_hz / max(1, round(signal_hz / _RATE_HZ))
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gains.synthesis.bank import compile_bank, design_bank
-from monitor.fitting.calibrate import bank_rule, contiguous, flight_samples
+from monitor.fitting.calibrate import SETTLE_S, bank_rule, contiguous, flight_samples
 from monitor.fitting.fit_report import comparison_json, comparison_lines
-from monitor.fitting.fitted import Fitted, Log, bare_rule, unexplained_alarm
-from monitor.fitting.survey import Survey, common_rate_hz, motor_commands, multirotor_channels, range_text
+from monitor.fitting.fitted import FitRequest, Fitted, bare_rule, unexplained_alarm
+from monitor.fitting.survey import Survey, common_rate_hz
 from monitor.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
     Calibrated,
@@ -28,6 +28,7 @@ from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import Source
 from monitor.vehicles.multirotor.identify import GYROS, MultirotorFit, identify_multirotor, multirotor_plant
 from monitor.vehicles.multirotor.report import compare_kept_back
+from monitor.vehicles.multirotor.signals import motor_commands, multirotor_channels, range_text
 from monitor.vehicles.multirotor.validation import Drift, MotorUncertainty, motor_uncertainty, response_drift
 
 OBSERVER = "motors"
@@ -43,16 +44,16 @@ _JUMP = Times(fast_s=0.0, raise_s=0.0, clear_s=0.5)
 _AXES = ("roll", "pitch", "yaw")
 
 
-def multirotor_gate(surveys: Sequence[Survey], settle_s: float) -> GateRule:
+def multirotor_gate(surveys: Sequence[Survey]) -> GateRule:
     """Return when a multirotor's samples are evidence: in the air, by half the mean command if it does not say."""
     inputs, _ = multirotor_channels(surveys)
     numbers = [int(channel.name.removeprefix("motor")) for channel in inputs]
-    pulses = [found.outputs[number].mean for found in surveys for number in numbers]
+    pulses = [survey.outputs[number].mean for survey in surveys for number in numbers]
     mean = float(np.mean([inputs[0].scale * pulse + inputs[0].offset for pulse in pulses]))
-    return GateRule(settle_s=settle_s, airborne_command=_AIRBORNE_SHARE * mean)
+    return GateRule(settle_s=SETTLE_S, airborne_command=_AIRBORNE_SHARE * mean)
 
 
-def fit_motors(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate: GateRule) -> Fitted:
+def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
     """Identify the motors' model on healthy recordings, design its bank, calibrate its alarms.
 
     Raises
@@ -60,6 +61,8 @@ def fit_motors(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate: 
     TelemetryError, ModelError, InfeasibleError
         The recordings do not hold what is needed, do not excite an axis, or allow no certified design.
     """
+    logs, surveys = request.logs, request.surveys
+    gate = multirotor_gate(surveys)
     inputs, outputs = multirotor_channels(surveys)
     source = Source(inputs, outputs)
     rate_hz = common_rate_hz(surveys, source.channels)
@@ -70,7 +73,7 @@ def fit_motors(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate: 
     model = identify_multirotor(segments, rate_hz, taps)
     uncertainty, drift = motor_uncertainty(model, segments), response_drift(model, stretches)
     motors = tuple(channel.name for channel in inputs)
-    plant = multirotor_plant(model, name, motors, doubt=uncertainty.drive)
+    plant = multirotor_plant(model, request.name, motors, doubt=uncertainty.drive)
     gains = compile_bank(plant, design_bank(plant, rate_hz))
     rule = bank_rule(gains, segments, edges=GYROS)
     bare = Fitted(OBSERVER, plant, gains, source, rule)
@@ -80,7 +83,7 @@ def fit_motors(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate: 
     alarms = _alarms(channels, evidence, hover, rate_hz, rule.score_floor)
     commands = motor_commands(surveys)
     ranges = {} if commands.pulses else {"command_range": {"none": commands.stop, "full": commands.full}}
-    return Fitted(
+    fitted = Fitted(
         name=OBSERVER,
         plant=plant,
         gains=gains,
@@ -108,6 +111,7 @@ def fit_motors(name: str, logs: Sequence[Log], surveys: Sequence[Survey], gate: 
         comparison=comparison,
         flights=flights,
     )
+    return fitted, gate
 
 
 def _alarms(

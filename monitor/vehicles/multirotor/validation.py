@@ -1,7 +1,7 @@
 """How far to trust a multirotor's model: uncertainty of what its motors do, prediction of data kept back, drift.
 
-In the symbols of :mod:`monitor.vehicles.multirotor.identify`, with w(k) = sum_d h_d v(k-d) and the errors e_o(k) = y_o(k+1)
-- a_o y_o(k) - B_o w(k) - c_o of one step, the coefficients of an axis have the covariance
+In the symbols of :mod:`monitor.vehicles.multirotor.identify`, with w(k) = sum_d h_d v(k-d) and the errors of one step
+e_o(k) = y_o(k+1) - a_o y_o(k) - B_o w(k) - c_o, the coefficients of an axis have the covariance
 
     (X'X)^-1 (sum_b X_b' e_b e_b' X_b) (X'X)^-1,         b: blocks of a few seconds,
 

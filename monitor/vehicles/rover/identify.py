@@ -10,17 +10,18 @@ kappa is the curvature of turning rate over steering (linkage, tyres); it belong
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from gains.identification.axes import AxesFit, fit_axes
 from gains.identification.regression import AxisFit, AxisModel, fit_axis, lagged
 from gains.identification.segment import Segment
-from gains.plants.plant import FloatArray, Plant
-from monitor.vehicles.plane.identify import Excitation, axes_plant, excitation_of, require_one, timing_parameters
+from gains.plants.plant import FloatArray
 
-YAW = AxisModel("yaw_rate", "steering", ())
-FORWARD = AxisModel("forward_acceleration", "throttle", ("speed",), dynamic=False)
+AXES = (
+    AxisModel("yaw_rate", "steering", ()),
+    AxisModel("forward_acceleration", "throttle", ("speed",), dynamic=False),
+)
 
 _CUBED = "steering_cubed"
 _MANOEUVRES = {
@@ -28,40 +29,16 @@ _MANOEUVRES = {
     "throttle": "accelerate and brake, ten times",
 }
 _CURVED_T = 5.0
-_FLATTEST = -1.0 / 3.0
+"""How many standard errors the steering's gain has to be from zero before a curve is read from the drives: the ratio of
+two coefficients of which the lower one is uncertain by more than a fifth has no useful value."""
+_STEEPEST = 1.0 / 3.0
+"""Largest size of kappa. d/du (u + kappa u^3) = 1 + 3 kappa u^2 stays positive up to full deflection for kappa > -1/3:
+turning rate always grows with steering. The same size bounds it above."""
 _SMALLEST_SPEED = 0.05
+"""Share of the reference speed below which the curve is not looked at: its effect is divided by the speed squared."""
 
 
-@dataclass(frozen=True, slots=True)
-class DriveFit:
-    """What the drives say about the rover.
-
-    Parameters
-    ----------
-    rate_hz : float
-        Samples per second of the model.
-    inputs : tuple[str, ...]
-        Names of u.
-    axes : tuple[AxisFit, ...]
-        Yaw rate and forward specific force.
-    excitation : tuple[Excitation, ...]
-        Steering and throttle.
-    steering_cubic : float
-        kappa.
-    """
-
-    rate_hz: float
-    inputs: tuple[str, ...]
-    axes: tuple[AxisFit, ...]
-    excitation: tuple[Excitation, ...]
-    steering_cubic: float
-
-    def parameters(self) -> dict[str, float]:
-        """Return the actuators' timing and the steering's curve as parameters of the transform."""
-        return {**timing_parameters(self.axes), "steering_cubic": self.steering_cubic}
-
-
-def identify_drive(segments: Sequence[Segment], rate_hz: float, inputs: Sequence[str]) -> DriveFit:
+def identify_drive(segments: Sequence[Segment], rate_hz: float, inputs: Sequence[str]) -> AxesFit:
     """Fit the model of the module's docstring.
 
     Parameters
@@ -79,38 +56,21 @@ def identify_drive(segments: Sequence[Segment], rate_hz: float, inputs: Sequence
     ModelError
         Too little driving, or neither actuator could be learned.
     """
-    names, outputs = (*inputs, _CUBED), (YAW.output, FORWARD.output)
+    yaw, outputs = AXES[0], tuple(axis.output for axis in AXES)
     steering, speed = inputs.index("steering"), inputs.index("speed")
-    straight = fit_axis(segments, rate_hz, inputs, outputs, YAW)
+    straight = fit_axis(segments, rate_hz, inputs, outputs, yaw)
     cubes = [_cube(segment.u[:, steering], segment.u[:, speed]) for segment in segments]
     widened = [
         Segment(np.column_stack([s.u, lagged(cube, straight.delay_s, straight.lag_s, rate_hz)]), s.y)
         for s, cube in zip(segments, cubes, strict=True)
     ]
-    kappa = _curve(fit_axis(widened, rate_hz, names, outputs, AxisModel(YAW.output, YAW.actuator, (_CUBED,))))
+    cubic = AxisModel(yaw.output, yaw.actuator, (_CUBED,))
+    kappa = _curve(fit_axis(widened, rate_hz, (*inputs, _CUBED), outputs, cubic))
     curved = [
         Segment(np.column_stack([s.u[:, :steering], s.u[:, steering] + kappa * cube, s.u[:, steering + 1 :]]), s.y)
         for s, cube in zip(segments, cubes, strict=True)
     ]
-    axes = tuple(fit_axis(curved, rate_hz, inputs, outputs, model) for model in (YAW, FORWARD))
-    excitation = tuple(excitation_of(axis, _MANOEUVRES[axis.model.actuator]) for axis in axes)
-    require_one(excitation)
-    return DriveFit(rate_hz, tuple(inputs), axes, excitation, kappa)
-
-
-def drive_plant(fit: DriveFit, name: str, fault_rate: float = 2.0) -> Plant:
-    """Return the fitted model as a plant with one actuator fault per actuator that was excited.
-
-    Parameters
-    ----------
-    fit : DriveFit
-        The fitted model; the transform behind the plant has to hold its :meth:`DriveFit.parameters`.
-    name : str
-        Name of the plant.
-    fault_rate : float
-        How fast an effect may be lost, full deflections per second: the bandwidth knob.
-    """
-    return axes_plant(fit.axes, fit.excitation, fit.inputs, fit.rate_hz, name, fault_rate)
+    return fit_axes(curved, rate_hz, inputs, AXES, _MANOEUVRES, {"steering_cubic": kappa})
 
 
 def _cube(effect: FloatArray, s: FloatArray) -> FloatArray:
@@ -120,6 +80,6 @@ def _cube(effect: FloatArray, s: FloatArray) -> FloatArray:
 
 
 def _curve(axis: AxisFit) -> float:
-    """Return kappa, zero where the drives do not show it; turning rate always grows with steering."""
+    """Return kappa, zero where the drives do not show it."""
     kappa = float(axis.effects[0]) / axis.b if axis.b and axis.t_value >= _CURVED_T else 0.0
-    return min(max(kappa, _FLATTEST), -_FLATTEST)
+    return min(max(kappa, -_STEEPEST), _STEEPEST)

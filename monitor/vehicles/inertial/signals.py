@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
+from monitor.fitting.survey import Survey, common_rate_hz
+from monitor.sampling.phase import FlightPhase
+from monitor.vehicles.base import Preview
 from monitor.vehicles.inertial.strapdown import BAROMETER, GPS, IMU, MAGNETOMETER
 
-INERTIAL_MESSAGES = frozenset({"ATTITUDE", "HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "GPS_RAW_INT", "SCALED_PRESSURE"})
+MESSAGES = FlightPhase.interests | frozenset(
+    {"ATTITUDE", "HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "GPS_RAW_INT", "SCALED_PRESSURE"}
+)
 
 _G = 9.80665
 _TURN = 6.283185307179586
 _LARGEST = 1.7e308
+_SELDOM = ("GPS_RAW_INT", "SCALED_PRESSURE")
+"""Messages that no autopilot sends as fast as those of its IMU; the transform waits for them."""
 
 
 class StrapdownSource(NamedTuple):
@@ -69,6 +76,53 @@ def strapdown_channels(examples: Mapping[str, Mapping[str, Any]]) -> StrapdownSo
         channels += [Channel(name, imu, (name,)) for name in MAGNETOMETER]
     flags = {"gps": float(gps), "barometer": barometer, "magnetometer": float(magnetometer)}
     return StrapdownSource(tuple(channels), flags)
+
+
+def common_channels(surveys: Sequence[Survey]) -> StrapdownSource:
+    """Choose the channels from the messages that every recording holds.
+
+    Raises
+    ------
+    TelemetryError
+        As :func:`strapdown_channels`.
+    """
+    common = set.intersection(*(set(survey.examples) for survey in surveys))
+    return strapdown_channels({message: surveys[0].examples[message] for message in common})
+
+
+def inertial_rate_hz(surveys: Sequence[Survey], source: StrapdownSource) -> float:
+    """Return the rate of the slowest message of attitude or IMU in the slowest recording."""
+    return common_rate_hz(surveys, [channel for channel in source.channels if channel.message not in _SELDOM])
+
+
+def preview(survey: Survey) -> Preview:
+    """Return what could be watched with the messages of a recording, and which sensors are missing.
+
+    Raises
+    ------
+    TelemetryError
+        No attitude or no inertial measurement.
+    """
+    source = strapdown_channels(survey.examples)
+    gps, barometer, magnetometer = (bool(source.parameters[name]) for name in ("gps", "barometer", "magnetometer"))
+    watches, missing = ["gyro_x", "gyro_y", "gyro_z"], []
+    if gps:
+        watches += ["gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east"]
+    else:
+        missing.append("gps_*: no GPS_RAW_INT with position, speed and course")
+    if gps or barometer:
+        watches.append("accel_z")
+    if gps and barometer:
+        watches += ["gps_down", "baro"]
+    elif not barometer:
+        missing.append("baro, gps_down: no pressure (HIGHRES_IMU with pressure_alt, or SCALED_PRESSURE)")
+    if magnetometer:
+        watches.append("compass")
+    else:
+        missing.append("compass: no magnetic field in HIGHRES_IMU, SCALED_IMU or RAW_IMU")
+    timed = all(channel.message in survey.rate_hz for channel in source.channels if channel.message not in _SELDOM)
+    rate_hz = inertial_rate_hz([survey], source) if timed else None
+    return Preview(tuple(watches), source.channels, rate_hz, tuple(missing))
 
 
 def _there(examples: Mapping[str, Mapping[str, Any]], message: str, names: tuple[str, ...]) -> bool:

@@ -1,0 +1,99 @@
+"""What the commands have to know of a kind of vehicle; the rest is in the kind's own folder and loaded when needed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
+
+from adapters.channels import Channel, channel_table
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleKind:
+    """A kind of vehicle.
+
+    Functions and classes are named as ``module:name`` and imported by :func:`load`: the daemon shall read a profile
+    without loading what identifies vehicles and designs observers.
+
+    Parameters
+    ----------
+    name : str
+        Name on the command line and in profiles, and of its folder.
+    watches : str
+        Components that it watches, for people.
+    fit : str
+        Function of a :class:`monitor.fitting.fitted.FitRequest`; returns the kind's observer and the gate of the
+        profile.
+    preview : str
+        Function of a :class:`monitor.fitting.survey.Survey`; returns a :class:`Preview`. Empty: a recording alone
+        cannot tell.
+    messages : str
+        Names of the messages that a fit reads. Empty: those that the model's channels name.
+    wanted_hz : float
+        Rate at which its messages should come, hertz.
+    transforms : Mapping[str, str]
+        Classes of the transforms that its observers may use, by their names in profiles.
+    type_words : tuple[str, ...]
+        Words in the names of ``MAV_TYPE`` that say that a vehicle is of this kind.
+    inertial_too : bool
+        Whether the inertial observer is fitted beside its own.
+    needs_model : bool
+        Whether the user has to give a model file.
+    """
+
+    name: str
+    watches: str
+    fit: str
+    preview: str = ""
+    messages: str = ""
+    wanted_hz: float = 50.0
+    transforms: Mapping[str, str] = field(default_factory=dict)
+    type_words: tuple[str, ...] = ()
+    inertial_too: bool = True
+    needs_model: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Preview:
+    """What could be watched on a vehicle that sends the messages of a recording.
+
+    Parameters
+    ----------
+    watches : tuple[str, ...]
+        Fault channels.
+    channels : tuple[Channel, ...]
+        Channels that the observer would use.
+    rate_hz : float | None
+        Rate of its samples; None where no message tells.
+    missing : tuple[str, ...]
+        Fault channels that need messages which are not there, and which ones.
+    """
+
+    watches: tuple[str, ...]
+    channels: tuple[Channel, ...]
+    rate_hz: float | None
+    missing: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the preview as a JSON object."""
+        return {
+            "missing": list(self.missing),
+            "watches": list(self.watches),
+            "channels": {
+                channel.name: f"{channel.message}.{channel_table(channel)['field']}" for channel in self.channels
+            },
+            "rate_hz": self.rate_hz,
+        }
+
+
+def load(reference: str) -> Any:
+    """Import an object given as ``module:name``."""
+    module, _, name = reference.partition(":")
+    return getattr(import_module(module), name)
+
+
+def likely_kind(kinds: Sequence[VehicleKind], vehicle_type: str) -> VehicleKind | None:
+    """Return the kind of a vehicle that names itself by a ``MAV_TYPE``; None where no kind has such a word."""
+    return next((kind for kind in kinds if any(word in vehicle_type for word in kind.type_words)), None)

@@ -1,0 +1,71 @@
+"""All kinds of vehicle. A new kind is a folder beside this module and an entry here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+from monitor.vehicles.base import VehicleKind, load
+
+KINDS = (
+    VehicleKind(
+        "multirotor",
+        watches="each motor, three gyros",
+        fit="monitor.vehicles.multirotor.fit:fit_multirotor",
+        preview="monitor.vehicles.multirotor.signals:preview",
+        messages="monitor.vehicles.multirotor.signals:MESSAGES",
+        type_words=("rotor", "copter"),
+    ),
+    VehicleKind(
+        "plane",
+        watches="aileron, elevator, rudder, throttle",
+        fit="monitor.vehicles.plane.fit:fit_plane",
+        preview="monitor.vehicles.plane.signals:preview",
+        messages="monitor.vehicles.plane.signals:MESSAGES",
+        transforms={"surfaces": "monitor.sampling.scaled_inputs:SurfaceInputs"},
+        type_words=("fixed_wing", "vtol"),
+    ),
+    VehicleKind(
+        "rover",
+        watches="steering, throttle",
+        fit="monitor.vehicles.rover.fit:fit_rover",
+        preview="monitor.vehicles.rover.signals:preview",
+        messages="monitor.vehicles.rover.signals:MESSAGES",
+        transforms={"drive": "monitor.sampling.scaled_inputs:DriveInputs"},
+        type_words=("rover", "boat"),
+    ),
+    VehicleKind(
+        "inertial",
+        watches="GPS, barometer, compass, gyros, vertical accelerometer",
+        fit="monitor.vehicles.inertial.fit:fit_alone",
+        preview="monitor.vehicles.inertial.signals:preview",
+        messages="monitor.vehicles.inertial.signals:MESSAGES",
+        wanted_hz=25.0,  # faults of these sensors are slower than those of motors
+        transforms={"strapdown": "monitor.vehicles.inertial.strapdown:Strapdown"},
+        inertial_too=False,
+    ),
+    VehicleKind(
+        "custom",
+        watches="faults of your model",
+        fit="monitor.vehicles.custom.fit:fit_custom",
+        inertial_too=False,
+        needs_model=True,
+    ),
+)
+
+
+def kind_named(name: str) -> VehicleKind:
+    """Return the kind with a name; StopIteration where there is none."""
+    return next(kind for kind in KINDS if kind.name == name)
+
+
+def fit_messages() -> frozenset[str]:
+    """Return the names of all messages that a fit without a model reads: a filter for recordings."""
+    return frozenset[str]().union(*(load(kind.messages) for kind in KINDS if kind.messages))
+
+
+@cache
+def transform_classes() -> Mapping[str, Any]:
+    """Return the classes of all transforms by their names in profiles."""
+    return {name: load(reference) for kind in KINDS for name, reference in kind.transforms.items()}
