@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.message import Message
+from adapters.source import Source
 
-# What comes from other sources acts on the pipeline, each in its own way.
-_TELEMETRY = ("mavlink", "zenoh")
 _DTYPES: Mapping[type, type[np.generic]] = {int: np.int64, float: np.float64, bool: np.bool_}
 
 
@@ -38,7 +37,7 @@ class Columns:
         Decoded fields in the type they have on the wire (m,); an array field has shape (m, its length).
     """
 
-    source: str
+    source: Source
     name: str
     system: int
     component: int
@@ -163,7 +162,9 @@ def pack(stretch: Sequence[Message]) -> Batch:
 def _columns(positions: list[int], group: list[Message]) -> Columns | None:
     first = group[0]
     names = tuple(first.fields)
-    if first.source not in _TELEMETRY or any(one.source != first.source or tuple(one.fields) != names for one in group):
+    if not first.source.is_telemetry:
+        return None
+    if any(message.source is not first.source or tuple(message.fields) != names for message in group):
         return None
     arrays = [_numbers([one.fields[name] for one in group]) for name in names]
     received_ns = _numbers([one.received_ns for one in group])

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+from adapters.source import CLOCK, Source
+
 # The year 2116: sums and differences of times below it fit into 64 bits.
 LATEST_NS: Final = 1 << 62
 
@@ -16,11 +18,8 @@ class Message:
 
     Parameters
     ----------
-    source : str
-        Link family: ``"mavlink"`` or ``"zenoh"``; ``"ulog"`` or ``"dataflash"`` for records of onboard logs;
-        ``"clock"`` for :func:`silence`; ``"link"`` for what a link finds
-        out itself (forged signatures), ``"operator"`` for acknowledgements and the like, ``"journal"`` for alarms
-        that stood before a restart. Recordings keep all of them.
+    source : Source
+        Kind of source, one of :data:`adapters.source.SOURCES`; recordings keep messages of all of them.
     name : str
         MAVLink message name (``"ATTITUDE"``), Zenoh key expression (``"arm/telemetry"``) or name of a log's record
         (``"sensor_baro/1"``).
@@ -32,7 +31,7 @@ class Message:
         MAVLink ids of the sender; 0 where the link has none.
     """
 
-    source: str
+    source: Source
     name: str
     received_ns: int
     fields: Mapping[str, Any]
@@ -48,4 +47,4 @@ def silence(now_ns: int) -> Message:
 
     Time that passes is an input like any other: recorded, it replays like any other.
     """
-    return Message(source="clock", name=SILENCE, received_ns=now_ns, fields={})
+    return Message(source=CLOCK, name=SILENCE, received_ns=now_ns, fields={})

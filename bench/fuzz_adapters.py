@@ -27,6 +27,7 @@ from adapters.mavlink import mavlink_link
 from adapters.mavlink.mavlink_message import PacketParser
 from adapters.mavlink.signing import SigningKey, read_key
 from adapters.message import Message
+from adapters.source import ZENOH
 from adapters.zenoh.zenoh_payload import PayloadDecoder
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
@@ -201,7 +202,7 @@ def _zenoh(folder: Path) -> Run:
             name, fields = payloads.decode(key, encoding, draw.rest())
             _read_channels(fields)
             with contextlib.suppress(ValueError):
-                encode(Message("zenoh", name, START_NS, fields))
+                encode(Message(ZENOH, name, START_NS, fields))
 
     return run
 

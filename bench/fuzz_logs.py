@@ -31,6 +31,7 @@ from adapters.logs.mcap_reader import MessageLogReader
 from adapters.logs.tlog import TlogReader
 from adapters.logs.ulog import UlogReader
 from adapters.message import Message
+from adapters.source import CLOCK, MAVLINK, ULOG, ZENOH
 from replay.inspection.info_text import info_text
 from replay.inspection.log_info import log_info
 
@@ -47,7 +48,7 @@ def as_recorded(messages: Iterable[Message]) -> None:
     """Write each message of an onboard log and read it back: a converted log holds what the log held."""
     for message in messages:
         record = encode(message)
-        assert (record.encoding == "protobuf") >= (message.source == "mavlink"), message
+        assert (record.encoding == "protobuf") >= (message.source == MAVLINK), message
         decode = decoder(record.topic, record.encoding, (record.schema.name, record.schema.data))
         assert decode is not None
         assert repr(decode(record.data, record.time_ns)) == repr(message)
@@ -71,7 +72,7 @@ def _mapping(folder: Path) -> Run:
                 found = read_mapping(path, source)
             messages = list(telemetry(logs[source], found, frozenset(found.rules)))
             as_recorded(messages)
-            assert all(one.source == "mavlink" for one in messages)
+            assert all(one.source == MAVLINK for one in messages)
 
     return run
 
@@ -268,7 +269,7 @@ def _odd_log(draw: Draw, path: Path, flight: Sequence[Message]) -> None:
             elif how == 5:
                 alarm = json.dumps({"state": "raised", **draw.fields()} if draw.number() % 4 else draw.value()).encode()
                 log.write_record(Record("/fauio/alarm_json", "json", None, alarm, time_ns % (1 << 64)))
-            source = draw.choice(("mavlink", "mavlink", "mavlink", "zenoh", "ulog", "clock"))
+            source = draw.choice((MAVLINK, MAVLINK, MAVLINK, ZENOH, ULOG, CLOCK))
             log.write(Message(source, one.name, time_ns % (1 << 64), fields, draw.number() % 3, draw.number() % 2))
 
 

@@ -17,6 +17,7 @@ from adapters.logs.tlog import TlogReader
 from adapters.message import Message, silence
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
+from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR, ZENOH
 from monitor.bus.alarm_text import alarm_line
 from monitor.bus.operators import VERBS
 from monitor.bus.payload import estimate_json, to_json
@@ -129,12 +130,12 @@ def own(draw: Draw, now_ns: int) -> Message:
     """Return a message that is no telemetry, with arbitrary fields."""
     source, name = draw.choice(
         (
-            *(("operator", verb) for verb in (*VERBS, "rules", "x")),
-            ("journal", "standing"),
-            ("journal", "standing"),
-            ("link", "signing"),
-            ("clock", "silence"),
-            ("zenoh", "a/b"),
+            *((OPERATOR, verb) for verb in (*VERBS, "rules", "x")),
+            (JOURNAL, "standing"),
+            (JOURNAL, "standing"),
+            (LINK, "signing"),
+            (CLOCK, "silence"),
+            (ZENOH, "a/b"),
         )
     )
     fields = draw.fields(3)

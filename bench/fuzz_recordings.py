@@ -28,6 +28,7 @@ from adapters.logs.tlog import TlogReader
 from adapters.logs.tlog_columns import TlogBlocks
 from adapters.mavlink.mavlink_message import mavlink_types
 from adapters.message import Message
+from adapters.source import CLOCK, LINK, MAVLINK, OPERATOR, ZENOH
 
 
 def _tlog(folder: Path) -> Run:
@@ -87,11 +88,11 @@ def _compressed_seeds() -> list[bytes]:
 def _some_messages() -> list[Message]:
     flight = list(itertools.islice(TlogReader(DATA / "copter_5s.tlog.xz"), 30))
     more = [
-        Message("zenoh", "arm/telemetry", START_NS, {"time_ns": 5, "data": [1.5, {"deep": "ü"}]}),
-        Message("clock", "silence", START_NS + 1, {}),
-        Message("link", "signing", START_NS + 2, {"forged": 3}, 1, 1),
-        Message("operator", "ack", START_NS + 3, {"id": "01J", "by": "me"}),
-        Message("mavlink", "UNHEARD_OF", START_NS + 4, {"a": 1}, 1, 1),
+        Message(ZENOH, "arm/telemetry", START_NS, {"time_ns": 5, "data": [1.5, {"deep": "ü"}]}),
+        Message(CLOCK, "silence", START_NS + 1, {}),
+        Message(LINK, "signing", START_NS + 2, {"forged": 3}, 1, 1),
+        Message(OPERATOR, "ack", START_NS + 3, {"id": "01J", "by": "me"}),
+        Message(MAVLINK, "UNHEARD_OF", START_NS + 4, {"a": 1}, 1, 1),
     ]
     return [*more, *flight]
 
@@ -128,9 +129,9 @@ def _schemas() -> list[Schema]:
 
 
 _ATTITUDE = [
-    Message("mavlink", "ATTITUDE", START_NS, kind.decode(bytes.fromhex("fd000000000101") + b"\x1e\0\0\0\0", 0).fields)
+    Message(MAVLINK, "ATTITUDE", START_NS, kind.decode(bytes.fromhex("fd000000000101") + b"\x1e\0\0\0\0", 0).fields)
     for kind in [mavlink_types()[30]]
-] + [Message("zenoh", "x", START_NS, {})]
+] + [Message(ZENOH, "x", START_NS, {})]
 
 
 def _mcap(folder: Path) -> Run:

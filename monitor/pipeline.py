@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from adapters.batch import Batch, cut
 from adapters.mavlink.vehicle_type import vehicle_type
 from adapters.message import SILENCE, Message
+from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR
 from monitor.alarms import link_alarms, stale
 from monitor.alarms.alarm import TUNABLE
 from monitor.alarms.desk import AlarmDesk
@@ -41,7 +42,6 @@ from monitor.uniform import changes_phase, heartbeats, in_order, selected
 AUTOPILOT = 1
 RULES = "rules"
 STANDING = "standing"
-_OWN_SOURCES = ("clock", "link", "operator", "journal")
 _WORTH_IT = 64
 """Messages from which on a stretch is worth what it costs to begin one."""
 _LOOK_AHEAD = 2048
@@ -161,10 +161,10 @@ class Pipeline:
 
     def accepts(self, message: Message) -> bool:
         """Return whether a message comes from the monitored vehicle; the first one to send a channel is it."""
-        if message.source == "link":
-            return message.system == self._system
-        if message.source != "mavlink":
+        if not message.source.has_ids:
             return True
+        if not message.source.is_telemetry:
+            return message.system == self._system
         if self._component and message.component != self._component:
             return False
         if self._system == 0 and message.name in self._wanted:
@@ -181,7 +181,7 @@ class Pipeline:
             return []
         now_ns = message.received_ns
         outputs: list[Output] = [*self._desk.tick(now_ns)]
-        if message.source in _OWN_SOURCES:
+        if not message.source.is_telemetry:
             outputs.extend(self._feed_own(message))
             return outputs
         self._phase.feed(message)
@@ -209,7 +209,7 @@ class Pipeline:
         what is returned the estimates of a stretch stand before its events.
         """
         outputs: list[Stretch] = []
-        if self._system == 0 and any(one.source == "mavlink" for one in block.columns):
+        if self._system == 0 and any(one.source.has_ids for one in block.columns):
             block = self._run_until_known(block, outputs)
         chosen = selected(block, self._interests, self._system, self._component)
         self.foreign += self._foreign_in(block)
@@ -245,7 +245,7 @@ class Pipeline:
         return sum(not self.accepts(one) for one in unfed) + sum(
             len(one.position)
             for one in block.columns
-            if one.source == "mavlink"
+            if one.source.has_ids
             and (one.system != self._system or (self._component and one.component != self._component))
         )
 
@@ -290,11 +290,11 @@ class Pipeline:
     def _feed_own(self, message: Message) -> list[AlarmEvent]:
         """Take a message that is no telemetry."""
         now_ns, fields = message.received_ns, message.fields
-        if message.source == "clock":
+        if message.source is CLOCK:
             return self._tell([*self._silence(now_ns), *self._link.quiet(now_ns)])
-        if message.source == "link":
+        if message.source is LINK:
             return self._tell(self._link.feed(message, self._clock.newest_ns))
-        if message.source == "journal":
+        if message.source is JOURNAL:
             return self._adopt(fields, now_ns) if message.name == STANDING else []
         if message.name == RULES:
             return self._retune(fields, now_ns)
@@ -345,7 +345,7 @@ def rules_message(rule: DeskRule, profile: Profile, now_ns: int) -> Message:
         }
         for observer in profile.observers
     }
-    return Message("operator", RULES, now_ns, {**rule_fields(rule), "alarms": alarms})
+    return Message(OPERATOR, RULES, now_ns, {**rule_fields(rule), "alarms": alarms})
 
 
 def standing_message(
@@ -365,7 +365,7 @@ def standing_message(
         Channels (``observer/channel``) that operators had shelved, and the Unix times at which they speak again.
     """
     told = {"seq": seq, "alarms": [event.to_json() for event in alarms], "shelved": dict(shelved)}
-    return Message("journal", STANDING, now_ns, told)
+    return Message(JOURNAL, STANDING, now_ns, told)
 
 
 def shelved_channels(fields: Mapping[str, Any]) -> dict[str, int]:

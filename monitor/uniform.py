@@ -66,7 +66,7 @@ def selected(block: Batch, names: Collection[str], system: int, component: int) 
     kept = [
         one
         for one in block.columns
-        if one.name in names and (one.source != "mavlink" or (one.system == system and component in (0, one.component)))
+        if one.name in names and (not one.source.has_ids or (one.system == system and component in (0, one.component)))
     ]
     others = {place: message for place, message in block.others.items() if message.name in names}
     if len(kept) == len(block.columns) and len(others) == len(block.others):

@@ -9,6 +9,7 @@ import numpy as np
 
 from adapters.batch import Batch, Columns
 from adapters.message import Message
+from adapters.source import MAVLINK
 
 
 def pack(messages: Sequence[Message], types: dict[str, Any] | None = None) -> Batch:
@@ -20,7 +21,7 @@ def pack(messages: Sequence[Message], types: dict[str, Any] | None = None) -> Ba
     others: dict[int, Message] = {}
     for place, one in enumerate(messages):
         kinds = tuple((name, _kind(value)) for name, value in one.fields.items())
-        if one.source != "mavlink" or any(kind is None for _, kind in kinds):
+        if one.source != MAVLINK or any(kind is None for _, kind in kinds):
             others[place] = one
             continue
         members = groups.setdefault((one.source, one.name, one.system, one.component), [])

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from adapters.message import Message
+from adapters.source import MAVLINK
 
 MOTORS = 6
 RATE_HZ = 100
@@ -72,4 +73,4 @@ def hexacopter_flight(
 
 
 def _message(name: str, received_ns: int, fields: dict[str, object]) -> Message:
-    return Message("mavlink", name, received_ns, fields, 1, 1)
+    return Message(MAVLINK, name, received_ns, fields, 1, 1)

@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 
 from adapters.batch import cut, messages, pack
 from adapters.message import Message, silence
+from adapters.source import CLOCK, LINK, MAVLINK, ZENOH
 
 NUMBERS = st.one_of(st.integers(-(1 << 64), 1 << 64), st.integers(0, 9), st.floats(), st.booleans())
 VALUES = st.one_of(NUMBERS, NUMBERS, st.lists(NUMBERS, max_size=3), st.text(max_size=3), st.none())
 MESSAGES = st.builds(
     Message,
-    source=st.sampled_from(("mavlink", "mavlink", "zenoh", "clock", "link")),
+    source=st.sampled_from((MAVLINK, MAVLINK, ZENOH, CLOCK, LINK)),
     name=st.sampled_from("ab"),
     received_ns=st.integers(0, 1 << 62),
     fields=st.dictionaries(st.sampled_from("xy"), VALUES),
@@ -40,7 +41,7 @@ def test_a_block_gives_back_its_messages_whole_and_cut(stretch: list[Message], s
 
 @given(st.lists(st.floats(), min_size=1, max_size=20))
 def test_numbers_of_one_name_and_sender_become_one_column(values: list[float]) -> None:
-    block = pack([Message("zenoh", "k", n, {"x": x, "n": n, "l": [n, 1]}) for n, x in enumerate(values)])
+    block = pack([Message(ZENOH, "k", n, {"x": x, "n": n, "l": [n, 1]}) for n, x in enumerate(values)])
     (columns,) = block.columns
     assert not block.others
     assert columns.fields["x"].tobytes() == np.array(values).tobytes()
@@ -62,7 +63,7 @@ def test_numbers_of_one_name_and_sender_become_one_column(values: list[float]) -
     ],
 )
 def test_messages_that_differ_in_kind_stay_messages(second: dict[str, Any]) -> None:
-    stretch = [Message("zenoh", "k", 1, {"x": 1.0}), Message("zenoh", "k", 2, second)]
+    stretch = [Message(ZENOH, "k", 1, {"x": 1.0}), Message(ZENOH, "k", 2, second)]
     block = pack(stretch)
     assert not block.columns
     assert list(messages(block)) == stretch

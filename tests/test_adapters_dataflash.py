@@ -14,6 +14,7 @@ from adapters.logs.damage import scan_damage
 from adapters.logs.dataflash import CODES, DataflashReader
 from adapters.logs.onboard_log import LogStatistics
 from adapters.message import Message
+from adapters.source import DATAFLASH
 
 UNIX_S = 1_700_000_000
 
@@ -89,7 +90,7 @@ def test_values_times_and_instances_are_those_that_pymavlink_reads(
     assert len(ours) == len(LOG.ends)
     imu = next(message for message in ours if message.name == "IMU")
     assert imu.received_ns == (UNIX_S + 2) * 1_000_000_000
-    assert imu.source == "dataflash"
+    assert imu.source == DATAFLASH
 
 
 def test_the_codes_are_those_of_pymavlink() -> None:

@@ -14,6 +14,7 @@ from adapters.channels import parse_channel
 from adapters.encoding.foreign_record import foreign_decoder
 from adapters.encoding.record import Schema
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages
+from adapters.source import ZENOH
 
 HEADER = {"stamp": stamp(START_NS + 5), "frame_id": "base"}
 VECTOR = {"x": 1.0, "y": -2.0, "z": 0.5}
@@ -54,7 +55,7 @@ def test_a_ros_2_bag_gives_the_fields_that_channels_name(tmp_path: Path, compres
     for message in messages:
         *_, field, value = ROS["/" + message.name]
         channel = parse_channel("c", {"message": message.name, "field": field}, "here")
-        assert message.source == "zenoh"
+        assert message.source == ZENOH
         assert channel.value(message.fields) == value
         assert channel.stamp_ns(message.fields) == (None if message.name == "raw" else START_NS + 5)
         assert START_NS <= message.received_ns < START_NS + 3
@@ -97,7 +98,7 @@ def test_protobuf_becomes_plain_fields_with_times_as_ros_names_them() -> None:
     message.header.stamp.FromNanoseconds(START_NS + 5)
     decode = foreign_decoder("/arm/sample", "protobuf", Schema("arm.Sample", "protobuf", descriptors))
     found = decode(message.SerializeToString(), START_NS)
-    assert (found.source, found.name, found.received_ns) == ("zenoh", "arm/sample", START_NS)
+    assert (found.source, found.name, found.received_ns) == (ZENOH, "arm/sample", START_NS)
     assert found.fields == {
         "header": {"stamp": stamp(START_NS + 5)},
         "u": [1.0],
@@ -136,11 +137,11 @@ def test_topics_of_others_are_not_taken_for_ours(tmp_path: Path) -> None:
         [(START_NS, kind(u=[1.0]).SerializeToString())],
     )
     [message] = read_mcap_messages(path)
-    assert (message.source, message.name) == ("zenoh", "mavlink/from")
+    assert (message.source, message.name) == (ZENOH, "mavlink/from")
     for topic in ("/operator/reset", "/link/state", "/journal/x", "/clock/silence", "/mavlink/ATTITUDE"):
         path = mcap_log(tmp_path / "log.mcap", topic, ("other.Type", "jsonschema", b"{}"), "json", [(START_NS, b"{}")])
         [message] = read_mcap_messages(path)
-        assert (message.source, message.name) == ("zenoh", topic[1:])
+        assert (message.source, message.name) == (ZENOH, topic[1:])
 
 
 def hostile(*fields: tuple[str, int, int, str], name: str = "p.M") -> Schema:

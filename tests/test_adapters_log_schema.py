@@ -15,6 +15,7 @@ from adapters.encoding.message_record import encode
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import read_mcap_messages
 from adapters.message import Message
+from adapters.source import DATAFLASH, ULOG
 
 SCALARS = st.one_of(
     st.integers(-(2**63), 2**63 - 1), st.floats(allow_nan=False), st.booleans(), st.text(st.characters(codec="utf-8"))
@@ -31,14 +32,14 @@ FIELDS = st.recursive(
 @settings(max_examples=60, deadline=None)
 @given(fields=FIELDS)
 def test_any_record_comes_back_as_it_was(fields: dict[str, Any]) -> None:
-    schema, data = to_protobuf(Message("ulog", "topic/1", 5, fields))
+    schema, data = to_protobuf(Message(ULOG, "topic/1", 5, fields))
     found = LogProtobuf(schema.name, schema.data).fields(data)
     assert found == fields
     assert repr(found) == repr(fields)
 
 
 def test_the_schema_names_source_topic_and_types() -> None:
-    schema, _ = to_protobuf(Message("dataflash", "IMU/1", 5, {"TimeUS": 1, "GyrX": 0.5, "name": "x", "a": [1, 2]}))
+    schema, _ = to_protobuf(Message(DATAFLASH, "IMU/1", 5, {"TimeUS": 1, "GyrX": 0.5, "name": "x", "a": [1, 2]}))
     assert (schema.name, schema.encoding) == ("dataflash.IMU", "protobuf")
     fields = FileDescriptorSet.FromString(schema.data).file[0].message_type[0].field
     assert [(one.name, one.type, one.label) for one in fields] == [
@@ -55,7 +56,7 @@ def test_the_schema_names_source_topic_and_types() -> None:
     ids=["too large", "no name", "empty", "unlike", "lists", "nothing", "names alike"],
 )
 def test_what_no_type_can_hold_is_kept_as_json(tmp_path: Path, fields: dict[str, Any]) -> None:
-    message = Message("ulog", "odd", 5, fields)
+    message = Message(ULOG, "odd", 5, fields)
     with pytest.raises(ValueError):
         to_protobuf(message)
     assert encode(message).encoding == "json"

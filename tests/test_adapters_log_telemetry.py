@@ -10,13 +10,14 @@ import pytest
 from adapters.logs.log_mapping import builtin_mapping, parse_mapping
 from adapters.logs.log_telemetry import telemetry
 from adapters.message import Message
+from adapters.source import DATAFLASH, MAVLINK, ULOG
 
 MS = 1_000_000
 HALF = 0.5**0.5
 
 
 def record(name: str, ms: float, **fields: Any) -> Message:
-    return Message("ulog", name, round(ms * MS), {"timestamp": round(ms * 1000), **fields})
+    return Message(ULOG, name, round(ms * MS), {"timestamp": round(ms * 1000), **fields})
 
 
 def rates(ms: float, *xyz: float) -> Message:
@@ -28,7 +29,7 @@ def attitude(ms: float, *q: float) -> Message:
 
 
 def made(records: list[Message], *names: str) -> list[Message]:
-    return [m for m in telemetry(records, builtin_mapping("ulog"), names) if m.source == "mavlink"]
+    return [m for m in telemetry(records, builtin_mapping("ulog"), names) if m.source == MAVLINK]
 
 
 def test_a_message_has_the_time_and_the_type_of_what_makes_it() -> None:
@@ -107,7 +108,7 @@ def test_a_state_is_told_again_every_second() -> None:
 def test_a_value_that_stands_for_nothing_makes_no_message() -> None:
     mapping = builtin_mapping("dataflash")
     events = [
-        Message("dataflash", "EV", 50 * n * MS, {"TimeUS": n, "Id": event}) for n, event in enumerate((15, 10, 28, 11))
+        Message(DATAFLASH, "EV", 50 * n * MS, {"TimeUS": n, "Id": event}) for n, event in enumerate((15, 10, 28, 11))
     ]
     found = list(telemetry(events, mapping, ("HEARTBEAT", "EXTENDED_SYS_STATE")))
     states = [(m.name, m.fields.get("base_mode", m.fields.get("landed_state"))) for m in found]

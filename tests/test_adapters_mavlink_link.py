@@ -19,6 +19,7 @@ from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.mavlink.message_rates import RateRequests
 from adapters.mavlink.signing import SigningKey, unix_stamp
 from adapters.message import Message
+from adapters.source import LINK, MAVLINK
 
 KEY = SigningKey(bytes(range(32)))
 
@@ -281,8 +282,8 @@ def test_a_key_lets_in_what_is_signed_and_keeps_out_forgeries_which_are_told_of(
         send(packet(4, key=KEY, system=2))
         send(packet(5, key=KEY))
         messages = collect(link, 4)
-        assert times([m for m in messages if m.source == "mavlink"]) == [1, 4, 5]
-        (finding,) = (m for m in messages if m.source == "link")
+        assert times([m for m in messages if m.source == MAVLINK]) == [1, 4, 5]
+        (finding,) = (m for m in messages if m.source == LINK)
         assert (finding.name, finding.system) == ("signing", 1)
         assert finding.fields == {"forged": 1, "replayed": 0, "unsigned": 1}
         assert finding.received_ns >= messages[0].received_ns
@@ -297,7 +298,7 @@ def test_refused_packets_are_told_of_even_when_nothing_else_comes() -> None:
         messages: list[Message] = []
         while sum(m.fields["forged"] for m in messages[-1:]) < 3:
             messages += link.receive(0.05)
-        assert {m.source for m in messages} == {"link"}
+        assert {m.source for m in messages} == {LINK}
         assert len(messages) <= 2
 
 
@@ -307,7 +308,7 @@ def test_forged_packets_change_neither_losses_nor_who_is_answered() -> None:
         collect(link, 1)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as forger:
             forger.sendto(packet(90, key=SigningKey(b"f" * 32)), link._link._socket.getsockname())  # type: ignore[attr-defined]
-            assert [m.source for m in collect(link, 1)] == ["link"]
+            assert [m.source for m in collect(link, 1)] == [LINK]
         send(packet(2, key=KEY))
         collect(link, 1)
         assert link.statistics().lost == 0

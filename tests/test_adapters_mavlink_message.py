@@ -17,6 +17,7 @@ from adapters.mavlink.mavlink_message import (
     packet_sender,
     packet_sequence,
 )
+from adapters.source import MAVLINK
 
 
 def link() -> ardupilotmega.MAVLink:
@@ -60,7 +61,7 @@ def test_every_message_of_the_dialect_decodes_as_pymavlink_decodes_it(payload: b
         assert list(message.fields) == list(theirs)
         assert all(same(message.fields[name], theirs[name]) for name in theirs), message.name
         assert (message.source, message.received_ns, message.system, message.component) == (
-            "mavlink",
+            MAVLINK,
             12,
             7,
             9,

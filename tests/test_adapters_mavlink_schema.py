@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from adapters.encoding.mavlink_schema import MavlinkProtobuf, mavlink_protobuf
 from adapters.encoding.protobuf_types import class_from_descriptor_set, descriptor_set, identifiers
 from adapters.message import Message
+from adapters.source import MAVLINK
 
 TABLES = tuple(dialect.mavlink_map.values())
 LARGEST = max(table.unpacker.size for table in TABLES)
@@ -26,7 +27,7 @@ def decoded(table: Any, payload: bytes) -> Message:
     checksum.accumulate(bytes([table.crc_extra]))
     found = dialect.MAVLink(None).decode(frame + checksum.crc.to_bytes(2, "little"))
     fields = {name: getattr(found, name) for name in found.get_fieldnames()}
-    return Message("mavlink", table.msgname, 1, fields, found.get_srcSystem(), found.get_srcComponent())
+    return Message(MAVLINK, table.msgname, 1, fields, found.get_srcSystem(), found.get_srcComponent())
 
 
 def same(left: Any, right: Any) -> bool:
@@ -82,7 +83,7 @@ def test_a_message_of_another_dialect_is_refused_and_not_bent() -> None:
     kind = mavlink_protobuf("ATTITUDE")
     assert kind is not None
     with pytest.raises(ValueError, match="other fields"):
-        kind.to_bytes(Message("mavlink", "ATTITUDE", 1, {"roll": 1.0}))
+        kind.to_bytes(Message(MAVLINK, "ATTITUDE", 1, {"roll": 1.0}))
     assert mavlink_protobuf("UNKNOWN_4711") is None
 
 
@@ -91,7 +92,7 @@ def test_a_value_that_does_not_fit_is_refused(value: object) -> None:
     kind = mavlink_protobuf("SYSTEM_TIME")
     assert kind is not None
     with pytest.raises(ValueError):
-        kind.to_bytes(Message("mavlink", "SYSTEM_TIME", 1, {"time_unix_usec": 1, "time_boot_ms": value}))
+        kind.to_bytes(Message(MAVLINK, "SYSTEM_TIME", 1, {"time_unix_usec": 1, "time_boot_ms": value}))
 
 
 def test_a_message_with_a_field_system_id_keeps_both() -> None:
@@ -104,7 +105,7 @@ def test_a_message_with_a_field_system_id_keeps_both() -> None:
         array_lengths = (0, 0)
 
     kind = MavlinkProtobuf(message_class("mavlink", "CLASH", _fields(Table)))
-    message = Message("mavlink", "CLASH", 5, {"system_id": 9, "value": 0.5}, system=1, component=2)
+    message = Message(MAVLINK, "CLASH", 5, {"system_id": 9, "value": 0.5}, system=1, component=2)
     assert kind.from_bytes(kind.to_bytes(message), "CLASH", 5) == message
 
 

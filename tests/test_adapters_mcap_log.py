@@ -25,6 +25,7 @@ from adapters.logs.mcap_log import MAX_CHANNELS, MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages, read_mcap_metadata
 from adapters.logs.mcap_writer import CHUNK_BYTES
 from adapters.message import Message
+from adapters.source import MAVLINK, ZENOH
 
 START_NS = 1_795_251_917_000_000_000
 SCHEMA = Schema("fauio.Alarm", "jsonschema", b'{"type": "object"}')
@@ -33,11 +34,11 @@ SCHEMA = Schema("fauio.Alarm", "jsonschema", b'{"type": "object"}')
 def attitude(number: int, received_ns: int | None = None) -> Message:
     fields = {"time_boot_ms": number, "roll": 0.5, "pitch": -0.25, "yaw": 0.0}
     rates = {"rollspeed": number / 4, "pitchspeed": 0.0, "yawspeed": 1.0}
-    return Message("mavlink", "ATTITUDE", received_ns or START_NS + number, {**fields, **rates}, 1, 1)
+    return Message(MAVLINK, "ATTITUDE", received_ns or START_NS + number, {**fields, **rates}, 1, 1)
 
 
 def arm(number: int, received_ns: int) -> Message:
-    return Message("zenoh", "arm/telemetry", received_ns, {"time_ns": number, "data": [1.5, {"deep": "ü"}]})
+    return Message(ZENOH, "arm/telemetry", received_ns, {"time_ns": number, "data": [1.5, {"deep": "ü"}]})
 
 
 def write(path: Path, messages: list[Message]) -> Path:
@@ -64,7 +65,7 @@ def test_messages_come_back_in_the_order_of_writing_even_where_times_are_equal_o
         attitude(2, START_NS + 9),
         attitude(3, START_NS + 1),
         arm(2, START_NS + 9),
-        Message("mavlink", "STATUSTEXT", START_NS, {"severity": 6, "text": "héllo", "id": 0, "chunk_seq": 0}, 1, 1),
+        Message(MAVLINK, "STATUSTEXT", START_NS, {"severity": 6, "text": "héllo", "id": 0, "chunk_seq": 0}, 1, 1),
         attitude(4, 0),
     ]
     raw = write(tmp_path / "plain.mcap", messages).read_bytes()
@@ -93,15 +94,15 @@ def test_other_tools_read_typed_fields_from_the_file_alone(tmp_path: Path) -> No
 
 def test_messages_that_fit_no_definition_are_kept_as_json(tmp_path: Path) -> None:
     odd = [
-        Message("mavlink", "UNKNOWN_4711", START_NS, {"a": 1, "text": "\udcff"}, 1, 2),
-        Message("mavlink", "ATTITUDE", START_NS, {"roll": 0.1}, 1, 2),
+        Message(MAVLINK, "UNKNOWN_4711", START_NS, {"a": 1, "text": "\udcff"}, 1, 2),
+        Message(MAVLINK, "ATTITUDE", START_NS, {"roll": 0.1}, 1, 2),
         attitude(1),
     ]
     assert list(read_mcap_messages(write(tmp_path / "log.mcap", odd))) == odd
 
 
 def test_nan_and_infinity_from_json_come_back(tmp_path: Path) -> None:
-    odd = Message("zenoh", "k", START_NS, {"v": [float("inf"), -float("inf"), float("nan"), 2**70]})
+    odd = Message(ZENOH, "k", START_NS, {"v": [float("inf"), -float("inf"), float("nan"), 2**70]})
     [back] = read_mcap_messages(write(tmp_path / "log.mcap", [odd]))
     assert repr(back) == repr(odd)
 
@@ -111,10 +112,10 @@ def test_what_no_record_can_hold_is_counted_and_the_log_goes_on(tmp_path: Path) 
     for _ in range(100_000):
         deep = {"d": deep}
     bad = [
-        Message("zenoh", "k", START_NS, {"v": object()}),
-        Message("zenoh", "k", START_NS, {"v": b"bytes"}),
-        Message("zenoh", "k", START_NS, deep),
-        Message("zenoh", "\udcff", START_NS, {"v": 1}),
+        Message(ZENOH, "k", START_NS, {"v": object()}),
+        Message(ZENOH, "k", START_NS, {"v": b"bytes"}),
+        Message(ZENOH, "k", START_NS, deep),
+        Message(ZENOH, "\udcff", START_NS, {"v": 1}),
         attitude(1, -5),
         attitude(1, 2**64),
     ]
@@ -123,7 +124,7 @@ def test_what_no_record_can_hold_is_counted_and_the_log_goes_on(tmp_path: Path) 
             log.write(message)
             log.write(attitude(1))
         for number in range(MAX_CHANNELS + 10):
-            log.write(Message("zenoh", f"flood/{number}", START_NS, {}))
+            log.write(Message(ZENOH, f"flood/{number}", START_NS, {}))
         statistics = log.statistics()
     # ATTITUDE took the first of the topics
     assert statistics.unrecordable == len(bad) + 11
@@ -153,13 +154,14 @@ def test_everything_flushed_survives_sigkill(tmp_path: Path) -> None:
 import sys
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
+from adapters.source import MAVLINK, ZENOH
 log = MessageLogWriter(sys.argv[1])
 number = 0
 while True:
     for _ in range(500):
         fields = {"time_unix_usec": 1, "time_boot_ms": number}
-        log.write(Message("mavlink", "SYSTEM_TIME", 1 + number, fields, 1, 1))
-        log.write(Message("zenoh", "k", 1 + number, {"number": number}))
+        log.write(Message(MAVLINK, "SYSTEM_TIME", 1 + number, fields, 1, 1))
+        log.write(Message(ZENOH, "k", 1 + number, {"number": number}))
         number += 1
     log.flush()
     print(number, flush=True)
@@ -250,7 +252,7 @@ def test_no_damage_ever_raises_anything_but_the_error_for_the_user(
     path.write_bytes(broken[: data.draw(st.integers(0, len(broken)))])
     try:
         for message in read_mcap_messages(path):
-            assert message.source in ("mavlink", "zenoh")
+            assert message.source in (MAVLINK, ZENOH)
         read_mcap_metadata(path)
     except TelemetryError as error:
         assert "\n" not in str(error)

@@ -14,6 +14,7 @@ from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages
 from adapters.logs.recordings import Recording
 from adapters.message import LATEST_NS, Message
+from adapters.source import LINK, MAVLINK, ZENOH
 
 
 def two_topics(path: Path) -> Path:
@@ -51,11 +52,11 @@ def test_what_cannot_be_read_is_said_in_a_line(tmp_path: Path) -> None:
 
 def test_our_topics_are_wanted_by_the_name_of_their_messages(tmp_path: Path) -> None:
     with MessageLogWriter(tmp_path / "log.mcap") as log:
-        for source in ("zenoh", "mavlink", "link"):
+        for source in (ZENOH, MAVLINK, LINK):
             for name in ("a", "b"):
                 log.write(Message(source, name, START_NS, {"n": 1}))
     found = list(read_mcap_messages(tmp_path / "log.mcap", {"a"}))
-    assert [(message.source, message.name) for message in found] == [("zenoh", "a"), ("mavlink", "a"), ("link", "a")]
+    assert [(message.source, message.name) for message in found] == [(ZENOH, "a"), (MAVLINK, "a"), (LINK, "a")]
 
 
 @pytest.mark.parametrize("cut", [0, 3])
@@ -63,7 +64,7 @@ def test_an_unfinished_file_is_said_to_be_one(tmp_path: Path, cut: int) -> None:
     path = tmp_path / "log.mcap"
     with MessageLogWriter(path) as log:
         for number in range(100):
-            log.write(Message("zenoh", "k", START_NS + number, {"n": number}))
+            log.write(Message(ZENOH, "k", START_NS + number, {"n": number}))
         log.flush()
         data = path.read_bytes()
     path.write_bytes(data[: len(data) - cut])
@@ -145,7 +146,7 @@ def test_a_wrong_beginning_does_not_hide_what_follows(tmp_path: Path) -> None:
 def test_a_file_of_a_session_that_is_none_is_passed_over_and_said(tmp_path: Path) -> None:
     for number in range(3):
         with MessageLogWriter(tmp_path / f"a-20260101T000000Z-00000{number}.mcap") as log:
-            log.write(Message("zenoh", "k", START_NS, {"n": number}))
+            log.write(Message(ZENOH, "k", START_NS, {"n": number}))
     (tmp_path / "a-20260101T000000Z-000001.mcap").write_bytes(bytes(100))
     recording = Recording(tmp_path)
     assert [message.fields["n"] for message in recording] == [0, 2]

@@ -13,6 +13,7 @@ from adapters.mavlink.mavlink_message import PacketParser
 from adapters.mavlink.message_rates import RateRequests, RequestedRate
 from adapters.mavlink.signing import SignatureVerifier, SigningKey, Verdict
 from adapters.message import Message
+from adapters.source import MAVLINK
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_795_251_917 * SECOND_NS
@@ -34,7 +35,7 @@ class Vehicle:
 
     def sends(self, now_ns: int) -> list[Message]:
         return [
-            Message("mavlink", name, now_ns, {}, self.system, 1)
+            Message(MAVLINK, name, now_ns, {}, self.system, 1)
             for name, rate in self.rates.items()
             if int((now_ns + STEP_NS) * rate // SECOND_NS) > int(now_ns * rate // SECOND_NS)
         ]
@@ -47,7 +48,7 @@ class Vehicle:
             return []
         fields = {"command": command.fields["command"], "result": self.result}
         to = {"target_system": command.system, "target_component": command.component}
-        return [Message("mavlink", "COMMAND_ACK", now_ns, fields | to, self.system, 1)]
+        return [Message(MAVLINK, "COMMAND_ACK", now_ns, fields | to, self.system, 1)]
 
 
 def fly(requests: RateRequests, vehicle: Vehicle | None, seconds: float, start_ns: int = START_NS) -> list[Message]:
@@ -138,10 +139,10 @@ def test_acknowledgements_of_others_commands_and_to_others_mean_nothing() -> Non
         (denied | {"target_system": 0, "target_component": 0, "command": 400}, 1),
         (denied | {"target_system": 245, "target_component": 191}, 2),
     ):
-        requests.heard(Message("mavlink", "COMMAND_ACK", START_NS, fields, system, 1))
+        requests.heard(Message(MAVLINK, "COMMAND_ACK", START_NS, fields, system, 1))
     assert not requests.statistics().rates[0].refused
     requests.heard(
-        Message("mavlink", "COMMAND_ACK", START_NS, denied | {"target_system": 0, "target_component": 0}, 1, 1)
+        Message(MAVLINK, "COMMAND_ACK", START_NS, denied | {"target_system": 0, "target_component": 0}, 1, 1)
     )
     assert requests.statistics().rates[0].refused
 
@@ -185,8 +186,8 @@ def test_several_vehicles_are_asked_by_one_sender_with_one_sequence() -> None:
     requests.ask(2, {"ATTITUDE": 20.0}, component=7)
     packets = []
     for now in range(START_NS, START_NS + 5 * SECOND_NS, STEP_NS):
-        requests.heard(Message("mavlink", "HEARTBEAT", now, {}, 1, 1))
-        requests.heard(Message("mavlink", "HEARTBEAT", now, {}, 2, 7))
+        requests.heard(Message(MAVLINK, "HEARTBEAT", now, {}, 1, 1))
+        requests.heard(Message(MAVLINK, "HEARTBEAT", now, {}, 2, 7))
         packets += requests.requests(now)
     assert [packet[4] for packet in packets] == list(range(len(packets)))
     to = {
@@ -202,7 +203,7 @@ def test_with_a_key_all_that_is_sent_is_signed() -> None:
     requests = asking({"ATTITUDE": 10.0}, key=key)
     verifier = SignatureVerifier(key)
     for now in range(START_NS, START_NS + 5 * SECOND_NS, STEP_NS):
-        requests.heard(Message("mavlink", "HEARTBEAT", now, {}, 1, 1))
+        requests.heard(Message(MAVLINK, "HEARTBEAT", now, {}, 1, 1))
         for packet in requests.requests(now):
             assert verifier.check(packet, now) is Verdict.VALID
 

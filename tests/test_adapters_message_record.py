@@ -11,16 +11,17 @@ from adapters.encoding.message_record import decoder, encode
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader
 from adapters.message import Message, silence
+from adapters.source import JOURNAL, LINK, OPERATOR, ZENOH
 
 
 @pytest.mark.parametrize(
     "message",
     [
-        Message("link", "signing", 5, {"forged": 3, "replayed": 0, "unsigned": 1}, system=7, component=9),
-        Message("link", "signing", 5, {"forged": 1, "replayed": 0, "unsigned": 0}, system=255),
-        Message("operator", "acknowledge", 5, {"id": "01J", "system_id": 3}),
-        Message("journal", "alarm", 5, {"id": "01J"}),
-        Message("zenoh", "arm/telemetry", 5, {"system_id": "text"}),
+        Message(LINK, "signing", 5, {"forged": 3, "replayed": 0, "unsigned": 1}, system=7, component=9),
+        Message(LINK, "signing", 5, {"forged": 1, "replayed": 0, "unsigned": 0}, system=255),
+        Message(OPERATOR, "acknowledge", 5, {"id": "01J", "system_id": 3}),
+        Message(JOURNAL, "alarm", 5, {"id": "01J"}),
+        Message(ZENOH, "arm/telemetry", 5, {"system_id": "text"}),
         silence(5),
     ],
 )
@@ -33,12 +34,12 @@ def test_a_message_comes_back_with_its_ids(message: Message) -> None:
 
 
 def test_what_a_link_found_names_its_ids_as_mavlink_records_do() -> None:
-    record = encode(Message("link", "signing", 5, {"forged": 3}, system=7))
+    record = encode(Message(LINK, "signing", 5, {"forged": 3}, system=7))
     assert json.loads(record.data) == {"forged": 3, "system_id": 7, "component_id": 0}
 
 
 def test_what_a_link_found_survives_a_recording(tmp_path: Path) -> None:
-    findings = [Message("link", "signing", 5 + k, {"forged": k}, system=k) for k in range(1, 4)]
+    findings = [Message(LINK, "signing", 5 + k, {"forged": k}, system=k) for k in range(1, 4)]
     with MessageLogWriter(tmp_path / "log.mcap") as log:
         for finding in findings:
             log.write(finding)

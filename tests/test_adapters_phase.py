@@ -7,11 +7,12 @@ from typing import Any
 import pytest
 
 from adapters.message import Message
+from adapters.source import MAVLINK, ZENOH
 from monitor.sampling.phase import FlightPhase
 
 
 def mavlink(name: str, **fields: Any) -> Message:
-    return Message("mavlink", name, 0, fields, 1, 1)
+    return Message(MAVLINK, name, 0, fields, 1, 1)
 
 
 def test_nothing_is_known_before_the_first_message() -> None:
@@ -48,6 +49,6 @@ def test_the_landed_state_is_named(state: Any, meaning: str | None) -> None:
 def test_other_messages_change_nothing() -> None:
     phase = FlightPhase()
     phase.feed(mavlink("ATTITUDE", base_mode=209, landed_state=2))
-    phase.feed(Message("zenoh", "HEARTBEAT", 0, {"base_mode": 209}))
+    phase.feed(Message(ZENOH, "HEARTBEAT", 0, {"base_mode": 209}))
     phase.feed(mavlink("HEARTBEAT"))
     assert (phase.armed, phase.landed) == (None, None)

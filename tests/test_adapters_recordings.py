@@ -12,6 +12,7 @@ from adapters.errors import TelemetryError
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import read_batches, read_recording, recording_kind
 from adapters.message import Message
+from adapters.source import ZENOH
 
 FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
 
@@ -66,7 +67,7 @@ def test_a_file_that_is_not_there_is_reported_at_once(tmp_path: Path) -> None:
 def write(path: Path, *numbers: int) -> None:
     with MessageLogWriter(path) as log:
         for number in numbers:
-            log.write(Message("zenoh", "k", 1 + number, {"n": number}))
+            log.write(Message(ZENOH, "k", 1 + number, {"n": number}))
 
 
 def test_a_folder_is_read_as_one_session_in_the_order_of_names(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from adapters.mavlink.signing import (
     read_key,
     unix_stamp,
 )
+from adapters.source import LINK
 
 SECOND_NS = 1_000_000_000
 NOW_NS = 1_795_251_917 * SECOND_NS
@@ -191,7 +192,7 @@ def test_refused_packets_are_told_of_by_system_at_once_and_then_every_second() -
     assert guard.findings(NOW_NS) == []
     assert not guard.admits(forged(STAMP, system=7), NOW_NS)
     (first,) = guard.findings(NOW_NS)
-    assert (first.source, first.name, first.system, first.received_ns) == ("link", "signing", 7, NOW_NS)
+    assert (first.source, first.name, first.system, first.received_ns) == (LINK, "signing", 7, NOW_NS)
     assert first.fields == {"forged": 1, "replayed": 0, "unsigned": 0}
     for k in range(100):
         now = NOW_NS + k

@@ -13,6 +13,7 @@ from sampled import rows
 from adapters.batch import pack
 from adapters.errors import TelemetryError
 from adapters.message import Message
+from adapters.source import MAVLINK
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.sampler import Sampler
 from monitor.vehicles.inertial.kinematics import levelled_field, pressure_altitude
@@ -208,7 +209,7 @@ def messages(k: int, row: np.ndarray) -> list[Message]:
         gps = {"lat": lat * 1e7, "lon": lon * 1e7, "alt": alt * 1e3, "vel": vel * 1e2, "cog": cog * 1e2}
         fields.append(("GPS_RAW_INT", gps))
     unix = 1_795_251_917_000_000_000 + time_us * 1_000
-    return [Message("mavlink", name, unix, {"time_usec": time_us, **values}, 1, 1) for name, values in fields]
+    return [Message(MAVLINK, name, unix, {"time_usec": time_us, **values}, 1, 1) for name, values in fields]
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from adapters.errors import TelemetryError
 from adapters.logs.onboard_log import LogStatistics
 from adapters.logs.ulog import DROPOUT, INFORMATION, PARAMETER, PARAMETER_DEFAULT, TEXT, UlogReader
 from adapters.message import Message
+from adapters.source import ULOG
 
 UTC_US = 1_700_000_000_000_000
 GPS = "uint64_t timestamp;uint64_t time_utc_usec;int32_t timestamp_time_relative;uint8_t fix_type"
@@ -127,7 +128,7 @@ def test_records_keep_the_order_of_the_file_and_their_own_times(whole: list[Mess
         "sensor_baro",
     ]
     assert [message.received_ns for message in data[:2]] == [2_000_000_000, 1_999_100_000]
-    assert all(message.source == "ulog" for message in whole)
+    assert all(message.source == ULOG for message in whole)
 
 
 def test_nested_types_are_fields_within_fields_and_text_is_text(whole: list[Message]) -> None:

@@ -19,6 +19,7 @@ from adapters.channels import parse_channel
 from adapters.encoding.message_definition import find_definition
 from adapters.errors import TelemetryError
 from adapters.message import Message
+from adapters.source import ZENOH
 from adapters.zenoh.zenoh_link import MAX_PAYLOAD_BYTES, ZenohLink
 from adapters.zenoh.zenoh_payload import PayloadDecoder
 from adapters.zenoh.zenoh_session import open_session
@@ -76,7 +77,7 @@ def test_json_objects_become_messages_named_by_their_key(listener: zenoh.Session
         before = time.time_ns()
         out.put(json.dumps({"time_ns": 5, "u": [1.0], "pose": {"x": 2}}))
         (message,) = collect(link, 1)
-        assert (message.source, message.name) == ("zenoh", "arm/telemetry")
+        assert (message.source, message.name) == (ZENOH, "arm/telemetry")
         assert message.fields == {"time_ns": 5, "u": [1.0], "pose": {"x": 2}}
         assert before <= message.received_ns <= time.time_ns()
 

@@ -13,6 +13,7 @@ from adapters.logs.mcap_reader import MessageLogReader
 from adapters.logs.recordings import packed, read_batches, read_recording
 from adapters.logs.tlog import read_tlog
 from adapters.message import Message
+from adapters.source import MAVLINK, OPERATOR, ZENOH
 from monitor.estimate import Estimates
 from monitor.pipeline import Pipeline
 from monitor.profile import read_profile
@@ -24,14 +25,14 @@ FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
 PROFILE = Path(__file__).parent.parent / "replay" / "data" / "quad"
 # another vehicle, a text, numbers that the definition does not allow, a key that a MAVLink message has too
 ODD = (
-    Message("mavlink", "ATTITUDE", START_NS, {"roll": 1.0}, 1, 1),
-    Message("zenoh", "ATTITUDE", START_NS + 1, {"roll": 1.5}),
-    Message("mavlink", "SYSTEM_TIME", START_NS + 2, {"time_unix_usec": (1 << 64) - 1, "time_boot_ms": 1}, 1, 1),
-    Message("mavlink", "SYSTEM_TIME", START_NS + 3, {"time_unix_usec": 5, "time_boot_ms": -1}, 1, 1),
-    Message("mavlink", "SYSTEM_TIME", START_NS + 4, {"time_unix_usec": 5, "time_boot_ms": 2}, 0, 0),
-    Message("zenoh", "SYSTEM_TIME", START_NS + 5, {"time_unix_usec": 5, "time_boot_ms": 3}),
-    Message("operator", "acknowledge", START_NS + 6, {"channel": "motor1"}),
-    Message("zenoh", "arm/telemetry", START_NS + 7, {"y": [1.0, 2.0], "n": 3}),
+    Message(MAVLINK, "ATTITUDE", START_NS, {"roll": 1.0}, 1, 1),
+    Message(ZENOH, "ATTITUDE", START_NS + 1, {"roll": 1.5}),
+    Message(MAVLINK, "SYSTEM_TIME", START_NS + 2, {"time_unix_usec": (1 << 64) - 1, "time_boot_ms": 1}, 1, 1),
+    Message(MAVLINK, "SYSTEM_TIME", START_NS + 3, {"time_unix_usec": 5, "time_boot_ms": -1}, 1, 1),
+    Message(MAVLINK, "SYSTEM_TIME", START_NS + 4, {"time_unix_usec": 5, "time_boot_ms": 2}, 0, 0),
+    Message(ZENOH, "SYSTEM_TIME", START_NS + 5, {"time_unix_usec": 5, "time_boot_ms": 3}),
+    Message(OPERATOR, "acknowledge", START_NS + 6, {"channel": "motor1"}),
+    Message(ZENOH, "arm/telemetry", START_NS + 7, {"y": [1.0, 2.0], "n": 3}),
 )
 
 
@@ -77,7 +78,7 @@ def test_blocks_pass_over_what_cannot_be_decoded_and_count_it(tmp_path: Path) ->
 
 def test_a_replay_records_in_blocks_what_a_monitor_records_one_by_one(tmp_path: Path) -> None:
     profile = read_profile(PROFILE)
-    odd = [*ODD, Message("mavlink", "ATTITUDE", START_NS, {"roll": 1.0}, 7, 1)]
+    odd = [*ODD, Message(MAVLINK, "ATTITUDE", START_NS, {"roll": 1.0}, 7, 1)]
     stretch = [*read_tlog(FLIGHT)]
     stretch[40:40] = odd
     one_by_one, together = tmp_path / "single.mcap", tmp_path / "together.mcap"

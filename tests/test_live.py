@@ -15,6 +15,7 @@ import pytest
 import fauio
 from adapters.logs.recordings import read_recording
 from adapters.logs.tlog import TlogReader
+from adapters.source import CLOCK, MAVLINK
 from adapters.zenoh.zenoh_session import open_session
 from monitor.bus.subscriber import AlarmSubscriber
 from monitor.event import AlarmEvent, event_from_json
@@ -226,8 +227,8 @@ path = "{journal}"
         finally:
             process.kill()
     assert stopped["event"] == "stopped"
-    recorded = [message for message in read_recording(record) if message.source != "clock"]
-    assert sum(message.source == "mavlink" for message in recorded) > 0
+    recorded = [message for message in read_recording(record) if message.source != CLOCK]
+    assert sum(message.source == MAVLINK for message in recorded) > 0
     assert stopped["messages"] == len(recorded)
 
 

@@ -18,6 +18,7 @@ from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_metadata
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
+from adapters.source import MAVLINK, ZENOH
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent, alarm_id
 from monitor.pipeline import Pipeline
@@ -31,12 +32,12 @@ ENCODER = RecordEncoder([LAYOUT])
 
 
 def message(second: float, **fields: Any) -> Message:
-    return Message("zenoh", "k", START_NS + round(second * SECOND), {"s": second, **fields})
+    return Message(ZENOH, "k", START_NS + round(second * SECOND), {"s": second, **fields})
 
 
 def heartbeat(second: float, component: int = 1) -> Message:
     fields = {"type": 2, "autopilot": 3, "base_mode": 217, "custom_mode": 4, "system_status": 4, "mavlink_version": 3}
-    return Message("mavlink", "HEARTBEAT", START_NS + round(second * SECOND), fields, 1, component)
+    return Message(MAVLINK, "HEARTBEAT", START_NS + round(second * SECOND), fields, 1, component)
 
 
 def raised(second: float, channel: str = "motor1") -> AlarmEvent:
@@ -65,7 +66,7 @@ def clips(folder: Path) -> list[Path]:
 
 
 def seconds(path: Path) -> list[float]:
-    return [found.fields["s"] for found in read_recording(path) if found.source == "zenoh"]
+    return [found.fields["s"] for found in read_recording(path) if found.source == ZENOH]
 
 
 def test_a_clip_holds_what_came_before_and_after_and_says_which_alarm_it_is(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from adapters.logs.recordings import packed, read_recording
 from adapters.message import Message, silence
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
+from adapters.source import MAVLINK, OPERATOR, ZENOH
 from monitor.alarms.desk_rule import DeskRule
 from monitor.estimate import Estimate, Estimates
 from monitor.event import AlarmEvent
@@ -85,7 +86,7 @@ def with_operators(messages: list[Message], rng: random.Random) -> list[Message]
         now_ns = messages[place].received_ns
         until_ns = now_ns + 2_000_000_000
         fields = {"channel": "motors/motor2", "until_ns": until_ns, "by": "somebody"}
-        found.insert(place + number, Message("operator", name, now_ns, fields))
+        found.insert(place + number, Message(OPERATOR, name, now_ns, fields))
     return found
 
 
@@ -97,7 +98,7 @@ def with_floods(messages: list[Message], rng: random.Random) -> list[Message]:
 
 def over_zenoh(messages: list[Message], rng: random.Random) -> list[Message]:
     del rng
-    return [replace(message, source="zenoh", system=0, component=0) for message in messages]
+    return [replace(message, source=ZENOH, system=0, component=0) for message in messages]
 
 
 DISTORTIONS: tuple[Distortion, ...] = (
@@ -202,8 +203,8 @@ def test_blocks_give_the_bits_of_single_messages_on_the_arm(arm_profile: Profile
 def test_messages_of_strangers_are_counted_whether_they_are_columns_or_not(quad: Profile, data: Path) -> None:
     messages = list(read_recording(data / "copter_5s.tlog.xz"))
     for place in (600, 400):
-        messages.insert(place, Message("mavlink", "STATUSTEXT", messages[place].received_ns, {"text": "x"}, 9, 1))
-        messages.insert(place, Message("mavlink", "ATTITUDE", messages[place].received_ns, {"roll": "x"}, 9, 1))
+        messages.insert(place, Message(MAVLINK, "STATUSTEXT", messages[place].received_ns, {"text": "x"}, 9, 1))
+        messages.insert(place, Message(MAVLINK, "ATTITUDE", messages[place].received_ns, {"roll": "x"}, 9, 1))
     plain = one_by_one(quad, messages)
     assert plain[2].foreign >= 4
     assert_same(plain, in_blocks(quad, messages), quad)

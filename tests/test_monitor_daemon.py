@@ -6,6 +6,7 @@ from typing import Any, cast
 import pytest
 
 from adapters.message import Message
+from adapters.source import MAVLINK
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.service.daemon import Daemon
@@ -19,7 +20,7 @@ WAITING = 2000
 @pytest.fixture
 def inbox() -> Inbox:
     found = Inbox(10_000)
-    found.put([Message("mavlink", "HEARTBEAT", k, {"type": 2, "autopilot": 3}, 1, 1) for k in range(WAITING)])
+    found.put([Message(MAVLINK, "HEARTBEAT", k, {"type": 2, "autopilot": 3}, 1, 1) for k in range(WAITING)])
     return found
 
 

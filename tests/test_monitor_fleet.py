@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from adapters.message import Message
+from adapters.source import LINK, MAVLINK, ZENOH
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.service.fleet import Fleet
@@ -22,12 +23,12 @@ def monitor(profile: Profile, name: str, system: int) -> VehicleMonitor:
 
 
 def heartbeat(system: int, component: int = 1, **fields: int) -> Arrival:
-    return Arrival(None, Message("mavlink", "HEARTBEAT", 0, {"type": 2, "autopilot": 3} | fields, system, component))
+    return Arrival(None, Message(MAVLINK, "HEARTBEAT", 0, {"type": 2, "autopilot": 3} | fields, system, component))
 
 
 def channel(profile: Profile, system: int) -> Arrival:
     name = min(min(names) for names in Pipeline(profile).needs.values())
-    return Arrival(None, Message("mavlink", name, 0, {}, system, 1))
+    return Arrival(None, Message(MAVLINK, name, 0, {}, system, 1))
 
 
 def test_vehicles_are_told_apart_by_system_id_and_by_their_own_links(profile: Profile) -> None:
@@ -35,11 +36,11 @@ def test_vehicles_are_told_apart_by_system_id_and_by_their_own_links(profile: Pr
     fleet = Fleet([one, two])
     assert [fleet.vehicle_of(heartbeat(system)) for system in (1, 2)] == [one, two]
     assert fleet.vehicle_of(heartbeat(9)._replace(vehicle="two")) is two
-    assert fleet.vehicle_of(Arrival(None, Message("link", "signing", 0, {}, 2))) is two
+    assert fleet.vehicle_of(Arrival(None, Message(LINK, "signing", 0, {}, 2))) is two
     assert fleet.foreign == 0
     assert fleet.vehicle_of(heartbeat(3)) is None
     assert fleet.vehicle_of(heartbeat(1)._replace(vehicle="three")) is None
-    assert fleet.vehicle_of(Arrival(None, Message("zenoh", "a", 0, {}))) is None
+    assert fleet.vehicle_of(Arrival(None, Message(ZENOH, "a", 0, {}))) is None
     assert fleet.foreign == 3
     assert (list(fleet), len(fleet), fleet.get("two")) == ([one, two], 2, two)
 
@@ -81,4 +82,4 @@ def test_a_single_vehicle_takes_what_has_no_system_id(profile: Profile) -> None:
     one = monitor(profile, "one", 1)
     fleet.add(one)
     message = heartbeat(1).message
-    assert fleet.vehicle_of(Arrival(None, replace(message, source="zenoh", system=0))) is one
+    assert fleet.vehicle_of(Arrival(None, replace(message, source=ZENOH, system=0))) is one

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 from loopback import until
 
 from adapters.message import Message
+from adapters.source import MAVLINK
 from monitor.service.inbox import Arrival, Inbox
 
 
 def message(number: int) -> Message:
-    return Message("mavlink", "ATTITUDE", number, {}, 1, 1)
+    return Message(MAVLINK, "ATTITUDE", number, {}, 1, 1)
 
 
 class ScriptedLink:

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adapters.message import Message
+from adapters.source import LINK, MAVLINK
 from monitor.alarms.link_alarms import LinkAlarms
 from monitor.event import AlarmEvent
 
@@ -16,11 +17,11 @@ T0 = 1_795_251_917 * SECOND
 
 def signing(seconds: float, **counts: Any) -> Message:
     fields = {"forged": 0, "replayed": 0, "unsigned": 0} | counts
-    return Message("link", "signing", T0 + round(seconds * SECOND), fields, 1)
+    return Message(LINK, "signing", T0 + round(seconds * SECOND), fields, 1)
 
 
 def telemetry(seconds: float, name: str = "ATTITUDE", **fields: Any) -> Message:
-    return Message("mavlink", name, T0 + round(seconds * SECOND), fields, 1, 1)
+    return Message(MAVLINK, name, T0 + round(seconds * SECOND), fields, 1, 1)
 
 
 def fed(alarms: LinkAlarms, *messages: Message) -> list[AlarmEvent]:

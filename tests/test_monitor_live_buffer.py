@@ -14,6 +14,7 @@ from loopback import START_NS
 from synthetic_run import LAYOUT, THRESHOLDS, estimate, event
 
 from adapters.message import Message
+from adapters.source import MAVLINK
 from monitor.views.live_buffer import MAX_EVENTS, MAX_FIELDS, MAX_ROWS, VehicleView
 
 RNG = np.random.default_rng(3)
@@ -30,7 +31,7 @@ def at(tick: int, rate_hz: int = 100) -> Any:
 
 
 def attitude(fields: dict[str, Any], after_ns: int = 0) -> Message:
-    return Message("mavlink", "ATTITUDE", START_NS + after_ns, fields, 1, 1)
+    return Message(MAVLINK, "ATTITUDE", START_NS + after_ns, fields, 1, 1)
 
 
 def test_estimates_are_thinned_to_twenty_a_second() -> None:

@@ -24,6 +24,7 @@ from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, estimate
 from adapters.errors import UsageError
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
+from adapters.source import MAVLINK
 from monitor.estimate import Estimate
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
@@ -96,7 +97,7 @@ def fill(view: VehicleView, ticks: int = 200) -> list[Estimate]:
     estimates = [estimate(tick, rng) for tick in range(ticks)]
     for one in estimates:
         view.estimate(one)
-        view.message(Message("mavlink", "ATTITUDE", one.sample.time_ns, {"time_boot_ms": 1, "roll": 0.5, "yaw": 2.0}))
+        view.message(Message(MAVLINK, "ATTITUDE", one.sample.time_ns, {"time_boot_ms": 1, "roll": 0.5, "yaw": 2.0}))
     for alarm in EVENTS:
         view.event(alarm)
     return estimates[::5]

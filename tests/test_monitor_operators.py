@@ -8,6 +8,7 @@ import pytest
 import zenoh
 from loopback import START_NS, Endpoint, event, until
 
+from adapters.source import OPERATOR
 from monitor.bus.operators import Operators
 
 ROOT = "fauio/copter-1"
@@ -46,7 +47,7 @@ def test_a_command_waits_for_the_monitors_thread_and_is_answered_with_its_event(
     found: list[Any] = []
     until(lambda: bool(found.extend(operators.pending()) or found))
     message = operators.message(found[0], START_NS)
-    assert (message.source, message.name, message.received_ns) == ("operator", "ack", START_NS)
+    assert (message.source, message.name, message.received_ns) == (OPERATOR, "ack", START_NS)
     assert message.fields == {"channel": "motor1", "by": "Ann??[2J?"}
     operators.accept(found[0], event(3))
     until(lambda: bool(client.answers))

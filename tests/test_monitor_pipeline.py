@@ -11,6 +11,7 @@ import pytest
 
 from adapters.logs.recordings import read_recording
 from adapters.message import Message, silence
+from adapters.source import CLOCK, JOURNAL, LINK, MAVLINK, OPERATOR
 from monitor.alarms.desk_rule import DeskRule
 from monitor.chain import Output
 from monitor.estimate import Estimate
@@ -76,7 +77,7 @@ def test_messages_of_no_interest_change_nothing(
     quad_profile: Profile, flight: list[Message], expected: list[AlarmEvent]
 ) -> None:
     interests = Pipeline(quad_profile).interests
-    noise = Message("mavlink", "STATUSTEXT", flight[0].received_ns, {"text": "hello"}, 1, 1)
+    noise = Message(MAVLINK, "STATUSTEXT", flight[0].received_ns, {"text": "hello"}, 1, 1)
     with_noise = [item for message in flight for item in (message, noise)]
     wanted = [message for message in with_noise if message.name in interests]
     assert events(quad_profile, with_noise) == events(quad_profile, wanted) == expected
@@ -158,10 +159,10 @@ def with_operators(profile: Profile, flight: list[Message], before: AlarmEvent) 
     told = [
         standing_message([dataclasses.replace(first, channel="wing", id="before")], 41, flight[0].received_ns),
         rules_message(rule, profile, at_ns - 1_000_000_000),
-        Message("operator", "ack", at_ns + 500_000_000, name),
-        Message("operator", "shelve", at_ns + 1_000_000_000, {**name, "until_ns": at_ns + 4_000_000_000}),
-        Message("operator", "rules", at_ns + 6_000_000_000, {"alarms": tight}),
-        Message("link", "signing", at_ns + 7_000_000_000, {"forged": 1}, 1),
+        Message(OPERATOR, "ack", at_ns + 500_000_000, name),
+        Message(OPERATOR, "shelve", at_ns + 1_000_000_000, {**name, "until_ns": at_ns + 4_000_000_000}),
+        Message(OPERATOR, "rules", at_ns + 6_000_000_000, {"alarms": tight}),
+        Message(LINK, "signing", at_ns + 7_000_000_000, {"forged": 1}, 1),
         silence(at_ns + 7_050_000_000),
     ]
     return sorted([*told, *flight], key=lambda message: message.received_ns)
@@ -183,7 +184,7 @@ def test_a_recording_of_everything_fed_gives_the_same_events_again(
     assert [event.seq for event in told] == list(range(42, 42 + len(told)))
     assert {"raised", "acknowledged", "shelved", "cleared"} <= {event.state for event in told}
     recorded = list(read_recording(path))
-    assert {"operator", "journal", "link", "clock"} <= {message.source for message in recorded}
+    assert {OPERATOR, JOURNAL, LINK, CLOCK} <= {message.source for message in recorded}
     assert events(quad_profile, recorded) == told
     interests = Pipeline(quad_profile).interests
     assert events(quad_profile, list(read_recording(path, interests))) == told
@@ -246,12 +247,12 @@ def test_what_no_pipeline_understands_changes_nothing(
 ) -> None:
     at_ns = flight[0].received_ns
     nonsense = [
-        Message("journal", "standing", at_ns, {"alarms": 7, "seq": "x"}),
-        Message("journal", "standing", at_ns, {"alarms": [7, None, {"id": "x"}]}),
-        Message("operator", "rules", at_ns, {"alarms": {"motors": {"motor1": 3}}, "flood_s": float("inf")}),
-        Message("operator", "ack", at_ns, {}),
-        Message("operator", "shelve", at_ns, {"channel": "motor1", "until_ns": "tomorrow"}),
-        Message("link", "signing", at_ns, {"forged": 1}, 77),
+        Message(JOURNAL, "standing", at_ns, {"alarms": 7, "seq": "x"}),
+        Message(JOURNAL, "standing", at_ns, {"alarms": [7, None, {"id": "x"}]}),
+        Message(OPERATOR, "rules", at_ns, {"alarms": {"motors": {"motor1": 3}}, "flood_s": float("inf")}),
+        Message(OPERATOR, "ack", at_ns, {}),
+        Message(OPERATOR, "shelve", at_ns, {"channel": "motor1", "until_ns": "tomorrow"}),
+        Message(LINK, "signing", at_ns, {"forged": 1}, 77),
     ]
     assert events(quad_profile, [*nonsense, *flight]) == expected
 
@@ -269,14 +270,14 @@ def test_what_no_pipeline_understands_changes_nothing(
 def test_rules_that_cannot_be_change_nothing(
     quad_profile: Profile, flight: list[Message], expected: list[AlarmEvent], fields: dict[str, Any]
 ) -> None:
-    rules = Message("operator", "rules", flight[0].received_ns, fields)
+    rules = Message(OPERATOR, "rules", flight[0].received_ns, fields)
     assert outputs(quad_profile, [rules]) == []
     assert events(quad_profile, [rules, *flight]) == expected
 
 
 @pytest.mark.parametrize("alarms", [5, "x", [5, None, {}], [{"id": 1}]])
 def test_what_is_no_alarm_does_not_stand_after_a_restart(quad_profile: Profile, alarms: object) -> None:
-    standing = Message("journal", "standing", 1, {"seq": 10**400, "alarms": alarms})
+    standing = Message(JOURNAL, "standing", 1, {"seq": 10**400, "alarms": alarms})
     assert outputs(quad_profile, [standing]) == []
 
 
@@ -285,5 +286,5 @@ def test_an_alarm_with_fields_of_the_wrong_type_does_not_stand_after_a_restart(
 ) -> None:
     first, *_ = expected
     for name, value in (("vehicle_time_ms", "x"), ("estimate", [1]), ("observer", {}), ("latched", 1)):
-        standing = Message("journal", "standing", 1, {"seq": 1, "alarms": [{**first.to_json(), name: value}]})
+        standing = Message(JOURNAL, "standing", 1, {"seq": 1, "alarms": [{**first.to_json(), name: value}]})
         assert outputs(quad_profile, [standing]) == []

@@ -20,6 +20,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages, read_mcap_metadata
 from adapters.message import Message
 from adapters.sample import Sample
+from adapters.source import ZENOH
 from monitor.bus.payload import ALARM_SCHEMA
 from monitor.estimate import Estimate, Layout
 from monitor.event import event_from_json
@@ -130,7 +131,7 @@ def test_numbers_json_cannot_write_become_null(tmp_path: Path) -> None:
 
 def test_telemetry_comes_back_in_the_order_of_recording_and_nothing_of_ours_with_it(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
-    messages = [Message("zenoh", "arm/telemetry", START_NS, {"n": number}) for number in range(50)]
+    messages = [Message(ZENOH, "arm/telemetry", START_NS, {"n": number}) for number in range(50)]
     with Recorder(path, [LAYOUT], {}, {}) as recorder:
         for number, message in enumerate(messages):
             recorder.message(message)
@@ -183,12 +184,12 @@ def test_everything_flushed_survives_sigkill_on_every_topic(tmp_path: Path) -> N
     program = """
 import sys
 sys.path.insert(0, sys.argv[2])
-from test_monitor_recorder import LAYOUT, START_NS, Message, Recorder, estimate, event
+from test_monitor_recorder import LAYOUT, START_NS, ZENOH, Message, Recorder, estimate, event
 recorder = Recorder(sys.argv[1], [LAYOUT], {"profile": "abc"}, {"profile.toml": b"x = 1"})
 number = 0
 while True:
     for _ in range(100):
-        recorder.message(Message("zenoh", "k", START_NS + number, {"n": number}))
+        recorder.message(Message(ZENOH, "k", START_NS + number, {"n": number}))
         recorder.estimate(estimate(number))
         recorder.event(event(number))
         number += 1

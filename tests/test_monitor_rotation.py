@@ -26,6 +26,7 @@ from adapters.errors import StorageError
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_metadata
 from adapters.logs.recordings import read_recording, recording_kind
 from adapters.message import Message
+from adapters.source import ZENOH
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.recording.rotation import RETRY_S, RotatingRecorder
@@ -36,13 +37,13 @@ NAME = re.compile(r"copter-1-\d{8}T\d{6}Z-\d{6}\.mcap")
 
 
 def message(number: int, at_ns: int | None = None) -> Message:
-    return Message("zenoh", "k", START_NS + number * SECOND if at_ns is None else at_ns, {"n": number})
+    return Message(ZENOH, "k", START_NS + number * SECOND if at_ns is None else at_ns, {"n": number})
 
 
 def noise(number: int, size: int = 20_000) -> Message:
     """Return a message that no compression makes smaller."""
     text = random.Random(number).randbytes(size // 2).hex()
-    return Message("zenoh", "k", START_NS + number * SECOND, {"n": number, "text": text})
+    return Message(ZENOH, "k", START_NS + number * SECOND, {"n": number, "text": text})
 
 
 def recorder(folder: Path, **options: Any) -> RotatingRecorder:

@@ -20,6 +20,7 @@ from adapters.batch import Batch
 from adapters.channels import Channel
 from adapters.logs.tlog import read_tlog
 from adapters.message import Message
+from adapters.source import MAVLINK
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.sampler import Sampler
 from monitor.vehicles.inertial.signals import strapdown_channels
@@ -72,7 +73,7 @@ def compare(
 
 
 def message(name: str, time_us: int, delay_ns: int = 0, **fields: Any) -> Message:
-    return Message("mavlink", name, UNIX + time_us * 1_000 + delay_ns, {"time_usec": time_us, **fields}, 1, 1)
+    return Message(MAVLINK, name, UNIX + time_us * 1_000 + delay_ns, {"time_usec": time_us, **fields}, 1, 1)
 
 
 WAVES = [Channel("a", "A", ("a",), 0.5, -1.0), Channel("turn", "A", ("turn",), period=6.25)]

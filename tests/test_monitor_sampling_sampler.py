@@ -14,6 +14,7 @@ from sampled import Row, feed, rows
 from adapters.batch import pack
 from adapters.channels import Channel
 from adapters.message import Message
+from adapters.source import MAVLINK, ZENOH
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.sampler import Sampler
 
@@ -28,7 +29,7 @@ def sampler(inputs: list[Channel] | None = None, outputs: list[Channel] | None =
 
 
 def message(name: str, time_us: int, **fields: Any) -> Message:
-    return Message("mavlink", name, UNIX + time_us * 1_000, {"time_usec": time_us, **fields}, 1, 1)
+    return Message(MAVLINK, name, UNIX + time_us * 1_000, {"time_usec": time_us, **fields}, 1, 1)
 
 
 def line(time_us: int) -> float:
@@ -198,7 +199,7 @@ def test_a_repeated_message_with_unchanged_sensor_time_is_one_measurement() -> N
     for t in range(100_000, 3_000_000, 100_000):
         measured = t // 200_000 * 200_000
         messages.append(
-            Message("mavlink", "GPS_RAW_INT", UNIX + t * 1000, {"time_usec": measured, "lat": line(measured)})
+            Message(MAVLINK, "GPS_RAW_INT", UNIX + t * 1000, {"time_usec": measured, "lat": line(measured)})
         )
     to = sampler([], [fix], rate=20.0)
     samples = feed(to, messages)
@@ -218,7 +219,7 @@ def test_a_stamp_of_zero_is_no_time_on_mavlink_and_the_start_on_zenoh() -> None:
     json = Sampler([], [Channel("c", "arm", ("v",))], 100.0, VehicleClock())
     samples = feed(
         json,
-        [Message("zenoh", "arm", UNIX + t, {"time_ns": t, "v": 1.0}) for t in range(0, 50 * MS, 10 * MS)],
+        [Message(ZENOH, "arm", UNIX + t, {"time_ns": t, "v": 1.0}) for t in range(0, 50 * MS, 10 * MS)],
     )
     assert [sample.index for sample in samples] == [0, 1, 2, 3, 4]
 
@@ -226,11 +227,11 @@ def test_a_stamp_of_zero_is_no_time_on_mavlink_and_the_start_on_zenoh() -> None:
 def test_a_channel_without_a_clock_of_its_own_takes_the_newest_time() -> None:
     wind = Channel("wind", "WIND", ("speed",))
     to = sampler([wind], [SPEED])
-    assert feed(to, [Message("mavlink", "WIND", UNIX, {"speed": 5.0})]) == []
+    assert feed(to, [Message(MAVLINK, "WIND", UNIX, {"speed": 5.0})]) == []
     assert to.statistics().untimed == 1
     messages = []
     for t in range(10_000, 300_000, 10_000):
-        messages += [message("A", t, speed=1.0), Message("mavlink", "WIND", UNIX, {"speed": 5.0})]
+        messages += [message("A", t, speed=1.0), Message(MAVLINK, "WIND", UNIX, {"speed": 5.0})]
     samples = feed(to, messages)
     assert len(samples) == 29
     assert all(sample.u[0] == 5.0 for sample in samples)
@@ -347,8 +348,8 @@ def test_a_channel_that_never_comes_costs_bounded_memory() -> None:
 
 def test_a_flood_of_stamps_costs_bounded_memory() -> None:
     to = sampler()
-    feed(to, [Message("zenoh", "A", UNIX, {"time_ns": t, "speed": 0.0}) for t in range(1, 60_000)])
-    feed(to, [Message("zenoh", "A", UNIX, {"time_ns": 1_000_000 - 10 * t, "speed": 0.0}) for t in range(1, 60_000)])
+    feed(to, [Message(ZENOH, "A", UNIX, {"time_ns": t, "speed": 0.0}) for t in range(1, 60_000)])
+    feed(to, [Message(ZENOH, "A", UNIX, {"time_ns": 1_000_000 - 10 * t, "speed": 0.0}) for t in range(1, 60_000)])
     assert to.waiting <= 1 << 14
 
 
@@ -444,7 +445,7 @@ def test_unix_time_goes_on_while_the_offset_is_being_learned() -> None:
     to = sampler([])
     delays = [80, 80, 80, 60, 20, 1, 1, 1, 1, 1] + [1] * 90
     messages = [
-        Message("mavlink", "A", UNIX + (t + delay) * MS, {"time_boot_ms": t, "speed": 0.0})
+        Message(MAVLINK, "A", UNIX + (t + delay) * MS, {"time_boot_ms": t, "speed": 0.0})
         for t, delay in zip(range(10, 1010, 10), delays, strict=True)
     ]
     samples = feed(to, messages)
@@ -482,7 +483,7 @@ FIELDS = st.dictionaries(
 def test_no_message_makes_the_sampler_fail(messages: list[tuple[str, dict[str, Any], int]]) -> None:
     to = sampler(rate=1000.0)
     for name, fields, received_ns in messages:
-        for sample in feed(to, [Message("zenoh", name, received_ns, fields)]):
+        for sample in feed(to, [Message(ZENOH, name, received_ns, fields)]):
             assert np.isfinite(sample.u).all()
             assert np.isfinite(sample.y).all()
     assert len(feed(to, telemetry(10_000_000_000, 10_001_000_000))) > 800

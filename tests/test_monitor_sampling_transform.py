@@ -10,6 +10,7 @@ from adapters.batch import pack
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from adapters.message import Message
+from adapters.source import MAVLINK
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.sampler import Sampler
 from monitor.sampling.transform import Source, TransformedSampler, TransformRule, make_sampler, make_transform
@@ -25,7 +26,7 @@ def still(seconds: float, gap_s: tuple[float, float] = (0.0, 0.0)) -> Iterator[M
     for k in range(round(100 * seconds)):
         if not gap_s[0] <= k / 100 < gap_s[1]:
             now_us = 10_000_000 + 10_000 * k
-            yield Message("mavlink", "HIGHRES_IMU", now_us * 1000, {"time_usec": now_us, **fields}, 1, 1)
+            yield Message(MAVLINK, "HIGHRES_IMU", now_us * 1000, {"time_usec": now_us, **fields}, 1, 1)
 
 
 def given(sampler: TransformedSampler, messages: Sequence[Message]) -> list[Row]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from adapters.message import Message
+from adapters.source import MAVLINK
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.service.telemetry_watch import TelemetryWatch
@@ -98,7 +99,7 @@ def test_a_clock_that_jumps_back_makes_no_rates(telemetry: Telemetry) -> None:
 
 def heartbeat(kind: object, at_s: int = 0, autopilot: int = 3) -> Message:
     fields = {"type": kind, "autopilot": autopilot, "base_mode": 209}
-    return Message("mavlink", "HEARTBEAT", START_NS + at_s * SECOND_NS, fields, 1, 1)
+    return Message(MAVLINK, "HEARTBEAT", START_NS + at_s * SECOND_NS, fields, 1, 1)
 
 
 def test_the_status_says_that_the_vehicle_is_another_than_the_profile_s(quad_profile: Profile) -> None:

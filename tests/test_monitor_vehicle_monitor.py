@@ -11,6 +11,7 @@ import pytest
 from loopback import START_NS, event
 
 from adapters.message import Message
+from adapters.source import OPERATOR, ZENOH
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, shelved_channels
@@ -102,14 +103,14 @@ def test_keys_without_end_do_not_fill_the_memory(arm_profile: Profile) -> None:
     pipeline = Pipeline(arm_profile)
     monitor = VehicleMonitor(pipeline, [], None, Heard().event, 1)
     for k in range(1000):
-        monitor.take(Message("zenoh", f"arm/{k}", 1 + k, {}))
+        monitor.take(Message(ZENOH, f"arm/{k}", 1 + k, {}))
     assert monitor.messages == 1000
     assert len(monitor._watch._heard) <= len(frozenset().union(*pipeline.needs.values()))
 
 
 def test_a_channel_shelved_without_an_alarm_is_shelved_after_a_restart(arm_profile: Profile, tmp_path: Path) -> None:
     until_ns = START_NS + 60 * SECOND_NS
-    shelve = Message("operator", "shelve", START_NS + 1, {"channel": "arm/encoder", "until_ns": until_ns})
+    shelve = Message(OPERATOR, "shelve", START_NS + 1, {"channel": "arm/encoder", "until_ns": until_ns})
     with contextlib.closing(Journal(tmp_path / "journal.db")) as journal:
         first = VehicleMonitor(Pipeline(arm_profile, "copter-1"), (), journal, lambda _: None, START_NS)
         first.speak(Heard(), START_NS)
@@ -119,7 +120,7 @@ def test_a_channel_shelved_without_an_alarm_is_shelved_after_a_restart(arm_profi
         later_ns = START_NS + 2 * SECOND_NS
         second.speak(Heard(), later_ns, shelved=journal.shelved("copter-1"))
         assert second.status(later_ns)["shelved"] == {"arm/encoder": until_ns}
-        second.take(Message("operator", "unshelve", later_ns, {"channel": "arm/encoder"}))
+        second.take(Message(OPERATOR, "unshelve", later_ns, {"channel": "arm/encoder"}))
         assert journal.shelved("copter-1") == {}
 
 

@@ -20,6 +20,7 @@ from adapters.logs.recordings import read_recording
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink.mavlink_message import PacketParser, message_number
 from adapters.simulation.pacing import paced
+from adapters.source import MAVLINK, ZENOH
 from adapters.zenoh.zenoh_session import open_session
 
 PATIENCE_S = 30.0
@@ -52,7 +53,7 @@ class Recording:
 
 
 def telemetry(path: Path) -> list[tuple[str, str]]:
-    return [(one.name, repr(one.fields)) for one in read_recording(path) if one.source in ("mavlink", "zenoh")]
+    return [(one.name, repr(one.fields)) for one in read_recording(path) if one.source in (MAVLINK, ZENOH)]
 
 
 def arrived(path: Path, count: int) -> None:

@@ -27,6 +27,7 @@ import fauio
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
 from adapters.simulation.arm import SCENARIOS, simulate_arm
+from adapters.source import ZENOH
 from monitor.profile import Profile
 
 RUN = simulate_arm(SCENARIOS["case2"], 12.0, 100.0, "tracking")
@@ -109,7 +110,7 @@ def test_what_cannot_be_read_leaves_no_file_and_overwrites_none(
 def test_a_recording_is_not_converted_into_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "log.mcap"
     with MessageLogWriter(path) as log:
-        log.write(Message("zenoh", "k", START_NS, {"a": 1}))
+        log.write(Message(ZENOH, "k", START_NS, {"a": 1}))
     before = path.read_bytes()
     assert fauio.main(["convert", str(path), "-o", str(path)]) == 2
     assert path.read_bytes() == before

@@ -21,6 +21,7 @@ from adapters.logs.recordings import read_recording
 from adapters.message import Message
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
+from adapters.source import MAVLINK
 from monitor.profile import Profile
 from monitor.views.palette import BLUE, PURPLE, rgba
 from replay.attacks.attack import Attack
@@ -234,7 +235,7 @@ def test_the_sweep_follows_the_vehicle_that_the_pipeline_follows(
             writer.write(message)
             if message.name == "HEARTBEAT":
                 writer.write(stranger(message))
-        writer.write(Message("mavlink", "ATTITUDE", 0, {"roll": 0.0}, 9, 1))
+        writer.write(Message(MAVLINK, "ATTITUDE", 0, {"roll": 0.0}, 9, 1))
     sweep = Sweep(channels=("motor2",), sizes=(0.1,), onsets=2, before_s=3.0, after_s=2.0)
     rows: Any = detectability(quad_folder, path, sweep).rows
     assert rows == found.rows[1:]

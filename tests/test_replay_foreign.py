@@ -28,6 +28,7 @@ import fauio
 from adapters.logs.mcap_reader import read_mcap_messages
 from adapters.message import Message
 from adapters.simulation.arm import SCENARIOS, ArmFault, ArmRun, ArmScenario, simulate_arm
+from adapters.source import ZENOH
 from adapters.zenoh.zenoh_payload import PayloadDecoder
 from monitor.profile import Profile, read_profile
 from replay.player import play
@@ -44,7 +45,7 @@ def folder(arm_profile: Profile, tmp_path_factory: pytest.TempPathFactory) -> Pa
 @pytest.fixture(scope="module")
 def expected(folder: Path) -> list[dict[str, Any]]:
     """Return the alarm events of the run as a subscription over Zenoh delivers it."""
-    messages = [Message("zenoh", "arm/sample", time_ns, fields) for time_ns, fields in arm_rows(RUN)]
+    messages = [Message(ZENOH, "arm/sample", time_ns, fields) for time_ns, fields in arm_rows(RUN)]
     events = play(read_profile(folder), messages).events
     assert (events[0].channel, events[0].state) == ("motor", "raised")
     return [event.to_json() for event in events]

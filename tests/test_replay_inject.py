@@ -21,6 +21,7 @@ from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import read_mcap_metadata
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
+from adapters.source import MAVLINK, ZENOH
 from monitor.profile import Profile
 from replay.attacks.attack import KINDS, Attack
 from replay.attacks.injector import Injector, inject, plan
@@ -251,7 +252,7 @@ def test_any_field_can_be_attacked_and_whole_numbers_stay_whole() -> None:
 
 def test_nested_fields_of_any_source_and_a_clock_of_its_own_are_found() -> None:
     recorded = [
-        Message("zenoh", "arm/v1.2/joint", 10**18 + k * 10**7, {"time_ns": k * 10**7, "q": {"angle": [0.0, float(k)]}})
+        Message(ZENOH, "arm/v1.2/joint", 10**18 + k * 10**7, {"time_ns": k * 10**7, "q": {"angle": [0.0, float(k)]}})
         for k in range(100)
     ]
     wanted = Attack("arm/v1.2/joint.q.angle[1]", "bias", 500_000_000, 600_000_000, size=0.25)
@@ -405,7 +406,7 @@ def test_the_answer_of_a_plant_is_that_of_its_equations(
         stamp_ns = tick * 10_000_000
         given_y.append(response.at(stamp_ns))
         fields = {"time_usec": stamp_ns // 1000, "port": 0, "servo2_raw": 1500 + tick % 7}
-        response.feed(Message("mavlink", name, 0, fields), stamp_ns)
+        response.feed(Message(MAVLINK, name, 0, fields), stamp_ns)
     x, phis, expected = np.zeros(4), [0.0] * len(plant.taps), []
     c1, c2 = plant.curves[1]
     for tick in ticks:
@@ -501,7 +502,7 @@ def test_a_recording_is_never_written_over_itself(tmp_path: Path, capsys: pytest
 
 
 def test_malformed_messages_pass_as_they_are() -> None:
-    bad = [Message("mavlink", name, flight()[0].received_ns, {"roll": "x"}, 1, 1) for name in sorted(names())]
+    bad = [Message(MAVLINK, name, flight()[0].received_ns, {"roll": "x"}, 1, 1) for name in sorted(names())]
     found, _ = injected(attack("baro", "bias", size=1.0), [*flight()[:1000], *bad, *flight()[1000:]])
     assert [m for m in found if m.fields == {"roll": "x"}] == bad
 

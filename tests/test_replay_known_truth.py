@@ -14,6 +14,7 @@ from synthetic_run import LAYOUT, trace
 
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
+from adapters.source import MAVLINK
 from replay.attacks.attack import Attack
 from replay.reports.known_truth import known_truth
 
@@ -36,7 +37,7 @@ def fault(target: str, kind: str, **numbers: float) -> dict[str, Any]:
 def recording(folder: Path, text: str) -> Path:
     """Return a recording with a truth in its metadata."""
     with MessageLogWriter(folder / "log.mcap") as writer:
-        writer.write(Message("mavlink", "HEARTBEAT", START_NS, {}, 1, 1))
+        writer.write(Message(MAVLINK, "HEARTBEAT", START_NS, {}, 1, 1))
         writer.add_metadata("truth", {"json": text})
     return folder / "log.mcap"
 

@@ -6,13 +6,14 @@ import pytest
 
 from adapters.batch import pack
 from adapters.message import Message
+from adapters.source import MAVLINK
 from replay.reports.recording_facts import MOST_GAPS, RecordingFacts, RecordingMeter
 
 S = 1_000_000_000
 
 
 def stream(name: str, times_s: list[float], system: int = 1) -> list[Message]:
-    return [Message("mavlink", name, round(time * S), {"value": 1.0}, system, 1) for time in times_s]
+    return [Message(MAVLINK, name, round(time * S), {"value": 1.0}, system, 1) for time in times_s]
 
 
 def measured(messages: list[Message], block: int | None = None) -> RecordingFacts:

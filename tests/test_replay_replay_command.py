@@ -16,6 +16,7 @@ from daemons import ENVIRONMENT, FAUIO
 import fauio
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
+from adapters.source import MAVLINK
 
 QUAD = str(Path(__file__).parent.parent / "replay" / "data" / "quad")
 
@@ -57,7 +58,7 @@ def test_an_alarm_counts_for_more_than_a_failed_log_where_it_was_asked_for(fligh
 def test_a_log_without_the_profiles_messages_is_a_failure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "poor.mcap"
     with MessageLogWriter(log) as writer:
-        writer.write(Message("mavlink", "HEARTBEAT", 10**18, {"type": 2, "autopilot": 3, "base_mode": 128}, 1, 1))
+        writer.write(Message(MAVLINK, "HEARTBEAT", 10**18, {"type": 2, "autopilot": 3, "base_mode": 128}, 1, 1))
     assert fauio.main(["replay", QUAD, str(log), "--json"]) == 2
     said = capsys.readouterr()
     assert "no samples; the log lacks channels of the profile" in said.err

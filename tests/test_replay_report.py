@@ -16,6 +16,7 @@ from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
+from adapters.source import MAVLINK
 from monitor.profile import Profile
 from replay.player import play
 from replay.reports.recording_facts import RecordingMeter
@@ -141,7 +142,7 @@ def test_a_healthy_run_says_what_that_covers_and_what_not(healthy: Run) -> None:
 def test_a_recording_without_the_profile_s_messages_says_that_it_says_nothing(
     arm_profile: Profile, tmp_path: Path
 ) -> None:
-    nothing = run_of(arm_profile, tmp_path, iter([Message("mavlink", "HEARTBEAT", START_NS, {}, 1, 1)]))
+    nothing = run_of(arm_profile, tmp_path, iter([Message(MAVLINK, "HEARTBEAT", START_NS, {}, 1, 1)]))
     page = Page(report(nothing))
     assert "This says nothing about the vehicle" in page.text
     assert "the recording has no" in page.text

@@ -12,6 +12,7 @@ import pytest
 from adapters.errors import TelemetryError
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
+from adapters.source import MAVLINK
 from monitor.fitting.fitted import FitRequest
 from monitor.fitting.survey import Survey, of_one_vehicle, survey
 from monitor.vehicles.kinds import fit_messages
@@ -26,7 +27,7 @@ def outputs_over_time(values: Mapping[int, Sequence[int]]) -> Survey:
     count = max(map(len, values.values()))
     return survey(
         Message(
-            "mavlink",
+            MAVLINK,
             "SERVO_OUTPUT_RAW",
             10_000_000 * at,
             {"time_usec": 10_000 * (at + 1), "port": 0} | {f"servo{n}_raw": v[at] for n, v in values.items()},

@@ -10,6 +10,7 @@ from synthetic_run import event
 from adapters.logs.damage import Damage
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
+from adapters.source import MAVLINK, ZENOH
 from monitor.alarms.excuse import ExcuseRule
 from monitor.profile import Profile
 from replay.player import Replay, play
@@ -78,7 +79,7 @@ def test_messages_that_come_much_more_seldom_than_samples_are_told(arm_profile: 
     [name] = {channel.message for channel in observer.source.channels}
 
     def said(rate_hz: float) -> dict[str, str]:
-        return told(arm_profile, replay, RecordingFacts(0, 1, (StreamFacts("zenoh", name, 0, 0, 9, rate_hz, ()),)))
+        return told(arm_profile, replay, RecordingFacts(0, 1, (StreamFacts(ZENOH, name, 0, 0, 9, rate_hz, ()),)))
 
     assert said(4.0)[f"{observer.name}: what happened between messages"] == (
         f"{name} 4 times a second came for 100 samples a second: samples are interpolated over up to 25 periods, "
@@ -90,7 +91,7 @@ def test_messages_that_come_much_more_seldom_than_samples_are_told(arm_profile: 
 def test_lost_measurements_gaps_and_jumps_of_the_clock_are_told(arm_profile: Profile, replay: Replay) -> None:
     [(name, watch)] = replay.watches.items()
     sampling = replace(watch.sampling, skipped=250, restarts=3, clock_restarts=1)
-    stream = StreamFacts("mavlink", "ATTITUDE", 1, 1, 9, 10.0, tuple(Gap(0, 1.0 + k) for k in range(7)))
+    stream = StreamFacts(MAVLINK, "ATTITUDE", 1, 1, 9, 10.0, tuple(Gap(0, 1.0 + k) for k in range(7)))
     said = told(arm_profile, changed(replay, coasted=50, sampling=sampling), RecordingFacts(0, 1, (stream,)))
     assert f"{name}: 2.5 s inside gaps" in said
     assert any(what.startswith(f"{name}: 0.5 s (") for what in said)

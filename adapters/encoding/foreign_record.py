@@ -1,7 +1,7 @@
 """Topics that others record in MCAP -> messages: ROS 2 (CDR by the definition in the file), JSON, protobuf.
 
 A message is named after its topic without the leading slash, as over Zenoh (:mod:`adapters.zenoh.zenoh_payload`), and
-its source is ``"zenoh"``: one profile serves the robot live and its recordings.
+has the same source, :data:`adapters.source.ZENOH`: one profile serves the robot live and its recordings.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from adapters.encoding.protobuf_types import class_from_descriptor_set
 from adapters.encoding.record import Schema
 from adapters.errors import TelemetryError
 from adapters.message import Message
+from adapters.source import ZENOH
 
 Fields = Callable[[bytes], dict[str, Any]]
 
@@ -45,7 +46,7 @@ def foreign_decoder(topic: str, encoding: str, schema: Schema | None) -> Callabl
     """
     name = foreign_name(topic)
     fields = _fields(encoding, schema)
-    return lambda data, time_ns: Message("zenoh", name, time_ns, fields(data))
+    return lambda data, time_ns: Message(ZENOH, name, time_ns, fields(data))
 
 
 def _fields(encoding: str, schema: Schema | None) -> Fields:

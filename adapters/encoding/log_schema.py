@@ -75,7 +75,7 @@ def to_protobuf(message: Message) -> tuple[Schema, bytes]:
     ValueError
         A value or a name is none that a typed record can hold.
     """
-    kind, schema = _class(message.source, message.name.partition("/")[0], shape(message.fields))
+    kind, schema = _class(message.source.name, message.name.partition("/")[0], shape(message.fields))
     try:
         return schema, bytes(kind(**message.fields).SerializeToString())
     except (TypeError, OverflowError) as error:

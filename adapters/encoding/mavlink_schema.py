@@ -14,6 +14,7 @@ from adapters.batch import Columns
 from adapters.encoding.protobuf_rows import ProtobufRows
 from adapters.encoding.protobuf_types import Field, Scalar, message_class
 from adapters.message import Message
+from adapters.source import MAVLINK
 
 PACKAGE = "mavlink"
 
@@ -112,7 +113,7 @@ class MavlinkProtobuf:
         for field in self._repeated:
             fields[field] = list(fields[field])
         return Message(
-            source="mavlink",
+            source=MAVLINK,
             name=name,
             received_ns=received_ns,
             fields=fields,
@@ -158,7 +159,7 @@ class MavlinkProtobuf:
             rows = sender == one
             columns.append(
                 Columns(
-                    source="mavlink",
+                    source=MAVLINK,
                     name=name,
                     system=one >> 32,
                     component=one & 0xFFFFFFFF,

@@ -19,12 +19,7 @@ from adapters.encoding.mavlink_schema import PACKAGE, MavlinkProtobuf, mavlink_p
 from adapters.encoding.protobuf_types import class_from_descriptor_set, descriptor_set
 from adapters.encoding.record import Record, Records, Schema
 from adapters.message import LATEST_NS, Message
-
-# Telemetry without MAVLink ids, and what else a pipeline is fed: time that passes, operators, the journal.
-_JSON_SOURCES = ("zenoh", "clock", "operator", "journal")
-# Records of onboard logs: protobuf by what they hold, JSON where that cannot be.
-_LOG_SOURCES = ("ulog", "dataflash")
-_SOURCES = ("mavlink", "link", *_JSON_SOURCES, *_LOG_SOURCES)
+from adapters.source import LINK, MAVLINK, SOURCES, ZENOH
 
 # viewers want some schema, and a JSON topic may carry anything
 _JSON_SCHEMA = Schema("fauio.Telemetry", "jsonschema", b'{"type": "object"}')
@@ -50,12 +45,12 @@ def encode(message: Message) -> Record:
     ids = {"system_id": message.system, "component_id": message.component}
     if not 0 <= message.received_ns < LATEST_NS:
         raise ValueError(f"{message.name} arrived at a time that no record can hold")
-    if message.source == "link":
+    if message.source is LINK:
         return Record(topic, "json", _JSON_SCHEMA, _to_json({**message.fields, **ids}), message.received_ns)
-    if message.source in _LOG_SOURCES:
+    if message.source.is_onboard_log:
         with contextlib.suppress(ValueError):
             return Record(topic, "protobuf", *to_protobuf(message), message.received_ns)
-    if message.source != "mavlink":
+    if message.source is not MAVLINK:
         return Record(topic, "json", _JSON_SCHEMA, _to_json(message.fields), message.received_ns)
     kind = mavlink_protobuf(message.name)
     if kind is not None:
@@ -71,7 +66,7 @@ def encode(message: Message) -> Record:
 
 def encode_columns(columns: Columns) -> Records | None:
     """Return messages as :func:`encode` does, None where they have to be taken one by one."""
-    kind = mavlink_protobuf(columns.name) if columns.source == "mavlink" else None
+    kind = mavlink_protobuf(columns.name) if columns.source is MAVLINK else None
     if kind is None or (columns.received_ns < 0).any():
         return None
     try:
@@ -92,14 +87,15 @@ def recorded_name(topic: str, encoding: str, schema: str | None) -> str | None:
     schema : str | None
         Name of the channel's schema.
     """
-    source, _, name = topic.removeprefix("/").partition("/")
-    if not name or source not in _SOURCES:
+    source_name, _, name = topic.removeprefix("/").partition("/")
+    source = SOURCES.get(source_name)
+    if not name or source is None:
         return None
-    if source == "mavlink" and encoding == "protobuf":
+    if source is MAVLINK and encoding == "protobuf":
         return name if schema is not None and schema.startswith(f"{PACKAGE}.") else None
-    if source in _LOG_SOURCES and encoding == "protobuf":
+    if source.is_onboard_log and encoding == "protobuf":
         return name
-    ours = source == "zenoh" or schema is None or schema == _JSON_SCHEMA.name
+    ours = source is ZENOH or schema is None or schema == _JSON_SCHEMA.name
     return name if encoding == "json" and ours else None
 
 
@@ -121,15 +117,15 @@ def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Deco
     name = recorded_name(topic, encoding, None if schema is None else schema[0])
     if name is None:
         return None
-    source = topic.removeprefix("/").partition("/")[0]
-    if source == "mavlink":
+    source = SOURCES[topic.removeprefix("/").partition("/")[0]]
+    if source is MAVLINK:
         if encoding == "protobuf" and schema is not None:
             kind = MavlinkProtobuf(class_from_descriptor_set(schema[1], schema[0]))
             return MavlinkRecords(kind, name)
         return lambda data, time_ns: _mavlink_from_json(data, name, time_ns)
-    if source == "link":
+    if source is LINK:
         return lambda data, time_ns: _link_from_json(data, name, time_ns)
-    if source in _LOG_SOURCES and encoding == "protobuf" and schema is not None:
+    if source.is_onboard_log and encoding == "protobuf" and schema is not None:
         log = LogProtobuf(*schema)
         return lambda data, time_ns: Message(source, name, time_ns, log.fields(data))
     return lambda data, time_ns: Message(source, name, time_ns, json_object(data))
@@ -174,13 +170,13 @@ def _mavlink_from_json(data: bytes, name: str, time_ns: int) -> Message:
         raise ValueError(f"record of {name} lacks {error}") from error
     if not isinstance(fields, dict):
         raise ValueError(f"record of {name} has fields that are no JSON object")
-    return Message("mavlink", name, time_ns, fields, *_checked_ids(name, ids))
+    return Message(MAVLINK, name, time_ns, fields, *_checked_ids(name, ids))
 
 
 def _link_from_json(data: bytes, name: str, time_ns: int) -> Message:
     fields = json_object(data)
     ids = fields.pop("system_id", 0), fields.pop("component_id", 0)
-    return Message("link", name, time_ns, fields, *_checked_ids(name, ids))
+    return Message(LINK, name, time_ns, fields, *_checked_ids(name, ids))
 
 
 def _checked_ids(name: str, ids: tuple[Any, Any]) -> tuple[int, int]:

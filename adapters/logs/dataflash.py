@@ -33,8 +33,7 @@ from adapters.logs.onboard_log import (
     text,
 )
 from adapters.message import LATEST_NS
-
-SOURCE: Final = "dataflash"
+from adapters.source import DATAFLASH
 
 # struct code, and by how much to divide: pymavlink's DFReader decodes the same, which the tests hold it against.
 CODES: Final[dict[str, tuple[str, float | None]]] = {
@@ -139,7 +138,7 @@ class DataflashReader:
         if self._offset_ns is None:
             self._offset_ns = utc_minus_boot_ns(self._path) or 0
         window = Window(self._path, self._read_ahead_bytes)
-        records = Records(SOURCE, LogClock(self._offset_ns, _STAMPS), self._only)
+        records = Records(DATAFLASH, LogClock(self._offset_ns, _STAMPS), self._only)
         if not window.fill(_HEAD_BYTES) or window.data[:_HEAD_BYTES] != _MARK + bytes([_FORMAT_KIND]):
             raise TelemetryError(
                 f"{self._path}: not a DataFlash log although its name says so; check where it came from"

@@ -12,6 +12,7 @@ from typing import Any
 from adapters.channels import follow
 from adapters.logs.log_mapping import FieldRule, LogMapping, MessageRule
 from adapters.message import Message
+from adapters.source import MAVLINK
 
 # Ids of the vehicle: logs do not say, and autopilots are 1, 1 unless told otherwise.
 _SYSTEM = _COMPONENT = 1
@@ -144,7 +145,7 @@ class _Filler:
         """Return a state again, if that is due."""
         last, every_ns = self._last, self._rule.repeat_ns or 0
         if last is not None and not -every_ns < now_ns - last.received_ns < every_ns:
-            self._last = Message("mavlink", last.name, now_ns, last.fields, _SYSTEM, _COMPONENT)
+            self._last = Message(MAVLINK, last.name, now_ns, last.fields, _SYSTEM, _COMPONENT)
             yield self._last
 
     def finish(self) -> Iterator[Message]:
@@ -193,7 +194,7 @@ class _Filler:
         packed = _packed(self._packed, self._rule, values)
         names = (field.name for field in self._rule.fields)
         fields = dict(zip(names, self._packed.unpack(packed), strict=True))
-        made = Message("mavlink", self._rule.message, message.received_ns, fields, _SYSTEM, _COMPONENT)
+        made = Message(MAVLINK, self._rule.message, message.received_ns, fields, _SYSTEM, _COMPONENT)
         self._last = made
         yield made
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from adapters.batch import Batch, Columns, gathered
 from adapters.logs.compressed import CompressedFile
 from adapters.message import LATEST_NS, Message
+from adapters.source import Source
 
 READ_AHEAD_BYTES: Final = 1 << 22
 """Bytes of a log in a batch, some 70,000 records. Chosen: from 1 MB on the cost per batch no longer shows (100 MB of a
@@ -210,7 +211,7 @@ class Records:
 
     Parameters
     ----------
-    source : str
+    source : Source
         Of the messages.
     clock : LogClock
         What gives them their times.
@@ -229,7 +230,7 @@ class Records:
         Names and fields of those, by their index.
     """
 
-    source: str
+    source: Source
     clock: LogClock
     only: Collection[str] | None
     data: bytes = b""

@@ -16,6 +16,7 @@ from adapters.logs.tlog import MAX_TIME_US, TIME_BYTES, RecordScan, TlogStatisti
 from adapters.mavlink.mavlink_columns import PADDING, Heads, fields, heads, intact, kinds, payload_layout
 from adapters.mavlink.mavlink_message import MAGIC_1, MAGIC_2, MAX_PACKET_BYTES, SIGNATURE_BYTES
 from adapters.message import Message
+from adapters.source import MAVLINK
 
 READ_AHEAD_BYTES = 1 << 20
 
@@ -185,7 +186,7 @@ def _block(buffer: bytes, data: NDArray[np.uint8], starts: NDArray[np.int64]) ->
         system, component = divmod(int(packets.sender[first]), 256)
         columns.append(
             Columns(
-                source="mavlink",
+                source=MAVLINK,
                 name=kind.name,
                 system=system,
                 component=component,

@@ -19,8 +19,8 @@ from adapters.errors import TelemetryError
 from adapters.logs.onboard_log import READ_AHEAD_BYTES, LogClock, LogStatistics, RecordKind, Records, Window, text
 from adapters.logs.ulog_format import UlogField, UlogType, compile_type, decode_keyed, parse_format
 from adapters.message import LATEST_NS
+from adapters.source import ULOG
 
-SOURCE: Final = "ulog"
 # Records that are no topics, under names that no topic has.
 INFORMATION, PARAMETER, PARAMETER_DEFAULT = "log/information", "log/parameter", "log/parameter_default"
 TEXT, DROPOUT = "log/text", "log/dropout"
@@ -132,7 +132,7 @@ class UlogReader:
             self._offset_us = utc_minus_boot_us(self._path) or 0
         window = Window(self._path, self._read_ahead_bytes)
         clock = LogClock(self._offset_us * 1_000, _STAMPS)
-        records = Records(SOURCE, clock, self._only)
+        records = Records(ULOG, clock, self._only)
         self._open(window, clock)
         while window.fill(_HEAD.size):
             if records.data is not window.data:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from adapters.message import Message
+from adapters.source import MAVLINK
 
 _GROUND_STATION = 6
 """MAV_TYPE_GCS."""
@@ -18,7 +19,7 @@ def is_autopilot_heartbeat(message: Message) -> bool:
     """
     return (
         message.name == "HEARTBEAT"
-        and message.source == "mavlink"
+        and message.source is MAVLINK
         and message.fields.get("type") != _GROUND_STATION
         and message.fields.get("autopilot") != _NO_AUTOPILOT
     )

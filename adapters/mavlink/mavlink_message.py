@@ -13,6 +13,7 @@ from operator import itemgetter
 from typing import Any
 
 from adapters.message import Message
+from adapters.source import MAVLINK
 
 MAGIC_1 = 0xFE
 MAGIC_2 = 0xFD
@@ -96,7 +97,7 @@ class MavlinkType:
             fields = {
                 name: _field(values[first:end]) for name, (first, end) in zip(self._names, self._places, strict=True)
             }
-        return Message("mavlink", self.name, received_ns, fields, *packet_sender(packet))
+        return Message(MAVLINK, self.name, received_ns, fields, *packet_sender(packet))
 
 
 def _field(values: tuple[Any, ...]) -> Any:

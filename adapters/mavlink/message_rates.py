@@ -16,6 +16,7 @@ from typing import Any
 from adapters.errors import TelemetryError
 from adapters.mavlink.signing import SigningKey, unix_stamp
 from adapters.message import Message
+from adapters.source import MAVLINK
 
 AUTOPILOT = 1
 """Component id of autopilots."""
@@ -182,7 +183,7 @@ class RateRequests:
     def heard(self, message: Message) -> None:
         """Take note of a message that came; only those of the vehicles asked matter."""
         vehicle = self._vehicles.get(message.system)
-        if vehicle is None or message.source != "mavlink" or message.component != vehicle.component:
+        if vehicle is None or message.source is not MAVLINK or message.component != vehicle.component:
             return
         if vehicle.heard_ns is None or message.received_ns - vehicle.heard_ns > _SILENT_NS:
             for request in vehicle.requests.values():

@@ -23,6 +23,7 @@ from pathlib import Path
 from adapters.errors import TelemetryError
 from adapters.mavlink.mavlink_message import message_number, packet_sender, packet_signed
 from adapters.message import Message
+from adapters.source import LINK
 
 SIGNING = "signing"
 """Name of the messages of source ``link`` that tell of refused packets."""
@@ -261,7 +262,7 @@ class SigningGuard:
         for system in due:
             self._reported_ns[system] = now_ns
             self._unreported.discard(system)
-        return [Message("link", SIGNING, now_ns, dict(self._refused[system]), system=system) for system in due]
+        return [Message(LINK, SIGNING, now_ns, dict(self._refused[system]), system=system) for system in due]
 
     def statistics(self) -> SigningStatistics:
         """Return the counts so far."""

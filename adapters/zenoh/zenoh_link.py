@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from adapters.errors import PayloadError, TelemetryError, UndefinedTypeError
 from adapters.message import Message
+from adapters.source import ZENOH
 from adapters.zenoh.zenoh_payload import PayloadDecoder
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ class ZenohLink:
                 self._malformed += 1
                 self._say_once(key, error)
             else:
-                messages.append(Message("zenoh", name, received_ns, fields))
+                messages.append(Message(ZENOH, name, received_ns, fields))
         self._messages += len(messages)
         return messages
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import Message
+from adapters.source import LINK, MAVLINK
 from monitor.event import UNNUMBERED, AlarmEvent, Kind, Severity, State, alarm_id
 
 OBSERVER = "link"
@@ -51,9 +52,9 @@ class LinkAlarms:
         now_ns = message.received_ns
         self._vehicle_ms = vehicle_ns // 1_000_000
         events = self.quiet(now_ns)
-        if message.source == "link" and message.name == "signing":
+        if message.source is LINK and message.name == "signing":
             return [*events, *self._attacked(message, now_ns)]
-        if message.source == "mavlink":
+        if message.source is MAVLINK:
             if is_autopilot_heartbeat(message):
                 self._heartbeat_ns = now_ns
                 if HEARTBEAT in self._standing:

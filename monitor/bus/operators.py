@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from adapters.errors import printable
 from adapters.message import Message
+from adapters.source import OPERATOR
 from monitor.bus.payload import to_json
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ class Operators:
             # Compared before anything is computed: a whole number may be too large for that.
             chosen = min(minutes, self._max_shelve_minutes) if given else self._shelve_minutes
             fields["until_ns"] = now_ns + round(chosen * _MINUTE_NS)
-        return Message("operator", command.verb, now_ns, fields)
+        return Message(OPERATOR, command.verb, now_ns, fields)
 
     def accept(self, command: Command, event: AlarmEvent | None) -> None:
         """Answer a command that was carried out, with the event it caused, if any."""

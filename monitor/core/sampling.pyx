@@ -1161,7 +1161,7 @@ cdef _Messages _of_messages(list members, list feeds):
                 continue
             stamp = stream.channel.stamp_ns(fields)
             if stamp is not None:
-                usable = 0 <= stamp < MAX_STAMP_NS and not (stamp == 0 and message.source == "mavlink")
+                usable = 0 <= stamp < MAX_STAMP_NS and not (stamp == 0 and message.source.zero_stamp_is_unset)
                 feed.stamps[row] = stamp if usable else _UNTIMED
             for i, channel in enumerate(stream.channels):
                 value = channel.value(fields)
@@ -1172,7 +1172,7 @@ cdef _Messages _of_messages(list members, list feeds):
 cdef _Messages _of_columns(columns, list feeds):
     """Return the messages of columns, with what the channels read in each."""
     cdef Py_ssize_t count = len(columns.position), row
-    cdef _Messages group = _Messages.__new__(_Messages, count, columns.source == "mavlink")
+    cdef _Messages group = _Messages.__new__(_Messages, count, columns.source.zero_stamp_is_unset)
     cdef _Feed feed
     cdef Stream stream
     cdef int i

@@ -6,6 +6,7 @@ from typing import ClassVar, Literal
 
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import Message
+from adapters.source import MAVLINK
 
 Landed = Literal["ground", "air", "takeoff", "landing"]
 
@@ -38,7 +39,7 @@ class FlightPhase:
 
     def feed(self, message: Message) -> None:
         """Take a message; one of no interest changes nothing."""
-        if message.name not in self.interests or message.source != "mavlink":
+        if message.name not in self.interests or message.source is not MAVLINK:
             return
         fields = message.fields
         if message.name == "EXTENDED_SYS_STATE":

@@ -60,7 +60,7 @@ class Fleet:
         message = arrival.message
         if arrival.vehicle is not None:
             vehicle = self._vehicles.get(arrival.vehicle)
-        elif message.source in ("mavlink", "link"):
+        elif message.source.has_ids:
             vehicle = self._by_system.get(message.system) or self._first_seen(message)
         elif len(self._vehicles) == 1:
             vehicle = next(iter(self._vehicles.values()))
@@ -70,7 +70,7 @@ class Fleet:
 
     def _first_seen(self, message: Message) -> VehicleMonitor | None:
         """Return the vehicle that a new system id belongs to from now on."""
-        if message.source != "mavlink" or message.system in self._refused:
+        if not message.source.is_telemetry or message.system in self._refused:
             return None
         for vehicle in self._vehicles.values():
             if vehicle.pipeline.system == 0 and vehicle.pipeline.accepts(message):

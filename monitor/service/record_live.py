@@ -167,7 +167,7 @@ class _Tally:
         self.first_ns = message.received_ns if self.first_ns is None else self.first_ns
         self._last_ns = message.received_ns
         self.names[message.name] += 1
-        if message.source == "mavlink":
+        if message.source.is_telemetry and message.source.has_ids:
             self.systems.add(message.system)
 
     @property

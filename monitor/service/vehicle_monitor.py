@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import Any, Protocol
 
 from adapters.message import Message, silence
+from adapters.source import JOURNAL, OPERATOR
 from monitor.bus.payload import estimate_json
 from monitor.chain import Output
 from monitor.estimate import Estimate
@@ -30,7 +31,6 @@ _BEHIND_S = 1.0
 _UNHEARD = 100
 _LARGEST_SEQ = 1 << 53
 _MOST_CHANNELS = 4096
-_LIVE_SOURCES = ("mavlink", "zenoh")
 
 
 class Archive(Protocol):
@@ -183,14 +183,14 @@ class VehicleMonitor:
         if accepted:
             self.messages += 1
             self._second.messages += 1
-            if message.source in _LIVE_SOURCES:
+            if message.source.is_telemetry:
                 self._watch.hear(message.name, message.received_ns)
             for archive in self._archives:
                 archive.message(message)
         events = self._say(outputs)
-        if message.source in ("operator", "journal"):
+        if message.source in (OPERATOR, JOURNAL):
             self._note_shelved()
-        if clock is not None and message.source in _LIVE_SOURCES:
+        if clock is not None and message.source.is_telemetry:
             late_ns = clock() - message.received_ns
             self.latency.add(late_ns)
             if events:

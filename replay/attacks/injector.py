@@ -38,7 +38,7 @@ class VehicleTime:
         """Return the time of a message, nanoseconds; None before the first stamp."""
         clock = self._clock
         stamp_ns = self._clocks.get(message.name, _ANY_CLOCK).stamp_ns(message.fields)
-        if stamp_ns is not None and (stamp_ns > 0 or (stamp_ns == 0 and message.source != "mavlink")):
+        if stamp_ns is not None and (stamp_ns > 0 or (stamp_ns == 0 and not message.source.zero_stamp_is_unset)):
             stamp_ns = clock.unwrap(stamp_ns)
             if clock.observe(stamp_ns, message.received_ns):
                 return stamp_ns

@@ -14,6 +14,7 @@ from adapters.logs.recordings import Recording, recorded_alarms, recorded_metada
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.mavlink.vehicle_type import enumerated
 from adapters.message import Message
+from adapters.source import MAVLINK, ZENOH
 from monitor.fitting.progress import track
 from monitor.fitting.survey import Survey, of_one_vehicle, survey
 from monitor.sampling.slow_telemetry import slow_messages
@@ -59,9 +60,9 @@ class _Tally:
             self.last_ns = now_ns
             self.counts[name] += 1
             self.spans[name] = (self.spans[name][0] if name in self.spans else now_ns, now_ns)
-            if message.source == "zenoh":
+            if message.source is ZENOH:
                 self.examples[name] = message.fields
-            elif message.source == "mavlink":
+            elif message.source is MAVLINK:
                 sender = self.senders.setdefault(message.system, _Sender())
                 sender.messages += 1
                 sender.components.add(message.component)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from adapters.batch import Batch
 from adapters.message import Message
+from adapters.source import Source
 
 GAP_S = 0.5
 GAP_PERIODS = 10.0
@@ -19,7 +20,7 @@ MOST_GAPS = 1000
 _PERIODS_KEPT = 2000
 _PENDING = 512
 
-Key = tuple[str, str, int, int]
+Key = tuple[Source, str, int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,8 @@ class StreamFacts:
 
     Parameters
     ----------
-    source, name : str
+    source : Source
+    name : str
         As of :class:`adapters.message.Message`.
     system, component : int
         MAVLink ids of the sender.
@@ -56,7 +58,7 @@ class StreamFacts:
         Where it failed to come, the first :data:`MOST_GAPS`.
     """
 
-    source: str
+    source: Source
     name: str
     system: int
     component: int
@@ -92,6 +94,12 @@ class RecordingFacts:
         return sum(stream.count for stream in self.streams)
 
 
+def _in_order(entry: tuple[Key, _Stream]) -> tuple[str, str, int, int]:
+    """Return what streams are sorted by."""
+    source, *others = entry[0]
+    return (source.name, *others)
+
+
 class RecordingMeter:
     """Measures a recording that passes by, in memory that does not grow with it."""
 
@@ -124,7 +132,7 @@ class RecordingMeter:
 
     def facts(self) -> RecordingFacts:
         """Return what was measured so far."""
-        streams = [(key, stream) for key, stream in sorted(self._streams.items()) if stream.flush()]
+        streams = [(key, stream) for key, stream in sorted(self._streams.items(), key=_in_order) if stream.flush()]
         return RecordingFacts(
             first_ns=min((stream.first_ns for _, stream in streams), default=None),
             last_ns=max((stream.last_ns for _, stream in streams), default=None),

@@ -292,7 +292,8 @@ def _recording(run: Run) -> Iterator[Html]:
 
 def _of_stream(stream: StreamFacts) -> tuple[object, ...]:
     longest = max((gap.seconds for gap in stream.gaps), default=0.0)
-    sender = f"system {stream.system}, component {stream.component}" if stream.source == "mavlink" else stream.source
+    has_ids = stream.source.is_telemetry and stream.source.has_ids
+    sender = f"system {stream.system}, component {stream.component}" if has_ids else stream.source.name
     return (
         stream.name,
         sender,

@@ -1,0 +1,82 @@
+"""Where messages come from: each kind of source with the traits that decide how its messages are treated.
+
+Ask a message's source for the trait in question; do not compare names. A new source is a value here and a module that
+yields its batches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """A kind of source; there is one value of each name, so values are compared by identity.
+
+    Parameters
+    ----------
+    name : str
+        What recordings store: the first part of a message's topic.
+    is_telemetry : bool
+        Whether its messages are measurements of a vehicle, which samplers read. All others tell the pipeline about
+        something else: time that passes, operators, the journal.
+    has_ids : bool
+        Whether its messages carry the ids of a MAVLink system (and of a component, where they are telemetry), so that
+        a monitor has to choose its vehicle's. Messages without ids belong to the vehicle that the link is for.
+    zero_stamp_is_unset : bool
+        Whether a time stamp of zero says that the sender does not know the time, as in MAVLink; elsewhere it is the
+        first moment of the vehicle's clock.
+    is_onboard_log : bool
+        Whether its messages are records of a log that the vehicle wrote itself.
+    """
+
+    name: str
+    is_telemetry: bool = False
+    has_ids: bool = False
+    zero_stamp_is_unset: bool = False
+    is_onboard_log: bool = False
+
+    def __str__(self) -> str:
+        return self.name
+
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        # Another process gets its own value of this name.
+        return _of_name, (self.name,)
+
+
+MAVLINK: Final = Source("mavlink", is_telemetry=True, has_ids=True, zero_stamp_is_unset=True)
+"""MAVLink packets, from a link or a telemetry log; also what onboard logs are translated to."""
+
+ZENOH: Final = Source("zenoh", is_telemetry=True)
+"""Named topics without ids: Zenoh, and ROS 2 bags and MCAP files of others. Recorded topics share the source of live
+ones on purpose: one profile then serves a robot live and its recordings."""
+
+ULOG: Final = Source("ulog", is_telemetry=True, is_onboard_log=True)
+"""Records of a log that PX4 wrote."""
+
+DATAFLASH: Final = Source("dataflash", is_telemetry=True, is_onboard_log=True)
+"""Records of a log that ArduPilot wrote."""
+
+CLOCK: Final = Source("clock")
+"""Time that passes without telemetry (:func:`adapters.message.silence`)."""
+
+LINK: Final = Source("link", has_ids=True)
+"""Findings of a link itself: packets with forged signatures."""
+
+OPERATOR: Final = Source("operator")
+"""Operators' commands and the rules that a configuration gives."""
+
+JOURNAL: Final = Source("journal")
+"""Alarms that were active before a restart."""
+
+SOURCES: Final[Mapping[str, Source]] = MappingProxyType(
+    {source.name: source for source in (MAVLINK, ZENOH, ULOG, DATAFLASH, CLOCK, LINK, OPERATOR, JOURNAL)}
+)
+"""All sources by name."""
+
+
+def _of_name(name: str) -> Source:
+    return SOURCES[name]
