@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from adapters.errors import TelemetryError
+from adapters.errors import FauioError, TelemetryError
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink.byte_link import resolve
 from adapters.mavlink.mavlink_message import mavlink_types, message_number, packet_sender
@@ -230,7 +230,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         packets = fleet_packets(flights, args.seconds)
         with _interruptible() as stopped:
             sent = send_fleet(packets, args.to, args.speed, signer=signer, stopped=stopped)
-    except TelemetryError as error:
+    except FauioError as error:
         print(f"fleet_sender: {error}", file=sys.stderr)  # noqa: T201 - the command line speaks here
         return error.exit_status
     if args.times is not None:

@@ -8,7 +8,7 @@ import socket
 import sys
 from collections.abc import Iterator, Sequence
 
-from adapters.errors import TelemetryError
+from adapters.errors import FauioError, TelemetryError
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink.byte_link import resolve
 from adapters.simulation.pacing import paced
@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if kind not in ("udp", "udpout") or not port.isdecimal():
             raise TelemetryError(f"{args.to}: use udp:HOST:PORT")
         count = send_tlog(args.log, host, int(port), args.speed, start_s=args.start, stop_s=args.stop)
-    except TelemetryError as error:
+    except FauioError as error:
         print(f"tlog_sender: {error}", file=sys.stderr)  # noqa: T201 - the command line speaks here
         return error.exit_status
     print(f"{count} packets sent", file=sys.stderr)  # noqa: T201 - the command line speaks here

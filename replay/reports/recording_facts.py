@@ -96,8 +96,8 @@ class RecordingFacts:
 
 def _in_order(entry: tuple[Key, _Stream]) -> tuple[str, str, int, int]:
     """Return what streams are sorted by."""
-    source, *others = entry[0]
-    return (source.name, *others)
+    source, name, system, component = entry[0]
+    return source.name, name, system, component
 
 
 class RecordingMeter:
