@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +107,21 @@ class Samples:
             self.known_ns[rows],
             self.measured[rows],
         )
+
+
+class Given(NamedTuple):
+    """Samples made of others: of raw signals, of several in a row.
+
+    Parameters
+    ----------
+    samples : Samples
+        The n samples.
+    rows : NDArray[np.intp]
+        Row of the sample that completed each (n,).
+    """
+
+    samples: Samples
+    rows: NDArray[np.intp]
 
 
 def stacked(samples: Sequence[Sample], inputs: int, outputs: int) -> Samples:

@@ -63,3 +63,20 @@ def batches(messages: Sequence[Message], cuts: Iterable[int], packing: Any = pac
     """Return messages as batches, cut before the messages of these places."""
     places = [0, *sorted(at for at in cuts if at < len(messages)), len(messages)]
     return [packing(messages[start:stop]) for start, stop in pairwise(places)]
+
+
+def raw_samples(u: NDArray[np.float64], first: int = 0) -> Samples:
+    """Return samples without outputs at 100 Hz, whole, restarted at the first; its index is ``first``."""
+    count = len(u)
+    index = first + np.arange(count)
+    return Samples(
+        index=index,
+        vehicle_time_ns=index * 10_000_000,
+        time_ns=index * 10_000_000,
+        u=u,
+        y=np.zeros((count, 0)),
+        restart=np.arange(count) == 0,
+        complete=np.ones(count, np.bool_),
+        known_ns=index * 10_000_000,
+        measured=np.ones(count, np.bool_),
+    )

@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from gains.identification.regression import lagged
 from gains.identification.segment import Segment
-from monitor.sampling.scaled_inputs import DriveInputs, SurfaceInputs
+from monitor.vehicles.plane.transform import SurfaceInputs
+from monitor.vehicles.rover.transform import DriveInputs
 
 RATE_HZ = 50.0
 ROLL, PITCH, YAW, THRUST = (0.8, 0.9), (0.85, 0.6), (0.75, 0.4), (0.0, 12.0)

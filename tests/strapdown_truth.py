@@ -6,15 +6,25 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
+from sampled import Row, raw_samples, rows
 
-from adapters.sample import Sample
-from monitor.vehicles.inertial.kinematics import STANDARD_GRAVITY, metres_per_degree
 from monitor.vehicles.inertial.strapdown import DEFAULTS, Strapdown
 
 SIGNAL_HZ, RATE_HZ = 100.0, 25.0
 HOME = (47.4, 8.5)
 FIELD = np.array([0.21, 0.0, 0.43])
 Array = NDArray[np.float64]
+
+_GRAVITY = 9.80665
+# WGS-84: semi-major axis, squared eccentricity.
+_A, _E2 = 6_378_137.0, 6.694_379_990_14e-3
+
+
+def metres_per_degree(latitude: float) -> tuple[float, float]:
+    """Return the radii of curvature along and across the meridian, times a degree."""
+    square = 1.0 - _E2 * np.sin(np.radians(latitude)) ** 2
+    along = np.radians(_A * (1.0 - _E2) / square**1.5)
+    return float(along), float(np.radians(_A / np.sqrt(square) * np.cos(np.radians(latitude))))
 
 
 def signals(seconds: float, gps_late_s: float = 0.0, baro_late_s: float = 0.0, start_s: float = 0.0) -> Array:
@@ -23,7 +33,7 @@ def signals(seconds: float, gps_late_s: float = 0.0, baro_late_s: float = 0.0, s
     north, east, down = position(t)
     h = 1e-4
     force = (position(t + h) - 2.0 * position(t) + position(t - h)) / h**2
-    force[2] -= STANDARD_GRAVITY
+    force[2] -= _GRAVITY
     R = rotation(t)
     body = np.einsum("tji,jt->ti", R, force)
     W = np.einsum("tji,tjk->tik", R, (rotation(t + h) - rotation(t - h)) / (2.0 * h))
@@ -69,18 +79,13 @@ def rotation(t: Array) -> Array:
 
 def transformed(
     raw: Array, parameters: Mapping[str, float] | None = None, first: int = 0
-) -> tuple[Strapdown, list[Sample]]:
+) -> tuple[Strapdown, list[Row]]:
     """Run the transform over raw signals; the first tick has the given index."""
     transform = Strapdown({**DEFAULTS, **(parameters or {})}, SIGNAL_HZ, RATE_HZ)
     return transform, fed(transform, raw, first)
 
 
-def fed(transform: Strapdown, raw: Array, first: int = 0, lost: frozenset[int] = frozenset()) -> list[Sample]:
-    given = []
-    for k, row in enumerate(raw, start=first):
-        time_ns = k * 10_000_000
-        tick = Sample(k, time_ns, time_ns, row, row[:0], restart=k == first, complete=True, measured=k not in lost)
-        out = transform.feed(tick)
-        if out is not None:
-            given.append(out)
-    return given
+def fed(transform: Strapdown, raw: Array, first: int = 0, lost: frozenset[int] = frozenset()) -> list[Row]:
+    samples = raw_samples(raw, first)
+    samples.measured[:] = [k not in lost for k in range(first, first + len(raw))]
+    return rows(transform.run(samples).samples)

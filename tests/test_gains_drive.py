@@ -6,8 +6,8 @@ from simulated_vehicles import DRIVE, RATE_HZ, STEERING, ride
 
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
-from monitor.sampling.scaled_inputs import DriveInputs
 from monitor.vehicles.rover.identify import identify_drive
+from monitor.vehicles.rover.transform import DriveInputs
 
 
 def test_steering_and_throttle_are_recovered_also_in_reverse() -> None:

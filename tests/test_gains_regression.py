@@ -6,7 +6,7 @@ from simulated_vehicles import DELAY_S, LAG_S, RATE_HZ, ROLL, SIDE_FORCE, flight
 
 from adapters.errors import ModelError
 from gains.identification.regression import AxisModel, coloured_inflation, fit_axis
-from monitor.sampling.scaled_inputs import SurfaceInputs
+from monitor.vehicles.plane.transform import SurfaceInputs
 
 ROLL_AXIS = AxisModel("roll_rate", "aileron", ("pressure", "side_force"), offset=False)
 OUTPUTS = SurfaceInputs.outputs

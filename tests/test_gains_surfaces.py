@@ -13,8 +13,8 @@ from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.observer import Observer
-from monitor.sampling.scaled_inputs import SurfaceInputs
 from monitor.vehicles.plane.identify import identify_surfaces
+from monitor.vehicles.plane.transform import SurfaceInputs
 
 
 @pytest.fixture(scope="module")

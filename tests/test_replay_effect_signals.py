@@ -6,9 +6,10 @@ import pytest
 
 from adapters.errors import TelemetryError
 from monitor.fitting.survey import Survey
-from monitor.sampling.scaled_inputs import DriveInputs, SurfaceInputs
 from monitor.vehicles.plane.signals import plane_signals
+from monitor.vehicles.plane.transform import SurfaceInputs
 from monitor.vehicles.rover.signals import rover_signals
+from monitor.vehicles.rover.transform import DriveInputs
 
 RATES = {"ATTITUDE": 100.0, "SERVO_OUTPUT_RAW": 100.2, "HIGHRES_IMU": 99.8, "LOCAL_POSITION_NED": 50.0}
 FULL = Survey({"VFR_HUD": 100, **dict.fromkeys(RATES, 1000)}, RATES, {})

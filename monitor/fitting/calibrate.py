@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from adapters.batch import Batch, pack
 from adapters.message import Message
-from adapters.sample import Sample
+from adapters.sample import Sample, stacked
 from gains.identification.segment import Segment
 from gains.synthesis.gains_file import Gains
 from monitor.chain import ObserverChain
+from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimate
 from monitor.estimation.bank import whitening
 from monitor.estimation.isolation_rule import BankRule
 from monitor.estimation.observer_stack import ObserverStack
 from monitor.profile import Profile
-from monitor.sampling.clock import VehicleClock
 from monitor.sampling.gate import GatedSample, GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.transform import Source, Transform
@@ -32,6 +33,7 @@ _LONGEST_SETTLE_S = 60.0
 _TOLERANCE = 0.2
 _GAIN_PENALTY = 25.0
 _NOISE_SHARE = 0.1
+_BATCH = 4096
 
 
 def flight_samples(
@@ -42,21 +44,35 @@ def flight_samples(
 ) -> list[GatedSample]:
     """Return a recording's samples, each with whether it is evidence, as the monitor would take them."""
     sampler, phase = GatedSampler(source, rate_hz, VehicleClock(), gate), FlightPhase()
-    found = []
+    gated: list[GatedSample] = []
+    for batch in _of_one_phase(messages, phase):
+        samples, armed = sampler.sample(batch, phase)
+        gated += [GatedSample(samples.one(row), good) for row, good in enumerate(armed.tolist())]
+    return gated
+
+
+def _of_one_phase(messages: Iterable[Message], phase: FlightPhase) -> Iterator[Batch]:
+    """Yield messages as batches in which the flight phase does not change; ``phase`` follows from batch to batch."""
+    following, batch = FlightPhase(), list[Message]()
     for message in messages:
-        phase.feed(message)
-        found.extend(sampler.feed(message, phase))
-    return found
+        following.feed(message)
+        changed = (following.armed, following.landed) != (phase.armed, phase.landed)
+        if batch and (changed or len(batch) >= _BATCH):
+            yield pack(batch)
+            batch = []
+        phase.armed, phase.landed = following.armed, following.landed
+        batch.append(message)
+    yield pack(batch)
 
 
-def transformed(flight: Iterable[GatedSample], transform: Transform) -> list[GatedSample]:
+def transformed(flight: Sequence[GatedSample], transform: Transform) -> list[GatedSample]:
     """Return the samples that a transform makes of raw ones."""
-    found = []
-    for raw, armed in flight:
-        sample = transform.feed(raw)
-        if sample is not None:
-            found.append(GatedSample(sample, armed and sample.complete))
-    return found
+    raw = stacked([sample for sample, _ in flight], len(transform.signals), 0)
+    samples, rows = transform.run(raw)
+    return [
+        GatedSample(samples.one(k), flight[row].armed and bool(samples.complete[k]))
+        for k, row in enumerate(rows.tolist())
+    ]
 
 
 def contiguous(samples: Iterable[GatedSample]) -> list[Segment]:

@@ -3,7 +3,7 @@
 Rules, in order: a vehicle known to be disarmed is not watched; where the vehicle reports its landed state, only
 "in the air" counts; where it does not, a mean command of at least ``airborne_command`` stands for it. Each time the
 rules come to hold, ``settle_s`` of vehicle time passes before evidence counts. When what the vehicle says of itself
-comes to allow evidence, a new stretch of samples begins: what was estimated on the ground, before the first fix of the
+comes to allow evidence, the samples restart: what was estimated on the ground, before the first fix of the
 GPS or while the vehicle was carried about, is forgotten.
 """
 
@@ -15,13 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import pack
+from adapters.batch import Batch, pack
 from adapters.message import Message
-from adapters.sample import Sample, Samples
+from adapters.sample import Given, Sample, Samples
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler, SamplerStatistics
-from monitor.sampling.stretch import Given
 from monitor.sampling.transform import Source, make_sampler
 
 
@@ -80,6 +79,13 @@ class GatedSample(NamedTuple):
     armed: bool
 
 
+class GatedSamples(NamedTuple):
+    """Samples, and which of them are evidence (n,)."""
+
+    samples: Samples
+    armed: NDArray[np.bool_]
+
+
 class GatedSampler:
     """An observer's samples from the vehicle's messages, each with whether it is evidence.
 
@@ -117,28 +123,32 @@ class GatedSampler:
         return self._sampler if isinstance(self._sampler, Sampler) else self._sampler.sampler
 
     def enter(self, phase: FlightPhase) -> None:
-        """Begin a new stretch of samples where the phase has come to allow evidence."""
+        """Restart the samples where the phase has come to allow evidence."""
         allowed = _allowed(self._rule, phase)
         if allowed and not self._allowed:
             self._sampler.restart()
         self._allowed = allowed
 
     def run(self, samples: Samples) -> Given:
-        """Return the observer's samples that a stretch of samples of :attr:`sampler` gives, and from which rows."""
+        """Return the observer's samples that those of :attr:`sampler` give, and the rows that completed them."""
         if isinstance(self._sampler, Sampler):
             return Given(samples, np.arange(len(samples)))
         return self._sampler.run(samples)
 
     def admitted(self, samples: Samples, phase: FlightPhase) -> NDArray[np.bool_]:
-        """Return which samples of a stretch are evidence (n,), the phase having been entered."""
+        """Return which samples are evidence (n,), the phase having been entered."""
         return np.asarray(self._gate.admitted(phase, samples, self._commands) & samples.complete)
+
+    def sample(self, batch: Batch, phase: FlightPhase) -> GatedSamples:
+        """Return the samples that a batch completes and which are evidence, the phase being the same for all of it."""
+        self.enter(phase)
+        samples, _ = self.run(sample_batch(self.sampler.clock, [self.sampler], batch).samples[0])
+        return GatedSamples(samples, self.admitted(samples, phase))
 
     def feed(self, message: Message, phase: FlightPhase) -> list[GatedSample]:
         """Process one message; return the samples it completes, in order of time."""
-        self.enter(phase)
-        (samples, _) = self.run(sample_batch(self.sampler.clock, [self.sampler], pack([message])).samples[0])
-        armed = self.admitted(samples, phase).tolist()
-        return [GatedSample(samples.one(row), armed[row]) for row in range(len(samples))]
+        samples, armed = self.sample(pack([message]), phase)
+        return [GatedSample(samples.one(row), bool(armed[row])) for row in range(len(samples))]
 
 
 def _allowed(rule: GateRule, phase: FlightPhase) -> bool:

@@ -1,6 +1,6 @@
 """Where an observer's samples come from: channels as they are, or raw signals through a named transform.
 
-A transform turns samples of raw signals (``Sample.u`` in the order of its ``signals``) into samples (u, y) at the
+A transform turns samples of raw signals (``u`` in the order of its ``signals``) into samples (u, y) at the
 observer's rate. It is deterministic, keeps its own state and starts anew with a sample that is marked ``restart``.
 """
 
@@ -12,10 +12,9 @@ from typing import Protocol
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
-from adapters.sample import Sample, Samples
+from adapters.sample import Given, Samples
 from monitor.core.sampling import VehicleClock
 from monitor.sampling.sampler import Sampler, SamplerStatistics
-from monitor.sampling.stretch import Given
 from monitor.vehicles.kinds import transform_classes
 
 
@@ -34,14 +33,10 @@ class Transform(Protocol):
     def outputs(self) -> tuple[str, ...]:
         """Names of y."""
 
-    def feed(self, sample: Sample) -> Sample | None:
-        """Take a sample of raw signals; return the observer's sample, None where there is none at this tick."""
-
     def run(self, samples: Samples) -> Given:
-        """Take a stretch of raw signals as ``feed`` does; return what it gives, and at which rows of the stretch.
+        """Return the observer's samples that raw samples complete, each with the ``known_ns`` of that raw sample.
 
-        Outputs and state afterwards are those of ``feed`` to the bit, so both may be mixed. Each sample has the
-        ``known_ns`` of the raw one that completed it, which behind ``feed`` is filled in by the sampler.
+        What comes out does not depend, to the bit, on how the raw samples are cut into batches.
         """
 
 
@@ -124,7 +119,7 @@ class TransformedSampler:
         self._transform = make_transform(rule, rate_hz)
 
     def run(self, samples: Samples) -> Given:
-        """Take a stretch of raw samples; return the observer's samples and the rows that completed them."""
+        """Return the observer's samples that raw samples complete, and the rows of those."""
         return self._transform.run(samples)
 
     @property

@@ -23,7 +23,7 @@ KINDS = (
         fit="monitor.vehicles.plane.fit:fit_plane",
         preview="monitor.vehicles.plane.signals:preview",
         messages="monitor.vehicles.plane.signals:MESSAGES",
-        transforms={"surfaces": "monitor.sampling.scaled_inputs:SurfaceInputs"},
+        transforms={"surfaces": "monitor.vehicles.plane.transform:SurfaceInputs"},
         type_words=("fixed_wing", "vtol"),
     ),
     VehicleKind(
@@ -32,7 +32,7 @@ KINDS = (
         fit="monitor.vehicles.rover.fit:fit_rover",
         preview="monitor.vehicles.rover.signals:preview",
         messages="monitor.vehicles.rover.signals:MESSAGES",
-        transforms={"drive": "monitor.sampling.scaled_inputs:DriveInputs"},
+        transforms={"drive": "monitor.vehicles.rover.transform:DriveInputs"},
         type_words=("rover", "boat"),
     ),
     VehicleKind(

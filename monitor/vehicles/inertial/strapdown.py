@@ -28,15 +28,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import exp, isfinite
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from adapters.errors import TelemetryError
-from adapters.sample import Sample, Samples
-from monitor.sampling.stretch import Given, first_order, in_parts, joined, since
-from monitor.vehicles.inertial.strapdown_ticks import Sensors, Ticks
+from adapters.sample import Given, Samples
+from monitor.core.strapdown import StrapdownCore
 
 IMU = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "roll", "pitch", "yaw")
 GPS = ("lat", "lon", "gps_alt", "gps_speed", "gps_course")
@@ -54,20 +49,9 @@ DEFAULTS = {
     "compass_delay_s": 0.0,
 }
 
-Array = NDArray[np.float64]
-
-
-class _Start(NamedTuple):
-    """Where a period begins: its tick, and the integrals y there before washing."""
-
-    tick: int
-    vehicle_time_ns: int
-    time_ns: int
-    places: list[float]
-
 
 class Strapdown:
-    """State of the transform.
+    """The transform of one observer; :mod:`monitor.core.strapdown` goes through the ticks.
 
     Parameters
     ----------
@@ -100,8 +84,8 @@ class Strapdown:
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
         values = _checked(parameters)
-        self._count = round(signal_rate_hz / rate_hz)
-        if self._count < 1 or abs(self._count * rate_hz - signal_rate_hz) > 1e-9 * signal_rate_hz:
+        count = round(signal_rate_hz / rate_hz)
+        if count < 1 or abs(count * rate_hz - signal_rate_hz) > 1e-9 * signal_rate_hz:
             raise TelemetryError(
                 f"strapdown: {signal_rate_hz:g} Hz of signals is no whole multiple of {rate_hz:g} Hz; change 'rate_hz'"
             )
@@ -109,9 +93,8 @@ class Strapdown:
         self.signals, self.inputs, self.outputs = _names(gps, baro, mag)
         period = 1.0 / rate_hz
         slow, fast = _washout(values["washout_s"], period), _washout(values["velocity_washout_s"], period)
-        self._washouts = [fast if name.startswith("gps_velocity") else slow for name in self.outputs]
         latest = max(values["gps_delay_s"] if gps else 0.0, values["baro_delay_s"] if baro else 0.0)
-        self._sensors = Sensors(
+        self._core = StrapdownCore(
             gps=gps,
             baro=baro,
             mag=mag,
@@ -121,148 +104,14 @@ class Strapdown:
             gps_ticks=round((latest - values["gps_delay_s"]) * signal_rate_hz) if gps else 0,
             baro_ticks=round((latest - values["baro_delay_s"]) * signal_rate_hz) if baro else 0,
             compass_ticks=round(values["compass_delay_s"] * signal_rate_hz) if mag else 0,
+            count=count,
+            inputs=len(self.inputs),
+            washouts=[fast if name.startswith("gps_velocity") else slow for name in self.outputs],
         )
-        self._longest = max(self._sensors.imu_ticks, self._sensors.compass_ticks) + self._count
-        self._widths = len(self.inputs), len(self.outputs)
-        self._restart()
-
-    def _restart(self) -> None:
-        self._ticks = Ticks(self._sensors)
-        self._before: list[float] = []
-        self._start: _Start | None = None
-        self._sum = [0.0] * len(self.inputs)
-        self._summed = 0
-        self._y = [0.0] * len(self.outputs)
-        self._doubt = 0
-        self._fresh = True
-
-    def feed(self, sample: Sample) -> Sample | None:
-        """Take the raw signals of one tick (``sample.u``); return the observer's sample where a period is over."""
-        if sample.restart:
-            self._restart()
-        # Integrals bear straight lines over one or two lost measurements.
-        self._doubt = max(self._doubt - 1, 0) if sample.measured else self._longest + 1
-        rates = self._ticks.feed(sample.u.tolist())
-        if rates is None:
-            return None
-        now, places = rates
-        if self._before and self._start is not None:
-            self._add([0.5 * (a + b) for a, b in zip(self._before, now, strict=True)])
-        self._before = now
-        if sample.index % self._count:
-            return None
-        given = None
-        if self._start is not None:
-            given = self._group(self._start)
-            self._advance(self._start.places, places)
-        self._begin(_Start(sample.index, sample.vehicle_time_ns, sample.time_ns, places))
-        return given
 
     def run(self, samples: Samples) -> Given:
-        """Take a stretch as :meth:`feed` takes samples one by one, to the same bits: a test holds them together."""
-        with np.errstate(all="ignore"):
-            return in_parts(samples, self._run, self.feed, self._widths)
-
-    def _begin(self, start: _Start) -> None:
-        self._start = start
-        self._sum = [0.0] * len(self.inputs)
-        self._summed = 0
-
-    def _add(self, means: list[float]) -> None:
-        """Add the means over one tick to those of the period."""
-        self._sum = [total + mean for total, mean in zip(self._sum, means, strict=True)]
-        self._summed += 1
-
-    def _group(self, start: _Start) -> Sample:
-        """Return the sample of the period that began at ``start``."""
-        restart, self._fresh = self._fresh, False
-        return Sample(
-            index=start.tick // self._count,
-            vehicle_time_ns=start.vehicle_time_ns,
-            time_ns=start.time_ns,
-            u=np.array(self._sum) / self._summed,
-            y=np.array(self._y),
-            restart=restart,
-            complete=self._doubt == 0,
-        )
-
-    def _advance(self, start: list[float], places: list[float]) -> None:
-        """Wash out the changes since the start of the period."""
-        for i, (before, now) in enumerate(zip(start, places, strict=True)):
-            keep, gain = self._washouts[i]
-            self._y[i] = keep * self._y[i] + gain * (now - before)
-
-    def _run(self, samples: Samples) -> Given:
-        """Take finite, consecutive ticks, restarted at the first one at most."""
-        if samples.restart[0]:
-            self._restart()
-        doubt = np.maximum(self._longest + 1 - since(~samples.measured, self._longest + 1 - self._doubt), 0)
-        self._doubt = int(doubt[-1])
-        now, places = self._ticks.run(np.ascontiguousarray(samples.u.T))
-        first = len(samples) - now.shape[1]
-        if first == len(samples):
-            return joined((), self._widths)
-        means = 0.5 * (np.column_stack([self._before or now[:, 0], now[:, :-1]]) + now)
-        self._before = now[:, -1].tolist()
-        ends = np.arange(int(-samples.index[first] % self._count), now.shape[1], self._count)
-        if self._start is not None:
-            self._add_all(means[:, : ends[0] + 1] if len(ends) else means)
-        if not len(ends):
-            return joined((), self._widths)
-        last = int(ends[-1])
-        given = self._groups(samples, first + ends, means[:, ends[0] + 1 : last + 1], places[:, ends], doubt == 0)
-        self._begin(_start(samples, first + last, places[:, last]))
-        self._add_all(means[:, last + 1 :])
-        return given
-
-    def _add_all(self, means: Array) -> None:
-        for mean in means.T.tolist():
-            self._add(mean)
-
-    def _groups(
-        self, samples: Samples, ends: NDArray[np.intp], means: Array, places: Array, good: NDArray[np.bool_]
-    ) -> Given:
-        """Return the samples of the periods that end at rows ``ends``, and wash out what changed over them.
-
-        ``means`` over ticks reach from the first end to the last one, ``places`` are those at the ends. The period that
-        ends first is summed up already; where none has begun there is nothing at the first end.
-        """
-        begun = 0 if self._start is not None else 1
-        start = self._start or _start(samples, int(ends[0]), places[:, 0])
-        u = np.zeros((len(self.inputs), len(ends)))
-        for tick in range(self._count):
-            u[:, 1:] += means[:, tick :: self._count]
-        u[:, 1:] /= self._count
-        if not begun:
-            u[:, 0] = np.array(self._sum) / self._summed
-        changes = np.diff(places, axis=1, prepend=np.array(start.places)[:, None])[:, begun:]
-        y = np.empty_like(changes)
-        for i, (keep, gain) in enumerate(self._washouts):
-            washed = [self._y[i], *first_order(keep, gain * changes[i], self._y[i]).tolist()]
-            y[i] = washed[:-1]
-            self._y[i] = washed[-1]
-        restart = np.zeros(len(ends) - begun, np.bool_)
-        if len(restart):
-            restart[0], self._fresh = self._fresh, False
-        begins = ends[:-1]
-        given = Samples(
-            index=np.append(start.tick, samples.index[begins])[begun:] // self._count,
-            vehicle_time_ns=np.append(start.vehicle_time_ns, samples.vehicle_time_ns[begins])[begun:],
-            time_ns=np.append(start.time_ns, samples.time_ns[begins])[begun:],
-            u=np.ascontiguousarray(u[:, begun:].T),
-            y=np.ascontiguousarray(y.T),
-            restart=restart,
-            complete=good[ends[begun:]],
-            known_ns=np.zeros(len(restart), np.int64),
-            measured=np.ones(len(restart), np.bool_),
-        )
-        return Given(given, ends[begun:])
-
-
-def _start(samples: Samples, row: int, places: Array) -> _Start:
-    return _Start(
-        int(samples.index[row]), int(samples.vehicle_time_ns[row]), int(samples.time_ns[row]), places.tolist()
-    )
+        """Return the observer's samples that raw signals (``samples.u``) complete, each where its period ends."""
+        return self._core.run(samples)
 
 
 def _washout(tau: float, period: float) -> tuple[float, float]:

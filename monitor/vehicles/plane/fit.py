@@ -6,9 +6,9 @@ from monitor.fitting.calibrate import SETTLE_S
 from monitor.fitting.fit_effects import EffectKind, fit_effects
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.sampling.gate import GateRule
-from monitor.sampling.scaled_inputs import SurfaceInputs
 from monitor.vehicles.plane.identify import identify_surfaces
 from monitor.vehicles.plane.signals import plane_signals
+from monitor.vehicles.plane.transform import SurfaceInputs
 
 _PLANE = EffectKind(
     observer=SurfaceInputs.kind,

@@ -8,8 +8,8 @@ from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from monitor.fitting.effect_signals import EFFECT_MESSAGES, EffectSignals, effect_signals, servo
 from monitor.fitting.survey import Survey
-from monitor.sampling.scaled_inputs import SurfaceInputs
 from monitor.vehicles.base import Preview
+from monitor.vehicles.plane.transform import SurfaceInputs
 
 _AIRSPEED_MESSAGE = "VFR_HUD"
 

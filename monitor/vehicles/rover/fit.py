@@ -9,9 +9,9 @@ from monitor.fitting.calibrate import SETTLE_S
 from monitor.fitting.fit_effects import EffectKind, fit_effects
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.sampling.gate import GateRule
-from monitor.sampling.scaled_inputs import DriveInputs
 from monitor.vehicles.rover.identify import identify_drive
 from monitor.vehicles.rover.signals import rover_signals
+from monitor.vehicles.rover.transform import DriveInputs
 
 _NORTH, _EAST = (DriveInputs.signals.index(f"velocity_{axis}") for axis in ("north", "east"))
 

@@ -8,8 +8,8 @@ from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from monitor.fitting.effect_signals import EFFECT_MESSAGES, EffectSignals, effect_signals, servo
 from monitor.fitting.survey import Survey
-from monitor.sampling.scaled_inputs import DriveInputs
 from monitor.vehicles.base import Preview
+from monitor.vehicles.rover.transform import DriveInputs
 
 _VELOCITIES = (("LOCAL_POSITION_NED", 1.0), ("GLOBAL_POSITION_INT", 0.01))
 

@@ -16,7 +16,6 @@ from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.sampler import Sampler
-from monitor.vehicles.inertial.kinematics import levelled_field, pressure_altitude
 from monitor.vehicles.inertial.signals import strapdown_channels
 from monitor.vehicles.inertial.strapdown import GPS, Strapdown
 
@@ -161,18 +160,9 @@ def test_pressure_becomes_altitude() -> None:
     raw = truth.signals(5.0)
     pressure = raw.copy()
     pressure[:, 14] = 1013.25 * (1.0 - raw[:, 14] / 44_330.77) ** (1.0 / 0.190_263)
-    assert pressure_altitude(1013.25) == 0.0
     metres = np.array([s.y for s in truth.transformed(raw)[1]])
     hectopascal = np.array([s.y for s in truth.transformed(pressure, {"barometer": 2.0})[1]])
     assert hectopascal == pytest.approx(metres, abs=1e-6)
-
-
-def test_the_levelled_field_points_along_the_heading() -> None:
-    R = truth.rotation(np.array([3.7]))[0]
-    roll, pitch, yaw = (float(angle[0]) for angle in truth.angles(np.array([3.7])))
-    level = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    heading = math.atan2(*levelled_field(*level, *(R.T @ truth.FIELD).tolist()))
-    assert math.remainder(heading - yaw, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_angles_that_wrap_between_measurements_pass_the_sampler_unharmed() -> None:

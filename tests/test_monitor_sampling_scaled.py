@@ -1,37 +1,49 @@
 """Deflections as effects: scaling with speed, timing, evidence, grouping and restarts."""
 
+from dataclasses import dataclass
 from math import cos, exp, pi, sin
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sampled import Row, raw_samples, rows
 
 from adapters.errors import TelemetryError
-from adapters.sample import Sample
 from gains.identification.regression import lagged
-from monitor.sampling.scaled_inputs import DriveInputs, SurfaceInputs
+from monitor.vehicles.plane.transform import SurfaceInputs
+from monitor.vehicles.rover.transform import DriveInputs
 
 RATE_HZ = 100.0
 SPEEDS = {"reference_speed": 20.0, "minimum_speed": 10.0}
 CRAWL = {"reference_speed": 2.0, "minimum_speed": 0.5}
 
 
-def raw(index: int, values: list[float], *, restart: bool = False, complete: bool = True) -> Sample:
-    time_ns = index * 10_000_000
-    return Sample(index, time_ns, time_ns, np.array(values), np.zeros(0), restart, complete)
+@dataclass
+class Raw:
+    """A raw sample."""
+
+    index: int
+    values: list[float]
+    restart: bool = False
+    complete: bool = True
 
 
-def plane(index: int, *, aileron: float = 0.1, airspeed: float = 20.0, restart: bool = False) -> Sample:
-    return raw(index, [aileron, 0.2, 0.3, 0.4, airspeed, 0.5, 0.1, 1.0, 2.0, 3.0, 4.0, 5.0, -9.0], restart=restart)
+def plane(index: int, *, aileron: float = 0.1, airspeed: float = 20.0, restart: bool = False) -> Raw:
+    return Raw(index, [aileron, 0.2, 0.3, 0.4, airspeed, 0.5, 0.1, 1.0, 2.0, 3.0, 4.0, 5.0, -9.0], restart)
 
 
-def rover(index: int, steering: float, speed: float, yaw: float = 0.0, *, restart: bool = False) -> Sample:
-    return raw(index, [steering, 0.3, speed * cos(yaw), speed * sin(yaw), yaw, 0.7, 0.9], restart=restart)
+def rover(index: int, steering: float, speed: float, yaw: float = 0.0, *, restart: bool = False) -> Raw:
+    return Raw(index, [steering, 0.3, speed * cos(yaw), speed * sin(yaw), yaw, 0.7, 0.9], restart)
 
 
-def given_out(transform: SurfaceInputs | DriveInputs, samples: list[Sample]) -> list[Sample]:
-    return [given for sample in samples if (given := transform.feed(sample)) is not None]
+def given_out(transform: SurfaceInputs | DriveInputs, raw: list[Raw]) -> list[Row]:
+    samples = raw_samples(np.array([one.values for one in raw]))
+    samples.index[:] = [one.index for one in raw]
+    samples.vehicle_time_ns[:] = samples.index * 10_000_000
+    samples.restart[:] = [one.restart for one in raw]
+    samples.complete[:] = [one.complete for one in raw]
+    return rows(transform.run(samples).samples)
 
 
 @given(airspeed=st.floats(10.0, 40.0))
@@ -73,7 +85,7 @@ def test_a_standing_rover_gives_no_evidence() -> None:
 
 
 def test_sliding_sideways_is_no_speed() -> None:
-    sliding = raw(0, [0.5, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0], restart=True)
+    sliding = Raw(0, [0.5, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0], restart=True)
     assert given_out(DriveInputs(CRAWL, RATE_HZ, RATE_HZ), [sliding])[0].u[2] == 0.0
 
 
@@ -106,7 +118,7 @@ def test_groups_lie_on_the_grid_and_give_means() -> None:
 
 def test_a_group_with_a_bridged_sample_is_no_evidence() -> None:
     samples = [rover(0, 0.0, 2.0, restart=True), rover(1, 0.0, 2.0), rover(2, 0.0, 2.0), rover(3, 0.0, 2.0)]
-    samples[1] = raw(1, samples[1].u.tolist(), complete=False)
+    samples[1].complete = False
     assert [s.complete for s in given_out(DriveInputs(CRAWL, RATE_HZ, 50.0), samples)] == [False, True]
 
 

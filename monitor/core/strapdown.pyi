@@ -1,0 +1,23 @@
+from collections.abc import Sequence
+
+from adapters.sample import Given, Samples
+
+STANDARD_GRAVITY: float
+
+class StrapdownCore:
+    def __init__(
+        self,
+        gps: bool,
+        baro: bool,
+        mag: bool,
+        hectopascal: bool,
+        dt: float,
+        imu_ticks: int,
+        gps_ticks: int,
+        baro_ticks: int,
+        compass_ticks: int,
+        count: int,
+        inputs: int,
+        washouts: Sequence[tuple[float, float]],
+    ) -> None: ...
+    def run(self, samples: Samples) -> Given: ...

@@ -1,0 +1,350 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+"""Strapdown kinematics tick by tick: what the raw signals of a vehicle say about its motion, brought to one age.
+
+:mod:`monitor.vehicles.inertial.strapdown` says what goes in and comes out, and why. Sines, roots and powers are those
+of the C library, one tick after the other, so results do not depend on how a stream is cut into batches.
+"""
+
+import numpy as np
+
+from adapters.sample import Given, Samples
+
+from cpython.mem cimport PyMem_Free, PyMem_Malloc
+from libc.math cimport M_PI, atan2, cos, fabs, fmod, pow, sin, sqrt
+from libc.string cimport memcpy, memset
+
+STANDARD_GRAVITY = 9.80665
+"""Standard acceleration of free fall, m/s^2 (ISO 80000-3)."""
+
+cdef double _GRAVITY = STANDARD_GRAVITY
+# WGS-84: semi-major axis in metres and square of the first eccentricity.
+cdef double _WGS84_A = 6_378_137.0
+cdef double _WGS84_E2 = 6.694_379_990_14e-3
+cdef double _DEGREE = M_PI / 180.0
+# Pitch at which the heading says nothing any more: within 3 degrees of the vertical its rate grows without bound.
+cdef double _STEEPEST_COSINE = 0.05
+# An attitude that turns this much faster than the gyro says (rad/s) was reset: another estimator took over, which takes
+# a few ticks at most. Its step is no rotation; one that goes on for longer is believed.
+cdef double _RESET_RATE = 1.0
+cdef int _RESET_TICKS = 3
+
+cdef enum:
+    # Most signals, and most u or y, with room to spare.
+    _WIDEST = 24
+
+
+cdef class _Delay:
+    """A line that gives back what went in some ticks ago."""
+
+    cdef double* _line
+    cdef int _width
+    cdef Py_ssize_t _ticks, _count, _next
+
+    def __cinit__(self, Py_ssize_t ticks, int width):
+        self._ticks, self._width = ticks, width
+        self._line = <double*>PyMem_Malloc((ticks + 1) * width * sizeof(double))
+        if self._line == NULL:
+            raise MemoryError
+
+    def __dealloc__(self):
+        PyMem_Free(self._line)
+
+    cdef void clear(self) noexcept:
+        self._count = self._next = 0
+
+    cdef double* push(self, const double* values) noexcept:
+        """Put values in; return those of `ticks` ago, NULL while the line fills."""
+        memcpy(self._line + self._next * self._width, values, self._width * sizeof(double))
+        self._next = (self._next + 1) % (self._ticks + 1)
+        self._count = min(self._count + 1, self._ticks + 1)
+        return self._line + self._next * self._width if self._count > self._ticks else NULL
+
+
+cdef class StrapdownCore:
+    """State of the transform.
+
+    Parameters
+    ----------
+    gps, baro, mag : bool
+        Whether there are GPS, barometer and magnetometer beside IMU and attitude.
+    hectopascal : bool
+        Whether the barometer's signal is its pressure.
+    dt : float
+        Time between ticks, seconds.
+    imu_ticks, gps_ticks, baro_ticks, compass_ticks : int
+        Ticks by which to delay acceleration, GPS and barometer, and the attitude that levels the magnetometer.
+    count : int
+        Ticks of one period, the distance of the samples that are given out.
+    inputs : int
+        Number of u.
+    washouts : Sequence[tuple[float, float]]
+        phi and tau (1 - phi) / T of each output.
+    """
+
+    cdef bint _gps, _baro, _mag, _hectopascal
+    cdef double _dt
+    cdef _Delay _motion, _fixes, _altitudes, _levels
+    cdef int _count, _inputs, _outputs
+    cdef double[_WIDEST] _keep
+    cdef double[_WIDEST] _gain
+    # How many ticks a lost measurement is in what is given out.
+    cdef int _longest, _doubt
+    # Attitude of the tick before; what it turned so far; first place and the metres of its degrees.
+    cdef bint _turning, _placed
+    cdef double[9] _attitude
+    cdef double[3] _turned
+    cdef double[4] _origin
+    cdef double _heading
+    cdef int _resets
+    # u of the tick before; the sum of u since the period's start, and where it began.
+    cdef bint _has_before, _begun, _fresh
+    cdef double[_WIDEST] _before
+    cdef double[_WIDEST] _sum
+    cdef int _summed
+    cdef long long _start_index, _start_vehicle, _start_time
+    cdef double[_WIDEST] _start
+    cdef double[_WIDEST] _y
+
+    def __init__(
+        self,
+        bint gps,
+        bint baro,
+        bint mag,
+        bint hectopascal,
+        double dt,
+        int imu_ticks,
+        int gps_ticks,
+        int baro_ticks,
+        int compass_ticks,
+        int count,
+        int inputs,
+        washouts,
+    ):
+        cdef int i
+        self._gps, self._baro, self._mag, self._hectopascal, self._dt = gps, baro, mag, hectopascal, dt
+        self._motion = _Delay.__new__(_Delay, imu_ticks, 3)
+        self._fixes = _Delay.__new__(_Delay, gps_ticks, 5)
+        self._altitudes = _Delay.__new__(_Delay, baro_ticks, 1)
+        self._levels = _Delay.__new__(_Delay, compass_ticks, 5)
+        self._count, self._inputs, self._outputs = count, inputs, len(washouts)
+        for i, (keep, gain) in enumerate(washouts):
+            self._keep[i], self._gain[i] = keep, gain
+        self._longest = max(imu_ticks, compass_ticks) + count
+        self.restart()
+
+    cdef void restart(self) noexcept:
+        """Forget everything."""
+        cdef _Delay delay
+        for delay in (self._motion, self._fixes, self._altitudes, self._levels):
+            delay.clear()
+        self._turning = self._placed = self._has_before = self._begun = False
+        self._fresh = True
+        self._heading = 0.0
+        self._resets = self._doubt = self._summed = 0
+        memset(self._turned, 0, sizeof(self._turned))
+        memset(self._y, 0, sizeof(self._y))
+
+    def run(self, samples):
+        """Go on by raw samples; return the observer's samples, each where its period ends.
+
+        Parameters
+        ----------
+        samples : Samples
+            Raw signals in ``u`` (n, number of signals); one marked ``restart`` begins anew.
+        """
+        cdef const double[:, ::1] raw = np.ascontiguousarray(samples.u)
+        cdef const long long[:] index = samples.index, vehicle = samples.vehicle_time_ns
+        cdef const long long[:] time = samples.time_ns, known = samples.known_ns
+        cdef const unsigned char[:] restart = samples.restart.view(np.uint8)
+        cdef const unsigned char[:] measured = samples.measured.view(np.uint8)
+        cdef Py_ssize_t row, count = 0, most = 0, k
+        cdef double[_WIDEST] now
+        cdef double[_WIDEST] places
+        cdef int i
+        for row in range(index.shape[0]):
+            most += index[row] % self._count == 0
+        whole, marks, ends = np.empty((4, most), np.int64), np.ones((3, most), np.bool_), np.empty(most, np.intp)
+        inputs, outputs = np.empty((most, self._inputs)), np.empty((most, self._outputs))
+        cdef long long[:, ::1] times = whole
+        cdef unsigned char[:, ::1] flags = marks.view(np.uint8)
+        cdef Py_ssize_t[::1] rows = ends
+        cdef double[:, ::1] u = inputs, y = outputs
+        for row in range(index.shape[0]):
+            if restart[row]:
+                self.restart()
+            # Integrals bear straight lines over one or two lost measurements.
+            self._doubt = max(self._doubt - 1, 0) if measured[row] else self._longest + 1
+            if not self.tick(&raw[row, 0], now, places):
+                continue
+            if self._has_before and self._begun:
+                # The mean over a tick, by the trapezoidal rule, goes into the mean over the period.
+                for i in range(self._inputs):
+                    self._sum[i] = self._sum[i] + 0.5 * (self._before[i] + now[i])
+                self._summed += 1
+            memcpy(self._before, now, sizeof(now))
+            self._has_before = True
+            if index[row] % self._count:
+                continue
+            if self._begun:
+                times[0, count] = self._start_index // self._count
+                times[1, count], times[2, count] = self._start_vehicle, self._start_time
+                times[3, count] = known[row]
+                flags[0, count], flags[1, count] = self._fresh, self._doubt == 0
+                self._fresh = False
+                for i in range(self._inputs):
+                    u[count, i] = self._sum[i] / self._summed
+                # y(k) is what was known at the period's start: y+ = phi y + tau (1 - phi) d / T.
+                for i in range(self._outputs):
+                    y[count, i] = self._y[i]
+                    self._y[i] = self._keep[i] * self._y[i] + self._gain[i] * (places[i] - self._start[i])
+                rows[count] = row
+                count += 1
+            self._begun = True
+            self._start_index, self._start_vehicle, self._start_time = index[row], vehicle[row], time[row]
+            memcpy(self._start, places, sizeof(places))
+            memset(self._sum, 0, sizeof(self._sum))
+            self._summed = 0
+        if count < most:
+            whole, marks, ends = whole[:, :count], marks[:, :count], ends[:count]
+            inputs, outputs = inputs[:count], outputs[:count]
+        return Given(
+            Samples(whole[0], whole[1], whole[2], inputs, outputs, marks[0], marks[1], whole[3], marks[2]), ends
+        )
+
+    cdef bint tick(self, const double* signals, double* u, double* y) noexcept:
+        """Fill in u of this tick and the integrals y before washing; return whether every delay line is full."""
+        cdef const double* rate = signals + 3
+        cdef const double* rest = signals + 9
+        cdef double[9] R
+        cdef double[5] values
+        cdef double* motion
+        cdef double* level
+        cdef double* fix = NULL
+        cdef double* altitude = NULL
+        cdef double cosine, course
+        cdef bint full
+        cdef int i = 0, k = 0, axis
+        values[0], values[1] = cos(signals[6]), sin(signals[6])
+        values[2], values[3] = cos(signals[7]), sin(signals[7])
+        _rotation(values, cos(signals[8]), sin(signals[8]), R)
+        self.turn(R, rate)
+        cosine = values[2]
+        if fabs(cosine) < _STEEPEST_COSINE:
+            cosine = _STEEPEST_COSINE if cosine >= 0.0 else -_STEEPEST_COSINE
+        # The heading's rate of the body's rates: (q sin(roll) + r cos(roll)) / cos(pitch).
+        values[4] = (rate[1] * values[1] + rate[2] * values[0]) / cosine
+        level = self._levels.push(values)
+        # Acceleration north, east and down: R f + g.
+        for axis in range(3):
+            values[axis] = R[3 * axis] * signals[0] + R[3 * axis + 1] * signals[1] + R[3 * axis + 2] * signals[2]
+        values[2] = values[2] + _GRAVITY
+        motion = self._motion.push(values)
+        full = motion != NULL and level != NULL
+        if self._gps:
+            if not self._placed:
+                self._placed = True
+                self._origin[0], self._origin[1] = rest[0], rest[1]
+                _metres_per_degree(rest[0], self._origin + 2)
+            course = rest[4] * _DEGREE
+            values[0] = (rest[0] - self._origin[0]) * self._origin[2]
+            values[1] = (_modulo(rest[1] - self._origin[1] + 180.0, 360.0) - 180.0) * self._origin[3]
+            values[2] = -rest[2]
+            values[3], values[4] = rest[3] * cos(course), rest[3] * sin(course)
+            fix = self._fixes.push(values)
+            full = full and fix != NULL
+            rest += 5
+        if self._baro:
+            values[0] = _pressure_altitude(rest[0]) if self._hectopascal else rest[0]
+            altitude = self._altitudes.push(values)
+            full = full and altitude != NULL
+            rest += 1
+        if not full:
+            return False
+        if self._gps:
+            u[0], u[1], u[2], u[3] = fix[3], fix[4], motion[0], motion[1]
+            y[0], y[1], y[2], y[3], y[4] = fix[0], fix[1], fix[3], fix[4], fix[2]
+            i, k = 4, 5
+        if self._baro:
+            y[k] = -altitude[0]
+            k += 1
+        if k:
+            u[i] = motion[2]
+            i += 1
+        for axis in range(3):
+            u[i + axis], y[k + axis] = rate[axis], self._turned[axis]
+        if self._mag:
+            u[i + 3] = level[4]
+            self._heading = self._heading + _wrapped(_magnetic_heading(level, rest) - self._heading)
+            y[k + 3] = self._heading
+        return True
+
+    cdef void turn(self, const double* R, const double* rate) noexcept:
+        """Add what the attitude turned since the tick before; while it is being reset, what the gyro says."""
+        cdef double[3] angles
+        cdef double step, apart, largest = 0.0
+        cdef int axis
+        if self._turning:
+            _small_rotation(self._attitude, R, angles)
+            for axis in range(3):
+                apart = fabs(angles[axis] - rate[axis] * self._dt)
+                if axis == 0 or apart > largest:
+                    largest = apart
+            self._resets = self._resets + 1 if largest > _RESET_RATE * self._dt else 0
+            for axis in range(3):
+                step = rate[axis] * self._dt if 0 < self._resets <= _RESET_TICKS else angles[axis]
+                self._turned[axis] = self._turned[axis] + step
+        self._turning = True
+        memcpy(self._attitude, R, sizeof(self._attitude))
+
+
+cdef inline void _rotation(const double* level, double cy, double sy, double* R) noexcept:
+    """Fill in R (body to north, east, down), row by row; ``level`` are cosine and sine of roll and of pitch."""
+    cdef double cr = level[0], sr = level[1], cp = level[2], sp = level[3]
+    R[0], R[1], R[2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
+    R[3], R[4], R[5] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
+    R[6], R[7], R[8] = -sp, sr * cp, cr * cp
+
+
+cdef inline double _product(const double* before, const double* after, int i, int j) noexcept:
+    """Return an element of R(before)' R(after)."""
+    return 0.0 + before[i] * after[j] + before[3 + i] * after[3 + j] + before[6 + i] * after[6 + j]
+
+
+cdef inline void _small_rotation(const double* before, const double* after, double* angles) noexcept:
+    """Fill in the rotation from one attitude to the next about the body's axes (right to third order), radians."""
+    cdef double x = 0.5 * (_product(before, after, 2, 1) - _product(before, after, 1, 2))
+    cdef double y = 0.5 * (_product(before, after, 0, 2) - _product(before, after, 2, 0))
+    cdef double z = 0.5 * (_product(before, after, 1, 0) - _product(before, after, 0, 1))
+    # The sine of the angle is in these; angle / sine = 1 + angle^2 / 6 + ...
+    cdef double longer = 1.0 + (x * x + y * y + z * z) / 6.0
+    angles[0], angles[1], angles[2] = x * longer, y * longer, z * longer
+
+
+cdef inline double _magnetic_heading(const double* level, const double* field) noexcept:
+    """Return the angle clockwise from magnetic north, roll and pitch of a field in body axes taken back."""
+    cdef double across = field[1] * level[0] - field[2] * level[1]
+    cdef double along = field[0] * level[2] + (field[1] * level[1] + field[2] * level[0]) * level[3]
+    return atan2(-across, along)
+
+
+cdef void _metres_per_degree(double latitude, double* lengths) noexcept:
+    """Fill in the length of a degree of latitude and of longitude on the WGS-84 ellipsoid."""
+    cdef double square = 1.0 - _WGS84_E2 * pow(sin(latitude * _DEGREE), 2.0)
+    lengths[0] = _WGS84_A * (1.0 - _WGS84_E2) / (square * sqrt(square)) * _DEGREE
+    lengths[1] = _WGS84_A / sqrt(square) * cos(latitude * _DEGREE) * _DEGREE
+
+
+cdef inline double _pressure_altitude(double pressure_hpa) noexcept:
+    """Return the altitude in the standard atmosphere (ISO 2533), metres."""
+    return 44_330.77 * (1.0 - pow((0.0 if pressure_hpa < 0.0 else pressure_hpa) / 1013.25, 0.190_263))
+
+
+cdef inline double _wrapped(double angle) noexcept:
+    """Return an angle in radians between -pi and pi."""
+    return _modulo(angle + M_PI, 2.0 * M_PI) - M_PI
+
+
+cdef inline double _modulo(double value, double period) noexcept:
+    """Return the remainder in [0, period)."""
+    cdef double rest = fmod(value, period)
+    return rest + period if rest < 0.0 else rest

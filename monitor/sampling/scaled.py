@@ -1,0 +1,96 @@
+"""What transforms share that scale a vehicle's deflections by its speed: parameters, timing, grouping.
+
+Effects go through the actuator's transport delay and first-order lag here, because the accelerations and rates beside
+them, which are inputs as well, do not. Below ``minimum_speed`` a deflection has hardly any effect and division by it
+would only amplify noise: such samples are given out with ``complete=False``, so an observer runs on through them, but
+they are no evidence.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.errors import TelemetryError
+from adapters.sample import Given, Samples
+from monitor.core.lagged import LaggedMeans
+
+Array = NDArray[np.float64]
+
+
+class Scaled(NamedTuple):
+    """Inputs and outputs of raw samples, one column each (n,), and where they are evidence (n,)."""
+
+    columns: list[Array]
+    evidence: NDArray[np.bool_]
+
+
+class ScaledInputs(ABC):
+    """A transform whose inputs are effects of actuators at the present speed; a kind says how, by :meth:`scale`.
+
+    Parameters
+    ----------
+    parameters : Mapping[str, float]
+        ``reference_speed`` and ``minimum_speed`` (m/s); for each actuator optionally ``<name>_delay_s`` and
+        ``<name>_lag_s``; what else the kind knows.
+    signal_rate_hz, rate_hz : float
+        Raw samples and given samples per second; the first is a whole multiple of the second.
+
+    Raises
+    ------
+    TelemetryError
+        A parameter is missing, unknown or out of range, or the rates do not fit.
+    """
+
+    kind: ClassVar[str]
+    actuators: ClassVar[tuple[str, ...]]
+    signals: ClassVar[tuple[str, ...]]
+    inputs: ClassVar[tuple[str, ...]]
+    outputs: ClassVar[tuple[str, ...]]
+    extra_parameters: ClassVar[frozenset[str]] = frozenset()
+
+    def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
+        self._check(parameters)
+        self.reference, self.minimum = parameters["reference_speed"], parameters["minimum_speed"]
+        size = round(signal_rate_hz / rate_hz) if rate_hz > 0 else 0
+        if size < 1 or abs(size * rate_hz - signal_rate_hz) > 1e-6 * signal_rate_hz:
+            raise TelemetryError(
+                f"transform '{self.kind}': signals at {signal_rate_hz:g} Hz cannot be grouped to samples at "
+                f"{rate_hz:g} Hz; choose a rate that divides the signals' rate"
+            )
+        timing = [
+            (parameters.get(f"{name}_delay_s", 0.0), parameters.get(f"{name}_lag_s", 0.0)) for name in self.actuators
+        ]
+        self._means = LaggedMeans(timing, signal_rate_hz, size, len(self.inputs), len(self.outputs))
+
+    @abstractmethod
+    def scale(self, signals: Array) -> Scaled:
+        """Return inputs, then outputs, before timing and grouping; ``signals`` (number of signals, n)."""
+
+    def run(self, samples: Samples) -> Given:
+        """Return the observer's samples that raw samples complete; one marked ``restart`` forgets lag and group."""
+        # Absurd values may overflow; they are no evidence, and no news for the log.
+        with np.errstate(all="ignore"):
+            scaled = self.scale(np.ascontiguousarray(samples.u.T))
+        return self._means.run(samples, scaled.columns, scaled.evidence)
+
+    def _check(self, parameters: Mapping[str, float]) -> None:
+        timing = {f"{actuator}_{key}" for actuator in self.actuators for key in ("delay_s", "lag_s")}
+        known = {"reference_speed", "minimum_speed"} | timing | self.extra_parameters
+        unknown = sorted(set(parameters) - known)
+        if unknown:
+            raise TelemetryError(
+                f"transform '{self.kind}': unknown parameter '{unknown[0]}'; known are {', '.join(sorted(known))}"
+            )
+        for name in ("reference_speed", "minimum_speed"):
+            if not 0.0 < parameters.get(name, 0.0) < 1e4:
+                raise TelemetryError(f"transform '{self.kind}': '{name}' is missing or no positive speed in m/s")
+        for name in sorted(timing & set(parameters)):
+            if not 0.0 <= parameters[name] <= 2.0:
+                raise TelemetryError(
+                    f"transform '{self.kind}': '{name}' is {parameters[name]:g}; it must lie between 0 and 2 s"
+                )

@@ -1,0 +1,56 @@
+"""Steering of a rover as the effect it has at the present speed.
+
+A steered wheel turns the vehicle in proportion to how fast it rolls. With s = forward speed / reference, signed,
+
+    effect = (steering + kappa steering^3) s
+
+so that the plant behind it has constant coefficients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from adapters.errors import TelemetryError
+from monitor.core.lagged import cosines, sines
+from monitor.sampling.scaled import Array, Scaled, ScaledInputs
+
+
+class DriveInputs(ScaledInputs):
+    """Samples of a rover: steering scaled by the speed along its own axis.
+
+    Speed is the horizontal velocity projected on the heading: signed, so reverse driving turns the effect of
+    the steering around, and on the vehicle's clock, which VFR_HUD is not. Beside the parameters of
+    :class:`monitor.sampling.scaled.ScaledInputs` there is ``steering_cubic`` (kappa).
+    """
+
+    kind: ClassVar[str] = "drive"
+    actuators: ClassVar[tuple[str, ...]] = ("steering", "throttle")
+    signals: ClassVar[tuple[str, ...]] = (
+        *actuators,
+        "velocity_north",
+        "velocity_east",
+        "yaw",
+        "yaw_rate",
+        "forward_acceleration",
+    )
+    inputs: ClassVar[tuple[str, ...]] = (*actuators, "speed")
+    outputs: ClassVar[tuple[str, ...]] = ("yaw_rate", "forward_acceleration")
+    extra_parameters: ClassVar[frozenset[str]] = frozenset({"steering_cubic"})
+
+    def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
+        super().__init__(parameters, signal_rate_hz, rate_hz)
+        self._cubic = parameters.get("steering_cubic", 0.0)
+        if not abs(self._cubic) <= 10.0:
+            raise TelemetryError(f"transform '{self.kind}': 'steering_cubic' is {self._cubic:g}; at most 10")
+
+    def scale(self, signals: Array) -> Scaled:
+        """Return inputs, then outputs, before timing and grouping; ``signals`` (number of signals, n)."""
+        steering, throttle, north, east, yaw, yaw_rate, forward = signals
+        speed = north * cosines(yaw) + east * sines(yaw)
+        s = speed / self.reference
+        effect = (steering + self._cubic * steering * steering * steering) * s
+        return Scaled([effect, throttle, s, yaw_rate, forward], np.abs(speed) >= self.minimum)
