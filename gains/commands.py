@@ -29,6 +29,7 @@ _DISCRETE_OPTIONS = {
     "vertex_free": False,
     "common_p": None,
 }
+"""Options that a design in continuous time refuses, with their defaults."""
 
 
 def add_parsers(subparsers: Any) -> None:

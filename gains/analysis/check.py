@@ -29,8 +29,15 @@ from gains.plants.plant import FloatArray, Plant, first_dependent
 Effect = Literal["steady", "change", "ramp", "none"]
 
 LEAK_S = 60.0
+"""Time constant of the leak that an advice tries, s. Chosen: twice that of the position washout, slow beside every
+fault that is to be seen.
+"""
 _MOST_EXPLAINED = 20
+"""Problems that get an explanation: each costs a check of the plant for every sensor that could be added."""
 _EFFECT_TOLERANCE = 1e-11
+"""Share of the largest effect there could be. Rounding leaves 1e-16 to 1e-13 of it (double precision times the
+condition of a scaled system).
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from gains.plants.plant import Plant
 
 _MOST_LISTED = 15
+"""Lines of a kind in the report: what fits on a screen beside the others; the JSON report has all."""
 _WIDTH = 14
+"""Letters of the longest label, and two."""
 _LEGEND = {
     "steady": "a constant fault shifts the output",
     "ramp": "a constant fault moves it on and on",

@@ -20,10 +20,8 @@ import numpy as np
 from adapters.errors import InfeasibleError, ModelError
 from gains.analysis.augment import sloped_dynamics
 from gains.analysis.estimability import conditions, late_faults
-from gains.analysis.hidden_modes import HiddenMode
+from gains.analysis.hidden_modes import HiddenMode, leading
 from gains.plants.plant import FloatArray, Plant, check_independence
-
-_SHARE = 0.05
 
 
 def check_existence(plant: Plant, *, sampled: bool = False) -> tuple[str, ...]:
@@ -96,8 +94,7 @@ def _moving(plant: Plant, mode: HiddenMode, faulty: bool) -> str:
 
 
 def _largest(names: Sequence[str], sizes: FloatArray) -> str:
-    order = [i for i in np.argsort(-sizes, kind="stable") if sizes[i] >= _SHARE * np.max(sizes) > 0.0]
-    return " and ".join(f"'{names[i]}'" for i in order)
+    return " and ".join(f"'{name}'" for name in leading(names, sizes))
 
 
 def _complex_text(value: complex) -> str:

@@ -28,10 +28,21 @@ from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
 
 _GRID = 160
+"""Twenty points in each decade. The best is refined; a floor that is missed between two points makes the answer
+smaller, never wrong.
+"""
 _DECADES = 8.0
+"""Below the fastest pole, or half the rate: the slowest modes of plants that are watched at 100 Hz take hours at the
+most.
+"""
 _REFINEMENTS = 40
+"""Golden section: the interval shrinks to 0.618 ^ 40, which is 4e-9 of a grid step."""
 _RANK_TOLERANCE = 1e-11
+"""Singular value in units of the signals. Measured on the plants of the tests: kernels show 2e-16 at most, all else
+3e-6 and more.
+"""
 _TIE = 1e-9
+"""A gain in the last digits moves the frequency of a flat floor about; only a larger one counts."""
 
 
 @dataclass(frozen=True, slots=True)

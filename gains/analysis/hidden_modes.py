@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,18 @@ from numpy.typing import NDArray
 from gains.plants.plant import Domain, FloatArray, Plant
 
 _RANK_TOLERANCE = 1e-10
+"""Singular value in units of the signals. Measured on the plants of the tests: kernels show 1e-13 at most, all else
+4e-6 and more.
+"""
 _STABILITY_TOLERANCE = 1e-8
+"""Decay in units of the size of A. Measured on the plants of the tests: modes that stay show 1e-13 at most, modes
+that decay 4e-4 and more; a slower one needs days to go.
+"""
+
+_SHARE = 0.05
+"""Chosen: a signal that moves by less than a twentieth of the largest, in units of the errors that matter, is left
+out of texts.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +88,12 @@ def hidden_modes(A: FloatArray, C: FloatArray, scales: FloatArray, domain: Domai
         HiddenMode(complex(values[i]), scales * (basis @ vectors[:, i]), float(decay[i]))
         for i in np.argsort(decay, kind="stable")
     ]
+
+
+def leading(names: Sequence[str], sizes: FloatArray) -> tuple[str, ...]:
+    """Return the names of what takes part in a motion, the largest first: ``_SHARE`` of the largest, and more."""
+    order = np.argsort(-sizes, kind="stable")
+    return tuple(names[i] for i in order if sizes[i] >= _SHARE * np.max(sizes) > 0.0)
 
 
 def signal_scales(plant: Plant) -> FloatArray:

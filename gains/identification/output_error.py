@@ -29,14 +29,29 @@ from gains.plants.discretise import discretise
 from gains.plants.plant import Disturbance, FloatArray, Noise, Plant
 
 WINDOW_S = 2.0
+"""Length of a window, s. Longer ones show slow dynamics, shorter ones are driven away less by disturbances. Measured
+on the turret of the tests: 1 s and 4 s move the parameters by less than half a standard error, but for one of sixteen
+(1.3).
+"""
 LONGEST_DELAY_S = 0.2
+"""Largest delay tried, s: telemetry radios and filters add up to less."""
 
 _LENGTHS = (20, 200)
+"""Samples of a window: fewer show no dynamics beside the free initial state, more cost memory."""
 _MOST_WINDOWS = 150
+"""Five minutes of data: bounds the time of a fit. Standard errors shrink with the root of the number of windows."""
 _COARSE_WINDOWS = 20
+"""To find the delay alone. Measured on the turret of the tests: 5 and 40 find the same."""
 _FEWEST_WINDOWS = 6
+"""Below, the variation between windows, on which the standard errors rest, is not known."""
 _ROUNDS = 2
+"""Of noise and parameters in turn. Measured on the turret of the tests: one gives parameters and noise within .5 % of
+two, and three change nothing.
+"""
 _DELAY_GAIN = 0.01
+"""Of the logarithm of each output's error: a delay or a hold that explains 1 % more is not kept for it. Measured on
+the turret of the tests: .001 and .1 choose the same.
+"""
 # Samples do not say what the inputs did between them: nothing is known better than this share.
 _LEAST_ERROR = 1e-3
 # Information below this share is rounding of the sensitivities.

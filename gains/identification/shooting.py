@@ -22,8 +22,11 @@ from gains.identification.simulation import Dynamics, Hold, Stepper
 from gains.plants.plant import FloatArray
 
 _STEP = 1e-6
+"""Of forward differences: the root of rounding, 1.5e-8, times what a simulation over 200 samples adds to it."""
 _SWEEPS = 3
+"""Gauss-Newton steps of the initial states for given parameters: one suffices where the plant is linear."""
 _RANK = 1e-7
+"""Relative singular value: ten times below the accuracy of the differences that the matrix holds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,8 +14,10 @@ from dataclasses import dataclass
 from adapters.errors import ModelError
 
 _LONGEST = 300
+"""Letters. Physics needs tens; the parser of Python is bounded before it begins."""
 _CHARACTERS = re.compile(r"[A-Za-z0-9_+\-*/(). ]*")
 _DEEPEST = 40
+"""Nesting. The recursions over trees stay far from the limit of the interpreter."""
 _OPERATORS: dict[type[ast.operator], str] = {
     ast.Add: "+",
     ast.Sub: "-",

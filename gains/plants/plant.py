@@ -26,6 +26,9 @@ FaultKind = Literal["actuator", "sensor"]
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 _RANK_TOLERANCE = 1e-9
+"""Smallest singular value of columns of length one. Measured on the plants of the tests: dependent ones show 3e-16 at
+most, independent ones 5e-3 and more.
+"""
 
 
 def _nothing() -> FloatArray:

@@ -31,6 +31,7 @@ Interval = tuple[float, float]
 Box = tuple[Interval, ...]
 
 _BUDGET = 3000
+"""Boxes that are split to prove one bound, within the bound on nodes below."""
 # Nodes evaluated in bounding one slope: a model from elsewhere shall not keep its reader waiting.
 _WORK = 400_000
 _TIGHTNESS = 1e-5

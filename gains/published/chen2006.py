@@ -33,8 +33,11 @@ from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_
 from gains.synthesis.continuous_observer import ContinuousObserver
 
 _RANK_TOLERANCE = 1e-9
+"""As for directions of faults (gains.plants.plant)."""
 _SMALLEST_CONSTANT = 1e-3
+"""Lipschitz constant, 1/s, below which a nonlinearity counts as this: the inequality divides by it."""
 _MARGIN = 1e-6
+"""Stands for "< 0", which no solver can ask for: ten times what it leaves of a constraint."""
 
 
 def design_chen2006(plant: Plant, filter_s: float = 0.05) -> ContinuousObserver:

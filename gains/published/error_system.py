@@ -37,7 +37,9 @@ NoisePath = Literal["zeta", "all"]
 Inputs = Literal["all", "disturbances"]
 
 _TOLERANCE = 1e-6
+"""Of the largest entry: what rounding leaves of matrix equations whose gains may reach 1e5."""
 _CONSISTENCY = 1e-6
+"""Relative: what the solver may leave of its own bound."""
 
 
 class StateSpace(NamedTuple):

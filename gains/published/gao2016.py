@@ -35,6 +35,7 @@ from gains.published.lmi import block_matrix, confirmed, gain_energy, reported_b
 from gains.synthesis.continuous_observer import ContinuousObserver
 
 _RANK_TOLERANCE = 1e-9
+"""As for directions of faults (gains.plants.plant)."""
 
 
 def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> ContinuousObserver:

@@ -30,6 +30,7 @@ from gains.published.lmi import block_matrix, confirmed, gain_energy, reported_b
 from gains.synthesis.continuous_observer import ContinuousObserver, fauio_observer
 
 SIGMAS = (1.0, 3.0, 10.0, 30.0, 100.0)
+"""Of Young's inequality, which the source leaves open: half a decade apart, the best is taken."""
 
 
 def design_gao2022(plant: Plant, sigmas: float | Sequence[float] = SIGMAS) -> ContinuousObserver:

@@ -29,7 +29,13 @@ from gains.synthesis.compilation import input_curves
 from gains.synthesis.gains_file import Gains, ScalarNonlinearity
 
 FLOOR = 1e-2
+"""Of the uncertainty of one sample: as for our own designs (gains.synthesis.conditioning), so that both are told the
+same.
+"""
 _STABILITY_TOLERANCE = 1e-7
+"""Of a pole's distance from the unit circle: the Riccati solver returns poles on the circle within the square root of
+rounding.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

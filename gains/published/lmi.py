@@ -21,8 +21,13 @@ from gains.published.error_system import Inputs, NoisePath, argument_rows, error
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
 
 SLACK = 1e-4
+"""What the solver may have left of a constraint, as for our own designs."""
 ALLOWANCE = 1e-2
+"""Share of the least bound that is given for smaller gains: at the least they are 1e7 on the arm, which no sampled
+run can use.
+"""
 SMALLEST = 1e-3
+"""Share of the error that matters: a bound below it is as good as that, and the solver's digits end."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -60,8 +60,15 @@ from gains.synthesis.continuous_synthesis import solve
 Theorem = Literal["theorem1", "theorem2"]
 
 BETA, EPSILON, DELTA = 100.0, 0.0112, 5.0
+"""Of the paper's example."""
 SMALLEST_SQRT_MU = 2.5e-4
+"""The bound that the paper prints for Theorem 1 (2.5399e-4), rounded down: where the least one is zero, this one is
+asked for.
+"""
 _SLACKS = (1e-4, 1e-3, 1e-2, 5e-2)
+"""By how much mu is raised until the certificate holds: what a design loses at the most, as little as the solver
+allows.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -36,6 +36,7 @@ from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.design import Design
 
 _CONSISTENCY = 1e-9
+"""Relative. The norm is enclosed to 2e-9, and N and J follow from K to rounding."""
 _UNIT_ROUNDOFF = np.finfo(np.float64).eps / 2.0
 
 

@@ -18,9 +18,22 @@ from gains.analysis.hinf import hinf_norm
 from gains.plants.plant import FloatArray
 
 FLOOR = 1e-2
+"""Share of fictitious noise. Measured on the arm: below 1e-3 the gains of the case without noise grow a hundredfold
+(3e4 at 1e-4), at 3e-2 the bounds are .6 % looser and at 1e-1 up to six times; from 1e-3 to 1e-2 they are the same
+within .1 %.
+"""
 _SMALLEST_SHARE = 1e-6
+"""Of the errors that matter: a state smaller than that has no scale of its own. Measured on the arm: from 1e-9 to
+1e-3 the same bounds.
+"""
 _FLOOR_SWEEPS = 6
+"""The floor depends on the error that it helps to set. Measured: one sweep fails on the arm, two give the result of
+twelve.
+"""
 _DOUBLINGS = 60
+"""Convergence is quadratic; measured, six to ten suffice. Sixty reach a filter that forgets only within 2 ^ 60
+samples.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,6 +26,7 @@ from gains.synthesis.continuous_design import ContinuousDesign, ErrorSystem, clo
 from gains.synthesis.continuous_observer import fauio_gains
 
 _CONSISTENCY = 1e-9
+"""Relative. The norm is enclosed to 2e-9, and N and J follow from K to rounding."""
 _UNIT_ROUNDOFF = np.finfo(np.float64).eps / 2.0
 
 

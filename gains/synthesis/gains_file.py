@@ -17,7 +17,9 @@ from adapters.output_file import write_file
 from gains.plants.expression import compile_expression
 
 FORMAT = 1
+"""Number of the layout: a reader refuses what it does not know."""
 _LARGEST_FILE = 16 << 20
+"""Bytes. A quadrotor has 10,000, the sensors of a vehicle 26,000; a file from elsewhere shall not fill the memory."""
 _TEXT_KEYS = ("model", "model_hash", "method", "domain")
 _NAME_KEYS = ("states", "inputs", "outputs", "faults", "fault_kinds", "fault_units")
 _COMPILED_KEYS = ("input_curves", "step_matrix", "argument_matrix", "initial_matrix")
