@@ -13,6 +13,7 @@ from fuzz_adapters import DATA, START_NS
 from fuzz_input import Draw, random_inputs
 from fuzz_target import Run, Target
 
+from adapters.batch import pack
 from adapters.logs.tlog import TlogReader
 from adapters.message import Message, silence
 from adapters.simulation.arm import SCENARIOS, simulate_arm
@@ -21,6 +22,7 @@ from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR, ZENOH
 from monitor.bus.alarm_text import alarm_line
 from monitor.bus.operators import VERBS
 from monitor.bus.payload import estimate_json, to_json
+from monitor.estimate import alone
 from monitor.event import AlarmEvent, valid_event
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile, read_profile
@@ -62,11 +64,11 @@ class Sink:
 
     def message(self, message: Message) -> None:
         """Record a message."""
-        self._encoder.message(message)
+        self._encoder.batch(pack([message]))
 
     def estimate(self, estimate: Any) -> None:
         """Record and publish an estimate."""
-        self._encoder.estimate(estimate)
+        self._encoder.estimates(alone(estimate))
         json.loads(to_json(estimate_json(self._layouts[estimate.observer], estimate)))
 
     def event(self, event: AlarmEvent) -> None:

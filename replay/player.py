@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adapters.batch import Batch, cut, one_message
+from adapters.batch import Batch, cut, one_message, pack
 from adapters.batch import messages as messages_of
 from adapters.logs.recordings import packed
 from adapters.message import Message
@@ -22,7 +22,7 @@ from monitor.sampling.sampler import SamplerStatistics
 from monitor.trace import Trace, TraceBuilder
 
 if TYPE_CHECKING:
-    from monitor.recording.recorder import Recorder
+    from monitor.recording.archive import Archive
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +185,7 @@ def play_batches(
     )
 
 
-def _record(recorder: Recorder, pipeline: Pipeline, block: Batch) -> None:
+def _record(recorder: Archive, pipeline: Pipeline, block: Batch) -> None:
     """Record what of a block comes from the monitored vehicle, ahead of the pipeline's taking it."""
     place = 0
     if not pipeline.system:
@@ -193,19 +193,23 @@ def _record(recorder: Recorder, pipeline: Pipeline, block: Batch) -> None:
         for message in messages_of(block):
             place += 1
             if pipeline.accepts(message):
-                recorder.message(message)
+                recorder.batch(pack([message]))
             if pipeline.system:
                 break
     rest = cut(block, place, block.count)
     columns = tuple(one for one in rest.columns if pipeline.accepts(one_message(one, 0)))
     others = {at: message for at, message in rest.others.items() if pipeline.accepts(message)}
-    recorder.block(Batch(rest.count, columns, others))
+    recorder.batch(Batch(rest.count, columns, others))
 
 
-def _recorder(stack: ExitStack, path: Path, pipeline: Pipeline) -> Recorder:
+def _recorder(stack: ExitStack, path: Path, pipeline: Pipeline) -> Archive:
+    from monitor.recording.archive import Archive
+    from monitor.recording.record_encoder import RecordEncoder
     from monitor.recording.recorder import Recorder
 
-    return stack.enter_context(Recorder(path, pipeline.layouts, pipeline.metadata(), pipeline.profile.files))
+    encoder = RecordEncoder(pipeline.layouts)
+    recorder = Recorder(path, encoder.topics, pipeline.metadata(), pipeline.profile.files, strict=True)
+    return Archive(encoder, stack.enter_context(recorder))
 
 
 def interests(profile: Profile) -> frozenset[str]:

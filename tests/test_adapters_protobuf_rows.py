@@ -1,6 +1,7 @@
 """Many protobuf messages at once are, byte for byte, what protobuf writes one by one."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.encoding.protobuf_rows import ProtobufRows
+from adapters.encoding.protobuf_rows import RowDecoder
 from adapters.encoding.protobuf_types import TIMESTAMP, Field, message_class
+from monitor.core.protobuf_rows import RowEncoder
 
 RANGES = {
     "int32": (-(1 << 31), (1 << 31) - 1),
@@ -66,9 +68,9 @@ def columns(rows: list[dict[str, Any]]) -> dict[str, np.ndarray[Any, Any]]:
 @given(flat_rows())
 def test_flat_messages_are_written_as_protobuf_writes_them_and_read_back(rows: list[dict[str, Any]]) -> None:
     expected = [FLAT(**row).SerializeToString() for row in rows]
-    kinds = ProtobufRows(FLAT)
-    assert kinds.encode(columns(rows), len(rows)) == expected
-    found = kinds.decode(expected)
+    encoder, values = RowEncoder(FLAT), columns(rows)
+    assert encoder.encode([values[name] for name in encoder.names], len(rows)) == expected
+    found = RowDecoder(FLAT).decode(expected)
     assert found is not None
     for k, row in enumerate(rows):
         assert repr({name: found[name][k].tolist() for name in row}) == repr(row)
@@ -81,9 +83,23 @@ def test_nested_messages_are_written_as_protobuf_writes_them(rows: list[tuple[in
         for s, n, a, k in rows
     ]
     seconds, nanos, a, index = (np.array(column) for column in zip(*rows, strict=True))
-    times = {"seconds": seconds.astype(np.int64), "nanos": nanos.astype(np.int64)}
-    found = {"time": times, "x": {"a": a, "b": np.zeros(len(rows))}, "index": index.astype(np.int64)}
-    assert ProtobufRows(NESTED).encode(found, len(rows)) == expected
+    times, x = np.stack((seconds, nanos), axis=1), np.stack((a, np.zeros(len(rows))), axis=1)
+    assert RowEncoder(NESTED).encode((times, x, index), len(rows)) == expected
+
+
+def test_columns_of_any_kind_and_alignment_are_written() -> None:
+    kind = message_class("t", "Wide", (Field("a", "double"), Field("b", "int64"), Field("c", "float")))
+    packed = np.zeros(3, np.dtype([("_", "i1"), ("a", "f4"), ("b", "u2"), ("c", "f8")]))
+    packed["a"], packed["b"], packed["c"] = (0.1, -0.0, math.inf), (1, 65535, 0), (1e300, 0.5, math.nan)
+    rows = zip(*(packed[name].tolist() for name in ("a", "b", "c")), strict=True)
+    expected = [kind(a=a, b=b, c=c).SerializeToString() for a, b, c in rows]
+    assert RowEncoder(kind).encode([packed["a"], packed["b"], packed["c"]], 3) == expected
+    backwards = [packed[name][::-1] for name in ("a", "b", "c")]
+    assert RowEncoder(kind).encode(backwards, 3) == expected[::-1]
+    assert (
+        RowEncoder(kind).encode((packed["a"], 5, packed["c"]), 3)[0]
+        == kind(a=packed["a"][0], b=5, c=1e300).SerializeToString()
+    )
 
 
 @given(flat_rows(), st.data())
@@ -93,7 +109,7 @@ def test_damaged_messages_are_read_as_protobuf_does_or_refused(rows: list[dict[s
         if message:
             message[data.draw(st.integers(0, len(message) - 1))] = data.draw(st.integers(0, 255))
     message = message[: data.draw(st.integers(0, len(message)))]
-    found = ProtobufRows(FLAT).decode([bytes(message), b""])
+    found = RowDecoder(FLAT).decode([bytes(message), b""])
     if found is None:
         return
     expected = FLAT.FromString(bytes(message))
@@ -104,20 +120,27 @@ def test_damaged_messages_are_read_as_protobuf_does_or_refused(rows: list[dict[s
 
 
 def test_values_out_of_range_or_of_another_kind_are_refused() -> None:
-    rows = ProtobufRows(message_class("t", "Small", (Field("n", "uint32"),)))
-    for values in (np.array([-1]), np.array([1 << 32]), np.array([1.0]), np.array([True]), np.array([[1]])):
+    rows = RowEncoder(message_class("t", "Small", (Field("n", "uint32"),)))
+    swapped = np.array([1]).astype(">i8")
+    for values in (-1, 1 << 32, 1.0, True, [[1]]):
         with pytest.raises(ValueError, match="field"):
-            rows.encode({"n": values}, 1)
+            rows.encode((np.atleast_1d(values),), 1)
+    for column in (swapped, np.array([1, 2]), np.array([1 + 1j]), np.array(["1"]), -1):
+        with pytest.raises(ValueError, match="field"):
+            rows.encode((column,), 1)
     with pytest.raises(ValueError, match="columns"):
-        rows.encode({}, 1)
+        rows.encode((), 1)
+    with pytest.raises(OverflowError):
+        rows.encode((1 << 64,), 1)
 
 
 def test_a_length_beyond_the_message_is_refused() -> None:
-    rows = ProtobufRows(message_class("t", "Many", (Field("n", "uint32", repeated=True),)))
+    rows = RowDecoder(message_class("t", "Many", (Field("n", "uint32", repeated=True),)))
     for length in (b"\x7f", b"\xff\xff\xff\xff\xff\xff\xff\xff\x7f", b"\xff" * 9 + b"\x01"):
         assert rows.decode([b"\x0a" + length + b"\x01"]) is None
 
 
-def test_types_with_texts_are_refused() -> None:
+@pytest.mark.parametrize("kind", [RowEncoder, RowDecoder])
+def test_types_with_texts_are_refused(kind: Callable[[Any], Any]) -> None:
     with pytest.raises(ValueError, match="no plain number"):
-        ProtobufRows(message_class("t", "Text", (Field("n", "string"),)))
+        kind(message_class("t", "Text", (Field("n", "string"),)))

@@ -14,10 +14,7 @@ from adapters.logs.recordings import packed, read_batches, read_recording
 from adapters.logs.tlog import read_tlog
 from adapters.message import Message
 from adapters.source import MAVLINK, OPERATOR, ZENOH
-from monitor.estimate import Estimates
-from monitor.pipeline import Pipeline
 from monitor.profile import read_profile
-from monitor.recording.recorder import Recorder
 from replay.player import play, play_batches
 
 START_NS = 1_790_000_000_000_000_000
@@ -76,29 +73,16 @@ def test_blocks_pass_over_what_cannot_be_decoded_and_count_it(tmp_path: Path) ->
     assert together.damage() == one_by_one.damage()
 
 
-def test_a_replay_records_in_blocks_what_a_monitor_records_one_by_one(tmp_path: Path) -> None:
+def test_a_recording_does_not_depend_on_how_the_stream_is_cut(tmp_path: Path) -> None:
     profile = read_profile(PROFILE)
-    odd = [*ODD, Message(MAVLINK, "ATTITUDE", START_NS, {"roll": 1.0}, 7, 1)]
     stretch = [*read_tlog(FLIGHT)]
-    stretch[40:40] = odd
-    one_by_one, together = tmp_path / "single.mcap", tmp_path / "together.mcap"
-    pipeline = Pipeline(profile)
-    with Recorder(one_by_one, pipeline.layouts, pipeline.metadata(), profile.files) as recorder:
-        for block in packed(stretch, 700):
-            for message in messages(block):
-                if pipeline.accepts(message):
-                    recorder.message(message)
-            for output in pipeline.run(block):
-                if isinstance(output, Estimates):
-                    for row in range(len(output)):
-                        recorder.estimate(output.one(row))
-                else:
-                    recorder.event(output)
-        recorder.add_metadata(pipeline.metadata())
-    play_batches(profile, packed(stretch, 700), record=together)
-    expected, found = records(one_by_one), records(together)
-    assert {topic for topic, *_ in expected} >= {"/fauio/motors/estimate", "/mavlink/ATTITUDE", "/zenoh/ATTITUDE"}
-    assert found == expected
+    stretch[40:40] = [*ODD, Message(MAVLINK, "ATTITUDE", START_NS, {"roll": 1.0}, 7, 1)]
+    paths = tmp_path / "few.mcap", tmp_path / "many.mcap"
+    for path, count in zip(paths, (3, 700), strict=True):
+        play_batches(profile, packed(stretch, count), record=path)
+    few, many = (sorted(records(path), key=lambda record: record[0]) for path in paths)
+    assert {topic for topic, *_ in few} >= {"/fauio/motors/estimate", "/mavlink/ATTITUDE", "/zenoh/ATTITUDE"}
+    assert many == few
 
 
 def test_a_recording_replays_in_blocks_as_its_messages_do(tmp_path: Path) -> None:

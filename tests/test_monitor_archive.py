@@ -14,40 +14,36 @@ FULL = """
 import json, resource, sys
 sys.path.insert(0, sys.argv[2])
 from pathlib import Path
-from test_monitor_rotation import LAYOUT, estimate, event, message, noise
-from monitor.recording.archive import RETRY_S, Archive
-from monitor.recording.record_encoder import RecordEncoder
-from monitor.recording.recorder import Recorder
+from test_monitor_rotation import Log, estimates, event, message, noise
 now = 0.0
-recorder = Recorder(Path(sys.argv[1]), [LAYOUT], {}, {})
-archive = Archive(RecordEncoder([LAYOUT]), recorder, None, monotonic=lambda: now)
+archive = Log(Path(sys.argv[1]), monotonic=lambda: now)
 said = []
 def limit(size):
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 def note():
     counts = archive.statistics()
     said.append([counts.records, counts.lost, counts.trouble])
-archive.message(message(0))
+archive.write(message(0))
 archive.flush()
 limit(1024)
-archive.estimate(estimate(0))
-archive.message(noise(1))
+archive.estimates(estimates(0))
+archive.write(noise(1))
 archive.event(event(1))
 archive.flush()
 archive.event(event(2))
 note()
 for now in (5.0, 11.0):
-    archive.message(message(2))
+    archive.write(message(2))
     archive.flush()
 note()
 limit(resource.RLIM_INFINITY)
 now = 22.0
 archive.flush()
 note()
-archive.message(message(3))
-archive.estimate(estimate(1))
+archive.write(message(3))
+archive.estimates(estimates(1))
 archive.event(event(3))
-recorder.close()
+archive.close()
 note()
 print(json.dumps(said))
 """
@@ -57,7 +53,7 @@ def test_a_recording_in_one_file_goes_on_when_the_disk_has_room_with_the_alarms_
     path = tmp_path / "log.mcap"
     command = [sys.executable, "-c", FULL, path, Path(__file__).parent]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
-    stopped = "recording stopped: File too large"
+    stopped = f"recording stopped: [Errno 27] File too large: '{path}'"
     # eight taken, of which telemetry, sample and estimate are lost and the alarms wait
     assert json.loads(done.stdout) == [[8, 3, stopped], [10, 5, stopped], [10, 5, None], [15, 5, None]]
     assert numbers(path) == [0, 3]

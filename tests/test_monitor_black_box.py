@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import random
 from pathlib import Path
 from typing import Any
@@ -10,19 +11,20 @@ from typing import Any
 import pytest
 from loopback import START_NS, event
 from mcap.reader import make_reader
-from test_monitor_recorder import LAYOUT, estimate
+from test_monitor_recorder import LAYOUT, estimates
 
-from adapters.encoding.record import Record
+from adapters.batch import pack
 from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_metadata
-from adapters.logs.recordings import read_recording
+from adapters.logs.recordings import packed, read_recording
 from adapters.message import Message
 from adapters.source import MAVLINK, ZENOH
-from monitor.estimate import Estimate
+from monitor.estimate import Estimates
 from monitor.event import AlarmEvent, alarm_id
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
+from monitor.recording.archive import Archive
 from monitor.recording.black_box import MAX_OPEN_CLIPS, MAX_TRIES, MAX_WAITING_CLIPS, BlackBox
 from monitor.recording.record_encoder import RecordEncoder
 from replay.player import play
@@ -47,13 +49,16 @@ def raised(second: float, channel: str = "motor1") -> AlarmEvent:
 
 def black_box(folder: Path, **options: Any) -> BlackBox:
     options = {"before_s": 5.0, "after_s": 3.0, **options}
-    return BlackBox(folder, "copter-1", {"fauio": "1"}, {"profile.toml": b"x = 1"}, **options)
+    return BlackBox(folder, "copter-1", ENCODER.topics, {"fauio": "1"}, {"profile.toml": b"x = 1"}, **options)
+
+
+def hold(box: BlackBox, *messages: Message) -> None:
+    box.record(ENCODER.batch(pack(messages)), telemetry=True)
 
 
 def feed(box: BlackBox, first: int, last: int) -> None:
-    """Feed one message each second."""
-    for second in range(first, last):
-        box.record(*ENCODER.message(message(second)))
+    """Feed one message each second, all in one batch."""
+    hold(box, *(message(second) for second in range(first, last)))
 
 
 def finish(box: BlackBox) -> None:
@@ -73,9 +78,9 @@ def test_a_clip_holds_what_came_before_and_after_and_says_which_alarm_it_is(tmp_
     box = black_box(tmp_path)
     feed(box, 0, 20)
     alarm = raised(19)
-    box.record(*ENCODER.estimate(estimate(19)))
+    box.record(ENCODER.estimates(estimates(19)))
     box.alarm(alarm)
-    box.record(*ENCODER.event(alarm))
+    box.record(ENCODER.event(alarm))
     feed(box, 20, 40)
     finish(box)
     [path] = clips(tmp_path)
@@ -101,7 +106,7 @@ def test_it_begins_with_what_each_component_last_said_of_the_phase(tmp_path: Pat
     box = black_box(tmp_path)
     before = [heartbeat(0, 1), heartbeat(1, 1), heartbeat(2, 154)]
     for found in before:
-        box.record(*ENCODER.message(found))
+        hold(box, found)
     feed(box, 3, 20)
     box.alarm(raised(19))
     box.close()
@@ -119,19 +124,20 @@ def test_the_clip_of_an_alarm_raises_it_again(name: str, quad_profile: Profile, 
     messages = [found for found in messages if found.name not in phase or found.received_ns < last]
     pipeline = Pipeline(quad_profile, "copter-1")
     encoder = RecordEncoder(pipeline.layouts)
-    box = BlackBox(tmp_path, "copter-1", pipeline.metadata(), quad_profile.files, before_s=5.0, after_s=3.0)
+    box = BlackBox(
+        tmp_path, "copter-1", encoder.topics, pipeline.metadata(), quad_profile.files, before_s=5.0, after_s=3.0
+    )
+    archive = Archive(encoder, black_box=box)
     first = None
-    for found in messages:
-        outputs = pipeline.feed(found)
-        box.record(*encoder.message(found))
-        for output in outputs:
-            if isinstance(output, Estimate):
-                box.record(*encoder.estimate(output))
-                continue
-            box.record(*encoder.event(output))
-            box.alarm(output)
-            first = first or output
-        box.work(50)
+    for batch in packed(messages, 50):
+        archive.batch(batch)
+        for output in pipeline.run(batch):
+            if isinstance(output, Estimates):
+                archive.estimates(output)
+            else:
+                archive.event(output)
+                first = first or output
+        box.work(500)
     box.close()
     assert first is not None
     path = tmp_path / f"copter-1-{first.id}.mcap"
@@ -221,11 +227,11 @@ def test_a_clock_that_is_set_back_ends_a_clip_that_would_wait_for_its_end(tmp_pa
 def test_what_is_held_is_bounded_in_time_number_and_bytes_whatever_the_clock_does(tmp_path: Path) -> None:
     box = black_box(tmp_path, held_records=100)
     for number in range(1000):
-        box.record(*ENCODER.message(message(number / 1000)))
+        hold(box, message(number / 1000))
     assert box.statistics().held_records == 100
     box = black_box(tmp_path, held_bytes=10_000)
     for number in range(100):
-        box.record(*ENCODER.message(message(number / 1000, text="x" * 1000)))
+        hold(box, message(number / 1000, text="x" * 1000))
     assert box.statistics().held_bytes <= 10_000
     assert box.statistics().held_records == 9
     box = black_box(tmp_path)
@@ -251,7 +257,7 @@ def test_the_oldest_clips_go_and_foreign_files_stay(tmp_path: Path) -> None:
     for number in range(10):
         start = number * 100
         for second in range(start, start + 5):
-            box.record(*ENCODER.message(message(second, text=noise.randbytes(10_000).hex())))
+            hold(box, message(second, text=noise.randbytes(10_000).hex()))
         box.alarm(raised(start + 4))
         feed(box, start + 5, start + 10)
         finish(box)
@@ -268,7 +274,7 @@ def test_a_clip_of_a_quarter_of_the_budget_ends_early_and_is_whole(tmp_path: Pat
     noise = random.Random(1)
     box.alarm(raised(0))
     for number in range(100):
-        box.record(*ENCODER.message(message(number / 1000, text=noise.randbytes(10_000).hex())))
+        hold(box, message(number / 1000, text=noise.randbytes(10_000).hex()))
     finish(box)
     reader = MessageLogReader(clips(tmp_path)[0])
     assert 0 < len(list(reader)) < 100
@@ -327,10 +333,10 @@ def test_a_disk_that_fills_within_a_clip_costs_none_of_it(tmp_path: Path, monkey
     box.work(3)
     with monkeypatch.context() as full:
 
-        def refuse(self: MessageLogWriter, record: Record) -> None:
+        def refuse(*_: Any) -> None:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-        full.setattr(MessageLogWriter, "write_record", refuse)
+        full.setattr(MessageLogWriter, "add", refuse)
         finish(box)
         assert clips(tmp_path) == []
     feed(box, 10, 20)
@@ -374,3 +380,14 @@ def test_a_folder_that_is_none_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(StorageError, match=r"file/sub: cannot hold recordings: Not a directory"):
         black_box(tmp_path / "file" / "sub")
+
+
+def test_the_garbage_collector_does_not_search_the_records_held(tmp_path: Path) -> None:
+    box = black_box(tmp_path)
+    feed(box, 0, 1)
+    gc.collect()
+    before = len(gc.get_objects())
+    hold(box, *(message(k / 1000) for k in range(3000)))
+    gc.collect()
+    assert box.statistics().held_records == 3001
+    assert len(gc.get_objects()) - before < 300

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from test_monitor_recorder import Log
 
 from adapters.logs.recordings import read_recording
 from adapters.message import Message, silence
@@ -18,7 +19,6 @@ from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, rules_message, standing_message
 from monitor.profile import Profile
-from monitor.recording.recorder import Recorder
 from monitor.sampling.phase import FlightPhase
 
 LONG = pytest.mark.long
@@ -175,10 +175,10 @@ def test_a_recording_of_everything_fed_gives_the_same_events_again(
     live = Pipeline(quad_profile)
     said: list[Output] = []
     path = tmp_path / "flight.mcap"
-    with Recorder(path, live.layouts, live.metadata(), {}) as recorder:
+    with Log(path, live.layouts, live.metadata()) as recorder:
         for message in with_operators(quad_profile, flight, first):
             found = live.feed(message)
-            recorder.message(message)
+            recorder.write(message)
             said += found
     told = [output for output in said if isinstance(output, AlarmEvent)]
     assert [event.seq for event in told] == list(range(42, 42 + len(told)))

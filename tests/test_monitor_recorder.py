@@ -7,9 +7,11 @@ import math
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -17,14 +19,18 @@ from loopback import START_NS, event
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from adapters.batch import pack
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages, read_mcap_metadata
 from adapters.message import Message
-from adapters.sample import Sample
-from adapters.source import ZENOH
+from adapters.sample import Samples
+from adapters.source import MAVLINK, ZENOH
 from monitor.bus.payload import ALARM_SCHEMA
-from monitor.estimate import Estimate, Layout
+from monitor.estimate import Estimates, Layout
 from monitor.event import event_from_json
-from monitor.recording.recorder import Recorder
+from monitor.recording.archive import Archive
+from monitor.recording.file_series import FileSeries
+from monitor.recording.record_encoder import RecordEncoder
+from monitor.recording.recorder import Recorder, RecorderStatistics
 
 LAYOUT = Layout(
     observer="motors",
@@ -37,26 +43,58 @@ LAYOUT = Layout(
 )
 
 
-def estimate(index: int, layout: Layout = LAYOUT) -> Estimate:
-    sample = Sample(
+class Log(Archive):
+    """An archive of a recorder alone, whose counts are at hand."""
+
+    def __init__(
+        self,
+        target: Path | FileSeries,
+        layouts: Sequence[Layout] = (LAYOUT,),
+        metadata: Mapping[str, str] = MappingProxyType({}),
+        files: Mapping[str, bytes] = MappingProxyType({}),
+        **options: Any,
+    ) -> None:
+        encoder = RecordEncoder(layouts)
+        self.recorder = Recorder(target, encoder.topics, metadata, files, **options)
+        super().__init__(encoder, self.recorder)
+
+    def write(self, *messages: Message) -> None:
+        self.batch(pack(messages))
+
+    def counts(self) -> RecorderStatistics:
+        return self.recorder.statistics()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def estimates(first: int, count: int = 1, layout: Layout = LAYOUT) -> Estimates:
+    """Return the estimates of samples ``first`` and following."""
+    index = np.arange(first, first + count)
+    samples = Samples(
         index=index,
         vehicle_time_ns=index * 10_000_000,
         time_ns=START_NS + index * 10_000_000,
-        u=np.array([0.1, 0.2]),
-        y=np.array([1.0, math.nan, -math.inf]),
+        u=np.full((count, 2), (0.1, 0.2)),
+        y=np.full((count, 3), (1.0, math.nan, -math.inf)),
         restart=index == 0,
-        complete=True,
+        complete=np.full(count, True),
+        known_ns=np.zeros(count, np.int64),
+        measured=np.full(count, True),
     )
-    return Estimate(
+    return Estimates(
         observer=layout.observer,
-        sample=sample,
-        x=np.array([0.25]),
-        fault=np.array([-0.021, 0.5]),
-        isolated=np.array([-0.02, 0.4]),
-        residual=np.array([0.0, 1e-3, -1e-3]),
-        armed=True,
-        sd=np.array([0.004, math.nan]),
-        coasted_s=0.03,
+        samples=samples,
+        x=np.full((count, 1), 0.25),
+        fault=np.full((count, 2), (-0.021, 0.5)),
+        isolated=np.full((count, 2), (-0.02, 0.4)),
+        residual=np.full((count, 3), (0.0, 1e-3, -1e-3)),
+        armed=np.full(count, True),
+        sd=np.full((count, 2), (0.004, math.nan)),
+        coasted_s=np.full(count, 0.03),
     )
 
 
@@ -68,9 +106,8 @@ def decoded(path: Path, topic: str) -> list[tuple[int, Any]]:
 
 def test_samples_and_estimates_are_typed_by_channel_name(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
-    with Recorder(path, [LAYOUT], {}, {}) as recorder:
-        recorder.estimate(estimate(0))
-        recorder.estimate(estimate(1))
+    with Log(path) as recorder:
+        recorder.estimates(estimates(0, 2))
     (_, first), (log_time, sample) = decoded(path, "/fauio/motors/sample")
     assert log_time == sample.time.ToNanoseconds() == START_NS + 10_000_000
     assert (sample.index, sample.vehicle_time_ns, sample.restart, sample.complete) == (
@@ -93,7 +130,7 @@ def test_samples_and_estimates_are_typed_by_channel_name(tmp_path: Path) -> None
 def test_alarms_are_recorded_as_protobuf_and_as_json_with_its_schema(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
     stale = event(18, kind="stale", estimate=None, relative=None, peak=None)
-    with Recorder(path, [LAYOUT], {}, {}) as recorder:
+    with Log(path) as recorder:
         recorder.event(event(17, relative=-0.05))
         recorder.event(stale)
     (log_time, alarm), (_, without) = decoded(path, "/fauio/alarm")
@@ -121,7 +158,7 @@ def test_the_schema_names_every_field_of_an_event() -> None:
 
 def test_numbers_json_cannot_write_become_null(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
-    with Recorder(path, [LAYOUT], {}, {}) as recorder:
+    with Log(path) as recorder:
         recorder.event(event(17, estimate=math.nan, peak=math.inf))
     with path.open("rb") as stream:
         [(_, _, message)] = make_reader(stream).iter_messages("/fauio/alarm_json")
@@ -132,10 +169,10 @@ def test_numbers_json_cannot_write_become_null(tmp_path: Path) -> None:
 def test_telemetry_comes_back_in_the_order_of_recording_and_nothing_of_ours_with_it(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
     messages = [Message(ZENOH, "arm/telemetry", START_NS, {"n": number}) for number in range(50)]
-    with Recorder(path, [LAYOUT], {}, {}) as recorder:
-        for number, message in enumerate(messages):
-            recorder.message(message)
-            recorder.estimate(estimate(number))
+    with Log(path) as recorder:
+        for number in range(0, len(messages), 5):
+            recorder.write(*messages[number : number + 5])
+            recorder.estimates(estimates(number, 5))
             recorder.event(event(17))
     assert list(read_mcap_messages(path)) == messages
 
@@ -143,7 +180,7 @@ def test_telemetry_comes_back_in_the_order_of_recording_and_nothing_of_ours_with
 def test_metadata_and_profile_are_inside(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
     files = {"profile.toml": b"x = 1\n", "motors.gains.json": b"{}"}
-    with Recorder(path, [LAYOUT], {"fauio": "0.1.0", "profile": "abc"}, files) as recorder:
+    with Log(path, [LAYOUT], {"fauio": "0.1.0", "profile": "abc"}, files) as recorder:
         recorder.add_metadata({"clock_offset_ns": "5"})
     assert read_mcap_metadata(path)["fauio"] == {"fauio": "0.1.0", "profile": "abc", "clock_offset_ns": "5"}
     with path.open("rb") as stream:
@@ -157,9 +194,9 @@ def test_metadata_and_profile_are_inside(tmp_path: Path) -> None:
 def test_two_observers_have_their_own_topics(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
     other = Layout("in/ertial", 100.0, LAYOUT.inputs, LAYOUT.outputs, ("p",), ("gps north", "gps_north"), ("m", "m"))
-    with Recorder(path, [LAYOUT, other], {}, {}) as recorder:
-        recorder.estimate(estimate(0))
-        recorder.estimate(estimate(0, other))
+    with Log(path, [LAYOUT, other]) as recorder:
+        recorder.estimates(estimates(0))
+        recorder.estimates(estimates(0, 1, other))
     [(_, found)] = decoded(path, "/fauio/in/ertial/estimate")
     assert (found.fault.gps_north, found.fault.gps_north_v2) == (-0.021, 0.5)
     assert len(decoded(path, "/fauio/motors/estimate")) == 1
@@ -168,15 +205,17 @@ def test_two_observers_have_their_own_topics(tmp_path: Path) -> None:
 @pytest.mark.parametrize("time_ns", [-1, 2**63, 2**64])
 def test_a_clock_gone_mad_costs_its_records_and_not_the_recording(tmp_path: Path, time_ns: int) -> None:
     path = tmp_path / "flight.mcap"
-    mad = replace(estimate(0), sample=replace(estimate(0).sample, time_ns=time_ns, vehicle_time_ns=2**64))
-    with Recorder(path, [LAYOUT], {}, {}) as recorder:
+    mad = replace(estimates(0), samples=replace(estimates(0).samples, time_ns=np.array([-1])))
+    with Log(path) as recorder:
         recorder.event(event(17, time_ns=time_ns))
         recorder.event(event(17))
-        recorder.estimate(mad)
-        recorder.estimate(estimate(1))
-        assert recorder.statistics().unrecordable > 0
+        recorder.estimates(mad)
+        recorder.estimates(estimates(1))
+        recorder.write(Message(MAVLINK, "SYSTEM_TIME", time_ns, {"time_unix_usec": 1, "time_boot_ms": 1}, 1, 1))
+        assert recorder.statistics().lost == 3
     assert len(decoded(path, "/fauio/alarm")) == 1
     assert len(decoded(path, "/fauio/motors/estimate")) == 1
+    assert list(read_mcap_messages(path)) == []
 
 
 def test_everything_flushed_survives_sigkill_on_every_topic(tmp_path: Path) -> None:
@@ -184,13 +223,13 @@ def test_everything_flushed_survives_sigkill_on_every_topic(tmp_path: Path) -> N
     program = """
 import sys
 sys.path.insert(0, sys.argv[2])
-from test_monitor_recorder import LAYOUT, START_NS, ZENOH, Message, Recorder, estimate, event
-recorder = Recorder(sys.argv[1], [LAYOUT], {"profile": "abc"}, {"profile.toml": b"x = 1"})
+from test_monitor_recorder import LAYOUT, START_NS, ZENOH, Log, Message, estimates, event
+recorder = Log(sys.argv[1], [LAYOUT], {"profile": "abc"}, {"profile.toml": b"x = 1"})
 number = 0
 while True:
     for _ in range(100):
-        recorder.message(Message(ZENOH, "k", START_NS + number, {"n": number}))
-        recorder.estimate(estimate(number))
+        recorder.write(Message(ZENOH, "k", START_NS + number, {"n": number}))
+        recorder.estimates(estimates(number))
         recorder.event(event(number))
         number += 1
     recorder.flush()

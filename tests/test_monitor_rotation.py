@@ -12,24 +12,28 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from chaos_run import own_records
 from loopback import START_NS, event, until
 from mcap.reader import make_reader
-from test_monitor_recorder import LAYOUT, estimate
+from test_monitor_recorder import Log, estimates
 
 from adapters.errors import StorageError
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_metadata
-from adapters.logs.recordings import read_recording, recording_kind
+from adapters.logs.recordings import read_batches, read_recording, recording_kind
 from adapters.message import Message
 from adapters.source import ZENOH
+from monitor.estimate import Estimates
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
-from monitor.recording.rotation import RETRY_S, RotatingRecorder
+from monitor.recording.file_series import FileSeries
+from monitor.recording.recorder import RETRY_S
 from replay.player import play
 
 SECOND = 1_000_000_000
@@ -46,8 +50,9 @@ def noise(number: int, size: int = 20_000) -> Message:
     return Message(ZENOH, "k", START_NS + number * SECOND, {"n": number, "text": text})
 
 
-def recorder(folder: Path, **options: Any) -> RotatingRecorder:
-    return RotatingRecorder(folder, "copter-1", [LAYOUT], {"fauio": "1"}, {"profile.toml": b"x = 1"}, **options)
+def recorder(folder: Path, monotonic: Callable[[], float] = time.monotonic, **limits: Any) -> Log:
+    series = FileSeries(folder, "copter-1", **limits)
+    return Log(series, metadata={"fauio": "1"}, files={"profile.toml": b"x = 1"}, monotonic=monotonic)
 
 
 def files(folder: Path) -> list[Path]:
@@ -61,7 +66,7 @@ def numbers(path: Path) -> list[int]:
 def test_a_new_file_begins_after_so_much_telemetry_time(tmp_path: Path) -> None:
     with recorder(tmp_path, file_s=10.0) as log:
         for number in range(35):
-            log.message(message(number))
+            log.write(message(number))
     assert [numbers(path) for path in files(tmp_path)] == [
         [*range(10)],
         [*range(10, 20)],
@@ -70,14 +75,14 @@ def test_a_new_file_begins_after_so_much_telemetry_time(tmp_path: Path) -> None:
     ]
     assert files(tmp_path)[0].name == "copter-1-20261121T090517Z-000000.mcap"
     assert numbers(tmp_path) == [*range(35)]
-    assert log.statistics().files == 4
+    assert log.counts().files == 4
 
 
 def test_each_file_is_complete_in_itself(tmp_path: Path) -> None:
     with recorder(tmp_path, file_s=2.0) as log:
         for number in range(4):
-            log.message(message(number))
-            log.estimate(estimate(number))
+            log.write(message(number))
+            log.estimates(estimates(number))
             log.event(event(number))
             log.add_metadata({"later": "yes"})
     assert len(files(tmp_path)) == 2
@@ -99,14 +104,14 @@ def test_each_file_is_complete_in_itself(tmp_path: Path) -> None:
 def test_what_the_monitor_stamps_with_the_vehicles_clock_begins_no_file(tmp_path: Path) -> None:
     with recorder(tmp_path, file_s=10.0) as log:
         for number in range(20):
-            log.message(message(0))
+            log.write(message(0))
             log.event(event(number, time_ns=START_NS + number * 3600 * SECOND))
     assert len(files(tmp_path)) == 1
 
 
 def test_a_file_that_begins_with_a_record_of_the_monitor_is_named_by_the_last_telemetry(tmp_path: Path) -> None:
     with recorder(tmp_path, file_bytes=20_000, budget_bytes=10_000_000) as log:
-        log.message(noise(0, 18_000))
+        log.write(noise(0, 18_000))
         log.event(event(1, time_ns=2**62, message="x" * 18_000))
     assert [path.name.split("-")[2] for path in files(tmp_path)] == ["20261121T090517Z"] * len(files(tmp_path))
     assert len(files(tmp_path)) > 1
@@ -115,9 +120,9 @@ def test_a_file_that_begins_with_a_record_of_the_monitor_is_named_by_the_last_te
 def test_files_stay_in_order_when_the_clock_is_set_back_and_after_a_restart(tmp_path: Path) -> None:
     with recorder(tmp_path, file_s=10.0) as log:
         for number, hour in enumerate((1, 0, 2, 2)):
-            log.message(message(number, START_NS + hour * 3600 * SECOND))
+            log.write(message(number, START_NS + hour * 3600 * SECOND))
     with recorder(tmp_path) as log:
-        log.message(message(4, START_NS))
+        log.write(message(4, START_NS))
     assert numbers(tmp_path) == [0, 1, 2, 3, 4]
     assert len(files(tmp_path)) == 4
     assert all(NAME.fullmatch(path.name) for path in files(tmp_path))
@@ -135,15 +140,15 @@ def test_the_oldest_go_so_that_all_stay_within_the_budget_and_foreign_files_stay
 
     with recorder(tmp_path, file_bytes=200_000, budget_bytes=700_000) as log:
         for number in range(100):
-            log.message(noise(number))
+            log.write(noise(number))
             log.flush()
             until(lambda: total() <= 700_000)
-            assert log.statistics().path in files(tmp_path)
+            assert log.counts().path in files(tmp_path)
     own = [path for path in files(tmp_path) if NAME.fullmatch(path.name)]
     assert all(path.stat().st_size <= 200_000 for path in own)
     assert len(own) >= 3
     assert all(path.exists() for path in foreign)
-    assert log.statistics().deleted == log.statistics().files - len(own) > 0
+    assert log.counts().deleted == log.counts().files - len(own) > 0
     kept = [number for path in own for number in numbers(path)]
     assert kept == [*range(kept[0], 100)]
 
@@ -151,7 +156,7 @@ def test_the_oldest_go_so_that_all_stay_within_the_budget_and_foreign_files_stay
 def test_a_record_larger_than_a_file_gets_one_of_its_own(tmp_path: Path) -> None:
     with recorder(tmp_path, file_bytes=10_000, budget_bytes=10_000_000) as log:
         for number in range(5):
-            log.message(noise(number, 50_000))
+            log.write(noise(number, 50_000))
     assert [len(numbers(path)) for path in files(tmp_path)] == [1] * 5
 
 
@@ -164,8 +169,8 @@ def test_a_budget_of_less_than_two_files_and_a_folder_that_is_none_are_one_line(
 
 
 def test_a_name_no_file_can_have_is_made_one(tmp_path: Path) -> None:
-    with RotatingRecorder(tmp_path, "fleet/copter 1", [], {}, {}) as log:
-        log.message(message(0))
+    with Log(FileSeries(tmp_path, "fleet/copter 1")) as log:
+        log.write(message(0))
     assert recording_kind(tmp_path) == "mcap"
     assert files(tmp_path)[0].name.startswith("fleet_copter_1-2026")
 
@@ -173,19 +178,15 @@ def test_a_name_no_file_can_have_is_made_one(tmp_path: Path) -> None:
 def test_a_rotated_session_replays_to_the_same_events_as_one_file(
     quad_profile: Profile, data: Path, tmp_path: Path
 ) -> None:
-    messages = list(read_recording(data / "copter_motor2_080.tlog.xz"))
     pipeline = Pipeline(quad_profile)
     expected = []
-    with RotatingRecorder(
-        tmp_path, "copter-1", pipeline.layouts, pipeline.metadata(), quad_profile.files, file_s=4.0
-    ) as log:
-        for found in messages:
-            outputs = pipeline.feed(found)
-            if pipeline.accepts(found):
-                log.message(found)
-            for output in outputs:
-                if hasattr(output, "sample"):
-                    log.estimate(output)
+    series = FileSeries(tmp_path, "copter-1", file_s=4.0)
+    with Log(series, pipeline.layouts, pipeline.metadata(), quad_profile.files) as log:
+        for batch in read_batches(data / "copter_motor2_080.tlog.xz", count=100):
+            log.batch(batch)
+            for output in pipeline.run(batch):
+                if isinstance(output, Estimates):
+                    log.estimates(output)
                 else:
                     log.event(output)
                     expected.append(output)
@@ -202,28 +203,28 @@ from test_monitor_rotation import message, noise, recorder
 now = 0.0
 with recorder(Path(sys.argv[1]), monotonic=lambda: now) as log:
     for number in range(50):
-        log.message(noise(number))
+        log.write(noise(number))
         log.flush()
     # real files refuse what goes beyond this, half-way through a write, as those of a full disk do
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (log.statistics().path.stat().st_size + 8000, resource.RLIM_INFINITY))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (log.counts().path.stat().st_size + 8000, resource.RLIM_INFINITY))
     for number in range(50, 60):
-        log.message(noise(number))
+        log.write(noise(number))
         log.flush()
-    broken = log.statistics()
+    broken = log.counts()
     resource.setrlimit(resource.RLIMIT_FSIZE, (10, resource.RLIM_INFINITY))
     now = 10.5
     for number in range(60, 70):
-        log.message(noise(number))
+        log.write(noise(number))
         log.flush()
-    again = log.statistics()
+    again = log.counts()
     files = len(list(Path(sys.argv[1]).iterdir()))
     resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    log.message(noise(70))
+    log.write(noise(70))
     now = 30.0
     for number in range(71, 80):
-        log.message(noise(number))
-found = log.statistics()
+        log.write(noise(number))
+found = log.counts()
 print(json.dumps([broken.failed, broken.dropped, broken.failures, again.dropped, again.failures, files,
                   found.failed, found.dropped, found.files, found.records]))
 """
@@ -250,33 +251,33 @@ def test_a_full_disk_costs_what_it_cannot_hold_and_recording_goes_on_when_there_
 def test_a_disk_that_refuses_each_write_is_tried_again_every_ten_seconds(tmp_path: Path) -> None:
     now = 0.0
     log = recorder(tmp_path, file_s=1.0, monotonic=lambda: now)
-    log.message(message(0))
+    log.write(message(0))
     shutil.rmtree(tmp_path)
     for number in range(1, 100):
         now = number / 2
-        log.message(message(number))
+        log.write(message(number))
         log.flush()
-    assert log.statistics().failed is not None
-    assert "No such file" in log.statistics().failed
-    assert log.statistics().failures == 1 + int((99 / 2 - 0.5) // RETRY_S)
-    assert log.statistics().dropped == 99
+    assert log.counts().failed is not None
+    assert "No such file" in log.counts().failed
+    assert log.counts().failures == 1 + int((99 / 2 - 0.5) // RETRY_S)
+    assert log.counts().dropped == 99
     tmp_path.mkdir()
     now += RETRY_S
-    log.message(message(100))
+    log.write(message(100))
     log.close()
-    assert log.statistics().failed is None
+    assert log.counts().failed is None
     assert numbers(tmp_path) == [100]
 
 
 def test_a_device_without_space_is_no_error_of_ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = recorder(tmp_path)
-    monkeypatch.setattr(log, "_next_name", lambda time_ns: "/dev/full")
-    log.message(message(0))
+    monkeypatch.setattr(FileSeries, "next_path", lambda self, time_ns: Path("/dev/full"))
+    log.write(message(0))
     log.flush()
     log.add_metadata({"a": "b"})
     log.close()
-    assert log.statistics().failed == f"[Errno {errno.ENOSPC}] No space left on device: '/dev/full'"
-    assert log.statistics().dropped == 1
+    assert log.counts().failed == f"[Errno {errno.ENOSPC}] No space left on device: '/dev/full'"
+    assert log.counts().dropped == 1
     assert Path("/dev/full").exists()
 
 
@@ -284,13 +285,13 @@ CRASH = """
 import sys
 sys.path.insert(0, sys.argv[2])
 from pathlib import Path
-from test_monitor_rotation import LAYOUT, estimate, event, message, recorder
+from test_monitor_rotation import estimates, event, message, recorder
 log = recorder(Path(sys.argv[1]), file_s=200.0, file_bytes=100_000)
 number = 0
 while True:
     for _ in range(20):
-        log.message(message(number))
-        log.estimate(estimate(number))
+        log.write(message(number))
+        log.estimates(estimates(number))
         log.event(event(number))
         number += 1
     log.flush()
@@ -328,12 +329,11 @@ def test_whatever_was_flushed_survives_kills_at_random_moments(tmp_path: Path, a
 def test_a_clock_gone_mad_costs_its_records_and_not_the_recording(tmp_path: Path) -> None:
     with recorder(tmp_path, file_s=10.0) as log:
         for at_ns in (-5, 2**64, 2**61, 0, START_NS):
-            log.message(message(1, at_ns))
-        mad = replace(estimate(0), sample=replace(estimate(0).sample, time_ns=2**64))
-        log.estimate(mad)
-        log.estimate(estimate(1))
-    # two messages, and both records of the estimate
-    assert log.statistics().unrecordable == 4
+            log.write(message(1, at_ns))
+        log.estimates(replace(estimates(0), samples=replace(estimates(0).samples, time_ns=np.array([-1]))))
+        log.estimates(estimates(1))
+    # two messages and an estimate
+    assert log.statistics().lost == 3
     assert len(numbers(tmp_path)) == 3
 
 
@@ -346,25 +346,25 @@ now = 0.0
 log = recorder(Path(sys.argv[1]), monotonic=lambda: now)
 def limit(size):
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
-log.message(message(0))
+log.write(message(0))
 log.event(event(1))
 log.flush()
 limit(1024)
-log.message(noise(1))
+log.write(noise(1))
 log.event(event(2))
 log.flush()
 log.event(event(3))
 now = 11.0
 log.flush()
-log.message(message(2))
-full = log.statistics()
+log.write(message(2))
+full = log.counts()
 limit(resource.RLIM_INFINITY)
 if sys.argv[3] == "later":
     now = 22.0
     log.flush()
     log.event(event(4))
 log.close()
-after = log.statistics()
+after = log.counts()
 print(json.dumps([full.failures, full.failed, full.dropped, after.failed, after.dropped, after.files]))
 """
 

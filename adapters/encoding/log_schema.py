@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from google.protobuf.message import DecodeError
 
+from adapters.batch import Columns
 from adapters.encoding.protobuf_types import (
     Field,
     Scalar,
@@ -22,6 +23,7 @@ from adapters.message import Message
 # One field's name and what it holds; of a nested type, its fields.
 Shape = tuple[tuple[str, str | tuple[Any, ...], bool], ...]
 
+_DTYPE_KINDS: Final[Mapping[str, Scalar]] = {"b": "bool", "i": "int64", "u": "int64", "f": "double"}
 _SCALARS: Final[Mapping[type, Scalar]] = {bool: "bool", int: "int64", float: "double", str: "string"}
 
 
@@ -80,6 +82,25 @@ def to_protobuf(message: Message) -> tuple[Schema, bytes]:
         return schema, bytes(kind(**message.fields).SerializeToString())
     except (TypeError, OverflowError) as error:
         raise ValueError(f"{message.name} does not fit its type: {error}") from error
+
+
+def columns_class(columns: Columns) -> Any:
+    """Return the protobuf class of records of an onboard log that are columns, that of :func:`to_protobuf` for each.
+
+    Raises
+    ------
+    ValueError
+        They are not those of an onboard log, or a typed record cannot hold them.
+    """
+    if not columns.source.is_onboard_log or identifiers(tuple(columns.fields)) != tuple(columns.fields):
+        raise ValueError(f"{columns.name} has no typed records")
+    form = []
+    for name, values in columns.fields.items():
+        kind = _DTYPE_KINDS.get(values.dtype.kind)
+        if kind is None or (values.ndim == 2 and not values.shape[1]):
+            raise ValueError(f"no values of a record: {name}")
+        form.append((name, kind, values.ndim == 2))
+    return _class(columns.source.name, columns.name.partition("/")[0], tuple(form))[0]
 
 
 class LogProtobuf:

@@ -11,7 +11,7 @@ from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from adapters.batch import Columns
-from adapters.encoding.protobuf_rows import ProtobufRows
+from adapters.encoding.protobuf_rows import RowDecoder
 from adapters.encoding.protobuf_types import Field, Scalar, message_class
 from adapters.message import Message
 from adapters.source import MAVLINK
@@ -77,7 +77,7 @@ class MavlinkProtobuf:
         self._repeated = tuple(field.name for field in body if field.is_repeated)
         self._order = tuple(field.name for field in body)
         try:
-            self._rows: ProtobufRows | None = ProtobufRows(pb_class)
+            self._rows: RowDecoder | None = RowDecoder(pb_class)
         except ValueError:
             self._rows = None
 
@@ -120,20 +120,6 @@ class MavlinkProtobuf:
             system=getattr(decoded, self._system),
             component=getattr(decoded, self._component),
         )
-
-    def rows_to_bytes(self, columns: Columns) -> list[bytes]:
-        """Return what :meth:`to_bytes` does of each message.
-
-        Raises
-        ------
-        ValueError
-            They have to be taken one by one.
-        """
-        if self._rows is None:
-            raise ValueError(f"{columns.name} is no message of numbers alone")
-        count = len(columns.position)
-        ids = {self._system: np.full(count, columns.system), self._component: np.full(count, columns.component)}
-        return self._rows.encode({**ids, **columns.fields}, count)
 
     def rows_from_bytes(
         self, data: Sequence[bytes], name: str, received_ns: NDArray[np.int64], position: NDArray[np.int64]
@@ -179,6 +165,20 @@ def _is_id(field: Any) -> bool:
 def mavlink_protobuf(name: str) -> MavlinkProtobuf | None:
     """Return the protobuf type of a MAVLink message, None where the dialect has none of this name."""
     return _known_type(name) if name in _tables() else None
+
+
+def mavlink_class(name: str) -> Any:
+    """Return the protobuf class of a MAVLink message: fields 1 and 2 are the sender's ids.
+
+    Raises
+    ------
+    ValueError
+        The dialect has no message of this name.
+    """
+    kind = mavlink_protobuf(name)
+    if kind is None:
+        raise ValueError(f"no MAVLink message is called {name}")
+    return kind.pb_class
 
 
 @functools.cache

@@ -17,7 +17,7 @@ from adapters.encoding.foreign_record import json_object
 from adapters.encoding.log_schema import LogProtobuf, to_protobuf
 from adapters.encoding.mavlink_schema import PACKAGE, MavlinkProtobuf, mavlink_protobuf
 from adapters.encoding.protobuf_types import class_from_descriptor_set, descriptor_set
-from adapters.encoding.record import Record, Records, Schema
+from adapters.encoding.record import Record, Schema
 from adapters.message import LATEST_NS, Message
 from adapters.source import LINK, MAVLINK, SOURCES, ZENOH
 
@@ -62,19 +62,6 @@ def encode(message: Message) -> Record:
             return Record(topic, "protobuf", _mavlink_schema(kind), data, message.received_ns, message.component)
     data = _to_json({**ids, "fields": message.fields})
     return Record(topic, "json", _JSON_SCHEMA, data, message.received_ns, message.component)
-
-
-def encode_columns(columns: Columns) -> Records | None:
-    """Return messages as :func:`encode` does, None where they have to be taken one by one."""
-    kind = mavlink_protobuf(columns.name) if columns.source is MAVLINK else None
-    if kind is None or (columns.received_ns < 0).any():
-        return None
-    try:
-        data = kind.rows_to_bytes(columns)
-    except ValueError:
-        return None
-    topic = f"/{columns.source}/{columns.name}"
-    return Records(topic, "protobuf", _mavlink_schema(kind), data, columns.received_ns, columns.position)
 
 
 def recorded_name(topic: str, encoding: str, schema: str | None) -> str | None:

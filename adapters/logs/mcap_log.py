@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self, cast
 
-import numpy as np
-
 from adapters.encoding.message_record import encode
-from adapters.encoding.record import Record, Records, Schema
+from adapters.encoding.record import Record, Schema
 from adapters.errors import StorageError
 from adapters.logs.mcap_writer import McapWriter
 from adapters.message import Message
@@ -96,6 +94,11 @@ class MessageLogWriter:
         return self._writer.position
 
     @property
+    def written(self) -> int:
+        """Records handed to the operating system."""
+        return self._writer.written
+
+    @property
     def failed(self) -> bool:
         """Whether a write has failed and nothing was resumed since."""
         return self._writer.failed
@@ -111,37 +114,28 @@ class MessageLogWriter:
 
     def write_record(self, record: Record) -> None:
         """Record what is encoded already; a schema goes into the file with the topic's first record of that kind."""
-        if self._closed:
-            raise RuntimeError("the log is closed; open another one")
-        channel = self._channel(record.topic, record.encoding, record.schema)
+        channel = self.channel(record.topic, record.encoding, record.schema)
         if channel is None or not 0 <= record.time_ns < 1 << 64:
             self._unrecordable += 1
             return
-        self._records += 1
-        self._writer.add_message(channel, record.time_ns, record.data, record.publish_ns)
+        self.add(channel, record.data, record.time_ns, record.publish_ns)
 
-    def write_together(self, topics: Sequence[Records]) -> None:
-        """Record many records of several topics, by their places."""
+    def channel(self, topic: str, encoding: str, schema: Schema | None) -> int | None:
+        """Return the id of a channel for :meth:`add`, None where it would be new and the file has too many already."""
+        known = self._channels.get((topic, encoding, schema))
+        if known is not None or len(self._channels) >= MAX_CHANNELS:
+            return known
+        schema_id = 0 if schema is None else self._writer.add_schema(schema.name, schema.encoding, schema.data)
+        channel = self._writer.add_channel(topic, encoding, schema_id)
+        self._channels[topic, encoding, schema] = channel
+        return channel
+
+    def add(self, channel: int, data: bytes, time_ns: int, publish_ns: int | None = None) -> None:
+        """Record encoded data on a channel; times are Unix nanoseconds, neither negative nor beyond 64 bits."""
         if self._closed:
             raise RuntimeError("the log is closed; open another one")
-        channels: list[int] = []
-        times_ns: list[int] = []
-        data: list[bytes] = []
-        for one in topics:
-            if one.data:
-                number = self._channel(one.topic, one.encoding, one.schema)
-                channels += [number or 0] * len(one.data)
-                times_ns += one.time_ns.tolist()
-                data += one.data
-        if not data:
-            return
-        add = self._writer.add_message
-        for k in np.argsort(np.concatenate([one.place for one in topics]), kind="stable").tolist():
-            if not channels[k] or times_ns[k] < 0:
-                self._unrecordable += 1
-                continue
-            self._records += 1
-            add(channels[k], times_ns[k], data[k])
+        self._records += 1
+        self._writer.add_message(channel, time_ns, data, publish_ns)
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record."""
@@ -184,13 +178,3 @@ class MessageLogWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    def _channel(self, topic: str, encoding: str, schema: Schema | None) -> int | None:
-        """Return the id of a channel, None where it would be new and the file has too many already."""
-        known = self._channels.get((topic, encoding, schema))
-        if known is not None or len(self._channels) >= MAX_CHANNELS:
-            return known
-        schema_id = 0 if schema is None else self._writer.add_schema(schema.name, schema.encoding, schema.data)
-        channel = self._writer.add_channel(topic, encoding, schema_id)
-        self._channels[topic, encoding, schema] = channel
-        return channel

@@ -2,40 +2,28 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass
 
-from adapters.batch import Batch
-from adapters.encoding.record import Record, in_order
+from adapters.batch import Batch, pack
 from adapters.message import Message
-from monitor.estimate import Estimate, Estimates
+from monitor.estimate import Estimate, Estimates, alone
 from monitor.event import AlarmEvent
 from monitor.recording.black_box import BlackBox
 from monitor.recording.record_encoder import RecordEncoder
-
-RETRY_S = 10.0
-
-
-class Recording(Protocol):
-    """A recording in one file or in many."""
-
-    def record(self, *records: Record) -> None: ...  # noqa: D102
-    def flush(self) -> None: ...  # noqa: D102
-    def statistics(self) -> Any: ...  # noqa: D102
+from monitor.recording.recorder import Recorder
 
 
 @dataclass(frozen=True, slots=True)
 class ArchiveStatistics:
-    """What became of the records.
+    """Counts of an archive so far.
 
     Parameters
     ----------
     records, lost : int
-        Records written, and those that could not be.
+        Records taken by the recording, and those that could not be encoded or written.
     trouble : str | None
-        Why nothing can be written at present; None where all is well.
+        The reason why nothing can be written at present; None where all is well.
     """
 
     records: int = 0
@@ -44,93 +32,91 @@ class ArchiveStatistics:
 
 
 class Archive:
-    """Hands what one monitor sees and says to its recording and its black box; a disk that fails stops neither.
+    """Records what one monitor receives and computes in a recording and a black box, either of which may be absent.
 
-    A recording that cannot be written is tried again every :data:`RETRY_S` seconds; it keeps alarm events until then.
+    A disk that fails stops neither the monitor nor the other of the two.
 
     Parameters
     ----------
     encoder : RecordEncoder
-        Encodes for both.
-    recording : Recording | None
+        Encodes for both, which have its table of topics.
+    recorder : Recorder | None
         The recording, if any.
     black_box : BlackBox | None
         The black box, if any.
-    monotonic : Callable[[], float]
-        Clock of the retries, seconds.
     """
 
     def __init__(
-        self,
-        encoder: RecordEncoder,
-        recording: Recording | None,
-        black_box: BlackBox | None,
-        monotonic: Callable[[], float] = time.monotonic,
+        self, encoder: RecordEncoder, recorder: Recorder | None = None, black_box: BlackBox | None = None
     ) -> None:
         self._encoder = encoder
-        self._recording = recording
+        self._recorder = recorder
         self._black_box = black_box
-        self._monotonic = monotonic
-        self._failed: str | None = None
-        self._retry_s = 0.0
-
-    def message(self, message: Message) -> None:
-        """Take a message of the vehicle."""
-        self._record(*self._encoder.message(message))
-
-    def estimate(self, estimate: Estimate) -> None:
-        """Take an estimate and the sample it was computed from."""
-        self._record(*self._encoder.estimate(estimate))
 
     def batch(self, batch: Batch) -> None:
         """Record telemetry as received."""
-        self._record(*in_order(self._encoder.block(batch)))
+        records = self._encoder.batch(batch)
+        if self._recorder is not None:
+            self._recorder.record(records, telemetry=True)
+        if self._black_box is not None:
+            self._black_box.record(records, telemetry=True)
 
     def estimates(self, estimates: Estimates) -> None:
         """Record estimates and the samples they were computed from."""
-        self._record(*in_order(self._encoder.estimates(estimates)))
+        records = self._encoder.estimates(estimates)
+        if self._recorder is not None:
+            self._recorder.record(records)
+        if self._black_box is not None:
+            self._black_box.record(records)
+
+    def message(self, message: Message) -> None:
+        """Record one message."""
+        self.batch(pack([message]))
+
+    def estimate(self, estimate: Estimate) -> None:
+        """Record one estimate."""
+        self.estimates(alone(estimate))
 
     def event(self, event: AlarmEvent) -> None:
-        """Take an alarm event; one that is raised begins a clip of the black box."""
-        self._record(*self._encoder.event(event))
+        """Record an alarm event; a raised alarm begins a clip of the black box."""
+        records = self._encoder.event(event)
+        if self._recorder is not None:
+            self._recorder.record(records, keep=True)
         if self._black_box is not None:
+            self._black_box.record(records)
             self._black_box.alarm(event)
 
-    def flush(self) -> None:
-        """Hand the recording to the operating system, as often as the disk takes it."""
-        if self._recording is None or (self._failed is not None and self._monotonic() < self._retry_s):
-            return
-        try:
-            self._recording.flush()
-            self._failed = None
-        except OSError as error:
-            self._note(error)
+    def add_metadata(self, metadata: Mapping[str, str]) -> None:
+        """Add entries to the metadata of the recording and of the clips to come."""
+        if self._recorder is not None:
+            self._recorder.add_metadata(metadata)
+        if self._black_box is not None:
+            self._black_box.add_metadata(metadata)
 
-    def statistics(self) -> ArchiveStatistics:
-        """Return the counts so far, and what is wrong."""
-        found = ArchiveStatistics()
-        if self._recording is not None:
-            counts = self._recording.statistics()
-            trouble = self._failed or getattr(counts, "failed", None)
-            found = ArchiveStatistics(counts.records, counts.unrecordable + counts.dropped, trouble)
-        if self._black_box is not None and found.trouble is None:
-            found = replace(found, trouble=self._black_box.statistics().failed)
-        return found
+    def flush(self) -> None:
+        """Hand the recording to the operating system, or try a disk again that refused; call it on a timer."""
+        if self._recorder is not None:
+            self._recorder.flush()
 
     def work(self, max_records: int, now_ns: int) -> int:
-        """Write so many records at most of the clips that are open; return how many."""
+        """Write up to so many records of open clips; return how many were written."""
         return 0 if self._black_box is None else self._black_box.work(max_records, now_ns)
 
-    def _note(self, error: OSError) -> None:
-        self._failed = f"recording stopped: {error.strerror or error}"
-        self._retry_s = self._monotonic() + RETRY_S
-
-    def _record(self, *records: Record) -> None:
-        if self._recording is not None:
-            try:
-                self._recording.record(*records)
-            except OSError as error:
-                if self._failed is None:
-                    self._note(error)
+    def close(self) -> None:
+        """Finish the recording and the open clips; a second call does nothing."""
+        if self._recorder is not None:
+            self._recorder.close()
         if self._black_box is not None:
-            self._black_box.record(*records)
+            self._black_box.close()
+
+    def statistics(self) -> ArchiveStatistics:
+        """Return the counts so far, and the trouble with the disk."""
+        records = lost = 0
+        trouble = None
+        if self._recorder is not None:
+            counts = self._recorder.statistics()
+            records, lost = counts.records, self._encoder.unrecordable + counts.unrecordable + counts.dropped
+            trouble = None if counts.failed is None else f"recording stopped: {counts.failed}"
+        if self._black_box is not None and trouble is None:
+            trouble = self._black_box.statistics().failed
+        return ArchiveStatistics(records, lost, trouble)

@@ -6,20 +6,17 @@ import contextlib
 import os
 import re
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from adapters.encoding.record import Record
 from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
 from monitor.event import AlarmEvent
-from monitor.recording.packed_record import PackedRecord, RecordPacking
-from monitor.recording.record_encoder import OWN_TOPICS
+from monitor.recording.encoded_record import EncodedRecord, TopicTable
 from monitor.recording.recorder import METADATA, start_log
-from monitor.recording.retention import Retention, file_stem
-from monitor.recording.rotation import writable_folder
+from monitor.recording.retention import Retention, file_stem, writable_folder
 from monitor.sampling.phase import FlightPhase
 
 MAX_OPEN_CLIPS: Final = 4
@@ -75,11 +72,11 @@ class _Clip:
     begun_ns: int
     ends_ns: int
     metadata: dict[str, str]
-    waiting: deque[PackedRecord]
+    waiting: deque[EncodedRecord]
     alarms: list[str]
     log: MessageLogWriter | None = None
     ended: bool = False
-    done: list[PackedRecord] | None = field(default_factory=list)
+    done: list[EncodedRecord] | None = field(default_factory=list)
     """None where they are too many to be kept, in case that the file has to be begun again."""
     done_bytes: int = 0
     tries: int = 0
@@ -102,6 +99,8 @@ class BlackBox:
         Where the clips go; created where it does not exist.
     vehicle : str
         The vehicle's name.
+    topics : TopicTable
+        Topics of the records.
     metadata : Mapping[str, str]
         Entries of the metadata record ``fauio`` of each clip.
     profile_files : Mapping[str, bytes]
@@ -124,6 +123,7 @@ class BlackBox:
         self,
         folder: str | os.PathLike[str],
         vehicle: str,
+        topics: TopicTable,
         metadata: Mapping[str, str],
         profile_files: Mapping[str, bytes],
         *,
@@ -135,6 +135,7 @@ class BlackBox:
     ) -> None:
         self._folder = writable_folder(folder)
         self._stem = file_stem(vehicle)
+        self._topics = topics
         self._metadata = dict(metadata)
         self._profile_files = dict(profile_files)
         self._before_ns = round(before_s * 1e9)
@@ -147,30 +148,37 @@ class BlackBox:
         )
         self._now_ns: int | None = None
         # apart from each other, so that an alarm copies the records at once
-        self._held: deque[PackedRecord] = deque()
-        self._packing = RecordPacking()
+        self._held: deque[EncodedRecord] = deque()
         self._arrived_ns: deque[int] = deque()
         self._bytes = 0
-        self._phase: dict[int, PackedRecord] = {}
+        self._phase: dict[int, EncodedRecord] = {}
         self._clips: list[_Clip] = []
         self._raised: deque[tuple[int, str]] = deque(maxlen=256)
         self._written = self._covered = self._dropped = self._failures = 0
         self._failed: str | None = None
 
-    def record(self, *records: Record) -> None:
-        """Take what is being recorded."""
+    def record(self, records: Sequence[EncodedRecord], *, telemetry: bool = False) -> None:
+        """Hold records for alarms to come, and give them to the open clips.
+
+        Parameters
+        ----------
+        records : Sequence[EncodedRecord]
+            The records, in the order of recording.
+        telemetry : bool
+            Whether their time is that of their arrival, which is the time of the black box.
+        """
         for record in records:
-            if not record.topic.startswith(OWN_TOPICS):
-                self._pass_time(record.time_ns)
-            now = self._now_ns if self._now_ns is not None else record.time_ns
-            packed = self._packing.pack(record)
-            self._held.append(packed)
+            _, data, time_ns = record
+            if telemetry:
+                self._pass_time(time_ns)
+            now = self._now_ns if self._now_ns is not None else time_ns
+            self._held.append(record)
             self._arrived_ns.append(now)
-            self._bytes += len(record.data)
+            self._bytes += len(data)
             while self._held and self._is_over(now):
                 self._forget()
             for clip in self._clips:
-                self._give(clip, packed)
+                self._give(clip, record)
 
     def alarm(self, event: AlarmEvent) -> None:
         """Begin the clip of an alarm that was just raised; events of other states change nothing."""
@@ -192,7 +200,7 @@ class BlackBox:
         alarm = {"alarm_id": event.id, "alarm_channel": event.channel, "alarm_observer": event.observer}
         alarms = [*dict.fromkeys(raised for at_ns, raised in self._raised if now - at_ns <= self._before_ns)]
         waiting = self._held.copy()
-        waiting.extendleft(sorted(self._phase.values(), key=RecordPacking.time_ns, reverse=True))
+        waiting.extendleft(sorted(self._phase.values(), key=_time_ns, reverse=True))
         self._clips.append(_Clip(path, now, now + self._after_ns, self._metadata | alarm, waiting, alarms))
 
     def work(self, max_records: int, now_ns: int | None = None) -> int:
@@ -258,20 +266,20 @@ class BlackBox:
         return age_ns > self._before_ns or age_ns < -self._before_ns
 
     def _forget(self) -> None:
-        packed = self._held.popleft()
+        record = self._held.popleft()
         self._arrived_ns.popleft()
-        kind, data, *_ = packed
+        topic, data, _ = record
         self._bytes -= len(data)
-        if self._packing.topic(packed) in _PHASE_TOPICS:
-            self._phase[kind] = packed
+        if self._topics[topic].name in _PHASE_TOPICS:
+            self._phase[topic] = record
 
-    def _give(self, clip: _Clip, packed: PackedRecord) -> None:
+    def _give(self, clip: _Clip, record: EncodedRecord) -> None:
         if clip.ended:
             return
         if len(clip.waiting) >= 2 * self._held_records:
             self._dropped += 1
         else:
-            clip.waiting.append(packed)
+            clip.waiting.append(record)
 
     def _advance(self, clip: _Clip, max_records: int) -> int:
         """Write up to so many of a clip's records and complete it after the last; return how many."""
@@ -293,14 +301,17 @@ class BlackBox:
         count = 0
         while clip.waiting and count < max_records:
             clip.log = clip.log or self._start(clip)
-            packed = clip.waiting.popleft()
-            record = self._packing.unpack(packed)
+            record = clip.waiting.popleft()
+            number, data, time_ns = record
             if clip.done is not None:
-                clip.done.append(packed)
-                clip.done_bytes += len(record.data)
+                clip.done.append(record)
+                clip.done_bytes += len(data)
                 if clip.done_bytes > self._held_bytes:
                     clip.done = None
-            clip.log.write_record(record)
+            topic = self._topics[number]
+            channel = clip.log.channel(topic.name, topic.encoding, topic.schema)
+            if channel is not None:
+                clip.log.add(channel, data, time_ns)
             count += 1
             if clip.log.size > self._clip_bytes:
                 self._dropped += len(clip.waiting)
@@ -355,3 +366,7 @@ class BlackBox:
 
     def _make_room(self, clip: _Clip) -> None:
         self._retention.make_room(keep={clip.path, *(other.path for other in self._clips)})
+
+
+def _time_ns(record: EncodedRecord) -> int:
+    return record[2]

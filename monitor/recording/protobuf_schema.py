@@ -7,19 +7,19 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from adapters.encoding.protobuf_rows import Columns, ProtobufRows
 from adapters.encoding.protobuf_types import TIMESTAMP, Field, identifiers, message_class
-from adapters.sample import Sample, Samples
-from monitor.estimate import Estimate, Estimates, Layout
+from adapters.sample import Samples
+from monitor.core.protobuf_rows import RowEncoder
+from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent
 
 _TIMES = (Field("time", TIMESTAMP), Field("vehicle_time_ns", "int64"), Field("index", "int64"))
+_SECOND_NS = 1_000_000_000
 
 
 class SampleType:
-    """``fauio.<observer>.Sample``: the (u, y) one observer was fed.
+    """``fauio.<observer>.Sample``: the (u, y) that one observer was fed.
 
     Parameters
     ----------
@@ -28,34 +28,14 @@ class SampleType:
     """
 
     def __init__(self, layout: Layout) -> None:
-        self._u = identifiers(layout.inputs)
-        self._y = identifiers(layout.outputs)
         flags = (Field("restart", "bool"), Field("complete", "bool"), Field("measured", "bool"))
-        fields = (*_TIMES, Field("u", _numbers(self._u)), Field("y", _numbers(self._y)), *flags)
+        fields = (*_TIMES, Field("u", _numbers(layout.inputs)), Field("y", _numbers(layout.outputs)), *flags)
         self.pb_class = message_class(_package(layout), "Sample", fields)
-        self._rows = ProtobufRows(self.pb_class)
-
-    def record(self, sample: Sample) -> Any:
-        """Return the protobuf message of a sample."""
-        return self.pb_class(
-            **_times(sample),
-            u=_values(self._u, sample.u),
-            y=_values(self._y, sample.y),
-            restart=sample.restart,
-            complete=sample.complete,
-            measured=sample.measured,
-        )
+        self._rows = RowEncoder(self.pb_class)
 
     def rows(self, samples: Samples) -> list[bytes]:
-        """Return the serialized protobuf messages of samples."""
-        columns: Columns = {
-            **_columns_of_times(samples),
-            "u": _columns(self._u, samples.u),
-            "y": _columns(self._y, samples.y),
-            "restart": samples.restart,
-            "complete": samples.complete,
-            "measured": samples.measured,
-        }
+        """Return the serialized messages of samples."""
+        columns = (*_times(samples), samples.u, samples.y, samples.restart, samples.complete, samples.measured)
         return self._rows.encode(columns, len(samples))
 
 
@@ -69,47 +49,32 @@ class EstimateType:
     """
 
     def __init__(self, layout: Layout) -> None:
-        self._x = identifiers(layout.states)
-        self._fault = identifiers(layout.faults)
-        self._residual = identifiers(layout.outputs)
+        faults = _numbers(layout.faults)
         fields = (
             *_TIMES,
-            Field("x", _numbers(self._x)),
-            Field("fault", _numbers(self._fault)),
-            Field("isolated", _numbers(self._fault)),
-            Field("residual", _numbers(self._residual)),
+            Field("x", _numbers(layout.states)),
+            Field("fault", faults),
+            Field("isolated", faults),
+            Field("residual", _numbers(layout.outputs)),
             Field("armed", "bool"),
-            Field("sd", _numbers(self._fault)),
+            Field("sd", faults),
             Field("coasted_s", "double"),
         )
         self.pb_class = message_class(_package(layout), "Estimate", fields)
-        self._rows = ProtobufRows(self.pb_class)
-
-    def record(self, estimate: Estimate) -> Any:
-        """Return the protobuf message of an estimate."""
-        return self.pb_class(
-            **_times(estimate.sample),
-            x=_values(self._x, estimate.x),
-            fault=_values(self._fault, estimate.fault),
-            isolated=_values(self._fault, estimate.isolated),
-            residual=_values(self._residual, estimate.residual),
-            armed=estimate.armed,
-            sd=_values(self._fault, estimate.sd),
-            coasted_s=estimate.coasted_s,
-        )
+        self._rows = RowEncoder(self.pb_class)
 
     def rows(self, estimates: Estimates) -> list[bytes]:
-        """Return the serialized protobuf messages of estimates."""
-        columns: Columns = {
-            **_columns_of_times(estimates.samples),
-            "x": _columns(self._x, estimates.x),
-            "fault": _columns(self._fault, estimates.fault),
-            "isolated": _columns(self._fault, estimates.isolated),
-            "residual": _columns(self._residual, estimates.residual),
-            "armed": estimates.armed,
-            "sd": _columns(self._fault, estimates.sd),
-            "coasted_s": estimates.coasted_s,
-        }
+        """Return the serialized messages of estimates."""
+        columns = (
+            *_times(estimates.samples),
+            estimates.x,
+            estimates.fault,
+            estimates.isolated,
+            estimates.residual,
+            estimates.armed,
+            estimates.sd,
+            estimates.coasted_s,
+        )
         return self._rows.encode(columns, len(estimates))
 
 
@@ -147,24 +112,11 @@ def _package(layout: Layout) -> str:
 
 
 def _numbers(names: Sequence[str]) -> tuple[Field, ...]:
-    return tuple(Field(name, "double") for name in names)
+    return tuple(Field(name, "double") for name in identifiers(names))
 
 
-def _times(sample: Sample) -> dict[str, Any]:
-    seconds, nanos = divmod(sample.time_ns, 1_000_000_000)
-    time = {"seconds": seconds, "nanos": nanos}
-    return {"time": time, "vehicle_time_ns": sample.vehicle_time_ns, "index": sample.index}
-
-
-def _values(names: Sequence[str], values: NDArray[Any]) -> dict[str, float]:
-    return dict(zip(names, values.tolist(), strict=True))
-
-
-def _columns_of_times(samples: Samples) -> Columns:
-    seconds, nanos = np.divmod(samples.time_ns, 1_000_000_000)
-    time = {"seconds": seconds, "nanos": nanos}
-    return {"time": time, "vehicle_time_ns": samples.vehicle_time_ns, "index": samples.index}
-
-
-def _columns(names: Sequence[str], values: NDArray[np.float64]) -> Columns:
-    return dict(zip(names, values.T, strict=True))
+def _times(samples: Samples) -> tuple[Any, ...]:
+    """Return the columns of the fields that samples and estimates begin with."""
+    timestamps = np.empty((len(samples), 2), np.int64)
+    np.divmod(samples.time_ns, _SECOND_NS, out=(timestamps[:, 0], timestamps[:, 1]))
+    return timestamps, samples.vehicle_time_ns, samples.index

@@ -1,27 +1,32 @@
-"""Everything a monitor sees and says as records, encoded once for however many files will hold them."""
+"""Everything that a monitor receives and computes as records, encoded once for however many files will hold them."""
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
-import numpy as np
-
-from adapters.batch import Batch, one_message
-from adapters.encoding.message_record import encode, encode_columns
+from adapters.batch import Batch, Columns, one_message
+from adapters.encoding.log_schema import columns_class
+from adapters.encoding.mavlink_schema import mavlink_class
+from adapters.encoding.message_record import encode
 from adapters.encoding.protobuf_types import descriptor_set
-from adapters.encoding.record import Record, Records, Schema, single
+from adapters.encoding.record import Schema
 from adapters.message import Message
+from adapters.source import MAVLINK
 from monitor.bus.payload import ALARM_SCHEMA, to_json
-from monitor.estimate import Estimate, Estimates, Layout
+from monitor.core.protobuf_rows import RowEncoder
+from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent
+from monitor.recording.encoded_record import EncodedRecord, Topic, TopicTable
 from monitor.recording.protobuf_schema import EstimateType, SampleType, alarm_record
 
 OWN_TOPICS: Final = "/fauio/"
-ALARM_TOPICS: Final = frozenset({f"{OWN_TOPICS}alarm", f"{OWN_TOPICS}alarm_json"})
 
-_ALARM_JSON = Schema("fauio.Alarm", "jsonschema", json.dumps(ALARM_SCHEMA).encode())
+_ALARM_JSON = Topic(
+    f"{OWN_TOPICS}alarm_json", "json", Schema("fauio.Alarm", "jsonschema", json.dumps(ALARM_SCHEMA).encode())
+)
 
 
 class RecordEncoder:
@@ -39,83 +44,101 @@ class RecordEncoder:
 
     Attributes
     ----------
+    topics : TopicTable
+        The topics of the records.
     unrecordable : int
-        What no record can hold: values no JSON knows, clocks that run out of 64 bits.
+        Messages, estimates and events that no record can hold: values no JSON knows, clocks that run out of 63 bits.
     """
 
     def __init__(self, layouts: Sequence[Layout]) -> None:
+        self.topics = TopicTable()
         self.unrecordable = 0
-        self._samples = {layout.observer: SampleType(layout) for layout in layouts}
-        self._estimates = {layout.observer: EstimateType(layout) for layout in layouts}
-        self._sample_schemas = {name: _schema(kind.pb_class) for name, kind in self._samples.items()}
-        self._estimate_schemas = {name: _schema(kind.pb_class) for name, kind in self._estimates.items()}
-        self._alarm_schema: Schema | None = None
+        self._types = {layout.observer: (SampleType(layout), EstimateType(layout)) for layout in layouts}
+        self._numbers: dict[tuple[str, Any, int], int] = {}
 
-    def message(self, message: Message) -> tuple[Record, ...]:
-        """Return telemetry as a record; nothing where it cannot be recorded, here and below."""
-        try:
-            return (encode(message),)
-        except ValueError:
-            self.unrecordable += 1
-            return ()
+    def batch(self, batch: Batch) -> list[EncodedRecord]:
+        """Return the records of telemetry, in the order of arrival."""
+        records: list[EncodedRecord | None] = [None] * batch.count
+        for columns in batch.columns:
+            times_ns = columns.received_ns.tolist()
+            encoded = self._encoded(columns) if min(times_ns, default=0) >= 0 else None
+            if encoded is None:
+                rows = ((place, one_message(columns, row)) for row, place in enumerate(columns.position.tolist()))
+                self._encode_singly(rows, records)
+                continue
+            topic, data = encoded
+            for place, row, time_ns in zip(columns.position.tolist(), data, times_ns, strict=True):
+                records[place] = (topic, row, time_ns)
+        self._encode_singly(batch.others.items(), records)
+        return [record for record in records if record is not None]
 
-    def estimate(self, estimate: Estimate) -> tuple[Record, ...]:
-        """Return the sample an estimate was computed from, and the estimate."""
-        name = estimate.observer
-        time_ns = estimate.sample.time_ns
-        try:
-            sample = self._samples[name].record(estimate.sample)
-            found = self._estimates[name].record(estimate)
-        except ValueError:
-            self.unrecordable += 1
-            return ()
-        return (
-            Record(f"{OWN_TOPICS}{name}/sample", "protobuf", self._sample_schemas[name], _bytes(sample), time_ns),
-            Record(f"{OWN_TOPICS}{name}/estimate", "protobuf", self._estimate_schemas[name], _bytes(found), time_ns),
-        )
+    def estimates(self, estimates: Estimates) -> list[EncodedRecord]:
+        """Return the samples that estimates were computed from and the estimates, in turn."""
+        name, samples = estimates.observer, estimates.samples
+        sample_type, estimate_type = self._types[name]
+        sample_topic = self._topic(f"{OWN_TOPICS}{name}/sample", sample_type.pb_class)
+        estimate_topic = self._topic(f"{OWN_TOPICS}{name}/estimate", estimate_type.pb_class)
+        records: list[EncodedRecord] = []
+        rows = zip(samples.time_ns.tolist(), sample_type.rows(samples), estimate_type.rows(estimates), strict=True)
+        for time_ns, sample, estimate in rows:
+            if time_ns < 0:
+                self.unrecordable += 1
+                continue
+            records += ((sample_topic, sample, time_ns), (estimate_topic, estimate, time_ns))
+        return records
 
-    def block(self, block: Batch) -> list[Records]:
-        """Return the records of a stretch of telemetry by topic."""
-        found: list[Records] = []
-        for columns in block.columns:
-            records = encode_columns(columns)
-            if records is not None:
-                found.append(records)
-            else:
-                places = enumerate(columns.position.tolist())
-                found += self._singly((place, one_message(columns, row)) for row, place in places)
-        return [*found, *self._singly(block.others.items())]
-
-    def _singly(self, messages: Iterable[tuple[int, Message]]) -> list[Records]:
-        return [single(record, place) for place, message in messages for record in self.message(message)]
-
-    def estimates(self, estimates: Estimates) -> list[Records]:
-        """Return the samples that estimates were computed from, and the estimates, as :meth:`estimate` does."""
-        name, time_ns = estimates.observer, estimates.samples.time_ns
-        place = 2 * np.arange(len(estimates))
-        topic, schema = f"{OWN_TOPICS}{name}/sample", self._sample_schemas[name]
-        samples = Records(topic, "protobuf", schema, self._samples[name].rows(estimates.samples), time_ns, place)
-        topic, schema = f"{OWN_TOPICS}{name}/estimate", self._estimate_schemas[name]
-        return [samples, Records(topic, "protobuf", schema, self._estimates[name].rows(estimates), time_ns, place + 1)]
-
-    def event(self, event: AlarmEvent) -> tuple[Record, ...]:
+    def event(self, event: AlarmEvent) -> list[EncodedRecord]:
         """Return an alarm event as protobuf and as JSON."""
+        time_ns = event.time_ns
         try:
-            found = alarm_record(event)
+            if time_ns < 0:
+                raise ValueError("MCAP has no times before 1970")
+            record = alarm_record(event)
         except ValueError:
             self.unrecordable += 1
-            return ()
-        schema = self._alarm_schema = self._alarm_schema or _schema(type(found))
-        data = to_json(event.to_json())
-        return (
-            Record(f"{OWN_TOPICS}alarm", "protobuf", schema, _bytes(found), event.time_ns),
-            Record(f"{OWN_TOPICS}alarm_json", "json", _ALARM_JSON, data, event.time_ns),
-        )
+            return []
+        topic = self._topic(f"{OWN_TOPICS}alarm", type(record))
+        return [
+            (topic, record.SerializeToString(), time_ns),
+            (self.topics.number(_ALARM_JSON), to_json(event.to_json()), time_ns),
+        ]
+
+    def _encoded(self, columns: Columns) -> tuple[int, list[bytes]] | None:
+        """Return the number of the topic and the data of columns, None where no protobuf type holds them."""
+        is_mavlink = columns.source is MAVLINK
+        ids = (columns.system, columns.component) if is_mavlink else ()
+        try:
+            pb_class = mavlink_class(columns.name) if is_mavlink else columns_class(columns)
+            rows = _row_encoder(pb_class)
+            fields = [columns.fields[name] for name in rows.names[len(ids) :]]
+            if len(fields) < len(columns.fields):
+                return None
+            data = rows.encode((*ids, *fields), len(columns.position))
+        except (KeyError, ValueError):
+            return None
+        return self._topic(f"/{columns.source}/{columns.name}", pb_class, columns.component), data
+
+    def _encode_singly(self, messages: Iterable[tuple[int, Message]], records: list[EncodedRecord | None]) -> None:
+        """Set the records of messages at their places."""
+        for place, message in messages:
+            try:
+                record = encode(message)
+            except ValueError:
+                self.unrecordable += 1
+                continue
+            topic = self.topics.number(Topic(record.topic, record.encoding, record.schema, record.component))
+            records[place] = (topic, record.data, record.time_ns)
+
+    def _topic(self, name: str, pb_class: Any, component: int = 0) -> int:
+        """Return the number of a topic of protobuf records."""
+        key = name, pb_class, component
+        number = self._numbers.get(key)
+        if number is None:
+            schema = Schema(str(pb_class.DESCRIPTOR.full_name), "protobuf", descriptor_set(pb_class))
+            number = self._numbers[key] = self.topics.number(Topic(name, "protobuf", schema, component))
+        return number
 
 
-def _schema(pb_class: Any) -> Schema:
-    return Schema(str(pb_class.DESCRIPTOR.full_name), "protobuf", descriptor_set(pb_class))
-
-
-def _bytes(record: Any) -> bytes:
-    return bytes(record.SerializeToString())
+@functools.cache
+def _row_encoder(pb_class: Any) -> RowEncoder:
+    return RowEncoder(pb_class)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import threading
 from collections.abc import Container, Sequence
 from pathlib import Path
 
+from adapters.errors import StorageError
+
 
 def file_stem(name: str) -> str:
-    """Return a vehicle's name as the beginning of file names: what is not a letter, digit or ``._-`` becomes ``_``."""
+    """Return a vehicle's name as a file name's beginning: characters but letters, digits and ``._-`` become ``_``."""
     return re.sub(r"[^\w.-]", "_", name) or "_"
 
 
@@ -22,9 +25,9 @@ class Retention:
     folder : Path
         The folder.
     name : re.Pattern[str]
-        Matches the whole names of the files in question; their lexical order is that of their age.
+        Matches the whole names of these files; their lexical order is that of their age.
     budget_bytes : int
-        What they may take together.
+        Bytes that they may take together.
     """
 
     def __init__(self, folder: Path, name: re.Pattern[str], budget_bytes: int) -> None:
@@ -67,7 +70,7 @@ class Retention:
             self._deleting.start()
 
     def wait(self) -> None:
-        """Wait for what is being deleted."""
+        """Wait for files that are being deleted."""
         if self._deleting is not None:
             self._deleting.join()
             self._deleting = None
@@ -77,3 +80,22 @@ class Retention:
             with contextlib.suppress(OSError):
                 path.unlink()
                 self._deleted += 1
+
+
+def writable_folder(folder: str | os.PathLike[str]) -> Path:
+    """Return a folder for recordings, created where it does not exist.
+
+    Raises
+    ------
+    StorageError
+        It cannot be created, or not be written to.
+    """
+    path = Path(folder)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        advice = "name a folder that this user may write to"
+        raise StorageError(f"{path}: cannot hold recordings: {error.strerror}; {advice}") from error
+    if not os.access(path, os.W_OK | os.X_OK):
+        raise StorageError(f"{path}: cannot hold recordings: it may not be written to")
+    return path

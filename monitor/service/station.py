@@ -22,10 +22,10 @@ from monitor.pipeline import Pipeline
 from monitor.profile import PROFILE_FILE, Profile, read_profile
 from monitor.recording.archive import Archive
 from monitor.recording.black_box import BlackBox
+from monitor.recording.file_series import FileSeries
 from monitor.recording.journal import Journal
 from monitor.recording.record_encoder import RecordEncoder
 from monitor.recording.recorder import Recorder
-from monitor.recording.rotation import RotatingRecorder
 from monitor.service.fleet import Fleet
 from monitor.service.health import Health, LinkHealth, ProcessHealth
 from monitor.service.inbox import Inbox
@@ -279,49 +279,43 @@ class Station:
 
     def _archive(self, pipeline: Pipeline, profile: Profile, stack: ExitStack) -> Archive | None:
         config, name = self._config, pipeline.vehicle
-        recording: Recorder | RotatingRecorder | None = None
         encoder = RecordEncoder(pipeline.layouts)
+        common = (encoder.topics, pipeline.metadata(), profile.files)
+        recorder = black_box = None
+        target: Path | FileSeries | None = config.record
         if config.record is not None:
             config.record.parent.mkdir(parents=True, exist_ok=True)
-            recording = Recorder(config.record, pipeline.layouts, pipeline.metadata(), profile.files)
         elif config.recording.folder is not None:
             table = config.recording
-            recording = RotatingRecorder(
+            target = FileSeries(
                 config.recording.folder / name,
                 name,
-                pipeline.layouts,
-                pipeline.metadata(),
-                profile.files,
                 file_bytes=round(table.file_mb * _MEGABYTE),
                 file_s=table.file_minutes * 60.0,
                 budget_bytes=round(table.budget_mb * _MEGABYTE),
-                encoder=encoder,
             )
-        if recording is not None:
-            stack.callback(self._finish, recording, pipeline)
-        black_box = None
+        if target is not None:
+            recorder = Recorder(target, *common)
+            stack.callback(self._finish, recorder, pipeline)
         if config.black_box.folder is not None:
             clips = config.black_box
             black_box = BlackBox(
                 config.black_box.folder / name,
                 name,
-                pipeline.metadata(),
-                profile.files,
+                *common,
                 before_s=clips.before_s,
                 after_s=clips.after_s,
                 budget_bytes=round(clips.budget_mb * _MEGABYTE),
             )
             stack.callback(black_box.close)
-        return None if recording is None and black_box is None else Archive(encoder, recording, black_box)
+        return None if recorder is None and black_box is None else Archive(encoder, recorder, black_box)
 
-    def _finish(self, recording: Recorder | RotatingRecorder, pipeline: Pipeline) -> None:
-        """End a recording with what is known of the clock only then; a disk that fails keeps nobody from ending."""
-        try:
-            with recording:
-                recording.flush()
-                recording.add_metadata(pipeline.metadata())
-        except OSError as error:
-            self._log.say("recording incomplete", level="error", vehicle=pipeline.vehicle, reason=str(error))
+    def _finish(self, recorder: Recorder, pipeline: Pipeline) -> None:
+        """End a recording with the clock's mapping, which is known only then."""
+        recorder.add_metadata(pipeline.metadata())
+        recorder.close()
+        if (reason := recorder.statistics().failed) is not None:
+            self._log.say("recording incomplete", level="error", vehicle=pipeline.vehicle, reason=reason)
 
     def _desk(self, vehicle: Vehicle) -> DeskRule:
         flood = self._config.flood
