@@ -1,25 +1,25 @@
-"""One observer of a vehicle from messages to events: sampler -> gate -> estimator -> alarms.
+"""One observer of a vehicle from samples to events: gate -> estimator -> alarms.
 
-A sample whose outputs were lost (``measured`` of :class:`adapters.sample.Sample`) is coasted: the model goes on alone,
-what was believed stands, the uncertainty grows. After a gap that is too long for that the observer starts afresh, and
-is evidence again when what a wrong start does to its estimates has died away (:mod:`monitor.estimation.settling`).
+A sample whose outputs were lost (``measured`` of :class:`adapters.sample.Samples`) is coasted: the model goes on alone,
+the hypothesis believed stays, the uncertainty grows. After a gap that is too long for that the observer starts afresh,
+and its samples are evidence again when the effect of a wrong start on its estimates has died away
+(:mod:`monitor.estimation.settling`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.message import Message
-from adapters.sample import Sample, Samples
+from adapters.sample import Sample, Samples, stacked
 from monitor.alarms.alarm import Alarm, retuned
-from monitor.alarms.alarm_stretch import AlarmStretch
 from monitor.alarms.excuse import Excuses
-from monitor.chain_stretch import ChainStretch, Evidence
 from monitor.command_units import CommandUnits
+from monitor.core.alarms import ChainRows, walk
+from monitor.core.sampling import VehicleClock
 from monitor.effectiveness_stage import EffectivenessRun, EffectivenessStage
 from monitor.estimate import Estimate, Estimates, Layout
 from monitor.estimation.estimator import make_estimator
@@ -28,12 +28,52 @@ from monitor.estimation.settling import settling_s
 from monitor.estimation.uncertainty import Uncertainty
 from monitor.event import AlarmEvent
 from monitor.profile import ObserverProfile
-from monitor.sampling.clock import VehicleClock
 from monitor.sampling.gate import GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler, SamplerStatistics
 
-Output = Estimate | AlarmEvent
+
+@dataclass(frozen=True, slots=True)
+class ChainRun:
+    """Estimates of one observer over n samples, and the evidence of its A alarms in them.
+
+    Parameters
+    ----------
+    estimates : Estimates
+        Estimates at the samples.
+    rows : ChainRows
+        Evidence, as the alarms process it.
+    alarms : Sequence[Alarm]
+        The alarms, in the order of the evidence's columns.
+    commands : Mapping[int, NDArray[np.float64]]
+        By alarm: what its size takes its share of (n,), where that makes sense.
+    relative : Mapping[int, NDArray[np.float64]]
+        By alarm: that share, where it is known in another way (n,); not a number in rows where it is not known.
+    smoothed : NDArray[np.float64]
+        Smoothed estimate of each fault under its own hypothesis, whichever is believed (n, a), effect units.
+    unexplained : NDArray[np.float64]
+        Score of what no hypothesis explains (n,), zero where one does.
+    """
+
+    estimates: Estimates
+    rows: ChainRows
+    alarms: Sequence[Alarm]
+    commands: Mapping[int, NDArray[np.float64]]
+    relative: Mapping[int, NDArray[np.float64]]
+    smoothed: NDArray[np.float64]
+    unexplained: NDArray[np.float64]
+
+    def event(self, row: int, alarm: int, code: int) -> AlarmEvent:
+        """Return the event that a row caused in an alarm."""
+        command = self.commands.get(alarm)
+        relative = self.relative.get(alarm)
+        return self.alarms[alarm].event(
+            code,
+            self.estimates.samples,
+            row,
+            None if command is None else float(command[row]),
+            None if relative is None or np.isnan(relative[row]) else float(relative[row]),
+        )
 
 
 class ObserverChain:
@@ -50,7 +90,7 @@ class ObserverChain:
     clock : VehicleClock
         The vehicle's clock, shared by its observers.
     excuses : Excuses | None
-        What the vehicle's alarms explain, shared by its observers; None: nothing.
+        Which alarms explain which, shared by the vehicle's observers; None: no alarm explains another.
     """
 
     def __init__(
@@ -72,20 +112,21 @@ class ObserverChain:
             faults=names,
             fault_units=tuple(channel.unit for channel in profile.faults),
         )
-        self._name = profile.name
         rule = replace(gate, settle_s=max(gate.settle_s, profile.settle_s or settling_s(profile.gains)))
         self._sampler = GatedSampler(profile.source, gains.rate_hz, clock, rule)
         thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
         self._estimator = make_estimator(profile.gains, profile.isolation, names, thresholds)
         self._uncertainty = Uncertainty(profile.gains, profile.model, names)
         self._measured_ns = 0
-        alarms = [Alarm(rule, vehicle) for rule in profile.alarms]
-        self._alarms = [(names.index(alarm.rule.channel), alarm) for alarm in alarms if alarm.rule.kind != "residual"]
-        self._every_alarm = alarms
-        self._residual_alarms = [alarm for alarm in alarms if alarm.rule.kind == "residual"]
         self._command = CommandUnits(profile)
-        self._excuses = excuses or Excuses(())
         self._effectiveness = EffectivenessStage(profile.effectiveness, profile.faults, gains.inputs, gains.rate_hz)
+        self._excuses = excuses or Excuses(())
+        # Faults first, then the alarm of what no fault explains: the order in which a row is processed.
+        rules = sorted(profile.alarms, key=lambda rule: rule.kind == "residual")
+        self._alarms = tuple(Alarm(rule, vehicle) for rule in rules)
+        self._fault_of = np.array([names.index(rule.channel) for rule in rules if rule.kind != "residual"], np.intp)
+        for alarm in self._alarms[: len(self._fault_of)]:
+            self._excuses.add(alarm.rule.channel, alarm.state)
 
     @property
     def interests(self) -> frozenset[str]:
@@ -93,74 +134,71 @@ class ObserverChain:
         return self._sampler.interests
 
     @property
-    def smoothed(self) -> NDArray[np.float64]:
-        """Smoothed estimate of each fault under its own hypothesis at the last sample (a,), effect units."""
-        return self._estimator.smoothed
-
-    @property
-    def unexplained(self) -> float:
-        """Score of what no hypothesis explained at the last sample, zero where one does."""
-        return self._estimator.unexplained
-
-    @property
     def channels(self) -> frozenset[str]:
         """Channels that have an alarm."""
-        return frozenset(alarm.rule.channel for alarm in self._every_alarm)
+        return frozenset(alarm.rule.channel for alarm in self._alarms)
 
     @property
     def thresholds(self) -> dict[str, float]:
         """Alarm thresholds by channel."""
-        return {alarm.rule.channel: alarm.rule.threshold for alarm in self._every_alarm}
-
-    def adopt(self, event: AlarmEvent) -> None:
-        """Go on from an alarm event that another run of the monitor, or another monitor, made."""
-        for alarm in self._every_alarm:
-            if alarm.rule.channel == event.channel:
-                alarm.adopt(event)
-                self._excuses.note(event)
-
-    def retune(self, rules: Mapping[str, Mapping[str, float]]) -> None:
-        """Let other sizes and times of alarms hold from the next sample on, by channel and key."""
-        for alarm in self._every_alarm:
-            alarm.rule = retuned(alarm.rule, rules.get(alarm.rule.channel, {}))
-
-    def statistics(self) -> SamplerStatistics:
-        """Return what the sampler counted."""
-        return self._sampler.statistics()
-
-    def feed(self, message: Message, phase: FlightPhase) -> list[Output]:
-        """Take one message; return estimates and events in the order they arise."""
-        outputs: list[Output] = []
-        for sample, armed in self._sampler.feed(message, phase):
-            outputs.extend(self.step(sample, armed))
-        return outputs
+        return {alarm.rule.channel: alarm.rule.threshold for alarm in self._alarms}
 
     @property
     def sampler(self) -> Sampler:
         """What turns messages into samples, of raw signals where a transform follows."""
         return self._sampler.sampler
 
+    def adopt(self, event: AlarmEvent) -> None:
+        """Go on from an alarm event that another run of the monitor, or another monitor, made."""
+        for alarm in self._alarms:
+            if alarm.rule.channel == event.channel:
+                alarm.adopt(event)
+                self._excuses.follow(event)
+
+    def retune(self, rules: Mapping[str, Mapping[str, float]]) -> None:
+        """Apply other sizes and times of alarms from the next sample on, by channel and key."""
+        for alarm in self._alarms:
+            alarm.set_rule(retuned(alarm.rule, rules.get(alarm.rule.channel, {})))
+
+    def statistics(self) -> SamplerStatistics:
+        """Return what the sampler counted."""
+        return self._sampler.statistics()
+
     def enter(self, phase: FlightPhase) -> None:
-        """Begin a new stretch of samples where the phase has come to allow evidence."""
+        """Restart at the next sample where the phase has come to allow evidence."""
         self._sampler.enter(phase)
 
-    def run(self, samples: Samples, position: NDArray[np.int64], phase: FlightPhase) -> ChainStretch:
-        """Take what :attr:`sampler` made of a stretch of messages; return estimates and evidence of all of it.
-
-        Bit for bit what :meth:`feed` makes of the messages one by one; the alarms are asked by
-        :func:`monitor.chain_stretch.events_in_order`.
+    def run(self, samples: Samples, position: NDArray[np.int64], phase: FlightPhase) -> ChainRun:
+        """Process samples: estimates, and the evidence from which :func:`alarm_events` makes events.
 
         Parameters
         ----------
         samples : Samples
-            The n samples that the messages completed.
+            n samples of :attr:`sampler`.
         position : NDArray[np.int64]
-            Place of the message that completed each (n,).
+            Place in the batch of the message that completed each (n,).
         phase : FlightPhase
-            The vehicle's phase, the same over the stretch and entered before it.
+            The vehicle's phase, the same for all of them and entered before.
         """
         samples, rows = self._sampler.run(samples)
-        armed = self._sampler.admitted(samples, phase)
+        return self.estimate(samples, self._sampler.admitted(samples, phase), position[rows])
+
+    def estimate(
+        self, samples: Samples, armed: NDArray[np.bool_], position: NDArray[np.int64] | None = None
+    ) -> ChainRun:
+        """Process samples of the observer itself; use :meth:`run` for those of :attr:`sampler`.
+
+        Parameters
+        ----------
+        samples : Samples
+            n samples (u, y).
+        armed : NDArray[np.bool_]
+            Whether each is evidence (n,).
+        position : NDArray[np.int64] | None
+            Place in the batch of the message that completed each (n,); None: their index.
+        """
+        if position is None:
+            position = np.arange(len(samples))
         found = self._estimator.run(samples)
         measured = samples.measured | samples.restart
         sd = self._uncertainty.run(measured, samples.restart)
@@ -169,7 +207,7 @@ class ObserverChain:
         for index, effect in effects.items():
             shown.isolated[:, index] = effect.size
         estimates = Estimates(
-            observer=self._name,
+            observer=self.layout.observer,
             samples=samples,
             x=found.x,
             fault=shown.fault,
@@ -179,93 +217,70 @@ class ObserverChain:
             sd=shown.sd,
             coasted_s=self._coasted_s(samples.vehicle_time_ns, measured),
         )
-        evidence = self._evidence(estimates, found, effects, shown.commands)
-        return ChainStretch(estimates, position[rows], tuple(evidence))
+        return self._with_evidence(estimates, position, found, effects, shown.commands)
+
+    def step(self, sample: Sample, armed: bool) -> list[Estimate | AlarmEvent]:
+        """Process one sample: :meth:`estimate` with its estimate and events one by one."""
+        samples = stacked([sample], len(sample.u), len(sample.y))
+        run = self.estimate(samples, np.array([armed]))
+        self.smoothed, self.unexplained = run.smoothed[0], float(run.unexplained[0])
+        return [run.estimates.one(0), *alarm_events([run], self._excuses)]
 
     def _coasted_s(self, times_ns: NDArray[np.int64], measured: NDArray[np.bool_]) -> NDArray[np.float64]:
+        if measured.all():
+            if len(times_ns):
+                self._measured_ns = int(times_ns[-1])
+            return np.zeros(len(times_ns))
         last = np.maximum.accumulate(np.where(measured, np.arange(len(times_ns)), -1))
         since_ns = np.where(last >= 0, times_ns[last], self._measured_ns)
-        if len(since_ns):
-            self._measured_ns = int(since_ns[-1])
+        self._measured_ns = int(since_ns[-1])
         return np.asarray((times_ns - since_ns) * 1e-9, np.float64)
 
-    def _evidence(
+    def _with_evidence(
         self,
         estimates: Estimates,
+        position: NDArray[np.int64],
         found: EstimatorRun,
         effects: Mapping[int, EffectivenessRun],
         commands: Mapping[int, NDArray[np.float64]],
-    ) -> Iterator[Evidence]:
-        """Yield the evidence of each alarm over a stretch, in the order in which :meth:`step` asks them."""
-        times, restart, armed = estimates.samples.vehicle_time_ns, estimates.samples.restart, estimates.armed
-        for index, alarm in self._alarms:
-            size, speaking = estimates.isolated[:, index], armed & found.speaks[:, index]
-            command = relative = None
-            if (effect := effects.get(index)) is not None:
-                speaking, relative = speaking & ~np.isnan(effect.evidence), effect.share
-            else:
-                command = commands.get(index)
-            now = speaking & ~self._excuses.excused_rows(alarm.rule.channel, times)
-            yield Evidence(AlarmStretch(alarm, times, restart, size, now), size, speaking, command, relative)
-        for alarm in self._residual_alarms:
-            size = found.unexplained
-            yield Evidence(AlarmStretch(alarm, times, restart, size, armed), size, armed, excusable=False)
+    ) -> ChainRun:
+        armed, faults = estimates.armed, len(self._fault_of)
+        evidence = np.empty((len(armed), len(self._alarms)))
+        speaking = np.empty(evidence.shape, np.bool_)
+        evidence[:, :faults] = estimates.isolated[:, self._fault_of]
+        evidence[:, faults:] = found.unexplained[:, None]
+        # Evidence that no hypothesis explains speaks neither for a fault nor against it.
+        np.logical_and(armed[:, None], found.speaks[:, self._fault_of], out=speaking[:, :faults])
+        speaking[:, faults:] = armed[:, None]
+        scaled, relative = {}, {}
+        for alarm, fault in enumerate(self._fault_of.tolist()):
+            if (effect := effects.get(fault)) is not None:
+                speaking[:, alarm] &= ~np.isnan(effect.evidence)
+                relative[alarm] = effect.share
+            elif fault in commands:
+                scaled[alarm] = commands[fault]
+        samples = estimates.samples
+        states = [alarm.state for alarm in self._alarms]
+        rows = ChainRows(states, position, samples.vehicle_time_ns, samples.restart, evidence, speaking)
+        return ChainRun(estimates, rows, self._alarms, scaled, relative, found.smoothed, found.unexplained)
 
-    def step(self, sample: Sample, armed: bool) -> list[Output]:
-        """Take one sample, ``armed`` saying whether it is evidence; return its estimate and the events it causes."""
-        estimator, measured = self._estimator, sample.measured or sample.restart
-        if sample.restart:
-            estimator.restart(sample.u, sample.y)
-            self._command.restart(sample.u)
-            self._uncertainty.restart()
-        if measured:
-            estimator.step(sample.u, sample.y, sample.complete)
-            self._measured_ns = sample.vehicle_time_ns
-        else:
-            estimator.coast(sample.u)
-        self._uncertainty.follow(measured)
-        verdicts = self._effectiveness.judge(sample, estimator.fault, armed)
-        self._command.follow(sample.u)
-        upper = estimator.fault + self._uncertainty.sd
-        fault, isolated, upper = self._command.convert(np.stack([estimator.fault, estimator.evidence, upper]))
-        for index, size in self._effectiveness.sizes.items():
-            isolated[index] = size
-        outputs: list[Output] = [
-            Estimate(
-                observer=self._name,
-                sample=sample,
-                x=estimator.x.copy(),
-                fault=fault,
-                isolated=isolated,
-                residual=estimator.residual.copy(),
-                armed=armed,
-                sd=np.abs(upper - fault),
-                coasted_s=(sample.vehicle_time_ns - self._measured_ns) * 1e-9,
-            )
-        ]
-        unexplained = estimator.unexplained
-        for index, alarm in self._alarms:
-            # Evidence that no hypothesis explains speaks neither for a fault nor against it.
-            excused = self._excuses.excused(alarm.rule.channel, sample.vehicle_time_ns)
-            if not armed or not estimator.speaks[index] or excused:
-                alarm.pause()
-                continue
-            size = float(isolated[index])
-            if index not in self._effectiveness.sizes:
-                event = alarm.update(sample, size, self._command.command(index))
-            elif (verdict := verdicts.get(index)) is None or verdict.evidence is None:
-                alarm.pause()
-                continue
-            else:
-                event = alarm.update(sample, size, None, verdict.share)
-            if event is not None:
-                outputs.append(event)
-                self._excuses.note(event)
-        for alarm in self._residual_alarms:
-            if not armed:
-                alarm.pause()
-                continue
-            event = alarm.update(sample, unexplained, None)
-            if event is not None:
-                outputs.append(event)
-        return outputs
+
+def alarm_events(runs: Sequence[ChainRun], excuses: Excuses) -> list[AlarmEvent]:
+    """Return the events of all of a vehicle's observers over the same messages, in the order in which they arise.
+
+    Parameters
+    ----------
+    runs : Sequence[ChainRun]
+        What each observer made of the messages, in order.
+    excuses : Excuses
+        Which alarms explain which: an event takes effect on all rows after it, also those of other observers.
+    """
+    events = []
+
+    def on_event(observer: int, row: int, alarm: int, code: int) -> None:
+        event = runs[observer].event(row, alarm, code)
+        events.append(event)
+        excuses.follow(event)
+
+    walk([run.rows for run in runs], on_event)
+    return events

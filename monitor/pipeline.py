@@ -1,13 +1,13 @@
-"""A vehicle's whole pipeline: messages in, estimates and alarm events out.
+"""A vehicle's whole pipeline: batches of messages in, estimates and alarm events out.
 
 The same object serves a live link and a recording. It reads no clock: whatever it does follows from the messages
-and their times of arrival, so a recorded session replays to the same bits. What is no telemetry but has a say is a
-message too: time that passes, what the link found out, an operator's command, other thresholds, alarms that stood
-before a restart.
+and their times of arrival, so a recorded session replays to the same bits. Other influences are messages, too: time
+that passes, what the link found out, an operator's command, other thresholds, alarms that were active before a restart.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, cut
+from adapters.batch import Batch, Columns, cut, pack
 from adapters.mavlink.vehicle_type import vehicle_type
 from adapters.message import SILENCE, Message
 from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR
@@ -28,30 +28,23 @@ from monitor.alarms.desk_rule import DeskRule, desk_rule, rule_fields
 from monitor.alarms.excuse import Excuses
 from monitor.alarms.link_alarms import LinkAlarms
 from monitor.alarms.stale import StaleAlarm
-from monitor.chain import ObserverChain, Output
-from monitor.chain_stretch import events_in_order
-from monitor.core.sampling import sample_batch
-from monitor.estimate import Estimate, Estimates, Layout, alone
+from monitor.chain import ObserverChain, alarm_events
+from monitor.core.sampling import VehicleClock, sample_batch
+from monitor.estimate import Estimate, Estimates, Layout
 from monitor.event import AlarmEvent, is_seq, valid_event
 from monitor.profile import Profile
-from monitor.sampling.clock import VehicleClock
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import SamplerStatistics
-from monitor.uniform import changes_phase, heartbeats, in_order, selected
+from monitor.segments import Arrivals, arrivals_of, message_at, selected
 
 AUTOPILOT = 1
 RULES = "rules"
 STANDING = "standing"
-_WORTH_IT = 64
-"""Messages from which on a stretch is worth what it costs to begin one."""
-_LOOK_AHEAD = 2048
-_LARGEST_LOOK = 1 << 17
-"""Messages looked at for a first stretch; up to so many once one has held."""
 
-Stretch = Estimates | AlarmEvent
+Output = Estimate | AlarmEvent
 
-# Values that overflow are no evidence, and no news for whoever reads the log.
-_ABSURD = np.errstate(all="ignore")
+# Values that overflow are discarded later; NumPy's warnings about them would fill the log.
+_quiet_overflow = np.errstate(all="ignore")
 
 
 class Pipeline:
@@ -88,7 +81,6 @@ class Pipeline:
         self._system = profile.system if system is None else system
         self._component = component
         self._interests = self.interests
-        self._ahead = _LOOK_AHEAD
         self.foreign = 0
 
     @property
@@ -171,124 +163,137 @@ class Pipeline:
             self._system = message.system
         return message.system == self._system
 
-    @_ABSURD
-    def feed(self, message: Message) -> list[Output]:
-        """Take one message; return estimates and events in the order they arise."""
-        if not self.accepts(message):
-            self.foreign += 1
-            return []
-        if message.name not in self._interests:
-            return []
-        now_ns = message.received_ns
-        outputs: list[Output] = [*self._desk.tick(now_ns)]
-        if not message.source.is_telemetry:
-            outputs.extend(self._feed_own(message))
-            return outputs
-        self._phase.feed(message)
-        told = self._desk.take
-        outputs.extend(self._tell(self._silence(now_ns)))
-        outputs.extend(self._tell(self._link.feed(message, self._clock.newest_ns)))
-        if message.name in self._wanted:
-            for event in self._stale.heard(now_ns, self._clock.newest_ns):
-                outputs.extend(told(event))
-            for chain in self._chains:
-                if message.name not in chain.interests:
-                    continue
-                for output in chain.feed(message, self._phase):
-                    if isinstance(output, AlarmEvent):
-                        outputs.extend(told(output))
-                    else:
-                        outputs.append(output)
-        return outputs
+    @_quiet_overflow
+    def run(self, batch: Batch) -> list[Estimates | AlarmEvent]:
+        """Process a batch of messages; return estimates and events.
 
-    @_ABSURD
-    def run(self, block: Batch) -> list[Stretch]:
-        """Take a whole block; return what feeding its messages one by one would return, estimates as arrays.
+        A message that does more than bring measurements begins a segment, in which the estimates come before the
+        events. The results do not depend on how a stream is cut into batches.
 
-        Stretches in which the messages do nothing but carry samples are taken at once, the others one by one. Within
-        what is returned the estimates of a stretch stand before its events.
+        Parameters
+        ----------
+        batch : Batch
+            One message or thousands, in the order of arrival.
         """
-        outputs: list[Stretch] = []
-        if self._system == 0 and any(one.source.has_ids for one in block.columns):
-            block = self._run_until_known(block, outputs)
-        chosen = selected(block, self._interests, self._system, self._component)
-        self.foreign += self._foreign_in(block)
-        order = in_order(chosen)
-        place, single = 0, 1
-        while place < chosen.count:
-            stop = min(place + self._ahead, chosen.count)
-            taken = self._run_uniform(cut(chosen, place, stop), outputs)
-            place += taken
-            if place == stop:
-                self._ahead = min(4 * self._ahead, _LARGEST_LOOK)
-                continue
-            # Where stretches end again and again, looking for them would cost more than they save.
-            self._ahead = _LOOK_AHEAD
-            single = 1 if taken > _WORTH_IT else min(2 * single, _WORTH_IT)
-            for at in range(place, min(place + single, chosen.count)):
-                outputs.extend(_as_stretches(self.feed(order.message(at))))
-            place = min(place + single, chosen.count)
+        outputs: list[Estimates | AlarmEvent] = []
+        if self._system == 0:
+            batch = self._run_unidentified(batch, outputs)
+        self._run_accepted(self._accepted(batch), outputs)
         return outputs
 
-    def _run_until_known(self, block: Batch, outputs: list[Stretch]) -> Batch:
-        """Feed messages one by one until the system that is monitored is known; return the rest of the block."""
-        order = in_order(block)
-        for place in range(block.count):
-            outputs.extend(_as_stretches(self.feed(order.message(place))))
-            if self._system:
-                return cut(block, place + 1, block.count)
-        return cut(block, 0, 0)
+    def _run_unidentified(self, batch: Batch, outputs: list[Estimates | AlarmEvent]) -> Batch:
+        """Process the messages before the one that tells the system to monitor; return the others."""
+        first = batch.count
+        for columns in batch.columns:
+            if self._identifies(columns):
+                first = min(first, int(columns.position[0]))
+        for index, message in batch.others.items():
+            if self._identifies(message):
+                first = min(first, index)
+        before, rest = cut(batch, 0, first), cut(batch, first, batch.count)
+        self._run_accepted(self._accepted(before), outputs)
+        if rest.count:
+            self.accepts(message_at(rest, 0))
+        return rest
 
-    def _foreign_in(self, block: Batch) -> int:
-        """Return how many messages are another vehicle's; those that are fed one by one are counted there."""
-        unfed = (one for one in block.others.values() if one.name not in self._interests)
-        return sum(not self.accepts(one) for one in unfed) + sum(
-            len(one.position)
-            for one in block.columns
-            if one.source.has_ids
-            and (one.system != self._system or (self._component and one.component != self._component))
-        )
+    def _identifies(self, sender: Message | Columns) -> bool:
+        """Return whether the vehicle to monitor is the one that sent this."""
+        ours = sender.source.has_ids and sender.source.is_telemetry and self._component in (0, sender.component)
+        return ours and sender.name in self._wanted and sender.system != 0
 
-    def _run_uniform(self, block: Batch, outputs: list[Stretch]) -> int:
-        """Take the first messages of a block as far as they can be taken as a whole; return how many."""
-        order = in_order(block)
-        received_ns, heartbeat = order.received_ns, heartbeats(order)
-        wanted = np.array([*(one.name in self._wanted for one in block.columns), False])[order.column]
-        count = min(
-            changes_phase(order, self._phase),
-            self._stale.first_silent(received_ns, wanted),
-            self._link.first_due(received_ns, heartbeat),
-            self._desk_quiet(received_ns),
+    def _accepted(self, batch: Batch) -> Batch:
+        """Return the messages that matter, and count those of other senders."""
+        self.foreign += sum(
+            len(columns.position)
+            for columns in batch.columns
+            if columns.source.has_ids
+            and (columns.system != self._system or self._component not in (0, columns.component))
         )
-        if count < _WORTH_IT:
-            return 0
+        self.foreign += sum(not self.accepts(message) for message in batch.others.values())
+        return selected(batch, self._interests, self._system, self._component)
+
+    def _run_accepted(self, batch: Batch, outputs: list[Estimates | AlarmEvent]) -> None:
+        arrivals = arrivals_of(batch, self._wanted, self._phase)
+        own = sorted(index for index, message in batch.others.items() if not message.source.is_telemetry)
+        index = 0
+        while index < batch.count:
+            message = message_at(batch, index)
+            outputs.extend(self._desk.tick(message.received_ns))
+            if not message.source.is_telemetry:
+                outputs.extend(self._run_own(message))
+                index += 1
+                continue
+            outputs.extend(self._tell(self._before(message)))
+            stop = self._segment_end(arrivals, own, index)
+            self._run_segment(batch, arrivals, index, stop, outputs)
+            index = stop
+
+    def _before(self, message: Message) -> list[AlarmEvent]:
+        """Return the events that the first message of a segment causes before its measurements are looked at."""
+        now_ns, vehicle_ns = message.received_ns, self._clock.newest_ns
+        self._phase.feed(message)
+        events = self._silence(now_ns)
+        events += self._link.feed(message, vehicle_ns)
+        if message.name in self._wanted:
+            events += self._stale.heard(now_ns, vehicle_ns)
+        return events
+
+    def _segment_end(self, arrivals: Arrivals, own: Sequence[int], start: int) -> int:
+        """Return the index of the first message after ``start`` that does more than bring measurements."""
+        after = start + 1
+        rest = slice(after, None)
+        received_ns = arrivals.received_ns[rest]
+        heartbeats = arrivals.heartbeats[np.searchsorted(arrivals.heartbeats, after) :] - after
+        quiet = min(
+            self._stale.first_silent(received_ns, arrivals.wanted[rest]),
+            self._link.first_due(received_ns, heartbeats),
+            self._first_desk_due(int(arrivals.received_ns[start]), received_ns),
+        )
+        changes = arrivals.phases[np.searchsorted(arrivals.phases, after) :][:1].tolist()
+        return min([after + quiet, *changes, *own[bisect_left(own, after) :][:1]])
+
+    def _first_desk_due(self, start_ns: int, received_ns: NDArray[np.int64]) -> int:
+        """Return the index of the first message at which shelving or a flood may end, else the number of messages."""
+        # A flood that begins in the segment lasts for flood_s.
+        until_ns = start_ns + round(self._desk.rule.flood_s * 1e9)
+        if (due_ns := self._desk.due_ns) is not None:
+            until_ns = min(until_ns, due_ns)
+        if not len(received_ns) or int(received_ns.max()) < until_ns:
+            return len(received_ns)
+        return int(np.argmax(received_ns >= until_ns))
+
+    def _run_segment(
+        self, batch: Batch, arrivals: Arrivals, start: int, stop: int, outputs: list[Estimates | AlarmEvent]
+    ) -> None:
+        """Process messages that only bring measurements, after what the first of them changed."""
         before_ns = self._clock.newest_ns
         for chain in self._chains:
             chain.enter(self._phase)
-        taken = sample_batch(self._clock, [chain.sampler for chain in self._chains], cut(block, 0, count))
-        newest_ns = np.concatenate(((before_ns,), taken.newest_ns))
-        if (heard := np.flatnonzero(wanted[:count])).size:
-            self._stale.pass_over(int(received_ns[heard].max()), int(newest_ns[heard[-1]]))
-        beats = np.flatnonzero(heartbeat[:count])
-        self._link.pass_over(int(received_ns[beats[-1]]) if beats.size else None, int(newest_ns[count - 1]))
-        stretches = [
+        segment = batch if stop - start == batch.count else cut(batch, start, stop)
+        taken = sample_batch(self._clock, [chain.sampler for chain in self._chains], segment)
+        self._follow_arrivals(arrivals, start, stop, np.concatenate(((before_ns,), taken.newest_ns)))
+        runs = [
             chain.run(samples, position, self._phase)
             for chain, samples, position in zip(self._chains, taken.samples, taken.position, strict=True)
         ]
-        outputs.extend(one.estimates for one in stretches if len(one.estimates))
-        outputs.extend(self._tell(events_in_order(stretches, self._excuses)))
-        return count
+        outputs.extend(run.estimates for run in runs if len(run.estimates))
+        outputs.extend(self._tell(alarm_events(runs, self._excuses)))
 
-    def _desk_quiet(self, received_ns: NDArray[np.int64]) -> int:
-        """Return the first message at which the desk may have to speak by itself, also of what may come before it."""
-        until_ns = int(received_ns[0]) + round(self._desk.rule.flood_s * 1e9) if len(received_ns) else 0
-        if (due_ns := self._desk.due_ns) is not None:
-            until_ns = min(until_ns, due_ns)
-        late = received_ns >= until_ns
-        return int(np.argmax(late)) if late.any() else len(received_ns)
+    def _follow_arrivals(self, arrivals: Arrivals, start: int, stop: int, newest_ns: NDArray[np.int64]) -> None:
+        """Let the alarms of silence and of heartbeats follow a segment in which they have nothing to say.
 
-    def _feed_own(self, message: Message) -> list[AlarmEvent]:
-        """Take a message that is no telemetry."""
+        ``newest_ns`` is the vehicle's newest time before each message of the segment, and after the last.
+        """
+        carriers = np.flatnonzero(arrivals.wanted[start:stop])
+        if len(carriers):
+            latest_ns = int(arrivals.received_ns[start:stop][carriers].max())
+            self._stale.pass_over(latest_ns, int(newest_ns[carriers[-1]]))
+        first, last = np.searchsorted(arrivals.heartbeats, (start, stop))
+        beat_ns = int(arrivals.received_ns[arrivals.heartbeats[last - 1]]) if last > first else None
+        self._link.pass_over(beat_ns, int(newest_ns[stop - start - 1]))
+
+    def _run_own(self, message: Message) -> list[AlarmEvent]:
+        """Process a message that is no telemetry."""
         now_ns, fields = message.received_ns, message.fields
         if message.source is CLOCK:
             return self._tell([*self._silence(now_ns), *self._link.quiet(now_ns)])
@@ -301,11 +306,21 @@ class Pipeline:
         return self._desk.operate(message.name, fields, now_ns)
 
     def _silence(self, now_ns: int) -> list[AlarmEvent]:
-        """Note that time has come to ``now_ns``, by a message or without one: live and replayed the same."""
+        """Let time come to ``now_ns``, by a message or without one: live and replayed the same."""
         events = self._stale.silence(now_ns)
         if self._stale.active:
             self._link.silent()
         return events
+
+    def feed(self, message: Message) -> list[Output]:
+        """Process one message: :meth:`run` with its estimates one by one."""
+        outputs: list[Output] = []
+        for output in self.run(pack([message])):
+            if isinstance(output, Estimates):
+                outputs += [output.one(row) for row in range(len(output))]
+            else:
+                outputs.append(output)
+        return outputs
 
     def _tell(self, events: Iterable[AlarmEvent]) -> list[AlarmEvent]:
         return [told for event in events for told in self._desk.take(event)]
@@ -331,10 +346,6 @@ class Pipeline:
             if isinstance(rules, Mapping):
                 chain.retune({name: rule for name, rule in rules.items() if isinstance(rule, Mapping)})
         return self._desk.set_rule(desk_rule(fields, self._desk.rule), now_ns)
-
-
-def _as_stretches(outputs: Iterable[Output]) -> list[Stretch]:
-    return [alone(output) if isinstance(output, Estimate) else output for output in outputs]
 
 
 def rules_message(rule: DeskRule, profile: Profile, now_ns: int) -> Message:

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from adapters.sample import Sample
+from adapters.sample import Samples
 from monitor.alarms.alarm import Alarm, AlarmRule, retuned
+from monitor.core.alarms import ChainRows, walk
 from monitor.event import AlarmEvent, event_from_json
 
 STEP_NS = 10_000_000
@@ -28,22 +30,44 @@ RULE = AlarmRule(
 )
 
 
-def sample(index: int) -> Sample:
-    zero = np.zeros(1)
-    return Sample(index, index * STEP_NS, 10**18 + index * STEP_NS, zero, zero, restart=False, complete=True)
-
-
 def new_alarm(rule: AlarmRule = RULE) -> Alarm:
     return Alarm(rule, "copter-1")
 
 
-def run(alarm: Alarm, values: list[float], start: int = 0) -> list[AlarmEvent]:
-    events = []
-    for k, value in enumerate(values, start):
-        event = alarm.update(sample(k), value, 0.5)
-        if event is not None:
-            events.append(event)
+def process(
+    alarm: Alarm,
+    evidence: NDArray[np.float64],
+    times_ns: NDArray[np.int64],
+    *,
+    restart: NDArray[np.bool_] | None = None,
+    speaking: NDArray[np.bool_] | None = None,
+    unix_minus_vehicle_ns: int = 10**18,
+    relative: float | None = None,
+) -> list[AlarmEvent]:
+    """Return the events of one batch of evidence; the command is 0.5 unless the share is given."""
+    count = len(evidence)
+    restart = np.zeros(count, np.bool_) if restart is None else restart
+    speaking = np.ones(count, np.bool_) if speaking is None else speaking
+    always, nothing = np.ones(count, np.bool_), np.zeros((count, 0))
+    unix_ns = times_ns + unix_minus_vehicle_ns
+    samples = Samples(np.arange(count), times_ns, unix_ns, nothing, nothing, restart, always, times_ns, always)
+    rows = ChainRows([alarm.state], np.arange(count), times_ns, restart, evidence[:, None], speaking[:, None])
+    events: list[AlarmEvent] = []
+    command = 0.5 if relative is None else None
+    walk([rows], lambda _observer, row, _alarm, code: events.append(alarm.event(code, samples, row, command, relative)))
     return events
+
+
+def run(alarm: Alarm, values: list[float], start: int = 0, restart_first: bool = False) -> list[AlarmEvent]:
+    evidence = np.array(values, np.float64)
+    restart = np.zeros(len(evidence), np.bool_)
+    restart[:1] = restart_first
+    return process(alarm, evidence, (start + np.arange(len(evidence))) * STEP_NS, restart=restart)
+
+
+def pause(alarm: Alarm) -> None:
+    """Let a row pass that is no evidence."""
+    process(alarm, np.zeros(1), np.zeros(1, np.int64), speaking=np.zeros(1, np.bool_))
 
 
 def test_evidence_that_stands_shorter_than_the_debounce_raises_nothing() -> None:
@@ -95,7 +119,7 @@ def test_updates_come_at_most_once_a_second() -> None:
 def test_pausing_freezes_the_debounce() -> None:
     alarm = new_alarm()
     assert run(alarm, [0.05] * 14) == []
-    alarm.pause()
+    pause(alarm)
     assert run(alarm, [0.05], start=1000) == []
     assert [event.state for event in run(alarm, [0.05] * 3, start=1001)] == ["raised"]
 
@@ -143,16 +167,9 @@ def test_events_alternate_between_raised_and_cleared_whatever_comes(values: list
             assert abs(event.estimate or 0.0) >= RULE.threshold
 
 
-def test_a_share_that_is_known_by_itself_is_told_as_it_is() -> None:
-    alarm = new_alarm()
-    events = [alarm.update(sample(k), -0.05, None, relative=-0.3) for k in range(20)]
-    raised = next(event for event in events if event is not None)
+def test_a_share_that_is_known_by_itself_is_reported_as_it_is() -> None:
+    (raised,) = process(new_alarm(), np.full(20, -0.05), np.arange(20) * STEP_NS, relative=-0.3)
     assert (raised.estimate, raised.relative) == (-0.05, -0.3)
-
-
-def at_time(vehicle_s: float, unix_s: float, restart: bool = False) -> Sample:
-    zero = np.zeros(1)
-    return Sample(0, round(vehicle_s * 1e9), round(unix_s * 1e9), zero, zero, restart=restart, complete=True)
 
 
 def test_a_fault_that_grows_is_critical_before_it_is_large() -> None:
@@ -167,40 +184,44 @@ def test_a_fault_that_grows_is_critical_before_it_is_large() -> None:
 def test_an_observer_that_starts_anew_is_no_growth_of_the_fault() -> None:
     alarm = new_alarm()
     events = run(alarm, [0.08] * 500)
-    for k in range(40):
-        alarm.update(replace(sample(500 + k), restart=k == 0), 0.0, 0.5)
+    events += run(alarm, [0.0] * 40, start=500, restart_first=True)
     events += run(alarm, [0.08] * 500, start=540)
     assert {event.severity for event in events} == {"warning"}
+
+
+def at_times(alarm: Alarm, vehicle_s: float, unix_s: float, values: list[float], restart: bool) -> list[AlarmEvent]:
+    times_ns = round(vehicle_s * 1e9) + np.arange(len(values)) * STEP_NS
+    first = np.arange(len(values)) == (0 if restart else -1)
+    offset_ns = round((unix_s - vehicle_s) * 1e9)
+    return process(alarm, np.array(values), times_ns, restart=first, unix_minus_vehicle_ns=offset_ns)
 
 
 @pytest.mark.parametrize("gone", [False, True])
 def test_a_reboot_during_an_alarm_neither_loses_nor_mutes_it_nor_raises_it_twice(gone: bool) -> None:
     alarm = new_alarm()
-    found = [alarm.update(at_time(1000 + k / 100, 5000 + k / 100), 0.05, 0.5) for k in range(100)]
-    alarm.pause()
-    evidence = 0.0 if gone else 0.1
-    found += [alarm.update(at_time(2 + k / 100, 5010 + k / 100, k == 0), evidence, 0.5) for k in range(300)]
+    events = at_times(alarm, 1000, 5000, [0.05] * 100, restart=False)
+    pause(alarm)
+    events += at_times(alarm, 2, 5010, [0.0 if gone else 0.1] * 300, restart=True)
     if not gone:
-        assert alarm.active
-        found += [alarm.update(at_time(5 + k / 100, 5013 + k / 100), 0.0, 0.5) for k in range(100)]
-    events = [event for event in found if event is not None]
+        assert alarm.state.active
+        events += at_times(alarm, 5, 5013, [0.0] * 100, restart=False)
     assert [event.state for event in events] == (["raised", "cleared"] if gone else ["raised", "updated", "cleared"])
     assert len({event.id for event in events}) == 1
-    assert not alarm.active
+    assert not alarm.state.active
 
 
 def test_an_adopted_alarm_goes_on_under_its_id_and_clears() -> None:
     (raised,) = run(new_alarm(), [0.05] * 30)
     alarm = new_alarm()
     alarm.adopt(raised)
-    assert alarm.active
+    assert alarm.state.active
     told = run(alarm, [0.05] * 300 + [0.1] * 100 + [0.0] * 100, start=1000)
     assert [event.state for event in told] == ["updated", "updated", "cleared"]
     assert {(event.id, event.since_ns) for event in told} == {(raised.id, raised.since_ns)}
     assert told[-1].peak == 0.1
     alarm.adopt(raised)
     alarm.adopt(replace(raised, state="cleared"))
-    assert not alarm.active
+    assert not alarm.state.active
 
 
 def test_a_rule_takes_numbers_that_make_sense_and_leaves_the_rest() -> None:
@@ -240,17 +261,13 @@ def handed_over(events: list[AlarmEvent], rule: AlarmRule) -> Alarm:
     return alarm
 
 
-def restarted(start: int) -> Sample:
-    return replace(sample(start), restart=True)
-
-
 def test_an_adopted_alarm_of_the_slow_path_stands_as_long_as_its_mean_does() -> None:
     evidence = [0.009] * 2000
     before = run(new_alarm(SLOW), evidence)
     assert before[-1].creeping
     after = handed_over(before, SLOW)
     # a new process begins with an observer that starts anew
-    assert after.update(restarted(2000), 0.009, 0.5) is None
+    assert run(after, [0.009], 2000, restart_first=True) == []
     assert run(after, evidence, 2001) == []
     (cleared,) = run(after, [0.0] * 2000, 4001)
     assert (cleared.state, cleared.id) == ("cleared", before[0].id)
@@ -264,3 +281,29 @@ def test_an_adopted_alarm_that_comes_and_goes_still_needs_its_long_quiet() -> No
     assert run(after, [0.0] * 400, 200) == []
     (cleared,) = run(after, [0.0] * 200, 600)
     assert (cleared.state, cleared.id) == ("cleared", before[-1].id)
+
+
+def streams(count: int) -> st.SearchStrategy[tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]]:
+    def build(seed: int, loudness: float) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+        rng = np.random.default_rng(seed)
+        evidence = loudness * np.repeat(rng.normal(0, 1, count // 20 + 1), 20)[:count] + rng.normal(0, 0.2, count)
+        evidence[rng.random(count) < 0.002] = rng.choice([np.nan, np.inf, -np.inf])
+        speaking = np.repeat(rng.random(count // 10 + 1) < 0.9, 10)[:count]
+        return evidence, speaking, rng.random(count) < 0.005
+
+    return st.builds(build, st.integers(0, 2**32 - 1), st.sampled_from([0.1, 0.5, 1.0, 2.0]))
+
+
+@given(stream=streams(600), cuts=st.lists(st.integers(0, 600), max_size=6), slow=st.sampled_from([0.2, 0.6, math.inf]))
+def test_events_do_not_depend_on_where_batches_end(
+    stream: tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]], cuts: list[int], slow: float
+) -> None:
+    evidence, speaking, restart = stream
+    rule = AlarmRule("motors", "motor1", "actuator", "1", 1.0, 0.6, 3.0, 0.05, 0.1, fast=2.0, slow=slow, slow_s=0.5)
+    whole, parts, times_ns = new_alarm(rule), new_alarm(rule), np.arange(600) * STEP_NS
+    expected = process(whole, evidence, times_ns, restart=restart, speaking=speaking)
+    events = []
+    for a, b in pairwise([0, *sorted(cuts), 600]):
+        part = slice(a, b)
+        events += process(parts, evidence[part], times_ns[part], restart=restart[part], speaking=speaking[part])
+    assert repr(events) == repr(expected)

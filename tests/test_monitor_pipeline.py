@@ -14,10 +14,9 @@ from adapters.logs.recordings import read_recording
 from adapters.message import Message, silence
 from adapters.source import CLOCK, JOURNAL, LINK, MAVLINK, OPERATOR
 from monitor.alarms.desk_rule import DeskRule
-from monitor.chain import Output
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
-from monitor.pipeline import Pipeline, rules_message, standing_message
+from monitor.pipeline import Output, Pipeline, rules_message, standing_message
 from monitor.profile import Profile
 from monitor.sampling.phase import FlightPhase
 

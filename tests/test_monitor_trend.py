@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.alarms.trend import Trend
+from monitor.core.alarms import Trend
 
 STEP_NS = 10_000_000
 

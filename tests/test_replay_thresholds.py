@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from adapters.logs.recordings import read_recording
 from monitor.chain import ObserverChain
+from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimate
 from monitor.fitting.calibrate import flight_samples
 from monitor.fitting.fitted import bare_rule
 from monitor.fitting.thresholds import Times, calibrated, healthy_evidence, healthy_levels, plain_only, weighted_mean
 from monitor.profile import Profile
-from monitor.sampling.clock import VehicleClock
 from monitor.sampling.gate import GatedSample
 
 RATE_HZ = 50.0

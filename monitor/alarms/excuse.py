@@ -1,4 +1,7 @@
-"""Alarms that another one explains: a gyro jump tilts the attitude, and the tilt looks like a GPS that speeds away."""
+"""Alarms that another alarm explains: a gyro jump tilts the attitude, and the tilt looks like a GPS that speeds away.
+
+While an alarm is excused its evidence neither raises nor clears it.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.errors import ProfileError
+from adapters.message import LATEST_NS
+from monitor.core.alarms import AlarmState
 from monitor.event import AlarmEvent
 from monitor.tables import Table
 
@@ -34,7 +39,7 @@ class ExcuseRule:
 
 
 class Excuses:
-    """Follows a vehicle's alarms.
+    """Follows a vehicle's alarms and tells the alarms that they excuse.
 
     Parameters
     ----------
@@ -49,42 +54,37 @@ class Excuses:
                 self._rules.setdefault(channel, []).append(rule)
         self._active: dict[str, set[str]] = {}
         self._cleared_ns: dict[str, int] = {}
+        self._excusable: dict[str, list[AlarmState]] = {}
 
-    def note(self, event: AlarmEvent) -> None:
-        """Take an event of any channel."""
-        standing = self._active.setdefault(event.channel, set())
+    def add(self, channel: str, alarm: AlarmState) -> None:
+        """Excuse an alarm of this channel from now on whenever the rules say so."""
+        if channel in self._rules:
+            self._excusable.setdefault(channel, []).append(alarm)
+
+    def follow(self, event: AlarmEvent) -> None:
+        """Follow an event of any channel: the rows after it are excused accordingly."""
+        active = self._active.setdefault(event.channel, set())
         if event.state == "cleared":
-            standing.discard(event.id)
+            active.discard(event.id)
             self._cleared_ns[event.channel] = event.vehicle_time_ms * 1_000_000
         else:
-            standing.add(event.id)
+            active.add(event.id)
+        for channel, alarms in self._excusable.items():
+            if any(event.channel in rule.by for rule in self._rules[channel]):
+                now, spans = self._excuse(channel)
+                for alarm in alarms:
+                    alarm.set_excuse(now, spans)
 
-    def touched(self, cause: str) -> frozenset[str]:
-        """Return the channels whose excuse depends on alarms of ``cause``."""
-        return frozenset(name for name, rules in self._rules.items() if any(cause in rule.by for rule in rules))
-
-    def excused_rows(self, channel: str, vehicle_times_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return :meth:`excused` for many times at once, as long as no event is noted."""
-        found = np.zeros(len(vehicle_times_ns), np.bool_)
-        for rule in self._rules.get(channel, ()):
+    def _excuse(self, channel: str) -> tuple[bool, NDArray[np.int64]]:
+        """Return whether a channel is excused whenever, and the spans of vehicle time in which it is (m, 2), ns."""
+        spans = []
+        for rule in self._rules[channel]:
             for cause in rule.by:
                 if self._active.get(cause):
-                    found[:] = True
-                elif (cleared_ns := self._cleared_ns.get(cause)) is not None:
-                    since = vehicle_times_ns - cleared_ns
-                    found |= (since >= 0) & (since <= rule.for_s * 1e9)
-        return found
-
-    def excused(self, channel: str, vehicle_time_ns: int) -> bool:
-        """Return whether a channel's evidence at a time is explained by another alarm."""
-        for rule in self._rules.get(channel, ()):
-            for cause in rule.by:
-                cleared_ns = self._cleared_ns.get(cause)
-                if self._active.get(cause) or (
-                    cleared_ns is not None and 0 <= vehicle_time_ns - cleared_ns <= rule.for_s * 1e9
-                ):
-                    return True
-        return False
+                    return True, np.empty((0, 2), np.int64)
+                if (cleared_ns := self._cleared_ns.get(cause)) is not None:
+                    spans.append((cleared_ns, cleared_ns + min(int(rule.for_s * 1e9), LATEST_NS)))
+        return False, np.array(spans, np.int64).reshape(-1, 2)
 
 
 def read_excuses(tables: Iterable[Table], known: Sequence[str]) -> tuple[ExcuseRule, ...]:

@@ -64,28 +64,30 @@ class LinkAlarms:
                 events.append(self._raise(HEARTBEAT, "stale", "warning", now_ns, None, "s", text))
         return events
 
-    def first_due(self, received_ns: NDArray[np.int64], heartbeat: NDArray[np.bool_]) -> int:
-        """Return the first of the messages that these alarms have to be told of one by one, their number where none is.
+    def first_due(self, received_ns: NDArray[np.int64], heartbeats: NDArray[np.intp]) -> int:
+        """Return the index of the first message that may cause an event here, the number of messages if there is none.
 
         Parameters
         ----------
         received_ns : NDArray[np.int64]
-            Times of arrival of m MAVLink messages (m,).
-        heartbeat : NDArray[np.bool_]
-            Whether they are heartbeats of the autopilot (m,).
+            Times of arrival of m messages (m,).
+        heartbeats : NDArray[np.intp]
+            Indices of the heartbeats of the autopilot among them, ascending.
         """
-        due = np.zeros(len(received_ns), np.bool_)
+        count = len(received_ns)
+        first = count
         if SIGNING in self._standing:
-            due |= received_ns - self._attacked_ns >= _QUIET_NS
+            first = _first(received_ns - self._attacked_ns >= _QUIET_NS)
         if HEARTBEAT in self._standing:
-            due |= heartbeat
-        else:
-            last = np.maximum.accumulate(np.where(heartbeat, np.arange(len(received_ns)), -1))
-            before = np.full(len(received_ns), self._heartbeat_ns or 0)
-            np.copyto(before, received_ns[last], where=last >= 0)
-            known = (last >= 0) | bool(self._heartbeat_ns)
-            due |= known & ~heartbeat & (received_ns - before >= _HEARTBEAT_NS)
-        return int(np.argmax(due)) if due.any() else len(received_ns)
+            return min([first, *heartbeats[:1].tolist()])
+        beats = received_ns[heartbeats]
+        latest_ns = int(received_ns.max()) if count else 0
+        oldest_ns = min([*([self._heartbeat_ns] if self._heartbeat_ns else []), *beats.tolist()], default=latest_ns)
+        if latest_ns - oldest_ns < _HEARTBEAT_NS:
+            return first
+        known_ns = np.concatenate(([self._heartbeat_ns or 0], beats))
+        before_ns = known_ns[np.searchsorted(heartbeats, np.arange(count), side="right")]
+        return min(first, _first((before_ns > 0) & (received_ns - before_ns >= _HEARTBEAT_NS)))
 
     def pass_over(self, heartbeat_ns: int | None, vehicle_ns: int) -> None:
         """Note the newest heartbeat of messages that caused nothing, and the vehicle's time at the last of them."""
@@ -179,6 +181,11 @@ class LinkAlarms:
         )
         self._standing[channel] = event
         return event
+
+
+def _first(due: NDArray[np.bool_]) -> int:
+    """Return the first index that is due, the number of them where none is."""
+    return int(np.argmax(due)) if due.any() else len(due)
 
 
 def _count(value: object) -> int:

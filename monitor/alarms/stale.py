@@ -72,7 +72,7 @@ class StaleAlarm:
         ]
 
     def first_silent(self, received_ns: NDArray[np.int64], wanted: NDArray[np.bool_]) -> int:
-        """Return the first of the messages that this alarm has to be told of one by one, their number where none is.
+        """Return the index of the first message that may cause an event here, the number of messages if there is none.
 
         Parameters
         ----------
@@ -81,13 +81,15 @@ class StaleAlarm:
         wanted : NDArray[np.bool_]
             Whether they carry a channel (m,).
         """
-        if self._since_ns is not None or self._heard_ns is None:
+        count = len(received_ns)
+        if self._since_ns is not None or self._heard_ns is None or not count:
             return 0
-        heard_ns = np.maximum.accumulate(np.where(wanted, received_ns, self._heard_ns))
-        silent = received_ns[1:] - np.maximum(heard_ns[:-1], self._heard_ns) >= self._limit_ns
-        if len(received_ns) and received_ns[0] - self._heard_ns >= self._limit_ns:
-            return 0
-        return int(np.argmax(silent)) + 1 if silent.any() else len(received_ns)
+        if int(received_ns.max()) - self._heard_ns < self._limit_ns:
+            return count
+        carried_ns = np.maximum.accumulate(np.where(wanted, received_ns, self._heard_ns))
+        before_ns = np.concatenate(([self._heard_ns], np.maximum(carried_ns[:-1], self._heard_ns)))
+        silent = received_ns - before_ns >= self._limit_ns
+        return int(np.argmax(silent)) if silent.any() else count
 
     def pass_over(self, received_ns: int, vehicle_ns: int) -> None:
         """Note the newest of messages without silence between them, and the vehicle's time at the last of them."""

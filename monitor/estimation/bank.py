@@ -199,6 +199,7 @@ class Bank:
                 part.x[:], part.residual[:] = found.x[:, self.believed], found.residual[:, self.believed]
                 part.fault[:], part.evidence[:] = found.fault[:, self._owned], self.evidence
                 part.speaks[:], part.unexplained[:] = self.speaks, self.unexplained
+                part.smoothed[:] = self._faults[self._owned]
                 self.fault[:] = part.fault[-1]
         return run
 
@@ -216,7 +217,7 @@ class Bank:
         believed, unexplained = self._choices(J, faults, sizes)
         explained = unexplained == 0.0
         run.x[:], run.residual[:] = stack.x[rows, believed], stack.residual[rows, believed]
-        run.fault[:] = stack.fault[:, self._owned]
+        run.fault[:], run.smoothed[:] = stack.fault[:, self._owned], faults[:, self._owned]
         run.evidence[:] = 0.0
         for k in np.unique(believed).tolist():
             here = np.flatnonzero(explained & (believed == k))

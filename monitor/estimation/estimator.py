@@ -87,6 +87,7 @@ class JointEstimator:
                 found = self._observer.coasted(u)
                 run.evidence[rows] = self.evidence
             run.x[rows], run.fault[rows], run.residual[rows] = found.x[:, 0], found.fault, found.residual[:, 0]
+        run.smoothed[:] = run.evidence
         return run
 
 

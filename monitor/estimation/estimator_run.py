@@ -27,6 +27,8 @@ class EstimatorRun:
         Channels whose evidence counts (N, a).
     unexplained : NDArray[np.float64]
         Score of what no hypothesis explains (N,).
+    smoothed : NDArray[np.float64]
+        Smoothed estimate of each fault under its own hypothesis, whichever is believed (N, a).
     """
 
     x: NDArray[np.float64]
@@ -35,6 +37,7 @@ class EstimatorRun:
     evidence: NDArray[np.float64]
     speaks: NDArray[np.bool_]
     unexplained: NDArray[np.float64]
+    smoothed: NDArray[np.float64]
 
     def part(self, start: int, stop: int) -> EstimatorRun:
         """Return the samples start <= row < stop, as views."""
@@ -46,6 +49,7 @@ class EstimatorRun:
             self.evidence[rows],
             self.speaks[rows],
             self.unexplained[rows],
+            self.smoothed[rows],
         )
 
 
@@ -58,6 +62,7 @@ def empty_run(count: int, states: int, outputs: int, faults: int) -> EstimatorRu
         evidence=np.empty((count, faults)),
         speaks=np.empty((count, faults), dtype=np.bool_),
         unexplained=np.empty(count),
+        smoothed=np.empty((count, faults)),
     )
 
 

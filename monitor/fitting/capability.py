@@ -17,12 +17,12 @@ from adapters.sample import Sample
 from gains.plants.discretise import discretise
 from gains.plants.plant import Plant
 from monitor.chain import ObserverChain
+from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimate
 from monitor.estimation.input_curve import effect_of_command
 from monitor.fitting.progress import track
 from monitor.fitting.superpose import effect_change, fault_response
 from monitor.profile import FaultChannel, ObserverProfile
-from monitor.sampling.clock import VehicleClock
 from monitor.sampling.gate import GatedSample, GateRule
 
 WITHIN_S = (2.0, 1.0, 0.25)

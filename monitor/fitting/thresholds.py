@@ -18,10 +18,10 @@ from scipy.signal import lfilter
 
 from monitor.alarms.alarm import AlarmRule
 from monitor.chain import ObserverChain
+from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimate
 from monitor.fitting.extremes import ReturnLevel, return_level, standing
 from monitor.profile import ObserverProfile
-from monitor.sampling.clock import VehicleClock
 from monitor.sampling.gate import GatedSample, GateRule
 
 FALSE_ALARMS_PER_HOUR = 0.1

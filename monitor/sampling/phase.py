@@ -24,8 +24,7 @@ class FlightPhase:
     landed : {"ground", "air", "takeoff", "landing"} | None
         EXTENDED_SYS_STATE.landed_state; None where the vehicle does not say.
     vehicle_type : int | None
-        HEARTBEAT.type where it says something (0 is "generic"), else None. Stretches taken at once may pass over a
-        later change.
+        HEARTBEAT.type where it says something (0 is "generic"), else None.
     interests : frozenset[str]
         Names of the messages it reads.
     """
@@ -36,6 +35,17 @@ class FlightPhase:
         self.armed: bool | None = None
         self.landed: Landed | None = None
         self.vehicle_type: int | None = None
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, FlightPhase) and vars(self) == vars(other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def copy(self) -> FlightPhase:
+        """Return a phase of its own that says the same."""
+        phase = FlightPhase()
+        phase.armed, phase.landed, phase.vehicle_type = self.armed, self.landed, self.vehicle_type
+        return phase
 
     def feed(self, message: Message) -> None:
         """Take a message; one of no interest changes nothing."""

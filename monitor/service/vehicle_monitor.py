@@ -15,10 +15,9 @@ from typing import Any, Protocol
 from adapters.message import Message, silence
 from adapters.source import JOURNAL, OPERATOR
 from monitor.bus.payload import estimate_json
-from monitor.chain import Output
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
-from monitor.pipeline import Pipeline, standing_message
+from monitor.pipeline import Output, Pipeline, standing_message
 from monitor.service.health import LinkHealth
 from monitor.service.latency import LatencyHistogram
 from monitor.service.telemetry_watch import TelemetryWatch

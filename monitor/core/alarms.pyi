@@ -1,0 +1,55 @@
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from monitor.alarms.alarm import AlarmRule
+
+NONE: int
+RAISED: int
+UPDATED: int
+CLEARED: int
+
+class Trend:
+    def __init__(self) -> None: ...
+    def update(self, evidence: float, elapsed_ns: int) -> None: ...
+    def size_in(self, seconds: float) -> float: ...
+
+class AlarmState:
+    active: bool
+    critical: bool
+    creeping: bool
+    recurring: bool
+    shown: float
+    peak: float
+    size: float
+    reported: float
+    def __init__(self) -> None: ...
+    def set_rule(self, rule: AlarmRule) -> None: ...
+    def set_excuse(self, now: bool, spans: NDArray[np.int64]) -> None: ...
+    def resume(
+        self,
+        estimate: float,
+        peak: float,
+        size: float,
+        reported_ns: int,
+        critical: bool,
+        creeping: bool,
+        recurring: bool,
+    ) -> None: ...
+    def deactivate(self) -> None: ...
+
+class ChainRows:
+    def __init__(
+        self,
+        alarms: Sequence[AlarmState],
+        position: NDArray[np.int64],
+        times_ns: NDArray[np.int64],
+        restart: NDArray[np.bool_],
+        evidence: NDArray[np.float64],
+        speaking: NDArray[np.bool_],
+    ) -> None: ...
+
+def walk(chains: Sequence[ChainRows], on_event: Callable[[int, int, int, int], None]) -> None: ...

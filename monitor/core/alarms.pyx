@@ -1,0 +1,295 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+"""The rule by which one channel's evidence raises, updates and clears its alarm, row after row.
+
+The rule itself is described in :mod:`monitor.alarms.alarm`, whose names it bears.
+"""
+
+import numpy as np
+
+from libc.math cimport INFINITY, exp, fabs
+from libc.stdint cimport int64_t, uint8_t
+
+cdef double NANOSECONDS = 1e9
+cdef int64_t UPDATE_EVERY_NS = 1_000_000_000
+cdef double UPDATE_SHARE = 0.15
+cdef int RECURRENCES = 3
+cdef double QUICK_S = 0.5
+cdef double SLOW_S = 2.0
+cdef double WAIT_S = 1.0
+
+NONE, RAISED, UPDATED, CLEARED = range(4)
+cdef enum:
+    C_NONE = 0
+    C_RAISED = 1
+    C_UPDATED = 2
+    C_CLEARED = 3
+
+
+cdef class Trend:
+    """Slope of one channel's evidence since its alarm was raised: see :mod:`monitor.alarms.alarm`."""
+
+    cdef double run_s, quick, slow
+
+    def __init__(self):
+        self.reset()
+
+    cdef void reset(self) noexcept:
+        self.run_s = self.quick = self.slow = 0.0
+
+    cpdef void update(self, double evidence, int64_t elapsed_ns) noexcept:
+        """Follow evidence that lasted for some nanoseconds."""
+        cdef double elapsed_s = elapsed_ns / NANOSECONDS
+        if self.run_s < WAIT_S:
+            # The observer is still on its way to a fault that came as a step.
+            self.quick = self.slow = evidence
+        else:
+            self.quick += (1.0 - exp(-elapsed_s / QUICK_S)) * (evidence - self.quick)
+            self.slow += (1.0 - exp(-elapsed_s / SLOW_S)) * (evidence - self.slow)
+        self.run_s += elapsed_s
+
+    cpdef double size_in(self, double seconds) noexcept:
+        """Return the size the evidence will have some seconds ahead if it goes on growing; 0 where it does not."""
+        cdef double slope, now
+        if self.run_s < WAIT_S + SLOW_S:
+            return 0.0
+        # Of a ramp with slope s a mean lags by s times its time constant.
+        slope = (self.quick - self.slow) / (SLOW_S - QUICK_S)
+        now = self.quick + slope * QUICK_S
+        return fabs(now + slope * seconds) if slope * now > 0.0 else 0.0
+
+
+cdef class AlarmState:
+    """State of one channel's alarm.
+
+    Attributes
+    ----------
+    active, critical, creeping, recurring : bool
+        Whether the alarm is active, and what its events say of it.
+    shown, peak, reported, size : float
+        Evidence that the event of the latest row shows, the largest since the alarm was raised, that of the event
+        before, and the size that raised it.
+    """
+
+    cdef double threshold, clear, critical_size, raise_ns, clear_ns, fast, fast_ns, slow, slow_ns, latch_ns, ahead_s
+    cdef readonly bint active, critical, creeping, recurring
+    cdef readonly double shown, peak, size, reported
+    cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns
+    cdef bint contiguous
+    cdef double mean
+    cdef Trend trend
+    cdef int64_t raised_ns[3]
+    cdef int raised_count
+    cdef bint excused_now
+    cdef int64_t[:, ::1] excused_spans
+
+    def __init__(self):
+        self.trend = Trend()
+        self.active = self.contiguous = self.excused_now = False
+        self.counter_ns = self.fast_counter_ns = 0
+        self.raised_count = 0
+        self.mean = 0.0
+        self.excused_spans = None
+
+    def set_rule(self, rule):
+        """Apply the sizes and times of an :class:`monitor.alarms.alarm.AlarmRule` from the next row on."""
+        self.threshold, self.clear, self.critical_size = rule.threshold, rule.clear, rule.critical
+        self.raise_ns, self.clear_ns = rule.raise_s * NANOSECONDS, rule.clear_s * NANOSECONDS
+        self.fast, self.fast_ns = rule.fast, rule.fast_s * NANOSECONDS
+        self.slow, self.slow_ns = rule.slow, rule.slow_s * NANOSECONDS
+        self.latch_ns, self.ahead_s = rule.latch_s * NANOSECONDS, rule.critical_ahead_s
+
+    def set_excuse(self, bint now, spans):
+        """Set when other alarms explain the evidence: always from now on, or in spans of vehicle time (m, 2), ns."""
+        self.excused_now = now
+        self.excused_spans = spans
+
+    def resume(self, double estimate, double peak, double size, int64_t reported_ns, bint critical, bint creeping,
+               bint recurring):
+        """Be active as an event of another run of the monitor says."""
+        self.counter_ns = self.fast_counter_ns = 0
+        self.trend.reset()
+        self.mean = estimate if creeping else 0.0
+        self.active, self.critical, self.creeping, self.recurring = True, critical, creeping, recurring
+        self.peak, self.size, self.reported, self.reported_ns = peak, size, estimate, reported_ns
+
+    def deactivate(self):
+        """Stop being active without an event."""
+        self.active = False
+
+    cdef bint excused(self, int64_t now) noexcept:
+        cdef Py_ssize_t i
+        if self.excused_now:
+            return True
+        if self.excused_spans is not None:
+            for i in range(self.excused_spans.shape[0]):
+                if self.excused_spans[i, 0] <= now <= self.excused_spans[i, 1]:
+                    return True
+        return False
+
+    cdef int step(self, int64_t now, bint restart, double evidence, bint speaking) noexcept:
+        """Process one row; return the event it causes."""
+        cdef int64_t elapsed
+        if not speaking or self.excused(now):
+            self.contiguous = False
+            return C_NONE
+        # The clock of a vehicle that rebooted jumps back.
+        elapsed = now - self.last_ns if self.contiguous and now > self.last_ns else 0
+        self.last_ns, self.contiguous = now, True
+        self.average(restart, evidence, elapsed)
+        if self.active:
+            return self.follow(now, evidence, elapsed)
+        return self.debounce(now, evidence, elapsed)
+
+    cdef void average(self, bint restart, double evidence, int64_t elapsed) noexcept:
+        """Weighted mean over slow_s of evidence that enters with twice ``slow`` at most."""
+        cdef double limited, keep, least
+        if restart:
+            # An observer that starts anew climbs back to a fault: no growth of the fault. What keeps an alarm active
+            # is not forgotten meanwhile, or the alarm would come back as another one.
+            if not (self.active and self.creeping):
+                self.mean = 0.0
+            self.trend.reset()
+        elif elapsed and self.slow < INFINITY:
+            least = -2.0 * self.slow
+            limited = 2.0 * self.slow if 2.0 * self.slow < evidence else evidence
+            # What is no number counts as the least.
+            limited = limited if limited > least else least
+            keep = exp(-elapsed / self.slow_ns)
+            self.mean = keep * self.mean + (1.0 - keep) * limited
+
+    cdef int debounce(self, int64_t now, double evidence, int64_t elapsed) noexcept:
+        """Raise the alarm by the fast, the plain or the slow path, whichever comes first."""
+        cdef double size = fabs(evidence)
+        self.counter_ns = counted(self.counter_ns, elapsed, size >= self.threshold)
+        self.fast_counter_ns = counted(self.fast_counter_ns, elapsed, size >= self.fast)
+        if size >= self.fast and self.fast_counter_ns >= self.fast_ns:
+            return self.raise_alarm(now, evidence, self.fast, False)
+        if size >= self.threshold and self.counter_ns >= self.raise_ns:
+            return self.raise_alarm(now, evidence, self.threshold, False)
+        if fabs(self.mean) >= self.slow:
+            return self.raise_alarm(now, self.mean, self.slow, True)
+        return C_NONE
+
+    cdef int raise_alarm(self, int64_t now, double evidence, double size, bint creeping) noexcept:
+        cdef int i
+        self.counter_ns = self.fast_counter_ns = 0
+        self.trend.reset()
+        if self.raised_count == RECURRENCES:
+            for i in range(RECURRENCES - 1):
+                self.raised_ns[i] = self.raised_ns[i + 1]
+            self.raised_count -= 1
+        self.raised_ns[self.raised_count] = now
+        self.raised_count += 1
+        self.recurring = self.raised_count == RECURRENCES and 0 <= now - self.raised_ns[0] <= self.latch_ns
+        self.active, self.creeping = True, creeping
+        self.critical = fabs(evidence) >= self.critical_size
+        self.size, self.shown, self.peak, self.reported, self.reported_ns = size, evidence, evidence, evidence, now
+        return C_RAISED
+
+    cdef int follow(self, int64_t now, double evidence, int64_t elapsed) noexcept:
+        """Update or clear an active alarm."""
+        cdef double shown, ahead, moves
+        cdef bint worsens, due, moved
+        # What only the slow path sees is still best described by its mean.
+        self.creeping = self.creeping and fabs(evidence) < self.threshold
+        shown = self.shown = self.mean if self.creeping else evidence
+        self.trend.update(shown, elapsed)
+        ahead = self.trend.size_in(self.ahead_s) if self.ahead_s > 0 else 0.0
+        worsens = not self.critical and (fabs(shown) >= self.critical_size or ahead >= self.critical_size)
+        self.critical = self.critical or worsens
+        if fabs(shown) > fabs(self.peak):
+            self.peak = shown
+        if fabs(evidence) < self.clear and not (self.creeping and fabs(self.mean) >= 0.5 * self.slow):
+            self.counter_ns += elapsed
+            if self.counter_ns >= (self.latch_ns if self.recurring else self.clear_ns):
+                self.active = False
+                self.counter_ns = 0
+                self.mean = 0.0
+                return C_CLEARED
+            return C_NONE
+        self.counter_ns = 0 if self.recurring else max(0, self.counter_ns - elapsed)
+        moves = max(UPDATE_SHARE * fabs(self.reported), self.size / 2)
+        moved = fabs(shown - self.reported) > moves
+        due = not 0 <= now - self.reported_ns < UPDATE_EVERY_NS
+        if worsens or (moved and due):
+            self.reported, self.reported_ns = shown, now
+            return C_UPDATED
+        return C_NONE
+
+
+cdef inline int64_t counted(int64_t counter_ns, int64_t elapsed, bint beyond) noexcept:
+    """A clamped up/down counter of time."""
+    return counter_ns + elapsed if beyond else max(0, counter_ns - elapsed)
+
+
+cdef class ChainRows:
+    """Evidence of one observer's alarms over n rows.
+
+    Parameters
+    ----------
+    alarms : sequence of AlarmState
+        The observer's alarms, in the order in which they are asked (A).
+    position : int64 (n,)
+        Place in the batch of the message that completed each row, ascending.
+    times_ns : int64 (n,)
+        Vehicle times.
+    restart : bool (n,)
+        Rows at which the observer started afresh.
+    evidence : float64 (n, A)
+        Signed sizes.
+    speaking : bool (n, A)
+        Where a row is evidence of a channel.
+    """
+
+    cdef tuple alarms
+    cdef const int64_t[:] position, times_ns
+    cdef const uint8_t[:] restart
+    cdef const double[:, :] evidence
+    cdef const uint8_t[:, :] speaking
+
+    def __init__(self, alarms, position, times_ns, restart, evidence, speaking):
+        self.alarms = tuple(alarms)
+        self.position, self.times_ns = position, times_ns
+        self.restart = np.ascontiguousarray(restart).view("u1")
+        self.evidence, self.speaking = evidence, speaking.view("u1")
+
+
+def walk(chains, on_event):
+    """Process the evidence of all of a vehicle's observers, in the order in which messages completed the rows.
+
+    Rows that one message completed come observer by observer. An event takes effect on all rows after it, also those
+    of other observers (an alarm may excuse another channel).
+
+    Parameters
+    ----------
+    chains : sequence of ChainRows
+        The observers, in order.
+    on_event : callable
+        Called with observer, row and alarm (indices) and ``RAISED``, ``UPDATED`` or ``CLEARED`` at each event, before
+        the next row is processed.
+    """
+    cdef tuple every = tuple(chains)
+    cdef Py_ssize_t count = len(every), k, best, row, i
+    cdef ChainRows chain
+    cdef AlarmState alarm
+    cdef int event
+    cdef list rows = [0] * count
+    while True:
+        best = -1
+        for k in range(count):
+            chain = <ChainRows>every[k]
+            row = rows[k]
+            if row < chain.position.shape[0] and (
+                best < 0 or chain.position[row] < (<ChainRows>every[best]).position[<Py_ssize_t>rows[best]]
+            ):
+                best = k
+        if best < 0:
+            return
+        chain = <ChainRows>every[best]
+        row = rows[best]
+        for i in range(len(chain.alarms)):
+            alarm = <AlarmState>chain.alarms[i]
+            event = alarm.step(chain.times_ns[row], chain.restart[row], chain.evidence[row, i], chain.speaking[row, i])
+            if event:
+                on_event(best, row, i, event)
+        rows[best] = row + 1
