@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fuzz_adapters
-import fuzz_blocks
+import fuzz_cuts
 import fuzz_files
 import fuzz_logs
 import fuzz_monitor
@@ -19,9 +19,9 @@ _MODULES = (
     fuzz_pipeline,
     fuzz_monitor,
     fuzz_files,
-    fuzz_blocks,
+    fuzz_cuts,
 )
-_ORDER = ("mavlink", "zenoh", "commands", "subscriber", "pipeline-quad", "cdr", "mcap", "tlog", "foreign", "blocks")
+_ORDER = ("mavlink", "zenoh", "commands", "subscriber", "pipeline-quad", "cdr", "mcap", "tlog", "foreign", "cuts")
 _ALL = {target.name: target for module in _MODULES for target in module.TARGETS}
 
 TARGETS = {name: _ALL[name] for name in (*_ORDER, *(name for name in _ALL if name not in _ORDER))}

@@ -707,7 +707,7 @@ cdef class SamplerCore:
         return max([(<Lane>lane).count for lane in self._lanes])
 
     cdef int feed(
-        self, Stream stream, nanoseconds stamp, nanoseconds received, const double* row, bint mavlink
+        self, Stream stream, nanoseconds stamp, nanoseconds received, const double* row, bint zero_is_unset
     ) except -1:
         """Go on by one message of a stream: its stamp or a code, and its values, NaN where there is none."""
         cdef VehicleClock clock = self.clock
@@ -716,7 +716,7 @@ cdef class SamplerCore:
         self._messages += 1
         if clockless and stream.channel.clock is None and clock.newest_ns > 0:
             stamp = clock.newest_ns
-        if stamp < 0 or (stamp == 0 and mavlink):
+        if stamp < 0 or (stamp == 0 and zero_is_unset):
             self._untimed += 1
             return 0
         if stamp < clock.newest_ns - _SECOND:
@@ -1110,11 +1110,11 @@ cdef class _Messages:
     cdef Py_ssize_t count, next
     cdef nanoseconds* position
     cdef nanoseconds* received
-    cdef bint mavlink
+    cdef bint zero_is_unset
     cdef list feeds
 
-    def __cinit__(self, Py_ssize_t count, bint mavlink):
-        self.count, self.mavlink = count, mavlink
+    def __cinit__(self, Py_ssize_t count, bint zero_is_unset):
+        self.count, self.zero_is_unset = count, zero_is_unset
         self.position = <nanoseconds*>PyMem_Malloc((count + 1) * sizeof(nanoseconds))
         self.received = <nanoseconds*>PyMem_Malloc((count + 1) * sizeof(nanoseconds))
         if self.position == NULL or self.received == NULL:
@@ -1137,7 +1137,7 @@ cdef class _Messages:
                     feed.stamps[row],
                     self.received[row],
                     feed.values + row * feed.stream.width,
-                    self.mavlink,
+                    self.zero_is_unset,
                 )
         return 0
 

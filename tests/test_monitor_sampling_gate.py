@@ -1,0 +1,124 @@
+"""When samples count as evidence: armed, in the air, settled, however the samples are cut into batches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sampled import raw_samples
+
+from adapters.batch import pack
+from adapters.channels import Channel
+from adapters.message import Message
+from adapters.sample import Samples
+from adapters.source import MAVLINK
+from monitor.core.sampling import VehicleClock
+from monitor.sampling.gate import FlightGate, GatedSampler, GateRule
+from monitor.sampling.phase import FlightPhase
+from monitor.sampling.transform import Source
+
+COUNT = 300
+
+
+def phase(armed: bool | None = True, landed: int | None = 2) -> FlightPhase:
+    found = FlightPhase()
+    if armed is not None:
+        mode = 209 if armed else 81
+        found.feed(Message(MAVLINK, "HEARTBEAT", 0, {"type": 2, "autopilot": 3, "base_mode": mode}, 1, 1))
+    if landed is not None:
+        found.feed(Message(MAVLINK, "EXTENDED_SYS_STATE", 0, {"landed_state": landed}, 1, 1))
+    return found
+
+
+def commanded(*commands: float) -> Samples:
+    """Return samples at 100 Hz whose two inputs have this mean."""
+    return raw_samples(np.array([[command - 0.1, command + 0.1] for command in commands]))
+
+
+def admitted(rule: GateRule, samples: Samples, *phases: tuple[FlightPhase, int]) -> list[bool]:
+    """Return what a gate admits; each phase holds up to a row."""
+    gate, found, start = FlightGate(rule), list[bool](), 0
+    for known, stop in phases:
+        found += gate.admitted(known, samples.part(start, stop)).tolist()
+        start = stop
+    return found
+
+
+def test_evidence_begins_when_the_rules_have_held_for_the_time_to_settle() -> None:
+    rule = GateRule(settle_s=0.5)
+    found = admitted(rule, commanded(*[0.5] * COUNT), (phase(armed=False), 100), (phase(), COUNT))
+    assert found == [False] * 150 + [True] * 150
+
+
+@pytest.mark.parametrize(
+    ("known", "counts"),
+    [
+        (phase(None, None), True),
+        (phase(False, None), False),
+        (phase(False, 2), False),
+        (phase(True, 1), False),
+        (phase(True, 3), False),
+        (phase(True, 4), False),
+        (phase(None, 2), True),
+    ],
+)
+def test_only_the_air_counts_and_what_is_unknown_does_not_block(known: FlightPhase, counts: bool) -> None:
+    assert admitted(GateRule(settle_s=0.0), commanded(0.5), (known, 1)) == [counts]
+
+
+def test_each_rule_may_be_left_out() -> None:
+    landed, disarmed = phase(True, 1), phase(False, 2)
+    assert admitted(GateRule(settle_s=0.0, require_airborne=False), commanded(0.5), (landed, 1)) == [True]
+    assert admitted(GateRule(settle_s=0.0, require_armed=False), commanded(0.5), (disarmed, 1)) == [True]
+
+
+def test_the_mean_command_tells_where_the_landed_state_is_not_reported() -> None:
+    rule = GateRule(settle_s=0.02, airborne_command=0.3)
+    samples = commanded(0.1, 0.4, 0.4, 0.4, 0.2, 0.4, 0.4, 0.4)
+    assert admitted(rule, samples, (phase(landed=None), 8)) == [False] * 3 + [True] + [False] * 3 + [True]
+    assert admitted(rule, samples, (phase(), 8)) == [False] * 2 + [True] * 6
+
+
+def test_inputs_that_are_no_commands_say_nothing_about_the_air() -> None:
+    gate = FlightGate(GateRule(settle_s=0.0, airborne_command=0.3))
+    assert gate.admitted(phase(landed=None), commanded(0.1), commands=False).tolist() == [True]
+
+
+def test_a_restart_settles_anew() -> None:
+    samples = commanded(*[0.5] * 20)
+    samples.restart[10] = True
+    assert admitted(GateRule(settle_s=0.05), samples, (phase(), 20)) == ([False] * 5 + [True] * 5) * 2
+
+
+@given(
+    st.lists(st.sampled_from([0.1, 0.4]), min_size=1, max_size=40),
+    st.lists(st.integers(0, 39), max_size=3),
+    st.lists(st.integers(0, 40), max_size=5),
+)
+def test_where_samples_are_cut_makes_no_difference(
+    commands: Sequence[float], restarts: Sequence[int], cuts: Sequence[int]
+) -> None:
+    samples, rule = commanded(*commands), GateRule(settle_s=0.03, airborne_command=0.3)
+    samples.restart[[row for row in restarts if row < len(samples)]] = True
+    known, gate = phase(landed=None), FlightGate(rule)
+    places = [0, *sorted(min(cut, len(samples)) for cut in cuts), len(samples)]
+    found = [good for start, stop in pairwise(places) for good in gate.admitted(known, samples.part(start, stop))]
+    assert found == FlightGate(rule).admitted(known, samples).tolist()
+
+
+def test_samples_restart_where_the_vehicle_comes_to_say_that_it_flies_and_bridged_ones_are_no_evidence() -> None:
+    source = Source((Channel("u", "A", ("u",)),), (Channel("y", "A", ("y",)),))
+    sampler = GatedSampler(source, 100.0, VehicleClock(), GateRule(settle_s=0.0))
+    messages = [
+        Message(MAVLINK, "A", 1_000 * t, {"time_usec": t, "u": 1.0, "y": 2.0}, 1, 1)
+        for t in range(10_000, 2_010_000, 10_000)
+        if t != 1_500_000
+    ]
+    before, flying = sampler.sample(pack(messages[:100]), phase(False)), sampler.sample(pack(messages[100:]), phase())
+    assert np.flatnonzero(before.samples.restart).tolist() == np.flatnonzero(flying.samples.restart).tolist() == [0]
+    assert not before.armed.any()
+    assert flying.samples.index[~flying.armed].tolist() == [150]
