@@ -57,8 +57,8 @@ def as_recorded(messages: Iterable[Message]) -> None:
 def _mapping(folder: Path) -> Run:
     path = folder / "mapping.toml"
     logs = {
-        "ulog": messages_of(UlogReader(ulog_of(recorded_flight(300), folder / "base.ulg"))),
-        "dataflash": messages_of(DataflashReader(dataflash_of(recorded_flight(300), folder / "base.bin"))),
+        "ulog": list(UlogReader(ulog_of(recorded_flight(300), folder / "base.ulg"))),
+        "dataflash": list(DataflashReader(dataflash_of(recorded_flight(300), folder / "base.bin"))),
     }
 
     def run(data: bytes) -> None:
@@ -66,11 +66,11 @@ def _mapping(folder: Path) -> Run:
         source = draw.choice(SOURCES)
         with only(TelemetryError):
             if draw.number() % 3:
-                found = parse_mapping(_tables(draw, source, logs[source]), "mapping.toml")
+                found = parse_mapping(_tables(draw, source, messages_of(logs[source])), "mapping.toml")
             else:
                 path.write_bytes(draw.rest())
                 found = read_mapping(path, source)
-            messages = list(telemetry(logs[source], found, frozenset(found.rules)))
+            messages = messages_of(telemetry(logs[source], found, frozenset(found.rules)))
             as_recorded(messages)
             assert all(one.source == MAVLINK for one in messages)
 

@@ -22,19 +22,17 @@ from adapters.logs.dataflash import CODES, DataflashReader
 from adapters.logs.log_mapping import LogMapping, builtin_mapping
 from adapters.logs.log_telemetry import telemetry
 from adapters.logs.ulog import UlogReader
-from adapters.message import Message
 
 
 def _onboard(reader: Callable[[Path], Iterable[Batch]], mapping: LogMapping, content: bytes, path: Path) -> None:
     """Read an onboard log, all of it as records and as telemetry, and in part."""
     path.write_bytes(content)
-    messages: list[Message] = []
+    batches: list[Batch] = []
     with only(TelemetryError):
-        messages = messages_of(reader(path))
-    as_recorded(messages)
-    as_recorded(
-        telemetry(messages, mapping, {"ATTITUDE", "GPS_RAW_INT", "HEARTBEAT", "SERVO_OUTPUT_RAW", "HIGHRES_IMU"})
-    )
+        batches = list(reader(path))
+    as_recorded(messages_of(batches))
+    names = {"ATTITUDE", "GPS_RAW_INT", "HEARTBEAT", "SERVO_OUTPUT_RAW", "HIGHRES_IMU"}
+    as_recorded(messages_of(telemetry(batches, mapping, names)))
 
 
 def _ulog(folder: Path) -> Run:

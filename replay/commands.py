@@ -153,7 +153,10 @@ def run_convert(args: argparse.Namespace) -> int:
     recording, onboard = Recording(args.log), onboard_source(args.log)
     if args.out.exists() and args.out.samefile(args.log):
         raise StorageError(f"{args.out}: is the recording itself; give -o another name")
-    entries = track(recording.entries(), args.log.name, total_bytes=recording_bytes(args.log))
+    size = recording_bytes(args.log)
+    entries = track(
+        recording.entries(), args.log.name, total_bytes=size, weigh=lambda entry: getattr(entry, "count", 1)
+    )
     count = convert(entries, args.log.name, args.out, onboard)
     damage = _warn(recording.damage())
     if args.json:

@@ -7,13 +7,14 @@ from importlib.metadata import version
 from itertools import chain, islice
 from pathlib import Path
 
+from adapters.batch import Batch
 from adapters.encoding.record import Record
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import ONBOARD_LOG
-from adapters.message import Message
+from monitor.recording.record_encoder import RecordEncoder
 
 
-def convert(entries: Iterable[Message | Record], source: str, target: Path, onboard: str | None = None) -> int:
+def convert(entries: Iterable[Batch | Record], source: str, target: Path, onboard: str | None = None) -> int:
     """Write all messages to an MCAP file; return how many were written.
 
     Parameters
@@ -37,10 +38,15 @@ def convert(entries: Iterable[Message | Record], source: str, target: Path, onbo
     with MessageLogWriter(target) as writer:
         if onboard is not None:
             writer.add_metadata("fauio", {ONBOARD_LOG: onboard})
+        encoder = RecordEncoder(())
         for entry in chain(first, remaining):
             if isinstance(entry, Record):
                 writer.write_record(entry)
-            else:
-                writer.write(entry)
+                continue
+            for number, data, time_ns in encoder.batch(entry):
+                topic = encoder.topics[number]
+                channel = writer.channel(topic.name, topic.encoding, topic.schema)
+                if channel is not None:
+                    writer.add(channel, data, time_ns)
         writer.add_metadata("fauio", {"fauio": version("fauio"), "converted_from": source})
         return writer.statistics().records

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from math import cos, isnan, pi, sin
 from typing import Any
 
 import pytest
+from onboard_flights import messages_of
 
-from adapters.logs.log_mapping import builtin_mapping, parse_mapping
+from adapters.batch import pack
+from adapters.logs.log_mapping import LogMapping, builtin_mapping, parse_mapping
 from adapters.logs.log_telemetry import telemetry
 from adapters.message import Message
 from adapters.source import DATAFLASH, MAVLINK, ULOG
@@ -28,8 +31,17 @@ def attitude(ms: float, *q: float) -> Message:
     return record("vehicle_attitude", ms, q=list(q) or [1.0, 0.0, 0.0, 0.0])
 
 
+def run(records: list[Message], mapping: LogMapping, only: Collection[str] | None) -> list[Message]:
+    """Return the records and what they make, however the log is cut into batches."""
+    whole = messages_of(telemetry([pack(records)], mapping, only))
+    for size in (1, 3):
+        cut = (pack(records[start : start + size]) for start in range(0, len(records), size))
+        assert [repr(m) for m in messages_of(telemetry(cut, mapping, only))] == [repr(m) for m in whole]
+    return whole
+
+
 def made(records: list[Message], *names: str) -> list[Message]:
-    return [m for m in telemetry(records, builtin_mapping("ulog"), names) if m.source == MAVLINK]
+    return [m for m in run(records, builtin_mapping("ulog"), names) if m.source == MAVLINK]
 
 
 def test_a_message_has_the_time_and_the_type_of_what_makes_it() -> None:
@@ -110,7 +122,7 @@ def test_a_value_that_stands_for_nothing_makes_no_message() -> None:
     events = [
         Message(DATAFLASH, "EV", 50 * n * MS, {"TimeUS": n, "Id": event}) for n, event in enumerate((15, 10, 28, 11))
     ]
-    found = list(telemetry(events, mapping, ("HEARTBEAT", "EXTENDED_SYS_STATE")))
+    found = run(events, mapping, ("HEARTBEAT", "EXTENDED_SYS_STATE"))
     states = [(m.name, m.fields.get("base_mode", m.fields.get("landed_state"))) for m in found]
     assert states == [("HEARTBEAT", 129), ("EXTENDED_SYS_STATE", 2), ("HEARTBEAT", 1)]
 
@@ -136,13 +148,13 @@ def test_a_topic_that_comes_late_fills_its_messages_from_then_on() -> None:
 def test_records_pass_where_they_are_wanted_and_always_without_a_choice() -> None:
     records = [attitude(1.0), rates(1.0), record("cpuload", 2.0, load=0.5)]
     mapping = builtin_mapping("ulog")
-    assert [m.name for m in telemetry(records, mapping, None)] == [
+    assert [m.name for m in run(records, mapping, None)] == [
         "vehicle_attitude",
         "vehicle_angular_velocity",
         "ATTITUDE",
         "cpuload",
     ]
-    assert [m.name for m in telemetry(records, mapping, ("cpuload",))] == ["cpuload"]
+    assert [m.name for m in run(records, mapping, ("cpuload",))] == ["cpuload"]
 
 
 def test_a_damaged_time_harms_no_other_message() -> None:
@@ -155,7 +167,7 @@ def test_a_damaged_time_harms_no_other_message() -> None:
 
 def test_a_table_of_ones_own_is_followed() -> None:
     table = {"SCALED_PRESSURE": [{"topic": "tank", "press_abs": {"field": "p.raw[1]", "scale": 2.0, "offset": 1.0}}]}
-    found = list(telemetry([record("tank", 1.0, p={"raw": [1, 3]})], parse_mapping(table, "x"), ("SCALED_PRESSURE",)))
+    found = run([record("tank", 1.0, p={"raw": [1, 3]})], parse_mapping(table, "x"), ("SCALED_PRESSURE",))
     assert found[0].fields["press_abs"] == 7.0
 
 
@@ -163,5 +175,5 @@ def test_what_overflows_between_two_records_is_left_unknown() -> None:
     table = {"topic": "a", "cog": {"topic": "b", "field": "v", "interpolation": "linear", "unknown": 7}}
     mapping = parse_mapping({"GPS_RAW_INT": [table]}, "")
     records = [record("b", 0, v=-1e300), record("a", 400), record("b", 900, v=1e300)]
-    [found] = telemetry(records, mapping, {"GPS_RAW_INT"})
+    [found] = run(records, mapping, {"GPS_RAW_INT"})
     assert found.fields["cog"] == 7

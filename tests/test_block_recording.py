@@ -68,7 +68,7 @@ def test_blocks_pass_over_what_cannot_be_decoded_and_count_it(tmp_path: Path) ->
     assert len(whole) == len(ODD)
     path.write_bytes(data[: len(data) // 2])
     one_by_one, together = MessageLogReader(path), MessageLogReader(path)
-    assert all_messages([*together.blocks(3)]) == [repr(message) for message in one_by_one]
+    assert all_messages([*together.batches(3)]) == [repr(message) for message in one_by_one]
     assert together.statistics() == one_by_one.statistics()
     assert together.damage() == one_by_one.damage()
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from corrupted_logs import DAMAGES, KINDS, PACKED, Damaged, blocks, damaged_files, unpacked
 from foreign_logs import write_foreign_profile
+from onboard_flights import messages_of
 
 import fauio
 from adapters.errors import TelemetryError
@@ -29,7 +30,7 @@ _LINE = re.compile(r"fauio: [^\n]+\n")
 
 def read(path: Path) -> list[str]:
     try:
-        return [repr(message) for message in Recording(path).records()]
+        return [repr(message) for message in messages_of(Recording(path).records())]
     except TelemetryError as error:
         assert "\n" not in str(error)
         return []

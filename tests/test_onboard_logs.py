@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from onboard_flights import BOOT_US, dataflash_of, ulog_of
+from onboard_flights import BOOT_US, dataflash_of, messages_of, ulog_of
 
 import fauio
 from adapters.logs.recordings import Recording, read_recording, recording_kind
@@ -76,9 +76,9 @@ def test_a_converted_log_holds_every_record_typed_and_replays_to_the_same_alarms
 ) -> None:
     log, out = logs[f"motor2_080{kind}"], tmp_path / "flight.mcap"
     assert fauio.main(["convert", str(log), "-o", str(out), "--json"]) == 0
-    whole = list(Recording(log).records())
+    whole = messages_of(Recording(log).records())
     assert json.loads(capsys.readouterr().out)["messages"] == len(whole)
-    assert [repr(m) for m in Recording(out).records()] == [repr(m) for m in whole]
+    assert [repr(m) for m in messages_of(Recording(out).records())] == [repr(m) for m in whole]
     with out.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         decoded = [(channel.topic, message.log_time) for _, channel, message, _ in reader.iter_decoded_messages()]

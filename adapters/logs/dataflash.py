@@ -279,7 +279,8 @@ def _layout(name: str, codes: str, columns: Sequence[str]) -> Layout:
         raise ValueError(f"unknown code in {codes}")
     if len(columns) != len(codes) or len(set(columns)) != len(columns):
         raise ValueError(f"format of {name} contradicts itself")
-    fields, at = [], 0
+    fields: list[tuple[LayoutField, Any, int]] = []
+    at = 0
     for column, code in zip(columns, codes, strict=True):
         shape, divisor = CODES[code]
         size = struct.calcsize(f"<{shape}")

@@ -2,63 +2,70 @@
 
 from __future__ import annotations
 
-import struct
 from collections import Counter, deque
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain, pairwise
-from math import asin, atan2, isfinite
-from typing import Any
+from typing import Any, Final, TypeAlias
 
-from adapters.channels import follow
-from adapters.logs.log_mapping import FieldRule, LogMapping, MessageRule
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.batch import Batch, Columns, cut, gathered, one_message
+from adapters.channels import MAX_VALUE, follow
+from adapters.logs.log_mapping import Angle, FieldRule, LogMapping, MessageRule
 from adapters.message import Message
 from adapters.source import MAVLINK
 
 # Ids of the vehicle: logs do not say, and autopilots are 1, 1 unless told otherwise.
 _SYSTEM = _COMPONENT = 1
-# How much of a log is looked at before it is decided from which records messages are filled.
 _LOOKED_AT_NS = 5_000_000_000
+"""How much of a log is looked at before it is decided from which records messages are filled. Chosen: long enough to
+tell rates of 1 Hz apart, short enough to hold in memory."""
 _LOOKED_AT = 20_000
+"""Records after which it is decided in any case."""
 _PATIENCE_NS = 1_000_000_000
+"""How long a message waits for the records it is joined with, and the longest gap that is interpolated across. Chosen:
+five times the interval of the slowest record that the built-in tables interpolate (attitude at 5 Hz)."""
 _MOST_WAITING = 2_000
-_TURN = 6.283185307179586
-# A rotation is of length one; NaN is no number at all and not below this either.
+"""Messages that wait at most: two seconds of the fastest records there are (1 kHz); bounds memory where times stand."""
+_TURN: Final = 2.0 * np.pi
 _LARGEST_QUATERNION = 2.0
+"""A rotation is of length one; NaN is no number at all and not below this either."""
+_SEARCHED = 64
+
+Integers = NDArray[np.int64]
 
 
-def telemetry(messages: Iterable[Message], mapping: LogMapping, only: Collection[str] | None) -> Iterator[Message]:
+def telemetry(batches: Iterable[Batch], mapping: LogMapping, only: Collection[str] | None) -> Iterator[Batch]:
     """Return a log's records and, behind each, the MAVLink messages that it makes or completes.
 
     Which record fills a message is decided on the first 5 s of the log, or with the first record that can.
 
     Parameters
     ----------
-    messages : Iterable[Message]
+    batches : Iterable[Batch]
         The log; messages of other sources pass.
     mapping : LogMapping
         What the records stand for.
     only : Collection[str] | None
         Names of records and MAVLink messages wanted; None wants all.
     """
-    found = _Telemetry(mapping, only)
-    ahead: list[Message] = []
-    first_ns: int | None = None
-    remaining = iter(messages)
-    for message in remaining:
-        ahead.append(message)
-        if found.note(message) and first_ns is None:
-            first_ns = message.received_ns
-        far = first_ns is not None and message.received_ns - first_ns >= _LOOKED_AT_NS
-        if far or len(ahead) >= _LOOKED_AT:
+    making = _Telemetry(mapping, only)
+    remaining = iter(batches)
+    ahead: list[Batch] = []
+    for batch in remaining:
+        ahead.append(batch)
+        if making.look_at(batch):
             break
-    found.choose()
-    for message in chain(ahead, remaining):
-        yield from found.feed(message)
-    yield from found.finish()
+    making.choose()
+    for batch in chain(ahead, remaining):
+        yield from making.run(batch)
+    yield from making.finish()
 
 
 class _Telemetry:
-    """Which rules are in use, and the records that messages wait for."""
+    """The rules in use, and what decides on those that are not yet."""
 
     def __init__(self, mapping: LogMapping, only: Collection[str] | None) -> None:
         rules = {name: found for name, found in mapping.rules.items() if only is None or name in only}
@@ -66,205 +73,590 @@ class _Telemetry:
         self._open = LogMapping(rules)
         self._counts: Counter[str] = Counter()
         self._examples: dict[str, Mapping[str, Any]] = {}
-        self._made: dict[str, list[_Filler]] = {}
-        self._joined: dict[str, list[_Filler]] = {}
-        self._states: list[_Filler] = []
         self._fillers: list[_Filler] = []
-        self._relevant = self._open.topics(rules.keys())
+        self._looked_at = 0
+        self._first_ns: int | None = None
 
-    def note(self, message: Message) -> bool:
-        """Count a record, to decide by; return whether there is anything to decide."""
-        if message.name not in self._relevant:
-            return False
-        self._counts[message.name] += 1
-        self._examples[message.name] = message.fields
-        return True
+    @property
+    def _relevant(self) -> frozenset[str]:
+        """Names of the records that may decide from which records a message is filled."""
+        return self._open.topics(self._open.rules.keys())
+
+    def look_at(self, batch: Batch) -> bool:
+        """Count records at the beginning of a log; return whether that is enough to decide by."""
+        times_ns, start = _times_ns(batch), 0
+        if self._first_ns is None:
+            start = min((int(at[0]) for name, at in _positions(batch) if name in self._relevant), default=batch.count)
+            if start < batch.count:
+                self._first_ns = int(times_ns[start])
+        stop = _LOOKED_AT - self._looked_at
+        if self._first_ns is not None:
+            far = np.flatnonzero(times_ns[start:] - self._first_ns >= _LOOKED_AT_NS)
+            stop = min(stop, start + int(far[0]) + 1) if len(far) else stop
+        self._looked_at += batch.count
+        self._count(cut(batch, 0, min(stop, batch.count)))
+        return stop <= batch.count
+
+    def _count(self, batch: Batch) -> None:
+        relevant = self._relevant
+        for columns in batch.columns:
+            if columns.name in relevant:
+                self._counts[columns.name] += len(columns.position)
+                self._examples[columns.name] = one_message(columns, 0).fields
+        for message in batch.others.values():
+            if message.name in relevant:
+                self._counts[message.name] += 1
+                self._examples[message.name] = message.fields
 
     def choose(self) -> None:
         """Decide for the messages that what was counted can fill."""
         for name, rule in self._open.guess(self._counts, self._examples).items():
-            filler = _Filler(rule)
-            self._fillers.append(filler)
-            self._made.setdefault(rule.topic, []).append(filler)
-            for topic in rule.topics - {rule.topic}:
-                self._joined.setdefault(topic, []).append(filler)
-            if rule.repeat_ns is not None:
-                self._states.append(filler)
+            self._fillers.append(_Filler(rule, len(self._fillers)))
             self._open = LogMapping({key: found for key, found in self._open.rules.items() if key != name})
-        self._relevant = self._open.topics(self._open.rules.keys())
 
-    def feed(self, message: Message) -> Iterator[Message]:
-        """Take a record; return it, where it is wanted, and what it makes."""
-        if self._only is None or message.name in self._only:
-            yield message
-        if self.note(message):
+    def run(self, batch: Batch) -> Iterator[Batch]:
+        """Return the wanted records of a batch and what they make."""
+        relevant = self._relevant - self._examples.keys()
+        news = sorted({int(at[0]) for name, at in _positions(batch) if name in relevant})
+        start, counted = 0, 0
+        # with the first record of a name it may be decided how a message is filled, from this record on
+        for first in news:
+            yield from self._run(cut(batch, start, first), counted)
+            self._count(cut(batch, first, first + 1))
             self.choose()
-        for filler in self._states:
-            yield from filler.repeat(message.received_ns)
-        for filler in self._joined.get(message.name, ()):
-            yield from filler.join(message)
-        for filler in self._made.get(message.name, ()):
-            yield from filler.make(message)
+            start, counted = first, 1
+        yield from self._run(cut(batch, start, batch.count) if start else batch, counted)
 
-    def finish(self) -> Iterator[Message]:
+    def _run(self, batch: Batch, counted: int) -> Iterator[Batch]:
+        """Return what records make by the rules in use; the first ``counted`` of them are counted already."""
+        self._count(cut(batch, counted, batch.count) if counted else batch)
+        times_ns = _times_ns(batch)
+        made = [columns for filler in self._fillers for columns in filler.run(batch, times_ns)]
+        yield from self._merged(batch, made)
+
+    def finish(self) -> Iterator[Batch]:
         """Return what still waits."""
-        for filler in self._fillers:
-            yield from filler.finish()
+        yield from self._merged(Batch(0, (), {}), [one for filler in self._fillers for one in filler.finish()])
+
+    def _merged(self, batch: Batch, made: Sequence[Columns]) -> Iterator[Batch]:
+        """Return the wanted records of a batch, and messages at places of :func:`_place`."""
+        only = self._only
+        columns = [
+            Columns(one.source, one.name, one.system, one.component, _place(one.position), one.received_ns, one.fields)
+            for one in batch.columns
+            if only is None or one.name in only
+        ]
+        others = {
+            int(_place(at)): message for at, message in batch.others.items() if only is None or message.name in only
+        }
+        if columns or made or others:
+            yield gathered([*columns, *made], others)
+
+
+# Behind each record there is room for all that it makes: messages repeated, completed and made, of each filler.
+_REPEATED, _COMPLETED, _MADE = 1, 2, 3
+_ROOM = 1 << 32
+_STAGE = 1 << 30
+_FILLER = 1 << 16
+
+
+def _place(position: Any, stage: Any = 0, filler: int = 0, number: Any = 0) -> Any:
+    """Return where what a record at a position makes stands among everything, in numbers that only tell the order."""
+    return position * _ROOM + stage * _STAGE + filler * _FILLER + number
+
+
+def _positions(batch: Batch) -> Iterator[tuple[str, Integers]]:
+    """Yield the names of a batch's messages and their positions."""
+    for columns in batch.columns:
+        yield columns.name, columns.position
+    for at, message in batch.others.items():
+        yield message.name, np.array([at])
+
+
+def _times_ns(batch: Batch) -> Integers:
+    """Return the times of arrival of all messages of a batch (count,)."""
+    times_ns = np.zeros(batch.count, np.int64)
+    for columns in batch.columns:
+        times_ns[columns.position] = columns.received_ns
+    for at, message in batch.others.items():
+        times_ns[at] = message.received_ns
+    return times_ns
+
+
+@dataclass(frozen=True, slots=True)
+class _Series:
+    """n records of one name: positions in the batch, times, and values of some rules' fields.
+
+    Parameters
+    ----------
+    position, received_ns : NDArray[np.int64]
+        (n,).
+    values : Mapping[str, NDArray]
+        By field of the rule (n,): numbers as they are measured, or as the message carries them.
+    known : Mapping[str, NDArray[np.bool_]]
+        Where there is a number (n,).
+    """
+
+    position: Integers
+    received_ns: Integers
+    values: Mapping[str, NDArray[Any]]
+    known: Mapping[str, NDArray[np.bool_]]
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def rows(self, index: Any) -> _Series:
+        """Return some of the records."""
+        return _Series(
+            self.position[index],
+            self.received_ns[index],
+            {name: values[index] for name, values in self.values.items()},
+            {name: known[index] for name, known in self.known.items()},
+        )
+
+    def followed_by(self, later: _Series) -> _Series:
+        """Return these records and later ones."""
+        return _Series(
+            np.concatenate([self.position, later.position]),
+            np.concatenate([self.received_ns, later.received_ns]),
+            {name: np.concatenate([values, later.values[name]]) for name, values in self.values.items()},
+            {name: np.concatenate([known, later.known[name]]) for name, known in self.known.items()},
+        )
+
+
+# places, times and fields of some messages
+_Piece: TypeAlias = tuple[Integers, Integers, Mapping[str, NDArray[Any]]]
 
 
 class _Filler:
-    """Fills one kind of message by a rule; waits where values are interpolated between records yet to come."""
+    """Fills one kind of message by a rule; waits where values are interpolated between records yet to come.
 
-    def __init__(self, rule: MessageRule) -> None:
+    Parameters
+    ----------
+    rule : MessageRule
+        The rule.
+    number : int
+        Among all fillers: the first ones go first.
+    """
+
+    def __init__(self, rule: MessageRule, number: int) -> None:
         self._rule = rule
-        self._packed = struct.Struct(rule.codes)
-        self._linear = {topic: deque[Message]() for topic in sorted(rule.linear)}
-        self._held: dict[str, Message] = {}
-        self._waiting: deque[tuple[Message, dict[str, Message]]] = deque()
-        self._last: Message | None = None
+        self._number = number
+        self._own = [one for one in rule.fields if one.channel is None or not one.joined]
+        self._linear = {
+            topic: [one for one in rule.fields if one.topic == topic and one.joined and one.channel is not None]
+            for topic in sorted(rule.linear)
+        }
+        held = {one.topic for one in rule.fields if one.joined and one.channel is not None} - self._linear.keys()
+        self._held = {topic: [one for one in rule.fields if one.joined and one.topic == topic] for topic in held}
+        self._last_held: dict[str, _Series] = {}
+        # records that values are interpolated between, and messages that wait for more of them
+        self._rows: dict[str, _Series] = {}
+        self._waiting: _Series | None = None
+        self._join = _Join(len(self._linear))
+        self._last: tuple[int, dict[str, NDArray[Any]]] | None = None
 
-    def join(self, message: Message) -> Iterator[Message]:
-        """Take a record that adds to messages; return those that it completes."""
-        row = self._linear.get(message.name)
-        if row is None:
-            self._held[message.name] = message
-            return
-        if row and not 0 < message.received_ns - row[-1].received_ns < _PATIENCE_NS:
-            if message.received_ns == row[-1].received_ns:
-                return
-            row.clear()
-        row.append(message)
-        yield from self._release(message.received_ns)
+    def run(self, batch: Batch, times_ns: Integers) -> Iterator[Columns]:
+        """Return the messages that the records of a batch make, complete or repeat, at places of :func:`_place`."""
+        made = self._made(batch)
+        if self._linear:
+            made, place = self._interpolated(batch, made)
+        else:
+            place = _place(made.position, _MADE, self._number)
+        pieces: list[_Piece] = [(place, made.received_ns, made.values)] if len(made) else []
+        if self._rule.repeat_ns is not None:
+            pieces += self._repeated(place, made, times_ns)
+        yield from self._columns(pieces)
 
-    def make(self, message: Message) -> Iterator[Message]:
-        """Take a record that makes a message; return the messages that are complete."""
-        self._waiting.append((message, dict(self._held) if self._linear else self._held))
-        yield from self._release(message.received_ns)
-
-    def repeat(self, now_ns: int) -> Iterator[Message]:
-        """Return a state again, if that is due."""
-        last, every_ns = self._last, self._rule.repeat_ns or 0
-        if last is not None and not -every_ns < now_ns - last.received_ns < every_ns:
-            self._last = Message(MAVLINK, last.name, now_ns, last.fields, _SYSTEM, _COMPONENT)
-            yield self._last
-
-    def finish(self) -> Iterator[Message]:
+    def finish(self) -> Iterator[Columns]:
         """Return what waits, with what is not known left unknown."""
-        while self._waiting:
-            yield from self._filled(*self._waiting.popleft(), {})
+        waiting = self._waiting
+        if waiting is not None and len(waiting):
+            nothing = np.full((len(waiting), len(self._linear), 2), -1)
+            filled = self._between(waiting, nothing)
+            place = _place(0, _MADE, self._number, np.arange(len(waiting)))
+            yield from self._columns([(place, filled.received_ns, filled.values)])
 
-    def _release(self, now_ns: int) -> Iterator[Message]:
-        while self._waiting:
-            message, held = self._waiting[0]
-            time_ns = message.received_ns
-            pairs: dict[str, tuple[Message, Message] | None] = {}
-            early = late = False
-            for topic, row in self._linear.items():
-                while len(row) > 2 and row[1].received_ns <= time_ns:
-                    row.popleft()
-                early |= bool(row) and row[0].received_ns > time_ns
-                late |= not row or row[-1].received_ns < time_ns
-                pairs[topic] = _around(row, time_ns)
-            if late and not early and abs(now_ns - time_ns) < _PATIENCE_NS and len(self._waiting) < _MOST_WAITING:
-                return
-            self._waiting.popleft()
-            if not early:
-                yield from self._filled(message, held, pairs)
+    def _columns(self, pieces: Sequence[_Piece]) -> Iterator[Columns]:
+        if pieces:
+            place = np.concatenate([at for at, _, _ in pieces])
+            order = np.argsort(place)
+            fields = {
+                one.name: np.concatenate([values[one.name] for _, _, values in pieces])[order]
+                for one in self._rule.fields
+            }
+            received_ns = np.concatenate([times for _, times, _ in pieces])[order]
+            yield Columns(MAVLINK, self._rule.message, _SYSTEM, _COMPONENT, place[order], received_ns, fields)
 
-    def _filled(
-        self, message: Message, held: Mapping[str, Message], pairs: Mapping[str, tuple[Message, Message] | None]
-    ) -> Iterator[Message]:
-        """Return the message that a record makes; none where it stands for none, or for what no message can hold."""
-        values = []
-        for field in self._rule.fields:
-            value: float | int | None
-            if field.channel is None:
-                value = field.constant
-            elif not field.joined:
-                value = _value(field, message.fields)
-                if value is None and field.values is not None:
-                    return
-            elif field.topic in self._linear:
-                pair = pairs.get(field.topic)
-                value = None if pair is None else _between(field, *pair, message.received_ns)
-            else:
-                other = held.get(field.topic)
-                value = None if other is None else _value(field, other.fields)
-            values.append(field.unknown if value is None else value)
-        packed = _packed(self._packed, self._rule, values)
-        names = (field.name for field in self._rule.fields)
-        fields = dict(zip(names, self._packed.unpack(packed), strict=True))
-        made = Message(MAVLINK, self._rule.message, message.received_ns, fields, _SYSTEM, _COMPONENT)
-        self._last = made
-        yield made
+    def _made(self, batch: Batch) -> _Series:
+        """Return the messages that records of a batch make, but for what is interpolated."""
+        records = _Recorded.of(batch, self._rule.topic)
+        count = len(records.position)
+        values: dict[str, NDArray[Any]] = {}
+        stands = np.ones(count, np.bool_)
+        for one in self._own:
+            number, known = _values(one, records)
+            values[one.name] = _carried(self._rule, one, number, known)
+            if one.channel is not None and one.values is not None:
+                stands &= known
+        for topic, fields in self._held.items():
+            row, held = self._newest(batch, topic, fields, records.position)
+            for one in fields:
+                known = row >= 0
+                number = np.zeros(count)
+                if len(held):
+                    number, known = held.values[one.name][row], held.known[one.name][row] & known
+                values[one.name] = _carried(self._rule, one, number, known)
+        return _Series(records.position, records.received_ns, values, {}).rows(stands)
+
+    def _newest(
+        self, batch: Batch, topic: str, fields: Sequence[FieldRule], position: Integers
+    ) -> tuple[Integers, _Series]:
+        """Return which record of a topic is the newest at positions (-1: none), and those records."""
+        series = _series(_Recorded.of(batch, topic), fields)
+        before = self._last_held.get(topic)
+        carried = 0 if before is None else len(before)
+        row = np.searchsorted(series.position, position) - 1 + carried
+        held = series if before is None else before.followed_by(series)
+        self._last_held[topic] = held.rows(slice(-1, None))
+        return row, held
+
+    def _interpolated(self, batch: Batch, made: _Series) -> tuple[_Series, Integers]:
+        """Return the messages that are complete, and their places."""
+        starts = [0 if self._waiting is None else len(self._waiting)]
+        waiting = made if self._waiting is None else self._waiting.followed_by(made)
+        positions, times = [made.position], [waiting.received_ns]
+        for topic, fields in self._linear.items():
+            series = _series(_Recorded.of(batch, topic), fields)
+            before = self._rows.get(topic)
+            starts.append(0 if before is None else len(before))
+            self._rows[topic] = series if before is None else before.followed_by(series)
+            positions.append(series.position)
+            times.append(self._rows[topic].received_ns)
+        done = self._join.run(positions, starts, times)
+        filled = self._between(waiting.rows(done.row), done.pair)
+        # the record that completes a message may be the one that makes it
+        stage = np.where(done.by == 0, _MADE, _COMPLETED)
+        among = np.arange(len(done.row)) - np.searchsorted(done.position, done.position)
+        place = _place(done.position, stage, self._number, among)
+        first = self._join.forget()
+        self._waiting = waiting.rows(slice(first[0], None))
+        for topic, keep in zip(self._linear, first[1:], strict=True):
+            self._rows[topic] = self._rows[topic].rows(slice(keep, None))
+        return filled, place
+
+    def _between(self, made: _Series, pair: Integers) -> _Series:
+        """Return messages with what is interpolated; ``pair`` (n, topics, 2) has the rows on either side, -1: none."""
+        values = dict(made.values)
+        for k, (topic, fields) in enumerate(self._linear.items()):
+            left, right = pair[:, k, 0], pair[:, k, 1]
+            rows = self._rows.get(topic)
+            for one in fields:
+                number, known = np.zeros(len(made)), np.zeros(len(made), np.bool_)
+                if rows is not None and len(rows):
+                    number, known = _between(one, rows, left, right, made.received_ns)
+                    known &= left >= 0
+                values[one.name] = _carried(self._rule, one, number, known)
+        return _Series(made.position, made.received_ns, values, {})
+
+    def _repeated(self, place: Integers, made: _Series, times_ns: Integers) -> list[_Piece]:
+        """Return a state again wherever that is due: so long after it was told last, on the record that shows it."""
+        every_ns = self._rule.repeat_ns or 0
+        pieces: list[_Piece] = []
+        start = 0
+        for number, position in enumerate([*(place // _ROOM).tolist(), len(times_ns) - 1]):
+            if self._last is not None:
+                told_ns, values = self._last
+                due = []
+                while (at := _due(times_ns, start, position + 1, told_ns, every_ns)) is not None:
+                    told_ns = int(times_ns[at])
+                    due.append(at)
+                    start = at + 1
+                if due:
+                    again = {name: np.repeat(value, len(due)) for name, value in values.items()}
+                    at_once = np.array(due)
+                    pieces.append((_place(at_once, _REPEATED, self._number), times_ns[at_once], again))
+                    self._last = told_ns, values
+            if number < len(made):
+                row = slice(number, number + 1)
+                self._last = int(made.received_ns[number]), {name: one[row] for name, one in made.values.items()}
+                start = position + 1
+        return pieces
 
 
-def _packed(packer: struct.Struct, rule: MessageRule, values: list[int | float]) -> bytes:
-    """Return the values as the message carries them, whole numbers to the nearest; unknown where one does not fit."""
-    fitted: list[int | float] = []
-    for field, code, value in zip(rule.fields, rule.codes[1:], values, strict=True):
-        if code in "fd" or type(value) is int:
-            fitted.append(value)
-            continue
-        period = None if field.channel is None or code.islower() else field.channel.period
-        wrapped = value if period is None else value % period
-        fitted.append(round(wrapped) if isfinite(wrapped) else field.unknown)
-    try:
-        return packer.pack(*fitted)
-    except (struct.error, OverflowError):
-        return b"".join(map(_fitting, rule.fields, rule.codes[1:], fitted))
+def _due(times_ns: Integers, start: int, stop: int, told_ns: int, every_ns: int) -> int | None:
+    """Return the first of some positions whose time is so far from one that a state is told again, None without."""
+    width = _SEARCHED
+    while start < stop:
+        # ever wider: what it costs is in proportion to how far the position is
+        far = np.abs(times_ns[start : min(stop, start + width)] - told_ns) >= every_ns
+        if far.any():
+            return start + int(far.argmax())
+        start += width
+        width *= 2
+    return None
 
 
-def _fitting(field: FieldRule, code: str, value: int | float) -> bytes:
-    try:
-        return struct.pack("<" + code, value)
-    except (struct.error, OverflowError):
-        return struct.pack("<" + code, field.unknown)
+@dataclass(frozen=True, slots=True)
+class _Joined:
+    """Messages that are complete: m of them, of k topics that they are joined with.
+
+    Parameters
+    ----------
+    row : NDArray[np.int64]
+        Their rows (m,).
+    pair : NDArray[np.int64]
+        Rows of the records on either side of each, by topic (m, k, 2); -1 where there is none.
+    position : NDArray[np.int64]
+        Position of the record that completed each (m,).
+    by : NDArray[np.int64]
+        Whether that was the record that makes it (0), or one of the topics (1, ..., k) (m,).
+    """
+
+    row: Integers
+    pair: Integers
+    position: Integers
+    by: Integers
 
 
-def _value(field: FieldRule, fields: Mapping[str, Any]) -> float | int | None:
-    channel = field.channel
-    if channel is None:
-        return field.constant
-    if field.angle is None and field.values is None:
-        return channel.value(fields)
-    found = follow(fields, channel.path)
-    if field.values is not None:
-        value = field.values.get(str(int(found))) if isinstance(found, int) else None
-        return _value(field.otherwise, fields) if value is None and field.otherwise is not None else value
-    return _angle(found, field.angle or "roll")
+class _Join:
+    """Finds for messages in their order the records before and after them, of k topics.
+
+    A message is complete when there is a record at or after its time of each topic, or when it waited too long. One
+    that is older than all records of a topic is given up.
+
+    Parameters
+    ----------
+    topics : int
+        Their number k.
+    """
+
+    def __init__(self, topics: int) -> None:
+        # rows that are still of use: of messages that wait, and of each topic
+        self._waiting: deque[int] = deque()
+        self._rows: list[deque[int]] = [deque() for _ in range(topics)]
+
+    def run(self, positions: Sequence[Integers], starts: Sequence[int], times_ns: Sequence[Integers]) -> _Joined:
+        """Go through the records of a batch.
+
+        Parameters
+        ----------
+        positions : Sequence[NDArray[np.int64]]
+            Positions in the batch of the records that make messages, and of each topic's.
+        starts : Sequence[int]
+            Row of the first of each.
+        times_ns : Sequence[NDArray[np.int64]]
+            Times of arrival of all rows, from before the batch too.
+        """
+        at = np.concatenate(positions)
+        kind = np.repeat(np.arange(len(positions)), [len(one) for one in positions])
+        row = np.concatenate([start + np.arange(len(one)) for start, one in zip(starts, positions, strict=True)])
+        order = np.argsort(at)
+        times = [one.tolist() for one in times_ns]
+        done: list[tuple[int, int, int]] = []
+        pairs: list[list[tuple[int, int]]] = []
+        events = zip(at[order].tolist(), kind[order].tolist(), row[order].tolist(), strict=True)
+        for position, by, index in events:
+            now_ns = times[by][index]
+            if by == 0:
+                self._waiting.append(index)
+            elif not self._add(self._rows[by - 1], times[by], index):
+                continue
+            while self._waiting:
+                pair = self._release(times, now_ns)
+                if pair is None:
+                    break
+                message = self._waiting.popleft()
+                if pair:
+                    done.append((message, position, by))
+                    pairs.append(pair)
+        found = np.array(done, np.int64).reshape(-1, 3)
+        pair_rows = np.array(pairs, np.int64).reshape(len(done), len(self._rows), 2)
+        return _Joined(found[:, 0], pair_rows, found[:, 1], found[:, 2])
+
+    @staticmethod
+    def _add(rows: deque[int], times: Sequence[int], index: int) -> bool:
+        """Add a record of a topic; return False where another of its time is there."""
+        if rows:
+            step_ns = times[index] - times[rows[-1]]
+            if step_ns == 0:
+                return False
+            if not 0 < step_ns < _PATIENCE_NS:
+                rows.clear()
+        rows.append(index)
+        if len(rows) > _MOST_WAITING:
+            rows.popleft()
+        return True
+
+    def _release(self, times: Sequence[Sequence[int]], now_ns: int) -> list[tuple[int, int]] | None:
+        """Return the rows on either side of the first message, none where it is given up; None where it waits."""
+        time_ns = times[0][self._waiting[0]]
+        pairs = []
+        early = late = False
+        for known, rows in zip(times[1:], self._rows, strict=True):
+            while len(rows) > 2 and known[rows[1]] <= time_ns:
+                rows.popleft()
+            early |= bool(rows) and known[rows[0]] > time_ns
+            late |= not rows or known[rows[-1]] < time_ns
+            pairs.append(_around(rows, known, time_ns))
+        waits = abs(now_ns - time_ns) < _PATIENCE_NS and len(self._waiting) < _MOST_WAITING
+        if early:
+            return []
+        return None if late and waits else pairs
+
+    def forget(self) -> list[int]:
+        """Return the first row of each that is still of use, and count from there on."""
+        first = []
+        for rows in (self._waiting, *self._rows):
+            first.append(rows[0] if rows else np.iinfo(np.int64).max)
+            for k in range(len(rows)):
+                rows[k] -= first[-1]
+        return first
 
 
-def _angle(quaternion: Any, which: str) -> float | None:
-    """Return an angle of a rotation from body (x ahead, z down) to earth axes, radians."""
-    if not isinstance(quaternion, list) or len(quaternion) != 4:
-        return None
-    if not all(type(q) is float and abs(q) < _LARGEST_QUATERNION for q in quaternion):
-        return None
-    w, x, y, z = quaternion
-    if which == "roll":
-        return atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    if which == "yaw":
-        return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
-
-
-def _around(row: deque[Message], time_ns: int) -> tuple[Message, Message] | None:
-    for left, right in pairwise(row):
-        if left.received_ns <= time_ns <= right.received_ns:
+def _around(rows: deque[int], times: Sequence[int], time_ns: int) -> tuple[int, int]:
+    """Return the rows before and after a time, -1 where there are none."""
+    for left, right in pairwise(rows):
+        if times[left] <= time_ns <= times[right]:
             return left, right
-    return (row[-1], row[-1]) if row and row[-1].received_ns == time_ns else None
+    return (rows[-1], rows[-1]) if rows and times[rows[-1]] == time_ns else (-1, -1)
 
 
-def _between(field: FieldRule, left: Message, right: Message, time_ns: int) -> float | None:
-    """Return a value at a time from those on either side, the shorter way round where it wraps."""
-    if time_ns in (left.received_ns, right.received_ns):
-        return _value(field, (left if time_ns == left.received_ns else right).fields)
-    before, after = _value(field, left.fields), _value(field, right.fields)
-    if before is None or after is None:
-        return None
-    step = after - before
+@dataclass(frozen=True, slots=True)
+class _Recorded:
+    """The records of one name in a batch: their columns, or messages where they are none."""
+
+    position: Integers
+    received_ns: Integers
+    columns: Columns | None
+    messages: Sequence[Message]
+
+    @classmethod
+    def of(cls, batch: Batch, name: str) -> _Recorded:
+        """Return the records of a name in a batch."""
+        found = [one for one in batch.columns if one.name == name]
+        others = {at: message for at, message in batch.others.items() if message.name == name}
+        if len(found) == 1 and not others:
+            return cls(found[0].position, found[0].received_ns, found[0], ())
+        for one in found:
+            others |= {int(at): one_message(one, row) for row, at in enumerate(one.position)}
+        at = sorted(others)
+        messages = [others[position] for position in at]
+        times_ns = np.array([message.received_ns for message in messages], np.int64)
+        return cls(np.array(at, np.int64), times_ns, None, messages)
+
+    def at(self, path: tuple[str | int, ...]) -> NDArray[Any] | None:
+        """Return what stands at a path: numbers (n,) or lists of numbers (n, length); None where there are none."""
+        if self.columns is not None:
+            first, *steps = path
+            values = self.columns.fields.get(str(first)) if isinstance(first, str) else None
+            if values is None or not steps:
+                return values
+            place = steps[0]
+            if len(steps) > 1 or not isinstance(place, int) or values.ndim < 2 or place >= values.shape[1]:
+                return None
+            return values[:, place]
+        found = [follow(message.fields, path) for message in self.messages]
+        if found and all(isinstance(one, list) and len(one) == len(found[0]) for one in found):
+            values = np.array(found)
+        elif all(type(one) is bool for one in found):
+            values = np.array(found, np.bool_)
+        elif all(isinstance(one, int) for one in found):
+            values = np.array([int(one) for one in found])
+        else:
+            values = np.array([one if type(one) in (int, float) else np.nan for one in found], np.float64)
+        return values if values.dtype.kind in "biuf" else None
+
+
+def _series(records: _Recorded, fields: Sequence[FieldRule]) -> _Series:
+    """Return the values of some fields of records."""
+    found = {one.name: _values(one, records) for one in fields}
+    return _Series(
+        records.position,
+        records.received_ns,
+        {name: values for name, (values, _) in found.items()},
+        {name: known for name, (_, known) in found.items()},
+    )
+
+
+def _values(field: FieldRule, records: _Recorded) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return the numbers of a field (n,) in the message's unit, and where there are any (n,)."""
+    count = len(records.position)
+    nothing: tuple[NDArray[Any], NDArray[np.bool_]] = np.zeros(count), np.zeros(count, np.bool_)
+    if field.channel is None:
+        return nothing if field.constant is None else (np.full(count, field.constant), np.ones(count, np.bool_))
+    values = records.at(field.channel.path)
+    if field.values is not None:
+        number, known = nothing[0].astype(np.int64), nothing[1]
+        if values is not None and values.ndim == 1 and values.dtype.kind in "biu":
+            for raw in np.unique(values).tolist():
+                stands = field.values.get(str(int(raw)))
+                if stands is not None:
+                    number[values == raw], known[values == raw] = stands, True
+        if field.otherwise is None or known.all():
+            return number, known
+        other, also = _values(field.otherwise, records)
+        return np.where(known, number, other), known | also
+    if field.angle is not None:
+        return nothing if values is None else _angle(values, field.angle)
+    if values is None or values.ndim > 1 or values.dtype.kind == "b":
+        return nothing
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = field.channel.scale * values.astype(np.float64) + field.channel.offset
+    return scaled, np.abs(scaled) <= MAX_VALUE
+
+
+def _angle(quaternion: NDArray[Any], which: Angle) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return an angle of rotations (n, 4) from body (x ahead, z down) to earth axes, radians."""
+    count = len(quaternion)
+    if quaternion.ndim != 2 or quaternion.shape[1] != 4 or quaternion.dtype.kind != "f":
+        return np.zeros(count), np.zeros(count, np.bool_)
+    known = (np.abs(quaternion) < _LARGEST_QUATERNION).all(axis=1)
+    w, x, y, z = np.where(known[:, None], quaternion, 0.0).astype(np.float64).T
+    if which == "roll":
+        return np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)), known
+    if which == "yaw":
+        return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)), known
+    return np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)), known
+
+
+def _between(
+    field: FieldRule, rows: _Series, left: Integers, right: Integers, time_ns: Integers
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return values at times (n,) from those on either side, the shorter way round where they wrap."""
+    values, known = rows.values[field.name], rows.known[field.name]
+    left_ns, right_ns = rows.received_ns[left], rows.received_ns[right]
+    before, after = values[left], values[right]
     period = _TURN if field.angle else field.channel.period if field.channel is not None else None
-    if period is not None:
-        step = (step + 0.5 * period) % period - 0.5 * period
-    return before + step * (time_ns - left.received_ns) / (right.received_ns - left.received_ns)
+    span_ns = np.maximum(right_ns - left_ns, 1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        step = after - before
+        if period is not None:
+            step = (step + 0.5 * period) % period - 0.5 * period
+        number = before + step * (time_ns - left_ns) / span_ns
+    # exactly on a record its value counts, whatever the other one is
+    on_left, on_right = time_ns == left_ns, time_ns == right_ns
+    number = np.where(on_left, before, np.where(on_right, after, number))
+    there = np.where(on_left, known[left], np.where(on_right, known[right], known[left] & known[right]))
+    return number, there
+
+
+def _carried(rule: MessageRule, field: FieldRule, values: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[Any]:
+    """Return numbers as the message carries them, whole numbers to the nearest; unknown where one does not fit."""
+    code = rule.codes[1:][rule.fields.index(field)]
+    dtype = np.dtype(f"<{code}")
+    if code in "fd":
+        with np.errstate(over="ignore", invalid="ignore"):
+            carried = values.astype(np.float64).astype(dtype)
+        fits = np.isfinite(carried) | ~np.isfinite(values)
+    else:
+        whole = values
+        if values.dtype.kind == "f":
+            period = None if field.channel is None or code.islower() else field.channel.period
+            with np.errstate(invalid="ignore"):
+                whole = np.rint(values if period is None else values % period)
+        limits = np.iinfo(dtype)
+        # of a float the largest number below the limit is meant: 2^64 - 1 is none
+        fits = (whole >= limits.min) & (whole <= limits.max) & (whole < float(limits.max) + 1.0)
+        carried = np.where(fits & known, whole, 0).astype(dtype)
+    return np.where(known & fits, carried, np.array(field.unknown, dtype))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeAlias
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -21,7 +21,7 @@ from mcap.records import Channel, Metadata, Statistics
 from mcap.records import Schema as McapSchema
 from mcap.writer import MCAP0_MAGIC
 
-from adapters.batch import Batch, Columns, gathered, pack
+from adapters.batch import BATCH_MESSAGES, Batch, Columns, gathered, messages, pack
 from adapters.encoding.foreign_record import described, foreign_decoder, foreign_name
 from adapters.encoding.message_record import Decode, MavlinkRecords, decoder, recorded_name
 from adapters.encoding.record import Record, Schema
@@ -39,6 +39,10 @@ _CHECKED_FOOTER_BYTES = 25
 _DATA_END = RECORD_HEAD.pack(Opcode.DATA_END, 4)
 _CHECKSUM_BYTES = 4
 _MOST_SUMMARY_BYTES = 1 << 24
+"""Where a summary is looked for at most, from the file's end. Chosen: that of a day's recording has some 5 MB."""
+_BATCH_BYTES = 1 << 24
+"""Payload in a batch at most: recordings of others hold images. Chosen: five times what as many messages of telemetry
+take, so that it bounds memory and nothing else."""
 # samples, estimates and alarms of a monitor: no telemetry
 _OUR_RESULTS = "/fauio/"
 
@@ -86,6 +90,10 @@ class _Topic:
     schema: Schema | None
     wanted: bool
     decode: Decode | None = None
+
+
+# topic, log time, publish time, payload
+_Raw: TypeAlias = tuple[_Topic, int, int, bytes]
 
 
 class MessageLogReader:
@@ -153,10 +161,7 @@ class MessageLogReader:
         TelemetryError
             The file cannot be opened, is no MCAP file or needs a compression that is not installed.
         """
-        for topic, time_ns, _, data in self._data():
-            message = self._decoded(topic, time_ns, data)
-            if message is not None:
-                yield message
+        return (message for batch in self.batches() for message in messages(batch))
 
     def _decoded(self, topic: _Topic, time_ns: int, data: bytes) -> Message | None:
         """Return a message and count it, None where it cannot be decoded."""
@@ -172,10 +177,13 @@ class MessageLogReader:
         self._messages += 1
         return message
 
-    def blocks(self, count: int) -> Iterator[Batch]:
-        """Return the messages in blocks of ``count``, fewer where some cannot be read; raises as iteration does."""
+    def batches(self, count: int = BATCH_MESSAGES) -> Iterator[Batch]:
+        """Return the messages in batches of ``count``, fewer where they are large or some cannot be read.
+
+        Raises as iteration does.
+        """
         data = self._data()
-        while stretch := list(islice(data, count)):
+        while stretch := list(_first(data, count)):
             by_topic: dict[int, tuple[_Topic, list[int]]] = {}
             for place, (topic, *_) in enumerate(stretch):
                 by_topic.setdefault(id(topic), (topic, []))[1].append(place)
@@ -192,11 +200,9 @@ class MessageLogReader:
                 if message is not None:
                     single[place] = message
             if columns or single:
-                yield _block(columns, single)
+                yield _batch(columns, single)
 
-    def _columns(
-        self, topic: _Topic, group: Sequence[tuple[_Topic, int, int, bytes]], places: Sequence[int]
-    ) -> list[Columns] | None:
+    def _columns(self, topic: _Topic, group: Sequence[_Raw], places: Sequence[int]) -> list[Columns] | None:
         """Return the messages of a topic and count them, None where they have to be taken one by one."""
         decode = topic.decode or self._decoder(topic)
         if not isinstance(decode, MavlinkRecords):
@@ -234,7 +240,7 @@ class MessageLogReader:
                     found.setdefault(record.name, {}).update(record.metadata)
         return found
 
-    def _data(self) -> Iterator[tuple[_Topic, int, int, bytes]]:
+    def _data(self) -> Iterator[_Raw]:
         """Return topic, log time, publish time and payload of the wanted messages."""
         self._learn_from_index()
         for opcode, body in self._records:
@@ -245,7 +251,7 @@ class MessageLogReader:
             else:
                 self._define(opcode, body)
 
-    def _from_chunk(self, data: bytes) -> Iterator[tuple[_Topic, int, int, bytes]]:
+    def _from_chunk(self, data: bytes) -> Iterator[_Raw]:
         topics, at, end = self._topics, 0, len(data)
         last = end - RECORD_HEAD.size
         unpack_from, message, head_bytes = _MESSAGE.unpack_from, int(Opcode.MESSAGE), _MESSAGE.size
@@ -325,8 +331,18 @@ class MessageLogReader:
         return self._messages + self._other_records + self._damaged_records
 
 
-def _block(columns: list[Columns], single: Mapping[int, Message]) -> Batch:
-    """Return what was decoded together and one by one as a block; of the latter, what can be, as columns too."""
+def _first(data: Iterator[_Raw], count: int) -> Iterator[_Raw]:
+    """Yield the next ``count`` records, fewer where they are large."""
+    size = 0
+    for one in islice(data, count):
+        yield one
+        size += len(one[-1])
+        if size >= _BATCH_BYTES:
+            return
+
+
+def _batch(columns: list[Columns], single: Mapping[int, Message]) -> Batch:
+    """Return what was decoded together and one by one as a batch; of the latter, what can be, as columns too."""
     packed, place = pack([*single.values()]), np.array([*single], np.int64)
     columns += (replace(one, position=place[one.position]) for one in packed.columns)
     return gathered(columns, {int(place[at]): message for at, message in packed.others.items()})

@@ -10,7 +10,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from adapters.batch import Batch, messages, pack
+from adapters.batch import BATCH_MESSAGES, Batch, messages, pack
 from adapters.errors import TelemetryError
 from adapters.logs.damage import Damage, scan_damage
 from adapters.message import Message
@@ -28,9 +28,8 @@ ONBOARD_LOG = "onboard_log"
 
 ALARM_TOPIC = "/fauio/alarm_json"
 
-BLOCK_MESSAGES = 40_000
-
 _TYPICAL_RECORD_BYTES = 52
+"""Bytes of a log per message: 52 in telemetry logs of the shipped flights, 59 in logs of PX4."""
 
 _KINDS: Mapping[str, RecordingKind] = {".tlog": "tlog", ".mcap": "mcap", ".ulg": "ulog", ".bin": "dataflash"}
 _COMPRESSED = (".xz", ".gz")
@@ -130,34 +129,34 @@ class Recording:
         self._damage: list[Damage] = []
 
     def __iter__(self) -> Iterator[Message]:
-        """Return the messages, those of an onboard log (PX4, ArduPilot, or converted from one) as telemetry too."""
+        """Return the messages one by one, as :meth:`batches` holds them."""
+        return (message for batch in self.batches() for message in messages(batch))
+
+    def batches(self, count: int = BATCH_MESSAGES) -> Iterator[Batch]:
+        """Return the messages, those of an onboard log (PX4, ArduPilot, or converted from one) as telemetry too.
+
+        ``count`` says how far to read ahead: about as many messages, wanted or not, of logs; as many wanted ones of
+        MCAP files.
+        """
         if self._tables is None:
-            return self._read(self._only)
+            return self._read(self._only, count)
         from adapters.logs.log_telemetry import telemetry
 
         wanted = None if self._only is None else self._tables.topics(self._only) | frozenset(self._only)
-        return telemetry(self._read(wanted), self._tables, self._only)
+        return telemetry(self._read(wanted, count), self._tables, self._only)
 
-    def blocks(self, count: int = BLOCK_MESSAGES) -> Iterator[Batch]:
-        """Return the messages in blocks, in the same order.
-
-        ``count`` says how far to read ahead: about as many messages, wanted or not, of a telemetry log; as many wanted
-        ones of other recordings.
-        """
-        if self._kind == "tlog" or (self._kind == "mcap" and self._tables is None):
-            return self._through(lambda file: _open_blocks(self._kind, file, self._only, count))
-        return packed(self, count)
-
-    def records(self) -> Iterator[Message]:
+    def records(self, count: int = BATCH_MESSAGES) -> Iterator[Batch]:
         """Return the messages as they stand in the files."""
-        return self._read(self._only)
+        return self._read(self._only, count)
 
-    def entries(self) -> Iterator[Message | Record]:
+    def entries(self) -> Iterator[Batch | Record]:
         """Return what a copy is made of: records of MCAP with schema, bytes and times as they are, else messages."""
-        return self._through(lambda file: _open_entries(self._kind, file, self._only))
+        if self._kind != "mcap":
+            return self._read(self._only, BATCH_MESSAGES)
+        return self._through(lambda file: _open_entries(file, self._only))
 
-    def _read(self, only: Collection[str] | None) -> Iterator[Message]:
-        return self._through(lambda file: _open(self._kind, file, only))
+    def _read(self, only: Collection[str] | None, count: int) -> Iterator[Batch]:
+        return self._through(lambda file: _open(self._kind, file, only, count))
 
     def _through(self, opened: Callable[[Path], tuple[Iterable[T], Callable[[], Damage | None]]]) -> Iterator[T]:
         """Yield what the files hold, one file after the other, and keep what of them could not be read."""
@@ -181,59 +180,39 @@ class Recording:
 
 
 def _open(
-    kind: RecordingKind, file: Path, only: Collection[str] | None
-) -> tuple[Iterable[Message], Callable[[], Damage | None]]:
-    """Return the messages of one file, and what says afterwards what of it is missing."""
-    if kind == "tlog":
-        from adapters.logs.tlog import TlogReader
+    kind: RecordingKind, file: Path, only: Collection[str] | None, count: int
+) -> tuple[Iterable[Batch], Callable[[], Damage | None]]:
+    """Return the batches of one file, and what says afterwards what of it is missing."""
+    if kind == "mcap":
+        from adapters.logs.mcap_reader import MessageLogReader
 
-        tlog = TlogReader(file, only)
-        return tlog, lambda: scan_damage(file.name, tlog.statistics())
+        mcap = MessageLogReader(file, only)
+        return mcap.batches(count), mcap.damage
+    reader = _scanner(kind)(file, only, read_ahead_bytes=count * _TYPICAL_RECORD_BYTES)
+    return reader, lambda: scan_damage(file.name, reader.statistics())
+
+
+def _scanner(kind: RecordingKind) -> Any:
+    """Return the reader of a kind of log whose records are searched for one behind the other."""
     if kind == "ulog":
         from adapters.logs.ulog import UlogReader
 
-        ulog = UlogReader(file, only)
-        return _messages(ulog), lambda: scan_damage(file.name, ulog.statistics())
+        return UlogReader
     if kind == "dataflash":
         from adapters.logs.dataflash import DataflashReader
 
-        dataflash = DataflashReader(file, only)
-        return _messages(dataflash), lambda: scan_damage(file.name, dataflash.statistics())
-    from adapters.logs.mcap_reader import MessageLogReader
+        return DataflashReader
+    from adapters.logs.tlog_columns import TlogBlocks
 
-    mcap = MessageLogReader(file, only)
-    return mcap, mcap.damage
+    return TlogBlocks
 
 
-def _messages(batches: Iterable[Batch]) -> Iterator[Message]:
-    return (message for batch in batches for message in messages(batch))
-
-
-def _open_entries(
-    kind: RecordingKind, file: Path, only: Collection[str] | None
-) -> tuple[Iterable[Message | Record], Callable[[], Damage | None]]:
-    """Return the records of an MCAP file, the messages of any other, and what says afterwards what is missing."""
-    if kind != "mcap":
-        return _open(kind, file, only)
+def _open_entries(file: Path, only: Collection[str] | None) -> tuple[Iterable[Record], Callable[[], Damage | None]]:
+    """Return the records of an MCAP file, and what says afterwards what is missing."""
     from adapters.logs.mcap_reader import MessageLogReader
 
     mcap = MessageLogReader(file, only)
     return mcap.records(), mcap.damage
-
-
-def _open_blocks(
-    kind: RecordingKind, file: Path, only: Collection[str] | None, count: int
-) -> tuple[Iterable[Batch], Callable[[], Damage | None]]:
-    """Return the blocks of a telemetry log or MCAP file, and what says afterwards what of it is missing."""
-    if kind == "tlog":
-        from adapters.logs.tlog_columns import TlogBlocks
-
-        tlog = TlogBlocks(file, only, count * _TYPICAL_RECORD_BYTES)
-        return tlog, lambda: scan_damage(file.name, tlog.statistics())
-    from adapters.logs.mcap_reader import MessageLogReader
-
-    mcap = MessageLogReader(file, only)
-    return mcap.blocks(count), mcap.damage
 
 
 def _tables(path: str | os.PathLike[str], mapping: str | os.PathLike[str] | None) -> LogMapping | None:
@@ -256,14 +235,14 @@ def read_recording(
 
 
 def read_batches(
-    path: str | os.PathLike[str], only: Collection[str] | None = None, count: int = BLOCK_MESSAGES
+    path: str | os.PathLike[str], only: Collection[str] | None = None, count: int = BATCH_MESSAGES
 ) -> Iterator[Batch]:
-    """Return the messages of a recording in blocks; see :meth:`Recording.blocks`."""
-    return Recording(path, only).blocks(count)
+    """Return the messages of a recording in batches; see :meth:`Recording.batches`."""
+    return Recording(path, only).batches(count)
 
 
-def packed(source: Iterable[Message], count: int = BLOCK_MESSAGES) -> Iterator[Batch]:
-    """Return messages in blocks of ``count``, the last one shorter."""
+def packed(source: Iterable[Message], count: int = BATCH_MESSAGES) -> Iterator[Batch]:
+    """Return messages in batches of ``count``, the last one shorter."""
     remaining = iter(source)
     while stretch := list(islice(remaining, count)):
         yield pack(stretch)

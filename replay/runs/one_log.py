@@ -180,7 +180,7 @@ def _replay(
         # One by one: what follows from a message is told before the next one is due.
         blocks = packed(live.messages(profile, task, vehicle), 1)
     else:
-        blocks = recording.blocks()
+        blocks = recording.batches()
         if progress:
             size = recording_bytes(task.path)
             blocks = track(blocks, Path(task.log).name, total_bytes=size, weigh=lambda block: block.count)
