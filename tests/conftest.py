@@ -1,6 +1,7 @@
 """Profiles that several test modules share, made once per session, and the order of the files."""
 
 import fcntl
+import gc
 import os
 import signal
 from collections.abc import Callable
@@ -31,9 +32,29 @@ FITS = "test_flights.py"
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# A slow example on a loaded machine is no failure.
-settings.register_profile("fauio", deadline=None)
+# A slow example on a loaded machine is no failure. Tests that do not say how many examples they need take fewer in each
+# run of the suite; `make test-long` looks at all invariants again with many.
+settings.register_profile("fauio", deadline=None, max_examples=30)
+settings.register_profile("fauio-long", deadline=None, max_examples=300)
 settings.load_profile("fauio")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Take many examples where the long tests are asked for."""
+    if config.option.markexpr == "long":
+        settings.load_profile("fauio-long")
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Count invariants as long tests too, where these are asked for."""
+    if item.config.option.markexpr == "long" and getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
+        item.add_marker("long")
+
+
+def pytest_collection_finish() -> None:
+    """Let no later search for garbage look through modules and collected tests again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(trylast=True)

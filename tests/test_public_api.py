@@ -6,6 +6,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+import pytest
 import typed_api
 
 from gains.plants.model_file import load_model
@@ -38,6 +39,7 @@ def test_waiting_for_an_alarm_of_nobody_ends() -> None:
     assert typed_api.listen("tcp/127.0.0.1:1", 0.1) is None
 
 
+@pytest.mark.long  # as `make lint` does
 def test_its_use_is_fully_typed() -> None:
     command = [sys.executable, "-m", "mypy", "--config-file", "pyproject.toml", "tests/typed_api.py"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
