@@ -7,7 +7,6 @@ scaled versions, so that every bound speaks of the same [w; w'; fa'] and e as ou
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +18,7 @@ from gains.analysis.augment import augment
 from gains.plants.plant import FloatArray, Plant
 from gains.published.error_system import Inputs, NoisePath, argument_rows, error_norm
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
+from gains.synthesis.solver import DEFAULT, solve_program
 
 SLACK = 1e-4
 """What the solver may have left of a constraint, as for our own designs."""
@@ -155,17 +155,12 @@ def solve(problem: Any, plant: Plant, method: str, why: str) -> float:
     """
     import cvxpy as cp
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "may be inaccurate": the norm of the gains decides that
-            problem.solve(solver=cp.CLARABEL)
-    except cp.SolverError as error:
-        raise InaccurateError(f"{plant.name}: the solver failed on the {method} inequality") from error
+    seconds = solve_program(problem, DEFAULT)
     if problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
         raise InfeasibleError(f"{plant.name}: the {method} inequality has no solution: {why}")
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         raise InaccurateError(f"{plant.name}: the solver stopped short on the {method} inequality ({problem.status})")
-    return float(problem.solver_stats.solve_time or 0.0)
+    return seconds
 
 
 def reported_bound(mu: Any) -> float:

@@ -55,7 +55,7 @@ from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.continuous_certificate import certify_continuous
 from gains.synthesis.continuous_design import ContinuousDesign
 from gains.synthesis.continuous_observer import check_continuous, fauio_gains
-from gains.synthesis.continuous_synthesis import solve
+from gains.synthesis.solver import DEFAULT, ROBUST, solve_program
 
 Theorem = Literal["theorem1", "theorem2"]
 
@@ -311,7 +311,7 @@ def _solve(
     else:
         constraints += [constraint for _, constraint in energies]
         program = cp.Problem(cp.Minimize(cp.trace(P) + sum(energy for energy, _ in energies)), constraints)
-    seconds = solve(program)
+    seconds = solve_program(program, DEFAULT, ROBUST)
     if program.status == cp.INFEASIBLE or P1.value is None:
         return None, seconds
     found = np.asarray(P.value, dtype=np.float64)

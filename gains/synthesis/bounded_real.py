@@ -22,7 +22,6 @@ trace(W) a bound of the squared H2 norm, in the same unknowns: it can take a sha
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +31,7 @@ from adapters.errors import InfeasibleError
 from gains.analysis.augment import ErrorModel
 from gains.plants.plant import FloatArray
 from gains.synthesis.conditioning import Coordinates, with_floor
+from gains.synthesis.solver import ROBUST, bordered, solve_program
 
 _LEAST_MU_WEIGHT = 1e-4
 """Keeps mu bounded where h2 = 1 asks for the other norm alone. Smaller, it leaves mu loose (measured on the arm,
@@ -39,17 +39,6 @@ sqrt(mu) 1.07 in place of .37 at 1e-6); larger, it takes part in the choice.
 """
 _INSIDE = 1e-6
 """Share by which gains stay within their bound: ten times what the solver leaves of a constraint."""
-
-# With its defaults Clarabel gives up on the nearly singular systems at the end of such problems; a larger
-# static regularisation, repaired by more iterative refinement, takes it to the optimum.
-SOLVER = {
-    "direct_solve_method": "faer",
-    "static_regularization_constant": 1e-5,
-    "iterative_refinement_max_iter": 100,
-    "iterative_refinement_reltol": 1e-14,
-    "iterative_refinement_abstol": 1e-14,
-    "iterative_refinement_stop_ratio": 1.5,
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,8 +173,31 @@ def inequality(
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Unknowns:
+    """Unknowns of the inequality, and products with them that several of its blocks hold.
+
+    ``P`` is a constant where it is given; ``L_p``, ``C_f`` and ``D_f`` are None without actuator faults, the
+    multipliers ``bound`` and ``decay`` without slopes that need them.
+    """
+
+    P: Any
+    R: Any
+    L_p: Any
+    mu: Any
+    bound: Any
+    decay: Any
+    PB: Any
+    PG: Any
+    C_f: Any
+    D_f: Any
+
+
 def solve(problem: Inequality, fixed: tuple[float, float] | None = None) -> tuple[Solution | None, float]:
     """Minimise mu (and the gains), or at fixed mu and trace(W) find the point farthest inside the inequality.
+
+    Use the first form for the least bound. Its optimum lies on the boundary of the inequality, where rounding decides:
+    where that fails the certificate, use the second with a slightly larger mu.
 
     Returns
     -------
@@ -199,69 +211,115 @@ def solve(problem: Inequality, fixed: tuple[float, float] | None = None) -> tupl
     """
     import cvxpy as cp
 
-    A, B, C, D, G, H = problem.A, problem.B, problem.C, problem.D, problem.G, problem.H
-    (na, nw), p, a1, k = B.shape, len(C), problem.a1, len(H)
+    x = _unknowns(problem)
+    margin = cp.Variable()
+    slack, constraints = (0.0, []) if fixed is None else (margin, [x.mu == fixed[0]])
+    for A in problem.A:
+        constraints.append(_bounded_real(problem, x, A, slack))
+        if problem.pole_radius < 1.0:
+            constraints.append(_decaying(problem, x, A, slack))
+    share = problem.h2
+    noise_energy: Any = 0.0
+    if share > 0.0:
+        noise_energy, holds = _noise_energy(problem, x)
+        constraints.append(holds)
+        if fixed is not None:
+            constraints.append(noise_energy <= fixed[1])
+    if problem.gain_bound < np.inf:
+        constraints += _bounded(problem, x.P, x.R, x.L_p)
+    if fixed is None:
+        gain_energy, holds = _gain_energy(x)
+        constraints.append(holds)
+        worst_case = max(1.0 - share, _LEAST_MU_WEIGHT) * x.mu
+        objective = cp.Minimize(worst_case + share * noise_energy + problem.gain_weight * gain_energy)
+    else:
+        objective = cp.Maximize(margin)
+    program = cp.Problem(objective, constraints)
+    seconds = solve_program(program, ROBUST)
+    if program.status == cp.INFEASIBLE:
+        raise InfeasibleError(_reason(problem))
+    return _solution(x, float(noise_energy.value or 0.0) if share > 0.0 else 0.0), seconds
+
+
+def _unknowns(problem: Inequality) -> _Unknowns:
+    """Return the unknowns, P as a constant in the solver's coordinates where it is given."""
+    import cvxpy as cp
+
+    (na, _), p, a1, k = problem.B.shape, len(problem.C), problem.a1, len(problem.H)
     S = problem.coordinates.S
     given = None if problem.P is None else S.T @ problem.P @ S / problem.coordinates.mu
     P = cp.Variable((na, na), symmetric=True) if given is None else cp.Constant(given)
     R, L_p = cp.Variable((na, p)), cp.Variable((a1, p)) if a1 else None
-    mu, margin, Z = cp.Variable(), cp.Variable(), cp.Variable((p, p), symmetric=True)
-    bound, decay = (cp.Variable(k), cp.Variable(k)) if k else (None, None)
-    C_f = None if L_p is None else problem.C_f0 - L_p @ C
-    D_f = None if L_p is None else -L_p @ D
-    PB, PG = P @ B - R @ D, P @ G
-    slack, constraints = (0.0, []) if fixed is None else (margin, [mu == fixed[0]])
-    for vertex in A:
-        PA = P @ vertex - R @ C
-        rows = [
-            [P, PA, PB],
-            [PA.T, P - problem.C_x.T @ problem.C_x, np.zeros((na, nw))],
-            [PB.T, np.zeros((nw, na)), mu * np.eye(nw)],
-        ]
-        border = [] if L_p is None else [np.zeros((a1, na)), C_f, D_f, *([np.zeros((a1, k))] if k else [])]
-        constraints.append(bordered(_sloped(rows, PG, H, bound), border) >> slack * np.eye(2 * na + nw + k + a1))
-        if problem.pole_radius < 1.0:
-            rows = [[P, PA], [PA.T, problem.pole_radius**2 * P]]
-            constraints.append(cp.bmat(_sloped(rows, PG, H, decay)) >> slack * np.eye(2 * na + k))
-    share: float = problem.h2
-    energy: Any = 0.0
-    if share > 0.0:
-        W = cp.Variable((nw, nw), symmetric=True)
-        energy = cp.trace(W)
-        border = [] if L_p is None else [D_f, np.zeros((a1, na))]
-        constraints.append(bordered([[W, PB.T], [PB, P]], border) >> 0)
-        if fixed is not None:
-            constraints.append(energy <= fixed[1])
-    if problem.gain_bound < np.inf:
-        constraints += _bounded(problem, P, R, L_p)
-    if fixed is None:
-        border = [] if L_p is None else [L_p, np.zeros((a1, na))]
-        constraints.append(bordered([[Z, R.T], [R, P]], border) >> 0)
-        objective = cp.Minimize(
-            max(1.0 - share, _LEAST_MU_WEIGHT) * mu + share * energy + problem.gain_weight * cp.trace(Z)
-        )
-    else:
-        objective = cp.Maximize(margin)
-    program = cp.Problem(objective, constraints)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "may be inaccurate": the certificate decides that
-            program.solve(solver=cp.CLARABEL, **SOLVER)
-    except cp.SolverError:
-        return None, 0.0
-    seconds = float(program.solver_stats.solve_time or 0.0)
-    if program.status == cp.INFEASIBLE:
-        raise InfeasibleError(_reason(problem))
-    if R.value is None or np.linalg.eigvalsh(P.value)[0] <= 0.0 or not mu.value > 0.0:
-        return None, seconds
+    return _Unknowns(
+        P=P,
+        R=R,
+        L_p=L_p,
+        mu=cp.Variable(),
+        bound=cp.Variable(k) if k else None,
+        decay=cp.Variable(k) if k else None,
+        PB=P @ problem.B - R @ problem.D,
+        PG=P @ problem.G,
+        C_f=None if L_p is None else problem.C_f0 - L_p @ problem.C,
+        D_f=None if L_p is None else -L_p @ problem.D,
+    )
+
+
+def _bounded_real(problem: Inequality, x: _Unknowns, A: FloatArray, slack: Any) -> Any:
+    """Return the inequality of the module's docstring at one vertex, or at the mean with multipliers."""
+    (na, nw), a1, k = problem.B.shape, problem.a1, len(problem.H)
+    PA = x.P @ A - x.R @ problem.C
+    rows = [
+        [x.P, PA, x.PB],
+        [PA.T, x.P - problem.C_x.T @ problem.C_x, np.zeros((na, nw))],
+        [x.PB.T, np.zeros((nw, na)), x.mu * np.eye(nw)],
+    ]
+    # The rows of e that hold an unknown: no Schur complement takes them out.
+    border = [] if x.L_p is None else [np.zeros((a1, na)), x.C_f, x.D_f, *([np.zeros((a1, k))] if k else [])]
+    return bordered(_sloped(rows, x.PG, problem.H, x.bound), border) >> slack * np.eye(2 * na + nw + k + a1)
+
+
+def _decaying(problem: Inequality, x: _Unknowns, A: FloatArray, slack: Any) -> Any:
+    """Return [P, P A; *, r^2 P] >= 0 at one vertex, or at the mean with multipliers: poles within r."""
+    import cvxpy as cp
+
+    PA = x.P @ A - x.R @ problem.C
+    rows = [[x.P, PA], [PA.T, problem.pole_radius**2 * x.P]]
+    return cp.bmat(_sloped(rows, x.PG, problem.H, x.decay)) >> slack * np.eye(2 * len(A) + len(problem.H))
+
+
+def _noise_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
+    """Return trace(W) and the constraint W >= (P B - R D)^T P^-1 (P B - R D) + D_f^T D_f: the squared H2 norm."""
+    import cvxpy as cp
+
+    na, nw = problem.B.shape
+    W = cp.Variable((nw, nw), symmetric=True)
+    border = [] if x.L_p is None else [x.D_f, np.zeros((problem.a1, na))]
+    return cp.trace(W), bordered([[W, x.PB.T], [x.PB, x.P]], border) >> 0
+
+
+def _gain_energy(x: _Unknowns) -> tuple[Any, Any]:
+    """Return trace(Z) and the constraint Z >= R^T P^-1 R + L_p^T L_p: what an innovation puts into the error."""
+    import cvxpy as cp
+
+    na, p = x.R.shape
+    Z = cp.Variable((p, p), symmetric=True)
+    border = [] if x.L_p is None else [x.L_p, np.zeros((x.L_p.shape[0], na))]
+    return cp.trace(Z), bordered([[Z, x.R.T], [x.R, x.P]], border) >> 0
+
+
+def _solution(x: _Unknowns, noise_energy: float) -> Solution | None:
+    """Return the values of the unknowns, None where the solver left none that could be a proof."""
+    if x.R.value is None or np.linalg.eigvalsh(x.P.value)[0] <= 0.0 or not x.mu.value > 0.0:
+        return None
+    none = np.zeros(0 if x.bound is None else x.bound.size)
     return Solution(
-        P=P.value,
-        R=R.value,
-        L_p=np.zeros((0, p)) if L_p is None else L_p.value,
-        mu=float(mu.value),
-        noise_energy=float(energy.value) if share > 0.0 else 0.0,
-        multipliers=np.array([np.zeros(k) if x is None or x.value is None else x.value for x in (bound, decay)]),
-    ), seconds
+        P=x.P.value,
+        R=x.R.value,
+        L_p=np.zeros((0, x.R.shape[1])) if x.L_p is None else x.L_p.value,
+        mu=float(x.mu.value),
+        noise_energy=noise_energy,
+        multipliers=np.array([none if y is None or y.value is None else y.value for y in (x.bound, x.decay)]),
+    )
 
 
 def user_gains(problem: Inequality, injection: Any, L_p: Any) -> tuple[Any, Any, Any]:
@@ -322,14 +380,3 @@ def _sloped(rows: list[list[Any]], PG: Any, H: FloatArray, multipliers: Any) -> 
     column = [PG, *(np.zeros((row[0].shape[0], len(H))) for row in rows[1:])]
     extended = [[*row, block] for row, block in zip(rows, column, strict=True)]
     return [*extended, [*(block.T for block in column), Lambda]]
-
-
-def bordered(blocks: list[list[Any]], border: list[Any]) -> Any:
-    """Return the block matrix with the given last block row (and column) and an identity in the corner."""
-    import cvxpy as cp
-
-    if border:
-        size = border[0].shape[0]
-        blocks = [[*row, block.T] for row, block in zip(blocks, border, strict=True)]
-        blocks.append([*border, np.eye(size)])
-    return cp.bmat(blocks)

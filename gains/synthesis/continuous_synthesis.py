@@ -24,10 +24,8 @@ from __future__ import annotations
 
 import math
 import time
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -36,11 +34,11 @@ from gains.analysis.augment import ErrorModel, augment, error_model
 from gains.analysis.existence import check_existence
 from gains.analysis.hinf import hinf_norm
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.bounded_real import SOLVER, bordered
 from gains.synthesis.conditioning import FLOOR, Coordinates, doubled
 from gains.synthesis.continuous_certificate import certify_continuous
 from gains.synthesis.continuous_design import ContinuousDesign, ErrorSystem, closed_error_system
 from gains.synthesis.continuous_observer import check_continuous, fauio_gains
+from gains.synthesis.solver import DEFAULT, ROBUST, bordered, solve_program
 
 GAIN_WEIGHT = 1e-4
 """Price of the gains. Measured on the disturbed arm, whose least bound is .14517: .14526 with a fastest pole of 223
@@ -226,7 +224,7 @@ def _gains(
         if high < math.inf:
             constraints.append(2.0 * high * P - inside >> 0)
     program = cp.Problem(cp.Minimize(mu + gain_weight * cp.trace(Z)), constraints)
-    seconds = solve(program)
+    seconds = solve_program(program, DEFAULT, ROBUST)
     if program.status == cp.INFEASIBLE:
         asked = "" if decay == (0.0, math.inf) else f" at rates from {decay[0]:g} to {decay[1]:g} rad/s"
         raise InfeasibleError(
@@ -288,29 +286,8 @@ def _proof(system: ErrorSystem, mu_fixed: float | None = None) -> tuple[float | 
         inequality = bordered(rows, [system.C, system.D])
         constraints.append(inequality >> slack * np.eye(2 * na + nw))
     objective = cp.Minimize(mu) if mu_fixed is None else cp.Maximize(margin)
-    seconds = solve(cp.Problem(objective, constraints))
+    seconds = solve_program(cp.Problem(objective, constraints), DEFAULT, ROBUST)
     value = mu.value if mu_fixed is None else mu_fixed
     if P.value is None or value is None:
         return None, np.zeros((0, 0)), seconds
     return float(value), P.value, seconds
-
-
-def solve(program: Any) -> float:
-    """Solve with Clarabel and return the seconds it took; a failure shows in the status and the values.
-
-    What fails with its defaults is solved again with the settings of the discrete synthesis.
-    """
-    import cvxpy as cp
-
-    seconds = 0.0
-    for settings in ({}, SOLVER):
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # "may be inaccurate": the certificate decides that
-                program.solve(solver=cp.CLARABEL, **settings)
-        except cp.SolverError:
-            continue
-        seconds += float(program.solver_stats.solve_time or 0.0)
-        if program.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE, cp.INFEASIBLE):
-            break
-    return seconds
