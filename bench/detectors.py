@@ -38,8 +38,8 @@ from gains.synthesis.gains_file import Gains
 from monitor.alarms.alarm import Alarm, AlarmRule
 from monitor.chain import ObserverChain
 from monitor.estimate import Estimate
+from monitor.estimation.affine import AffineObserver
 from monitor.estimation.isolation_rule import BankRule, IndependentRule
-from monitor.estimation.observer import Observer
 from monitor.event import AlarmEvent
 from monitor.fitting.calibrate import GatedSample, bank_rule, contiguous, flight_samples
 from monitor.fitting.extremes import return_level, standing
@@ -265,14 +265,11 @@ def _run_energy(detector: EnergyDetector, samples: Sequence[GatedSample]) -> lis
 
 def _residuals(gains: Gains, samples: Sequence[GatedSample]) -> NDArray[np.float64]:
     """Return the one-step prediction residual at each sample (N, p)."""
-    observer = Observer(gains)
-    found = np.empty((len(samples), len(gains.outputs)))
-    for k, (sample, _) in enumerate(samples):
-        if sample.restart or k == 0:
-            observer.restart(sample.u, sample.y)
-        observer.step(sample.u, sample.y)
-        found[k] = observer.residual
-    return found
+    if not samples:
+        return np.empty((0, len(gains.outputs)))
+    u, y = np.stack([sample.u for sample, _ in samples]), np.stack([sample.y for sample, _ in samples])
+    restart = np.array([sample.restart for sample, _ in samples])
+    return AffineObserver([gains]).run(u, y, restart=restart).residual[:, 0]
 
 
 def _windowed(

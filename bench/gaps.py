@@ -72,8 +72,7 @@ def ruled(first: int, resumed: bool) -> Iterator[None]:
 
     with (
         patch("monitor.sampling.lane._LINE_PERIODS", first),
-        patch("monitor.estimation.observer_stack.coasting_maps", maps),
-        patch("monitor.estimation.observer.coasting_maps", maps),
+        patch("monitor.estimation.stack_layout.coasting_maps", maps),
     ):
         yield
 

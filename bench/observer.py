@@ -27,10 +27,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from numpy.typing import NDArray
-from observer_cases import Case, arm_case, in_c, linear_case, random_case, textbook
+from observer_cases import Case, Estimates, arm_case, in_c, joined, linear_case, random_case, textbook
 
-from monitor.estimation.observer import Observer, ObserverRun
-from monitor.estimation.observer_stack import ObserverStack
+from monitor.estimation.affine import AffineObserver
 from monitor.views.palette import BLUE, GREEN, VERMILION
 
 ROOT = Path(__file__).parent.parent
@@ -44,7 +43,7 @@ TEXTBOOK, LIVE, BATCH, IN_C = "textbook loop", "batches of one", "one batch", "C
 COLOURS = {LIVE: BLUE, BATCH: GREEN}
 MARKERS = {LIVE: "o", BATCH: "^"}
 
-Run = Callable[[NDArray[np.float64], NDArray[np.float64]], ObserverRun | None]
+Run = Callable[[NDArray[np.float64], NDArray[np.float64]], Estimates | None]
 
 
 def microseconds(run: Run, case: Case, count: int, repeats: int = REPEATS) -> float:
@@ -60,27 +59,28 @@ def microseconds(run: Run, case: Case, count: int, repeats: int = REPEATS) -> fl
 
 
 def live(case: Case) -> Run:
-    """Return the live observer's steps, as a monitor takes them: nothing is kept."""
-    observer = Observer(case.gains)
+    """Return a run over the samples one by one."""
+    observer = AffineObserver([case.gains])
 
     def run(u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-        observer.restart(u[0], y[0])
         for k in range(len(u)):
-            observer.step(u[k], y[k])
+            observer.run(u[k : k + 1], y[k : k + 1])
 
     return run
 
 
 def batch(case: Case) -> Run:
     """Return a run over all samples at once."""
-    return Observer(case.gains).run
+    observer = AffineObserver([case.gains])
+    return lambda u, y: joined(observer.run(u, y, restart=np.arange(len(u)) == 0))
 
 
 def differences(case: Case, run: Run) -> float:
     """Return the largest difference from the live observer, relative to the largest estimate of its kind."""
     u, y = case.u[:SAMPLES], case.y[:SAMPLES]
-    found, expected = run(u, y), Observer(case.gains).run(u, y)
+    found, expected = run(u, y), batch(case)(u, y)
     assert found is not None
+    assert expected is not None
     return max(
         float(np.abs(ours - theirs).max() / np.abs(theirs).max()) for ours, theirs in zip(found, expected, strict=True)
     )
@@ -142,22 +142,20 @@ def resident_mb() -> float:
 
 
 def by_observers() -> list[dict[str, Any]]:
-    """Return microseconds of a live step of several observers of one vehicle, stacked and one by one."""
+    """Return microseconds of a sample of several observers of one vehicle, stacked and one by one."""
     rows = []
     for count in OBSERVERS:
         case = random_case(STEPS, 4, 4, 2)
-        stack, alone = ObserverStack([case.gains] * count), [Observer(case.gains) for _ in range(count)]
-        for one in (stack, *alone):
-            one.restart(case.u[0], case.y[0])
+        stack, alone = AffineObserver([case.gains] * count), [AffineObserver([case.gains]) for _ in range(count)]
 
-        def stacked(u: NDArray[np.float64], y: NDArray[np.float64], stack: ObserverStack = stack) -> None:
+        def stacked(u: NDArray[np.float64], y: NDArray[np.float64], stack: AffineObserver = stack) -> None:
             for k in range(len(u)):
-                stack.step(u[k], y[k])
+                stack.run(u[k : k + 1], y[k : k + 1])
 
-        def separate(u: NDArray[np.float64], y: NDArray[np.float64], alone: list[Observer] = alone) -> None:
+        def separate(u: NDArray[np.float64], y: NDArray[np.float64], alone: list[AffineObserver] = alone) -> None:
             for k in range(len(u)):
-                for one in alone:
-                    one.step(u[k], y[k])
+                for observer in alone:
+                    observer.run(u[k : k + 1], y[k : k + 1])
 
         few = max(200, STEPS // count)
         rows.append(
@@ -195,7 +193,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
         ("states", "states n (4 outputs, 4 faults)", "time per sample (µs)", (LIVE, BATCH)),
         ("channels", "outputs, and as many faults (12 states)", "time per sample (µs)", (LIVE, BATCH)),
         ("length", "samples (12 states, 10 faults, streamed)", "processor time (s)", (BATCH,)),
-        ("observers", "observers of one vehicle (4 states each)", "time per live step of all (µs)", ()),
+        ("observers", "observers of one vehicle (4 states each)", "time per sample of all (µs)", ()),
     )
     for axis, (key, across, up, names) in zip(axes.flat, panels, strict=True):
         rows = found[key]

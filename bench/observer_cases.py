@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,19 @@ from random_gains import random_gains
 
 Array = NDArray[np.float64]
 SOURCE = Path(__file__).with_name("recursion.c")
+
+
+class Estimates(NamedTuple):
+    """Estimates of one observer over N samples: x (N, n), fault (N, a1 + a2) and residual (N, p)."""
+
+    x: Array
+    fault: Array
+    residual: Array
+
+
+def joined(run: ObserverRun) -> Estimates:
+    """Return the estimates of the single hypothesis of a run."""
+    return Estimates(run.x[:, 0], run.fault, run.residual[:, 0])
 
 
 @dataclass(frozen=True)
@@ -126,7 +140,7 @@ def ordered_step(gains: Gains) -> Array:
     return gains.step_matrix[np.concatenate([np.arange(ns + n), fa, fs, np.arange(ns + n + a, len(gains.step_matrix))])]
 
 
-def textbook(case: Case) -> Callable[[Array, Array], ObserverRun]:
+def textbook(case: Case) -> Callable[[Array, Array], Estimates]:
     """Return the loop over samples that writes the observer's equations as they stand in the theory."""
     plant, gains = case.plant, case.gains
     n, a1 = len(plant.states), len(plant.actuator_faults)
@@ -136,10 +150,10 @@ def textbook(case: Case) -> Callable[[Array, Array], ObserverRun]:
     H = np.vstack([np.zeros((0, n)), *(g.rows for g in plant.nonlinearities)])
     nonlinear = bool(plant.nonlinearities)
 
-    def run(u: Array, y: Array) -> ObserverRun:
+    def run(u: Array, y: Array) -> Estimates:
         start = gains.initial_matrix @ np.concatenate([u[0], y[0], [1.0]])
         eta, q = start[: len(N)], start[len(N) : len(N) + a1]
-        found = ObserverRun(np.empty((len(u), n)), np.empty((len(u), len(gains.faults))), np.empty_like(y))
+        found = Estimates(np.empty((len(u), n)), np.empty((len(u), len(gains.faults))), np.empty_like(y))
         for k in range(len(u)):
             zeta = eta + F @ y[k]
             yt = y[k] - C_b @ zeta
@@ -158,7 +172,7 @@ def textbook(case: Case) -> Callable[[Array, Array], ObserverRun]:
     return run
 
 
-def in_c(case: Case, folder: Path) -> Callable[[Array, Array], ObserverRun] | None:
+def in_c(case: Case, folder: Path) -> Callable[[Array, Array], Estimates] | None:
     """Return the recursion compiled with ``cc -O2``, or None where there is no compiler."""
     compiler = shutil.which("cc")
     if compiler is None:
@@ -174,12 +188,12 @@ def in_c(case: Case, folder: Path) -> Callable[[Array, Array], ObserverRun] | No
     ends = np.cumsum([len(gains.states), len(gains.faults)]).tolist()
     sizes = [ctypes.c_long(size) for size in (ns, s, p, m, len(rows))]
 
-    def run(u: Array, y: Array) -> ObserverRun:
+    def run(u: Array, y: Array) -> Estimates:
         state = gains.initial_matrix @ np.concatenate([u[0], y[0], [1.0]])
         out = np.empty((len(u), len(rows) - ns))
         arrays = [ctypes.c_void_p(array.ctypes.data) for array in (step, arguments, state, u, y)]
         failed = function(*sizes, *arrays, ctypes.c_long(len(u)), ctypes.c_void_p(out.ctypes.data))
         assert not failed
-        return ObserverRun(*np.split(out, ends, axis=1))
+        return Estimates(*np.split(out, ends, axis=1))
 
     return run

@@ -37,7 +37,7 @@ from gains.synthesis.continuous_observer import ContinuousObserver, compile_cont
 from gains.synthesis.continuous_synthesis import design_continuous
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
-from monitor.estimation.observer import Observer
+from monitor.estimation.affine import AffineObserver
 from monitor.views.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILION
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -314,7 +314,7 @@ def page(images: Path | None) -> str:
         gains = {name: design(rate_hz) for name, design in methods.items()}
         for case in CASES:
             run = simulate_arm(SCENARIOS[case], DURATION_S, rate_hz)
-            estimates = {name: Observer(one).run(run.u, run.y).fault for name, one in gains.items()}
+            estimates = {name: AffineObserver([one]).run(run.u, run.y).fault for name, one in gains.items()}
             for name, fault in estimates.items():
                 results[rate_hz][name][case] = errors_of(fault, run, case)
             if images is not None and rate_hz == RATES_HZ[0]:

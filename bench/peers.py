@@ -26,7 +26,7 @@ import numpy as np
 from extended_kalman import ExtendedKalmanFilter
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
-from observer_cases import Case, linear_case, ordered_step
+from observer_cases import Case, joined, linear_case, ordered_step
 from scipy.signal import dlsim
 
 from gains.identification.simulation import linearised
@@ -37,7 +37,7 @@ from gains.published.kalman import design_ekf, filter_model
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
-from monitor.estimation.observer import Observer
+from monitor.estimation.affine import AffineObserver
 
 RATE_HZ, COUNT, REPEATS = 100.0, 5_000, 3
 FAULT_RATE = 20.0
@@ -128,8 +128,8 @@ def kalman_filters() -> dict[str, Any]:
         return found
 
     def estimated(gains: Any) -> Array:
-        run = Observer(gains).run(data.u, data.y)
-        return np.hstack([run.x, run.fault])
+        run = AffineObserver([gains]).run(data.u, data.y)
+        return np.hstack([run.x[:, 0], run.fault])
 
     ways: dict[str, tuple[Callable[[], Array], str | None]] = {
         "filterpy, full": (lambda: theirs(True), None),
@@ -168,7 +168,7 @@ def simulations(case: Case) -> dict[str, Any]:
             np.asarray(control.forced_response(system, times, w.T, start).outputs).T
         ),
         "scipy.signal.dlsim": lambda: np.asarray(dlsim((A, B, C, D, step_s), w, x0=start)[1]),
-        "ours": lambda: np.hstack(Observer(gains).run(case.u, case.y)),
+        "ours": lambda: np.hstack(joined(AffineObserver([gains]).run(case.u, case.y))),
     }
     found, first = {}, None
     for name, run in ways.items():

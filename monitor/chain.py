@@ -20,8 +20,9 @@ from monitor.alarms.excuse import Excuses
 from monitor.command_units import CommandUnits
 from monitor.core.alarms import ChainRows, walk
 from monitor.core.sampling import VehicleClock
-from monitor.effectiveness_stage import EffectivenessRun, EffectivenessStage
+from monitor.effectiveness_stage import EffectivenessStage
 from monitor.estimate import Estimate, Estimates, Layout
+from monitor.estimation.effectiveness import EffectivenessRun
 from monitor.estimation.estimator import make_estimator
 from monitor.estimation.estimator_run import EstimatorRun
 from monitor.estimation.settling import settling_s

@@ -7,7 +7,8 @@ import pytest
 
 from adapters.simulation.arm import SCENARIOS, ArmRun, simulate_arm
 from adapters.simulation.arm_source import arm_messages
-from monitor.estimation.observer import Observer, ObserverRun
+from monitor.estimation.affine import AffineObserver
+from monitor.estimation.observer import ObserverRun
 from monitor.profile import Profile
 from replay.player import play
 
@@ -22,7 +23,7 @@ def simulated(scenario: str) -> ArmRun:
 
 def estimated(profile: Profile, scenario: str) -> tuple[ArmRun, ObserverRun]:
     run = simulated(scenario)
-    return run, Observer(profile.observers[0].gains[0]).run(run.u, run.y)
+    return run, AffineObserver([profile.observers[0].gains[0]]).run(run.u, run.y)
 
 
 def rmse(error: np.ndarray) -> float:
@@ -80,14 +81,3 @@ def test_a_healthy_arm_raises_nothing_whatever_its_torque(arm_profile: Profile) 
     for torque in ("zero", "tracking"):
         run = simulate_arm(SCENARIOS["healthy"], 60.0, 100.0, torque)
         assert play(arm_profile, arm_messages(run, 10**18)).events == ()
-
-
-def test_single_steps_and_a_run_over_arrays_give_the_same_bits(arm_profile: Profile) -> None:
-    run, found = estimated(arm_profile, "case3")
-    observer = Observer(arm_profile.observers[0].gains[0])
-    observer.restart(run.u[0], run.y[0])
-    for k in range(len(run.t)):
-        observer.step(run.u[k], run.y[k])
-        assert np.array_equal(observer.x, found.x[k])
-        assert np.array_equal(observer.fault, found.fault[k])
-        assert np.array_equal(observer.residual, found.residual[k])

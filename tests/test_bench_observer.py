@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monitor.estimation.observer import Observer
+from monitor.estimation.affine import AffineObserver
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
-from observer_cases import arm_case, in_c, linear_case, textbook
+from observer_cases import arm_case, in_c, joined, linear_case, textbook
 
 
 @pytest.mark.parametrize("make", [arm_case, linear_case])
 def test_textbook_and_c_give_what_the_live_observer_gives(make, tmp_path: Path) -> None:  # noqa: ANN001
     case = make(300)
-    expected = Observer(case.gains).run(case.u, case.y)
+    expected = joined(AffineObserver([case.gains]).run(case.u, case.y))
     for run in (textbook(case), in_c(case, tmp_path)):
         if run is None:
             continue

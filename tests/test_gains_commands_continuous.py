@@ -9,7 +9,7 @@ import fauio
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from gains.plants.model_file import builtin_model, model_hash
 from gains.synthesis.gains_file import read_gains
-from monitor.estimation.observer import Observer
+from monitor.estimation.affine import AffineObserver
 
 
 def test_a_continuous_design_prints_the_json_of_the_contract(capsys: pytest.CaptureFixture[str]) -> None:
@@ -54,7 +54,7 @@ def test_with_a_rate_the_gains_are_compiled_and_run(tmp_path: Path, capsys: pyte
     assert gains.model_hash == model_hash(builtin_model("arm-disturbed"))
     assert gains.report["rate_hz"] == 50.0
     run = simulate_arm(SCENARIOS["case2"], 20.0, 50.0)
-    found = Observer(gains).run(run.u, run.y)
+    found = AffineObserver([gains]).run(run.u, run.y)
     assert found.fault[-10, 0] == pytest.approx(2.0, abs=0.15)
 
 

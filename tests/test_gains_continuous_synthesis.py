@@ -19,7 +19,7 @@ from gains.synthesis.continuous_certificate import ContinuousCertificate, certif
 from gains.synthesis.continuous_design import ContinuousDesign
 from gains.synthesis.continuous_observer import compile_continuous
 from gains.synthesis.continuous_synthesis import design_continuous
-from monitor.estimation.observer import Observer
+from monitor.estimation.affine import AffineObserver
 
 FLOOR = 0.13628
 
@@ -45,7 +45,7 @@ def test_the_disturbed_arm_is_certified_at_the_optimum_of_the_class() -> None:
 def test_the_continuous_design_beats_the_printed_errors_on_samples(case: str, paper_fa: float, paper_fs: float) -> None:
     plant = with_rates(builtin_model("arm-disturbed"), 20.0)
     run = simulate_arm(SCENARIOS[case], 50.0, 100.0)
-    found = Observer(compile_continuous(design_continuous(plant).observer(plant), 100.0)).run(run.u, run.y)
+    found = AffineObserver([compile_continuous(design_continuous(plant).observer(plant), 100.0)]).run(run.u, run.y)
     assert np.sqrt(np.mean((found.fault[1:, 0] - run.f_a[:-1, 0]) ** 2)) < paper_fa
     assert np.sqrt(np.mean((found.fault[:, 1] - run.f_s[:, 0]) ** 2)) < paper_fs
 

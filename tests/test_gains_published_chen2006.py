@@ -11,7 +11,7 @@ from gains.plants.plant import Plant
 from gains.published.chen2006 import design_chen2006
 from gains.published.error_system import error_norm
 from gains.synthesis.continuous_observer import compile_continuous
-from monitor.estimation.observer import Observer
+from monitor.estimation.affine import AffineObserver
 
 
 def arm_with(lipschitz: float) -> Plant:
@@ -40,7 +40,7 @@ def test_the_added_filter_reads_a_constant_fault() -> None:
     gains = compile_continuous(observer, 100.0)
     # the arm at rest under f_a = 2 and f_s = 1, without gravity and with the torque that holds it there
     y = np.tile([1.0, 0.0, 0.0], (3000, 1))
-    found = Observer(gains).run(np.full((3000, 1), -2.0), y)
+    found = AffineObserver([gains]).run(np.full((3000, 1), -2.0), y)
     assert found.fault[-1] == pytest.approx([2.0, 1.0], abs=1e-3)
 
 

@@ -10,7 +10,7 @@ from gains.plants.model_file import builtin_model
 from gains.published.error_system import error_norm
 from gains.published.gao2022 import design_gao2022
 from gains.synthesis.continuous_observer import compile_continuous
-from monitor.estimation.observer import Observer
+from monitor.estimation.affine import AffineObserver
 
 
 @pytest.mark.parametrize(("sigma", "bound"), [(1.0, 0.633), (10.0, 0.145)])
@@ -27,7 +27,7 @@ def test_the_sweep_takes_the_smallest_bound_and_its_gains_run_on_samples() -> No
     observer = design_gao2022(plant)
     assert observer.sqrt_mu < 0.148
     run = simulate_arm(SCENARIOS["case2"], 20.0, 100.0)
-    found = Observer(compile_continuous(observer, 100.0)).run(run.u, run.y)
+    found = AffineObserver([compile_continuous(observer, 100.0)]).run(run.u, run.y)
     assert found.fault[1500, 0] == pytest.approx(2.0, abs=0.05)
 
 

@@ -11,7 +11,7 @@ from gains.plants.model_file import builtin_model
 from gains.published.error_system import error_norm
 from gains.published.zhang2008 import design_zhang2008
 from gains.synthesis.continuous_observer import compile_continuous
-from monitor.estimation.observer import Observer
+from monitor.estimation.affine import AffineObserver
 
 
 def test_a_sensor_fault_is_refused_by_name() -> None:
@@ -26,7 +26,7 @@ def test_without_sensor_faults_it_is_feasible_and_reads_an_actuator_fault() -> N
     assert error_norm(plant, observer).pole_max < -0.4
     scenario = ArmScenario((make_fault("f_a", "step", 5.0, 20.0, 2.0),), disturbed=False)
     run = simulate_arm(scenario, 20.0, 100.0)
-    found = Observer(compile_continuous(observer, 100.0)).run(run.u, run.y)
+    found = AffineObserver([compile_continuous(observer, 100.0)]).run(run.u, run.y)
     assert found.fault[-1, 0] == pytest.approx(2.0, abs=0.01)
     assert np.max(np.abs(found.fault[:400])) < 0.01
 

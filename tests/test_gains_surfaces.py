@@ -12,7 +12,7 @@ from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
-from monitor.estimation.observer import Observer
+from monitor.estimation.affine import AffineObserver
 from monitor.vehicles.plane.identify import identify_surfaces
 from monitor.vehicles.plane.transform import SurfaceInputs
 
@@ -63,7 +63,7 @@ def test_the_observer_names_the_surface_and_what_it_lacks(gains: Gains) -> None:
     u = healthy.u.copy()
     for column in range(4):
         u[:, column] = lagged(u[:, column], DELAY_S, LAG_S, RATE_HZ)
-    fault = Observer(gains).run(u, y).fault
+    fault = AffineObserver([gains]).run(u, y).fault
     assert fault[1300:].mean(axis=0) == pytest.approx([lost, 0.0, 0.0, 0.0], abs=0.01)
     assert fault[100:1200].mean(axis=0) == pytest.approx(np.zeros(4), abs=0.01)
 

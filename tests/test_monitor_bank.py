@@ -5,10 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adapters.sample import Samples
 from gains.plants.plant import Disturbance, Fault, Noise, Plant
 from gains.synthesis.bank import compile_bank, design_bank
 from gains.synthesis.gains_file import Gains
-from monitor.estimation.bank import Bank
+from monitor.core.bank import Choice
+from monitor.estimation.affine import AffineObserver
+from monitor.estimation.bank import Bank, whitening
+from monitor.estimation.estimator_run import EstimatorRun
 from monitor.estimation.isolation_rule import BankRule
 
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-0.7, 0.7))
@@ -45,17 +49,23 @@ def gains() -> tuple[Gains, ...]:
 
 def bank_of(gains: tuple[Gains, ...]) -> Bank:
     rule = BankRule(0.05, 0.2, 4.0, 25.0, tuple(one.faults for one in gains), (1e-5 * np.eye(2),) * 3, (False,) * 3)
-    return Bank(gains, rule, NAMES, {})
+    return Bank(AffineObserver(gains), rule, NAMES, {})
 
 
-def run(bank: Bank, x: np.ndarray, fault: np.ndarray, seed: int) -> np.ndarray:
+def samples_of(y: np.ndarray, restart: bool = False) -> Samples:
+    """Return samples without a command, the first of them a restart or not."""
+    index, flags = np.arange(len(y)), np.ones(len(y), np.bool_)
+    return Samples(index, index, index, np.zeros((len(y), 1)), y, restart & (index == 0), flags, index, flags)
+
+
+def run(bank: Bank, x: np.ndarray, fault: np.ndarray, seed: int) -> tuple[EstimatorRun, np.ndarray]:
     """Step bank and plant from x for 1.5 s with a constant fault vector (2,) and return the last x."""
     rng = np.random.default_rng(seed)
-    u = np.zeros(1)
-    for _ in range(150):
-        bank.step(u, x + rng.normal(0.0, 1e-3, 2))
+    y = np.empty((150, 2))
+    for k in range(150):
+        y[k] = x + rng.normal(0.0, 1e-3, 2)
         x = 0.95 * x + fault + rng.normal(0.0, 1e-3, 2)
-    return x
+    return bank.run(samples_of(y)), x
 
 
 @given(which=st.integers(0, 2), size=st.floats(0.2, 2.0), seed=st.integers(0, 99))
@@ -63,32 +73,96 @@ def test_the_right_fault_is_named_with_its_size_and_let_go(
     gains: tuple[Gains, ...], which: int, size: float, seed: int
 ) -> None:
     bank = bank_of(gains)
-    x = run(bank, np.zeros(2), size * np.array(DIRECTIONS[which]), seed)
-    assert (bank.believed, bank.unexplained) == (which, 0.0)
-    assert bank.evidence[which] == pytest.approx(size, rel=0.05, abs=0.02)
-    assert not np.delete(bank.evidence, which).any()
-    run(bank, x, np.zeros(2), seed)
-    assert np.abs(bank.evidence).max() < 0.05
+    during, x = run(bank, np.zeros(2), size * np.array(DIRECTIONS[which]), seed)
+    assert during.unexplained[-1] == 0.0
+    assert during.evidence[-1, which] == pytest.approx(size, rel=0.05, abs=0.02)
+    assert not np.delete(during.evidence[-1], which).any()
+    after, _ = run(bank, x, np.zeros(2), seed)
+    assert np.abs(after.evidence[-1]).max() < 0.05
 
 
-def test_what_no_hypothesis_explains_holds_nobody_responsible(gains: tuple[Gains, ...]) -> None:
-    bank = bank_of(gains)
-    run(bank, np.zeros(2), np.array([1.0, 1.0]), 0)
-    assert bank.unexplained > 4.0
-    assert not bank.evidence.any()
+def test_what_no_hypothesis_explains_names_no_fault(gains: tuple[Gains, ...]) -> None:
+    estimates, _ = run(bank_of(gains), np.zeros(2), np.array([1.0, 1.0]), 0)
+    assert estimates.unexplained[-1] > 4.0
+    assert not estimates.evidence[-1].any()
+    assert not estimates.speaks[-1].any()
 
 
 def test_each_fault_is_estimated_under_its_own_hypothesis(gains: tuple[Gains, ...]) -> None:
-    bank = bank_of(gains)
-    run(bank, np.zeros(2), np.array([0.5, 0.0]), 1)
-    assert bank.fault[0] == pytest.approx(0.5, abs=0.01)
-    assert abs(bank.fault[1]) < 0.1
+    estimates, _ = run(bank_of(gains), np.zeros(2), np.array([0.5, 0.0]), 1)
+    assert estimates.fault[-1, 0] == pytest.approx(0.5, abs=0.01)
+    assert abs(estimates.fault[-1, 1]) < 0.1
 
 
 def test_a_restart_forgets_the_fault(gains: tuple[Gains, ...]) -> None:
     bank = bank_of(gains)
     run(bank, np.zeros(2), np.array([0.5, 0.0]), 1)
-    bank.restart(np.zeros(1), np.zeros(2))
-    bank.step(np.zeros(1), np.zeros(2))
-    assert np.abs(bank.evidence).max() < 1e-6
-    assert bank.J.max() < 1.0
+    after = bank.run(samples_of(np.zeros((1, 2)), restart=True))
+    assert np.abs(after.evidence).max() < 1e-6
+    assert np.abs(after.smoothed).max() < 1e-6
+
+
+def test_whitening_leaves_out_directions_without_variance() -> None:
+    covariances = [np.diag([4.0, 0.0]), np.array([[2.0, 1.0], [1.0, 2.0]])]
+    W = whitening(covariances)
+    assert W[0].T @ W[0] == pytest.approx(np.diag([0.25, 0.0]))
+    assert W[1].T @ W[1] == pytest.approx(np.linalg.inv(covariances[1]))
+
+
+class Choices:
+    """A choice among hypotheses of one fault each, and of two, whose J and estimates are given row by row."""
+
+    FAULTS = (("left",), ("right",), ("left", "right"))
+
+    def __init__(self, penalty: float = 25.0) -> None:
+        # One output and no smoothing: J is the square of the residual.
+        self._choice = Choice(
+            whitening=np.ones((3, 1, 1)),
+            spans=[0, 1, 2, 4],
+            channel=[0, 1, 0, 1],
+            shown=[0, 1],
+            scaling=[True] * 4,
+            groups=[np.array([0, 1]), np.array([2])],
+            own=np.array([[True, False], [False, True], [True, True]]),
+            edges=[],
+            washouts=[],
+            keep=0.0,
+            floor=9.0,
+            share=0.04,
+            penalty=penalty,
+        )
+
+    def run(self, J: list[list[float]], fault: tuple[float, ...] = (-1.0, -2.0, -3.0, -4.0)) -> EstimatorRun:
+        count = len(J)
+        flags = np.ones(count, np.uint8)
+        x = np.tile(np.arange(3.0), (count, 1))[:, :, None]
+        residual = np.sqrt(np.array(J))[:, :, None]
+        return EstimatorRun(*self._choice.run(x, np.tile(fault, (count, 1)), residual, flags, flags, 0 * flags))
+
+
+@pytest.mark.parametrize(
+    ("J", "believed"),
+    [
+        ([[100.0, 1.0, 1.0]], 1),  # the one that explains
+        ([[100.0, 100.0, 1.0]], 2),  # two faults where one does not explain
+        ([[4.0, 1.0, 0.1]], 1),  # fewest faults, then the smallest J
+        ([[1.0, 100.0, 1.0], [4.0, 3.0, 1.0]], 0),  # not clearly better: the one believed stays
+        ([[1.0, 100.0, 1.0], [4.0, 1.0, 1.0]], 1),  # clearly better
+        ([[1000.0, 30.0, 1.0]], 1),  # what model error makes of a fault that large
+        ([[50.0, 40.0, 45.0]], 1),  # none explains: the least wrong is shown
+    ],
+)
+def test_the_hypothesis_believed(J: list[list[float]], believed: int) -> None:
+    assert Choices().run(J).x[-1, 0] == believed
+
+
+def test_an_actuator_that_would_deliver_more_is_believed_only_where_it_explains_far_more() -> None:
+    assert Choices().run([[1.0, 4.0, 1.0]], (1.0, -2.0, 0.0, 0.0)).x[-1, 0] == 1.0
+    assert Choices(penalty=0.0).run([[1.0, 4.0, 1.0]], (1.0, -2.0, 0.0, 0.0)).x[-1, 0] == 0.0
+
+
+def test_the_score_of_what_is_not_explained_is_the_root_of_the_smallest_J() -> None:
+    run = Choices().run([[50.0, 36.0, 45.0], [np.nan, 1e3, 1e3], [1.0, 1.0, 1.0]])
+    assert run.unexplained[0] == pytest.approx(6.0)
+    assert np.isnan(run.unexplained[1])
+    assert run.unexplained[2] == 0.0

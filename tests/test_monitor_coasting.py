@@ -14,9 +14,8 @@ from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
+from monitor.estimation.affine import AffineObserver
 from monitor.estimation.coasting import coasting_maps
-from monitor.estimation.observer import Observer
-from monitor.estimation.observer_stack import ObserverStack
 
 
 def plant() -> Plant:
@@ -53,50 +52,35 @@ def gains() -> Gains:
 def test_a_model_without_error_is_followed_through_any_losses(
     gains: Gains, lost: list[bool], motor: float, sensor: float
 ) -> None:
-    whole, observer, rng = plant(), Observer(gains), np.random.default_rng(0)
-    x = np.array([0.3, -0.2])
+    whole, rng, x = plant(), np.random.default_rng(0), np.array([0.3, -0.2])
+    u, states = rng.normal(size=(1_060, 1)), np.empty((1_060, 2))
     for k in range(1_060):
-        u = rng.normal(size=1)
-        y = x + np.array([0.0, sensor])
-        if k == 0:
-            observer.restart(u, y)
-        if k >= 1_000 and lost[k - 1_000]:
-            observer.coast(u)
-        else:
-            observer.step(u, y)
-        if k >= 999:
-            assert observer.fault == pytest.approx([motor, sensor], abs=1e-6)
-            assert observer.x == pytest.approx(x, abs=1e-6)
-            assert observer.residual == pytest.approx([0.0, 0.0], abs=1e-6)
-        x = whole.A @ x + whole.B @ (u + motor)
+        states[k] = x
+        x = whole.A @ x + whole.B @ (u[k] + motor)
+    measured = np.array([True] * 1_000 + [not one for one in lost])
+    run = AffineObserver([gains]).run(u, states + np.array([0.0, sensor]), measured)
+    assert run.fault[999:] == pytest.approx(np.tile([motor, sensor], (61, 1)), abs=1e-6)
+    assert run.x[999:, 0] == pytest.approx(states[999:], abs=1e-6)
+    assert np.abs(run.residual[999:]).max() < 1e-6
 
 
-def test_coasting_keeps_the_faults_and_says_that_nothing_is_left_unexplained(gains: Gains) -> None:
-    observer = Observer(gains)
-    observer.restart(np.zeros(1), np.zeros(2))
-    for _ in range(300):
-        observer.step(np.ones(1), np.array([0.5, 0.7]))
-    sensor = observer.fault[1]
-    for _ in range(10):
-        observer.coast(np.ones(1))
-        assert observer.fault[1] == pytest.approx(sensor, abs=1e-9)
-        assert np.abs(observer.residual).max() < 1e-9
+def test_coasting_keeps_the_faults_and_leaves_nothing_unexplained(gains: Gains) -> None:
+    measured = np.arange(310) < 300
+    run = AffineObserver([gains]).run(np.ones((310, 1)), np.tile([0.5, 0.7], (310, 1)), measured)
+    assert run.fault[300:, 1] == pytest.approx(run.fault[299, 1], abs=1e-9)
+    assert np.abs(run.residual[300:]).max() < 1e-9
 
 
 def test_the_drift_of_a_loss_is_not_taken_for_a_fault(gains: Gains) -> None:
-    maps = coasting_maps(gains)
-    observer, thrown = Observer(gains), Observer(gains)
-    for one in (observer, thrown):
-        one.restart(np.zeros(1), np.zeros(2))
-        for _ in range(300):
-            one.step(np.zeros(1), np.zeros(2))
-        for _ in range(10):
-            one.coast(np.zeros(1))
-    thrown._coasted = False
-    for one in (observer, thrown):
-        one.step(np.zeros(1), np.array([0.1, 0.05]))
-    assert np.abs(observer.fault).max() < 0.1 * np.abs(thrown.fault).max()
-    assert not maps.coast.step[:, len(gains.initial_matrix) + 1 : len(gains.initial_matrix) + 3].any()
+    u, y, measured = np.zeros((311, 1)), np.zeros((311, 2)), np.arange(311) != 305
+    y[-1] = 0.1, 0.05
+    measured[300:310] = False
+    resumed = AffineObserver([gains]).run(u, y, measured).fault[-1]
+    # the same jump without the loss: an observer that did not resume would see it as this
+    thrown = AffineObserver([gains]).run(u, y).fault[-1]
+    assert np.abs(resumed).max() < 0.1 * np.abs(thrown).max()
+    size = len(gains.initial_matrix)
+    assert not coasting_maps(gains).coast.step[:, size + 1 : size + 3].any()
 
 
 @pytest.fixture(scope="module")
@@ -109,18 +93,11 @@ def bank() -> tuple[Gains, ...]:
 @settings(max_examples=20, deadline=None)
 def test_a_stack_coasts_and_resumes_each_observer_as_it_would_alone(bank: tuple[Gains, ...], seed: int) -> None:
     rng = np.random.default_rng(seed)
-    stack, alone = ObserverStack(bank), [Observer(one) for one in bank]
-    everyone: list[Observer | ObserverStack] = [stack, *alone]
-    for one in everyone:
-        one.restart(np.zeros(1), np.zeros(3))
-    for _ in range(20):
-        u, y, lost = rng.normal(size=1), rng.normal(size=3), rng.random() < 0.5
-        for one in everyone:
-            if lost:
-                one.coast(u)
-            else:
-                one.step(u, y)
-        for at, observer in enumerate(alone):
-            assert stack.x[at] == pytest.approx(observer.x, rel=1e-9, abs=1e-9)
-            assert stack.fault[stack.spans[at]] == pytest.approx(observer.fault, rel=1e-9, abs=1e-9)
-            assert stack.residual[at] == pytest.approx(observer.residual, rel=1e-9, abs=1e-9)
+    u, y, measured = rng.normal(size=(20, 1)), rng.normal(size=(20, 3)), rng.random(20) < 0.5
+    stack, at = AffineObserver(bank).run(u, y, measured), 0
+    for k, gains in enumerate(bank):
+        alone = AffineObserver([gains]).run(u, y, measured)
+        assert stack.x[:, k] == pytest.approx(alone.x[:, 0], rel=1e-9, abs=1e-9)
+        assert stack.fault[:, at : at + len(gains.faults)] == pytest.approx(alone.fault, rel=1e-9, abs=1e-9)
+        assert stack.residual[:, k] == pytest.approx(alone.residual[:, 0], rel=1e-9, abs=1e-9)
+        at += len(gains.faults)

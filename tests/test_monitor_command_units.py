@@ -1,4 +1,4 @@
-"""Fault estimates in command units: where a fault scales an input, at its smoothed command, one by one or at once."""
+"""Fault estimates in command units: where a fault scales an input, at its smoothed command."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cuts import cuts, same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from stretches import bits, partitions
 
 from monitor.command_units import CommandUnits
+from monitor.core.observers import CommandScale
 from monitor.profile import ObserverProfile, Profile, read_profile
 
 COUNT = 40
@@ -32,32 +33,40 @@ def observer(profile: Profile, name: str, curve: list[float], smoothing_s: float
     return replace(found, gains=gains, isolation=replace(found.isolation, smoothing_s=smoothing_s))
 
 
-def singly(units: CommandUnits, indices: list[int], u: Array, restart: NDArray[np.bool_], *rows: Array) -> list[bytes]:
-    """Return what each sample gives one by one, as the chain does it."""
-    said = []
-    for k in range(len(u)):
-        if restart[k]:
-            units.restart(u[k])
-        units.follow(u[k])
-        fault, evidence, sd = (row[k] for row in rows)
-        found, isolated, upper = units.convert(np.stack([fault, evidence, fault + sd]))
-        commands = [units.command(index) for index in indices]
-        said.append(bits([*found, *isolated, *np.abs(upper - found), *(np.nan if c is None else c for c in commands)]))
-    return said
+CURVES = {1: [0.4], 2: [0.4, 0.6], 3: [0.3, 0.2, 0.5]}
 
 
-def at_once(units: CommandUnits, indices: list[int], u: Array, restart: NDArray[np.bool_], *rows: Array) -> list[bytes]:
-    found = units.run(u, restart, *rows)
-    none = np.full(len(u), np.nan)
-    commands = np.array([found.commands.get(index, none) for index in indices]).T
-    return [bits(row) for row in np.hstack([found.fault, found.isolated, found.sd, commands])]
+def converted(curve: list[float], u: float, fault: float, sd: float = 0.0) -> tuple[float, float, float]:
+    """Return fault, evidence and sd of one channel in command units."""
+    scale = CommandScale(np.array([curve]), np.zeros(1, np.intp), np.zeros(1, np.intp), 0.0)
+    rows = (np.array([[value]]) for value in (fault, fault, sd))
+    one, evidence, deviation, _ = scale.run(np.array([[u]]), np.ones(1, np.uint8), *rows)
+    return float(one[0, 0]), float(evidence[0, 0]), float(deviation[0, 0])
 
 
-@pytest.mark.parametrize("curve", [[0.4], [0.4, 0.6], [0.3, 0.2, 0.5]], ids=len)
+@given(degree=st.integers(1, 3), u=st.floats(0.1, 1.0), loss=st.floats(-0.9, 0.3))
+def test_a_loss_of_command_is_recovered_from_its_effect(degree: int, u: float, loss: float) -> None:
+    curve = CURVES[degree]
+    with_loss, without = np.polyval([*curve[::-1], 0.0], [u * (1.0 + loss), u])
+    fault, evidence, _ = converted(curve, u, with_loss - without)
+    assert fault == pytest.approx(loss * u, abs=1e-6)
+    assert evidence == fault
+
+
+@pytest.mark.parametrize("degree", CURVES)
+def test_more_loss_than_there_is_effect_stays_finite(degree: int) -> None:
+    assert np.isfinite([converted(CURVES[degree], 0.5, size) for size in (-5.0, 5.0)]).all()
+
+
+def test_a_linear_input_only_changes_units() -> None:
+    assert converted([2.0], 0.3, 1.0, 0.2) == pytest.approx((0.5, 0.5, 0.1))
+
+
+@pytest.mark.parametrize("curve", CURVES.values(), ids=len)
 @pytest.mark.parametrize("name", ["motors", "inertial"])
 @settings(max_examples=25, deadline=None)
 @given(
-    parts=partitions(COUNT),
+    parts=cuts(COUNT),
     seed=st.integers(0, 10**6),
     restarts=st.lists(st.integers(0, COUNT - 1), max_size=3),
     smoothing_s=st.sampled_from([0.0, 0.001, 0.05]),
@@ -66,34 +75,33 @@ def at_once(units: CommandUnits, indices: list[int], u: Array, restart: NDArray[
         max_size=4,
     ),
 )
-def test_stretches_and_single_samples_mix_to_the_bit(
+def test_cuts_do_not_change_a_bit(
     quad: Profile,
     curve: list[float],
     name: str,
-    parts: list[tuple[int, int, bool]],
+    parts: list[slice],
     seed: int,
     restarts: list[int],
     smoothing_s: float,
     odd: list[tuple[int, int, float]],
 ) -> None:
     profile, rng = observer(quad, name, curve, smoothing_s), np.random.default_rng(seed)
-    indices = list(range(len(profile.faults)))
+    count = len(profile.faults)
     u = rng.uniform(-0.1, 1.0, (COUNT, len(profile.gains[0].inputs)))
-    fault, evidence, sd = rng.normal(scale=0.3, size=(3, COUNT, len(indices)))
+    fault, evidence, sd = rng.normal(scale=0.3, size=(3, COUNT, count))
     restart = np.zeros(COUNT, np.bool_)
     restart[restarts] = True
     for which, row, value in odd:
         (u, fault, evidence, sd)[which][row, row % 3] = value
-    given_in = u, restart, fault, evidence, np.abs(sd)
-    before = [one.tobytes() for one in given_in]
-    with np.errstate(all="ignore"):
-        expected = singly(CommandUnits(profile), indices, *given_in)
-        units, found = CommandUnits(profile), []
-        for start, stop, by_one in parts:
-            take = singly if by_one else at_once
-            found += take(units, indices, *(one[start:stop] for one in given_in))
-    assert found == expected
-    assert [one.tobytes() for one in given_in] == before
+    rows = u, restart, fault, evidence, np.abs(sd)
+    before = [column.tobytes() for column in rows]
+    whole, cut = CommandUnits(profile).run(*rows), CommandUnits(profile)
+    runs = [cut.run(*(column[part] for column in rows)) for part in parts]
+    for field in ("fault", "isolated", "sd"):
+        assert same_bits(np.concatenate([getattr(run, field) for run in runs]), getattr(whole, field))
+    for index, command in whole.commands.items():
+        assert same_bits(np.concatenate([run.commands[index] for run in runs]), command)
+    assert [column.tobytes() for column in rows] == before
 
 
 def test_what_scales_no_input_keeps_its_unit(quad: Profile) -> None:

@@ -2,18 +2,24 @@
 
 import numpy as np
 import pytest
+from cuts import cuts, same_bits
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.estimation.edge import EdgeDetector
+from monitor.estimation.edge import edge_detector
 
 RATE_HZ = 100.0
 
 
-def run(values: np.ndarray, J: np.ndarray | None = None, smallest: float | None = 0.05) -> np.ndarray:
-    detector = EdgeDetector(RATE_HZ, limit=14.0, smallest=smallest)
+def run(
+    values: np.ndarray,
+    J: np.ndarray | None = None,
+    smallest: float | None = 0.05,
+    complete: np.ndarray | None = None,
+) -> np.ndarray:
     scores = np.ones(len(values)) if J is None else J
-    return np.array([detector.update(float(value), float(score)) for value, score in zip(values, scores, strict=True)])
+    flags = np.ones(len(values), np.uint8) if complete is None else complete.astype(np.uint8)
+    return edge_detector(RATE_HZ, 14.0, smallest).run(values, scores, flags)
 
 
 def step(size: float, count: int = 300, seed: int = 0) -> np.ndarray:
@@ -61,43 +67,23 @@ def test_without_a_smallest_size_each_edge_shows_and_none_is_held() -> None:
 
 def test_no_edge_is_found_among_samples_that_were_bridged_across_losses() -> None:
     def held(bridged_every: int) -> float:
-        detector = EdgeDetector(100.0, 10.0, 0.05)
-        for index in range(200):
-            complete = index % bridged_every != 0 if bridged_every else True
-            detector.update(0.08 if index >= 100 else 0.0, 0.0, complete)
-        return detector.held
+        index = np.arange(200)
+        complete = index % bridged_every != 0 if bridged_every else index >= 0
+        return float(run(np.where(index >= 100, 0.08, 0.0), np.zeros(200), complete=complete)[-1])
 
     assert held(0) == pytest.approx(0.08)
     assert held(4) == pytest.approx(0.08)
     assert held(1) == 0.0
 
 
-@given(
-    seed=st.integers(0, 10_000),
-    smallest=st.sampled_from([None, 0.05, 0.4]),
-    lengths=st.lists(st.integers(0, 120), min_size=1, max_size=12),
-)
-def test_a_stretch_gives_what_its_samples_give_one_by_one(
-    seed: int, smallest: float | None, lengths: list[int]
-) -> None:
+@given(seed=st.integers(0, 10_000), smallest=st.sampled_from([None, 0.05, 0.4]), parts=cuts(600))
+def test_cuts_do_not_change_a_bit(seed: int, smallest: float | None, parts: list[slice]) -> None:
     rng = np.random.default_rng(seed)
-    count = sum(max(1, length) for length in lengths)
-    jumps = rng.choice([0.0, -0.3, 0.06, 0.3], p=[0.97, 0.01, 0.01, 0.01], size=count)
-    values = np.cumsum(jumps) + rng.choice([0.0, 0.002]) * rng.normal(size=count)
-    values[rng.random(count) < 0.002] = rng.choice([np.nan, np.inf, 1e308])
-    J = np.where(rng.random(count) < 0.005, 20.0, 1.0)
-    complete = rng.random(count) > 0.1
-    one, many = (EdgeDetector(RATE_HZ, 14.0, smallest, hold_s=0.5) for _ in range(2))
-    at = 0
-    for length in lengths:
-        rows = slice(at, at + max(1, length))
-        given_back, held = many.run(values[rows], J[rows], complete[rows])
-        for k in range(rows.start, rows.stop):
-            expected = one.update(float(values[k]), float(J[k]), bool(complete[k]))
-            assert (given_back[k - at], held[k - at]) == (expected, one.held)
-        assert many.edge == one.edge
-        if length == 0:
-            assert [len(part) for part in many.run(values[:0], J[:0], complete[:0])] == [0, 0]
-            for detector in (one, many):
-                detector.update(0.0, 1.0)
-        at = rows.stop
+    jumps = rng.choice([0.0, -0.3, 0.06, 0.3], p=[0.97, 0.01, 0.01, 0.01], size=600)
+    values = np.cumsum(jumps) + rng.choice([0.0, 0.002]) * rng.normal(size=600)
+    values[rng.random(600) < 0.002] = rng.choice([np.nan, np.inf, 1e308])
+    J = np.where(rng.random(600) < 0.005, 20.0, 1.0)
+    complete = (rng.random(600) > 0.1).astype(np.uint8)
+    one, other = (edge_detector(RATE_HZ, 14.0, smallest, hold_s=0.5) for _ in range(2))
+    whole = one.run(values, J, complete)
+    assert same_bits(np.concatenate([other.run(values[part], J[part], complete[part]) for part in parts]), whole)

@@ -1,52 +1,157 @@
-"""A live step is one product into arrays that stand ready."""
+"""The compiled observer is the recursion of its gains, alone and in a bank, however its rows are cut into batches."""
 
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
-from hypothesis import given
+import pytest
+from cuts import cuts
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from random_gains import random_gains
 
-from monitor.estimation.input_curve import curve_columns, effect_into, effect_of_command
-from monitor.estimation.observer import Observer
+from gains.plants.expression import compile_expression
+from gains.plants.model_file import builtin_model
+from gains.plants.plant import Fault, Plant
+from gains.synthesis.bank import compile_bank, design_bank
+from gains.synthesis.gains_file import Gains
+from monitor.estimation.affine import AffineObserver
+from monitor.estimation.input_curve import effect_of_command
+from monitor.estimation.stack_layout import stack_layout
+
+Array = NDArray[np.float64]
+COUNT = 60
 
 
-def test_a_step_allocates_no_arrays() -> None:
-    gains = random_gains(0, states=12, outputs=500, faults=10, inputs=500)
-    observer, u, y = Observer(gains), np.ones(500), np.ones(500)
-    observer.restart(u, y)
-    observer.step(u, y)
-    tracemalloc.start()
-    for _ in range(100):
-        observer.step(u, y)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak < 500 * 8
+def textbook(gains: Gains, u: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Return x, [fa; fs] and residual of the recursion that gains files hold, row by row."""
+    n, a, p, ns = len(gains.states), len(gains.faults), len(gains.outputs), len(gains.initial_matrix)
+    functions = [compile_expression(g.expression, g.arguments) for g in gains.nonlinearities]
+    ends = np.cumsum([len(g.arguments) for g in gains.nonlinearities])
+    v = np.array(
+        [[np.polyval([*c[::-1], 0.0], uj) for c, uj in zip(gains.input_curves, row, strict=True)] for row in u]
+    )
+    s = gains.initial_matrix @ [*v[0], *y[0], 1.0]
+    rows = []
+    for k in range(len(u)):
+        nu = np.split(gains.argument_matrix @ [*s, *v[k], *y[k], 1.0], ends)
+        g = [function(*arguments) for function, arguments in zip(functions, nu, strict=False)]
+        out = gains.step_matrix @ [*s, *v[k], *y[k], 1.0, *g]
+        s = out[:ns]
+        rows.append(out[ns:])
+    x, fs, fa, residual = np.split(np.array(rows), [n, n + a - gains.fault_kinds.count("actuator"), n + a], axis=1)
+    return x, np.hstack([fa, fs]), residual[:, :p]
 
 
-def test_estimates_are_views_that_the_next_step_overwrites() -> None:
-    observer = Observer(random_gains(0))
-    observer.restart(np.ones(1), np.ones(3))
-    views = observer.x, observer.fault, observer.residual
-    observer.step(np.ones(1), np.ones(3))
-    before = [view.copy() for view in views]
-    observer.step(np.zeros(1), np.zeros(3))
-    assert all(np.any(view != old) for view, old in zip(views, before, strict=True))
+@pytest.fixture(scope="module")
+def nonlinear() -> tuple[Gains, ...]:
+    plant = replace(builtin_model("arm-disturbed"), curves=((1.0, 0.1),))
+    return compile_bank(plant, design_bank(plant, 100.0))
 
 
-@given(seed=st.integers(0, 10**6), degree=st.integers(1, 4), inputs=st.integers(0, 6), plain=st.booleans())
-def test_the_effect_of_a_command_has_the_same_bits_wherever_it_is_written(
-    seed: int, degree: int, inputs: int, plain: bool
-) -> None:
+@pytest.fixture(scope="module")
+def delayed() -> tuple[Gains, ...]:
+    """Return a bank of a linear plant whose two inputs act after a delay."""
+    plant = Plant(
+        name="delayed",
+        domain="discrete",
+        rate_hz=100.0,
+        states=("a", "b"),
+        inputs=("one", "other"),
+        outputs=("a", "b"),
+        A=np.array([[0.9, 0.1], [0.0, 0.8]]),
+        B=np.array([[0.1, 0.0], [0.02, 0.3]]),
+        C=np.eye(2),
+        taps=(0.0, 0.0, 0.7, 0.3),
+        faults=(
+            Fault("one", "actuator", np.array([0.1, 0.02]), rate=1.0),
+            Fault("other", "actuator", np.array([0.0, 0.3]), rate=1.0),
+        ),
+    )
+    return compile_bank(plant, design_bank(plant))
+
+
+def driven(bank: tuple[Gains, ...], seed: int, count: int = COUNT) -> tuple[Array, Array]:
     rng = np.random.default_rng(seed)
-    curve = np.ones((inputs, 1)) if plain else rng.normal(size=(inputs, degree))
-    u, out = rng.normal(size=inputs), np.empty(inputs)
-    effect_into(curve_columns(curve), u, out)
-    assert out.tobytes() == effect_of_command(curve, u).tobytes()
+    return rng.normal(size=(count, len(bank[0].inputs))), rng.normal(size=(count, len(bank[0].outputs)))
 
 
-def test_an_observer_without_inputs_runs() -> None:
-    gains = random_gains(0, inputs=0)
-    run = Observer(replace(gains, input_curves=np.zeros((0, 1)))).run(np.zeros((5, 0)), np.ones((5, 3)))
-    assert np.isfinite(run.x).all()
+@pytest.mark.parametrize("name", ["nonlinear", "delayed"])
+def test_each_observer_of_a_bank_is_its_own_recursion(name: str, request: pytest.FixtureRequest) -> None:
+    bank = request.getfixturevalue(name)
+    u, y = driven(bank, 0)
+    run = AffineObserver(bank).run(u, y)
+    at = 0
+    for k, gains in enumerate(bank):
+        x, fault, residual = textbook(gains, u, y)
+        assert run.x[:, k] == pytest.approx(x, rel=1e-9, abs=1e-9)
+        assert run.fault[:, at : at + fault.shape[1]] == pytest.approx(fault, rel=1e-9, abs=1e-9)
+        assert run.residual[:, k] == pytest.approx(residual, rel=1e-9, abs=1e-9)
+        at += fault.shape[1]
+
+
+@given(seed=st.integers(0, 10_000), outputs=st.integers(1, 5), states=st.integers(1, 8), inputs=st.integers(0, 3))
+@settings(max_examples=20)
+def test_random_observers_are_their_recursions(seed: int, outputs: int, states: int, inputs: int) -> None:
+    gains = random_gains(seed, states, outputs, inputs=inputs, nonlinearities=("sin(v)", "v ** 2 / (1 + v ** 2)"))
+    u, y = driven((gains,), seed)
+    run = AffineObserver([gains]).run(u, y)
+    for ours, theirs in zip((run.x[:, 0], run.fault, run.residual[:, 0]), textbook(gains, u, y), strict=True):
+        assert ours == pytest.approx(theirs, rel=1e-9, abs=1e-9)
+
+
+@given(
+    parts=cuts(COUNT),
+    seed=st.integers(0, 10_000),
+    lost=st.floats(0.0, 0.5),
+    restarts=st.lists(st.integers(0, COUNT - 1), max_size=3),
+    linear=st.booleans(),
+)
+@settings(max_examples=40)
+def test_cuts_do_not_change_a_bit(
+    nonlinear: tuple[Gains, ...],
+    delayed: tuple[Gains, ...],
+    parts: list[slice],
+    seed: int,
+    lost: float,
+    restarts: list[int],
+    linear: bool,
+) -> None:
+    bank = delayed if linear else nonlinear
+    u, y = driven(bank, seed)
+    measured, restart = np.random.default_rng(seed).random(COUNT) >= lost, np.zeros(COUNT, np.bool_)
+    restart[restarts] = True
+    whole, cut = AffineObserver(bank).run(u, y, measured, restart), AffineObserver(bank)
+    runs = [cut.run(u[part], y[part], measured[part], restart[part]) for part in parts]
+    for column, expected in zip(zip(*runs, strict=True), whole, strict=True):
+        assert np.concatenate(column).tobytes() == expected.tobytes()
+
+
+def test_a_restart_forgets_the_past(nonlinear: tuple[Gains, ...]) -> None:
+    u, y = driven(nonlinear, 1)
+    restart = np.arange(COUNT) == 20
+    after = AffineObserver(nonlinear).run(u, y, restart=restart).fault[20:]
+    assert after.tobytes() == AffineObserver(nonlinear).run(u[20:], y[20:]).fault.tobytes()
+
+
+def test_inputs_of_the_past_are_kept_once(delayed: tuple[Gains, ...]) -> None:
+    layout = stack_layout(delayed)
+    assert layout.held == ((1, 0), (1, 1), (2, 0), (2, 1), (3, 0), (3, 1))
+    assert layout.cores == sum(len(one.initial_matrix) - 6 for one in delayed)
+
+
+def test_what_is_no_number_stays_where_it_can_matter() -> None:
+    gains = random_gains(0, outputs=2)
+    u, y = driven((gains,), 0)
+    y[10:] = np.nan
+    run = AffineObserver([gains]).run(u, y)
+    assert np.isfinite(run.x[:10]).all()
+    assert np.isnan(run.residual[10:]).all()
+
+
+@given(seed=st.integers(0, 10**6), degree=st.integers(1, 4), inputs=st.integers(1, 6))
+def test_the_effect_of_a_command_is_the_curves_polynomial(seed: int, degree: int, inputs: int) -> None:
+    rng = np.random.default_rng(seed)
+    curve, u = rng.normal(size=(inputs, degree)), rng.normal(size=(3, 2, inputs))
+    powers = u[..., None] ** np.arange(1, degree + 1)
+    assert effect_of_command(curve, u) == pytest.approx(np.sum(curve * powers, axis=-1), abs=1e-12)

@@ -1,5 +1,7 @@
 """How long a wrong start shows in the estimates of faults."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_monitor_coasting import plant
@@ -7,7 +9,7 @@ from test_monitor_coasting import plant
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
-from monitor.estimation.observer import Observer
+from monitor.estimation.affine import AffineObserver
 from monitor.estimation.settling import settling_s
 from monitor.profile import Profile
 
@@ -22,16 +24,10 @@ def test_two_observers_started_apart_agree_after_it(arm_profile: Profile) -> Non
     (gains,) = arm_profile.observers[0].gains
     wait = round(settling_s([gains]) * gains.rate_hz)
     assert 100 < wait < 950
-    one, other = Observer(gains), Observer(gains)
-    u, y = np.zeros(1), np.zeros(3)
-    one.restart(u, y)
-    other.restart(u, y)
     # a motion that the three outputs do not show: the link's angle and rate against each other
-    other._state[: len(gains.L1)] += gains.L1 @ np.array([0.0, 0.0, -1.0, 1.0]) * 1e-3
-    apart = []
-    for _ in range(wait + 500):
-        one.step(u, y)
-        other.step(u, y)
-        apart.append(np.abs(one.fault - other.fault))
-    series = np.stack(apart)
+    wrong = gains.initial_matrix.copy()
+    wrong[: len(gains.L1), -1] += gains.L1 @ np.array([0.0, 0.0, -1.0, 1.0]) * 1e-3
+    u, y = np.zeros((wait + 500, 1)), np.zeros((wait + 500, 3))
+    one, other = (AffineObserver([start]).run(u, y).fault for start in (gains, replace(gains, initial_matrix=wrong)))
+    series = np.abs(one - other)
     assert series[wait:].max(axis=0) == pytest.approx(np.zeros(2), abs=0.06 * series.max())

@@ -26,7 +26,7 @@ from gains.synthesis.design import Design
 from gains.synthesis.gains_file import Gains, read_gains, write_gains
 from monitor.bus.subscriber import AlarmSubscriber
 from monitor.estimate import Estimate
-from monitor.estimation.observer import Observer
+from monitor.estimation.affine import AffineObserver
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile, read_profile
@@ -89,12 +89,8 @@ def faster(plant: Plant, out: Path) -> Plant:
 
 def step_by_step(gains: Gains, u: NDArray[float64], y: NDArray[float64]) -> list[float]:
     """Run an observer over samples of one's own: commands (k, s) and measurements (k, p)."""
-    observer = Observer(gains)
-    first: list[float] = []
-    for inputs, outputs in zip(u, y, strict=True):
-        observer.step(inputs, outputs)
-        first.append(float(observer.fault[0]))
-    return first
+    observer = AffineObserver([gains])
+    return [float(observer.run(u[k : k + 1], y[k : k + 1]).fault[0, 0]) for k in range(len(u))]
 
 
 def listen(endpoint: str, seconds: float) -> AlarmEvent | None:

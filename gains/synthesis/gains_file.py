@@ -36,7 +36,7 @@ class ScalarNonlinearity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gains:
-    """A compiled observer; the recursion it stands for is that of :mod:`monitor.estimation.observer`.
+    """A compiled observer; the recursion it stands for is that of :mod:`monitor.estimation.affine`.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Steps around lost measurements: by the model alone, and the first one after it.
 
-With the recursion of :mod:`monitor.estimation.observer` the residual is yt = R_s s + R_y y + R_v v + r. An observer
+With the recursion of :mod:`monitor.estimation.affine` the residual is yt = R_s s + R_y y + R_v v + r. An observer
 coasts on the y that makes it zero: the states go on as the model says, an actuator fault stays as it was (with
 integrators of order 2, its rate does), and where a sensor fault leaves y open, because it takes up all that its output
 does, y is the one that keeps that fault as it was.

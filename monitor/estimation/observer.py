@@ -1,144 +1,107 @@
-"""The observer as one affine map with scalar nonlinearities, stepped sample by sample.
+"""An observer, as the rest of the monitor uses it: the protocol that every kind of observer implements.
 
-Every design compiles offline to the same recursion (symbols of the theory; v = curve(u) is the known static
-input nonlinearity, past v are part of the state s and carry motor lag and transport delay):
-
-    nu = argument_matrix [s; v; y; 1]                     arguments of the nonlinearities, from x^
-    [s+; zeta^; fa^; yt] = step_matrix [s; v; y; 1; g(nu)],      s = [eta; q; v(k-1); ...]
-
-so a step is one small matrix product, and nothing is allocated in it. A run over arrays calls the same product
-in the same order and therefore gives the same bits. A sample without measurements is one product with another matrix
-(:mod:`monitor.estimation.coasting`), and so is the first one after it.
+The compiled gains of :mod:`gains` implement it as one affine map (:mod:`monitor.estimation.affine`). Another kind, for
+instance a nonlinear attitude observer, is another class with these members and is used by banks, isolation, uncertainty
+and calibration alike.
 """
 
 from __future__ import annotations
 
-from itertools import pairwise
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gains.plants.expression import compile_expression
-from gains.synthesis.gains_file import Gains
-from monitor.estimation.coasting import StepMap, coasting_maps
-from monitor.estimation.input_curve import curve_columns, effect_into
+from gains.plants.plant import Plant
+
+Array = NDArray[np.float64]
 
 
-class ObserverRun(NamedTuple):
-    """Estimates over N samples: x (N, n), fault (N, a1 + a2) and residual (N, p)."""
-
-    x: NDArray[np.float64]
-    fault: NDArray[np.float64]
-    residual: NDArray[np.float64]
-
-
-class Observer:
-    """State of one running observer.
-
-    After :meth:`step`, the attributes ``x`` (n,), ``fault`` (a1 + a2,) = [fa^; fs^] in the effect units of the
-    plant model and ``residual`` (p,) = yt are views that the next step overwrites.
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """Faults that an observer estimates together.
 
     Parameters
     ----------
-    gains : Gains
-        Compiled gains.
+    faults : tuple[str, ...]
+        Their names.
+    scales : tuple[bool, ...]
+        Whether each scales an input: an actuator that delivers less, rarely more.
     """
 
-    def __init__(self, gains: Gains) -> None:
-        self.gains = gains
-        s, p = len(gains.inputs), len(gains.outputs)
-        n = len(gains.states)
-        a1 = sum(kind == "actuator" for kind in gains.fault_kinds)
-        nz = n + len(gains.faults) - a1
-        total = gains.step_matrix.shape[0]
-        ns = total - nz - a1 - p
-        m = gains.step_matrix.shape[1] - ns - s - p - 1
-        # Methods of the matrices: the same products as np.dot, without its search for other kinds of array.
-        self._step = np.ascontiguousarray(gains.step_matrix).dot
-        self._arguments = np.ascontiguousarray(gains.argument_matrix).dot
-        self._initial = np.ascontiguousarray(gains.initial_matrix)
-        self._g = [compile_expression(item.expression, item.arguments) for item in gains.nonlinearities]
-        ends = np.cumsum([0, *(len(g.arguments) for g in gains.nonlinearities)]).tolist()
-        self._spans = tuple(slice(start, stop) for start, stop in pairwise(ends))
-        self._coast, self._resume = coasting_maps(gains)
-        self._coasted = False
-        self._z = np.zeros(ns + s + p + 1 + m + len(gains.faults))
-        self._z[ns + s + p] = 1.0
-        self._state = self._z[:ns]
-        self._v = self._z[ns : ns + s]
-        self._y = self._z[ns + s : ns + s + p]
-        self._affine = self._z[: ns + s + p + 1]
-        self._measured = self._z[ns : ns + s + p + 1]
-        self._fed = self._z[: ns + s + p + 1 + m]
-        self._nonlinear = self._z[ns + s + p + 1 : ns + s + p + 1 + m]
-        self._out = np.zeros(total)
-        self._next = self._out[:ns]
-        self._nu = np.zeros(len(gains.argument_matrix))
-        self._curves = curve_columns(gains.input_curves)
-        self.x = self._out[ns : ns + n]
-        self._fs = self._out[ns + n : ns + nz]
-        self._fa = self._out[ns + nz : ns + nz + a1]
-        self.residual = self._out[ns + nz + a1 :]
-        self.fault = self._z[ns + s + p + 1 + m :]
-        self._fault_a, self._fault_s = self.fault[:a1], self.fault[a1:]
+    faults: tuple[str, ...]
+    scales: tuple[bool, ...]
 
-    def restart(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-        """Forget the past: start at the state that (u, y) explain without a fault."""
-        effect_into(self._curves, u, self._v)
-        self._y[:] = y
-        np.dot(self._initial, self._measured, out=self._state)
-        self.fault[:] = 0.0
-        self._coasted = False
 
-    def step(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-        """Advance by one sample: u (s,) and y (p,) in the order of the gains file."""
-        effect_into(self._curves, u, self._v)
-        self._y[:] = y
-        if self._coasted:
-            self._coasted = False
-            self._take(self._resume)
-            return
-        if self._g:
-            self._arguments(self._affine, self._nu)
-            self._evaluate()
-        self._step(self._fed, self._out)
-        self._advance()
+class ObserverRun(NamedTuple):
+    """Estimates of the observers of K hypotheses after each of N rows.
 
-    def coast(self, u: NDArray[np.float64]) -> None:
-        """Advance by one sample without measurements, u (s,): by the model alone."""
-        effect_into(self._curves, u, self._v)
-        self._coasted = True
-        self._take(self._coast)
+    Parameters
+    ----------
+    x : NDArray[np.float64]
+        State estimates (N, K, n).
+    fault : NDArray[np.float64]
+        Fault estimates in effect units, those of one hypothesis after the other (N, sum of their faults).
+    residual : NDArray[np.float64]
+        yt = y - y^ (N, K, p).
+    """
 
-    def _take(self, chosen: StepMap) -> None:
-        if self._g:
-            np.dot(chosen.arguments, self._z, out=self._nu)
-            self._evaluate()
-        np.dot(chosen.step, self._z, out=self._out)
-        self._advance()
+    x: Array
+    fault: Array
+    residual: Array
 
-    def _evaluate(self) -> None:
-        nu = self._nu.tolist()
-        for i, (g, span) in enumerate(zip(self._g, self._spans, strict=True)):
-            self._nonlinear[i] = g(*nu[span])
 
-    def _advance(self) -> None:
-        self._state[:] = self._next
-        self._fault_a[:] = self._fa
-        self._fault_s[:] = self._fs
+class ErrorSystem(NamedTuple):
+    """How the errors of one observer move, [delta; phi]+ = A [delta; phi] + B w, phi = f^ - f its last entries.
 
-    def run(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> ObserverRun:
-        """Restart at the first sample and step through all: u (N, s), y (N, p)."""
-        count = len(u)
-        result = ObserverRun(
-            np.empty((count, len(self.x))), np.empty((count, len(self.fault))), np.empty((count, y.shape[1]))
-        )
-        if count:
-            self.restart(u[0], y[0])
-        for k in range(count):
-            self.step(u[k], y[k])
-            result.x[k] = self.x
-            result.fault[k] = self.fault
-            result.residual[k] = self.residual
-        return result
+    Parameters
+    ----------
+    A, Q : NDArray[np.float64]
+        A and Q = B B' of a row that is measured, coasted, and resumed: the first one measured after that (3, d, d).
+    steady, start : NDArray[np.float64]
+        Covariance P while all is measured, P = A P A' + Q, and after a restart (d, d).
+    """
+
+    A: Array
+    Q: Array
+    steady: Array
+    start: Array
+
+
+class Observer(Protocol):
+    """The observer of one hypothesis, or the observers of all hypotheses of a bank, stepped together."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Rows per second."""
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """The K hypotheses, in the order of the estimates."""
+
+    def run(
+        self,
+        u: Array,
+        y: Array,
+        measured: NDArray[np.bool_] | None = None,
+        restart: NDArray[np.bool_] | None = None,
+    ) -> ObserverRun:
+        """Process N rows; the result does not depend on how rows are cut into calls, to the bit.
+
+        Parameters
+        ----------
+        u, y : NDArray[np.float64]
+            Commands (N, s) and outputs (N, p).
+        measured : NDArray[np.bool_] | None
+            Where not, y is ignored and the observer coasts: it goes on by its model alone (N,). None: everywhere.
+        restart : NDArray[np.bool_] | None
+            Where the observer first forgets the past and starts at the state that (u, y) explain without a fault
+            (N,). The first row ever restarts anyway. None: nowhere.
+        """
+
+    def error_systems(self, plant: Plant) -> tuple[ErrorSystem, ...] | None:
+        """Return the error system of each hypothesis on the sampled plant, None where it is not known."""
+
+    def settling_s(self) -> float:
+        """Return the time after which a wrong start has no effect on fault estimates any more, seconds."""

@@ -17,9 +17,9 @@ from gains.synthesis.gains_file import Gains
 from monitor.chain import ObserverChain
 from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimate
+from monitor.estimation.affine import AffineObserver
 from monitor.estimation.bank import whitening
 from monitor.estimation.isolation_rule import BankRule
-from monitor.estimation.observer_stack import ObserverStack
 from monitor.profile import Profile
 from monitor.sampling.gate import GatedSample, GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
@@ -105,15 +105,11 @@ def bank_rule(
     The covariances are taken about zero; the floor of the score is the largest one that the best hypothesis leaves
     unexplained in healthy flight, with a margin.
     """
-    stack, settled = ObserverStack(bank), round(settle_s * bank[0].rate_hz)
+    observer, settled = AffineObserver(bank), round(settle_s * bank[0].rate_hz)
     keep = float(np.exp(-1.0 / (smoothing_s * bank[0].rate_hz)))
     smoothed = []
     for segment in segments:
-        raw = np.empty((len(segment.u), *stack.residual.shape))
-        stack.restart(segment.u[0], segment.y[0])
-        for k in range(len(segment.u)):
-            stack.step(segment.u[k], segment.y[k])
-            raw[k] = stack.residual
+        raw = observer.run(segment.u, segment.y, restart=np.arange(len(segment.u)) == 0).residual
         smoothed.append(lfilter([1.0 - keep], [1.0, -keep], raw, axis=0)[settled:])
     residuals = list(np.moveaxis(np.concatenate(smoothed), 1, 0))
     watched = tuple(any(name in edges for name in one.faults) for one in bank)

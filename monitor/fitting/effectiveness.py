@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from gains.identification.regression import coloured_inflation
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains
-from monitor.estimation.effectiveness import Effectiveness, EffectivenessEstimator, EffectivenessRule
-from monitor.estimation.observer import Observer
+from monitor.estimation.affine import AffineObserver
+from monitor.estimation.effectiveness import EffectivenessEstimator, EffectivenessRule, EffectivenessRun
 
 _SMALLEST_DOUBT = 0.02
 _SMALLEST_CERTAINTY = 5.0
@@ -54,13 +54,14 @@ def calibrate_effectiveness(
     """
     noise, inflation = _noise(runs, rate_hz, rule.timing_s)
     plain = replace(rule, noise=noise, inflation=inflation, loss_doubt=0.0, offset_doubt=0.0)
-    said = [verdict for memory_s in rule.memories_s for verdict in _said(runs, rate_hz, plain, memory_s)]
+    verdicts = [verdict for memory_s in rule.memories_s for verdict in _verdicts(runs, rate_hz, plain, memory_s)]
     doubtful = replace(
         plain,
-        loss_doubt=max(rule.loss_doubt, _SMALLEST_DOUBT, _excess([(s.loss, s.loss_error) for s in said])),
-        offset_doubt=max(rule.offset_doubt, _excess([(s.offset, s.offset_error) for s in said])),
+        loss_doubt=max(rule.loss_doubt, _SMALLEST_DOUBT, _excess([(v.loss, v.loss_error) for v in verdicts])),
+        offset_doubt=max(rule.offset_doubt, _excess([(v.offset, v.offset_error) for v in verdicts])),
     )
-    worst = max(v.score for memory_s in rule.memories_s for v in _said(runs, rate_hz, doubtful, memory_s))
+    verdicts = [verdict for memory_s in rule.memories_s for verdict in _verdicts(runs, rate_hz, doubtful, memory_s)]
+    worst = max(float(np.nanmax(verdict.score, initial=0.0)) for verdict in verdicts)
     return replace(doubtful, certainty=max(_SMALLEST_CERTAINTY, margin * worst))
 
 
@@ -98,30 +99,34 @@ def response_delay_s(plant: Plant, gains: Gains, fault: str) -> float:
     fault : str
         Name of an actuator fault.
     """
-    observer, place = Observer(gains), gains.faults.index(fault)
     column = next(f.column for f in plant.actuator_faults if f.name == fault)
-    u, x = np.zeros(len(gains.inputs)), np.linalg.solve(np.eye(len(plant.A)) - plant.A, plant.c)
-    observer.restart(u, plant.C @ x)
-    area = 0.0
-    for _ in range(round(_STEP_S * gains.rate_hz)):
-        observer.step(u, plant.C @ x)
-        area += 1.0 - float(observer.fault[place])
+    x = np.linalg.solve(np.eye(len(plant.A)) - plant.A, plant.c)
+    count = round(_STEP_S * gains.rate_hz)
+    u, y = np.zeros((count, len(gains.inputs))), np.empty((count, len(plant.C)))
+    for k in range(count):
+        y[k] = plant.C @ x
         x = plant.A @ x + plant.c + column
-    return max(0.0, area / gains.rate_hz)
+    estimate = AffineObserver([gains]).run(u, y).fault[:, gains.faults.index(fault)]
+    return max(0.0, float(np.sum(1.0 - estimate)) / gains.rate_hz)
 
 
-def _said(runs: Sequence[HealthyRun], rate_hz: float, rule: EffectivenessRule, memory_s: float) -> list[Effectiveness]:
+def _verdicts(
+    runs: Sequence[HealthyRun], rate_hz: float, rule: EffectivenessRule, memory_s: float
+) -> list[EffectivenessRun]:
+    """Return loss and offset after each sample of each healthy run, with one memory alone."""
     alone = replace(rule, memories_s=(memory_s,))
-    said = []
+    verdicts = []
     for run in runs:
-        estimator = EffectivenessEstimator(alone, rate_hz)
-        for fault, command, full in zip(*(column.tolist() for column in run), strict=True):
-            said.append(estimator.update(fault, command, full))
-    return said
+        count = len(run.fault)
+        times_ns = np.round(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+        never, always = np.zeros(count, np.bool_), np.ones(count, np.bool_)
+        verdicts.append(EffectivenessEstimator(alone, rate_hz).run(times_ns, never, always, *run))
+    return verdicts
 
 
-def _excess(estimates: Sequence[tuple[float, float]]) -> float:
+def _excess(estimates: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> float:
     """Return the scatter of estimates beyond their errors, the certain ones counting most."""
-    value, error = np.array([pair for pair in estimates if pair[1] < inf]).T
+    value, error = (np.concatenate(parts) for parts in zip(*estimates, strict=True))
+    value, error = value[error < inf], error[error < inf]
     weight = 1.0 / error**2
     return float(np.sqrt(max(0.0, float(np.sum(weight * value**2) - len(weight)) / float(np.sum(weight)))))

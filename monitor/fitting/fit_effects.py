@@ -21,9 +21,9 @@ from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
+from monitor.estimation.affine import AffineObserver
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.isolation_rule import IndependentRule
-from monitor.estimation.observer import Observer
 from monitor.fitting.calibrate import SETTLE_S, contiguous, flight_samples, transformed
 from monitor.fitting.effect_signals import EffectSignals
 from monitor.fitting.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
@@ -193,22 +193,18 @@ def _reading(
 
 def _observed(gains: Gains, flight: Sequence[GatedSample]) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Return fault estimates and inputs of each healthy stretch, the observer settled."""
-    observer = Observer(gains)
-    runs: list[list[tuple[NDArray[np.float64], NDArray[np.float64]]]] = [[]]
-    for sample, armed in flight:
-        if sample.restart:
-            observer.restart(sample.u, sample.y)
-        observer.step(sample.u, sample.y)
+    if not flight:
+        return []
+    u, y = np.stack([sample.u for sample, _ in flight]), np.stack([sample.y for sample, _ in flight])
+    fault = AffineObserver([gains]).run(u, y, restart=np.array([sample.restart for sample, _ in flight])).fault
+    runs: list[list[int]] = [[]]
+    for k, (sample, armed) in enumerate(flight):
         if runs[-1] and (not armed or sample.restart):
             runs.append([])
         if armed:
-            runs[-1].append((observer.fault.copy(), sample.u))
+            runs[-1].append(k)
     settle, least = round(SETTLE_S * gains.rate_hz), round((SETTLE_S + _LEAST_RUN_S) * gains.rate_hz)
-    return [
-        (np.stack([fault for fault, _ in run[settle:]]), np.stack([u for _, u in run[settle:]]))
-        for run in runs
-        if len(run) > least
-    ]
+    return [(fault[run[settle:]], u[run[settle:]]) for run in runs if len(run) > least]
 
 
 def _findings(

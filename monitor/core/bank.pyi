@@ -1,0 +1,47 @@
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.uint8]
+
+class Choice:
+    def __init__(
+        self,
+        whitening: Array,
+        spans: ArrayLike,
+        channel: ArrayLike,
+        shown: ArrayLike,
+        scaling: ArrayLike,
+        groups: Sequence[NDArray[np.intp]],
+        own: NDArray[np.bool_],
+        edges: Sequence[tuple[int, EdgeDetector]],
+        washouts: Sequence[tuple[int, Washout]],
+        keep: float,
+        floor: float,
+        share: float,
+        penalty: float,
+    ) -> None: ...
+    def run(
+        self, x: Array, fault: Array, residual: Array, measured: Flags, complete: Flags, restart: Flags
+    ) -> tuple[Array, Array, Array, Array, NDArray[np.bool_], Array, Array]: ...
+
+class EdgeDetector:
+    edge: float
+    held: float
+    def __init__(self, mean: int, gap: int, flat: int, longest: int, limit: float, smallest: float) -> None: ...
+    def run(self, estimates: Array, J: Array, complete: Flags) -> Array: ...
+
+class Washout:
+    threshold: float
+    peak: float
+    def __init__(self, share: float, threshold: float) -> None: ...
+    def run(self, washed: Array) -> Array: ...
+
+class IndependentIsolation:
+    def __init__(self, channels: int, keep: float) -> None: ...
+    def run(self, fault: Array, measured: Flags, restart: Flags) -> Array: ...
+
+class SingleFaultIsolation(IndependentIsolation):
+    def __init__(self, information: Array, penalty: Array, keep: float, tolerance: float, floor: float) -> None: ...

@@ -1,0 +1,535 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+"""From estimates and residuals to evidence, row after row: banks of hypotheses, edges, washouts, joint isolation.
+
+The rules themselves; what they are for is told where they are set up, in :mod:`monitor.estimation`. Sums go through
+their terms in one fixed order, so results do not depend on how a stream is cut.
+"""
+
+from libc.math cimport INFINITY, fabs, isnan, sqrt
+
+import numpy as np
+
+# See monitor.estimation.bank, edge, washout and isolation, which document these.
+cdef double LOYALTY = 2.0
+cdef double EDGE_SHARE = 0.25
+cdef double EDGE_CANCELLED = 0.5
+cdef double EDGE_BRIDGED = 0.6
+cdef double WASHOUT_QUIET = 0.5
+cdef double WASHOUT_OVER = 0.1
+cdef double SMALLEST_WEIGHT = 1e-9
+
+
+cdef class Choice:
+    """The hypothesis of a bank that is believed, and the evidence it gives; see :mod:`monitor.estimation.bank`.
+
+    K hypotheses have F faults in total (columns), which belong to a channels.
+
+    Parameters
+    ----------
+    whitening : ndarray
+        W_k of each hypothesis' smoothed residual (K, p, p).
+    spans : ndarray
+        Where the columns of each hypothesis begin (K + 1,).
+    channel : ndarray
+        The channel of each column (F,).
+    shown : ndarray
+        The column that is shown for each channel: that of its smallest hypothesis (a,).
+    scaling : ndarray of bool
+        Columns of faults that scale an input (F,).
+    groups : list of ndarray
+        The hypotheses that are compared, by their number of faults, the fewest first.
+    own : ndarray of bool
+        Channels that not all compared hypotheses have (K, a).
+    edges : sequence of (hypothesis, EdgeDetector)
+        Those that are not compared.
+    washouts : sequence of (channel, Washout)
+        Channels whose estimates are given back.
+    keep : float
+        Share of the smoothed values that a row leaves.
+    floor, share, penalty : float
+        score_floor^2, tolerance^2 and gain_penalty of the rule.
+    """
+
+    cdef double[:, :, ::1] whitening
+    cdef Py_ssize_t[::1] spans, channel, shown, compared, group
+    cdef unsigned char[::1] scaling, is_compared, remembered, counted
+    cdef unsigned char[:, ::1] own
+    cdef list detectors, washouts
+    cdef Py_ssize_t[::1] watched, washed
+    cdef double keep, floor, share, penalty, unexplained
+    cdef double[:, ::1] residual
+    cdef double[::1] fault, J, cost, evidence
+    cdef Py_ssize_t believed
+
+    def __init__(self, whitening, spans, channel, shown, scaling, groups, own, edges, washouts, keep, floor, share,
+                 penalty):
+        K, p, a = len(whitening), whitening.shape[1], len(shown)
+        self.whitening = np.ascontiguousarray(whitening)
+        self.spans, self.channel, self.shown = (np.asarray(indices, np.intp) for indices in (spans, channel, shown))
+        self.scaling, self.own = np.asarray(scaling, np.uint8), np.ascontiguousarray(own, np.uint8)
+        # Hypotheses in the order in which they are preferred, and the rank of the group that each belongs to.
+        self.compared = np.concatenate(groups).astype(np.intp)
+        self.group = np.repeat(np.arange(len(groups)), [len(members) for members in groups]).astype(np.intp)
+        self.watched = np.array([k for k, _ in edges], np.intp)
+        self.detectors = [detector for _, detector in edges]
+        self.washed = np.array([channel for channel, _ in washouts], np.intp)
+        self.washouts = [washout for _, washout in washouts]
+        self.keep, self.floor, self.share, self.penalty = keep, floor, share, penalty
+        self.residual, self.fault = np.zeros((K, p)), np.zeros(len(channel))
+        self.J, self.cost, self.evidence = np.zeros(K), np.zeros(K), np.zeros(a)
+        self.is_compared, self.counted = np.ones(a, np.uint8), np.ones(a, np.uint8)
+        for k in self.watched:
+            self.is_compared[self.channel[self.spans[k]]] = False
+        self.remembered = np.zeros(len(self.washouts), np.uint8)
+        self.believed, self.unexplained = self.compared[0], 0.0
+
+    def run(self, const double[:, :, :] x, const double[:, :] fault, const double[:, :, :] residual,
+            const unsigned char[:] measured, const unsigned char[:] complete, const unsigned char[:] restart):
+        """Return believed x, fault, believed residual, evidence, counted, smoothed and unexplained of n rows.
+
+        x (n, K, states), fault (n, F) and residual (n, K, p) are what the observers estimate. A row that is neither
+        measured nor a restart teaches nothing: the choice stays.
+        """
+        cdef Py_ssize_t k, i, count = x.shape[0], states = x.shape[2], p = residual.shape[2], a = self.shown.shape[0]
+        results = (
+            np.empty((count, states)), np.empty((count, a)), np.empty((count, p)), np.empty((count, a)),
+            np.empty((count, a), np.bool_), np.empty((count, a)), np.empty(count),
+        )
+        cdef double[:, ::1] shown_x = results[0], shown_fault = results[1], shown_residual = results[2]
+        cdef double[:, ::1] evidence = results[3], smoothed = results[5]
+        cdef unsigned char[:, ::1] counted = results[4].view(np.uint8)
+        cdef double[::1] unexplained = results[6]
+        for k in range(count):
+            if restart[k]:
+                self.clear()
+            if measured[k] or restart[k]:
+                self.update(fault, residual, k, complete[k])
+            for i in range(states):
+                shown_x[k, i] = x[k, self.believed, i]
+            for i in range(p):
+                shown_residual[k, i] = residual[k, self.believed, i]
+            for i in range(a):
+                shown_fault[k, i] = fault[k, self.shown[i]]
+                smoothed[k, i] = self.fault[self.shown[i]]
+                evidence[k, i] = self.evidence[i]
+                counted[k, i] = self.counted[i]
+            unexplained[k] = self.unexplained
+        return results
+
+    cdef void clear(self) noexcept:
+        cdef Py_ssize_t i
+        self.residual[:] = 0.0
+        self.fault[:] = 0.0
+        self.remembered[:] = 0
+        for i in range(self.watched.shape[0]):
+            (<EdgeDetector> self.detectors[i]).clear()
+        for i in range(self.washed.shape[0]):
+            (<Washout> self.washouts[i]).clear()
+
+    cdef void update(self, const double[:, :] fault, const double[:, :, :] residual, Py_ssize_t row,
+                     bint complete) noexcept:
+        cdef Py_ssize_t k, i, j, K = self.J.shape[0], p = self.residual.shape[1]
+        cdef double keep = self.keep, white
+        cdef bint explained
+        # Smoothed residuals r_k, J_k = |W_k r_k|^2 and smoothed faults.
+        for k in range(K):
+            for i in range(p):
+                self.residual[k, i] = keep * self.residual[k, i] + (1.0 - keep) * residual[row, k, i]
+            self.J[k] = 0.0
+            for i in range(p):
+                white = 0.0
+                for j in range(p):
+                    white += self.whitening[k, i, j] * self.residual[k, j]
+                self.J[k] += white * white
+        for i in range(self.fault.shape[0]):
+            self.fault[i] = keep * self.fault[i] + (1.0 - keep) * fault[row, i]
+        self.choose()
+        explained = self.unexplained == 0.0
+        for i in range(self.evidence.shape[0]):
+            self.evidence[i] = 0.0
+            self.counted[i] = explained or not self.is_compared[i]
+        if explained:
+            for i in range(self.spans[self.believed], self.spans[self.believed + 1]):
+                self.evidence[self.channel[i]] = self.fault[i]
+        self.give_back(explained)
+        self.watch_edges(fault, row, complete)
+
+    cdef void choose(self) noexcept:
+        """Choose the hypothesis to believe from J."""
+        cdef Py_ssize_t i, k, following, count = self.compared.shape[0]
+        cdef double worst = -INFINITY, limit, penalty, least
+        for i in range(count):
+            k = self.compared[i]
+            if self.J[k] > worst or isnan(self.J[k]):
+                worst = self.J[k]
+                if isnan(worst):
+                    break
+        # J_k explains the data up to max(score_floor^2, tolerance^2 max_i J_i).
+        limit = self.share * worst if self.share * worst > self.floor else self.floor
+        if self.J[self.believed] <= limit and self.is_remembered(self.believed):
+            self.unexplained = 0.0
+            return
+        penalty = self.share * worst if self.share * worst > self.penalty else self.penalty
+        following = -1
+        least = INFINITY
+        for i in range(count):
+            k = self.compared[i]
+            if following >= 0 and self.group[i] > self.group[i - 1]:
+                # Fewer faults explain the data: those with more need not be looked at.
+                break
+            if self.J[k] <= limit:
+                self.cost[k] = self.J[k] + (penalty if self.delivers_more(k) else 0.0)
+                if following < 0 or self.cost[k] < least:
+                    following, least = k, self.cost[k]
+        if following >= 0:
+            self.unexplained = 0.0
+            if not self.stays(following, limit, least):
+                self.believed = following
+            return
+        following = self.compared[0]
+        for i in range(count):
+            k = self.compared[i]
+            if self.J[k] < self.J[following] or (isnan(self.J[k]) and not isnan(self.J[following])):
+                following = k
+        self.believed = following
+        self.unexplained = sqrt(self.J[following])
+
+    cdef bint stays(self, Py_ssize_t best, double limit, double least) noexcept:
+        """Return whether the hypothesis believed so far stays: as few faults, explains, and is not clearly dearer."""
+        cdef Py_ssize_t count = self.spans[best + 1] - self.spans[best]
+        if self.spans[self.believed + 1] - self.spans[self.believed] != count or not self.J[self.believed] <= limit:
+            return False
+        return not self.cost[self.believed] > LOYALTY * least
+
+    cdef bint delivers_more(self, Py_ssize_t k) noexcept:
+        """Return whether hypothesis k has an actuator deliver more than commanded."""
+        cdef Py_ssize_t i
+        for i in range(self.spans[k], self.spans[k + 1]):
+            if self.scaling[i] and self.fault[i] > 0.0:
+                return True
+        return False
+
+    cdef bint is_remembered(self, Py_ssize_t k) noexcept:
+        """Return whether a washed-out fault of hypothesis k's own was larger than its threshold one row ago."""
+        cdef Py_ssize_t i
+        for i in range(self.remembered.shape[0]):
+            if self.remembered[i] and self.own[k, self.washed[i]]:
+                return True
+        return False
+
+    cdef void give_back(self, bint explained) noexcept:
+        """Give washed-out faults back, whichever hypothesis is believed; show those of the one that is."""
+        cdef Py_ssize_t i, j, channel
+        cdef double size
+        cdef Washout washout
+        for i in range(self.remembered.shape[0]):
+            channel, washout = self.washed[i], <Washout> self.washouts[i]
+            size = washout.update(self.fault[self.shown[channel]])
+            self.remembered[i] = fabs(size) > washout.threshold
+            if explained:
+                for j in range(self.spans[self.believed], self.spans[self.believed + 1]):
+                    if self.channel[j] == channel:
+                        self.evidence[channel] = size
+
+    cdef void watch_edges(self, const double[:, :] fault, Py_ssize_t row, bint complete) noexcept:
+        """Take the evidence of sensors from the edges of their estimates; an edge that is held explains the data."""
+        cdef Py_ssize_t i, k, column
+        cdef EdgeDetector detector
+        for i in range(self.watched.shape[0]):
+            k, detector = self.watched[i], <EdgeDetector> self.detectors[i]
+            column = self.spans[k]
+            self.evidence[self.channel[column]] = detector.update(fault[row, column], self.J[k], complete)
+            if detector.held != 0.0 and self.J[k] <= self.floor:
+                self.unexplained = 0.0
+
+
+cdef class EdgeDetector:
+    """Watches one sensor fault's estimate for edges; see :mod:`monitor.estimation.edge`.
+
+    Parameters
+    ----------
+    mean, gap, flat, longest : int
+        Rows of the running mean, of the gap between the levels, of a level, and for which an edge is held at most.
+    limit : float
+        Largest J with which the hypothesis is believed.
+    smallest : float
+        Smallest edge that is held; not a number: edges only show.
+    """
+
+    cdef Py_ssize_t mean, gap, longest, size, filled, head, estimated, loud, matched, quiet, age, bridged
+    cdef Py_ssize_t middle, after, before
+    cdef double limit, smallest
+    cdef double[::1] estimates, means
+    cdef unsigned char[::1] is_bridged
+    cdef readonly double edge, held
+
+    def __init__(self, mean, gap, flat, longest, limit, smallest):
+        self.mean, self.gap, self.longest, self.limit, self.smallest = mean, gap, longest, limit, smallest
+        # Rows back from the newest mean: within the second level, its begin, the end of the first level, its begin.
+        self.middle, self.after, self.before = flat // 2, flat, flat + gap + mean
+        self.size = self.before + flat + 1
+        self.estimates, self.means = np.zeros(mean), np.zeros(self.size)
+        self.is_bridged = np.zeros(self.size, np.uint8)
+        self.clear()
+
+    cdef void clear(self) noexcept:
+        self.filled = self.head = self.estimated = 0
+        self.loud = self.matched = self.quiet = self.age = self.bridged = 0
+        self.edge = self.held = 0.0
+        self.is_bridged[:] = 0
+
+    def run(self, const double[:] estimates, const double[:] J, const unsigned char[:] complete):
+        """Return what :meth:`update` returns for each of n rows (n,)."""
+        cdef Py_ssize_t k
+        result = np.empty(estimates.shape[0])
+        cdef double[::1] given = result
+        for k in range(estimates.shape[0]):
+            given[k] = self.update(estimates[k], J[k], complete[k])
+        return result
+
+    cdef double update(self, double estimate, double J, bint complete) noexcept:
+        """Process one row; return the size that is held, or of the edge where none is held."""
+        cdef double step
+        self.push(estimate, complete)
+        # A J beyond the limit rules edges out until the whole window lies after it.
+        self.loud = self.size if self.limit < J else max(0, self.loud - 1)
+        self.age += 1
+        self.quiet = max(0, self.quiet - 1)
+        if self.age > self.longest:
+            self.held = 0.0
+        step = self.step()
+        self.matched = self.matched + 1 if step != 0.0 else 0
+        self.edge = step if self.matched >= self.mean and self.quiet == 0 else 0.0
+        if isnan(self.smallest):
+            return self.edge
+        if self.edge != 0.0 and fabs(self.edge) >= self.smallest:
+            self.quiet = self.gap + 2 * self.mean
+            self.age = 0
+            self.held += self.edge
+            if fabs(self.held) < EDGE_CANCELLED * fabs(self.edge):
+                self.held = 0.0
+        return self.held
+
+    cdef void push(self, double estimate, bint complete) noexcept:
+        """Append the mean of the newest estimates, and whether the row was bridged, to the window."""
+        cdef Py_ssize_t i, first
+        cdef double total = 0.0
+        self.head = (self.head + 1) % self.size
+        self.bridged += (not complete) - self.is_bridged[self.head]
+        self.is_bridged[self.head] = not complete
+        self.estimates[self.estimated % self.mean] = estimate
+        self.estimated += 1
+        first = max(0, self.estimated - self.mean)
+        for i in range(first, self.estimated):
+            total += self.estimates[i % self.mean]
+        self.means[self.head] = total / (self.estimated - first)
+        self.filled = min(self.filled + 1, self.size)
+
+    cdef double step(self) noexcept:
+        """Return the step from before the gap to after it, zero where the estimate is not flat on both sides."""
+        cdef double step, swing
+        if self.loud or self.filled < self.size or self.bridged > EDGE_BRIDGED * self.size:
+            return 0.0
+        step = self.back(self.after) - self.back(self.before)
+        swing = max(
+            fabs(self.back(0) - self.back(self.after)),
+            fabs(self.back(self.middle) - self.back(self.after)),
+            fabs(self.back(self.before) - self.back(self.size - 1)),
+        )
+        return step if swing < EDGE_SHARE * fabs(step) else 0.0
+
+    cdef double back(self, Py_ssize_t rows) noexcept:
+        return self.means[(self.head + self.size - rows) % self.size]
+
+
+cdef class Washout:
+    """Inverse of the washout of one fault channel; see :mod:`monitor.estimation.washout`.
+
+    Parameters
+    ----------
+    share : float
+        1 / (2 tau rate): what the trapezoidal rule gives one row of f_w / tau.
+    threshold : float
+        Alarm threshold of the channel.
+    """
+
+    cdef readonly double threshold, peak
+    cdef double share, before, integral
+
+    def __init__(self, share, threshold):
+        self.share, self.threshold = share, threshold
+        self.clear()
+
+    cdef void clear(self) noexcept:
+        self.before = self.integral = self.peak = 0.0
+
+    def run(self, const double[:] washed):
+        """Return f of each of n rows (n,)."""
+        cdef Py_ssize_t k
+        result = np.empty(washed.shape[0])
+        cdef double[::1] fault = result
+        for k in range(washed.shape[0]):
+            fault[k] = self.update(washed[k])
+        return result
+
+    cdef double update(self, double washed) noexcept:
+        """Process one row's estimate f_w; return f = f_w + integral / tau."""
+        cdef bint moves = fabs(washed) > WASHOUT_QUIET * self.threshold, over
+        cdef double fault, size
+        if moves:
+            self.integral += self.share * (washed + self.before)
+        self.before = washed
+        fault = washed + self.integral
+        size = fabs(fault)
+        if size > self.threshold and size > self.peak:
+            self.peak = size
+        over = size <= max(self.threshold, WASHOUT_OVER * self.peak)
+        if over and not moves:
+            self.integral = self.peak = 0.0
+            return washed
+        return 0.0 if over and self.peak > 0.0 else fault
+
+
+cdef class IndependentIsolation:
+    """Every channel's smoothed estimate is its own evidence.
+
+    Parameters
+    ----------
+    channels : int
+        Number of channels a.
+    keep : float
+        Share of the smoothed estimate that a row leaves.
+    """
+
+    cdef double keep
+    cdef double[::1] smoothed, evidence
+
+    def __init__(self, channels, keep):
+        self.keep = keep
+        self.smoothed, self.evidence = np.zeros(channels), np.zeros(channels)
+
+    def run(self, const double[:, :] fault, const unsigned char[:] measured, const unsigned char[:] restart):
+        """Return the evidence of each of n rows (n, a); one that is neither measured nor a restart changes nothing."""
+        cdef Py_ssize_t k, i, a = self.smoothed.shape[0]
+        result = np.empty((fault.shape[0], a))
+        cdef double[:, ::1] evidence = result
+        for k in range(fault.shape[0]):
+            if restart[k]:
+                self.smoothed[:] = 0.0
+            if measured[k] or restart[k]:
+                for i in range(a):
+                    self.smoothed[i] = self.keep * self.smoothed[i] + (1.0 - self.keep) * fault[k, i]
+                self.isolate()
+            for i in range(a):
+                evidence[k, i] = self.evidence[i]
+        return result
+
+    cdef void isolate(self) noexcept:
+        self.evidence[:] = self.smoothed
+
+
+cdef class SingleFaultIsolation(IndependentIsolation):
+    """Holds one channel responsible at a time; see :mod:`monitor.estimation.isolation`.
+
+    Parameters
+    ----------
+    information : ndarray
+        Sigma^-1 of the smoothed estimate (a, a).
+    penalty : ndarray
+        How much larger J has to be to believe that a channel delivers more than commanded (a,).
+    keep, tolerance, floor : float
+        Share of the smoothed estimate that a row leaves; of the rule.
+    """
+
+    cdef double[:, ::1] information, L, Z
+    cdef double[::1] penalty, projected, z, drop
+    cdef Py_ssize_t[::1] suspects
+    cdef double tolerance, floor
+
+    def __init__(self, information, penalty, keep, tolerance, floor):
+        a = len(information)
+        super().__init__(a, keep)
+        self.information, self.penalty = np.ascontiguousarray(information), np.asarray(penalty, np.float64)
+        self.tolerance, self.floor = tolerance, floor
+        self.projected, self.z, self.drop = np.zeros((3, a))
+        self.L, self.Z = np.zeros((2, a, a))
+        self.suspects = np.zeros(a, np.intp)
+
+    cdef void isolate(self) noexcept:
+        cdef Py_ssize_t i, j, first = 0, following, count, a = self.smoothed.shape[0]
+        cdef double single, score, most = -INFINITY, largest = -INFINITY, limit, believed = 0.0
+        for i in range(a):
+            # Sigma^-1 f^, theta_i = e_i' Sigma^-1 f^ / weight_i and J_i = theta_i e_i' Sigma^-1 f^.
+            self.projected[i] = 0.0
+            for j in range(a):
+                self.projected[i] += self.information[i, j] * self.smoothed[j]
+            single = self.projected[i] / self.information[i, i]
+            score = single * self.projected[i]
+            if score - (self.penalty[i] if single > 0.0 else 0.0) > most:
+                most, first, believed = score - (self.penalty[i] if single > 0.0 else 0.0), i, score
+            largest = max(largest, score)
+            self.evidence[i] = 0.0
+        self.evidence[first] = self.projected[first] / self.information[first, first]
+        limit = max(self.floor, self.tolerance * sqrt(believed))
+        if not limit < sqrt(largest):
+            return
+        count = 0
+        following = first
+        while True:
+            self.suspect(following, count)
+            count += 1
+            if count > 1:
+                self.fit(count)
+            if count == a:
+                return
+            following = self.largest_drop(count)
+            if self.drop[following] <= limit * limit:
+                return
+
+    cdef void suspect(self, Py_ssize_t channel, Py_ssize_t count) noexcept:
+        """Append a channel to the suspects s: a row of L with L L' = Sigma^-1_ss, of Z = L^-1 Sigma^-1_s and of
+        z = L^-1 (Sigma^-1 f^)_s."""
+        cdef Py_ssize_t i, j, a = self.smoothed.shape[0]
+        cdef double diagonal = self.information[channel, channel]
+        for j in range(count):
+            self.L[count, j] = self.Z[j, channel]
+            diagonal -= self.L[count, j] * self.L[count, j]
+        diagonal = sqrt(diagonal)
+        self.L[count, count] = diagonal
+        self.suspects[count] = channel
+        self.z[count] = self.projected[channel]
+        for j in range(count):
+            self.z[count] -= self.L[count, j] * self.z[j]
+        self.z[count] /= diagonal
+        for i in range(a):
+            self.Z[count, i] = self.information[channel, i]
+            for j in range(count):
+                self.Z[count, i] -= self.L[count, j] * self.Z[j, i]
+            self.Z[count, i] /= diagonal
+
+    cdef Py_ssize_t largest_drop(self, Py_ssize_t count) noexcept:
+        """Return the channel with the largest drop of the misfit beside the suspects, which have none."""
+        cdef Py_ssize_t i, j, best = 0
+        cdef double unexplained, weight
+        for i in range(self.smoothed.shape[0]):
+            unexplained, weight = self.projected[i], self.information[i, i]
+            for j in range(count):
+                unexplained -= self.Z[j, i] * self.z[j]
+                weight -= self.Z[j, i] * self.Z[j, i]
+            self.drop[i] = unexplained * unexplained / max(weight, SMALLEST_WEIGHT * self.information[i, i])
+        for j in range(count):
+            self.drop[self.suspects[j]] = 0.0
+        for i in range(self.smoothed.shape[0]):
+            if self.drop[i] > self.drop[best]:
+                best = i
+        return best
+
+    cdef void fit(self, Py_ssize_t count) noexcept:
+        """Fit the sizes of all suspects together: L' theta = z."""
+        cdef Py_ssize_t i, j
+        cdef double size
+        for i in range(count - 1, -1, -1):
+            size = self.z[i]
+            for j in range(i + 1, count):
+                size -= self.L[j, i] * self.evidence[self.suspects[j]]
+            self.evidence[self.suspects[i]] = size / self.L[i, i]

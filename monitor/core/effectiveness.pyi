@@ -1,0 +1,16 @@
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from monitor.estimation.effectiveness import EffectivenessRule
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.uint8]
+
+class Follower:
+    def __init__(self, rule: EffectivenessRule, rate_hz: float) -> None: ...
+    def run(
+        self, times_ns: NDArray[np.int64], restart: Flags, armed: Flags, fault: Array, command: Array, full: Array
+    ) -> Array: ...

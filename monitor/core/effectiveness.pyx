@@ -1,0 +1,242 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+"""Least squares of an actuator's loss and offset under several memories, row after row.
+
+The rules themselves; :mod:`monitor.estimation.effectiveness` tells what they are for, in the same symbols.
+"""
+
+from libc.math cimport INFINITY, NAN, exp, fabs, isnan, sqrt
+
+import numpy as np
+
+# See monitor.estimation.effectiveness, which documents these.
+cdef double LEAST_LOSS = -0.25
+cdef double LARGEST_LOSS = 1.0
+cdef double ACQUITTAL = 2.0
+cdef double CONTRADICTION = 9.0
+cdef double SMALLEST_INFORMATION = 1e-30
+cdef double LARGEST_EFFECT = 1e6
+
+cdef struct Verdict:
+    # Evidence and relative are not a number where they are not known.
+    double loss, loss_error, offset, offset_error, score, evidence, relative
+    bint is_loss
+
+
+cdef class Follower:
+    """State of one actuator's recursive least squares.
+
+    Parameters
+    ----------
+    rule : EffectivenessRule
+        How its estimate is read.
+    rate_hz : float
+        Rows per second.
+    """
+
+    cdef list memories
+    cdef double lag_keep, rate_hz, certainty, u, m, size
+    cdef long long longest_ns, used_ns
+    cdef Py_ssize_t hold, unconfirmed
+    cdef bint used, lagged
+
+    def __init__(self, rule, rate_hz):
+        self.memories = [Memory(rule, memory_s, rate_hz) for memory_s in rule.memories_s]
+        self.lag_keep = exp(-1.0 / (rule.lag_s * rate_hz)) if rule.lag_s > 0.0 else 0.0
+        self.rate_hz, self.certainty = rate_hz, rule.certainty
+        self.longest_ns = round(max(rule.memories_s) * 1e9)
+        self.hold = self.unconfirmed = round(rule.hold_s * rate_hz)
+        self.used, self.used_ns, self.size = False, 0, 0.0
+        self.restart()
+
+    def run(self, const long long[:] times_ns, const unsigned char[:] restart, const unsigned char[:] armed,
+            const double[:] fault, const double[:] command, const double[:] full):
+        """Process n rows; return the 8 columns of an ``EffectivenessRun`` (8, n)."""
+        cdef Py_ssize_t k, count = times_ns.shape[0]
+        cdef bint afresh
+        cdef Verdict verdict
+        result = np.full((8, count), NAN)
+        cdef double[:, ::1] columns = result
+        for k in range(count):
+            # All begins anew with the observer, and where evidence was missing for longer than the longest memory.
+            afresh = restart[k] or not self.used or times_ns[k] - self.used_ns > self.longest_ns
+            if armed[k] and is_effect(fault[k]) and is_effect(command[k]) and is_effect(full[k]):
+                if afresh:
+                    self.restart()
+                self.used, self.used_ns = True, times_ns[k]
+                verdict = self.update(fault[k], command[k], full[k])
+                if not isnan(verdict.evidence):
+                    self.size = verdict.evidence
+                columns[0, k], columns[1, k] = verdict.loss, verdict.loss_error
+                columns[2, k], columns[3, k] = verdict.offset, verdict.offset_error
+                columns[4, k], columns[5, k], columns[6, k] = verdict.score, verdict.evidence, share_of(&verdict)
+            elif afresh:
+                self.used, self.size = False, 0.0
+            else:
+                self.skip()
+            columns[7, k] = self.size
+        return result
+
+    cdef void restart(self) noexcept:
+        self.lagged = False
+        self.forget()
+
+    cdef void forget(self) noexcept:
+        cdef Py_ssize_t i
+        for i in range(len(self.memories)):
+            (<Memory> self.memories[i]).clear()
+        self.unconfirmed = self.hold
+
+    cdef void skip(self) noexcept:
+        """Let the time of a row pass that is no evidence."""
+        cdef Py_ssize_t i
+        self.unconfirmed = min(self.unconfirmed + 1, self.hold)
+        for i in range(len(self.memories)):
+            (<Memory> self.memories[i]).add(0.0, 0.0, 0.0, 0.0)
+
+    cdef Verdict update(self, double fault, double command, double full) noexcept:
+        cdef Py_ssize_t i, count = len(self.memories)
+        cdef double gain = 1.0 - self.lag_keep, step
+        cdef Memory shortest = <Memory> self.memories[0]
+        cdef Verdict verdict
+        # u and m lagged as f^ is behind the fault, and the speed of u.
+        if not self.lagged:
+            self.u, self.m, self.lagged = command, full, True
+        step = gain * (command - self.u)
+        self.u += step
+        self.m += gain * (full - self.m)
+        for i in range(count):
+            (<Memory> self.memories[i]).add(fault, self.u, self.m, step * self.rate_hz)
+        # The shortest memory that knows decides; where none does, the longest one's sizes are shown.
+        for i in range(count):
+            verdict = (<Memory> self.memories[i]).judge()
+            if not isnan(verdict.evidence):
+                break
+        verdict.relative = NAN
+        if is_accusation(&verdict):
+            if shortest.contradicts(&verdict):
+                self.forget()
+                verdict.evidence = 0.0
+                return verdict
+            for i in range(count):
+                verdict.relative = (<Memory> self.memories[i]).loss_beside_offset()
+                if not isnan(verdict.relative):
+                    break
+        verdict.evidence = self.confirmed(&verdict)
+        return verdict
+
+    cdef double confirmed(self, Verdict* verdict) noexcept:
+        """Return the evidence; zero once nothing could have confirmed an accusation for as long as it is held."""
+        cdef Py_ssize_t i
+        cdef Memory shortest = <Memory> self.memories[0]
+        if is_accusation(verdict):
+            for i in range(len(self.memories)):
+                if (<Memory> self.memories[i]).reach(shortest, verdict) >= self.certainty:
+                    self.unconfirmed = 0
+                    return verdict.evidence
+        self.unconfirmed = min(self.unconfirmed + 1, self.hold)
+        return verdict.evidence if self.unconfirmed < self.hold else 0.0
+
+
+cdef class Memory:
+    """Information Lambda = [uu um; um mm] and moments b = [bu bm] under one time constant of forgetting."""
+
+    cdef double uu, um, mm, bu, bm, su, sm
+    cdef double forget, weight, length, inflation
+    cdef double loss_doubt, offset_doubt, timing_s, certainty, least_loss, least_offset
+
+    def __init__(self, rule, memory_s, rate_hz):
+        self.length = memory_s * rate_hz
+        self.forget = exp(-1.0 / self.length)
+        # Noise that is slower than the memory does not average out in it, nor does it grow.
+        self.inflation = min(rule.inflation, self.length)
+        self.weight = 1.0 / (rule.noise * rule.noise * self.inflation)
+        self.loss_doubt, self.offset_doubt, self.timing_s = rule.loss_doubt, rule.offset_doubt, rule.timing_s
+        self.certainty, self.least_loss, self.least_offset = rule.certainty, rule.least_loss, rule.least_offset
+        self.clear()
+
+    cdef void clear(self) noexcept:
+        self.uu = self.um = self.mm = self.bu = self.bm = 0.0
+        # Moments of u', the speed of u, with the regressors.
+        self.su = self.sm = 0.0
+
+    cdef void add(self, double fault, double u, double m, double speed) noexcept:
+        """Lambda <- forget Lambda + w phi phi', b <- forget b + w phi f^ with phi = [-u, m]."""
+        cdef double forget = self.forget, weight = self.weight
+        self.uu = forget * self.uu + weight * u * u
+        self.um = forget * self.um - weight * u * m
+        self.mm = forget * self.mm + weight * m * m
+        self.bu = forget * self.bu - weight * u * fault
+        self.bm = forget * self.bm + weight * m * fault
+        self.su = forget * self.su + weight * u * speed
+        self.sm = forget * self.sm + weight * m * speed
+
+    cdef Verdict judge(self) noexcept:
+        """Return loss alone and offset alone, each tested against its own error, and the evidence of the larger."""
+        cdef Verdict v
+        cdef bint matters
+        v.loss, v.loss_error = 0.0, INFINITY
+        v.offset, v.offset_error = 0.0, INFINITY
+        if self.uu > SMALLEST_INFORMATION:
+            v.loss = self.bu / self.uu
+            v.loss_error = self.error(self.uu, self.um * self.offset_doubt, self.su, self.loss_doubt)
+        if self.mm > SMALLEST_INFORMATION:
+            v.offset = self.bm / self.mm
+            v.offset_error = self.error(self.mm, self.um * self.loss_doubt, self.sm, self.offset_doubt)
+        v.is_loss = plausible(v.loss, v.loss_error) and v.loss * self.bu >= v.offset * self.bm
+        v.score = fabs(v.loss) / v.loss_error if v.is_loss else fabs(v.offset) / v.offset_error
+        matters = fabs(v.loss) >= self.least_loss if v.is_loss else fabs(v.offset) >= self.least_offset
+        v.evidence = v.relative = NAN
+        if v.score >= self.certainty and matters:
+            v.evidence = -v.loss * sqrt(self.uu / max(self.mm, SMALLEST_INFORMATION)) if v.is_loss else v.offset
+        elif (fabs(v.loss) + ACQUITTAL * v.loss_error < self.least_loss
+                and fabs(v.offset) + ACQUITTAL * v.offset_error < self.least_offset):
+            v.evidence = 0.0
+        return v
+
+    cdef double error(self, double own, double other, double speed, double doubt) noexcept:
+        """Return the standard error of one size fitted alone: noise, its own doubt, the other's, and the timing."""
+        cdef double of_other = other / own, of_timing = speed * self.timing_s / own
+        return sqrt(1.0 / own + doubt * doubt + of_other * of_other + of_timing * of_timing)
+
+    cdef double loss_beside_offset(self) noexcept:
+        """Return -loss of the fit of both where it is certain and plausible, else not a number."""
+        cdef double determinant = self.uu * self.mm - self.um * self.um, beside, slip, error
+        if not determinant > SMALLEST_INFORMATION:
+            return NAN
+        beside = (self.mm * self.bu - self.um * self.bm) / determinant
+        slip = self.timing_s * (self.mm * self.su + self.um * self.sm) / determinant
+        error = sqrt(self.mm / determinant + slip * slip + self.loss_doubt * self.loss_doubt)
+        return -beside if self.certainty * error <= fabs(beside) and plausible(beside, error) else NAN
+
+    cdef bint contradicts(self, Verdict* verdict) noexcept:
+        """Return whether the accusation explains worse than health what this memory holds: the drop of the misfit."""
+        if verdict.is_loss:
+            return verdict.loss * (verdict.loss * self.uu - 2.0 * self.bu) > CONTRADICTION
+        return verdict.offset * (verdict.offset * self.mm - 2.0 * self.bm) > CONTRADICTION
+
+    cdef double reach(self, Memory shortest, Verdict* verdict) noexcept:
+        """Return how many standard errors the accusation would be here if things went on as lately."""
+        cdef double size = verdict.loss if verdict.is_loss else verdict.offset
+        cdef double lately = shortest.uu if verdict.is_loss else shortest.mm
+        return fabs(size) * sqrt(lately * shortest.inflation / shortest.length * self.length / self.inflation)
+
+
+cdef bint is_effect(double value) noexcept:
+    """Return whether a value can be an effect: those are near 1, while a network may send anything."""
+    return fabs(value) < LARGEST_EFFECT
+
+
+cdef bint is_accusation(Verdict* verdict) noexcept:
+    return verdict.evidence != 0.0 and not isnan(verdict.evidence)
+
+
+cdef double share_of(Verdict* verdict) noexcept:
+    """Return the share of the command that is missing, negative, where it is known."""
+    if isnan(verdict.relative) and verdict.is_loss and is_accusation(verdict):
+        return -verdict.loss
+    return verdict.relative
+
+
+cdef bint plausible(double loss, double error) noexcept:
+    """Return whether a loss can be one: no actuator loses more than everything, or delivers much more than commanded."""
+    return error < INFINITY and LEAST_LOSS <= loss <= LARGEST_LOSS + ACQUITTAL * error

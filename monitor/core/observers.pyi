@@ -1,0 +1,46 @@
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.uint8]
+
+class AffineMap:
+    def __init__(
+        self,
+        maps: Sequence[tuple[Array, Array]],
+        initial: Array,
+        curves: Array,
+        newer: NDArray[np.intp],
+        source: NDArray[np.intp],
+        functions: Sequence[Callable[..., float]],
+        spans: ArrayLike,
+        outputs: int,
+        faults: int,
+        estimates: int,
+        first_fault: int,
+    ) -> None: ...
+    def run(self, u: Array, y: Array, measured: Flags, restart: Flags) -> Array: ...
+
+class ErrorCovariance:
+    is_settled: bool
+    def __init__(
+        self,
+        A: Array,
+        Q: Array,
+        steady: Array,
+        start: Array,
+        owner: NDArray[np.intp],
+        entry: NDArray[np.intp],
+        tolerance: float,
+    ) -> None: ...
+    def run(self, measured: Flags, restart: Flags) -> Array: ...
+
+class CommandScale:
+    def __init__(self, curves: Array, inputs: NDArray[np.intp], channel: NDArray[np.intp], keep: float) -> None: ...
+    def run(
+        self, u: Array, restart: Flags, fault: Array, evidence: Array, sd: Array
+    ) -> tuple[Array, Array, Array, Array]: ...
+
+def effects(curves: Array, u: Array) -> Array: ...

@@ -1,0 +1,383 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+"""Observers as affine maps, the covariance of their errors, and the static input curves, row after row.
+
+Symbols are those of the theory. Sums go through their terms in one fixed order, so that a row's result depends on the
+rows before it alone and never on how many of them came in the same call (BLAS chooses its order by size).
+"""
+
+from libc.math cimport fabs, sqrt
+
+import numpy as np
+
+cdef enum:
+    MEASURED, COASTED, RESUMED
+    KINDS
+
+# Slopes and roots of an input curve that are smaller count as this: a curve that is flat at zero command has none.
+cdef double SMALLEST_SLOPE = 1e-9
+# Quadratic convergence from a start that is off by less than the command: after four steps the rest is rounding.
+cdef int NEWTON_STEPS = 4
+
+
+cdef class SparseMatrix:
+    """A constant matrix without its zeros, column after column.
+
+    A product adds the columns in their order: sums of independent rows overlap in the processor, and what is not a
+    number spreads to the rows that depend on it only.
+    """
+
+    cdef Py_ssize_t columns, rows
+    cdef Py_ssize_t[::1] starts, row
+    cdef double[::1] value
+
+    def __init__(self, matrix):
+        self.rows, self.columns = matrix.shape
+        column, row = np.nonzero(matrix.T)
+        self.starts = np.searchsorted(column, np.arange(self.columns + 1)).astype(np.intp)
+        self.row = np.append(row, 0).astype(np.intp)
+        self.value = np.append(matrix[row, column], 0.0)
+
+    cdef void multiply(self, const double[::1] z, double[::1] out) noexcept:
+        """Write M z, z of at least as many entries as M has columns."""
+        cdef Py_ssize_t i, j
+        cdef double factor
+        for i in range(self.rows):
+            out[i] = 0.0
+        for j in range(self.columns):
+            factor = z[j]
+            for i in range(self.starts[j], self.starts[j + 1]):
+                out[self.row[i]] += self.value[i] * factor
+
+
+cdef class AffineMap:
+    """K observers of one plant as one affine map with scalar nonlinearities.
+
+        nu = N z,    [c+; x^; f^; yt] = M z,    z = [c; v; past v; y; 1; g(nu); f^ before]
+
+    with one pair (M, N) for each kind of row: measured, coasted, and the first one measured after that. Matrices and
+    layout come from :mod:`monitor.estimation.stack_layout`.
+
+    Parameters
+    ----------
+    maps : sequence of (M, N)
+        Of a measured, a coasted and a resumed row.
+    initial : ndarray
+        c = initial [v; past v; y; 1] at a restart.
+    curves : ndarray
+        Coefficients of the input curves (s, degree).
+    newer, source : ndarray
+        For each past input, sorted by delay: the entry of [v; past v] it takes over after a row, and its input.
+    functions, spans : sequences
+        The nonlinearities as Python functions, and where the arguments of each begin in nu (one more than functions).
+    faults, outputs : int
+        Number of all faults, and of one observer's outputs.
+    estimates : int
+        Length of [x^; f^; yt] of all observers.
+    first_fault : int
+        Where f^ begins in it.
+    """
+
+    cdef list steps, arguments
+    cdef SparseMatrix initial
+    cdef double[:, ::1] curves
+    cdef Py_ssize_t[::1] newer, source, spans
+    cdef tuple functions
+    cdef Py_ssize_t cores, inputs, past, outputs, faults, estimates, first_fault
+    cdef double[::1] z, w, out, nu
+    cdef bint started, coasted
+
+    def __init__(self, maps, initial, curves, newer, source, functions, spans, outputs, faults, estimates, first_fault):
+        cdef Py_ssize_t width
+        self.steps = [SparseMatrix(step) for step, _ in maps]
+        self.arguments = [SparseMatrix(arguments) for _, arguments in maps]
+        self.initial = SparseMatrix(initial)
+        self.curves = np.ascontiguousarray(curves, np.float64)
+        self.newer, self.source = newer.astype(np.intp), source.astype(np.intp)
+        self.functions, self.spans = tuple(functions), np.asarray(spans, np.intp)
+        self.cores, self.inputs, self.past, self.outputs = len(initial), len(curves), len(newer), outputs
+        self.faults, self.estimates, self.first_fault = faults, estimates, first_fault
+        width = self.cores + self.inputs + self.past + self.outputs + 1
+        self.z = np.zeros(width + len(self.functions) + faults)
+        self.w = self.z[self.cores : width]
+        self.w[self.w.shape[0] - 1] = 1.0
+        self.out = np.zeros(self.cores + estimates)
+        self.nu = np.zeros(self.spans[len(self.functions)] + 1)
+        self.started = self.coasted = False
+
+    def run(self, const double[:, :] u, const double[:, :] y, const unsigned char[:] measured,
+            const unsigned char[:] restart):
+        """Return [x^; f^; yt] of all observers after each of n rows (n, estimates).
+
+        u (n, s) and y (n, p) in the order of the gains; the first row ever restarts.
+        """
+        cdef Py_ssize_t k, i, count = u.shape[0]
+        result = np.empty((count, self.estimates))
+        cdef double[:, ::1] given = result
+        for k in range(count):
+            for i in range(self.inputs):
+                self.w[i] = effect(self.curves, i, u[k, i])
+            if restart[k] or not self.started:
+                self.set_outputs(y, k)
+                self.restart()
+                self.step(MEASURED)
+            elif not measured[k]:
+                self.coasted = True
+                self.step(COASTED)
+            else:
+                self.set_outputs(y, k)
+                self.step(RESUMED if self.coasted else MEASURED)
+                self.coasted = False
+            for i in range(self.estimates):
+                given[k, i] = self.out[self.cores + i]
+        return result
+
+    cdef void set_outputs(self, const double[:, :] y, Py_ssize_t k) noexcept:
+        cdef Py_ssize_t i
+        for i in range(self.outputs):
+            self.w[self.inputs + self.past + i] = y[k, i]
+
+    cdef void restart(self) noexcept:
+        """Start at the states that v and y explain without a fault, as if v had been the input for ever."""
+        cdef Py_ssize_t i
+        for i in range(self.past):
+            self.w[self.inputs + i] = self.w[self.source[i]]
+        self.initial.multiply(self.w, self.out)
+        for i in range(self.cores):
+            self.z[i] = self.out[i]
+        for i in range(self.z.shape[0] - self.faults, self.z.shape[0]):
+            self.z[i] = 0.0
+        self.started, self.coasted = True, False
+
+    cdef int step(self, int kind) except -1:
+        cdef Py_ssize_t i
+        cdef Py_ssize_t before = self.z.shape[0] - self.faults, estimated = self.cores + self.first_fault
+        if self.functions:
+            self.evaluate(kind)
+        (<SparseMatrix> self.steps[kind]).multiply(self.z, self.out)
+        for i in range(self.cores):
+            self.z[i] = self.out[i]
+        for i in range(self.faults):
+            self.z[before + i] = self.out[estimated + i]
+        # v(k) becomes v(k-1), v(k-1) becomes v(k-2): the oldest first, each takes over an entry that is still old.
+        for i in range(self.past - 1, -1, -1):
+            self.w[self.inputs + i] = self.w[self.newer[i]]
+        return 0
+
+    cdef int evaluate(self, int kind) except -1:
+        """Write g(nu), nu = N z: Python functions, the one thing here that is not compiled."""
+        cdef Py_ssize_t i, j, at = self.cores + self.w.shape[0]
+        (<SparseMatrix> self.arguments[kind]).multiply(self.z, self.nu)
+        for i in range(len(self.functions)):
+            self.z[at + i] = self.functions[i](*[self.nu[j] for j in range(self.spans[i], self.spans[i + 1])])
+        return 0
+
+
+cdef class ErrorCovariance:
+    """Covariance of the errors of K observers, P+ = A P A' + Q with A and Q of the kind of row.
+
+    Parameters
+    ----------
+    A, Q : ndarray
+        Of each observer and kind of row (K, 3, d, d).
+    steady, start : ndarray
+        P while all is measured and after a restart (K, d, d).
+    owner, entry : ndarray
+        The observer, and the entry of its error, whose variance is shown for each fault (a,).
+    tolerance : float
+        P counts as back at the steady one where every standard deviation is within this share of the steady one.
+    """
+
+    cdef double[:, :, :, ::1] A, Q
+    cdef double[:, :, ::1] P, start, steady
+    cdef double[:, ::1] AP, PA
+    cdef Py_ssize_t[::1] owner, entry
+    cdef double[::1] steady_sd
+    cdef double tolerance
+    cdef bint settled, coasted
+
+    def __init__(self, A, Q, steady, start, owner, entry, tolerance):
+        self.A, self.Q = np.ascontiguousarray(A), np.ascontiguousarray(Q)
+        self.steady, self.start = np.ascontiguousarray(steady), np.ascontiguousarray(start)
+        self.P = np.array(steady)
+        self.AP, self.PA = np.empty((2, *steady.shape[1:]))
+        self.owner, self.entry = owner.astype(np.intp), entry.astype(np.intp)
+        self.steady_sd = np.sqrt(np.maximum(steady[owner, entry, entry], 0.0))
+        self.tolerance = tolerance
+        self.settled, self.coasted = True, False
+
+    @property
+    def is_settled(self):
+        """Whether P is the steady one: while all is measured it stays so."""
+        return self.settled
+
+    def run(self, const unsigned char[:] measured, const unsigned char[:] restart):
+        """Return one standard deviation of each fault estimate after each of n rows (n, a)."""
+        cdef Py_ssize_t k, i, count = measured.shape[0], faults = self.owner.shape[0]
+        cdef int kind
+        result = np.empty((count, faults))
+        cdef double[:, ::1] sd = result
+        for k in range(count):
+            if restart[k]:
+                self.P[:] = self.start
+                self.settled = self.coasted = False
+            if not (self.settled and measured[k]):
+                kind = COASTED if not measured[k] else RESUMED if self.coasted else MEASURED
+                self.coasted = not measured[k]
+                self.propagate(kind)
+                self.settled = measured[k]
+                for i in range(faults):
+                    sd[k, i] = self.deviation(i)
+                    if not fabs(sd[k, i] - self.steady_sd[i]) <= self.tolerance * self.steady_sd[i]:
+                        self.settled = False
+                if self.settled:
+                    self.P[:] = self.steady
+            if self.settled:
+                for i in range(faults):
+                    sd[k, i] = self.steady_sd[i]
+        return result
+
+    cdef double deviation(self, Py_ssize_t i) noexcept:
+        cdef double variance = self.P[self.owner[i], self.entry[i], self.entry[i]]
+        return sqrt(variance) if variance > 0.0 else 0.0
+
+    cdef void propagate(self, int kind) noexcept:
+        """P = A P A' + Q; A has few entries, and P A' = (A P)' because P is symmetric."""
+        cdef Py_ssize_t k, i, j, size = self.P.shape[1]
+        for k in range(self.P.shape[0]):
+            multiply_rows(self.A[k, kind], self.P[k], self.AP)
+            for i in range(size):
+                for j in range(size):
+                    self.PA[i, j] = self.AP[j, i]
+            multiply_rows(self.A[k, kind], self.PA, self.P[k])
+            for i in range(size):
+                for j in range(size):
+                    self.P[k, i, j] += self.Q[k, kind, i, j]
+
+
+cdef void multiply_rows(const double[:, ::1] A, const double[:, ::1] B, double[:, ::1] out) noexcept:
+    """Write A B, skipping the zeros of A."""
+    cdef Py_ssize_t i, j, l, size = B.shape[1]
+    cdef double factor
+    for i in range(A.shape[0]):
+        for j in range(size):
+            out[i, j] = 0.0
+        for l in range(A.shape[1]):
+            factor = A[i, l]
+            if factor != 0.0:
+                for j in range(size):
+                    out[i, j] += factor * B[l, j]
+
+
+cdef class CommandScale:
+    """Takes fault estimates of n rows from effect units to those of the command, at the smoothed command.
+
+    Parameters
+    ----------
+    curves : ndarray
+        Coefficients of all input curves (s, degree).
+    inputs : ndarray
+        The inputs that faults scale, each once.
+    channel : ndarray
+        For each fault, which of ``inputs`` it scales, -1 where it scales none (a,).
+    keep : float
+        Share of the smoothed command that a row leaves.
+    """
+
+    cdef double[:, ::1] curves
+    cdef Py_ssize_t[::1] inputs, channel
+    cdef double[::1] command
+    cdef double keep
+
+    def __init__(self, curves, inputs, channel, keep):
+        self.curves = np.ascontiguousarray(curves, np.float64)
+        self.inputs, self.channel = inputs.astype(np.intp), channel.astype(np.intp)
+        self.command = np.zeros(len(inputs))
+        self.keep = keep
+
+    def run(self, const double[:, :] u, const unsigned char[:] restart, const double[:, :] fault,
+            const double[:, :] evidence, const double[:, :] sd):
+        """Return fault, evidence and sd in command units (n, a), and the smoothed commands (len(inputs), n)."""
+        cdef Py_ssize_t k, i, channel, count = u.shape[0], faults = self.channel.shape[0]
+        cdef double keep = self.keep, size, upper
+        results = np.empty((count, faults)), np.empty((count, faults)), np.empty((count, faults))
+        smoothed = np.empty((self.inputs.shape[0], count))
+        cdef double[:, ::1] scaled_fault = results[0], scaled_evidence = results[1], scaled_sd = results[2]
+        cdef double[:, ::1] commands = smoothed
+        for k in range(count):
+            for i in range(self.inputs.shape[0]):
+                size = u[k, self.inputs[i]]
+                if restart[k]:
+                    self.command[i] = size
+                self.command[i] = keep * self.command[i] + (1.0 - keep) * size
+                commands[i, k] = self.command[i]
+            for i in range(faults):
+                channel = self.channel[i]
+                size, upper = fault[k, i], fault[k, i] + sd[k, i]
+                scaled_evidence[k, i] = evidence[k, i]
+                if channel >= 0:
+                    size = self.scaled(channel, size)
+                    upper = self.scaled(channel, upper)
+                    scaled_evidence[k, i] = self.scaled(channel, evidence[k, i])
+                scaled_fault[k, i] = size
+                scaled_sd[k, i] = fabs(upper - size)
+        return (*results, smoothed)
+
+    cdef double scaled(self, Py_ssize_t channel, double fault) noexcept:
+        return fault_in_command(self.curves, self.inputs[channel], fault, self.command[channel])
+
+
+def effects(const double[:, ::1] curves, const double[:, :] u):
+    """Return v_j = curve_j(u_j) (n, s) of commands (n, s)."""
+    cdef Py_ssize_t k, j
+    result = np.empty((u.shape[0], u.shape[1]))
+    cdef double[:, ::1] v = result
+    for k in range(u.shape[0]):
+        for j in range(u.shape[1]):
+            v[k, j] = effect(curves, j, u[k, j])
+    return result
+
+
+cdef double effect(const double[:, ::1] curves, Py_ssize_t j, double u) noexcept:
+    """Return v = c1 u + c2 u^2 + ... by Horner's rule."""
+    cdef Py_ssize_t i, degree = curves.shape[1]
+    cdef double value = curves[j, degree - 1] * u
+    for i in range(degree - 2, -1, -1):
+        value = (value + curves[j, i]) * u
+    return value
+
+
+cdef double slope(const double[:, ::1] curves, Py_ssize_t j, double u) noexcept:
+    """Return dv/du, at least the smallest one."""
+    cdef Py_ssize_t i, degree = curves.shape[1]
+    cdef double value = degree * curves[j, degree - 1]
+    for i in range(degree - 1, 0, -1):
+        value = value * u + i * curves[j, i - 1]
+    return at_least(value, SMALLEST_SLOPE)
+
+
+cdef double fault_in_command(const double[:, ::1] curves, Py_ssize_t j, double fault, double u) noexcept:
+    """Return u_eff - u with curve(u_eff) = curve(u) + fault.
+
+    Below zero command a curve is extrapolated along its slope at zero: an actuator that pushes the other way.
+    """
+    cdef double target, linear, square, root, u_eff
+    cdef int i
+    if curves.shape[1] == 1:
+        return fault / curves[j, 0]
+    target = effect(curves, j, u) + fault
+    if curves.shape[1] == 2:
+        # The root of c2 u^2 + c1 u = target in the form that does not cancel, 2 target / (c1 + sqrt(c1^2 + 4 c2 target));
+        # below zero the root stays at that of zero, which is the extrapolation.
+        linear, square = curves[j, 0], curves[j, 1]
+        root = sqrt(at_least(linear * linear + 4.0 * square * at_least(target, 0.0), 0.0))
+        return 2.0 * target / at_least(linear + root, SMALLEST_SLOPE) - u
+    u_eff = u + fault / slope(curves, j, u)
+    for i in range(NEWTON_STEPS):
+        u_eff = at_least(u_eff, 0.0)
+        u_eff = u_eff + (target - effect(curves, j, u_eff)) / slope(curves, j, u_eff)
+    return u_eff - u
+
+
+cdef double at_least(double value, double limit) noexcept:
+    """Return the larger one; what is not a number stays so."""
+    return limit if value < limit else value
