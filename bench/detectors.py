@@ -37,6 +37,7 @@ from gains.published.kalman import design_ekf
 from gains.synthesis.gains_file import Gains
 from monitor.alarms.alarm import Alarm, AlarmRule
 from monitor.chain import ObserverChain
+from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimate
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.isolation_rule import BankRule, IndependentRule
@@ -45,7 +46,6 @@ from monitor.fitting.calibrate import GatedSample, bank_rule, contiguous, flight
 from monitor.fitting.extremes import return_level, standing
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
 from monitor.profile import ObserverProfile, Profile, fault_channels, read_profile
-from monitor.sampling.clock import VehicleClock
 from monitor.sampling.gate import GateRule
 from monitor.trace import Trace, TraceBuilder
 from replay.player import interests, play

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import socket
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from sampled import Row, feed
 
 import adapters.commands
 from adapters.channels import Channel
@@ -17,12 +18,11 @@ from adapters.errors import TelemetryError, UsageError
 from adapters.logs.recordings import read_recording
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.message import Message
-from adapters.sample import Sample
 from adapters.simulation.arm import SCENARIOS, ArmRun, ArmScenario, make_fault, simulate_arm
 from adapters.simulation.arm_source import arm_messages, arm_packets, publish_arm, send_arm
 from adapters.zenoh.zenoh_link import ZenohLink
 from adapters.zenoh.zenoh_session import open_session
-from monitor.sampling.clock import VehicleClock
+from monitor.core.sampling import VehicleClock
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler
 
@@ -65,11 +65,7 @@ def zenoh_sampler(key: str) -> Sampler:
     )
 
 
-def feed(sampler: Sampler, messages: Iterable[Message]) -> list[Sample]:
-    return [sample for message in messages for sample in sampler.feed(message)]
-
-
-def same_as(run: ArmRun, samples: list[Sample], tolerance: float) -> bool:
+def same_as(run: ArmRun, samples: list[Row], tolerance: float) -> bool:
     assert len(samples) >= len(run.t) - 1
     for sample in samples:
         assert sample.complete
@@ -96,7 +92,7 @@ def test_messages_carry_inputs_outputs_and_the_truth(run: ArmRun) -> None:
 
 
 def test_sampled_messages_are_the_simulated_samples(run: ArmRun) -> None:
-    samples = feed(mavlink_sampler(), arm_messages(run, UNIX))
+    samples = feed(mavlink_sampler(), [*arm_messages(run, UNIX)])
     # MAVLink has no stamp 0, so the very first sample is not there.
     assert [sample.index for sample in samples] == list(range(1, 200))
     assert same_as(run, samples, 1e-6)

@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, pack
-from adapters.message import Message
+from adapters.batch import Batch
 from adapters.sample import Given, Sample, Samples
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.phase import FlightPhase
@@ -145,14 +144,9 @@ class GatedSampler:
         samples, _ = self.run(sample_batch(self.sampler.clock, [self.sampler], batch).samples[0])
         return GatedSamples(samples, self.admitted(samples, phase))
 
-    def feed(self, message: Message, phase: FlightPhase) -> list[GatedSample]:
-        """Process one message; return the samples it completes, in order of time."""
-        samples, armed = self.sample(pack([message]), phase)
-        return [GatedSample(samples.one(row), bool(armed[row])) for row in range(len(samples))]
-
 
 def _allowed(rule: GateRule, phase: FlightPhase) -> bool:
-    """Return whether what the vehicle says of itself allows evidence; what it does not say does."""
+    """Return whether the reported flight phase allows evidence; unknown states do not block."""
     if rule.require_armed and phase.armed is False:
         return False
     return not rule.require_airborne or phase.landed in (None, "air")

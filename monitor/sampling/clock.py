@@ -1,5 +1,0 @@
-"""The vehicle's clock."""
-
-from monitor.core.sampling import VehicleClock
-
-__all__ = ["VehicleClock"]
