@@ -110,7 +110,7 @@ def augment(plant: Plant) -> Augmentation:
 
     [L1 F] is the pseudo-inverse of [T; Cb] with each row in units of the error that matters there, for a state
     its own and for an output the largest that a state's error makes: the result follows a change of units. Where
-    all of those are one it is the plain pseudo-inverse of the theory.
+    all of those are one it is the plain pseudo-inverse of docs/theory.md.
 
     Raises
     ------
@@ -160,15 +160,18 @@ def error_model(
     E = np.hstack([plant.E_1 * disturbance, np.zeros((n, len(noise)))])
     D = np.hstack([np.zeros((p, len(disturbance))), plant.D_1 * noise])
     q = D.shape[1]
+    # A_a = [L1 A_z, L1 E_f; 0, I]
     A_a = np.zeros((na, na))
     A_a[:nz, : nz + a1] = np.hstack([L1 @ augmentation.A_z, L1 @ plant.E_f])
     if plant.rate_hz is not None:
         A_a[nz:, nz:] = integrators(a1, integrator_order, plant.rate_hz)
+    # B = [L1 E, -F D, 0; 0, 0, I], each column in units of what drives it
     B = np.zeros((na, 2 * q + a1))
     B[:nz, :q], B[:nz, q : 2 * q] = L1 @ E, -F @ D
     B[na - a1 :, 2 * q :] = np.diag([fault.rate / (plant.rate_hz or 1.0) for fault in plant.actuator_faults])
     errors = [fault.error for fault in (*plant.sensor_faults, *plant.actuator_faults)]
     slopes = sampled_vertices(plant) if sampled else slope_vertices(plant)
+    # Gs and Hs: mean plus Gs diag(delta) Hs, without slopes that are constant or do not reach the error
     middle, half, into, rows = _slope_ranges(plant)
     varying = (half > 0.0) & np.any(L1 @ into, axis=0) & np.any(rows, axis=1)
     G, H = np.zeros((na, np.sum(varying))), np.zeros((np.sum(varying), na))

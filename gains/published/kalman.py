@@ -22,11 +22,10 @@ import numpy as np
 
 from adapters.errors import InfeasibleError, ModelError
 from gains.plants.discretise import discretise
-from gains.plants.model_file import model_hash
 from gains.plants.plant import FloatArray, Plant
 from gains.published.error_system import argument_rows, slope_matrix
-from gains.synthesis.compilation import input_curves
-from gains.synthesis.gains_file import Gains, ScalarNonlinearity
+from gains.synthesis.compilation import plant_fields
+from gains.synthesis.gains_file import Gains
 
 FLOOR = 1e-2
 """Of the uncertainty of one sample: as for our own designs (gains.synthesis.conditioning), so that both are told the
@@ -137,6 +136,7 @@ def design_ekf(plant: Plant, rate_hz: float | None = None) -> Gains:
         Sigma = solve_discrete_are(A.T, C.T, model.Q, model.R)
     except np.linalg.LinAlgError as error:
         raise failed from error
+    # K = Sigma C' (C Sigma C' + R)^-1 with the stationary covariance of the prediction
     K = np.linalg.solve(C @ Sigma @ C.T + model.R, C @ Sigma).T
     if np.max(np.abs(np.linalg.eigvals(A - A @ K @ C))) >= 1.0 - _STABILITY_TOLERANCE:
         raise failed
@@ -159,7 +159,6 @@ def _compiled(plant: Plant, model: FilterModel, K: FloatArray) -> Gains:
     following = model.A @ estimate + model.G @ g
     following[:n] += discrete.B @ effect + np.outer(discrete.c, one)
     step = [following, *[v, *past][:delays], estimate, innovation]
-    faults = (*plant.actuator_faults, *plant.sensor_faults)
     closed = model.A @ (np.eye(na) - K @ model.C)
     initial = np.zeros((ns, s + p + 1))
     initial[:n, s : s + p] = np.linalg.pinv(plant.C)
@@ -173,21 +172,10 @@ def _compiled(plant: Plant, model: FilterModel, K: FloatArray) -> Gains:
         "notes": ["f_s is assumed to be a random walk of its rate; no bound is claimed"],
     }
     return Gains(
-        model=plant.name,
-        model_hash=model_hash(plant),
+        **plant_fields(plant, discrete.taps),
         method="ekf",
         domain="discrete",
         rate_hz=float(discrete.rate_hz or 0.0),
-        states=plant.states,
-        inputs=plant.inputs,
-        outputs=plant.outputs,
-        faults=tuple(fault.name for fault in faults),
-        fault_kinds=("actuator",) * a1 + ("sensor",) * (nz - n),
-        fault_units=tuple(fault.unit for fault in faults),
-        fault_inputs=tuple(None if fault.input is None else plant.inputs.index(fault.input) for fault in faults),
-        input_taps=discrete.taps,
-        input_curves=input_curves(discrete),
-        nonlinearities=tuple(ScalarNonlinearity(g.expression, g.arguments) for g in plant.nonlinearities),
         step_matrix=np.vstack(step),
         argument_matrix=model.H @ estimate[:, : ns + s + p + 1],
         initial_matrix=initial,

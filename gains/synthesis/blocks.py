@@ -22,7 +22,7 @@ from gains.synthesis.design import Design
 
 
 @dataclass(frozen=True, slots=True)
-class Batch:
+class PlantBlock:
     """Indices of a block's states and outputs in the plant, and of its faults among the sensor and actuator faults."""
 
     states: tuple[int, ...]
@@ -31,7 +31,7 @@ class Batch:
     actuator_faults: tuple[int, ...]
 
 
-def blocks_of(plant: Plant) -> tuple[Batch, ...]:
+def blocks_of(plant: Plant) -> tuple[PlantBlock, ...]:
     """Return the blocks of a discrete plant without nonlinearities, in the order of their first states.
 
     Raises
@@ -56,7 +56,7 @@ def blocks_of(plant: Plant) -> tuple[Batch, ...]:
         together = together @ together
     found: dict[tuple[int, ...], None] = {tuple(np.flatnonzero(row).tolist()): None for row in together}
     return tuple(
-        Batch(
+        PlantBlock(
             states=tuple(i for i in members if i < n),
             outputs=tuple(i - n for i in members if i >= n),
             sensor_faults=_inside(plant.D_f, [i - n for i in members if i >= n]),
@@ -123,7 +123,7 @@ def design_blocks(plant: Plant, *, gain_weight: float = GAIN_WEIGHT, h2: float =
     return design
 
 
-def block_plant(plant: Plant, block: Batch) -> Plant:
+def block_plant(plant: Plant, block: PlantBlock) -> Plant:
     """Return one block as a plant; it keeps all inputs."""
     states, outputs = list(block.states), list(block.outputs)
     rows = {"sensor": outputs, "actuator": states}

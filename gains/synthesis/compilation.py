@@ -52,14 +52,17 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
     nz, delays = n + len(plant.sensor_faults), len(discrete.taps) - 1
     nq = a1 * design.integrator_order
     ns = nz + nq + s * delays
+    # z = [s; v; y; 1; g]: products with these rows select its parts, so each line below reads as its equation.
     select = np.eye(ns + s + p + 1 + m)
     eta, q = select[:nz], select[nz : nz + nq]
     past = [select[nz + nq + d * s : nz + nq + (d + 1) * s] for d in range(delays)]
     v, y = select[ns : ns + s], select[ns + s : ns + s + p]
     one, g = select[ns + s + p], select[ns + s + p + 1 :]
+    # zeta^ = eta + F y, yt = y - Cb zeta^, fa^ = q + L_p yt
     zeta = eta + design.F @ y
     yt = y - C_b @ zeta
     fa = q[:a1] + design.L_p @ yt
+    # eta+ = N eta + J y + L1 (B vb + c + G g + E_f fa^), q+ = q + L_i yt; then what is estimated
     effect = sum((h * v_d for h, v_d in zip(discrete.taps, [v, *past], strict=True)), start=np.zeros_like(v))
     force = discrete.B @ effect + np.outer(discrete.c, one) + discrete.G @ g + discrete.E_f @ fa
     step = [
@@ -70,27 +73,14 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
         fa,
         yt,
     ]
+    # Arguments of g, H x^: they know all of z but g itself.
     rows = [nonlinearity.rows for nonlinearity in plant.nonlinearities]
     arguments = np.vstack([*rows, np.zeros((0, n))]) @ zeta[:n, : ns + s + p + 1]
     return Gains(
-        model=plant.name,
-        model_hash=model_hash(plant),
+        **plant_fields(plant, discrete.taps),
         method=design.method,
         domain="discrete",
         rate_hz=design.rate_hz,
-        states=plant.states,
-        inputs=plant.inputs,
-        outputs=plant.outputs,
-        faults=tuple(fault.name for fault in (*plant.actuator_faults, *plant.sensor_faults)),
-        fault_kinds=("actuator",) * a1 + ("sensor",) * (nz - n),
-        fault_units=tuple(fault.unit for fault in (*plant.actuator_faults, *plant.sensor_faults)),
-        fault_inputs=tuple(
-            None if fault.input is None else plant.inputs.index(fault.input)
-            for fault in (*plant.actuator_faults, *plant.sensor_faults)
-        ),
-        input_taps=discrete.taps,
-        input_curves=input_curves(discrete),
-        nonlinearities=tuple(ScalarNonlinearity(g.expression, g.arguments) for g in plant.nonlinearities),
         step_matrix=np.vstack(step),
         argument_matrix=arguments,
         initial_matrix=_initial_matrix(discrete, design, nq, delays),
@@ -103,6 +93,33 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
         J=design.J,
         report=_provable(report(plant, design, certificate), design),
     )
+
+
+def plant_fields(plant: Plant, taps: tuple[float, ...]) -> dict[str, Any]:
+    """Return what compiled gains say about their plant, whatever the synthesis; faults of actuators come first.
+
+    Parameters
+    ----------
+    plant : Plant
+        The model.
+    taps : tuple[float, ...]
+        Delays of the inputs that are left to the runtime.
+    """
+    faults = (*plant.actuator_faults, *plant.sensor_faults)
+    return {
+        "model": plant.name,
+        "model_hash": model_hash(plant),
+        "states": plant.states,
+        "inputs": plant.inputs,
+        "outputs": plant.outputs,
+        "faults": tuple(fault.name for fault in faults),
+        "fault_kinds": ("actuator",) * len(plant.actuator_faults) + ("sensor",) * len(plant.sensor_faults),
+        "fault_units": tuple(fault.unit for fault in faults),
+        "fault_inputs": tuple(None if fault.input is None else plant.inputs.index(fault.input) for fault in faults),
+        "input_taps": taps,
+        "input_curves": _input_curves(plant),
+        "nonlinearities": tuple(ScalarNonlinearity(g.expression, g.arguments) for g in plant.nonlinearities),
+    }
 
 
 def common_matrix(plant: Plant, rate_hz: float | None, gains: Gains, source: str) -> FloatArray:
@@ -159,7 +176,7 @@ def _initial_matrix(plant: Plant, design: Design, nq: int, delays: int) -> Float
     return np.vstack([design.L1 @ np.linalg.pinv(plant.C) @ y, np.zeros((nq, s + p + 1)), *[v] * delays])
 
 
-def input_curves(plant: Plant) -> FloatArray:
+def _input_curves(plant: Plant) -> FloatArray:
     """Return the coefficients of the inputs' static curves as one array (s, degree)."""
     degree = max((len(curve) for curve in plant.curves), default=1)
     curves = np.zeros((len(plant.inputs), degree))

@@ -74,6 +74,7 @@ def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0, caution: flo
             previous, variance = variance, np.maximum(np.diag(Sigma), smallest)
             if np.allclose(variance, previous, rtol=0.2, atol=0.0):
                 break
+        # Kalman's gain (A Sigma C' + S) (C Sigma C' + R)^-1 for the next error, Sigma C' (...)^-1 for this one's L_p
         innovation = C @ Sigma @ C.T + R + np.diag(floor)
         gain = np.linalg.solve(innovation, (A @ Sigma @ C.T + S).T).T
         direct = np.asarray(np.linalg.solve(innovation, C @ Sigma).T, dtype=np.float64)

@@ -5,8 +5,8 @@
 
 Every continuous design is brought to this form: the paper's structure by :func:`fauio_observer`, any other directly.
 
-Compilation (theory, "One runtime for every design") is exact for signals that are straight lines between samples
-(first-order hold). Over a period h the solution of the linear part is
+Compilation (docs/theory.md, "One recursion for every design") is exact for signals that are straight lines between
+samples (first-order hold). Over a period h the solution of the linear part is
 
     s(k+1) = Phi s(k) + X0 r(k) + X1 r(k+1) + c,      r = [y; v; g]
 
@@ -31,10 +31,9 @@ import numpy as np
 
 from adapters.errors import ModelError
 from gains.analysis.augment import augment, slope_vertices
-from gains.plants.model_file import model_hash
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.compilation import input_curves
-from gains.synthesis.gains_file import Gains, ScalarNonlinearity
+from gains.synthesis.compilation import plant_fields
+from gains.synthesis.gains_file import Gains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,9 +149,11 @@ def fauio_observer(
     nz = n + len(plant.sensor_faults)
     select = np.eye(nz + a1 + p)
     eta, q, y = select[:nz], select[nz : nz + a1], select[nz + a1 :]
+    # zeta^ = eta + F y, yt = y - Cb zeta^, fa^ = q + L_p yt, as rows that multiply [eta; q; y]
     zeta = eta + gains.F @ y
     yt = y - C_b @ zeta
     fa = q + L_p @ yt
+    # eta' without what is driven from outside, and q'
     step = np.vstack([gains.N @ eta + gains.J @ y + gains.L1 @ plant.E_f @ fa, L_i @ yt])
     output = np.vstack([zeta, fa, yt])
     rows = np.vstack([np.zeros((0, n)), *(g.rows for g in plant.nonlinearities)])
@@ -224,8 +225,7 @@ def compile_continuous(observer: ContinuousObserver, rate_hz: float, report: Map
             f"{plant.name}: the {observer.method} observer is unstable at {rate_hz:g} Hz (pole of size {growth:.3g} "
             "with the nonlinearity sampled that slowly): take a higher rate"
         )
-    faults = (*plant.actuator_faults, *plant.sensor_faults)
-    a1, nothing = len(plant.actuator_faults), np.zeros((0, 0))
+    nothing = np.zeros((0, 0))
     gains = observer.gains or FauioGains(nothing, nothing, nothing, nothing, nothing, nothing, nothing)
     stated = {
         "model": plant.name,
@@ -238,21 +238,10 @@ def compile_continuous(observer: ContinuousObserver, rate_hz: float, report: Map
         "notes": list(observer.notes),
     }
     return Gains(
-        model=plant.name,
-        model_hash=model_hash(plant),
+        **plant_fields(plant, plant.taps),
         method=observer.method,
         domain="continuous",
         rate_hz=float(rate_hz),
-        states=plant.states,
-        inputs=plant.inputs,
-        outputs=plant.outputs,
-        faults=tuple(fault.name for fault in faults),
-        fault_kinds=("actuator",) * a1 + ("sensor",) * (len(faults) - a1),
-        fault_units=tuple(fault.unit for fault in faults),
-        fault_inputs=tuple(None if fault.input is None else plant.inputs.index(fault.input) for fault in faults),
-        input_taps=plant.taps,
-        input_curves=input_curves(plant),
-        nonlinearities=tuple(ScalarNonlinearity(g.expression, g.arguments) for g in plant.nonlinearities),
         step_matrix=recursion.step,
         argument_matrix=recursion.arguments,
         initial_matrix=recursion.initial,
@@ -282,7 +271,7 @@ def _recursion(observer: ContinuousObserver, period: float) -> _Recursion:
     select = np.eye(ns + m + s + p + 1 + m)
     held, g_before, v, y, one, g = np.split(select, np.cumsum([ns, m, s, p, 1]))
     now, before = np.vstack([y, v, g]), np.vstack([y, v, g_before])
-    state = held + X1 @ now
+    state = held + X1 @ now  # s = st + X1 r(k), which the sample completes
     step = [
         Phi @ state + X0 @ now + np.outer(constant, one),
         g,

@@ -7,9 +7,9 @@ bounded-real inequality
     [ *                     -mu I       D_f^T ]  <= 0,     S = P (A_a + vertex) - R Ca
     [ *                     *           -I    ]
 
-jointly linear in (P, R, L_p, mu), with C_f = W_f ([0 I] - L_p Ca) and D_f = -W_f L_p D (theory, section 3; the rows
-C_x = W_x [I 0] of e hold no unknown). P > 0 has to be asked for: without it the inequality is that of another
-problem, of an error system that need not be stable.
+jointly linear in (P, R, L_p, mu), with C_f = W_f ([0 I] - L_p Ca) and D_f = -W_f L_p D (docs/theory.md, "The convex
+synthesis"; the rows C_x = W_x [I 0] of e hold no unknown). P > 0 has to be asked for: without it the inequality is
+that of another problem, of an error system that need not be stable.
 
 The least mu is approached by gains that grow without bound (poles near -1e5 rad/s on the arm), and where no noise is
 modelled it is zero. So the objective is mu + rho trace(Z), Z >= [Kb; L_i]^T P [Kb; L_i] + L_p^T W_f^2 L_p. A range of
@@ -112,11 +112,14 @@ def design_continuous(
     model = error_model(plant, augmentation)
     notes = check_existence(plant)
     scaled = _scaled(model, low)
+    # The gains first: P of that inequality lies on its boundary and proves nothing beyond rounding.
     injection, L_p, solve_s = _gains(model, scaled, decay, gain_weight)
     nz = len(augmentation.L1)
+    # K = Kb - L1 E_f L_p
     K = injection[:nz] - augmentation.L1 @ plant.E_f @ L_p
     gains = fauio_gains(plant, K, injection[nz:], L_p)
     system = closed_error_system(model, gains, "integral")
+    # Then a P that proves these gains, as little above their least mu as passes the certificate
     for P, mu, seconds in proofs(system, scaled.coordinates.S):
         solve_s += seconds
         design = ContinuousDesign("convex", gains, P, mu, solve_s=solve_s, notes=notes)

@@ -245,6 +245,7 @@ def _solutions(problem: Inequality) -> Iterator[tuple[Solution, float]]:
 def _design(plant: Plant, augmentation: Augmentation, problem: Inequality, solution: Solution) -> Design:
     """Return a solution as gains in the user's units, with mu raised by the smallest slack."""
     mu = problem.coordinates.mu
+    # [Kb; L_i] = P^-1 R, then K = Kb - L1 E_f L_p
     K, L_i, L_p = user_gains(problem, np.linalg.solve(solution.P, solution.R), solution.L_p)
     N = augmentation.L1 @ augmentation.A_z - K @ augmentation.C_b
     inverse = np.linalg.inv(problem.coordinates.S)
