@@ -10,11 +10,12 @@ from math import isfinite
 from typing import Any, Literal
 
 from adapters.errors import TelemetryError
+from adapters.toml_tables import Table, TomlFile
 
 Interpolation = Literal["linear", "previous"]
 
 _STEP = re.compile(r"([^.\[\]]+)|\[(?:(\d+)|([^\[\]]+))\]")
-_KEYS = {"message", "field", "where", "scale", "offset", "clock", "clock_unit_ns", "interpolation", "period"}
+_INTERPOLATIONS = ("linear", "previous")
 CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
 MAX_VALUE = 1e12
 """Beyond it no vehicle measures anything, in any unit; an observer that believed it would be blind for seconds."""
@@ -143,74 +144,61 @@ def field_steps(field: str) -> tuple[str | int, ...]:
     return tuple(int(index) if index else step or name for step, index, name in _STEP.findall(field))
 
 
-def parse_channel(name: str, table: Mapping[str, Any], where: str) -> Channel:
-    """Read one channel from its TOML table.
+def read_channel(name: str, table: Table) -> Channel:
+    """Read one channel from its TOML table; mistakes are recorded in the table's file.
 
     Parameters
     ----------
     name : str
         The channel's name.
-    table : Mapping[str, Any]
+    table : Table
         Keys ``message`` (a leading slash is dropped) and ``field`` (required), ``where``, ``scale``, ``offset``,
         ``clock``, ``clock_unit_ns``, ``interpolation``, ``period``.
-    where : str
-        File and key of the table, for errors.
+    """
+    selection = table.raw("where") or {}
+    if not isinstance(selection, Mapping) or not all(isinstance(v, (int, str)) for v in selection.values()):
+        table.mistake("where", "is not a table of fields and their values, like { port = 0 }")
+        selection = {}
+    channel = Channel(
+        name=name,
+        message=table.text("message", check=_not_empty).removeprefix("/") or "/",
+        path=field_steps(table.text("field", check=_field)),
+        scale=table.number("scale", 1.0),
+        offset=table.number("offset", 0.0),
+        where=tuple(selection.items()),
+        clock=table.optional_text("clock"),
+        clock_unit_ns=table.integer("clock_unit_ns", at_least=1) if table.has("clock_unit_ns") else None,
+        interpolation="previous"
+        if table.choice("interpolation", _INTERPOLATIONS, "linear") == "previous"
+        else "linear",
+        period=table.number("period", above=0.0) if table.has("period") else None,
+    )
+    table.done()
+    return channel
+
+
+def parse_channel(name: str, content: Mapping[str, Any], where: str) -> Channel:
+    """Return the channel of a table that stands in no file, as :func:`read_channel` reads it.
 
     Raises
     ------
     TelemetryError
-        A key is missing, unknown or of the wrong type.
+        A key is missing, unknown or wrong; the lines begin with ``where``.
     """
-    unknown = sorted(set(table) - _KEYS)
-    if unknown:
-        raise TelemetryError(f"{where}: unknown key {unknown[0]!r}; known are {', '.join(sorted(_KEYS))}")
-    for key in ("message", "field"):
-        if not isinstance(table.get(key), str) or not table[key]:
-            raise TelemetryError(f"{where}: '{key}' is missing or not text")
-    for key in ("scale", "offset"):
-        if key in table and not is_number(table[key]):
-            raise TelemetryError(f"{where}: '{key}' is not a number")
-    where_table = table.get("where", {})
-    if not isinstance(where_table, Mapping) or not all(isinstance(v, (int, str)) for v in where_table.values()):
-        raise TelemetryError(f"{where}: 'where' is not a table of fields and their values, like {{ port = 0 }}")
-    interpolation = table.get("interpolation", "linear")
-    if interpolation not in ("linear", "previous"):
-        raise TelemetryError(f"{where}: 'interpolation' is unknown; use 'linear' or 'previous'")
-    clock = table.get("clock")
-    if clock is not None and not isinstance(clock, str):
-        raise TelemetryError(f"{where}: 'clock' is not the name of a field")
-    unit = table.get("clock_unit_ns")
-    if unit is not None and (isinstance(unit, bool) or not isinstance(unit, int) or unit <= 0):
-        raise TelemetryError(f"{where}: 'clock_unit_ns' is not a positive whole number of nanoseconds")
-    period = table.get("period")
-    if period is not None and not (is_number(period) and period > 0):
-        raise TelemetryError(f"{where}: 'period' is not a positive number")
-    field = str(table["field"])
-    path = field_steps(field)
-    if not path:
-        raise TelemetryError(
-            f"{where}: 'field' is {field!r}; write it like 'rollspeed', 'data[3]' or 'position[elbow]'"
-        )
-    return Channel(
-        name=name,
-        message=str(table["message"]).removeprefix("/") or "/",
-        path=path,
-        scale=float(table.get("scale", 1.0)),
-        offset=float(table.get("offset", 0.0)),
-        where=tuple(where_table.items()),
-        clock=clock,
-        clock_unit_ns=unit,
-        interpolation=interpolation,
-        period=None if period is None else float(period),
-    )
+    file = TomlFile(where, content, TelemetryError)
+    channel = read_channel(name, file.root)
+    file.check()
+    return channel
 
 
-def is_number(value: Any) -> bool:
-    """Return whether a value of a TOML table is a finite number, whole or not."""
-    try:
-        return type(value) in (int, float) and isfinite(value)
-    except OverflowError:
-        return False
+def _not_empty(text: str) -> None:
+    if not text:
+        raise ValueError("is empty")
+
+
+def _field(text: str) -> None:
+    if not field_steps(text):
+        raise ValueError(f"is {text!r}; write it like 'rollspeed', 'data[3]' or 'position[elbow]'")
 
 
 def channel_table(channel: Channel) -> dict[str, Any]:

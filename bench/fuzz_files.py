@@ -12,12 +12,12 @@ from fuzz_input import Draw, random_inputs
 from fuzz_pipeline import QUAD, ROOT
 from fuzz_target import Run, Target, only
 
-from adapters.errors import ModelError, ProfileError
+from adapters.errors import ConfigError, ModelError, ProfileError
 from adapters.message import silence
+from adapters.toml_lines import key_lines
 from gains.plants.model_file import read_model
 from gains.synthesis.gains_file import read_gains
 from monitor.configuration.config import read_config
-from monitor.configuration.toml_lines import key_lines
 from monitor.pipeline import Pipeline
 from monitor.profile import read_profile
 from replay.demonstration.arm_profile import write_arm_profile
@@ -31,7 +31,7 @@ def _toml(folder: Path) -> Run:
         key_lines(data.decode(errors="replace"))
         try:
             read_config(path)
-        except ProfileError as error:
+        except ConfigError as error:
             assert all(line.startswith(("/", "command line")) for line in str(error).split("\n")), str(error)
 
     return run

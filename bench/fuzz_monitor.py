@@ -17,7 +17,7 @@ from fuzz_input import ODD_VALUES, Draw, random_inputs
 from fuzz_pipeline import EVENT, QUAD, VEHICLE, Sink, event_json, silent_monitor
 from fuzz_target import Run, Target, only
 
-from adapters.errors import ProfileError, printable
+from adapters.errors import StorageError, printable
 from adapters.message import silence
 from monitor.bus.alarm_text import alarm_line
 from monitor.bus.operators import VERBS, Operators
@@ -183,7 +183,7 @@ def _journal(folder: Path) -> Run:
             old.unlink()
         path = folder / "one.sqlite"
         path.write_bytes(draw.edited(content, 30) if draw.number() % 4 else draw.rest())
-        with only(ProfileError):
+        with only(StorageError):
             damaged = Journal(path)
             with only(OSError):
                 profile_alarms = damaged.active(VEHICLE)

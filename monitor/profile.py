@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import hashlib
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from adapters.errors import ModelError, ProfileError
+from adapters.toml_tables import Table, parse_toml
 from gains.plants.model_file import model_hash, read_model
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, read_gains
@@ -31,10 +31,9 @@ from monitor.estimation.isolation_rule import (
     read_hypotheses,
     read_isolation,
 )
-from monitor.sampling.gate import GateRule
+from monitor.sampling.gate import GateRule, read_gate
 from monitor.sampling.transform import Source
 from monitor.source_tables import read_source, source_table
-from monitor.tables import Table
 
 FORMAT = 1
 PROFILE_FILE = "profile.toml"
@@ -140,7 +139,7 @@ def read_profile(folder: str | Path) -> Profile:
     Raises
     ------
     ProfileError
-        A file is missing, a key is wrong, or gains were designed for another model.
+        A file is missing, keys are wrong (a line for each), or gains were designed for another model.
     """
     folder = Path(folder)
     path = folder / PROFILE_FILE
@@ -148,46 +147,37 @@ def read_profile(folder: str | Path) -> Profile:
         what = "has no " + PROFILE_FILE if folder.is_dir() else "is a file" if folder.exists() else "is not there"
         raise ProfileError(f"{folder}: {what}; name the profile folder that 'fauio fit' made")
     content = path.read_bytes()
-    try:
-        root = Table(str(path), "", tomllib.loads(content.decode()))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ProfileError(f"{path}: not valid TOML: {error}") from error
-    if root.integer("format") != FORMAT:
-        raise ProfileError(f"{path}: 'format' is not {FORMAT}; this fauio reads format {FORMAT}")
+    file = parse_toml(str(path), content, ProfileError)
+    root = file.root
+    if root.integer("format") != FORMAT and root.good("format"):
+        root.mistake("format", f"is not {FORMAT}; this fauio reads format {FORMAT}")
+    file.check()
     files = {PROFILE_FILE: content}
-    gate_table = root.table("phase")
-    gate = GateRule(
-        require_armed=gate_table.boolean("require_armed", True),
-        require_airborne=gate_table.boolean("require_airborne", True),
-        settle_s=gate_table.number("settle_s", 1.0, at_least=0.0),
-        airborne_command=gate_table.number("airborne_command", 0.0),
-    )
-    gate_table.done()
-    observers = root.table("observers")
-    if not observers.keys():
-        raise ProfileError(f"{path}: 'observers' is empty; a profile needs at least one observer")
-    profile_observers = tuple(
-        _read_observer(folder, name, observers.table(name), files)
-        for name in observers.keys()  # noqa: SIM118 - a Table is no dict
-    )
-    observers.done()
-    alarm_channels = [rule.channel for observer in profile_observers for rule in observer.alarms]
+    gate = read_gate(root.table("phase"), GateRule())
+    tables = root.table("observers")
+    observers = tuple(_read_observer(folder, name, tables.table(name), files) for name in tables)
+    if not observers:
+        root.mistake("observers", "is empty; a profile needs at least one observer")
     profile = Profile(
-        name=root.text("name"),
+        name=root.text("name", check=_part_of_topic),
         vehicle=root.text("vehicle"),
         system=root.integer("system", 0),
         gate=gate,
         stale_s=root.number("stale_s", 2.0, at_least=0.05),
-        observers=profile_observers,
-        excuses=read_excuses(root.tables("excuses"), alarm_channels),
+        observers=observers,
+        excuses=read_excuses(root.tables("excuses"), [rule.channel for one in observers for rule in one.alarms]),
         files=files,
         digest=_digest(files),
         vehicle_type=root.text("vehicle_type", ""),
     )
-    if not profile.name or set(profile.name) & set("/*$#? "):
-        raise ProfileError(f"{path}: 'name' is '{profile.name}'; it becomes part of a topic: no / * $ # ? or blanks")
     root.done()
+    file.check()
     return profile
+
+
+def _part_of_topic(name: str) -> None:
+    if not name or set(name) & set("/*$#? "):
+        raise ValueError(f"is '{name}'; it becomes part of a topic: no / * $ # ? or blanks")
 
 
 def observer_table(
@@ -257,6 +247,9 @@ def profile_table(
 def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes]) -> ObserverProfile:
     isolation = table.table("isolation")
     bank = read_hypotheses(isolation)
+    if not isolation.good():
+        # hypotheses name the files with the gains, and those the channels below
+        table.file.check()
     hypotheses = bank or ((),)
     model = folder / f"{name}.model.toml"
     paths = [folder / file for file in gains_file_names(name, bank or ())]
@@ -293,7 +286,7 @@ def _read_gains(path: Path, model_path: Path, faults: Sequence[str], files: dict
         gains = read_gains(path)
         found = model_hash(read_model(model_path))
     except ModelError as error:
-        raise ProfileError(str(error)) from error
+        raise ProfileError(*error.args) from error
     if faults and set(gains.faults) != set(faults):
         raise ProfileError(f"{path}: estimates {', '.join(gains.faults)}, not {', '.join(faults)}")
     if found != gains.model_hash:
@@ -321,10 +314,11 @@ def fault_channels(gains: Sequence[Gains]) -> tuple[FaultChannel, ...]:
 def _alarms(table: Table, observer: str, faults: Sequence[FaultChannel]) -> tuple[AlarmRule, ...]:
     rules = []
     known = {channel.name: channel for channel in faults}
-    for name in table.keys():  # noqa: SIM118 - a Table is no dict
+    for name in table:
         channel = known.get(name)
         if channel is None and name != UNEXPLAINED:
-            raise ProfileError(f"{table.where(name)}: no such fault; the model has {', '.join(known)}")
+            table.mistake(name, f": no such fault; the model has {', '.join(known)}")
+            continue
         entry = table.table(name)
         threshold = entry.number("threshold", at_least=0.0)
         rule = AlarmRule(
@@ -347,7 +341,7 @@ def _alarms(table: Table, observer: str, faults: Sequence[FaultChannel]) -> tupl
         entry.optional_text("sees")
         entry.done()
         if rule.clear > rule.threshold:
-            raise ProfileError(f"{entry.where('clear')} is above 'threshold'; an alarm must clear below it")
+            entry.mistake("clear", "is above 'threshold'; an alarm must clear below it")
         rules.append(rule)
     return tuple(rules)
 

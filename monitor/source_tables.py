@@ -5,38 +5,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from adapters.channels import Channel, channel_table, parse_channel
-from adapters.errors import ProfileError, TelemetryError
+from adapters.channels import Channel, channel_table, read_channel
+from adapters.errors import TelemetryError
+from adapters.toml_tables import Table
 from gains.synthesis.gains_file import Gains
 from monitor.sampling.transform import Source, TransformRule, make_transform
-from monitor.tables import Table
 
 
 def read_source(table: Table, gains: Gains) -> Source:
-    """Return where an observer's samples come from, as its table says.
-
-    Raises
-    ------
-    ProfileError
-        A channel is missing or wrong, or a transform gives other signals than the gains take.
-    """
-    if "transform" not in table.keys():  # noqa: SIM118 - a Table is no dict
-        inputs, outputs = (
-            _channels(table.table("inputs"), gains.inputs),
-            _channels(table.table("outputs"), gains.outputs),
-        )
-        return Source(inputs, outputs)
+    """Return where an observer's samples come from, as its table says; mistakes are recorded in its file."""
+    if not table.has("transform"):
+        return Source(_channels(table.table("inputs"), gains.inputs), _channels(table.table("outputs"), gains.outputs))
     found = table.table("transform")
-    where = found.where("kind")
     kind, rate_hz = found.text("kind"), found.number("rate_hz", at_least=gains.rate_hz)
-    parameters = {key: found.number(key) for key in found.keys() if key not in ("kind", "rate_hz")}  # noqa: SIM118
-    rule = TransformRule(kind, rate_hz, parameters)
+    rule = TransformRule(kind, rate_hz, {key: found.number(key) for key in found if key not in ("kind", "rate_hz")})
+    if not found.good():
+        return Source(transform=rule)
     try:
         transform = make_transform(rule, gains.rate_hz)
     except TelemetryError as error:
-        raise ProfileError(f"{where}: {error}") from error
+        found.mistake("kind", f": {error}")
+        return Source(transform=rule)
     if (transform.inputs, transform.outputs) != (gains.inputs, gains.outputs):
-        raise ProfileError(f"{where}: gives other signals than the gains take; fit the profile again")
+        found.mistake("kind", ": gives other signals than the gains take; fit the profile again")
     return Source(transform=rule, signals=_channels(table.table("signals"), transform.signals))
 
 
@@ -55,9 +46,6 @@ def source_table(source: Source) -> dict[str, Any]:
 
 
 def _channels(table: Table, names: Sequence[str]) -> tuple[Channel, ...]:
-    try:
-        channels = tuple(parse_channel(name, table.table(name).raw(), table.where(name)) for name in names)
-    except TelemetryError as error:
-        raise ProfileError(str(error)) from error
+    channels = tuple(read_channel(name, table.table(name)) for name in names)
     table.done()
     return channels

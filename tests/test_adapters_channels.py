@@ -45,15 +45,14 @@ def test_a_channel_survives_the_way_through_its_table(message: str, path: list[A
     ("table", "said"),
     [
         ({"field": "a"}, "'message' is missing"),
-        ({"message": "A", "field": ""}, "'field' is missing"),
-        ({"message": "A", "field": "..."}, "write it like"),
-        ({"message": "A", "field": "a", "unit": "m"}, "unknown key 'unit'"),
-        ({"message": "A", "field": "a", "scale": "2"}, "'scale' is not a number"),
+        ({"message": "A", "field": ""}, "write it like"),
+        ({"message": "A", "field": "a", "unit": "m"}, "'unit' is not a key of this table; known here: clock"),
+        ({"message": "A", "field": "a", "scale": "2"}, "which is not a number"),
         ({"message": "A", "field": "a", "where": [1]}, "'where' is not a table"),
         ({"message": "A", "field": "a", "where": {"port": 1.5}}, "'where' is not a table"),
-        ({"message": "A", "field": "a", "clock": 1}, "'clock' is not the name"),
-        ({"message": "A", "field": "a", "clock_unit_ns": 0}, "'clock_unit_ns' is not"),
-        ({"message": "A", "field": "a", "interpolation": "cubic"}, "use 'linear' or 'previous'"),
+        ({"message": "A", "field": "a", "clock": 1}, "'clock' is 1, which is not text in quotes"),
+        ({"message": "A", "field": "a", "clock_unit_ns": 0}, "'clock_unit_ns' is 0; it must be at least 1"),
+        ({"message": "A", "field": "a", "interpolation": "cubic"}, "it must be 'linear' or 'previous'"),
     ],
 )
 def test_a_wrong_table_is_reported_in_one_line_that_names_it(table: dict[str, Any], said: str) -> None:
@@ -181,7 +180,7 @@ def test_a_period_is_read_and_written_and_has_to_be_positive() -> None:
     assert channel.period == 360.0
     assert parse_channel("course", channel_table(channel), "again") == channel
     for bad in (0, -1.0, True, "360"):
-        with pytest.raises(TelemetryError, match="'period' is not a positive number"):
+        with pytest.raises(TelemetryError, match="'period' is "):
             parse_channel("course", {**table, "period": bad}, "profile.toml: signals")
 
 

@@ -27,7 +27,6 @@ HEAVY = {
     "matplotlib",
     "mcap",
     "google",
-    "pydantic",
     "rich",
 }
 

@@ -71,8 +71,8 @@ def test_free_and_fixed_parameters_are_told_apart(tmp_path: Path) -> None:
 
 def test_channels_and_phase_are_kept_for_others(tmp_path: Path) -> None:
     model = read(tmp_path)
-    assert model.channels["force"]["field"] == "f"
-    assert model.phase == {"require_armed": False}
+    assert model.file.root.table("channels").raw("force") == {"message": "F", "field": "f"}
+    assert model.file.root.raw("phase") == {"require_armed": False}
 
 
 def test_the_equations_for_simulation_are_those_of_the_plant(tmp_path: Path) -> None:

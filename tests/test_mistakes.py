@@ -31,7 +31,7 @@ def rows() -> Iterator[Row]:
 
 
 COMMANDS = [row for row in rows() if row.given.startswith("fauio ")]
-MODELS = [row for row in rows() if "arm.toml: " in row.says]
+MODELS = [row for row in rows() if "arm.toml:" in row.says]
 CONFIGS = [row for row in rows() if row not in COMMANDS and row not in MODELS]
 
 

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from adapters.errors import ProfileError
+from adapters.toml_tables import TomlFile
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.effectiveness_rule import effectiveness_table, read_effectiveness
-from monitor.tables import Table
 
 INPUTS = ("steering", "throttle", "speed")
 FAULTS = {"steering": 0, "throttle": 1, "gyro": None}
@@ -26,7 +26,10 @@ RULE = EffectivenessRule(
 
 
 def read(content: dict[str, Any], *, bank: bool = False) -> dict[str, EffectivenessRule]:
-    return read_effectiveness(Table("p.toml", "effectiveness.", content), FAULTS, INPUTS, bank=bank)
+    file = TomlFile("p.toml", {"effectiveness": content}, ProfileError)
+    rules = read_effectiveness(file.root.table("effectiveness"), FAULTS, INPUTS, bank=bank)
+    file.check()
+    return rules
 
 
 def test_rules_read_back_as_written() -> None:
@@ -45,11 +48,11 @@ def test_what_is_not_said_is_the_default() -> None:
     [
         ({"noise": 0.0}, "'effectiveness.steering.noise' is 0; it must be at least 1e-12"),
         ({"inflation": 0.5}, "inflation' is 0.5"),
-        ({"certainty": "high"}, "certainty' is not a finite number"),
-        ({"memories_s": []}, "memories_s' is not a list of finite numbers above 0"),
-        ({"memories_s": [0.0, 1.0]}, "memories_s' is not a list of finite numbers above 0"),
+        ({"certainty": "high"}, "certainty' is \"high\", which is not a number"),
+        ({"memories_s": []}, "memories_s' is empty"),
+        ({"memories_s": [0.0, 1.0]}, "memories_s[0]' is 0; it must be more than 0"),
         ({"memories_s": [1.0, 0.25]}, "memories_s' does not grow"),
-        ({"memories_s": 1.0}, "memories_s' is not a list"),
+        ({"memories_s": 1.0}, "memories_s' is 1, which is not a list"),
         ({"full": "airspeed"}, "full' is 'airspeed'; no such input; there are steering, throttle, speed"),
         ({"hold": 3.0}, "'effectiveness.steering.hold' is not a key of this table"),
     ],

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from adapters.errors import ProfileError
+from adapters.toml_tables import TomlFile
 from monitor.alarms.alarm import AlarmRule
 from monitor.alarms.excuse import ExcuseRule, Excuses, excuse_tables, read_excuses
 from monitor.core.alarms import AlarmState, ChainRows, walk
 from monitor.event import AlarmEvent, State
-from monitor.tables import Table
 
 RULE = ExcuseRule(("gps_velocity_north",), ("gyro_x", "gyro_y"), 20.0)
 KNOWN = ("gps_velocity_north", "gyro_x", "gyro_y")
@@ -63,19 +63,22 @@ def test_two_alarms_of_one_channel_both_have_to_clear() -> None:
 
 
 def test_rules_read_back_as_written(tmp_path: Path) -> None:
-    tables = [Table("profile.toml", f"excuses[{i}].", table) for i, table in enumerate(excuse_tables([RULE]))]
-    assert read_excuses(tables, KNOWN) == (RULE,)
+    file = TomlFile("profile.toml", {"excuses": excuse_tables([RULE])}, ProfileError)
+    assert read_excuses(file.root.tables("excuses"), KNOWN) == (RULE,)
+    file.check()
 
 
 @pytest.mark.parametrize(
     ("table", "complaint"),
     [
-        ({"channels": ["gyro_x"], "by": []}, "'excuses.by' is empty"),
-        ({"channels": ["wheel"], "by": ["gyro_x"]}, "'excuses.channels' names 'wheel', which has no alarm"),
+        ({"channels": ["gyro_x"], "by": []}, "'excuses[0].by' is empty"),
+        ({"channels": ["wheel"], "by": ["gyro_x"]}, "'excuses[0].channels' names 'wheel', which has no alarm"),
         ({"channels": ["gyro_x"], "by": ["gyro_x"]}, "'gyro_x' would excuse itself"),
-        ({"channels": ["gyro_x"], "by": ["gyro_y"], "for": 1}, "'excuses.for' is not a key"),
+        ({"channels": ["gyro_x"], "by": ["gyro_y"], "for": 1}, "'excuses[0].for' is not a key"),
     ],
 )
 def test_a_mistake_is_one_line_that_names_file_and_key(table: dict[str, object], complaint: str) -> None:
+    file = TomlFile("profile.toml", {"excuses": [table]}, ProfileError)
+    read_excuses(file.root.tables("excuses"), KNOWN)
     with pytest.raises(ProfileError, match=re.escape(complaint)):
-        read_excuses([Table("profile.toml", "excuses.", table)], KNOWN)
+        file.check()

@@ -57,14 +57,14 @@ def test_the_digest_follows_every_edit(folder: Path) -> None:
         (r"^format = 1", "format = 7", "'format' is not 1"),
         (r"^format = 1", "format = 1\ncolour = 3", "'colour' is not a key"),
         (r"^name = .*", 'name = "a/b"', "'name' is 'a/b'"),
-        (r"^system = 0", 'system = "one"', "'system' is not a whole number"),
+        (r"^system = 0", 'system = "one"', "profile.toml:5: 'system' is \"one\", which is not a whole number"),
         (r"^settle_s = .*", "settle_s = -1.0", "'phase.settle_s' is -1"),
-        (r"^require_armed = true", "require_armed = 1", "'phase.require_armed' is neither"),
-        (r"^threshold = .*", "threshold = nan", "threshold' is not a finite number"),
+        (r"^require_armed = true", "require_armed = 1", "'phase.require_armed' is 1, which is not true or false"),
+        (r"^threshold = .*", "threshold = nan", "threshold' is nan, which is not a finite number"),
         (r"^clear = .*", "clear = 9.0", "is above 'threshold'"),
-        (r"^method = .*", 'method = "guess"', "'guess'; use 'single', 'independent' or 'bank'"),
-        (r"^message = .*", "message = 3", "'message' is missing or not text"),
-        (r"^edge = true", "edge = 1", "hypotheses[4].edge' is neither"),
+        (r"^method = .*", 'method = "guess"', "is \"guess\"; it must be 'single', 'independent' or 'bank'"),
+        (r"^message = .*", "message = 3", "message' is 3, which is not text in quotes"),
+        (r"^edge = true", "edge = 1", "hypotheses[4].edge' is 1, which is not true or false"),
         (r"^score_floor = .*", "score_floor = -1.0", "score_floor' is -1"),
         (r'^    "motor1",$', "", "an entry without 'faults'"),
         (r'^    "motor1",$', '    "motor2",', "the same faults twice"),
@@ -80,6 +80,27 @@ def test_a_mistake_is_named_with_file_and_key(folder: Path, pattern: str, replac
     assert "profile.toml" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert getattr(caught.value, "exit_status", None) == 2
+
+
+def test_all_mistakes_are_told_at_once_each_with_its_line(folder: Path) -> None:
+    path = folder / "profile.toml"
+    for pattern, replacement in (
+        (r"^stale_s = .*", 'stale_s = "long"'),
+        (r"^require_armed = .*", "require_armed = 1"),
+        (r"^threshold = .*", "treshold = 1"),
+    ):
+        edit(path, pattern, replacement)
+    lines = path.read_text().splitlines()
+    with pytest.raises(ProfileError) as caught:
+        read_profile(folder)
+    stale, armed, unknown, missing = str(caught.value).splitlines()
+    number = lines.index('stale_s = "long"') + 1
+    assert stale == f"{path}:{number}: 'stale_s' is \"long\", which is not a number; write it as one"
+    assert armed.startswith(f"{path}:{lines.index('require_armed = 1') + 1}: 'phase.require_armed' is 1")
+    assert {unknown.split(" ", 1)[1], missing.split(" ", 1)[1]} == {
+        "'observers.motors.alarms.motor1.treshold' is not a key of this table; did you mean 'threshold'?",
+        "'observers.motors.alarms.motor1.threshold' is missing",
+    }
 
 
 def test_gains_of_another_model_are_refused_with_the_command_that_mends_it(folder: Path) -> None:

@@ -17,8 +17,9 @@ from math import nan
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from adapters.channels import Channel, follow, is_number, parse_channel
+from adapters.channels import Channel, follow, parse_channel
 from adapters.errors import TelemetryError
+from adapters.toml_tables import is_number
 
 Angle = Literal["roll", "pitch", "yaw"]
 SOURCES: Final = ("ulog", "dataflash")

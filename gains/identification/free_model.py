@@ -16,7 +16,7 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,11 @@ from typing import Any
 import numpy as np
 
 from adapters.errors import ModelError
+from adapters.toml_tables import Table, TomlFile, read_toml
 from gains.identification.simulation import Dynamics, Vectorised, compile_vectorised
 from gains.plants.expression import compile_expression, parse_expression
-from gains.plants.model_file import plant_of_document, read_document
-from gains.plants.model_table import Table
+from gains.plants.model_file import read_plant
+from gains.plants.model_table import read_by_name, read_matrix, read_rows, read_vector
 from gains.plants.plant import FloatArray, Plant
 
 _EXTRA = ("parameters", "channels", "phase")
@@ -65,8 +66,8 @@ class FreeModel:
         The free parameters, in the order of the file: the values of all methods are in this order.
     fixed : Mapping[str, float]
         The other parameters.
-    channels, phase : Mapping[str, Any]
-        These tables as parsed.
+    file : TomlFile
+        The file, for its tables ``channels`` and ``phase``.
     example : Plant
         The plant at the start values.
     """
@@ -75,8 +76,7 @@ class FreeModel:
     document: Mapping[str, Any]
     parameters: tuple[Parameter, ...]
     fixed: Mapping[str, float]
-    channels: Mapping[str, Any]
-    phase: Mapping[str, Any]
+    file: TomlFile
     example: Plant
 
     @property
@@ -92,10 +92,7 @@ class FreeModel:
         ModelError
             An expression has no value there, or the plant cannot be; the message names file and key.
         """
-        try:
-            return plant_of_document(_resolved(self.document, self._named(values)))
-        except ModelError as error:
-            raise ModelError(f"{self.path}: {error}") from error
+        return read_plant(self._resolved(self._named(values)))
 
     def dynamics(self, values: Sequence[float] | FloatArray) -> Dynamics:
         """Return what a simulation needs, without the slope bounds that make :meth:`plant` slow.
@@ -107,29 +104,27 @@ class FreeModel:
         """
         named, plant = self._named(values), self.example
         names = tuple(named)
-        try:
-            root = Table(
-                _resolved({key: self.document.get(key, {}) for key in ("offset", "curves", *_MATRICES)}, named)
-            )
-            terms = [Table(_resolved_term(term, named)) for term in self.document.get("nonlinearity", [])]
-            into = [term.vector("into", plant.states) for term in terms]
-            return Dynamics(
-                rate_hz=plant.rate_hz,
-                A=root.matrix("A", plant.states, plant.states),
-                B=root.matrix("B", plant.states, plant.inputs),
-                C=root.matrix("C", plant.outputs, plant.states),
-                c=root.vector("offset", plant.states),
-                G=np.column_stack(into) if into else np.zeros((len(plant.states), 0)),
-                rows=tuple(term.rows("arguments", plant.states)[1] for term in terms),
-                functions=tuple(
-                    _vectorised(raw["expression"], (*raw["arguments"], *names))
-                    for raw in self.document.get("nonlinearity", [])
-                ),
-                parameters=np.array(list(named.values())),
-                curves=_curves(root, plant.inputs),
-            )
-        except ModelError as error:
-            raise ModelError(f"{self.path}: {error}") from error
+        file = self._resolved(named, ("offset", "curves", "nonlinearity", *_MATRICES))
+        root = file.root
+        terms = root.tables("nonlinearity")
+        into = [read_vector(term, "into", plant.states) for term in terms]
+        dynamics = Dynamics(
+            rate_hz=plant.rate_hz,
+            A=read_matrix(root, "A", plant.states, plant.states),
+            B=read_matrix(root, "B", plant.states, plant.inputs),
+            C=read_matrix(root, "C", plant.outputs, plant.states),
+            c=read_vector(root, "offset", plant.states),
+            G=np.column_stack(into) if into else np.zeros((len(plant.states), 0)),
+            rows=tuple(read_rows(term, "arguments", plant.states)[1] for term in terms),
+            functions=tuple(
+                _vectorised(raw["expression"], (*raw["arguments"], *names))
+                for raw in self.document.get("nonlinearity", [])
+            ),
+            parameters=np.array(list(named.values())),
+            curves=_curves(root, plant.inputs),
+        )
+        file.check()
+        return dynamics
 
     def words_of(self, term: int) -> frozenset[str]:
         """Return the names that the expression of nonlinearity number ``term`` holds."""
@@ -138,6 +133,14 @@ class FreeModel:
     def declares_scale(self, kind: str, index: int) -> bool:
         """Return whether entry ``index`` of 'disturbance' or 'noise' states its scale, or leaves it to a fit."""
         return "scale" in self.document[kind][index]
+
+    def _resolved(self, named: Mapping[str, float], keys: Collection[str] | None = None) -> TomlFile:
+        """Return the document, or these keys of it, with numbers for the expressions of parameters."""
+        document = self.document if keys is None else {key: self.document[key] for key in keys if key in self.document}
+        try:
+            return TomlFile(self.path, _resolved(document, named), ModelError)
+        except ModelError as error:
+            raise ModelError(f"{self.path}: {error}") from error
 
     def _named(self, values: Sequence[float] | FloatArray) -> dict[str, float]:
         free = {p.name: float(value) for p, value in zip(self.parameters, values, strict=True)}
@@ -152,60 +155,57 @@ def read_free_model(path: str | Path) -> FreeModel:
     ModelError
         The file cannot be read or is no valid model at the start values; the message is one line with file and key.
     """
-    document = read_document(path)
+    file = read_toml(path, ModelError)
+    root = file.root
+    free, fixed = _parameters(root.table("parameters"))
+    for name in _EXTRA:
+        root.table(name)
+    start = {parameter.name: parameter.start for parameter in free} | fixed
+    model = {key: root.raw(key) for key in root if key not in _EXTRA}
+    _check_arguments(root, tuple(start))
+    file.check()
+    used: set[str] = set()
     try:
-        free, fixed = _parameters(document.get("parameters", {}))
-        tables = {name: document.get(name, {}) for name in _EXTRA}
-        for name, table in tables.items():
-            if not isinstance(table, Mapping):
-                raise ModelError(f"'{name}' is not a table")
-        model = {key: value for key, value in document.items() if key not in _EXTRA}
-        start = {parameter.name: parameter.start for parameter in free} | fixed
-        _check_arguments(model, tuple(start))
-        used: set[str] = set()
-        example = plant_of_document(_resolved(model, start, used))
-        for name in start:
-            if name not in used:
-                raise ModelError(f"'parameters.{name}' is used nowhere in the model")
+        resolved = _resolved(model, start, used)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from error
-    return FreeModel(str(path), model, free, fixed, tables["channels"], tables["phase"], example)
+    example = read_plant(file.changed(resolved))
+    for name in start:
+        if name not in used:
+            file.mistake(("parameters", name), "is used nowhere in the model")
+    file.check()
+    return FreeModel(str(path), model, free, fixed, file, example)
 
 
-def _parameters(table: Any) -> tuple[tuple[Parameter, ...], dict[str, float]]:
-    if not isinstance(table, Mapping):
-        raise ModelError("'parameters' is not a table")
+def _parameters(table: Table) -> tuple[tuple[Parameter, ...], dict[str, float]]:
     free, fixed = [], {}
-    root = Table(table, "parameters.")
-    for name, value in table.items():
+    for name in table:
         try:
             parse_expression(name, [name])
-        except ModelError as error:
-            raise ModelError(
-                f"'parameters.{name}': the name is taken or no plain word of letters and digits"
-            ) from error
-        if not isinstance(value, Mapping):
-            fixed[name] = root.number(name, math.nan)
+        except ModelError:
+            table.mistake(name, ": the name is taken or no plain word of letters and digits")
             continue
-        entry = root.table(name)
+        if not isinstance(table.raw(name), Mapping):
+            fixed[name] = table.number(name)
+            continue
+        entry = table.table(name)
         if not entry.has("start"):
-            raise ModelError(f"'parameters.{name}.start' is missing; estimation needs a value to start from")
-        start = entry.number("start", 0.0)
-        low = entry.number("min", 0.0) if entry.has("min") else -math.inf
-        high = entry.number("max", 0.0) if entry.has("max") else math.inf
+            entry.mistake("start", "is missing; estimation needs a value to start from")
+            continue
+        start, low, high = entry.number("start"), entry.number("min", -math.inf), entry.number("max", math.inf)
         entry.done()
-        if not (low <= start <= high and low < high):
-            raise ModelError(f"'parameters.{name}' starts at {start:g}, which is not between {low:g} and {high:g}")
+        if entry.good() and not (low <= start <= high and low < high):
+            table.mistake(name, f"starts at {start:g}, which is not between {low:g} and {high:g}")
         free.append(Parameter(name, start, low, high))
     return tuple(free), fixed
 
 
-def _check_arguments(document: Mapping[str, Any], names: Sequence[str]) -> None:
-    for i, term in enumerate(_tables(document, "nonlinearity"), 1):
-        arguments = term.get("arguments")
-        for argument in arguments if isinstance(arguments, Mapping) else ():
+def _check_arguments(root: Table, names: Sequence[str]) -> None:
+    for term in root.tables("nonlinearity"):
+        arguments = term.table("arguments")
+        for argument in arguments:
             if argument in names:
-                raise ModelError(f"'nonlinearity[{i}].arguments.{argument}' is also the name of a parameter")
+                arguments.mistake(argument, "is also the name of a parameter")
 
 
 def _resolved(document: Mapping[str, Any], named: Mapping[str, float], used: set[str] | None = None) -> dict[str, Any]:
@@ -301,7 +301,7 @@ def _vectorised(text: str, names: tuple[str, ...]) -> Vectorised:
 
 
 def _curves(root: Table, inputs: Sequence[str]) -> FloatArray:
-    curves = root.by_name("curves", inputs, [1.0])
+    curves = read_by_name(root, "curves", inputs, [1.0])
     padded = np.zeros((len(inputs), max((len(curve) for curve in curves), default=1)))
     for row, curve in zip(padded, curves, strict=True):
         row[: len(curve)] = curve

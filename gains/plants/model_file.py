@@ -18,7 +18,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,11 +26,21 @@ import numpy as np
 
 from adapters.errors import ModelError
 from adapters.output_file import write_file
-from gains.plants.model_table import Table
-from gains.plants.plant import Disturbance, Domain, Fault, FaultKind, FloatArray, Noise, Nonlinearity, Plant
+from adapters.toml_tables import Table, TomlFile, read_toml
+from gains.plants.model_table import one_line, read_by_name, read_intervals, read_matrix, read_rows, read_vector
+from gains.plants.plant import (
+    Disturbance,
+    Domain,
+    Fault,
+    FaultKind,
+    FloatArray,
+    Noise,
+    Nonlinearity,
+    Plant,
+    PlantError,
+)
 from gains.plants.slopes import check_slopes, slope_bounds
 
-LARGEST_BYTES = 1 << 20
 BUILTIN_MODELS = ("arm", "arm-disturbed")
 
 _DOMAINS: dict[str, Domain] = {"continuous": "continuous", "discrete": "discrete"}
@@ -74,10 +83,10 @@ def read_model(path: str | Path) -> Plant:
     Raises
     ------
     ModelError
-        The file cannot be read or is no valid model; the message is one line with file and key.
+        The file cannot be read or is no valid model; the message has a line for each mistake, with file, line and key.
     """
-    document = read_document(path)
-    parameters = document.get("parameters")
+    file = read_toml(path, ModelError)
+    parameters = file.root.raw("parameters")
     if isinstance(parameters, dict) and parameters:
         free = [name for name, value in parameters.items() if isinstance(value, dict)] or list(parameters)
         raise ModelError(
@@ -85,26 +94,7 @@ def read_model(path: str | Path) -> Plant:
             f"fauio fit --vehicle custom --model {path} LOG ... -o PROFILE; a plain model with their values is then in "
             "PROFILE"
         )
-    try:
-        return plant_of_document(document)
-    except ModelError as error:
-        raise ModelError(f"{path}: {error}") from error
-
-
-def read_document(path: str | Path) -> dict[str, Any]:
-    """Return the parsed TOML of a file.
-
-    Raises
-    ------
-    ModelError
-        The file cannot be read, is too large or is no valid TOML; the message is one line with the file.
-    """
-    text = _read_text(Path(path))
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        reason = "nested too deeply" if isinstance(error, RecursionError) else error
-        raise ModelError(f"{path}: not valid TOML: {reason}") from error
+    return read_plant(file)
 
 
 def write_model(plant: Plant, path: str | Path) -> None:
@@ -136,110 +126,102 @@ def model_hash(plant: Plant) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _read_text(path: Path) -> str:
-    try:
-        if not path.exists():
-            raise ModelError(f"{path}: no such file")
-        if not path.is_file():
-            raise ModelError(f"{path}: not a file")
-        if path.stat().st_size > LARGEST_BYTES:
-            raise ModelError(f"{path}: {path.stat().st_size} bytes is more than the {LARGEST_BYTES} of a model")
-        with path.open("rb") as file:
-            return file.read(LARGEST_BYTES).decode("utf-8")
-    except OSError as error:
-        raise ModelError(f"{path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ModelError(f"{path}: not UTF-8 text at byte {error.start}") from error
-
-
-def plant_of_document(document: Mapping[str, Any]) -> Plant:
+def read_plant(file: TomlFile) -> Plant:
     """Return the plant of a model's parsed TOML.
 
     Raises
     ------
     ModelError
-        It is no valid model; the message names the key.
+        It is no valid model; the message names each key.
     """
-    root = Table(document)
-    states, inputs, outputs = root.names("states"), root.names("inputs"), root.names("outputs")
-    name, description = root.text("name"), root.text("description", "")
-    domain = _DOMAINS[_choice(root, "domain", _DOMAINS, "continuous")]
-    rate_hz = root.number("rate_hz", math.nan) if root.has("rate_hz") else None
-    A, B = root.matrix("A", states, states), root.matrix("B", states, inputs)
-    C, c = root.matrix("C", outputs, states), root.vector("offset", states)
-    taps, curves = root.numbers("taps", [1.0]), root.by_name("curves", inputs, [1.0])
+    root = file.root
+    states, inputs, outputs = root.texts("states"), root.texts("inputs"), root.texts("outputs")
+    # without names nothing below can be read
+    file.check()
+    name, description = root.text("name", check=one_line), root.text("description", "", one_line)
+    domain = _DOMAINS[root.choice("domain", list(_DOMAINS), "continuous")]
+    rate_hz = root.number("rate_hz") if root.has("rate_hz") else None
+    A, B = read_matrix(root, "A", states, states), read_matrix(root, "B", states, inputs)
+    C, c = read_matrix(root, "C", outputs, states), read_vector(root, "offset", states)
+    taps, curves = root.numbers("taps", [1.0]), read_by_name(root, "curves", inputs, [1.0])
     nonlinearities = [_nonlinearity(table, states) for table in root.tables("nonlinearity")]
     faults = [_fault(table, states, outputs) for table in root.tables("fault")]
     disturbances = [Disturbance(*_signal(table, states)) for table in root.tables("disturbance")]
     noises = [Noise(*_signal(table, outputs)) for table in root.tables("noise")]
     errors = _errors(root.table("error"), states)
     root.done()
-    return Plant(
-        name=name,
-        description=description,
-        domain=domain,
-        rate_hz=rate_hz,
-        states=states,
-        inputs=inputs,
-        outputs=outputs,
-        A=A,
-        B=B,
-        C=C,
-        c=c,
-        G=np.column_stack([into for _, into in nonlinearities]) if nonlinearities else np.zeros(0),
-        nonlinearities=tuple(g for g, _ in nonlinearities),
-        faults=tuple(faults),
-        disturbances=tuple(disturbances),
-        noises=tuple(noises),
-        state_errors=errors,
-        taps=taps,
-        curves=tuple(curves),
-    )
+    file.check()
+    try:
+        return Plant(
+            name=name,
+            description=description,
+            domain=domain,
+            rate_hz=rate_hz,
+            states=states,
+            inputs=inputs,
+            outputs=outputs,
+            A=A,
+            B=B,
+            C=C,
+            c=c,
+            G=np.column_stack([into for _, into in nonlinearities]) if nonlinearities else np.zeros(0),
+            nonlinearities=tuple(g for g, _ in nonlinearities),
+            faults=tuple(faults),
+            disturbances=tuple(disturbances),
+            noises=tuple(noises),
+            state_errors=errors,
+            taps=taps,
+            curves=tuple(curves),
+        )
+    except PlantError as error:
+        file.mistake(error.path, str(error), named=False)
+        file.check()
+        raise
 
 
 def _nonlinearity(table: Table, states: Sequence[str]) -> tuple[Nonlinearity, FloatArray]:
     """Return g_i and its column of G; slopes are derived where the file does not declare them."""
     expression = table.text("expression")
-    arguments, rows = table.rows("arguments", states)
-    into = table.vector("into", states)
-    if not into.any():
-        raise ModelError(f"{table.key('into')} is missing or zero; it says which states the expression drives")
-    ranges = table.intervals("range", arguments, (-math.inf, math.inf))
-    slopes = table.intervals("slope", arguments, None) if table.has("slope") else None
+    into = read_vector(table, "into", states)
+    if not into.any() and table.good("into"):
+        table.mistake("into", "is missing or zero; it says which states the expression drives")
+    arguments, rows = read_rows(table, "arguments", states)
+    ranges = read_intervals(table, "range", arguments, (-math.inf, math.inf))
+    slopes = read_intervals(table, "slope", arguments, None) if table.has("slope") else None
     table.done()
-    try:
-        if slopes is None:
-            slopes = slope_bounds(expression, arguments, ranges)
-        else:
-            check_slopes(expression, arguments, ranges, slopes)
-    except ModelError as error:
-        raise ModelError(f"{table.key('expression')}: {error}") from error
+    if table.good("expression", "arguments", "range", "slope"):
+        try:
+            if slopes is None:
+                slopes = slope_bounds(expression, arguments, ranges)
+            else:
+                check_slopes(expression, arguments, ranges, slopes)
+        except ModelError as error:
+            table.mistake("expression", f": {error}")
     return Nonlinearity(expression, arguments, rows, np.array(slopes), np.array(ranges)), into
 
 
 def _fault(table: Table, states: Sequence[str], outputs: Sequence[str]) -> Fault:
-    name = table.text("name")
-    kind = _KINDS[_choice(table, "kind", _KINDS, None)]
+    kind = _KINDS[table.choice("kind", list(_KINDS))]
     by_input = table.has("input")
     if by_input == table.has("into"):
-        raise ModelError(f"{table.key('into')}: give either 'into' or, for an actuator fault, 'input'")
+        table.mistake("into", ": give either 'into' or, for an actuator fault, 'input'")
     fault = Fault(
-        name=name,
+        name=table.text("name", check=one_line),
         kind=kind,
-        input=table.text("input") if by_input else None,
-        column=np.zeros(0) if by_input else table.vector("into", states if kind == "actuator" else outputs),
+        input=table.text("input", check=one_line) if by_input else None,
+        column=np.zeros(0) if by_input else read_vector(table, "into", states if kind == "actuator" else outputs),
         rate=table.number("rate", 1.0),
         error=table.number("error", 1.0),
-        unit=table.text("unit", ""),
+        unit=table.text("unit", "", one_line),
     )
     table.done()
     return fault
 
 
 def _signal(table: Table, names: Sequence[str]) -> tuple[str, FloatArray, float]:
-    found = table.text("name"), table.vector("into", names), table.number("scale", 1.0)
+    signal = table.text("name", check=one_line), read_vector(table, "into", names), table.number("scale", 1.0)
     table.done()
-    return found
+    return signal
 
 
 def _errors(table: Table, states: Sequence[str]) -> FloatArray:
@@ -247,13 +229,6 @@ def _errors(table: Table, states: Sequence[str]) -> FloatArray:
     errors = np.array([table.number(state, default) for state in states])
     table.done()
     return errors
-
-
-def _choice(table: Table, name: str, choices: Mapping[str, object], default: str | None) -> str:
-    value = table.text(name, default)
-    if value not in choices:
-        raise ModelError(f"{table.key(name)} is '{value}'; use one of {', '.join(choices)}")
-    return value
 
 
 def _document(plant: Plant) -> dict[str, Any]:

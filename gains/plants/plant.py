@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adapters.errors import ModelError
+from adapters.toml_lines import KeyPath
 
 FloatArray = NDArray[np.float64]
 Domain = Literal["continuous", "discrete"]
@@ -29,6 +30,14 @@ _RANK_TOLERANCE = 1e-9
 """Smallest singular value of columns of length one. Measured on the plants of the tests: dependent ones show 3e-16 at
 most, independent ones 5e-3 and more.
 """
+
+
+class PlantError(ModelError):
+    """A plant that cannot be; ``path`` is the key that it would have in a model file."""
+
+    def __init__(self, message: str, *path: str | int) -> None:
+        super().__init__(message)
+        self.path: KeyPath = path
 
 
 def _nothing() -> FloatArray:
@@ -193,13 +202,13 @@ class Plant:
         put("state_errors", checked_array(errors, (n,), "error"))
         if np.any(self.state_errors <= 0.0):
             bad = self.states[int(np.argmax(self.state_errors <= 0.0))]
-            raise ModelError(f"error.{bad} is not positive; it is the size of error that matters")
+            raise PlantError(f"error.{bad} is not positive; it is the size of error that matters", "error", bad)
         put("taps", _checked_taps(self.taps))
         put("curves", _checked_curves(self.curves, self.inputs))
-        put("nonlinearities", tuple(_checked_nonlinearity(g, n) for g in self.nonlinearities))
-        put("faults", tuple(_checked_fault(fault, self) for fault in self.faults))
-        put("disturbances", tuple(_checked_signal(w, n, "disturbance") for w in self.disturbances))
-        put("noises", tuple(_checked_signal(w, p, "noise") for w in self.noises))
+        put("nonlinearities", tuple(_checked_nonlinearity(g, n, i) for i, g in enumerate(self.nonlinearities)))
+        put("faults", tuple(_checked_fault(fault, self, i) for i, fault in enumerate(self.faults)))
+        put("disturbances", tuple(_checked_signal(w, n, "disturbance", i) for i, w in enumerate(self.disturbances)))
+        put("noises", tuple(_checked_signal(w, p, "noise", i) for i, w in enumerate(self.noises)))
 
     @property
     def actuator_faults(self) -> tuple[Fault, ...]:
@@ -232,22 +241,23 @@ class Plant:
         return _stacked((w.column for w in self.noises), len(self.outputs))
 
 
-def checked_array(value: ArrayLike, shape: tuple[int, ...], key: str) -> FloatArray:
-    """Return a read-only copy of ``value`` as floats of the given shape.
+def checked_array(value: ArrayLike, shape: tuple[int, ...], key: str, *path: str | int) -> FloatArray:
+    """Return a read-only copy of ``value`` as floats of the given shape; ``path``: its key in a model file.
 
     Raises
     ------
-    ModelError
+    PlantError
         It is no array of numbers, has another shape or holds NaN or infinity.
     """
+    at = path or (key,)
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"'{key}' is not a rectangular array of numbers") from error
+        raise PlantError(f"'{key}' is not a rectangular array of numbers", *at) from error
     if array.shape != shape:
-        raise ModelError(f"'{key}' is {_size(array.shape)} but the names make it {_size(shape)}")
+        raise PlantError(f"'{key}' is {_size(array.shape)} but the names make it {_size(shape)}", *at)
     if not np.all(np.isfinite(array)):
-        raise ModelError(f"'{key}' holds a number that is not finite")
+        raise PlantError(f"'{key}' holds a number that is not finite", *at)
     array += 0.0  # turns -0.0 into 0.0, so that equal models hash equally
     array.setflags(write=False)
     return array
@@ -255,7 +265,7 @@ def checked_array(value: ArrayLike, shape: tuple[int, ...], key: str) -> FloatAr
 
 def _check_names(plant: Plant) -> None:
     if not _NAME.fullmatch(plant.name):
-        raise ModelError(f"'name' is '{plant.name}'; use a letter, then letters, digits, _ and -")
+        raise PlantError(f"'name' is '{plant.name}'; use a letter, then letters, digits, _ and -", "name")
     groups = {
         "states": plant.states,
         "inputs": plant.inputs,
@@ -267,34 +277,36 @@ def _check_names(plant: Plant) -> None:
     for key, names in groups.items():
         for name in names:
             if not isinstance(name, str) or not _NAME.fullmatch(name):
-                raise ModelError(f"'{key}' has the name '{name}'; use a letter, then letters, digits, _ and -")
+                raise PlantError(f"'{key}' has the name '{name}'; use a letter, then letters, digits, _ and -", key)
             if names.count(name) > 1:
-                raise ModelError(f"'{key}' has the name '{name}' twice")
+                raise PlantError(f"'{key}' has the name '{name}' twice", key)
     if "default" in plant.states:
-        raise ModelError("'states' has the name 'default', which stands for all states in 'error'")
+        raise PlantError("'states' has the name 'default', which stands for all states in 'error'", "states")
     for key in ("states", "outputs"):
         if not groups[key]:
-            raise ModelError(f"'{key}' is empty; a plant needs at least one")
+            raise PlantError(f"'{key}' is empty; a plant needs at least one", key)
 
 
 def _check_domain(plant: Plant) -> None:
     if plant.domain not in ("continuous", "discrete"):
-        raise ModelError(f"'domain' is '{plant.domain}'; use 'continuous' or 'discrete'")
+        raise PlantError(f"'domain' is '{plant.domain}'; use 'continuous' or 'discrete'", "domain")
     if plant.domain == "continuous":
         if plant.rate_hz is not None:
-            raise ModelError("'rate_hz' belongs to a discrete model; leave it out or set domain = \"discrete\"")
+            raise PlantError(
+                "'rate_hz' belongs to a discrete model; leave it out or set domain = \"discrete\"", "rate_hz"
+            )
         if len(plant.taps) > 1:
-            raise ModelError("'taps' are delays in samples and need a discrete model")
+            raise PlantError("'taps' are delays in samples and need a discrete model", "taps")
     elif plant.rate_hz is None or not (np.isfinite(plant.rate_hz) and plant.rate_hz > 0.0):
-        raise ModelError("'rate_hz' is missing or not positive; a discrete model has a fixed rate")
+        raise PlantError("'rate_hz' is missing or not positive; a discrete model has a fixed rate", "rate_hz")
 
 
 def _checked_taps(taps: Iterable[float]) -> tuple[float, ...]:
     values = tuple(float(tap) for tap in taps)
     if not values or not np.all(np.isfinite(values)):
-        raise ModelError("'taps' is empty or holds a number that is not finite")
+        raise PlantError("'taps' is empty or holds a number that is not finite", "taps")
     if abs(sum(values) - 1.0) > 1e-6:
-        raise ModelError(f"'taps' add up to {sum(values):g}; they must add up to 1 (put the gain into B)")
+        raise PlantError(f"'taps' add up to {sum(values):g}; they must add up to 1 (put the gain into B)", "taps")
     return values
 
 
@@ -302,60 +314,66 @@ def _checked_curves(curves: tuple[tuple[float, ...], ...], inputs: tuple[str, ..
     if not curves:
         return ((1.0,),) * len(inputs)
     if len(curves) != len(inputs):
-        raise ModelError(f"'curves' has {len(curves)} entries for {len(inputs)} inputs")
+        raise PlantError(f"'curves' has {len(curves)} entries for {len(inputs)} inputs", "curves")
     values = tuple(tuple(float(x) + 0.0 for x in curve) for curve in curves)
     for name, curve in zip(inputs, values, strict=True):
         if not curve or not np.all(np.isfinite(curve)) or not any(curve):
-            raise ModelError(f"'curves.{name}' needs finite coefficients of u, u^2, ... and one that is not zero")
+            raise PlantError(
+                f"'curves.{name}' needs finite coefficients of u, u^2, ... and one that is not zero", "curves", name
+            )
     return values
 
 
-def _checked_nonlinearity(g: Nonlinearity, n: int) -> Nonlinearity:
-    key, count = f"nonlinearity '{g.expression}'", len(g.arguments)
+def _checked_nonlinearity(g: Nonlinearity, n: int, index: int) -> Nonlinearity:
+    key, path, count = f"nonlinearity '{g.expression}'", ("nonlinearity", index), len(g.arguments)
     if not count:
-        raise ModelError(f"{key} has no arguments")
-    slopes = checked_array(g.slopes, (count, 2), f"{key}: slope")
+        raise PlantError(f"{key} has no arguments", *path, "arguments")
+    slopes = checked_array(g.slopes, (count, 2), f"{key}: slope", *path, "slope")
     ranges = np.array(g.ranges, dtype=np.float64)
     if ranges.shape != (count, 2) or np.isnan(ranges).any() or np.any(ranges[:, 0] >= ranges[:, 1]):
-        raise ModelError(f"{key}: 'range' needs a lower and a higher bound for each argument")
+        raise PlantError(f"{key}: 'range' needs a lower and a higher bound for each argument", *path, "range")
     ranges.setflags(write=False)
     if np.any(slopes[:, 0] > slopes[:, 1]):
-        raise ModelError(f"{key}: 'slope' needs the lower bound before the upper one")
-    return replace(g, rows=checked_array(g.rows, (count, n), f"{key}: arguments"), slopes=slopes, ranges=ranges)
+        raise PlantError(f"{key}: 'slope' needs the lower bound before the upper one", *path, "slope")
+    return replace(
+        g, rows=checked_array(g.rows, (count, n), f"{key}: arguments", *path, "arguments"), slopes=slopes, ranges=ranges
+    )
 
 
-def _checked_fault(fault: Fault, plant: Plant) -> Fault:
-    key = f"fault '{fault.name}'"
+def _checked_fault(fault: Fault, plant: Plant, index: int) -> Fault:
+    key, path = f"fault '{fault.name}'", ("fault", index)
     if fault.kind not in ("actuator", "sensor"):
-        raise ModelError(f"{key}: 'kind' is '{fault.kind}'; use 'actuator' or 'sensor'")
+        raise PlantError(f"{key}: 'kind' is '{fault.kind}'; use 'actuator' or 'sensor'", *path, "kind")
     column = fault.column
     if fault.input is not None:
         if fault.kind != "actuator":
-            raise ModelError(f"{key}: 'input' belongs to an actuator fault")
+            raise PlantError(f"{key}: 'input' belongs to an actuator fault", *path, "input")
         if fault.input not in plant.inputs:
-            raise ModelError(f"{key}: there is no input '{fault.input}'; there are {', '.join(plant.inputs)}")
+            raise PlantError(
+                f"{key}: there is no input '{fault.input}'; there are {', '.join(plant.inputs)}", *path, "input"
+            )
         own = plant.B[:, plant.inputs.index(fault.input)]
         if np.size(column) and not np.array_equal(column, own):
-            raise ModelError(f"{key}: its column is not that of the input '{fault.input}' in B")
+            raise PlantError(f"{key}: its column is not that of the input '{fault.input}' in B", *path, "input")
         column = own
     size = len(plant.states) if fault.kind == "actuator" else len(plant.outputs)
-    column = checked_array(column, (size,), f"{key}: into")
+    column = checked_array(column, (size,), f"{key}: into", *path, "into")
     if not column.any():
         symbol = "E_f" if fault.kind == "actuator" else "D_f"
-        raise ModelError(f"{key}: its direction ({symbol}) is zero: it touches nothing")
+        raise PlantError(f"{key}: its direction ({symbol}) is zero: it touches nothing", *path)
     for name, value in (("rate", fault.rate), ("error", fault.error)):
         if not (np.isfinite(value) and value > 0.0):
-            raise ModelError(f"{key}: '{name}' is {value}; it must be positive")
+            raise PlantError(f"{key}: '{name}' is {value}; it must be positive", *path, name)
     return replace(fault, column=column, rate=float(fault.rate), error=float(fault.error))
 
 
-def _checked_signal(signal: Signal, size: int, key: str) -> Signal:
-    where = f"{key} '{signal.name}'"
+def _checked_signal(signal: Signal, size: int, key: str, index: int) -> Signal:
+    where, path = f"{key} '{signal.name}'", (key, index)
     if not (np.isfinite(signal.scale) and signal.scale >= 0.0):
-        raise ModelError(f"{where}: 'scale' is {signal.scale}; it cannot be negative")
-    column = checked_array(signal.column, (size,), f"{where}: into")
+        raise PlantError(f"{where}: 'scale' is {signal.scale}; it cannot be negative", *path, "scale")
+    column = checked_array(signal.column, (size,), f"{where}: into", *path, "into")
     if not column.any():
-        raise ModelError(f"{where}: 'into' is zero: it touches nothing")
+        raise PlantError(f"{where}: 'into' is zero: it touches nothing", *path, "into")
     return replace(signal, column=column, scale=float(signal.scale))
 
 

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.errors import ProfileError
 from adapters.message import LATEST_NS
+from adapters.toml_tables import Table
 from monitor.core.alarms import AlarmState
 from monitor.event import AlarmEvent
-from monitor.tables import Table
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,23 +87,17 @@ class Excuses:
 
 
 def read_excuses(tables: Iterable[Table], known: Sequence[str]) -> tuple[ExcuseRule, ...]:
-    """Return the rules of a profile whose alarm channels are ``known``.
-
-    Raises
-    ------
-    ProfileError
-        A rule names a channel that has no alarm, or excuses a channel by itself.
-    """
+    """Return the rules of a profile whose alarm channels are ``known``; mistakes are recorded in its file."""
     rules = []
     for table in tables:
-        rule = ExcuseRule(table.texts("channels", ()), table.texts("by", ()), table.number("for_s", 0.0, at_least=0.0))
+        rule = ExcuseRule(table.texts("channels"), table.texts("by"), table.number("for_s", 0.0, at_least=0.0))
         table.done()
         for key, names in (("channels", rule.channels), ("by", rule.by)):
-            if not names or (strange := [name for name in names if name not in known]):
+            if table.good(key) and (not names or (strange := [name for name in names if name not in known])):
                 found = f"names '{strange[0]}', which has no alarm" if names else "is empty"
-                raise ProfileError(f"{table.where(key)} {found}; alarms are {', '.join(known)}")
+                table.mistake(key, f"{found}; alarms are {', '.join(known)}")
         if both := set(rule.channels) & set(rule.by):
-            raise ProfileError(f"{table.where('by')}: '{min(both)}' would excuse itself")
+            table.mistake("by", f": '{min(both)}' would excuse itself")
         rules.append(rule)
     return tuple(rules)
 

@@ -2,303 +2,339 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
-
+from adapters.errors import ConfigError
+from adapters.toml_tables import Table, read_toml
+from monitor.configuration import config_values as check
 from monitor.configuration.config_checks import conflicts, link_conflicts
-from monitor.configuration.config_reading import read_model
-from monitor.configuration.config_values import (
-    ChannelPath,
-    Endpoints,
-    HostPortOrOff,
-    KeyChunks,
-    KeyExpression,
-    KeyExpressions,
-    Listed,
-    MavlinkUrls,
-    MessageName,
-    MessageType,
-    PathBesideFile,
-    VehicleName,
-    VehicleTemplate,
-)
 
 DEFAULT_LISTEN = "tcp/127.0.0.1:7447"
 DEFAULT_PREFIX = "fauio"
 
 Command = Literal["ack", "shelve", "unshelve", "reset"]
-_Positive = Annotated[float, Field(gt=0)]
-_Count = Annotated[int, Field(ge=1)]
-_Id = Annotated[int, Field(ge=0, le=255)]
-_Rate = Annotated[float, Field(gt=0, le=1000)]
+T = TypeVar("T")
+_Read = Callable[[Table, str], Any]
 
 
-class _Table(BaseModel):
-    """What all tables have in common: nothing unknown, no conversions, no changes."""
+class Entry(NamedTuple):
+    """What is known of a key besides its type and default: how it is read, and what the reference page says."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, validate_default=True)
+    read: _Read
+    description: str = ""
+    example: Any = None
+    choices: tuple[str, ...] = ()
+    table: type | None = None
 
 
-class Vehicle(_Table):
+def _key(default: Any, read: _Read, description: str, example: Any, *choices: str) -> Any:
+    return field(default=default, metadata={"entry": Entry(read, description, example, choices)})
+
+
+def _by_name(read: _Read, description: str, example: Any) -> Any:
+    return field(default_factory=dict, metadata={"entry": Entry(read, description, example)})
+
+
+def _one_of(default: str, choices: Sequence[str], example: str, description: str) -> Any:
+    return _key(default, lambda table, key: table.choice(key, choices), description, example, *choices)
+
+
+def _text(check: Callable[[str], None]) -> _Read:
+    return lambda table, key: table.text(key, check=check)
+
+
+def _texts(check: Callable[[str], None], *, single: bool = False) -> _Read:
+    return lambda table, key: table.texts(key, check, single=single)
+
+
+def _whole(at_least: float, at_most: float = math.inf) -> _Read:
+    return lambda table, key: table.integer(key, at_least=at_least, at_most=at_most)
+
+
+def _number(**bounds: float) -> _Read:
+    return lambda table, key: table.number(key, **bounds)
+
+
+def _truth(table: Table, key: str) -> bool:
+    return table.boolean(key)
+
+
+def _path(table: Table, key: str) -> Path:
+    """Read a text as a path relative to the file; a path came from elsewhere and stays as it is."""
+    value = table.raw(key)
+    if isinstance(value, Path):
+        return value
+    return Path(table.file.name).parent / table.text(key, check=check.path)
+
+
+def _listen(table: Table, key: str) -> str | None:
+    address = table.text(key, check=check.host_port_or_off)
+    return None if address == "off" else address
+
+
+def _table_of(names: Callable[[str], None], read: _Read) -> _Read:
+    """Return how a table is read whose keys the user chooses."""
+
+    def read_all(table: Table, key: str) -> dict[str, Any]:
+        found = {}
+        below = table.table(key)
+        for name in below:
+            try:
+                names(name)
+            except ValueError as error:
+                below.mistake(name, str(error))
+            else:
+                found[name] = read(below, name)
+        return found
+
+    return read_all
+
+
+_ID = _whole(0, 255)
+_COUNT = _whole(1)
+_POSITIVE = _number(above=0)
+
+
+@dataclass(frozen=True)
+class Vehicle:
     """One vehicle: whose telemetry it is, and by which profile it is monitored."""
 
-    name: VehicleName | None = Field(
-        default=None, description="Name in topics; the profile's own where it is left out.", examples=["copter-1"]
+    name: str | None = _key(
+        None, _text(check.vehicle_name), "Name in topics; the profile's own where it is left out.", "copter-1"
     )
-    profile: PathBesideFile | None = Field(
-        default=None, description="Profile folder; the top level's `profile` where it is left out.", examples=["quad/"]
+    profile: Path | None = _key(None, _path, "Profile folder; the top level's `profile` where it is left out.", "quad/")
+    system: int = _key(0, _ID, "MAVLink system id, 1 to 255; 0 takes the first system that fits the profile.", 1)
+    component: int = _key(1, _ID, "MAVLink component id, 1 is the autopilot; 0 takes any.", 1)
+    zenoh: str | None = _key(
+        None, _text(check.key_expression), "Key expression of telemetry of this vehicle alone.", "copter-1/telemetry/**"
     )
-    system: _Id = Field(
-        default=0,
-        description="MAVLink system id, 1 to 255; 0 takes the first system that fits the profile.",
-        examples=[1],
+    out_of_service: tuple[str, ...] = _key(
+        (), _texts(check.channel), "Channels that raise nothing: a sensor known to be broken.", ["inertial/compass"]
     )
-    component: _Id = Field(
-        default=1, description="MAVLink component id, 1 is the autopilot; 0 takes any.", examples=[1]
-    )
-    zenoh: KeyExpression | None = Field(
-        default=None,
-        description="Key expression of telemetry of this vehicle alone.",
-        examples=["copter-1/telemetry/**"],
-    )
-    out_of_service: Annotated[tuple[ChannelPath, ...], Listed] = Field(
-        default=(),
-        description="Channels that raise nothing: a sensor known to be broken.",
-        examples=[["inertial/compass"]],
-    )
-    latched: Annotated[tuple[ChannelPath, ...], Listed] = Field(
-        default=(),
-        description="Channels whose alarms stand after their cause is gone, until `fauio alarms reset`.",
-        examples=[["inertial/gps_north"]],
+    latched: tuple[str, ...] = _key(
+        (),
+        _texts(check.channel),
+        "Channels whose alarms stand after their cause is gone, until `fauio alarms reset`.",
+        ["inertial/gps_north"],
     )
 
 
-class NewVehicles(_Table):
+@dataclass(frozen=True)
+class NewVehicles:
     """Vehicles that appear at run time: MAVLink systems that no `[[vehicle]]` names."""
 
-    profile: PathBesideFile | None = Field(
-        default=None, description="Profile folder of each; none are taken where it is left out.", examples=["quad/"]
+    profile: Path | None = _key(None, _path, "Profile folder of each; none are taken where it is left out.", "quad/")
+    name: str = _key(
+        "vehicle-{system}",
+        _text(check.vehicle_template),
+        "Name in topics; `{system}` becomes the id.",
+        "vehicle-{system}",
     )
-    name: VehicleTemplate = Field(
-        default="vehicle-{system}",
-        description="Name in topics; `{system}` becomes the id.",
-        examples=["vehicle-{system}"],
-    )
-    limit: _Count = Field(default=16, description="How many are taken at most.", examples=[16])
+    limit: int = _key(16, _COUNT, "How many are taken at most.", 16)
 
     def vehicle(self, system: int) -> Vehicle:
         """Return the vehicle with a MAVLink system id."""
         return Vehicle(name=self.name.replace("{system}", str(system)), profile=self.profile, system=system)
 
 
-class Recording(_Table):
+@dataclass(frozen=True)
+class Recording:
     """MCAP files one after the other, the oldest deleted where they become too many."""
 
-    folder: PathBesideFile | None = Field(
-        default=None, description="Folder they go to; none are written where it is left out.", examples=["recordings/"]
-    )
-    file_mb: _Positive = Field(
-        default=256, description="Size at which the next file begins, megabytes.", examples=[256]
-    )
-    file_minutes: _Positive = Field(
-        default=60, description="Time after which the next file begins, minutes.", examples=[60]
-    )
-    budget_mb: _Positive = Field(
-        default=10_000, description="Size of all files together, megabytes.", examples=[10_000]
-    )
+    folder: Path | None = _key(None, _path, "Folder they go to; none are written where it is left out.", "recordings/")
+    file_mb: float = _key(256, _POSITIVE, "Size at which the next file begins, megabytes.", 256)
+    file_minutes: float = _key(60, _POSITIVE, "Time after which the next file begins, minutes.", 60)
+    budget_mb: float = _key(10_000, _POSITIVE, "Size of all files together, megabytes.", 10_000)
 
 
-class BlackBox(_Table):
+@dataclass(frozen=True)
+class BlackBox:
     """An MCAP file of its own for each alarm, with what came before and after it."""
 
-    folder: PathBesideFile | None = Field(
-        default=None, description="Folder they go to; none are written where it is left out.", examples=["clips/"]
-    )
-    before_s: Annotated[float, Field(ge=0, le=600)] = Field(
-        default=30, description="Begin of a clip before the alarm, seconds.", examples=[30]
-    )
-    after_s: Annotated[float, Field(ge=0, le=600)] = Field(
-        default=30, description="End of a clip after the alarm, seconds.", examples=[30]
-    )
-    budget_mb: _Positive = Field(default=1000, description="Size of all clips together, megabytes.", examples=[1000])
+    folder: Path | None = _key(None, _path, "Folder they go to; none are written where it is left out.", "clips/")
+    before_s: float = _key(30, _number(at_least=0, at_most=600), "Begin of a clip before the alarm, seconds.", 30)
+    after_s: float = _key(30, _number(at_least=0, at_most=600), "End of a clip after the alarm, seconds.", 30)
+    budget_mb: float = _key(1000, _POSITIVE, "Size of all clips together, megabytes.", 1000)
 
 
-class JournalTable(_Table):
+@dataclass(frozen=True)
+class JournalTable:
     """The journal of alarm events, which survives restarts."""
 
-    path: PathBesideFile | None = Field(
-        default=None,
-        description="SQLite file; events are kept in memory alone where it is left out.",
-        examples=["journal.db"],
+    path: Path | None = _key(
+        None, _path, "SQLite file; events are kept in memory alone where it is left out.", "journal.db"
     )
-    max_events: _Count = Field(
-        default=100_000, description="Events kept; the oldest that belong to no active alarm go.", examples=[100_000]
-    )
+    max_events: int = _key(100_000, _COUNT, "Events kept; the oldest that belong to no active alarm go.", 100_000)
 
 
-class Signing(_Table):
+@dataclass(frozen=True)
+class Signing:
     """MAVLink 2 signing."""
 
-    key_file: PathBesideFile | None = Field(
-        default=None, description="File with the key, 32 bytes or 64 hexadecimal digits.", examples=["signing.key"]
-    )
-    require: bool = Field(default=False, description="Whether unsigned packets are refused.", examples=[True])
+    key_file: Path | None = _key(None, _path, "File with the key, 32 bytes or 64 hexadecimal digits.", "signing.key")
+    require: bool = _key(False, _truth, "Whether unsigned packets are refused.", True)
 
 
-class Send(_Table):
+@dataclass(frozen=True)
+class Send:
     """What the daemon sends to vehicles; nothing unless it is allowed."""
 
-    allow: bool = Field(default=False, description="Whether anything is sent to a vehicle.", examples=[True])
-    rates: Mapping[MessageName, _Rate] = Field(
-        default={},
-        description="Message rates to request (MAV_CMD_SET_MESSAGE_INTERVAL), hertz, by message name.",
-        examples=[{"ATTITUDE": 100}],
+    allow: bool = _key(False, _truth, "Whether anything is sent to a vehicle.", True)
+    rates: Mapping[str, float] = _by_name(
+        _table_of(check.message_name, _number(above=0, at_most=1000)),
+        "Message rates to request (MAV_CMD_SET_MESSAGE_INTERVAL), hertz, by message name.",
+        {"ATTITUDE": 100},
     )
-    target_component: _Id = Field(
-        default=1, description="Component that is asked for them, 1 is the autopilot.", examples=[1]
-    )
-    source_system: Annotated[int, Field(ge=1, le=255)] = Field(
-        default=255, description="MAVLink system id that the daemon sends as.", examples=[255]
-    )
-    source_component: Annotated[int, Field(ge=1, le=255)] = Field(
-        default=191, description="MAVLink component id that the daemon sends as.", examples=[191]
-    )
+    target_component: int = _key(1, _ID, "Component that is asked for them, 1 is the autopilot.", 1)
+    source_system: int = _key(255, _whole(1, 255), "MAVLink system id that the daemon sends as.", 255)
+    source_component: int = _key(191, _whole(1, 255), "MAVLink component id that the daemon sends as.", 191)
 
 
-class Commands(_Table):
+@dataclass(frozen=True)
+class Commands:
     """What operators may do over Zenoh (`fauio alarms ack` and the like)."""
 
-    allow: Annotated[tuple[Command, ...], Listed] = Field(
-        default=(),
-        description="Commands that are answered; none by default.",
-        examples=[["ack", "shelve", "unshelve", "reset"]],
+    allow: tuple[Command, ...] = _key(
+        (),
+        lambda table, key: table.choices(key, get_args(Command)),
+        "Commands that are answered; none by default.",
+        ["ack", "shelve", "unshelve", "reset"],
     )
-    max_shelve_minutes: _Positive = Field(
-        default=480, description="Longest time an alarm can be shelved.", examples=[480]
-    )
-    default_shelve_minutes: _Positive = Field(default=60, description="Time where none is asked for.", examples=[60])
+    max_shelve_minutes: float = _key(480, _POSITIVE, "Longest time an alarm can be shelved.", 480)
+    default_shelve_minutes: float = _key(60, _POSITIVE, "Time where none is asked for.", 60)
 
 
-class Flood(_Table):
+@dataclass(frozen=True)
+class Flood:
     """When so many alarms come that nobody can read them: only the first ones are told one by one."""
 
-    raised: _Count = Field(default=10, description="Alarms of a vehicle that make a flood ...", examples=[10])
-    within_s: _Positive = Field(
-        default=60, description="... where they are raised within this time, seconds.", examples=[60]
-    )
+    raised: int = _key(10, _COUNT, "Alarms of a vehicle that make a flood ...", 10)
+    within_s: float = _key(60, _POSITIVE, "... where they are raised within this time, seconds.", 60)
 
 
-class Standby(_Table):
+@dataclass(frozen=True)
+class Standby:
     """A second daemon that takes over where the first one goes."""
 
-    enabled: bool = Field(
-        default=False, description="Whether this daemon waits while another one is there.", examples=[True]
-    )
-    takeover_s: Annotated[float, Field(ge=0, le=60)] = Field(
-        default=0.5,
-        description="How long the other one has to be gone, seconds: a connection that breaks is back in less. One "
+    enabled: bool = _key(False, _truth, "Whether this daemon waits while another one is there.", True)
+    takeover_s: float = _key(
+        0.5,
+        _number(at_least=0, at_most=60),
+        "How long the other one has to be gone, seconds: a connection that breaks is back in less. One "
         "that is stopped hands over at once.",
-        examples=[0.5],
+        0.5,
     )
 
 
-class Metrics(_Table):
+@dataclass(frozen=True)
+class Metrics:
     """Prometheus metrics and `/healthz`."""
 
-    listen: HostPortOrOff = Field(default=None, description='HOST:PORT, or "off".', examples=["127.0.0.1:9464"])
+    listen: str | None = _key(None, _listen, 'HOST:PORT, or "off".', "127.0.0.1:9464")
 
 
-class Rerun(_Table):
+@dataclass(frozen=True)
+class Rerun:
     """The live view."""
 
-    mode: Literal["off", "serve", "spawn"] = Field(
-        default="off", description="`serve`: viewers connect to the daemon; `spawn`: it starts one.", examples=["serve"]
+    mode: Literal["off", "serve", "spawn"] = _one_of(
+        "off", ("off", "serve", "spawn"), "serve", "`serve`: viewers connect to the daemon; `spawn`: it starts one."
     )
-    memory_mb: _Count = Field(default=256, description="Memory for what a viewer sees when it joins.", examples=[256])
+    memory_mb: int = _key(256, _COUNT, "Memory for what a viewer sees when it joins.", 256)
 
 
-def _vehicles(value: Any) -> Any:
-    return ({"name": value},) if isinstance(value, str) else tuple(value) if isinstance(value, list) else value
+def _section(kind: type) -> Any:
+    """Return the field of a table ``[key]``, all of whose keys may be left out."""
+    entry = Entry(lambda table, key: read_keys(kind, table.table(key)), table=kind)
+    return field(default=kind(), metadata={"entry": entry})
 
 
-class Config(_Table):
+def _vehicles(table: Table, key: str) -> tuple[Vehicle, ...]:
+    value = table.raw(key)
+    named = isinstance(value, str)
+    tables = [Table(table.file, (key, 0), {"name": value})] if named else table.tables(key)
+    return tuple(read_keys(Vehicle, found) for found in tables)
+
+
+@dataclass(frozen=True)
+class Config:
     """What `fauio run` does. Every key may be left out."""
 
-    profile: PathBesideFile | None = Field(
-        default=None,
-        description="Profile folder of vehicles that name none; `fauio run PROFILE` sets it.",
-        examples=["quad/"],
+    profile: Path | None = _key(
+        None, _path, "Profile folder of vehicles that name none; `fauio run PROFILE` sets it.", "quad/"
     )
-    mavlink: MavlinkUrls = Field(default=(), description="MAVLink link or links.", examples=["udpin:127.0.0.1:14550"])
-    zenoh: KeyExpressions = Field(
-        default=(), description="Key expression or expressions of telemetry over Zenoh.", examples=["arm/telemetry"]
+    mavlink: tuple[str, ...] = _key(
+        (), _texts(check.mavlink_url, single=True), "MAVLink link or links.", "udpin:127.0.0.1:14550"
     )
-    vehicle: Annotated[tuple[Vehicle, ...], BeforeValidator(_vehicles)] = Field(
+    zenoh: tuple[str, ...] = _key(
+        (),
+        _texts(check.key_expression, single=True),
+        "Key expression or expressions of telemetry over Zenoh.",
+        "arm/telemetry",
+    )
+    vehicle: tuple[Vehicle, ...] = field(
         default=(),
-        description="Tables `[[vehicle]]`, one each; or a text, the name of the only one.",
-        examples=["copter-1"],
+        metadata={
+            "entry": Entry(
+                _vehicles,
+                "Tables `[[vehicle]]`, one each; or a text, the name of the only one.",
+                "copter-1",
+                table=Vehicle,
+            )
+        },
     )
-    new_vehicles: NewVehicles = NewVehicles()
-    listen: Endpoints = Field(
-        default=(DEFAULT_LISTEN,), description="Zenoh endpoints to listen on.", examples=[[DEFAULT_LISTEN]]
+    new_vehicles: NewVehicles = _section(NewVehicles)
+    listen: tuple[str, ...] = _key(
+        (DEFAULT_LISTEN,), _texts(check.endpoint, single=True), "Zenoh endpoints to listen on.", [DEFAULT_LISTEN]
     )
-    connect: Endpoints = Field(
-        default=(), description="Zenoh endpoints to connect to.", examples=[["tcp/192.168.1.2:7447"]]
+    connect: tuple[str, ...] = _key(
+        (), _texts(check.endpoint, single=True), "Zenoh endpoints to connect to.", ["tcp/192.168.1.2:7447"]
     )
-    allow_public: bool = Field(
-        default=False, description="Whether anything may listen where other machines reach it.", examples=[True]
+    allow_public: bool = _key(False, _truth, "Whether anything may listen where other machines reach it.", True)
+    zenoh_config: Path | None = _key(
+        None, _path, "Zenoh's own configuration (JSON5): TLS, users, access control.", "zenoh.json5"
     )
-    zenoh_config: PathBesideFile | None = Field(
-        default=None,
-        description="Zenoh's own configuration (JSON5): TLS, users, access control.",
-        examples=["zenoh.json5"],
-    )
-    zenoh_mode: Literal["peer", "router", "client"] = Field(
+    zenoh_mode: Literal["peer", "router", "client"] = _one_of(
         "peer",
-        description="Zenoh mode of the daemon. `router` where it connects to a router or to other daemons: a router "
+        ("peer", "router", "client"),
+        "peer",
+        "Zenoh mode of the daemon. `router` where it connects to a router or to other daemons: a router "
         "passes nothing between its peers.",
-        examples=["peer"],
     )
-    zenoh_types: Mapping[KeyExpression, MessageType] = Field(
-        default={},
-        description="Types of telemetry over Zenoh by key expression: JSON unless said otherwise.",
-        examples=[{"rover/imu": "sensor_msgs/msg/Imu"}],
+    zenoh_types: Mapping[str, str] = _by_name(
+        _table_of(check.key_expression, _text(check.message_type)),
+        "Types of telemetry over Zenoh by key expression: JSON unless said otherwise.",
+        {"rover/imu": "sensor_msgs/msg/Imu"},
     )
-    definitions: PathBesideFile | None = Field(
-        default=None, description="Folder of message definitions (`.msg`) of further types.", examples=["px4_msgs/"]
+    definitions: Path | None = _key(
+        None, _path, "Folder of message definitions (`.msg`) of further types.", "px4_msgs/"
     )
-    prefix: KeyChunks = Field(default=DEFAULT_PREFIX, description="What all topics begin with.", examples=["fauio"])
-    estimate_rate_hz: Annotated[float, Field(ge=0)] = Field(
-        default=10,
-        description="Largest rate of published estimates per observer, hertz; 0 publishes none.",
-        examples=[10],
+    prefix: str = _key(DEFAULT_PREFIX, _text(check.key_chunks), "What all topics begin with.", "fauio")
+    estimate_rate_hz: float = _key(
+        10, _number(at_least=0), "Largest rate of published estimates per observer, hertz; 0 publishes none.", 10
     )
-    record: PathBesideFile | None = Field(
-        default=None,
-        description="One MCAP file to record to, without end; see `[recording]`.",
-        examples=["flight.mcap"],
+    record: Path | None = _key(
+        None, _path, "One MCAP file to record to, without end; see `[recording]`.", "flight.mcap"
     )
-    inbox: _Count = Field(
-        default=20_000, description="Messages that wait at most; the oldest are dropped and counted.", examples=[20_000]
+    inbox: int = _key(20_000, _COUNT, "Messages that wait at most; the oldest are dropped and counted.", 20_000)
+    log_format: Literal["auto", "json", "text"] = _one_of(
+        "auto", ("auto", "json", "text"), "auto", "Log lines on stderr; `auto`: text on a terminal, JSON otherwise."
     )
-    log_format: Literal["auto", "json", "text"] = Field(
-        default="auto",
-        description="Log lines on stderr; `auto`: text on a terminal, JSON otherwise.",
-        examples=["auto"],
-    )
-    recording: Recording = Recording()
-    black_box: BlackBox = BlackBox()
-    journal: JournalTable = JournalTable()
-    signing: Signing = Signing()
-    send: Send = Send()
-    commands: Commands = Commands()
-    flood: Flood = Flood()
-    standby: Standby = Standby()
-    metrics: Metrics = Metrics()
-    rerun: Rerun = Rerun()
+    recording: Recording = _section(Recording)
+    black_box: BlackBox = _section(BlackBox)
+    journal: JournalTable = _section(JournalTable)
+    signing: Signing = _section(Signing)
+    send: Send = _section(Send)
+    commands: Commands = _section(Commands)
+    flood: Flood = _section(Flood)
+    standby: Standby = _section(Standby)
+    metrics: Metrics = _section(Metrics)
+    rerun: Rerun = _section(Rerun)
 
     @property
     def vehicles(self) -> tuple[Vehicle, ...]:
@@ -306,9 +342,41 @@ class Config(_Table):
         if not self.vehicle and self.profile is not None:
             return (Vehicle(profile=self.profile),)
         return tuple(
-            vehicle if vehicle.profile is not None else vehicle.model_copy(update={"profile": self.profile})
+            vehicle if vehicle.profile is not None else replace(vehicle, profile=self.profile)
             for vehicle in self.vehicle
         )
+
+
+def entries(kind: type) -> dict[str, tuple[Any, Entry]]:
+    """Return default and entry of each key of a table's class."""
+    return {
+        key.name: (key.default_factory() if callable(key.default_factory) else key.default, key.metadata["entry"])
+        for key in fields(kind)
+    }
+
+
+def read_keys(kind: type[T], table: Table) -> T:
+    """Read a table into its class; mistakes are recorded in the table's file, and defaults stand in."""
+    known = entries(kind)
+    table.examples = {key: entry.example for key, (_, entry) in known.items() if entry.example is not None}
+    values = {}
+    for key, (_, entry) in known.items():
+        if table.has(key):
+            value = entry.read(table, key)
+            if entry.table is not None or table.good(key):
+                values[key] = value
+    table.done(_homes())
+    return kind(**values)
+
+
+@cache
+def _homes() -> dict[str, tuple[str, ...]]:
+    """Return the tables that have a key, by key; an empty text is the top level."""
+    homes: dict[str, tuple[str, ...]] = {}
+    for name, (_, entry) in entries(Config).items():
+        for key in entries(entry.table) if entry.table is not None else ():
+            homes[key] = (*homes.get(key, ()), name)
+    return homes | dict.fromkeys(entries(Config), ("",))
 
 
 def read_config(path: str | Path | None, given: Mapping[str, Any] | None = None, *, links_only: bool = False) -> Config:
@@ -335,4 +403,13 @@ def read_config(path: str | Path | None, given: Mapping[str, Any] | None = None,
         The file cannot be read, is not TOML, has keys that are unknown, values of the wrong kind, or values that
         contradict each other. The message has a line for each: ``FILE:LINE: 'key' what is wrong; what to do``.
     """
-    return read_model(Config, path, given or {}, link_conflicts if links_only else conflicts)
+    mend = "docs/config-example.toml is one to begin with"
+    file = read_toml(path, ConfigError, overrides=given, mend=mend)
+    config = read_keys(Config, file.root)
+    found = (link_conflicts if links_only else conflicts)(config)
+    # what contradicts a value that is wrong itself, or its default, is no mistake of its own
+    judged = [one for one in found if all(file.good(place, keys_below=False) for place in (one.path, *one.others))]
+    for conflict in judged:
+        file.mistake(conflict.path, conflict.what)
+    file.check()
+    return config

@@ -7,8 +7,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from adapters.toml_lines import KeyPath
 from monitor.configuration.config_values import listens_beyond_loopback
-from monitor.configuration.toml_lines import KeyPath
 
 if TYPE_CHECKING:
     from monitor.configuration.config import Config, Vehicle

@@ -7,13 +7,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from typing import Any, Literal, get_args, get_origin
 
-from pydantic import BaseModel
-from pydantic.fields import FieldInfo
-
-from monitor.configuration.config import Config
-from monitor.configuration.config_reading import model_in, toml_value
+from adapters.toml_tables import toml_value
+from monitor.configuration.config import Config, entries
 
 _HEAD = """# Configuration of the daemon
 
@@ -28,37 +24,23 @@ This page is written by `python -m monitor.configuration.config_page`.
 
 def render() -> str:
     """Return the page as Markdown."""
-    plain = {name: field for name, field in Config.model_fields.items() if model_in(field.annotation) is None}
-    parts = [_HEAD, "## Top level\n", *_rows(plain)]
-    for name, field in Config.model_fields.items():
-        table = model_in(field.annotation)
-        if table is None:
-            continue
-        header = f"[[{name}]]" if get_origin(field.annotation) is tuple else f"[{name}]"
-        parts += [f"\n## `{header}`\n", f"{(table.__doc__ or '').strip()}\n", *_rows(table.model_fields)]
-        if field.description:
-            parts += [f"\n{field.description}"]
+    parts = [_HEAD, "## Top level\n", *_rows(Config)]
+    for name, (default, entry) in entries(Config).items():
+        if entry.table is not None:
+            header = f"[[{name}]]" if isinstance(default, tuple) else f"[{name}]"
+            parts += [f"\n## `{header}`\n", f"{(entry.table.__doc__ or '').strip()}\n", *_rows(entry.table)]
+            if entry.description:
+                parts += [f"\n{entry.description}"]
     return "\n".join(parts) + "\n"
 
 
-def _rows(fields: dict[str, FieldInfo]) -> Iterator[str]:
+def _rows(kind: type) -> Iterator[str]:
     yield "| key | default | what it is | for example |\n|---|---|---|---|"
-    for name, field in fields.items():
-        example = "" if not field.examples else f"`{name} = {toml_value(field.examples[0])}`"
-        what = "".join((field.description or "", *_choices(field.annotation)))
-        yield f"| `{name}` | {_default(field)} | {what} | {example} |"
-
-
-def _choices(annotation: Any) -> Iterator[str]:
-    if get_origin(annotation) is Literal:
-        yield f" One of {', '.join(f'`{choice}`' for choice in get_args(annotation))}."
-
-
-def _default(field: FieldInfo) -> str:
-    value = field.get_default()
-    if value is None or isinstance(value, BaseModel):
-        return ""
-    return f"`{toml_value(value)}`"
+    for name, (default, entry) in entries(kind).items():
+        if entry.table is None:
+            choices = f" One of {', '.join(f'`{choice}`' for choice in entry.choices)}." if entry.choices else ""
+            shown = "" if default is None else f"`{toml_value(default)}`"
+            yield f"| `{name}` | {shown} | {entry.description}{choices} | `{name} = {toml_value(entry.example)}` |"
 
 
 if __name__ == "__main__":

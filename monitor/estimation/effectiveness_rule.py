@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
-from adapters.errors import ProfileError
+from adapters.toml_tables import Table
 from monitor.estimation.effectiveness import EffectivenessRule
-from monitor.tables import Table
 
 _SMALLEST_NOISE = 1e-12
 _SMALLEST_CERTAINTY = 1.0
@@ -30,19 +29,17 @@ def read_effectiveness(
     bank : bool
         Whether the observer is a bank, whose estimates hold under one hypothesis each only.
 
-    Raises
-    ------
-    ProfileError
-        A key is missing, unknown or wrong, or a fault scales no input.
+    Mistakes are recorded in the table's file: a key that is missing, unknown or wrong, or a fault that scales no input.
     """
     found = {}
-    for name in table.keys():  # noqa: SIM118 - a Table is no dict
+    for name in table:
         if faults.get(name) is None:
             scaling = ", ".join(fault for fault, source in faults.items() if source is not None) or "none"
-            raise ProfileError(f"{table.where(name)}: no fault of that name scales an input; those that do: {scaling}")
-        if bank:
-            raise ProfileError(f"{table.where(name)}: a bank's estimates cannot be read this way; use one observer")
-        found[name] = _read_rule(table.table(name), inputs)
+            table.mistake(name, f": no fault of that name scales an input; those that do: {scaling}")
+        elif bank:
+            table.mistake(name, ": a bank's estimates cannot be read this way; use one observer")
+        else:
+            found[name] = _read_rule(table.table(name), inputs)
     return found
 
 
@@ -70,9 +67,9 @@ def _read_rule(table: Table, inputs: Sequence[str]) -> EffectivenessRule:
         hold_s=table.number("hold_s", default.hold_s, at_least=0.0),
         full=table.optional_text("full"),
     )
-    if list(rule.memories_s) != sorted(set(rule.memories_s)):
-        raise ProfileError(f"{table.where('memories_s')} does not grow; put the shortest memory first")
-    if rule.full is not None and rule.full not in inputs:
-        raise ProfileError(f"{table.where('full')} is '{rule.full}'; no such input; there are {', '.join(inputs)}")
+    if table.good("memories_s") and list(rule.memories_s) != sorted(set(rule.memories_s)):
+        table.mistake("memories_s", "does not grow; put the shortest memory first")
+    if rule.full is not None and table.good("full") and rule.full not in inputs:
+        table.mistake("full", f"is '{rule.full}'; no such input; there are {', '.join(inputs)}")
     table.done()
     return rule

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.errors import ProfileError
-from monitor.tables import Table
+from adapters.toml_tables import Table
 
 METHODS = ("single", "independent", "bank")
 
@@ -79,34 +78,25 @@ IsolationRule = IndependentRule | SingleRule | BankRule
 def read_hypotheses(table: Table) -> tuple[tuple[str, ...], ...] | None:
     """Return the faults of a bank's hypotheses, None where the isolation runs a single observer.
 
-    Raises
-    ------
-    ProfileError
-        The method is unknown, or a bank has no hypotheses or one twice.
+    Mistakes are recorded in the table's file: an unknown method, or a bank that has no hypotheses or one twice.
     """
-    method = table.text("method")
-    if method not in METHODS:
-        raise ProfileError(f"{table.where('method')} is '{method}'; use 'single', 'independent' or 'bank'")
-    if method != "bank":
+    if table.choice("method", METHODS) != "bank":
         return None
-    found = tuple(entry.texts("faults", ()) for entry in table.tables("hypotheses"))
-    if not found or not all(found):
-        raise ProfileError(f"{table.where('hypotheses')} is empty or has an entry without 'faults'")
-    if len({frozenset(faults) for faults in found}) < len(found):
-        raise ProfileError(f"{table.where('hypotheses')} has the same faults twice")
-    return found
+    hypotheses = tuple(entry.texts("faults") for entry in table.tables("hypotheses"))
+    if not hypotheses or not all(hypotheses):
+        table.mistake("hypotheses", "is empty or has an entry without 'faults'")
+    elif len({frozenset(faults) for faults in hypotheses}) < len(hypotheses):
+        table.mistake("hypotheses", "has the same faults twice")
+    return hypotheses
 
 
 def read_isolation(table: Table, faults: int, outputs: int) -> IsolationRule:
     """Return the rule of an isolation table, for a number of fault channels and of outputs.
 
-    Raises
-    ------
-    ProfileError
-        A key is missing, unknown or wrong.
+    Mistakes are recorded in the table's file; those that :func:`read_hypotheses` records have to be raised before.
     """
     hypotheses = read_hypotheses(table)
-    method = table.text("method")
+    method = table.choice("method", METHODS)
     smoothing_s = table.number("smoothing_s", 0.05, at_least=0.0)
     rule: IsolationRule
     if hypotheses is not None:
@@ -123,11 +113,11 @@ def read_isolation(table: Table, faults: int, outputs: int) -> IsolationRule:
         )
         for entry, found, edge in zip(entries, hypotheses, rule.edges, strict=True):
             if edge and len(found) > 1:
-                raise ProfileError(f"{entry.where('edge')} needs a hypothesis with a single fault")
+                entry.mistake("edge", "needs a hypothesis with a single fault")
         if all(rule.edges):
-            raise ProfileError(f"{table.where('hypotheses')} has none but edges; a bank needs one to compare")
+            table.mistake("hypotheses", "has none but edges; a bank needs one to compare")
         for entry in entries:
-            entry.texts("faults", ())
+            entry.texts("faults")
             entry.done()
     elif method == "single":
         rule = SingleRule(
@@ -176,18 +166,20 @@ def gains_file_names(observer: str, hypotheses: Sequence[Sequence[str]] = ()) ->
 
 
 def _washouts(table: Table, faults: Collection[str]) -> dict[str, float]:
-    for name in table.keys():  # noqa: SIM118 - a Table is no dict
+    for name in table:
         if name not in faults:
-            raise ProfileError(f"{table.where(name)}: no hypothesis has this fault")
-    return {name: table.number(name, at_least=0.1) for name in table.keys()}  # noqa: SIM118
+            table.mistake(name, ": no hypothesis has this fault")
+    return {name: table.number(name, at_least=0.1) for name in table}
 
 
 def _covariance(table: Table, size: int, definite: bool = True) -> NDArray[np.float64]:
     covariance = table.matrix("covariance", size, size)
+    if not table.good("covariance"):
+        return covariance
     scale = np.sqrt(np.abs(np.diag(covariance)))
     correlation = covariance / np.outer(scale, scale).clip(1e-300)
     if not np.allclose(correlation, correlation.T) or not covariance.any():
-        raise ProfileError(f"{table.where('covariance')} is not symmetric, or zero")
-    if np.linalg.eigvalsh(correlation).min() < (1e-12 if definite else -1e-9):
-        raise ProfileError(f"{table.where('covariance')} is not positive {'definite' if definite else 'semidefinite'}")
+        table.mistake("covariance", "is not symmetric, or zero")
+    elif np.linalg.eigvalsh(correlation).min() < (1e-12 if definite else -1e-9):
+        table.mistake("covariance", f"is not positive {'definite' if definite else 'semidefinite'}")
     return covariance

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from adapters.batch import Batch
 from adapters.sample import Given, Sample, Samples
+from adapters.toml_tables import Table
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler, SamplerStatistics
@@ -41,6 +42,18 @@ class GateRule:
     require_airborne: bool = True
     settle_s: float = 1.0
     airborne_command: float = 0.0
+
+
+def read_gate(table: Table, default: GateRule) -> GateRule:
+    """Return the rule of a table ``phase``; mistakes are recorded in its file."""
+    gate = GateRule(
+        require_armed=table.boolean("require_armed", default.require_armed),
+        require_airborne=table.boolean("require_airborne", default.require_airborne),
+        settle_s=table.number("settle_s", default.settle_s, at_least=0.0),
+        airborne_command=table.number("airborne_command", default.airborne_command),
+    )
+    table.done()
+    return gate
 
 
 class FlightGate:

@@ -11,8 +11,8 @@ from typing import Any
 from adapters.channels import Channel, parse_channel
 from adapters.errors import TelemetryError, UsageError
 from adapters.message import Message
-from monitor.profile import Profile
 from monitor.core.sampling import VehicleClock
+from monitor.profile import Profile
 from replay.attacks.attack import Attack, Change, Signal
 from replay.attacks.instruments import INSTRUMENTS, SPOOFED, Quantity, Scene, alike, channel_quantity, unit_of
 from replay.attacks.plant_response import PlantResponse, find_fault, output_signals

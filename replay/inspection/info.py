@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from adapters.errors import InfeasibleError, ModelError, TelemetryError
+from adapters.toml_tables import read_toml
 from gains.analysis.check import check_plant
 from gains.analysis.check_text import text as check_text
 from gains.identification.free_model import read_free_model
-from gains.plants.model_file import BUILTIN_MODELS, load_model, read_document
+from gains.plants.model_file import BUILTIN_MODELS, load_model
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, read_gains
 from monitor.profile import PROFILE_FILE, ObserverProfile, read_profile
@@ -134,7 +135,7 @@ def gains_info(path: Path) -> dict[str, Any]:
 def model_info(path: Path) -> dict[str, Any]:
     """Return a model's names and sizes, and whether its faults can be estimated."""
     free = None
-    if str(path) not in BUILTIN_MODELS and "parameters" in read_document(path):
+    if str(path) not in BUILTIN_MODELS and read_toml(path, ModelError).root.has("parameters"):
         free = read_free_model(path)
     plant = load_model(path) if free is None else free.example
     estimable, verdict = _checked(plant)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.channels import is_number
+from adapters.toml_tables import is_number
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.event import AlarmEvent, Kind, Severity
 from monitor.profile import PROFILE_FILE, Profile

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.channels import Channel, parse_channel
+from adapters.channels import Channel, read_channel
 from adapters.errors import InfeasibleError, ModelError, TelemetryError
 from adapters.message import Message
 from gains.analysis.estimability import problem_of
@@ -37,10 +37,9 @@ from monitor.fitting.thresholds import (
     healthy_evidence,
     healthy_levels,
 )
-from monitor.sampling.gate import GateRule
+from monitor.sampling.gate import GateRule, read_gate
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.transform import Source
-from monitor.tables import Table
 
 _SMOOTHING_S = 0.05
 _LEAST_THRESHOLD = 1e-3
@@ -116,21 +115,21 @@ def model_channels(model: FreeModel) -> tuple[tuple[Channel, ...], tuple[Channel
 
     Raises
     ------
-    ModelError, TelemetryError
-        One is missing, unknown or wrong; the message names file and key.
+    ModelError
+        Some are missing, unknown or wrong; the message has a line for each.
     """
     signals = (*model.example.inputs, *model.example.outputs)
-    for channel in model.channels:
-        if channel not in signals:
-            raise ModelError(
-                f"{model.path}: 'channels.{channel}' is no input or output; there are {', '.join(signals)}"
-            )
+    table = model.file.root.table("channels")
+    for name in table:
+        if name not in signals:
+            table.mistake(name, f"is no input or output; there are {', '.join(signals)}")
     found = []
     for signal in signals:
-        table, key = model.channels.get(signal), f"{model.path}: 'channels.{signal}'"
-        if not isinstance(table, Mapping):
-            raise ModelError(f"{key} is missing or no table; write [channels.{signal}] with 'message' and 'field'")
-        found.append(parse_channel(signal, table, key))
+        if table.has(signal):
+            found.append(read_channel(signal, table.table(signal)))
+        else:
+            table.mistake(signal, f"is missing; write [channels.{signal}] with 'message' and 'field'")
+    model.file.check()
     split = len(model.example.inputs)
     return tuple(found[:split]), tuple(found[split:])
 
@@ -233,14 +232,8 @@ def _shares(data: FittedData) -> dict[str, NDArray[np.float64]]:
 
 
 def _gate(model: FreeModel) -> GateRule:
-    table = Table(model.path, "phase.", model.phase)
-    gate = GateRule(
-        require_armed=table.boolean("require_armed", True),
-        require_airborne=table.boolean("require_airborne", False),
-        settle_s=table.number("settle_s", SETTLE_S, at_least=0.0),
-        airborne_command=table.number("airborne_command", 0.0),
-    )
-    table.done()
+    gate = read_gate(model.file.root.table("phase"), GateRule(require_airborne=False, settle_s=SETTLE_S))
+    model.file.check()
     return gate
 
 

@@ -10,7 +10,7 @@ import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.configuration.toml_lines import KeyPath, key_lines, line_of
+from adapters.toml_lines import KeyPath, key_lines, line_of
 
 TEXT = '''\
 # a comment with = and [brackets]
