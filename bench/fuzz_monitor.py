@@ -24,7 +24,7 @@ from monitor.bus.operators import VERBS, Operators
 from monitor.bus.payload import to_json
 from monitor.bus.status_watch import valid_status
 from monitor.event import AlarmEvent, valid_event
-from monitor.pipeline import standing_message
+from monitor.pipeline import handover_message
 from monitor.profile import read_profile
 from monitor.recording.journal import Journal
 from monitor.service.health import Health, ProcessHealth
@@ -188,7 +188,7 @@ def _journal(folder: Path) -> Run:
             with only(OSError):
                 profile_alarms = damaged.active(VEHICLE)
                 assert all(isinstance(event, AlarmEvent) for event in profile_alarms)
-                standing_message(profile_alarms, damaged.last_seq(VEHICLE), START_NS)
+                handover_message(profile_alarms, damaged.last_seq(VEHICLE), START_NS)
                 damaged.events()
                 damaged.frame("id1")
             damaged.write(replace(EVENT, seq=1000))

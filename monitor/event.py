@@ -61,11 +61,11 @@ class AlarmEvent:
     seq : int
         Counts the vehicle's events from 1.
     acknowledged : bool
-        Whether somebody has said that they know.
+        Whether an operator has acknowledged it.
     latched : bool
-        Whether the alarm stands although its cause is gone, until somebody resets it.
+        Whether the alarm stays active although its cause is gone, until an operator resets it.
     shelved_until_ns : int | None
-        Unix time at which a shelved alarm speaks again; None where it is not shelved.
+        Unix time at which shelving ends; None where the alarm is not shelved.
     creeping : bool
         Whether only the mean over seconds shows it: ``estimate`` is that mean.
     recurring : bool

@@ -40,6 +40,7 @@ from monitor.segments import Arrivals, arrivals_of, message_at, selected
 AUTOPILOT = 1
 RULES = "rules"
 STANDING = "standing"
+"""Name of the message with the alarms that were active before; recordings hold it."""
 
 Output = Estimate | AlarmEvent
 
@@ -123,7 +124,7 @@ class Pipeline:
 
     @property
     def system(self) -> int:
-        """The monitored MAVLink system id; 0 while none was heard."""
+        """The monitored MAVLink system id; 0 before its first message."""
         return self._system
 
     @property
@@ -136,7 +137,7 @@ class Pipeline:
 
     @property
     def desk(self) -> AlarmDesk:
-        """The alarms that stand and what operators did with them; feed messages to change them."""
+        """The active alarms and what operators did with them; messages change them."""
         return self._desk
 
     def statistics(self) -> Mapping[str, SamplerStatistics]:
@@ -223,7 +224,7 @@ class Pipeline:
                 outputs.extend(self._run_own(message))
                 index += 1
                 continue
-            outputs.extend(self._tell(self._before(message)))
+            outputs.extend(self._through_desk(self._before(message)))
             stop = self._segment_end(arrivals, own, index)
             self._run_segment(batch, arrivals, index, stop, outputs)
             index = stop
@@ -233,9 +234,9 @@ class Pipeline:
         now_ns, vehicle_ns = message.received_ns, self._clock.newest_ns
         self._phase.feed(message)
         events = self._silence(now_ns)
-        events += self._link.feed(message, vehicle_ns)
+        events += self._link.process(message, vehicle_ns)
         if message.name in self._wanted:
-            events += self._stale.heard(now_ns, vehicle_ns)
+            events += self._stale.follow(now_ns, vehicle_ns)
         return events
 
     def _segment_end(self, arrivals: Arrivals, own: Sequence[int], start: int) -> int:
@@ -249,8 +250,9 @@ class Pipeline:
             self._link.first_due(received_ns, heartbeats),
             self._first_desk_due(int(arrivals.received_ns[start]), received_ns),
         )
-        changes = arrivals.phases[np.searchsorted(arrivals.phases, after) :][:1].tolist()
-        return min([after + quiet, *changes, *own[bisect_left(own, after) :][:1]])
+        ends: list[int] = [after + quiet, *own[bisect_left(own, after) :][:1]]
+        ends += arrivals.phases[np.searchsorted(arrivals.phases, after) :][:1].tolist()
+        return min(ends)
 
     def _first_desk_due(self, start_ns: int, received_ns: NDArray[np.int64]) -> int:
         """Return the index of the first message at which shelving or a flood may end, else the number of messages."""
@@ -277,7 +279,7 @@ class Pipeline:
             for chain, samples, position in zip(self._chains, taken.samples, taken.position, strict=True)
         ]
         outputs.extend(run.estimates for run in runs if len(run.estimates))
-        outputs.extend(self._tell(alarm_events(runs, self._excuses)))
+        outputs.extend(self._through_desk(alarm_events(runs, self._excuses)))
 
     def _follow_arrivals(self, arrivals: Arrivals, start: int, stop: int, newest_ns: NDArray[np.int64]) -> None:
         """Let the alarms of silence and of heartbeats follow a segment in which they have nothing to say.
@@ -296,9 +298,9 @@ class Pipeline:
         """Process a message that is no telemetry."""
         now_ns, fields = message.received_ns, message.fields
         if message.source is CLOCK:
-            return self._tell([*self._silence(now_ns), *self._link.quiet(now_ns)])
+            return self._through_desk([*self._silence(now_ns), *self._link.quiet(now_ns)])
         if message.source is LINK:
-            return self._tell(self._link.feed(message, self._clock.newest_ns))
+            return self._through_desk(self._link.process(message, self._clock.newest_ns))
         if message.source is JOURNAL:
             return self._adopt(fields, now_ns) if message.name == STANDING else []
         if message.name == RULES:
@@ -322,11 +324,11 @@ class Pipeline:
                 outputs.append(output)
         return outputs
 
-    def _tell(self, events: Iterable[AlarmEvent]) -> list[AlarmEvent]:
-        return [told for event in events for told in self._desk.take(event)]
+    def _through_desk(self, events: Iterable[AlarmEvent]) -> list[AlarmEvent]:
+        return [published for event in events for published in self._desk.process(event)]
 
     def _adopt(self, fields: Mapping[str, Any], now_ns: int) -> list[AlarmEvent]:
-        events = [event for event in standing_alarms(fields) if event.vehicle == self.vehicle]
+        events = [event for event in handed_over_alarms(fields) if event.vehicle == self.vehicle]
         for event in events:
             if event.latched:
                 continue
@@ -349,7 +351,7 @@ class Pipeline:
 
 
 def rules_message(rule: DeskRule, profile: Profile, now_ns: int) -> Message:
-    """Return the message that makes the desk's rule and a profile's alarm sizes hold from now on."""
+    """Return the message that applies the desk's rule and a profile's alarm sizes from now on."""
     alarms = {
         observer.name: {
             one.channel: {key: value for key, value in asdict(one).items() if key in TUNABLE} for one in observer.alarms
@@ -359,35 +361,35 @@ def rules_message(rule: DeskRule, profile: Profile, now_ns: int) -> Message:
     return Message(OPERATOR, RULES, now_ns, {**rule_fields(rule), "alarms": alarms})
 
 
-def standing_message(
+def handover_message(
     alarms: Sequence[AlarmEvent], seq: int, now_ns: int, shelved: Mapping[str, int] = MappingProxyType({})
 ) -> Message:
-    """Return the message that tells a pipeline what held when another one stopped.
+    """Return the message that lets a pipeline go on where another one stopped.
 
     Parameters
     ----------
     alarms : Sequence[AlarmEvent]
-        The last event of each alarm that stood.
+        The last event of each active alarm.
     seq : int
         The last number given to an event.
     now_ns : int
         Unix time.
     shelved : Mapping[str, int]
-        Channels (``observer/channel``) that operators had shelved, and the Unix times at which they speak again.
+        Channels (``observer/channel``) that operators had shelved, and the Unix times at which shelving ends.
     """
-    told = {"seq": seq, "alarms": [event.to_json() for event in alarms], "shelved": dict(shelved)}
-    return Message(JOURNAL, STANDING, now_ns, told)
+    fields = {"seq": seq, "alarms": [event.to_json() for event in alarms], "shelved": dict(shelved)}
+    return Message(JOURNAL, STANDING, now_ns, fields)
 
 
 def shelved_channels(fields: Mapping[str, Any]) -> dict[str, int]:
-    """Return the shelved channels in such a message; what is none is left out."""
+    """Return the shelved channels in such a message; invalid entries are left out."""
     shelved = fields.get("shelved")
     found = shelved.items() if isinstance(shelved, Mapping) else ()
     return {name: until for name, until in found if isinstance(name, str) and "/" in name and type(until) is int}
 
 
-def standing_alarms(fields: Mapping[str, Any]) -> list[AlarmEvent]:
-    """Return the alarms in such a message; what is none is left out."""
+def handed_over_alarms(fields: Mapping[str, Any]) -> list[AlarmEvent]:
+    """Return the alarms in such a message; invalid entries are left out."""
     alarms = fields.get("alarms")
     events = map(valid_event, alarms if isinstance(alarms, Sequence) else ())
     return [event for event in events if event is not None]

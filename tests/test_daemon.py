@@ -166,7 +166,7 @@ def test_vehicles_named_and_new_are_watched_commanded_recorded_and_journaled(
     assert answer["ok"]
     assert (answer["event"]["state"], answer["event"]["acknowledged"]) == ("acknowledged", True)
     assert "acknowledged by eve" in answer["event"]["message"]
-    assert daemon.command("first", "ack", id="01NONE")["error"].startswith("no alarm '01NONE' stands")
+    assert daemon.command("first", "ack", id="01NONE")["error"].startswith("no alarm '01NONE' is active")
     shelved = daemon.command("vehicle-7", "shelve", channel="motors/motor3", minutes=5)
     assert shelved["event"]["state"] == "shelved"
     assert "motors/motor3" in daemon.status("vehicle-7")["shelved"]

@@ -37,31 +37,31 @@ def states(events: list[AlarmEvent]) -> list[str]:
 def test_what_nobody_touches_is_passed_on_and_numbered() -> None:
     desk = AlarmDesk("copter-1", DeskRule())
     told = [
-        *desk.take(raw("motor1", "raised")),
-        *desk.take(raw("motor1", "updated")),
-        *desk.take(raw("motor1", "cleared")),
+        *desk.process(raw("motor1", "raised")),
+        *desk.process(raw("motor1", "updated")),
+        *desk.process(raw("motor1", "cleared")),
     ]
     assert states(told) == ["raised", "updated", "cleared"]
     assert [one.seq for one in told] == [1, 2, 3]
-    assert desk.standing == ()
+    assert desk.active == ()
 
 
 def test_an_acknowledgement_stays_until_the_alarm_becomes_critical() -> None:
     desk = AlarmDesk("copter-1", DeskRule())
-    desk.take(raw("motor1", "raised"))
+    desk.process(raw("motor1", "raised"))
     (told,) = operate(desk, "ack", "motor1", by="Ann", reason="seen")
     assert (told.state, told.acknowledged, told.message) == ("acknowledged", True, "acknowledged by Ann: seen")
-    assert desk.take(raw("motor1", "updated", 1.0))[0].acknowledged
-    assert not desk.take(raw("motor1", "updated", 2.0, severity="critical"))[0].acknowledged
-    assert not desk.take(raw("motor1", "updated", 3.0, severity="critical"))[0].acknowledged
+    assert desk.process(raw("motor1", "updated", 1.0))[0].acknowledged
+    assert not desk.process(raw("motor1", "updated", 2.0, severity="critical"))[0].acknowledged
+    assert not desk.process(raw("motor1", "updated", 3.0, severity="critical"))[0].acknowledged
 
 
 def test_a_shelved_alarm_is_quiet_and_raised_anew_with_its_id_when_the_time_is_over() -> None:
     desk = AlarmDesk("copter-1", DeskRule())
-    (raised,) = desk.take(raw("motor1", "raised"))
+    (raised,) = desk.process(raw("motor1", "raised"))
     (shelved,) = operate(desk, "shelve", "motor1", until_ns=at(60))
     assert (shelved.state, shelved.shelved_until_ns) == ("shelved", at(60))
-    assert desk.take(raw("motor1", "updated", 1.0, severity="critical")) == []
+    assert desk.process(raw("motor1", "updated", 1.0, severity="critical")) == []
     assert desk.tick(at(59.9)) == []
     (again,) = desk.tick(at(75))
     assert (again.state, again.id, again.severity) == ("raised", raised.id, "critical")
@@ -72,14 +72,14 @@ def test_a_shelved_alarm_is_quiet_and_raised_anew_with_its_id_when_the_time_is_o
 def test_an_alarm_of_a_shelved_channel_enters_as_shelved_and_its_end_is_told() -> None:
     desk = AlarmDesk("copter-1", DeskRule())
     assert operate(desk, "shelve", "motor1", until_ns=at(60)) == []
-    assert states(desk.take(raw("motor1", "raised", 1.0))) == ["shelved"]
-    assert states(desk.take(raw("motor1", "cleared", 2.0))) == ["cleared"]
+    assert states(desk.process(raw("motor1", "raised", 1.0))) == ["shelved"]
+    assert states(desk.process(raw("motor1", "cleared", 2.0))) == ["cleared"]
     assert desk.tick(at(61)) == []
 
 
 def test_unshelving_lets_an_alarm_speak_at_once() -> None:
     desk = AlarmDesk("copter-1", DeskRule())
-    desk.take(raw("motor1", "raised"))
+    desk.process(raw("motor1", "raised"))
     operate(desk, "shelve", "motor1", until_ns=at(60))
     assert states(operate(desk, "unshelve", "motor1", 1.0)) == ["raised"]
     assert desk.tick(at(61)) == []
@@ -87,21 +87,21 @@ def test_unshelving_lets_an_alarm_speak_at_once() -> None:
 
 def test_a_latched_alarm_stays_without_its_cause_until_it_is_reset() -> None:
     desk = AlarmDesk("copter-1", DeskRule(latched=frozenset({"motors/motor1"})))
-    (raised,) = desk.take(raw("motor1", "raised"))
+    (raised,) = desk.process(raw("motor1", "raised"))
     assert operate(desk, "reset", "motor1") == []
-    (kept,) = desk.take(raw("motor1", "cleared", 1.0))
+    (kept,) = desk.process(raw("motor1", "cleared", 1.0))
     assert (kept.state, kept.latched) == ("updated", True)
     (reset,) = operate(desk, "reset", "motor1", 2.0)
     assert (reset.state, reset.latched, reset.id) == ("cleared", False, raised.id)
-    assert desk.standing == ()
+    assert desk.active == ()
 
 
 def test_a_latched_alarm_that_returns_keeps_its_id_and_loses_its_acknowledgement() -> None:
     desk = AlarmDesk("copter-1", DeskRule(latched=frozenset({"motors/motor1"})))
-    (raised,) = desk.take(raw("motor1", "raised"))
+    (raised,) = desk.process(raw("motor1", "raised"))
     operate(desk, "ack", "motor1")
-    desk.take(raw("motor1", "cleared", 1.0))
-    (back,) = desk.take(raw("motor1", "raised", 2.0, id="other", since_ns=at(2.0)))
+    desk.process(raw("motor1", "cleared", 1.0))
+    (back,) = desk.process(raw("motor1", "raised", 2.0, id="other", since_ns=at(2.0)))
     assert (back.state, back.id, back.since_ns) == ("updated", raised.id, raised.since_ns)
     assert not back.acknowledged
     assert not back.latched
@@ -109,28 +109,28 @@ def test_a_latched_alarm_that_returns_keeps_its_id_and_loses_its_acknowledgement
 
 def test_a_channel_that_goes_out_of_service_clears_and_is_a_new_alarm_when_it_comes_back() -> None:
     desk = AlarmDesk("copter-1", DeskRule())
-    (raised,) = desk.take(raw("motor1", "raised"))
+    (raised,) = desk.process(raw("motor1", "raised"))
     out = DeskRule(out_of_service=frozenset({"motors/motor1"}))
     (gone,) = desk.set_rule(out, at(1))
     assert (gone.state, gone.id) == ("cleared", raised.id)
-    assert desk.standing == ()
-    assert desk.take(raw("motor1", "updated", 2.0, severity="critical")) == []
+    assert desk.active == ()
+    assert desk.process(raw("motor1", "updated", 2.0, severity="critical")) == []
     (back,) = desk.set_rule(DeskRule(), at(3))
     assert (back.state, back.severity, back.since_ns) == ("raised", "critical", at(3))
     assert back.id != raised.id
-    assert desk.take(raw("motor1", "cleared", 4.0))[0].id == back.id
+    assert desk.process(raw("motor1", "cleared", 4.0))[0].id == back.id
 
 
 def test_nothing_comes_back_into_service_that_cleared_in_between() -> None:
     desk = AlarmDesk("copter-1", DeskRule(out_of_service=frozenset({"motors/motor1"})))
-    assert desk.take(raw("motor1", "raised")) == []
-    assert desk.take(raw("motor1", "cleared", 1.0)) == []
+    assert desk.process(raw("motor1", "raised")) == []
+    assert desk.process(raw("motor1", "cleared", 1.0)) == []
     assert desk.set_rule(DeskRule(), at(2)) == []
 
 
 def test_a_flood_shelves_further_warnings_says_so_once_and_ends() -> None:
     desk = AlarmDesk("copter-1", DeskRule(flood_raised=2, flood_s=10.0))
-    told = [one for channel in CHANNELS for one in desk.take(raw(channel, "raised"))]
+    told = [one for channel in CHANNELS for one in desk.process(raw(channel, "raised"))]
     assert [(one.channel, one.state) for one in told] == [
         ("motor1", "raised"),
         ("motor2", "raised"),
@@ -150,19 +150,19 @@ def test_a_flood_shelves_further_warnings_says_so_once_and_ends() -> None:
 def test_what_is_or_becomes_critical_is_not_held_back_by_a_flood() -> None:
     desk = AlarmDesk("copter-1", DeskRule(flood_raised=1, flood_s=10.0))
     for channel in ("motor1", "motor2", "motor3"):
-        desk.take(raw(channel, "raised"))
-    assert states(desk.take(raw("motor4", "raised", severity="critical"))) == ["raised"]
-    assert states(desk.take(raw("motor2", "updated", 1.0, severity="critical"))) == ["raised"]
-    desk.take(raw("motor3", "cleared", 1.0))
-    assert states(desk.take(raw("motor3", "raised", 2.0, id="new", severity="critical"))) == ["raised"]
+        desk.process(raw(channel, "raised"))
+    assert states(desk.process(raw("motor4", "raised", severity="critical"))) == ["raised"]
+    assert states(desk.process(raw("motor2", "updated", 1.0, severity="critical"))) == ["raised"]
+    desk.process(raw("motor3", "cleared", 1.0))
+    assert states(desk.process(raw("motor3", "raised", 2.0, id="new", severity="critical"))) == ["raised"]
     assert desk.shelved == {}
 
 
 def test_a_flood_that_goes_on_keeps_holding_back_and_its_alarm_obeys_operators_too() -> None:
     desk = AlarmDesk("copter-1", DeskRule(flood_raised=1, flood_s=10.0, latched=frozenset({f"{OBSERVER}/{FLOOD}"})))
     for channel in ("motor1", "motor2"):
-        desk.take(raw(channel, "raised"))
-    desk.take(raw("motor3", "raised", 8.0))
+        desk.process(raw(channel, "raised"))
+    desk.process(raw("motor3", "raised", 8.0))
     assert desk.tick(at(12)) == []
     over = desk.tick(at(30))
     assert [(one.channel, one.state, one.time_ns) for one in over] == [
@@ -176,13 +176,13 @@ def test_a_flood_that_goes_on_keeps_holding_back_and_its_alarm_obeys_operators_t
 
 def test_what_an_operator_is_refused_says_why_and_changes_nothing() -> None:
     desk = AlarmDesk("copter-1", DeskRule())
-    desk.take(raw("motor1", "raised"))
-    before = desk.standing
+    desk.process(raw("motor1", "raised"))
+    before = desk.active
     for verb, fields, reason in (
         ("explode", {"channel": "motor1"}, "is no command"),
-        ("ack", {"channel": "motor9"}, "no alarm 'motor9' stands"),
-        ("ack", {"id": "nonsense", "channel": "motor1"}, "no alarm 'nonsense' stands"),
-        ("ack", {"channel": "motors/motor2"}, "no alarm of motors/motor2 stands"),
+        ("ack", {"channel": "motor9"}, "no alarm 'motor9' is active"),
+        ("ack", {"id": "nonsense", "channel": "motor1"}, "no alarm 'nonsense' is active"),
+        ("ack", {"channel": "motors/motor2"}, "no alarm of motors/motor2 is active"),
         ("reset", {"channel": "motor1"}, "not latched"),
         ("unshelve", {"channel": "motor1"}, "not shelved"),
         ("shelve", {"channel": "motor1"}, "until_ns"),
@@ -192,16 +192,16 @@ def test_what_an_operator_is_refused_says_why_and_changes_nothing() -> None:
     ):
         assert reason in (desk.refusal(verb, fields) or "")
         assert desk.operate(verb, fields, at(1)) == []
-    assert desk.standing == before
+    assert desk.active == before
 
 
 def test_alarms_that_stood_come_back_with_their_ids_flags_and_numbers() -> None:
     old = AlarmDesk("copter-1", DeskRule(latched=frozenset({"motors/motor3"})))
     for channel in CHANNELS:
-        old.take(raw(channel, "raised"))
+        old.process(raw(channel, "raised"))
     operate(old, "ack", "motor1")
     operate(old, "shelve", "motor2", until_ns=at(60))
-    old.take(raw("motor3", "cleared", 1.0))
+    old.process(raw("motor3", "cleared", 1.0))
     new = AlarmDesk("copter-1", old.rule)
     new.seq = old.seq
     told = new.adopt(old.standing, WATCHED, at(20))
@@ -239,7 +239,7 @@ def test_a_rule_survives_its_message_and_nonsense_changes_nothing() -> None:
 
 
 def _life(desk: AlarmDesk) -> set[tuple[str, str, bool, bool, int | None]]:
-    return {(one.id, one.channel, one.acknowledged, one.latched, one.shelved_until_ns) for one in desk.standing}
+    return {(one.id, one.channel, one.acknowledged, one.latched, one.shelved_until_ns) for one in desk.active}
 
 
 STEP = st.tuples(
@@ -287,7 +287,7 @@ def test_the_life_of_every_alarm_is_in_order_whatever_happens(
                 del active[channel]
             else:
                 one = active[channel] = raw(channel, "updated", seconds, id=before.id, severity="critical")
-            events = desk.take(one)
+            events = desk.process(one)
             note(events)
             in_service = f"motors/{channel}" not in desk.rule.out_of_service
             if one.severity == "critical" and one.state != "cleared" and in_service:
@@ -296,7 +296,7 @@ def test_the_life_of_every_alarm_is_in_order_whatever_happens(
             out = frozenset({f"motors/{channel}"}) if flag else frozenset()
             note(desk.set_rule(replace(desk.rule, out_of_service=out), at(seconds)))
         else:
-            named = [one for one in desk.standing if one.channel == channel]
+            named = [one for one in desk.active if one.channel == channel]
             was_latched = any(one.latched for one in named)
             events = operate(desk, what, channel, seconds, until_ns=at(seconds + 10))
             if what == "reset":
@@ -306,13 +306,13 @@ def test_the_life_of_every_alarm_is_in_order_whatever_happens(
             by_operators &= set(desk.shelved)
             note(events)
 
-    standing = {one.id for one in desk.standing}
+    standing = {one.id for one in desk.active}
     note([])
     end = desk.tick(at(seconds + 3600))
     by_operators.clear()
     note(end)
     assert desk.shelved == {}
-    assert all(one.shelved_until_ns is None for one in desk.standing)
+    assert all(one.shelved_until_ns is None for one in desk.active)
     assert [one.seq for one in told] == list(range(1, len(told) + 1))
     lives: dict[str, list[str]] = {}
     for one in told:
@@ -320,10 +320,10 @@ def test_the_life_of_every_alarm_is_in_order_whatever_happens(
     for states_of in lives.values():
         assert states_of[0] in ("raised", "shelved")
         assert "cleared" not in states_of[:-1]
-    assert standing >= {one.id for one in desk.standing}
-    assert {one for one, life in lives.items() if life[-1] != "cleared"} == {one.id for one in desk.standing}
+    assert standing >= {one.id for one in desk.active}
+    assert {one for one, life in lives.items() if life[-1] != "cleared"} == {one.id for one in desk.active}
     new = AlarmDesk("copter-1", desk.rule)
-    new.adopt(desk.standing, WATCHED, at(seconds + 3601))
+    new.adopt(desk.active, WATCHED, at(seconds + 3601))
     assert _life(new) == _life(desk)
 
 
@@ -340,7 +340,7 @@ def test_it_does_not_matter_how_often_somebody_looks_at_the_clock(raised: list[t
         for desk in (rarely, often):
             told[desk] += desk.tick(at(seconds))
             told[desk] += operate(desk, "shelve", channel, seconds, until_ns=at(seconds + 2))
-            told[desk] += desk.take(raw(channel, "raised", seconds, id=str(number)))
+            told[desk] += desk.process(raw(channel, "raised", seconds, id=str(number)))
     assert told[rarely] == told[often]
 
 
@@ -353,14 +353,14 @@ def test_channels_shelved_without_an_alarm_stay_shelved_after_a_restart() -> Non
     operate(old, "shelve", "motor1", until_ns=at(60))
     operate(old, "shelve", "motor2", until_ns=at(5))
     for channel in ("motor3", "motor4"):
-        old.take(raw(channel, "raised"))
+        old.process(raw(channel, "raised"))
     # what a flood holds back is not what operators have shelved
     assert old.shelved_by_operators == {"motors/motor1": at(60), "motors/motor2": at(5)}
     new = AlarmDesk("copter-1", DeskRule())
     assert new.adopt([], WATCHED, at(10), old.shelved_by_operators) == []
     assert new.shelved == {"motors/motor1": at(60)}
-    assert states(new.take(raw("motor1", "raised", 20.0))) == ["shelved"]
-    assert states(new.take(raw("motor2", "raised", 20.0))) == ["raised"]
+    assert states(new.process(raw("motor1", "raised", 20.0))) == ["shelved"]
+    assert states(new.process(raw("motor2", "raised", 20.0))) == ["raised"]
     assert states(new.tick(at(60))) == ["raised"]
 
 

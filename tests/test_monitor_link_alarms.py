@@ -25,7 +25,7 @@ def telemetry(seconds: float, name: str = "ATTITUDE", **fields: Any) -> Message:
 
 
 def fed(alarms: LinkAlarms, *messages: Message) -> list[AlarmEvent]:
-    return [event for message in messages for event in alarms.feed(message, 5 * SECOND)]
+    return [event for message in messages for event in alarms.process(message, 5 * SECOND)]
 
 
 def test_one_forged_packet_is_a_critical_security_alarm_that_clears_after_ten_seconds_without_another() -> None:

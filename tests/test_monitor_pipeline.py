@@ -16,7 +16,7 @@ from adapters.source import CLOCK, JOURNAL, LINK, MAVLINK, OPERATOR
 from monitor.alarms.desk_rule import DeskRule
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
-from monitor.pipeline import Output, Pipeline, rules_message, standing_message
+from monitor.pipeline import Output, Pipeline, rules_message, handover_message
 from monitor.profile import Profile
 from monitor.sampling.phase import FlightPhase
 
@@ -156,7 +156,7 @@ def with_operators(profile: Profile, flight: list[Message], before: AlarmEvent) 
     rule = DeskRule(latched=frozenset({name["channel"]}), flood_raised=3)
     tight = {first.observer: {first.channel: {"threshold": 0.001, "clear": 0.0005}}}
     told = [
-        standing_message([dataclasses.replace(first, channel="wing", id="before")], 41, flight[0].received_ns),
+        handover_message([dataclasses.replace(first, channel="wing", id="before")], 41, flight[0].received_ns),
         rules_message(rule, profile, at_ns - 1_000_000_000),
         Message(OPERATOR, "ack", at_ns + 500_000_000, name),
         Message(OPERATOR, "shelve", at_ns + 1_000_000_000, {**name, "until_ns": at_ns + 4_000_000_000}),
@@ -212,11 +212,11 @@ def test_a_restart_brings_standing_alarms_back_with_their_ids(
 ) -> None:
     raised, *_ = expected
     old, at = Pipeline(quad_profile), 0
-    while not old.desk.standing:
+    while not old.desk.active:
         old.feed(flight[at])
         at += 1
     new = Pipeline(quad_profile)
-    (told,) = new.feed(standing_message(old.desk.standing, old.desk.seq, flight[at].received_ns))
+    (told,) = new.feed(handover_message(old.desk.active, old.desk.seq, flight[at].received_ns))
     assert isinstance(told, AlarmEvent)
     assert (told.state, told.id, told.seq) == ("updated", raised.id, old.desk.seq + 1)
     later = [output for message in flight[at:] for output in new.feed(message) if isinstance(output, AlarmEvent)]
@@ -236,7 +236,7 @@ def test_a_reboot_during_an_alarm_neither_loses_nor_mutes_it_nor_raises_it_twice
     for message in [*flight, *again]:
         told += [output for output in pipeline.feed(message) if isinstance(output, AlarmEvent)]
     assert any(counts.clock_restarts for counts in pipeline.statistics().values())
-    assert raised.channel in {event.channel for event in pipeline.desk.standing}
+    assert raised.channel in {event.channel for event in pipeline.desk.active}
     turns = [state for state in alarm_states(told, raised.channel) if state in ("raised", "cleared")]
     assert turns in (["raised"], ["raised", "cleared", "raised"])
 

@@ -16,7 +16,7 @@ def test_nothing_is_stale_before_the_first_message() -> None:
 
 def test_silence_is_reported_once_with_the_time_it_became_stale() -> None:
     alarm = stale()
-    assert alarm.heard(T0, 5 * SECOND) == []
+    assert alarm.follow(T0, 5 * SECOND) == []
     assert alarm.silence(T0 + SECOND) == []
     (event,) = alarm.silence(T0 + 9 * SECOND)
     assert (event.kind, event.state, event.channel) == ("stale", "raised", "telemetry")
@@ -28,10 +28,10 @@ def test_silence_is_reported_once_with_the_time_it_became_stale() -> None:
 
 def test_a_replay_that_only_sees_messages_gives_the_same_events_as_a_live_clock() -> None:
     live, replayed = stale(), stale()
-    live.heard(T0, 0)
-    replayed.heard(T0, 0)
-    live_events = live.silence(T0 + 2 * SECOND + 1) + live.heard(T0 + 5 * SECOND, 5 * SECOND)
-    assert replayed.heard(T0 + 5 * SECOND, 5 * SECOND) == live_events
+    live.follow(T0, 0)
+    replayed.follow(T0, 0)
+    live_events = live.silence(T0 + 2 * SECOND + 1) + live.follow(T0 + 5 * SECOND, 5 * SECOND)
+    assert replayed.follow(T0 + 5 * SECOND, 5 * SECOND) == live_events
     assert [event.state for event in live_events] == ["raised", "cleared"]
     assert live_events[0].id == live_events[1].id
     assert live_events[1].message == "telemetry is back after 5.0 s"

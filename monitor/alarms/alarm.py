@@ -7,8 +7,8 @@ Paths, each with its own size and time, whichever comes first:
 - slow: the exponentially weighted mean over ``slow_s`` beyond ``slow``, for small and creeping faults; evidence enters
   it with twice ``slow`` at most, so that it forgets a large fault as fast as a small one.
 
-The alarm clears after the evidence has stood inside ``clear`` for ``clear_s``, and where only the slow path has seen it
-the mean inside half of ``slow``.
+The alarm clears after the evidence was inside ``clear`` for ``clear_s``, and where only the slow path has seen it the
+mean inside half of ``slow``.
 It is critical from the size ``critical`` on, and already where its growth leads there within ``critical_ahead_s``.
 One that is raised for the third time within ``latch_s`` comes and goes: it clears only after ``latch_s`` of quiet. The
 debounce is a clamped up/down counter of time, so evidence that drops out for a sample delays an alarm instead of losing
@@ -53,7 +53,7 @@ class AlarmRule:
     threshold, clear, critical : float
         Size of the evidence that raises the alarm, that clears it, and that makes it critical.
     raise_s, clear_s : float
-        How long the evidence has to stand, seconds.
+        How long the evidence has to be beyond ``threshold`` to raise it, and inside ``clear`` to clear it, seconds.
     fast, fast_s : float
         Size that raises it after a shorter time; infinite size: no such path.
     slow, slow_s : float
@@ -75,10 +75,13 @@ class AlarmRule:
     clear_s: float
     fast: float = math.inf
     fast_s: float = 0.05
+    """Five samples at 100 Hz: more than a glitch of two or three lost or damaged ones."""
     slow: float = math.inf
     slow_s: float = 2.0
+    """Longer than a gust or a manoeuvre moves an estimate, shorter than a pilot would wait (docs/thresholds.md)."""
     latch_s: float = 0.0
     critical_ahead_s: float = 5.0
+    """Time that a pilot needs to land or to let go: chosen."""
 
 
 TUNABLE = (

@@ -1,14 +1,15 @@
 """The alarm desk: what operators do with alarms, after ISA-18.2, on top of what the evidence says.
 
-The alarms themselves say raised, updated, cleared. The desk adds what stands beside that:
+The alarms themselves are raised, updated and cleared by the evidence. The desk adds the operators' side:
 
-- acknowledged: somebody knows; taken back when the alarm becomes critical or returns;
-- shelved: a channel keeps quiet until a stated time. Its alarm enters as ``shelved``, says nothing of its ups and
-  downs, and is raised anew, with the same id, where it still stands when the time is over;
-- latched: a channel of that kind stays when its cause is gone, until it is reset;
-- out of service: a channel says nothing at all; what stood clears, and is a new alarm if it still stands afterwards;
-- flood: when too many alarms come at once, further warnings are shelved until the flood is over, and one alarm says so.
-  What is critical is never held back.
+- acknowledged: an operator knows the alarm; withdrawn when it becomes critical or returns;
+- shelved: a channel is silent until a stated time. Its alarm enters as ``shelved``, its updates are not published, and
+  it is raised anew, with the same id, if it is still active when the time is over;
+- latched: an alarm of such a channel stays active when its cause is gone, until it is reset;
+- out of service: a channel publishes nothing; its active alarm clears, and is a new alarm if its cause is still there
+  afterwards;
+- flood: when too many alarms come at once, further warnings are shelved until the flood is over, and one alarm reports
+  it. Critical alarms are never held back.
 
 The desk numbers the events and sees time only in messages, so a recording replays it.
 """
@@ -28,18 +29,19 @@ OBSERVER = "monitor"
 FLOOD = "flood"
 FLOOD_KEY = (OBSERVER, FLOOD)
 MAX_SHELVE_NS = 30 * 86_400 * 1_000_000_000
+"""ISA-18.2 wants shelving to end by itself; a month is longer than any campaign. The configuration sets less."""
 _AS_BEFORE = " (as before the monitor changed)"
 
 Key = tuple[str, str]
 
 
 @dataclass(slots=True)
-class _Standing:
-    """An alarm that stands: its last event, and what the desk knows of it."""
+class _Active:
+    """An active alarm: its last event, and what the desk knows of it."""
 
     event: AlarmEvent
-    quiet: bool = False
-    """Nobody was told since it was shelved."""
+    silent: bool = False
+    """Whether nothing was published since it was shelved."""
 
 
 class AlarmDesk:
@@ -57,7 +59,7 @@ class AlarmDesk:
         self.rule = rule
         self.seq = 0
         self._vehicle = vehicle
-        self._standing: dict[Key, _Standing] = {}
+        self._active: dict[Key, _Active] = {}
         self._shelved: dict[Key, int] = {}
         self._raised_ns: deque[int] = deque(maxlen=rule.flood_raised + 1)
         self._flood_until_ns = 0
@@ -65,38 +67,38 @@ class AlarmDesk:
         self._unserved: dict[Key, AlarmEvent] = {}
 
     @property
-    def standing(self) -> tuple[AlarmEvent, ...]:
-        """The last event of every alarm that stands."""
-        return tuple(entry.event for entry in self._standing.values())
+    def active(self) -> tuple[AlarmEvent, ...]:
+        """The last event of every active alarm."""
+        return tuple(entry.event for entry in self._active.values())
 
     @property
     def shelved(self) -> Mapping[str, int]:
-        """Shelved channels and the Unix times at which they speak again, nanoseconds."""
+        """Shelved channels and the Unix times at which shelving ends, nanoseconds."""
         return {_text(key): until for key, until in self._shelved.items()}
 
     @property
     def shelved_by_operators(self) -> Mapping[str, int]:
-        """The same without what a flood holds back."""
+        """The same without the channels that a flood holds back."""
         return {_text(key): until for key, until in self._shelved.items() if key not in self._held_back}
 
     def set_rule(self, rule: DeskRule, now_ns: int) -> list[AlarmEvent]:
-        """Let another rule hold from now on; return what channels that go out of service or come back cause."""
+        """Apply another rule from now on; return the events of channels that go out of service or come back."""
         self.rule = rule
         self._raised_ns = deque(self._raised_ns, maxlen=rule.flood_raised + 1)
-        told = []
-        for key in [key for key in self._standing if _text(key) in rule.out_of_service]:
-            entry = self._standing.pop(key)
+        published = []
+        for key in [key for key in self._active if _text(key) in rule.out_of_service]:
+            entry = self._active.pop(key)
             if not entry.event.latched and key != FLOOD_KEY:
                 self._unserved[key] = entry.event
-            told.append(self._numbered(_cleared(entry.event, now_ns, "taken out of service")))
+            published.append(self._numbered(_cleared(entry.event, now_ns, "taken out of service")))
         for key in [key for key in self._unserved if _text(key) not in rule.out_of_service]:
             event = replace(self._unserved.pop(key), state="raised", time_ns=now_ns, since_ns=now_ns)
             plain = replace(event, acknowledged=False, shelved_until_ns=None)
-            told.extend(self._take_raised(key, replace(plain, id=alarm_id(self._vehicle, *key, now_ns))))
-        return told
+            published.extend(self._take_raised(key, replace(plain, id=alarm_id(self._vehicle, *key, now_ns))))
+        return published
 
-    def take(self, event: AlarmEvent) -> list[AlarmEvent]:
-        """Take what an alarm says; return what operators are told."""
+    def process(self, event: AlarmEvent) -> list[AlarmEvent]:
+        """Process an alarm's event; return the events to publish."""
         key = event.observer, event.channel
         if _text(key) in self.rule.out_of_service:
             if event.state == "cleared":
@@ -106,7 +108,7 @@ class AlarmDesk:
             return []
         if event.state == "raised":
             return self._take_raised(key, event)
-        entry = self._standing.get(key)
+        entry = self._active.get(key)
         if entry is None:
             return []
         # An alarm that returned while it was latched goes on under the id it had.
@@ -115,34 +117,34 @@ class AlarmDesk:
             if _text(key) in self.rule.latched:
                 text = f"{event.message}; latched until reset"
                 return self._keep(entry, replace(event, state="updated", message=text), latched=True)
-            del self._standing[key]
+            del self._active[key]
             return [self._numbered(self._carry(entry, event))]
         worse = event.severity == "critical" and entry.event.severity != "critical"
         return self._keep(entry, event, acknowledged=entry.event.acknowledged and not worse)
 
     def tick(self, now_ns: int) -> list[AlarmEvent]:
-        """Note that Unix time has come to ``now_ns``; return what the end of shelving and of a flood causes."""
+        """Let Unix time come to ``now_ns``; return the events that the ends of shelving and of a flood cause."""
         events: list[AlarmEvent] = []
         for key in self._held_back:
             self._shelved[key] = max(self._shelved[key], self._flood_until_ns)
-        # In order of their ends and at those times, so that it does not matter when somebody looks.
+        # In order of their ends and at those times, so that it does not matter when the next message comes.
         ends = [(until, 0, key) for key, until in self._shelved.items()]
-        ends += [(self._flood_until_ns, 1, FLOOD_KEY)] * (FLOOD_KEY in self._standing)
+        ends += [(self._flood_until_ns, 1, FLOOD_KEY)] * (FLOOD_KEY in self._active)
         for until, is_flood, key in sorted(end for end in ends if end[0] <= now_ns):
             if not is_flood:
                 self._unshelve(key)
-                events.extend(self._speak_again(key, until, "it was shelved until now"))
-            elif not (flood := self._standing[key].event).latched:
-                events.extend(self.take(_cleared(flood, until, "the flood of alarms is over")))
+                events.extend(self._raise_again(key, until, "it was shelved until now"))
+            elif not (flood := self._active[key].event).latched:
+                events.extend(self.process(_cleared(flood, until, "the flood of alarms is over")))
         return events
 
     @property
     def due_ns(self) -> int | None:
-        """Unix time from which on :meth:`tick` has something to do, None where that needs another event first."""
+        """Unix time at which shelving or a flood ends next; None where nothing is shelved and there is no flood."""
         ends = [
             max(until, self._flood_until_ns if key in self._held_back else 0) for key, until in self._shelved.items()
         ]
-        ends += [self._flood_until_ns] * (FLOOD_KEY in self._standing)
+        ends += [self._flood_until_ns] * (FLOOD_KEY in self._active)
         return min(ends, default=None)
 
     def refusal(self, verb: str, fields: Mapping[str, object]) -> str | None:
@@ -152,8 +154,8 @@ class AlarmDesk:
         key = self._key(fields)
         wanted = fields.get("id") or fields.get("channel")
         if key is None:
-            return f"no alarm '{wanted}' stands; ids and channels of those that do: {self._names()}"
-        entry = self._standing.get(key)
+            return f"no alarm '{wanted}' is active; ids and channels of those that are: {self._names()}"
+        entry = self._active.get(key)
         if verb == "unshelve":
             return None if key in self._shelved else f"{_text(key)} is not shelved"
         if verb == "shelve":
@@ -162,7 +164,7 @@ class AlarmDesk:
                 return "shelving needs 'until_ns', the Unix time at which it ends, in nanoseconds"
             return None
         if entry is None:
-            return f"no alarm of {_text(key)} stands"
+            return f"no alarm of {_text(key)} is active"
         if verb == "reset" and not entry.event.latched:
             return f"{_text(key)} is not latched: it clears by itself when its cause is gone"
         return None
@@ -172,7 +174,7 @@ class AlarmDesk:
         key = self._key(fields)
         if key is None or self.refusal(verb, fields) is not None:
             return []
-        entry = self._standing.get(key)
+        entry = self._active.get(key)
         if verb == "shelve":
             until = fields["until_ns"]
             assert isinstance(until, int)  # noqa: S101 - refusal() has looked
@@ -180,16 +182,16 @@ class AlarmDesk:
             self._held_back.discard(key)
             if entry is None:
                 return []
-            entry.quiet = True
+            entry.silent = True
             changes = {"state": "shelved", "shelved_until_ns": self._shelved[key]}
-            return [self._say(entry, now_ns, _by("shelved", fields), **changes)]
+            return [self._publish(entry, now_ns, _by("shelved", fields), **changes)]
         if verb == "unshelve":
             self._unshelve(key)
-            return self._speak_again(key, now_ns, _by("unshelved", fields))
+            return self._raise_again(key, now_ns, _by("unshelved", fields))
         assert entry is not None  # noqa: S101 - refusal() has looked
         if verb == "ack":
-            return [self._say(entry, now_ns, _by("acknowledged", fields), state="acknowledged", acknowledged=True)]
-        del self._standing[key]
+            return [self._publish(entry, now_ns, _by("acknowledged", fields), state="acknowledged", acknowledged=True)]
+        del self._active[key]
         event = _cleared(entry.event, now_ns, _by("reset", fields))
         return [self._numbered(replace(event, latched=False))]
 
@@ -200,7 +202,7 @@ class AlarmDesk:
         now_ns: int,
         shelved: Mapping[str, int] = MappingProxyType({}),
     ) -> list[AlarmEvent]:
-        """Go on from alarms that another run of the monitor, or another monitor, left standing.
+        """Go on from alarms that another run of the monitor, or another monitor, left active.
 
         Parameters
         ----------
@@ -211,65 +213,67 @@ class AlarmDesk:
         now_ns : int
             Unix time.
         shelved : Mapping[str, int]
-            Channels that keep quiet also where none of these alarms is theirs, and until when.
+            Channels that are shelved, also without one of these alarms, and until when.
 
         Returns
         -------
         list[AlarmEvent]
             Every alarm once more: as updated where it was known, as raised where only this desk knew of it, as cleared
-            where nobody watches it any longer.
+            where its channel is no longer watched.
         """
         alarms = [replace(event, message=event.message.removesuffix(_AS_BEFORE)) for event in alarms]
         known = {(event.observer, event.channel): event for event in alarms}
-        own = [key for key in self._standing if key not in known]
-        told = []
+        own = [key for key in self._active if key not in known]
+        published = []
         for event in alarms:
             if known[event.observer, event.channel] is not event:
                 gone = replace(event, state="cleared", time_ns=now_ns, message="a later alarm took its place")
-                told.append(self._numbered(gone))
+                published.append(self._numbered(gone))
         for name, until in shelved.items():
             key = _key_of(name)
             if key not in known and until > now_ns:
                 self._shelved.setdefault(key, min(until, now_ns + MAX_SHELVE_NS))
         for key, event in known.items():
-            self._standing[key] = entry = _Standing(event, quiet=event.shelved_until_ns is not None)
+            self._active[key] = entry = _Active(event, silent=event.shelved_until_ns is not None)
             if event.shelved_until_ns is not None:
                 self._shelved[key] = event.shelved_until_ns
             if key == FLOOD_KEY:
                 self._flood_until_ns = event.time_ns + round(self.rule.flood_s * 1e9)
             serves = _text(key) not in self.rule.out_of_service
             if not serves or (key not in watched and key != FLOOD_KEY and not event.latched):
-                del self._standing[key]
+                del self._active[key]
                 if key in watched and not event.latched:
                     self._unserved[key] = event
-                told.append(self._numbered(_cleared(event, now_ns, "no longer watched")))
+                published.append(self._numbered(_cleared(event, now_ns, "no longer watched")))
                 continue
-            state = "shelved" if entry.quiet else "updated"
-            told.append(self._say(entry, now_ns, event.message + _AS_BEFORE, state=state))
+            state = "shelved" if entry.silent else "updated"
+            published.append(self._publish(entry, now_ns, event.message + _AS_BEFORE, state=state))
         for key in own:
-            entry = self._standing[key]
-            told.append(self._say(entry, now_ns, entry.event.message, state="shelved" if entry.quiet else "raised"))
-        return told
+            entry = self._active[key]
+            published.append(
+                self._publish(entry, now_ns, entry.event.message, state="shelved" if entry.silent else "raised")
+            )
+        return published
 
     def _take_raised(self, key: Key, event: AlarmEvent) -> list[AlarmEvent]:
-        before = self._standing.get(key)
+        before = self._active.get(key)
         if before is not None:
             text = f"{event.message}; it is back before it was reset"
             again = replace(event, id=before.event.id, since_ns=before.event.since_ns, state="updated", message=text)
             return self._keep(before, again, latched=False, acknowledged=False)
-        told = self._flood(event)
+        published = self._flood(event)
         if event.severity == "critical" and key in self._held_back:
             self._unshelve(key)
         elif event.severity == "warning" and event.time_ns < self._flood_until_ns and key not in self._shelved:
             self._shelved[key] = self._flood_until_ns
             self._held_back.add(key)
-        return [*told, self._enter(key, event)]
+        return [*published, self._enter(key, event)]
 
     def _enter(self, key: Key, event: AlarmEvent) -> AlarmEvent:
-        """Let an alarm stand from now on; return what its channel says, shelved or not."""
+        """Activate an alarm; return its event, shelved or not."""
         if (until := self._shelved.get(key)) is not None:
             event = replace(event, state="shelved", shelved_until_ns=until)
-        entry = self._standing[key] = _Standing(self._numbered(event), quiet=until is not None)
+        entry = self._active[key] = _Active(self._numbered(event), silent=until is not None)
         return entry.event
 
     def _unshelve(self, key: Key) -> None:
@@ -277,7 +281,7 @@ class AlarmDesk:
         self._held_back.discard(key)
 
     def _flood(self, event: AlarmEvent) -> list[AlarmEvent]:
-        """Count a raised alarm; return the alarm that says that there are too many, where it is the one too many."""
+        """Count a raised alarm; return the alarm of a flood where it is the one too many."""
         if not self.rule.flood_raised:
             return []
         now_ns, within_ns = event.time_ns, round(self.rule.flood_s * 1e9)
@@ -286,7 +290,7 @@ class AlarmDesk:
         if not full or now_ns - self._raised_ns[0] > within_ns:
             return []
         self._flood_until_ns = now_ns + within_ns
-        if FLOOD_KEY in self._standing or _text(FLOOD_KEY) in self.rule.out_of_service:
+        if FLOOD_KEY in self._active or _text(FLOOD_KEY) in self.rule.out_of_service:
             return []
         first = AlarmEvent(
             id=alarm_id(self._vehicle, OBSERVER, FLOOD, now_ns),
@@ -310,39 +314,39 @@ class AlarmDesk:
         )
         return [self._enter(FLOOD_KEY, first)]
 
-    def _keep(self, entry: _Standing, event: AlarmEvent, **flags: Any) -> list[AlarmEvent]:
-        """Take in an update; return it unless its channel keeps quiet."""
+    def _keep(self, entry: _Active, event: AlarmEvent, **flags: Any) -> list[AlarmEvent]:
+        """Store an update; return it unless its channel is shelved."""
         carried = replace(self._carry(entry, event), **flags)
         key = event.observer, event.channel
-        if entry.quiet and event.severity == "critical" and key in self._held_back:
+        if entry.silent and event.severity == "critical" and key in self._held_back:
             self._unshelve(key)
-            entry.quiet = False
+            entry.silent = False
             carried = replace(carried, state="raised", shelved_until_ns=None)
-        if entry.quiet:
+        if entry.silent:
             entry.event = replace(carried, seq=entry.event.seq, state="shelved")
             return []
         entry.event = self._numbered(carried)
         return [entry.event]
 
-    def _carry(self, entry: _Standing, event: AlarmEvent) -> AlarmEvent:
+    def _carry(self, entry: _Active, event: AlarmEvent) -> AlarmEvent:
         """Return an event with the flags of the one before it."""
         was = entry.event
         return replace(event, acknowledged=was.acknowledged, latched=was.latched, shelved_until_ns=was.shelved_until_ns)
 
-    def _speak_again(self, key: Key, now_ns: int, why: str) -> list[AlarmEvent]:
-        entry = self._standing.get(key)
+    def _raise_again(self, key: Key, now_ns: int, why: str) -> list[AlarmEvent]:
+        entry = self._active.get(key)
         if entry is None:
             return []
-        entry.quiet = False
+        entry.silent = False
         text = f"{entry.event.message} ({why})"
-        return [self._say(entry, now_ns, text, state="raised", shelved_until_ns=None)]
+        return [self._publish(entry, now_ns, text, state="raised", shelved_until_ns=None)]
 
-    def _say(self, entry: _Standing, now_ns: int, text: str, **changes: Any) -> AlarmEvent:
-        """Return a numbered event about an alarm that stands; the alarm keeps its own sentence."""
+    def _publish(self, entry: _Active, now_ns: int, text: str, **changes: Any) -> AlarmEvent:
+        """Return a numbered event about an active alarm, which keeps its own sentence."""
         time_ns = max(now_ns, entry.event.time_ns)
-        told = self._numbered(replace(entry.event, time_ns=time_ns, message=text, **changes))
-        entry.event = replace(told, message=entry.event.message)
-        return told
+        published = self._numbered(replace(entry.event, time_ns=time_ns, message=text, **changes))
+        entry.event = replace(published, message=entry.event.message)
+        return published
 
     def _numbered(self, event: AlarmEvent) -> AlarmEvent:
         self.seq += 1
@@ -351,7 +355,7 @@ class AlarmDesk:
     def _key(self, fields: Mapping[str, object]) -> Key | None:
         """Return the channel that a command means by id or by name; a name need not have an alarm now."""
         wanted = fields.get("id")
-        for key, entry in self._standing.items():
+        for key, entry in self._active.items():
             if wanted is not None and entry.event.id == wanted:
                 return key
         name = fields.get("channel")
@@ -360,11 +364,11 @@ class AlarmDesk:
         observer, slash, channel = name.partition("/")
         if slash:
             return observer, channel
-        named = [key for key in (*self._standing, *self._shelved) if key[1] == name]
+        named = [key for key in (*self._active, *self._shelved) if key[1] == name]
         return named[0] if named else None
 
     def _names(self) -> str:
-        return ", ".join(f"{entry.event.id} ({_text(key)})" for key, entry in self._standing.items()) or "none"
+        return ", ".join(f"{entry.event.id} ({_text(key)})" for key, entry in self._active.items()) or "none"
 
 
 def _cleared(event: AlarmEvent, now_ns: int, text: str) -> AlarmEvent:
@@ -372,7 +376,7 @@ def _cleared(event: AlarmEvent, now_ns: int, text: str) -> AlarmEvent:
 
 
 def _by(what: str, fields: Mapping[str, object]) -> str:
-    """Return what was done, by whom and why, as far as that was said."""
+    """Return the action, its operator and the reason, as far as they are given."""
     by, reason = fields.get("by"), fields.get("reason")
     return (
         what

@@ -20,7 +20,7 @@ from monitor.event import AlarmEvent
 
 @dataclass(frozen=True, slots=True)
 class ExcuseRule:
-    """While one of these alarms stands, and for some time after, evidence on those channels speaks for nothing new.
+    """While one of these alarms is active, and for some time after, evidence on those channels is explained by it.
 
     Parameters
     ----------

@@ -20,16 +20,21 @@ SIGNING = "signing"
 HEARTBEAT = "link"
 
 _QUIET_NS = 10_000_000_000
+"""Time without a wrong signature after which an attack is over; chosen, as long as the heartbeat's."""
 _HEARTBEAT_NS = 10_000_000_000
+"""Ten heartbeats at MAVLink's rate of one a second. A link that loses 10 % at random misses ten in a row once in 350
+years, one that loses 30 % once in three days."""
 _MOST_PACKETS = 1 << 62
-_SECOND_NS = 1_000_000_000
+"""Counts of a recording are cut off here, so that the sum of three fits into 64 bits."""
+_UPDATE_NS = 1_000_000_000
+"""Updates come at most once a second, as those of all alarms do."""
 
 
 class LinkAlarms:
     """State of the link's alarms of one vehicle.
 
     ``signing`` is raised by the first packet whose signature is forged, replayed or missing where one is required,
-    says once a second how many there were, and clears after 10 s without another. ``link`` is raised where other
+    reports once a second how many there were, and clears after 10 s without another. ``link`` is raised where other
     telemetry goes on but the autopilot's heartbeat has not come for 10 s.
 
     Parameters
@@ -40,15 +45,15 @@ class LinkAlarms:
 
     def __init__(self, vehicle: str) -> None:
         self._vehicle = vehicle
-        self._standing: dict[str, AlarmEvent] = {}
+        self._active: dict[str, AlarmEvent] = {}
         self._counts: dict[str, int] = {}
         self._baseline = 0
         self._attacked_ns = 0
         self._heartbeat_ns: int | None = None
         self._vehicle_ms = 0
 
-    def feed(self, message: Message, vehicle_ns: int) -> list[AlarmEvent]:
-        """Take any message of the vehicle's link, and the newest time of its clock; return the events it causes."""
+    def process(self, message: Message, vehicle_ns: int) -> list[AlarmEvent]:
+        """Process any message of the vehicle's link, with the newest time of its clock; return the events it causes."""
         now_ns = message.received_ns
         self._vehicle_ms = vehicle_ns // 1_000_000
         events = self.quiet(now_ns)
@@ -57,9 +62,9 @@ class LinkAlarms:
         if message.source is MAVLINK:
             if is_autopilot_heartbeat(message):
                 self._heartbeat_ns = now_ns
-                if HEARTBEAT in self._standing:
+                if HEARTBEAT in self._active:
                     events.append(self._clear(HEARTBEAT, now_ns, "the autopilot's heartbeat is back"))
-            elif HEARTBEAT not in self._standing and now_ns - (self._heartbeat_ns or now_ns) >= _HEARTBEAT_NS:
+            elif HEARTBEAT not in self._active and now_ns - (self._heartbeat_ns or now_ns) >= _HEARTBEAT_NS:
                 text = "no heartbeat of the autopilot for 10 s while other telemetry goes on"
                 events.append(self._raise(HEARTBEAT, "stale", "warning", now_ns, None, "s", text))
         return events
@@ -76,10 +81,10 @@ class LinkAlarms:
         """
         count = len(received_ns)
         first = count
-        if SIGNING in self._standing:
+        if SIGNING in self._active:
             first = _first(received_ns - self._attacked_ns >= _QUIET_NS)
-        if HEARTBEAT in self._standing:
-            return min([first, *heartbeats[:1].tolist()])
+        if HEARTBEAT in self._active:
+            return min(first, int(heartbeats[0])) if len(heartbeats) else first
         beats = received_ns[heartbeats]
         latest_ns = int(received_ns.max()) if count else 0
         oldest_ns = min([*([self._heartbeat_ns] if self._heartbeat_ns else []), *beats.tolist()], default=latest_ns)
@@ -90,51 +95,51 @@ class LinkAlarms:
         return min(first, _first((before_ns > 0) & (received_ns - before_ns >= _HEARTBEAT_NS)))
 
     def pass_over(self, heartbeat_ns: int | None, vehicle_ns: int) -> None:
-        """Note the newest heartbeat of messages that caused nothing, and the vehicle's time at the last of them."""
+        """Follow messages that cause nothing: their newest heartbeat, the vehicle's time at the last of them."""
         self._vehicle_ms = vehicle_ns // 1_000_000
         if heartbeat_ns is not None:
             self._heartbeat_ns = heartbeat_ns
 
     def quiet(self, now_ns: int) -> list[AlarmEvent]:
-        """Note that Unix time has come to ``now_ns``; return the events that causes."""
-        if SIGNING not in self._standing or now_ns - self._attacked_ns < _QUIET_NS:
+        """Let Unix time come to ``now_ns``; return the events that this causes."""
+        if SIGNING not in self._active or now_ns - self._attacked_ns < _QUIET_NS:
             return []
-        # At the end of the 10 s, whenever somebody looks.
+        # At the end of the 10 s, whenever the next message comes.
         return [self._clear(SIGNING, self._attacked_ns + _QUIET_NS, "no more packets with a wrong signature")]
 
     def silent(self) -> None:
-        """Note that all telemetry stopped: a missing heartbeat says nothing more until it comes again."""
+        """Forget the heartbeat, as all telemetry stopped: its absence is no news until it comes again."""
         self._heartbeat_ns = None
 
     def adopt(self, event: AlarmEvent) -> None:
         """Go on from an event that another run of the monitor, or another monitor, made."""
         if event.state == "cleared":
-            self._standing.pop(event.channel, None)
+            self._active.pop(event.channel, None)
             return
-        self._standing[event.channel] = event
+        self._active[event.channel] = event
         if event.channel == SIGNING:
             self._attacked_ns = event.time_ns
 
     def _attacked(self, message: Message, now_ns: int) -> list[AlarmEvent]:
         counts = {name: _count(message.fields.get(name)) for name in ("forged", "replayed", "unsigned")}
         total = sum(counts.values())
-        if SIGNING not in self._standing:
+        if SIGNING not in self._active:
             self._baseline = sum(self._counts.values())
         # A link that was opened anew counts from zero.
         if total < sum(self._counts.values()):
             self._baseline = 0
         self._counts = counts
         self._attacked_ns = now_ns
-        said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-        text = f"packets with a wrong signature in the vehicle's name were refused: {said} so far"
+        counted = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+        text = f"packets with a wrong signature in the vehicle's name were refused: {counted} so far"
         severity: Severity = "critical" if counts["forged"] or counts["replayed"] else "warning"
         size = float(total - self._baseline)
-        standing = self._standing.get(SIGNING)
-        if standing is None:
+        active = self._active.get(SIGNING)
+        if active is None:
             return [self._raise(SIGNING, "security", severity, now_ns, size, "packets", text)]
-        if now_ns - standing.time_ns < _SECOND_NS:
+        if now_ns - active.time_ns < _UPDATE_NS:
             return []
-        return [self._event(SIGNING, replace(standing, severity=severity), "updated", now_ns, size, text)]
+        return [self._event(SIGNING, replace(active, severity=severity), "updated", now_ns, size, text)]
 
     def _raise(
         self, channel: str, kind: Kind, severity: Severity, now_ns: int, size: float | None, unit: str, text: str
@@ -161,16 +166,16 @@ class LinkAlarms:
         return self._event(channel, first, "raised", now_ns, size, text)
 
     def _clear(self, channel: str, now_ns: int, text: str) -> AlarmEvent:
-        standing = self._standing[channel]
-        event = self._event(channel, standing, "cleared", now_ns, standing.estimate, text)
-        del self._standing[channel]
+        active = self._active[channel]
+        event = self._event(channel, active, "cleared", now_ns, active.estimate, text)
+        del self._active[channel]
         return event
 
     def _event(
-        self, channel: str, standing: AlarmEvent, state: State, now_ns: int, size: float | None, text: str
+        self, channel: str, active: AlarmEvent, state: State, now_ns: int, size: float | None, text: str
     ) -> AlarmEvent:
         event = replace(
-            standing,
+            active,
             state=state,
             time_ns=now_ns,
             vehicle_time_ms=self._vehicle_ms,
@@ -179,7 +184,7 @@ class LinkAlarms:
             message=text,
             seq=UNNUMBERED,
         )
-        self._standing[channel] = event
+        self._active[channel] = event
         return event
 
 

@@ -29,7 +29,7 @@ class StaleAlarm:
     def __init__(self, vehicle: str, stale_s: float) -> None:
         self._vehicle = vehicle
         self._limit_ns = round(stale_s * 1e9)
-        self._heard_ns: int | None = None
+        self._carried_ns: int | None = None
         self._vehicle_ns = 0
         self._since_ns: int | None = None
 
@@ -38,8 +38,8 @@ class StaleAlarm:
         """Whether telemetry is stale."""
         return self._since_ns is not None
 
-    def heard(self, received_ns: int, vehicle_ns: int) -> list[AlarmEvent]:
-        """Note a message that carries a channel; return the events that the silence before it and its end cause.
+    def follow(self, received_ns: int, vehicle_ns: int) -> list[AlarmEvent]:
+        """Process a message that carries a channel; return the events that a silence before it and its end cause.
 
         Parameters
         ----------
@@ -50,18 +50,18 @@ class StaleAlarm:
         """
         events = self.silence(received_ns)
         if self._since_ns is not None:
-            silent_s = (received_ns - (self._heard_ns or received_ns)) / 1e9
+            silent_s = (received_ns - (self._carried_ns or received_ns)) / 1e9
             events.append(self._event("cleared", received_ns, vehicle_ns, f"telemetry is back after {silent_s:.1f} s"))
             self._since_ns = None
-        self._heard_ns = received_ns if self._heard_ns is None else max(received_ns, self._heard_ns)
+        self._carried_ns = received_ns if self._carried_ns is None else max(received_ns, self._carried_ns)
         self._vehicle_ns = vehicle_ns
         return events
 
     def silence(self, now_ns: int) -> list[AlarmEvent]:
-        """Note that Unix time has come to ``now_ns``; return the event of telemetry going stale, once."""
-        if self._since_ns is not None or self._heard_ns is None or now_ns - self._heard_ns < self._limit_ns:
+        """Let Unix time come to ``now_ns``; return the event of telemetry going stale, once."""
+        if self._since_ns is not None or self._carried_ns is None or now_ns - self._carried_ns < self._limit_ns:
             return []
-        self._since_ns = self._heard_ns + self._limit_ns
+        self._since_ns = self._carried_ns + self._limit_ns
         return [
             self._event(
                 "raised",
@@ -82,25 +82,25 @@ class StaleAlarm:
             Whether they carry a channel (m,).
         """
         count = len(received_ns)
-        if self._since_ns is not None or self._heard_ns is None or not count:
+        if self._since_ns is not None or self._carried_ns is None or not count:
             return 0
-        if int(received_ns.max()) - self._heard_ns < self._limit_ns:
+        if int(received_ns.max()) - self._carried_ns < self._limit_ns:
             return count
-        carried_ns = np.maximum.accumulate(np.where(wanted, received_ns, self._heard_ns))
-        before_ns = np.concatenate(([self._heard_ns], np.maximum(carried_ns[:-1], self._heard_ns)))
+        carried_ns = np.maximum.accumulate(np.where(wanted, received_ns, self._carried_ns))
+        before_ns = np.concatenate(([self._carried_ns], np.maximum(carried_ns[:-1], self._carried_ns)))
         silent = received_ns - before_ns >= self._limit_ns
         return int(np.argmax(silent)) if silent.any() else count
 
     def pass_over(self, received_ns: int, vehicle_ns: int) -> None:
-        """Note the newest of messages without silence between them, and the vehicle's time at the last of them."""
-        self._heard_ns = received_ns if self._heard_ns is None else max(received_ns, self._heard_ns)
+        """Follow messages without a silence: the newest with a channel, the vehicle's time at the last of them."""
+        self._carried_ns = received_ns if self._carried_ns is None else max(received_ns, self._carried_ns)
         self._vehicle_ns = vehicle_ns
 
     def adopt(self, event: AlarmEvent) -> None:
         """Go on from an event that another run of the monitor, or another monitor, made."""
         self._since_ns = None if event.state == "cleared" else event.since_ns
-        if self._heard_ns is None:
-            self._heard_ns = event.since_ns - self._limit_ns
+        if self._carried_ns is None:
+            self._carried_ns = event.since_ns - self._limit_ns
 
     def _event(self, state: State, time_ns: int, vehicle_ns: int, message: str) -> AlarmEvent:
         since_ns = self._since_ns if self._since_ns is not None else time_ns

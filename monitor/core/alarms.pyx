@@ -10,11 +10,24 @@ from libc.math cimport INFINITY, exp, fabs
 from libc.stdint cimport int64_t, uint8_t
 
 cdef double NANOSECONDS = 1e9
+
+# The contract with subscribers: updates come at most once a second (docs/operations.md).
 cdef int64_t UPDATE_EVERY_NS = 1_000_000_000
+
+# An update reports a size that moved by this share, or by half the threshold. The estimate of a constant loss of thrust
+# varies by 3 to 6 % of itself (one standard deviation, losses of 5, 10 and 20 % in gusts), so 15 % is no noise.
 cdef double UPDATE_SHARE = 0.15
+
+# Two alarms within latch_s may be two causes; at the third the cause is taken to come and go (docs/thresholds.md).
 cdef int RECURRENCES = 3
+
+# Time constants of the two means whose difference is the slope. Chosen: the slow one is as long as the slow path's mean
+# (slow_s of AlarmRule), the quick one a quarter of it; the slope of a ramp is known after WAIT_S + SLOW_S = 3 s.
 cdef double QUICK_S = 0.5
 cdef double SLOW_S = 2.0
+
+# How long an observer is on its way to a fault that came as a step: twice the slowest time constant of the fitted motor
+# banks (0.42 to 0.5 s on three quadcopters).
 cdef double WAIT_S = 1.0
 
 NONE, RAISED, UPDATED, CLEARED = range(4)

@@ -55,7 +55,7 @@ def take_health(
 def _vehicle(post: Post, events: int) -> VehicleHealth:
     monitor = post.monitor
     active = dict.fromkeys(("warning", "critical"), 0)
-    for event in monitor.pipeline.desk.standing:
+    for event in monitor.pipeline.desk.active:
         active[event.severity] += 1
     observers = tuple(
         ObserverHealth(name, counts.samples, {key: getattr(counts, key) for key in _MEASUREMENT_LOSSES})

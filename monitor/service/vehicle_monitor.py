@@ -17,7 +17,7 @@ from adapters.source import JOURNAL, OPERATOR
 from monitor.bus.payload import estimate_json
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
-from monitor.pipeline import Output, Pipeline, standing_message
+from monitor.pipeline import Output, Pipeline, handover_message
 from monitor.service.health import LinkHealth
 from monitor.service.latency import LatencyHistogram
 from monitor.service.telemetry_watch import TelemetryWatch
@@ -145,9 +145,9 @@ class VehicleMonitor:
         standing = {event.id: event for event in (*alarms, *heard)}
         seq = max(seq, self._their_seq + _UNHEARD if self._theirs else 0)
         self._theirs = {}
-        if standing or seq or shelved or self.pipeline.desk.standing:
+        if standing or seq or shelved or self.pipeline.desk.active:
             in_order = sorted(standing.values(), key=lambda event: event.seq)
-            self.take(standing_message(in_order, seq, now_ns, shelved))
+            self.take(handover_message(in_order, seq, now_ns, shelved))
 
     def hush(self) -> None:
         """Stop speaking; go on watching."""
@@ -155,7 +155,7 @@ class VehicleMonitor:
             self._voice.close()
             self._voice = None
             # what was said last stands until another says otherwise
-            self._theirs = {(event.observer, event.channel): event for event in self.pipeline.desk.standing}
+            self._theirs = {(event.observer, event.channel): event for event in self.pipeline.desk.active}
             self._their_seq = self.pipeline.desk.seq
 
     def hear(self, event: AlarmEvent) -> None:
@@ -253,7 +253,7 @@ class VehicleMonitor:
             state = "stale"
         elif self.samples:
             state = "degraded" if reasons else "monitoring"
-        standing = self.pipeline.desk.standing
+        standing = self.pipeline.desk.active
         status = {
             "state": state,
             "role": "active" if self.speaks else "standby",
