@@ -16,7 +16,7 @@ from adapters.source import CLOCK, JOURNAL, LINK, MAVLINK, OPERATOR
 from monitor.alarms.desk_rule import DeskRule
 from monitor.estimate import Estimate
 from monitor.event import AlarmEvent
-from monitor.pipeline import Output, Pipeline, rules_message, handover_message
+from monitor.pipeline import Output, Pipeline, handover_message, rules_message
 from monitor.profile import Profile
 from monitor.sampling.phase import FlightPhase
 
