@@ -130,12 +130,57 @@ def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Batch
         if one is not kept.setdefault((one.name, one.system, one.component), one):
             others.update((int(one.position[row]), one_message(one, row)) for row in range(len(one.position)))
     places = np.concatenate([np.array([*others], np.int64), *(one.position for one in kept.values())])
-    places.sort()
-    closed = tuple(
-        replace(one, position=np.searchsorted(places, one.position).astype(np.int64)) for one in kept.values()
+    rank = np.zeros(int(places.max(initial=-1)) + 1, np.int64)
+    rank[places] = 1
+    rank = rank.cumsum() - 1
+    closed = tuple(replace(one, position=rank[one.position]) for one in kept.values())
+    return Batch(len(places), closed, {int(rank[place]): message for place, message in others.items()})
+
+
+def joined(batches: Sequence[Batch]) -> Batch:
+    """Return the messages of consecutive batches as one batch.
+
+    Use it where several batches wait: a row costs less in a larger batch. Messages of a name and sender whose fields
+    or types differ between batches stay messages from the second of their forms on.
+    """
+    if len(batches) == 1:
+        return batches[0]
+    parts: dict[tuple[str, int, int], list[tuple[int, Columns]]] = {}
+    others: dict[int, Message] = {}
+    count = 0
+    for batch in batches:
+        for columns in batch.columns:
+            alike = parts.setdefault((columns.name, columns.system, columns.component), [])
+            if not alike or _same_form(alike[0][1], columns):
+                alike.append((count, columns))
+            else:
+                rows = enumerate(columns.position.tolist())
+                others.update((count + position, one_message(columns, row)) for row, position in rows)
+        others.update((count + position, message) for position, message in batch.others.items())
+        count += batch.count
+    return Batch(count, tuple(_concatenated(alike) for alike in parts.values()), others)
+
+
+def _same_form(first: Columns, second: Columns) -> bool:
+    return (
+        first.source is second.source
+        and [*first.fields] == [*second.fields]
+        and all(
+            values.dtype == other.dtype and values.shape[1:] == other.shape[1:]
+            for values, other in zip(first.fields.values(), second.fields.values(), strict=True)
+        )
     )
-    at = np.searchsorted(places, [*others]).tolist()
-    return Batch(len(places), closed, dict(zip(at, others.values(), strict=True)))
+
+
+def _concatenated(alike: Sequence[tuple[int, Columns]]) -> Columns:
+    if len(alike) == 1 and not alike[0][0]:
+        return alike[0][1]
+    return replace(
+        alike[0][1],
+        position=np.concatenate([offset + columns.position for offset, columns in alike]),
+        received_ns=np.concatenate([columns.received_ns for _, columns in alike]),
+        fields={name: np.concatenate([columns.fields[name] for _, columns in alike]) for name in alike[0][1].fields},
+    )
 
 
 def pack(stretch: Sequence[Message]) -> Batch:

@@ -16,6 +16,7 @@ from fuzz_target import Run, Target, only
 from pymavlink.dialects.v20 import ardupilotmega
 from pymavlink.generator.mavcrc import x25crc
 
+from adapters.batch import messages
 from adapters.channels import parse_channel
 from adapters.encoding.cdr import CdrDecoder
 from adapters.encoding.message_definition import SHIPPED, find_definition, parse_definitions
@@ -106,13 +107,13 @@ def cut(draw: Draw, data: bytes) -> list[bytes]:
 class _Pieces:
     """A byte link that gives what it was given."""
 
-    connections, overruns = 1, 0
+    connections, overruns, stamps_arrivals = 1, 0, True
 
     def __init__(self) -> None:
         self.waiting: list[Any] = []
 
     def read(self, timeout_s: float) -> Any:
-        return self.waiting.pop(0) if self.waiting else None
+        return [self.waiting.pop(0)] if self.waiting else []
 
     def write(self, data: bytes, to: Iterable[Any]) -> None:
         """Send nothing."""
@@ -143,7 +144,7 @@ def _mavlink(folder: Path) -> Run:
         if not whole.unknown and not apart.unknown:
             assert (found_apart, apart.skipped_bytes) == (found, whole.skipped_bytes)
         pieces.waiting = [(sender, part, START_NS + step_ns) for part in parts]
-        for message in link.receive(0.0):
+        for message in messages(link.receive(0.0)):
             record = encode(message)
             decode = decoder(record.topic, record.encoding, schema_of(record.schema))
             assert decode is not None

@@ -17,6 +17,7 @@ from fuzz_input import ODD_VALUES, Draw, random_inputs
 from fuzz_pipeline import EVENT, QUAD, VEHICLE, Sink, event_json, silent_monitor
 from fuzz_target import Run, Target, only
 
+from adapters.batch import pack
 from adapters.errors import StorageError, printable
 from adapters.message import silence
 from monitor.bus.alarm_text import alarm_line
@@ -70,7 +71,7 @@ def _commands(folder: Path) -> Run:
 
     def run(data: bytes) -> None:
         monitor = silent_monitor(profile, sink)
-        monitor.speak(sink, START_NS, [EVENT, replace(EVENT, id="02", channel="motor2", latched=True)], 2)
+        monitor.activate(sink, START_NS, [EVENT, replace(EVENT, id="02", channel="motor2", latched=True)], 2)
         desk = monitor.pipeline.desk
         for now_ns, part in enumerate(data.split(b"\0"), START_NS):
             query = _Query((*VERBS, "none", "*")[part[0] % 6] if part else "ack", part[1:] or None)
@@ -81,11 +82,11 @@ def _commands(folder: Path) -> Run:
                 if reason is not None:
                     operators.refuse(command, reason)
                     continue
-                events = monitor.take(message)
+                events = monitor.process(pack([message]))
                 operators.accept(command, events[-1] if events else None)
             assert len(query.answers) == 1
             json.loads(query.answers[0])
-            monitor.take(silence(now_ns + 1))
+            monitor.process(pack([silence(now_ns + 1)]))
         monitor.status(START_NS)
 
     return run
@@ -127,9 +128,9 @@ def _subscriber(folder: Path) -> Run:
                 continue
             alarm_line(event)
             journal.write(event, payload)
-            monitor.hear(replace(event, vehicle=VEHICLE))
-        monitor.speak(sink, START_NS, journal.active(VEHICLE), journal.last_seq(VEHICLE))
-        monitor.take(silence(START_NS + 10**12))
+            monitor.on_peer_event(replace(event, vehicle=VEHICLE))
+        monitor.activate(sink, START_NS, journal.active(VEHICLE), journal.last_seq(VEHICLE))
+        monitor.process(pack([silence(START_NS + 10**12)]))
         monitor.status(START_NS)
 
     return run

@@ -13,7 +13,7 @@ from fuzz_adapters import DATA, START_NS
 from fuzz_input import Draw, random_inputs
 from fuzz_target import Run, Target
 
-from adapters.batch import pack
+from adapters.batch import Batch, pack
 from adapters.logs.tlog import TlogReader
 from adapters.message import Message, silence
 from adapters.simulation.arm import SCENARIOS, simulate_arm
@@ -22,7 +22,7 @@ from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR, ZENOH
 from monitor.bus.alarm_text import alarm_line
 from monitor.bus.operators import VERBS
 from monitor.bus.payload import estimate_json, to_json
-from monitor.estimate import alone
+from monitor.estimate import Estimates
 from monitor.event import AlarmEvent, valid_event
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile, read_profile
@@ -62,14 +62,15 @@ class Sink:
         self._encoder = RecordEncoder(pipeline.layouts)
         self._layouts = {layout.observer: layout for layout in pipeline.layouts}
 
-    def message(self, message: Message) -> None:
-        """Record a message."""
-        self._encoder.batch(pack([message]))
+    def batch(self, batch: Batch) -> None:
+        """Record messages."""
+        self._encoder.batch(batch)
 
-    def estimate(self, estimate: Any) -> None:
-        """Record and publish an estimate."""
-        self._encoder.estimates(alone(estimate))
-        json.loads(to_json(estimate_json(self._layouts[estimate.observer], estimate)))
+    def estimates(self, estimates: Estimates) -> None:
+        """Record and publish estimates."""
+        self._encoder.estimates(estimates)
+        for row in range(len(estimates)):
+            json.loads(to_json(estimate_json(self._layouts[estimates.observer], estimates, row)))
 
     def event(self, event: AlarmEvent) -> None:
         """Record, publish and print an event."""
@@ -178,35 +179,35 @@ def _pipeline(profile: Profile, telemetry: Sequence[Message]) -> Run:
         monitor = silent_monitor(profile, sink)
         at, now_ns = draw.number(2) % len(telemetry), START_NS
         if draw.number() % 2:
-            monitor.speak(sink, START_NS)
+            monitor.activate(sink, START_NS)
         while draw.more:
             how = draw.number() % 16
             if how < 4:
                 for _ in range((1, 4, 16, 64)[how]):
                     now_ns = max(now_ns, telemetry[at].received_ns)
-                    monitor.take(telemetry[at])
+                    monitor.process(pack([telemetry[at]]))
                     at = (at + 1) % len(telemetry)
             elif how < 10:
                 message = changed(draw, telemetry[at])
                 for _ in range(1 + 4 * (draw.number() % 3)):
-                    monitor.take(message)
+                    monitor.process(pack([message]))
                 at = (at + 1) % len(telemetry)
             elif how == 10:
                 now_ns += draw.number(5)
-                monitor.take(silence(now_ns))
+                monitor.process(pack([silence(now_ns)]))
             elif how == 11:
                 monitor.status(now_ns)
             elif how == 12:
                 event = valid_event(event_json(draw))
                 if event is not None:
-                    monitor.hear(event)
+                    monitor.on_peer_event(event)
             elif how == 13:
-                if monitor.speaks:
-                    monitor.hush()
+                if monitor.active:
+                    monitor.deactivate()
                 else:
-                    monitor.speak(sink, now_ns)
+                    monitor.activate(sink, now_ns)
             else:
-                monitor.take(own(draw, now_ns))
+                monitor.process(pack([own(draw, now_ns)]))
         monitor.status(now_ns)
 
     return run

@@ -152,8 +152,8 @@ class Pipeline:
             found["unix_minus_vehicle_ns"] = str(self._clock.to_unix(newest_ns) - newest_ns)
         return found
 
-    def accepts(self, message: Message) -> bool:
-        """Return whether a message comes from the monitored vehicle; the first one to send a channel is it."""
+    def accepts(self, message: Message | Columns) -> bool:
+        """Return whether a message (or columns) comes from the monitored vehicle: the first to send a channel is it."""
         if not message.source.has_ids:
             return True
         if not message.source.is_telemetry:

@@ -13,25 +13,18 @@ from hypothesis import settings
 from monitor.profile import Profile, read_profile
 
 DATA = Path(__file__).parent / "data"
-WAITING = (
+LIVE = (
+    "test_chaos_network.py",
+    "test_standby.py",
     "test_daemon.py",
     "test_chaos_crash.py",
-    "test_live.py",
-    "test_standby.py",
-    "test_chaos_network.py",
-    "test_zenoh_security.py",
     "test_soak.py",
-    "test_record.py",
-    "test_readme.py",
-    "test_chaos_hostile.py",
+    "test_live.py",
     "test_shards.py",
+    "test_chaos_hostile.py",
     "test_chaos_zenoh.py",
-    "test_fauio.py",
-    "test_adapters_zenoh_link.py",
-    "test_monitor_election.py",
-    "test_monitor_operator_client.py",
 )
-"""Tests of daemons and networks, the longest first: they wait in real time and leave the processor to others."""
+"""Tests of daemons, which wait for flights in real time and leave the processor to others meanwhile."""
 FITS = "test_flights.py"
 """Begins with the fit that many other files need."""
 
@@ -68,10 +61,10 @@ def pytest_collection_finish() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Spread the files that wait over the first half of those that compute: none waits alone at the end."""
     files = dict.fromkeys(item.path.name for item in items)
-    waiting = [name for name in WAITING if name in files]
-    others = sorted((name for name in files if name not in WAITING), key=lambda name: name != FITS)
+    live = [name for name in LIVE if name in files]
+    others = sorted((name for name in files if name not in LIVE), key=lambda name: name != FITS)
     place = {name: float(k) for k, name in enumerate(others)}
-    place |= {name: 0.5 * len(others) * k / len(waiting) - 0.5 for k, name in enumerate(waiting)}
+    place |= {name: 0.5 * len(others) * k / len(live) - 0.5 for k, name in enumerate(live)}
     items.sort(key=lambda item: place[item.path.name])
 
 

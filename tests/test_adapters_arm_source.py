@@ -13,6 +13,7 @@ import pytest
 from sampled import Row, feed
 
 import adapters.commands
+from adapters.batch import messages as each
 from adapters.channels import Channel
 from adapters.errors import TelemetryError, UsageError
 from adapters.logs.recordings import read_recording
@@ -113,7 +114,7 @@ def test_a_live_link_receives_the_very_messages_of_the_recording(run: ArmRun, po
         sender.start()
         received: list[Message] = []
         while len(received) < len(expected):
-            received += link.receive(0.2)
+            received += [*each(link.receive(0.2))]
         sender.join()
         assert [(message.name, dict(message.fields)) for message in received] == expected
         assert link.statistics().lost == 0
@@ -125,7 +126,7 @@ def test_zenoh_telemetry_starts_with_the_subscriber_and_loses_nothing(run: ArmRu
         sender.start()
         received: list[Message] = []
         while len(received) < len(run.t):
-            received += link.receive(0.2)
+            received += [*each(link.receive(0.2))]
         sender.join()
     assert same_as(run, feed(zenoh_sampler("arm/telemetry"), received), 0.0)
     assert received[60].fields["f_a"] == [2.0]
@@ -175,7 +176,7 @@ def test_the_command_sends_over_udp_and_prints_nothing_on_stdout(port: int, caps
         assert command_line("simulate", "arm", "--mavlink", url, "--duration", "1", "--speed", "5") == 0
         received: list[Message] = []
         while len(received) < 101:
-            received += link.receive(0.2)
+            received += [*each(link.receive(0.2))]
     assert capsys.readouterr().out == ""
     expected = [packet for _, packet in arm_packets(simulate_arm(SCENARIOS["case2"], 1.0))]
     assert len(received) == len(expected) == 101

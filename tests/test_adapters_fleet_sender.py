@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from loopback import until
 
+from adapters.batch import messages as each
 from adapters.errors import TelemetryError
 from adapters.logs.tlog import read_tlog
 from adapters.mavlink.mavlink_link import MavlinkLink
@@ -73,7 +74,7 @@ def test_a_link_receives_all_of_all_vehicles(port: int) -> None:
         sender.start()
         received: list[Message] = []
         while len(received) < sum(len(flight.packets) for flight in flights):
-            received += link.receive(0.2)
+            received += [*each(link.receive(0.2))]
         sender.join()
         assert link.statistics().lost == 0
     recorded = contents([message for message in read_tlog(FLIGHT) if message.system == 1])
@@ -94,13 +95,13 @@ def test_another_process_counts_what_it_sent_when_it_is_stopped(port: int, tmp_p
         received: Counter[int] = Counter()
 
         def listen() -> bool:
-            received.update(message.system for message in link.receive(0.2))
+            received.update(message.system for message in [*each(link.receive(0.2))])
             return received.total() > 500
 
         until(listen)
         process.send_signal(signal.SIGTERM)
         counts = json.loads(process.communicate()[0])
-        while messages := link.receive(0.2):
+        while messages := [*each(link.receive(0.2))]:
             received.update(message.system for message in messages)
         assert link.statistics().lost == 0
     assert process.returncode == 0

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega
 
+from adapters.batch import messages as each
 from adapters.errors import TelemetryError
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.mavlink.message_rates import RateRequests
@@ -52,7 +53,7 @@ def collect(link: MavlinkLink, count: int) -> list[Message]:
     """Receive until there are so many; the test's time-out ends it if they do not come."""
     messages: list[Message] = []
     while len(messages) < count:
-        messages += link.receive(0.2)
+        messages += [*each(link.receive(0.2))]
     return messages
 
 
@@ -85,8 +86,8 @@ def test_datagrams_become_messages_with_their_time_of_arrival() -> None:
 
 def test_a_quiet_link_returns_nothing_when_the_time_is_over() -> None:
     with udp() as (link, _):
-        assert link.receive(0.0) == []
-        assert link.receive(0.02) == []
+        assert [*each(link.receive(0.0))] == []
+        assert [*each(link.receive(0.02))] == []
 
 
 def test_a_packet_split_over_datagrams_is_put_together_for_each_sender() -> None:
@@ -128,21 +129,21 @@ def test_many_senders_cost_bounded_memory() -> None:
 def test_a_tcp_server_that_comes_late_and_goes_away_is_connected_to_again() -> None:
     port = free_port(socket.SOCK_STREAM)
     with MavlinkLink(f"tcp:127.0.0.1:{port}") as link:
-        assert link.receive(0.05) == []
+        assert [*each(link.receive(0.05))] == []
         for attempt in (1, 2):
             with socket.create_server(("127.0.0.1", port)) as server:
                 server.settimeout(0.05)
                 client = None
                 while client is None:
-                    link.receive(0.1)
+                    [*each(link.receive(0.1))]
                     with contextlib.suppress(TimeoutError):
                         client, _ = server.accept()
                 with client:
                     client.sendall(packet(attempt)[:7])
-                    assert link.receive(0.05) == []
+                    assert [*each(link.receive(0.05))] == []
                     client.sendall(packet(attempt)[7:])
                     assert times(collect(link, 1)) == [attempt]
-            link.receive(0.05)
+            [*each(link.receive(0.05))]
         assert link.statistics().connections == 2
 
 
@@ -172,12 +173,12 @@ def test_a_serial_line_is_read_at_its_rate_and_opened_again() -> None:
         os.close(master)
         os.close(slave)
         while link._link._port is not None:  # type: ignore[attr-defined]
-            assert link.receive(0.05) == []
-        assert link.receive(0.05) == []
+            assert [*each(link.receive(0.05))] == []
+        assert [*each(link.receive(0.05))] == []
         master, slave = pty.openpty()
         link._link._device = os.ttyname(slave)  # type: ignore[attr-defined]
         while link.statistics().connections < 2:
-            link.receive(0.1)
+            [*each(link.receive(0.1))]
         os.write(master, packet(3))
         assert times(collect(link, 1)) == [3]
     os.close(master)
@@ -241,14 +242,15 @@ def test_the_largest_datagrams_are_taken_whole_be_they_packets_or_noise() -> Non
 
 
 def test_a_flood_of_junk_does_not_keep_the_caller_waiting_for_a_message(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("adapters.mavlink.mavlink_link._BATCH", 8)
+    monkeypatch.setattr("adapters.mavlink.mavlink_link._PIECES", 8)
+    monkeypatch.setattr("adapters.mavlink.byte_link._DATAGRAMS", 8)
     with udp() as (link, send):
         for _ in range(20):
             send(b"junk")
         send(packet(1))
-        assert link.receive(30.0) == []
-        assert link.receive(30.0) == []
-        assert times(link.receive(30.0)) == [1]
+        assert [*each(link.receive(30.0))] == []
+        assert [*each(link.receive(30.0))] == []
+        assert times([*each(link.receive(30.0))]) == [1]
 
 
 def test_flipped_bits_and_random_bytes_cost_no_intact_packet_and_make_none_up() -> None:
@@ -297,7 +299,7 @@ def test_refused_packets_are_told_of_even_when_nothing_else_comes() -> None:
             send(packet(1, key=SigningKey(b"f" * 32)))
         messages: list[Message] = []
         while sum(m.fields["forged"] for m in messages[-1:]) < 3:
-            messages += link.receive(0.05)
+            messages += [*each(link.receive(0.05))]
         assert {m.source for m in messages} == {LINK}
         assert len(messages) <= 2
 
@@ -338,7 +340,7 @@ def test_times_of_arrival_do_not_fall_while_the_clock_does_not() -> None:
         messages: list[Message] = []
         for k in range(200):
             send(packet(k, key=KEY if k % 3 else SigningKey(b"f" * 32), system=1 + k % 5))
-            messages += link.receive(0.0)
+            messages += [*each(link.receive(0.0))]
         arrivals = [m.received_ns for m in messages]
         assert arrivals == sorted(arrivals)
         newest = link._received_ns
@@ -426,4 +428,4 @@ def test_ipv6_addresses_are_written_in_brackets() -> None:
         except TelemetryError as error:
             assert "Cannot assign requested address" in str(error) or "not supported" in str(error)
         else:
-            assert link.receive(0.0) == []
+            assert [*each(link.receive(0.0))] == []

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from adapters.batch import messages as each
 from adapters.errors import TelemetryError
 from adapters.logs.tlog import read_tlog
 from adapters.mavlink.mavlink_link import MavlinkLink
@@ -38,7 +39,7 @@ def test_a_link_receives_what_the_log_holds(port: int) -> None:
         sender.start()
         received: list[Message] = []
         while len(received) < len(expected):
-            received += link.receive(0.2)
+            received += [*each(link.receive(0.2))]
         sender.join()
     assert contents(received) == expected
 
@@ -50,7 +51,7 @@ def test_a_part_of_the_log_is_sent(port: int) -> None:
         assert send_tlog(FLIGHT, "127.0.0.1", port, 50.0, start_s=1.0, stop_s=1.5) == len(part)
         received: list[Message] = []
         while len(received) < len(part):
-            received += link.receive(0.2)
+            received += [*each(link.receive(0.2))]
     assert contents(received) == contents(part)
 
 
@@ -68,7 +69,7 @@ def test_another_process_sends_from_the_command_line(port: int) -> None:
         sender = subprocess.Popen([*command, "--stop", "2"], cwd=ROOT, stderr=subprocess.PIPE, text=True)
         received: list[Message] = []
         while len(received) < 1_000:
-            received += link.receive(0.2)
+            received += [*each(link.receive(0.2))]
         _, said = sender.communicate()
     assert sender.returncode == 0
     assert said.endswith(" packets sent\n")

@@ -15,6 +15,7 @@ import zenoh
 from loopback import free_port, publisher, until
 from mcap_ros2._dynamic import serialize_dynamic
 
+from adapters.batch import messages as each
 from adapters.channels import parse_channel
 from adapters.encoding.message_definition import find_definition
 from adapters.errors import TelemetryError
@@ -67,7 +68,7 @@ def collect(link: ZenohLink, count: int) -> list[Message]:
     deadline = time.monotonic() + PATIENCE_S
     while len(messages) < count:
         assert time.monotonic() < deadline, f"{len(messages)} of {count}; {link.statistics()}"
-        messages += link.receive(0.2)
+        messages += [*each(link.receive(0.2))]
     return messages
 
 
@@ -123,7 +124,7 @@ def test_keys_without_end_are_not_logged_without_end(listener: zenoh.Session, ca
         for k in range(1_200):
             listener.put(f"t/{k}", b"")
         soon(lambda: len(link._queue) == 1_200)
-        assert link.receive(0.0) == []
+        assert [*each(link.receive(0.0))] == []
         assert link.statistics().malformed == 1_200
     assert len(caplog.records) == 1_000
 
@@ -215,12 +216,13 @@ def test_telemetry_resumes_when_its_router_comes_back(endpoint: str, tmp_path: P
 
 SHARD = """
 import sys
+from adapters.batch import messages
 from adapters.zenoh.zenoh_link import ZenohLink
 from adapters.zenoh.zenoh_session import open_session
 with open_session(config_file=sys.argv[1]) as session, ZenohLink(session, sys.argv[2]) as link:
     names = set()
     while "end" not in {name.rpartition("/")[2] for name in names}:
-        names |= {message.name for message in link.receive(0.2)}
+        names |= {message.name for message in messages(link.receive(0.2))}
     print(" ".join(sorted(names)))
 """
 
@@ -277,8 +279,8 @@ def test_a_flood_of_large_payloads_is_bounded_in_bytes(listener: zenoh.Session) 
 
 def test_a_quiet_link_returns_nothing_when_the_time_is_over(listener: zenoh.Session) -> None:
     with ZenohLink(listener, "t") as link:
-        assert link.receive(0.0) == []
-        assert link.receive(0.02) == []
+        assert [*each(link.receive(0.0))] == []
+        assert [*each(link.receive(0.02))] == []
 
 
 def test_a_wrong_key_expression_is_reported(listener: zenoh.Session) -> None:

@@ -12,6 +12,7 @@ import pytest
 import zenoh
 from loopback import free_port, until
 
+from adapters.batch import messages as each
 from adapters.errors import TelemetryError
 from adapters.zenoh.zenoh_link import ZenohLink
 from adapters.zenoh.zenoh_session import endpoints, open_session
@@ -31,7 +32,7 @@ def test_a_session_waits_in_the_background_for_what_it_cannot_reach_yet(endpoint
             with open_session(listen=[endpoint]) as late, ZenohLink(late, "t") as link:
                 until(lambda: bool(made.matching_status.matching))
                 made.put(b"{}")
-                until(lambda link=link: bool(link.receive(0.2)))  # type: ignore[misc]
+                until(lambda link=link: bool([*each(link.receive(0.2))]))  # type: ignore[misc]
             until(lambda: not made.matching_status.matching)
 
 

@@ -110,7 +110,7 @@ HEARTBEAT = "fast"
         ("prefix = ", "1: not valid TOML at end of file: Invalid value"),
         ("a = 1\nb = \n", "2: not valid TOML at column 5: Invalid value"),
         ('a = """', "1: not valid TOML at end of file: Unterminated string"),
-        ("speed = 1", "1: 'speed' is not a key of this table; known here: allow_public, black_box"),
+        ("speed = 1", "1: 'speed' is not a key of this table; known here: allow_public, batch_ms"),
         ("folder = 'x'", "1: 'folder' is not a key of this table; it belongs into [recording] or [black_box]"),
         ("listen = 3", "1: 'listen' is 3, which is not a list; write for example listen = [\"tcp/127.0.0.1:7447\"]"),
         ("inbox = true", "1: 'inbox' is true, which is not a whole number"),

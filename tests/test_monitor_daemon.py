@@ -5,6 +5,7 @@ from typing import Any, cast
 
 import pytest
 
+from adapters.batch import pack
 from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.pipeline import Pipeline
@@ -20,7 +21,8 @@ WAITING = 2000
 @pytest.fixture
 def inbox() -> Inbox:
     found = Inbox(10_000)
-    found.put([Message(MAVLINK, "HEARTBEAT", k, {"type": 2, "autopilot": 3}, 1, 1) for k in range(WAITING)])
+    for k in range(WAITING):
+        found.put(pack([Message(MAVLINK, "HEARTBEAT", k, {"type": 2, "autopilot": 3}, 1, 1)]))
     return found
 
 
@@ -39,7 +41,7 @@ def test_what_waits_at_the_end_is_taken_within_the_time_there_is(
 
 
 class Clips:
-    """A post that has so many portions of clips to write."""
+    """A service that has so many portions of clips to write."""
 
     def __init__(self, name: str, portions: int, inbox: Inbox, written: list[str]) -> None:
         self.name, self.left, self.inbox, self.written = name, portions, inbox, written
@@ -57,14 +59,14 @@ class Clips:
 
 def test_clips_are_written_by_turns_once_no_message_waits(quad_profile: Profile, inbox: Inbox) -> None:
     written: list[str] = []
-    posts = [Clips("one", 3, inbox, written), Clips("two", 1, inbox, written), Clips("three", 2, inbox, written)]
+    services = [Clips("one", 3, inbox, written), Clips("two", 1, inbox, written), Clips("three", 2, inbox, written)]
     vehicle = VehicleMonitor(Pipeline(quad_profile, "one", 1), (), None, lambda event: None, 0)
 
     def every_turn(now_ns: int) -> None:
-        if not any(post.left for post in posts):
+        if not any(service.left for service in services):
             daemon.stop()
 
-    daemon = Daemon(inbox, Fleet([vehicle]), lambda: cast(Any, posts), lambda: (), every_turn)
+    daemon = Daemon(inbox, Fleet([vehicle]), lambda: cast(Any, services), lambda: (), every_turn)
     daemon.run()
     assert written == ["two", "three", "one", "three", "one", "one"]
     assert vehicle.messages == WAITING

@@ -48,7 +48,7 @@ def test_what_is_not_said_is_the_default() -> None:
     [
         ({"noise": 0.0}, "'effectiveness.steering.noise' is 0; it must be at least 1e-12"),
         ({"inflation": 0.5}, "inflation' is 0.5"),
-        ({"certainty": "high"}, "certainty' is \"high\", which is not a number"),
+        ({"certainty": "high"}, 'certainty\' is "high", which is not a number'),
         ({"memories_s": []}, "memories_s' is empty"),
         ({"memories_s": [0.0, 1.0]}, "memories_s[0]' is 0; it must be more than 0"),
         ({"memories_s": [1.0, 0.25]}, "memories_s' does not grow"),

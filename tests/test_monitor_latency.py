@@ -10,8 +10,7 @@ LATENCIES = st.lists(st.integers(0, 1 << 39), min_size=1, max_size=60)
 
 def filled(latencies: list[int]) -> LatencyHistogram:
     histogram = LatencyHistogram()
-    for latency in latencies:
-        histogram.add(latency)
+    histogram.add(latencies)
     return histogram
 
 
@@ -30,8 +29,7 @@ def test_quantiles_are_never_below_the_truth_and_at_most_a_sixteenth_above(laten
 def test_an_interval_knows_only_its_own_latencies(first: list[int], second: list[int]) -> None:
     histogram = filled(first)
     assert histogram.end_interval() == filled(first).statistics()
-    for latency in second:
-        histogram.add(latency)
+    histogram.add(second)
     assert histogram.interval() == filled(first).statistics()
     assert histogram.end_interval() == histogram.interval() == filled(second).statistics()
     assert histogram.end_interval() == LatencyStatistics()

@@ -13,27 +13,27 @@ from loopback import START_NS, Endpoint, event, matched, until
 from zenoh import ext
 
 from adapters.errors import UsageError
-from adapters.sample import Sample
+from adapters.sample import Sample, stacked
 from monitor.bus.publisher import HISTORY_EVENTS, Publisher
-from monitor.estimate import Estimate, Layout
+from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent, event_from_json
 
 LAYOUT = Layout("motors", 100.0, ("u",), ("r",), ("p",), ("motor1", "motor 2"), ("m", "m"))
 
 
-def estimate(index: int, time_ns: int | None = None) -> Estimate:
+def estimates(index: int, time_ns: int | None = None) -> Estimates:
     when = START_NS + index * 10_000_000 if time_ns is None else time_ns
     sample = Sample(index, index * 10_000_000, when, np.zeros(1), np.zeros(1), False, True)
-    return Estimate(
-        "motors",
-        sample,
-        np.array([0.5]),
-        np.array([-0.02, np.nan]),
-        np.zeros(2),
-        np.array([1e-3]),
-        True,
-        np.array([0.1, 0.2]),
-        0.0,
+    return Estimates(
+        observer="motors",
+        samples=stacked([sample], 1, 1),
+        x=np.array([[0.5]]),
+        fault=np.array([[-0.02, np.nan]]),
+        isolated=np.zeros((1, 2)),
+        residual=np.array([[1e-3]]),
+        armed=np.array([True]),
+        sd=np.array([[0.1, 0.2]]),
+        coasted_s=np.zeros(1),
     )
 
 
@@ -176,9 +176,9 @@ def test_estimates_are_thinned_on_the_samples_time(endpoint: Endpoint, publisher
     found = collect(endpoint.client(), "fauio/copter-1/estimate/*")
     until(lambda: matched(endpoint, "fauio/copter-1/estimate/motors"))
     for index in range(100):
-        publisher.estimate(estimate(index))
-    publisher.estimate(estimate(0, time_ns=5))
-    publisher.estimate(estimate(7, time_ns=6))
+        publisher.estimates(estimates(index))
+    publisher.estimates(estimates(0, time_ns=5))
+    publisher.estimates(estimates(7, time_ns=6))
     publisher.status({"state": "monitoring"})
     until(lambda: len(found) >= 12)
     payloads = [payload for _, payload, _ in found]
@@ -203,7 +203,7 @@ def test_no_estimates_at_a_rate_of_zero(endpoint: Endpoint) -> None:
     publisher = Publisher(endpoint.session, "copter-1", [LAYOUT], estimate_rate_hz=0.0)
     found = collect(endpoint.client(), "fauio/copter-1/**")
     until(lambda: matched(endpoint, "fauio/copter-1/status"))
-    publisher.estimate(estimate(0))
+    publisher.estimates(estimates(0))
     publisher.status({"state": "monitoring", "latency_ms": float("inf")})
     until(lambda: bool(found))
     assert found == [("fauio/copter-1/status", {"state": "monitoring", "latency_ms": None}, "application/json")]

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from adapters.batch import pack
 from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.pipeline import Pipeline
@@ -33,9 +34,9 @@ class Telemetry:
         for _ in range(seconds):
             for name, rate in rates.items():
                 for k in range(rate):
-                    self.watch.hear(name, self.now_ns + round(k * SECOND_NS / rate / speed))
+                    self.watch.count_messages(name, self.now_ns + round(k * SECOND_NS / rate / speed))
             for _ in range(round(self.observer.rate_hz) if samples and rates else 0):
-                self.watch.sampled(self.observer.name)
+                self.watch.count_samples(self.observer.name)
             self.now_ns += round(SECOND_NS / speed)
             said = self.watch.lacks(self.now_ns)
         return said
@@ -104,9 +105,9 @@ def heartbeat(kind: object, at_s: int = 0, autopilot: int = 3) -> Message:
 
 def test_the_status_says_that_the_vehicle_is_another_than_the_profile_s(quad_profile: Profile) -> None:
     monitor = VehicleMonitor(Pipeline(quad_profile, system=1), (), None, lambda _: None, START_NS)
-    monitor.take(heartbeat(2))
+    monitor.process(pack([heartbeat(2)]))
     assert monitor.status(START_NS + SECOND_NS)["reasons"] == []
-    monitor.take(heartbeat(1, 1))
+    monitor.process(pack([heartbeat(1, 1)]))
     [said] = monitor.status(START_NS + 2 * SECOND_NS)["reasons"]
     assert said == (
         "another vehicle than the profile's: it says it is a fixed wing, the profile was fitted to a quadrotor"

@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 from loopback import START_NS, event
 
+from adapters.batch import pack
 from adapters.message import Message
 from adapters.source import OPERATOR, ZENOH
-from monitor.estimate import Estimate
+from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, shelved_channels
 from monitor.profile import Profile
@@ -32,7 +33,7 @@ class Heard:
     def event(self, event: AlarmEvent) -> None:
         self.events.append(event)
 
-    def estimate(self, estimate: Estimate) -> None:
+    def estimates(self, estimates: Estimates) -> None:
         """Nobody asks."""
 
     def status(self, status: Mapping[str, Any]) -> None:
@@ -49,7 +50,7 @@ def monitor(arm_profile: Profile) -> VehicleMonitor:
 
 def said(monitor: VehicleMonitor, now_ns: int) -> list[AlarmEvent]:
     heard = Heard()
-    monitor.speak(heard, now_ns)
+    monitor.activate(heard, now_ns)
     return heard.events
 
 
@@ -58,8 +59,8 @@ def alarm(seq: int, **changes: Any) -> AlarmEvent:
 
 
 def test_it_goes_on_from_what_it_heard_with_numbers_that_nobody_can_have_given(monitor: VehicleMonitor) -> None:
-    monitor.hear(alarm(7))
-    monitor.hear(alarm(8, state="acknowledged", acknowledged=True, message="acknowledged by test"))
+    monitor.on_peer_event(alarm(7))
+    monitor.on_peer_event(alarm(8, state="acknowledged", acknowledged=True, message="acknowledged by test"))
     (updated,) = said(monitor, START_NS + SECOND_NS)
     assert (updated.id, updated.state, updated.acknowledged) == (alarm(7).id, "updated", True)
     assert updated.seq > 100
@@ -67,22 +68,22 @@ def test_it_goes_on_from_what_it_heard_with_numbers_that_nobody_can_have_given(m
 
 
 def test_what_was_cleared_or_comes_late_from_the_past_does_not_stand(monitor: VehicleMonitor) -> None:
-    monitor.hear(alarm(2, state="cleared"))
-    monitor.hear(alarm(1))
+    monitor.on_peer_event(alarm(2, state="cleared"))
+    monitor.on_peer_event(alarm(1))
     assert said(monitor, START_NS + SECOND_NS) == []
 
 
 def test_events_of_another_vehicle_and_absurd_numbers_are_not_taken(monitor: VehicleMonitor) -> None:
-    monitor.hear(alarm(1, vehicle="copter-2"))
-    monitor.hear(alarm(1 << 60))
-    monitor.hear(alarm(-1))
+    monitor.on_peer_event(alarm(1, vehicle="copter-2"))
+    monitor.on_peer_event(alarm(1 << 60))
+    monitor.on_peer_event(alarm(-1))
     assert said(monitor, START_NS + SECOND_NS) == []
 
 
 def test_one_that_speaks_again_raises_nothing_a_second_time_and_says_its_sentence_once(monitor: VehicleMonitor) -> None:
-    monitor.hear(alarm(1))
+    monitor.on_peer_event(alarm(1))
     (first,) = said(monitor, START_NS + SECOND_NS)
-    monitor.hush()
+    monitor.deactivate()
     (again,) = said(monitor, START_NS + 2 * SECOND_NS)
     assert (again.id, again.state) == (first.id, "updated")
     assert again.seq > first.seq
@@ -90,10 +91,10 @@ def test_one_that_speaks_again_raises_nothing_a_second_time_and_says_its_sentenc
 
 
 def test_one_that_is_heard_after_both_were_apart_counts_though_its_numbers_are_smaller(monitor: VehicleMonitor) -> None:
-    monitor.hear(alarm(1))
+    monitor.on_peer_event(alarm(1))
     (mine,) = said(monitor, START_NS + SECOND_NS)
-    monitor.hush()
-    monitor.hear(alarm(2, state="acknowledged", acknowledged=True, time_ns=START_NS + 3 * SECOND_NS))
+    monitor.deactivate()
+    monitor.on_peer_event(alarm(2, state="acknowledged", acknowledged=True, time_ns=START_NS + 3 * SECOND_NS))
     (again,) = said(monitor, START_NS + 4 * SECOND_NS)
     assert again.acknowledged
     assert again.seq > mine.seq
@@ -103,7 +104,7 @@ def test_keys_without_end_do_not_fill_the_memory(arm_profile: Profile) -> None:
     pipeline = Pipeline(arm_profile)
     monitor = VehicleMonitor(pipeline, [], None, Heard().event, 1)
     for k in range(1000):
-        monitor.take(Message(ZENOH, f"arm/{k}", 1 + k, {}))
+        monitor.process(pack([Message(ZENOH, f"arm/{k}", 1 + k, {})]))
     assert monitor.messages == 1000
     assert len(monitor._watch._heard) <= len(frozenset().union(*pipeline.needs.values()))
 
@@ -113,14 +114,14 @@ def test_a_channel_shelved_without_an_alarm_is_shelved_after_a_restart(arm_profi
     shelve = Message(OPERATOR, "shelve", START_NS + 1, {"channel": "arm/encoder", "until_ns": until_ns})
     with contextlib.closing(Journal(tmp_path / "journal.db")) as journal:
         first = VehicleMonitor(Pipeline(arm_profile, "copter-1"), (), journal, lambda _: None, START_NS)
-        first.speak(Heard(), START_NS)
-        first.take(shelve)
+        first.activate(Heard(), START_NS)
+        first.process(pack([shelve]))
         assert journal.shelved("copter-1") == {"arm/encoder": until_ns}
         second = VehicleMonitor(Pipeline(arm_profile, "copter-1"), (), journal, lambda _: None, START_NS)
         later_ns = START_NS + 2 * SECOND_NS
-        second.speak(Heard(), later_ns, shelved=journal.shelved("copter-1"))
+        second.activate(Heard(), later_ns, shelved=journal.shelved("copter-1"))
         assert second.status(later_ns)["shelved"] == {"arm/encoder": until_ns}
-        second.take(Message(OPERATOR, "unshelve", later_ns, {"channel": "arm/encoder"}))
+        second.process(pack([Message(OPERATOR, "unshelve", later_ns, {"channel": "arm/encoder"})]))
         assert journal.shelved("copter-1") == {}
 
 

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from adapters.batch import Batch, Columns
 from adapters.logs.compressed import CompressedFile
 from adapters.logs.tlog import MAX_TIME_US, TIME_BYTES, RecordScan, TlogStatistics, last_record
-from adapters.mavlink.mavlink_columns import PADDING, Heads, fields, heads, intact, kinds, payload_layout
+from adapters.mavlink.mavlink_columns import PADDING, Heads, columns, heads, intact, kinds, payload_layout, payloads
 from adapters.mavlink.mavlink_message import MAGIC_1, MAGIC_2, MAX_PACKET_BYTES, SIGNATURE_BYTES
 from adapters.message import Message
-from adapters.source import MAVLINK
 
 READ_AHEAD_BYTES = 1 << 20
 
@@ -173,29 +172,19 @@ def _block(buffer: bytes, data: NDArray[np.uint8], starts: NDArray[np.int64]) ->
     """Return the messages of intact records."""
     packets = heads(data, starts + TIME_BYTES)
     received_ns = _times_us(data, starts).astype(np.int64) * 1_000
-    columns: list[Columns] = []
+    found: list[Columns] = []
     others: dict[int, Message] = {}
     for position in _groups(packets):
         first = int(position[0])
         kind = kinds()[packets.kind[first]]
-        layout = payload_layout(kind)
-        if layout is None:
+        if payload_layout(kind) is None:
             for place, start in zip(position.tolist(), packets.place[position].tolist(), strict=True):
                 others[place] = kind.decode(buffer[start : start + MAX_PACKET_BYTES], int(received_ns[place]))
             continue
         system, component = divmod(int(packets.sender[first]), 256)
-        columns.append(
-            Columns(
-                source=MAVLINK,
-                name=kind.name,
-                system=system,
-                component=component,
-                position=position,
-                received_ns=received_ns[position],
-                fields=fields(data, layout, packets.payload[position], packets.length[position]),
-            )
-        )
-    return Batch(len(starts), tuple(columns), others)
+        content = payloads(data, kind.size, packets.payload[position], packets.length[position])
+        found.append(columns(kind, (system, component), position, received_ns[position], content))
+    return Batch(len(starts), tuple(found), others)
 
 
 def _groups(packets: Heads) -> Iterator[NDArray[np.int64]]:

@@ -22,6 +22,8 @@ from adapters.errors import TelemetryError
 UDP_BUFFER_BYTES = 1 << 22
 
 _READ_BYTES = 1 << 16
+_DATAGRAMS = 1024
+"""Most datagrams of one read: so a flood cannot keep a reader from what else is due (1024 take about 10 ms)."""
 _RETRY_S = 0.5
 _CONNECT_S = 1.0
 _BAUD = 57_600
@@ -49,13 +51,17 @@ class ByteLink(Protocol):
         How often a connection was made, the first time included.
     overruns : int
         Datagrams that the kernel dropped because they were not read in time; 0 where it does not say.
+    stamps_arrivals : bool
+        Whether the kernel notes when each piece arrives, so that it may wait there without harm. Otherwise the time
+        of arrival is that of reading.
     """
 
     connections: int
     overruns: int
+    stamps_arrivals: bool
 
-    def read(self, timeout_s: float) -> Piece | None:
-        """Return the next bytes with who sent them and when; None where nothing came in time."""
+    def read(self, timeout_s: float) -> list[Piece]:
+        """Return what has arrived, each piece with its sender and time; wait at most so long for the first."""
 
     def write(self, data: bytes, to: Iterable[Hashable]) -> None:
         """Send, to the given senders of earlier pieces where the link has several; what cannot go out is lost."""
@@ -169,23 +175,29 @@ class _Udp:
         # A burst has to fit while the reader is busy; the kernel cuts this down to what it allows.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, UDP_BUFFER_BYTES)
         self._dropped = 0
-        if sys.platform == "linux":
+        self.stamps_arrivals = sys.platform == "linux"
+        if self.stamps_arrivals:
             for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):
                 with contextlib.suppress(OSError):
                     self._socket.setsockopt(socket.SOL_SOCKET, option, 1)
 
-    def read(self, timeout_s: float) -> Piece | None:
-        for wait_s in (0.0, timeout_s):
-            if wait_s <= 0.0 or _readable(self._socket, timeout_s=wait_s):
-                with contextlib.suppress(OSError):
-                    return self._receive()
-        return None
+    def read(self, timeout_s: float) -> list[Piece]:
+        pieces = self._waiting()
+        if not pieces and timeout_s > 0.0 and _readable(self._socket, timeout_s=timeout_s):
+            pieces = self._waiting()
+        return pieces
 
-    def _receive(self) -> Piece:
-        if sys.platform != "linux":
-            data, sender = self._socket.recvfrom(_READ_BYTES)
-            return sender, data, time.time_ns()
-        data, notes, _, sender = self._socket.recvmsg(_READ_BYTES, _NOTES_BYTES)
+    def _waiting(self) -> list[Piece]:
+        """Return what the kernel holds."""
+        pieces: list[Piece] = []
+        # It ends with BlockingIOError where nothing waits any more, or with what an earlier answer met on its way.
+        with contextlib.suppress(OSError):
+            while len(pieces) < _DATAGRAMS:
+                data, notes, _, sender = self._socket.recvmsg(_READ_BYTES, _NOTES_BYTES)
+                pieces.append((sender, data, self._arrival_ns(notes)))
+        return pieces
+
+    def _arrival_ns(self, notes: Iterable[tuple[int, int, bytes]]) -> int:
         received_ns = now_ns = time.time_ns()
         for _, kind, note in notes:
             if kind == _SO_TIMESTAMPNS and len(note) == _TIMESPEC.size:
@@ -197,7 +209,7 @@ class _Udp:
                 (dropped,) = _COUNT.unpack(note)
                 self.overruns += (dropped - self._dropped) & 0xFFFFFFFF
                 self._dropped = dropped
-        return sender, data, received_ns
+        return received_ns
 
     def write(self, data: bytes, to: Iterable[Hashable]) -> None:
         for sender in (None,) if self._connected else to:
@@ -211,6 +223,8 @@ class _Udp:
 class _TcpClient:
     """A connection to a TCP server, made anew whenever it is lost."""
 
+    stamps_arrivals = False
+
     def __init__(self, address: Address) -> None:
         self.connections = 0
         self.overruns = 0
@@ -218,23 +232,23 @@ class _TcpClient:
         self._socket: socket.socket | None = None
         self._retry_at = 0.0
 
-    def read(self, timeout_s: float) -> Piece | None:
+    def read(self, timeout_s: float) -> list[Piece]:
         until = time.monotonic() + timeout_s
         if self._socket is None and not self._connect(until):
-            return None
+            return []
         assert self._socket is not None  # noqa: S101 - tells the type checker what _connect has done
         if not _readable(self._socket, timeout_s=until - time.monotonic()):
-            return None
+            return []
         try:
             data = self._socket.recv(_READ_BYTES)
         except BlockingIOError:
-            return None
+            return []
         except OSError:
             data = b""
         if data:
-            return self.connections, data, time.time_ns()
+            return [(self.connections, data, time.time_ns())]
         self.close()
-        return None
+        return []
 
     def _connect(self, until: float) -> bool:
         wait_s = self._retry_at - time.monotonic()
@@ -272,6 +286,8 @@ class _TcpClient:
 class _TcpServer:
     """A listening TCP socket; the newest client is the one that is heard."""
 
+    stamps_arrivals = False
+
     def __init__(self, url: str, address: Address) -> None:
         self.connections = 0
         self.overruns = 0
@@ -279,13 +295,13 @@ class _TcpServer:
         self._listener.listen(1)
         self._client: socket.socket | None = None
 
-    def read(self, timeout_s: float) -> Piece | None:
+    def read(self, timeout_s: float) -> list[Piece]:
         sources = [self._listener] if self._client is None else [self._client, self._listener]
         ready = _readable(*sources, timeout_s=timeout_s)
         if self._client in ready and self._client is not None:
             with contextlib.suppress(OSError):
                 if data := self._client.recv(_READ_BYTES):
-                    return self.connections, data, time.time_ns()
+                    return [(self.connections, data, time.time_ns())]
             self._client.close()
             self._client = None
         if self._listener in ready:
@@ -296,7 +312,7 @@ class _TcpServer:
                     self._client.close()
                 self._client = client
                 self.connections += 1
-        return None
+        return []
 
     def write(self, data: bytes, to: Iterable[Hashable]) -> None:
         del to
@@ -311,6 +327,8 @@ class _TcpServer:
 
 class _Serial:
     """A serial port, opened anew when the device comes back."""
+
+    stamps_arrivals = False
 
     def __init__(self, url: str, device: str) -> None:
         path, _, baud = device.rpartition(":")
@@ -335,27 +353,27 @@ class _Serial:
         self._port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0)
         self.connections += 1
 
-    def read(self, timeout_s: float) -> Piece | None:
+    def read(self, timeout_s: float) -> list[Piece]:
         if self._port is None:
             time.sleep(max(0.0, min(timeout_s, self._retry_at - time.monotonic())))
             if time.monotonic() < self._retry_at:
-                return None
+                return []
             self._retry_at = time.monotonic() + _RETRY_S
             with contextlib.suppress(OSError, ValueError):
                 self._open()
-            return None
+            return []
         try:
             if not _readable(self._port, timeout_s=timeout_s):
-                return None
+                return []
             # Readable without bytes is how a device says that it has gone.
             if data := self._port.read(_READ_BYTES):
-                return self.connections, bytes(data), time.time_ns()
+                return [(self.connections, bytes(data), time.time_ns())]
         except (OSError, ValueError):
             pass
         self.close()
         self._port = None
         self._retry_at = time.monotonic() + _RETRY_S
-        return None
+        return []
 
     def write(self, data: bytes, to: Iterable[Hashable]) -> None:
         del to

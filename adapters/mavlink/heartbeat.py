@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.batch import Columns
 from adapters.message import Message
 from adapters.source import MAVLINK
 
@@ -9,6 +13,21 @@ _GROUND_STATION = 6
 """MAV_TYPE_GCS."""
 _NO_AUTOPILOT = 8
 """MAV_AUTOPILOT_INVALID: a component that is no flight controller."""
+
+
+def autopilot_heartbeats(columns: Columns) -> NDArray[np.bool_]:
+    """Return which of n messages are heartbeats of an autopilot (n,).
+
+    Neither a ground station's (type 6) nor that of a component without one (autopilot 8: gimbals, cameras, companion
+    computers).
+    """
+    count = len(columns.position)
+    if columns.name != "HEARTBEAT" or columns.source is not MAVLINK:
+        return np.zeros(count, np.bool_)
+    no_number = np.full(count, -1)
+    kinds, autopilots = (columns.fields.get(name, no_number) for name in ("type", "autopilot"))
+    found: NDArray[np.bool_] = (kinds != _GROUND_STATION) & (autopilots != _NO_AUTOPILOT)
+    return found
 
 
 def is_autopilot_heartbeat(message: Message) -> bool:

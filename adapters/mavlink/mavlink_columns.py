@@ -1,17 +1,19 @@
-"""Many MAVLink packets at once, as arrays over one buffer of bytes: heads, checksums, fields.
+"""MAVLink packets as columns: those of a log by their places in one buffer of bytes, those of a link one by one.
 
-The same as :mod:`adapters.mavlink.mavlink_message` says packet by packet, and from the same tables; the tests hold the
-two together. Places are offsets into the buffer, which ends with :data:`PADDING` bytes that belong to no packet.
+Heads and checksums are those of :mod:`adapters.mavlink.mavlink_message`, from the same tables; the tests hold the two
+together. Places are offsets into the buffer, which ends with :data:`PADDING` bytes that belong to no packet.
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.batch import Batch, Columns
 from adapters.mavlink.mavlink_message import (
     MAGIC_1,
     MAX_PACKET_BYTES,
@@ -19,7 +21,10 @@ from adapters.mavlink.mavlink_message import (
     PAYLOAD_START_2,
     MavlinkType,
     mavlink_types,
+    packet_sender,
 )
+from adapters.message import Message
+from adapters.source import MAVLINK
 
 PADDING = 255
 
@@ -163,25 +168,76 @@ def payload_layout(kind: MavlinkType) -> np.dtype[np.void] | None:
     return packed[table.fieldnames]
 
 
-def fields(
-    data: NDArray[np.uint8], layout: np.dtype[np.void], payload: NDArray[np.int64], length: NDArray[np.int64]
-) -> dict[str, NDArray[np.generic]]:
-    """Return the fields of n payloads by name (n,), array fields as (n, their length).
+def payloads(
+    data: NDArray[np.uint8], size: int, payload: NDArray[np.int64], length: NDArray[np.int64]
+) -> NDArray[np.uint8]:
+    """Return n payloads, each ``size`` bytes long as the definition has it, one after the other (n * size,).
 
     Parameters
     ----------
     data : NDArray[np.uint8]
         The buffer.
-    layout : np.dtype
-        Of the message (:func:`payload_layout`).
+    size : int
+        Bytes of the message's payload.
     payload, length : NDArray[np.int64]
         Where the payloads begin, and their bytes (n,); what is cut off at their ends is zero.
     """
-    size = layout.itemsize
     # Every place of the buffer as the begin of a payload: taking from that copies payload by payload.
-    payloads = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
-    content = payloads[payload].view(np.uint8).reshape(-1, size)
+    content = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))[payload].view(np.uint8)
     if (length < size).any():
-        content *= np.arange(size) < length[:, None]
-    record = content.reshape(-1).view(layout)
-    return {name: np.ascontiguousarray(record[name]) for name in layout.names or ()}
+        content.reshape(-1, size)[:] *= np.arange(size) < length[:, None]
+    return content
+
+
+def columns(
+    kind: MavlinkType,
+    sender: tuple[int, int],
+    position: NDArray[np.int64],
+    received_ns: NDArray[np.int64],
+    content: bytes | NDArray[np.uint8],
+) -> Columns:
+    """Decode n messages of one kind and sender, none of them with text.
+
+    Parameters
+    ----------
+    kind : MavlinkType
+        The kind of message; :func:`payload_layout` has its layout.
+    sender : tuple[int, int]
+        System and component id.
+    position, received_ns : NDArray[np.int64]
+        Index of each in its batch, and Unix time of arrival (n,).
+    content : bytes | NDArray[np.uint8]
+        Their payloads, each as long as the definition has it, one after the other.
+    """
+    layout = payload_layout(kind)
+    record = np.frombuffer(content, layout)
+    fields = {name: np.ascontiguousarray(record[name]) for name in kind.table.fieldnames}
+    return Columns(MAVLINK, kind.name, *sender, position, received_ns, fields)
+
+
+def decoded(packets: Sequence[tuple[MavlinkType, bytes]], received_ns: Sequence[int]) -> Batch:
+    """Decode intact packets, in the order of arrival, as a batch.
+
+    Use it for the few packets that a link brings at a time; a log gives its packets by place in one buffer.
+
+    Parameters
+    ----------
+    packets : Sequence[tuple[MavlinkType, bytes]]
+        Kind and bytes of each packet.
+    received_ns : Sequence[int]
+        Unix time of arrival of each, nanoseconds.
+    """
+    groups: dict[tuple[MavlinkType, int, int], list[int]] = {}
+    for position, (kind, packet) in enumerate(packets):
+        groups.setdefault((kind, *packet_sender(packet)), []).append(position)
+    times = np.array(received_ns, np.int64)
+    found: list[Columns] = []
+    others: dict[int, Message] = {}
+    for (kind, *sender), positions in groups.items():
+        if payload_layout(kind) is None:
+            others.update((at, kind.decode(packets[at][1], received_ns[at])) for at in positions)
+            continue
+        content = b"".join([kind.payload(packets[at][1]) for at in positions])
+        index = np.array(positions, np.int64)
+        found.append(columns(kind, (sender[0], sender[1]), index, times[index], content))
+    return Batch(len(packets), tuple(found), others)

@@ -1,4 +1,4 @@
-"""Live MAVLink: packets from a UDP, TCP or serial link -> messages. It sends only where it may."""
+"""Live MAVLink: packets from a UDP, TCP or serial link -> batches. It sends only where it may."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ from collections import OrderedDict
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass
 
+from adapters.batch import Batch, joined, pack
 from adapters.errors import TelemetryError
 from adapters.mavlink.byte_link import open_byte_link
-from adapters.mavlink.mavlink_message import PacketParser, mavlink_types, packet_sender, packet_sequence
+from adapters.mavlink.mavlink_columns import decoded
+from adapters.mavlink.mavlink_message import MavlinkType, PacketParser, mavlink_types, packet_sender, packet_sequence
 from adapters.mavlink.signing import SigningGuard, SigningKey, SigningStatistics
-from adapters.message import Message
 
 # Senders whose unfinished packets are kept apart; more are unlikely, and none can exhaust memory.
 _SENDERS = 64
-_BATCH = 1024
+_PIECES = 1024
+"""Pieces of one batch: a flood of junk must not keep the caller here."""
 _ANSWER_NS = 10_000_000_000
 # Further behind than networks reorder, a packet is the first after a restart or a long gap.
 _REORDERED = 32
@@ -75,6 +77,10 @@ class MavlinkLink:
         Whether unsigned packets are refused too, but for what telemetry radios add.
     may_send : bool
         Whether :meth:`send` is allowed.
+    batch_s : float
+        Time from one batch to the next while telemetry comes, seconds: what arrives meanwhile waits in the kernel,
+        which notes its time of arrival. 0 hands on at once whatever is there. The first packet after a longer
+        silence never waits.
 
     Raises
     ------
@@ -83,7 +89,12 @@ class MavlinkLink:
     """
 
     def __init__(
-        self, url: str, key: SigningKey | None = None, require_signed: bool = False, may_send: bool = False
+        self,
+        url: str,
+        key: SigningKey | None = None,
+        require_signed: bool = False,
+        may_send: bool = False,
+        batch_s: float = 0.0,
     ) -> None:
         if require_signed and key is None:
             raise TelemetryError(f"{url}: signed packets are required but there is no key to verify them with")
@@ -101,26 +112,40 @@ class MavlinkLink:
         self._heard_ns: OrderedDict[Hashable, int] = OrderedDict()
         self._received_ns = 0
         self._messages = 0
+        self._batch_s = batch_s
+        self._due_s = 0.0
 
-    def receive(self, timeout_s: float) -> list[Message]:
-        """Return all messages that are there; wait for the first one at most ``timeout_s`` seconds.
+    def receive(self, timeout_s: float) -> Batch:
+        """Return what has arrived once a batch is due; wait for the first packet at most ``timeout_s`` seconds.
 
-        Packets that were refused for their signature are told of by :meth:`SigningGuard.findings
-        <adapters.mavlink.signing.SigningGuard.findings>` among the messages.
+        Packets that were refused for their signature are reported by :meth:`SigningGuard.findings
+        <adapters.mavlink.signing.SigningGuard.findings>` at the end of the batch.
         """
-        until = time.monotonic() + timeout_s
-        messages: list[Message] = []
-        # Pieces are counted and not messages: a flood of junk must not keep the caller here.
-        for _ in range(_BATCH):
-            piece = self._link.read(0.0 if messages else until - time.monotonic())
-            if piece is not None:
-                self._take(*piece, messages)
-            elif messages or time.monotonic() >= until:
+        now_s = time.monotonic()
+        until_s = now_s + timeout_s
+        packets: list[tuple[MavlinkType, bytes]] = []
+        received_ns: list[int] = []
+        due_s = min(self._due_s, until_s)
+        if self._link.stamps_arrivals:
+            if due_s > now_s:
+                time.sleep(due_s - now_s)
+            due_s = 0.0
+        left = _PIECES
+        while left > 0:
+            pieces = self._link.read((due_s if packets else until_s) - time.monotonic())
+            for sender, data, arrived_ns in pieces:
+                self._receive(sender, data, arrived_ns, packets, received_ns)
+            left -= max(len(pieces), 1)
+            if time.monotonic() >= (due_s if packets else until_s):
                 break
-        self._messages += len(messages)
+        self._due_s = time.monotonic() + self._batch_s
+        self._messages += len(packets)
+        batch = decoded(packets, received_ns)
         if self._guard is not None:
-            messages += self._guard.findings(self._received_ns if messages else self._arrival(time.time_ns()))
-        return messages
+            findings = self._guard.findings(self._received_ns if packets else self._arrival(time.time_ns()))
+            if findings:
+                batch = joined((batch, pack(findings)))
+        return batch
 
     def send(self, packets: Iterable[bytes]) -> None:
         """Send packets to the other side: on a UDP port to all who lately sent telemetry to it.
@@ -145,19 +170,28 @@ class MavlinkLink:
             self._received_ns = received_ns
         return self._received_ns
 
-    def _take(self, sender: Hashable, data: bytes, received_ns: int, messages: list[Message]) -> None:
-        received_ns = self._arrival(received_ns)
+    def _receive(
+        self,
+        sender: Hashable,
+        data: bytes,
+        arrived_ns: int,
+        packets: list[tuple[MavlinkType, bytes]],
+        received_ns: list[int],
+    ) -> None:
+        """Append the packets that a piece completes, and their time of arrival, where they are admitted."""
+        arrived_ns = self._arrival(arrived_ns)
         guard = self._guard
-        taken = False
+        admitted = False
         for kind, packet in self._parser(sender).feed(data):
-            if guard is not None and not guard.admits(packet, received_ns):
+            if guard is not None and not guard.admits(packet, arrived_ns):
                 continue
-            taken = True
+            admitted = True
             self._count(packet)
             if kind.name != _SECRET:
-                messages.append(kind.decode(packet, received_ns))
-        if taken and self._may_send:
-            self._heard_ns[sender] = received_ns
+                packets.append((kind, packet))
+                received_ns.append(arrived_ns)
+        if admitted and self._may_send:
+            self._heard_ns[sender] = arrived_ns
             self._heard_ns.move_to_end(sender)
             if len(self._heard_ns) > _SENDERS:
                 self._heard_ns.popitem(last=False)

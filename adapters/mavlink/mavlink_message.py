@@ -80,17 +80,20 @@ class MavlinkType:
         """Return the checksum that belongs behind a packet's head and payload."""
         return int(self._checksum(packet[1:] + self._extra).crc)
 
+    def payload(self, packet: bytes) -> bytes:
+        """Return the payload of an intact packet as long as the definition has it: cut, or zeros at its end."""
+        start = PAYLOAD_START_2 if packet[0] == MAGIC_2 else PAYLOAD_START_1
+        payload = packet[start : start + packet[1]]
+        return payload if len(payload) == self.size else payload[: self.size].ljust(self.size, b"\0")
+
     def decode(self, packet: bytes, received_ns: int) -> Message:
         """Return the message in an intact packet.
 
+        Use it for single messages and those with text; :mod:`adapters.mavlink.mavlink_columns` decodes all others.
         Numbers are int or float, arrays lists, text ends at its first zero byte. Zeros that version 2 cuts
         off at the end of the payload, and fields that version 1 does not send, are zero.
         """
-        start = _payload_start(packet)
-        payload = packet[start : start + packet[1]]
-        if len(payload) != self.size:
-            payload = payload[: self.size].ljust(self.size, b"\0")
-        values = self._unpack(payload)
+        values = self._unpack(self.payload(packet))
         if self._pick is not None:
             fields = dict(zip(self._names, self._pick(values), strict=True))
         else:

@@ -13,9 +13,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from adapters.batch import Columns, one_message
 from adapters.errors import TelemetryError
 from adapters.mavlink.signing import SigningKey, unix_stamp
-from adapters.message import Message
 from adapters.source import MAVLINK
 
 AUTOPILOT = 1
@@ -180,20 +180,26 @@ class RateRequests:
         requests = {name: _Request(name, numbers[name], rate_hz) for name, rate_hz in rates.items()}
         self._vehicles[system] = _Vehicle(component, requests)
 
-    def heard(self, message: Message) -> None:
-        """Take note of a message that came; only those of the vehicles asked matter."""
-        vehicle = self._vehicles.get(message.system)
-        if vehicle is None or message.source is not MAVLINK or message.component != vehicle.component:
+    def count(self, columns: Columns) -> None:
+        """Count messages that arrived; only those of the vehicles asked matter."""
+        vehicle = self._vehicles.get(columns.system)
+        if vehicle is None or columns.source is not MAVLINK or columns.component != vehicle.component:
             return
-        if vehicle.heard_ns is None or message.received_ns - vehicle.heard_ns > _SILENT_NS:
+        first_ns, last_ns = int(columns.received_ns[0]), int(columns.received_ns[-1])
+        if vehicle.heard_ns is None or first_ns - vehicle.heard_ns > _SILENT_NS:
             for request in vehicle.requests.values():
-                request.restart(message.received_ns)
-        vehicle.heard_ns, vehicle.heard_anew = message.received_ns, True
-        if (counted := vehicle.requests.get(message.name)) is not None:
-            counted.heard += 1
-        if message.name == "COMMAND_ACK" and vehicle.waiting is not None and self._for_us(message.fields):
+                request.restart(first_ns)
+        vehicle.heard_ns, vehicle.heard_anew = last_ns, True
+        if (counted := vehicle.requests.get(columns.name)) is not None:
+            counted.heard += len(columns.position)
+        if columns.name == "COMMAND_ACK":
+            for row in range(len(columns.position)):
+                self._acknowledge(vehicle, one_message(columns, row).fields)
+
+    def _acknowledge(self, vehicle: _Vehicle, fields: Mapping[str, Any]) -> None:
+        if vehicle.waiting is not None and self._for_us(fields):
             refusals = (self._dialect.MAV_RESULT_DENIED, self._dialect.MAV_RESULT_UNSUPPORTED)
-            vehicle.waiting.refused = message.fields.get("result") in refusals
+            vehicle.waiting.refused = fields.get("result") in refusals
             vehicle.waiting = None
 
     def _for_us(self, fields: Mapping[str, Any]) -> bool:

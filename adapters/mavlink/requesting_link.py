@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Mapping
 
-from adapters.mavlink.heartbeat import is_autopilot_heartbeat
+from adapters.batch import Batch, Columns
+from adapters.mavlink.heartbeat import autopilot_heartbeats
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.mavlink.message_rates import RateRequests, RateStatistics
-from adapters.message import Message
 
 
 class RequestingLink:
@@ -45,15 +45,15 @@ class RequestingLink:
         for system in systems:
             self._ask(system)
 
-    def receive(self, timeout_s: float) -> list[Message]:
-        """Return the messages that are there, waiting at most ``timeout_s`` for the first; send what is due."""
-        messages = self._link.receive(timeout_s)
-        for message in messages:
-            if self._open and message.system not in self._asked and self._is_component(message):
-                self._ask(message.system)
-            self._requests.heard(message)
+    def receive(self, timeout_s: float) -> Batch:
+        """Return what has arrived, waiting at most ``timeout_s`` for the first packet; send what is due."""
+        batch = self._link.receive(timeout_s)
+        for columns in batch.columns:
+            if self._open and columns.system not in self._asked and self._has_autopilot(columns):
+                self._ask(columns.system)
+            self._requests.count(columns)
         self._link.send(self._requests.requests(time.time_ns()))
-        return messages
+        return batch
 
     def statistics(self) -> RateStatistics:
         """Return what was asked for and what came."""
@@ -63,5 +63,5 @@ class RequestingLink:
         self._asked.add(system)
         self._requests.ask(system, self._rates, self._component)
 
-    def _is_component(self, message: Message) -> bool:
-        return message.component == self._component and is_autopilot_heartbeat(message)
+    def _has_autopilot(self, columns: Columns) -> bool:
+        return columns.component == self._component and bool(autopilot_heartbeats(columns).any())

@@ -1,4 +1,4 @@
-"""Live telemetry over Zenoh: JSON objects and CDR under a key expression -> messages.
+"""Live telemetry over Zenoh: JSON objects and CDR under a key expression -> batches.
 
 A callback takes each sample off the network thread at once, notes its time of arrival and queues it; a full
 queue drops its oldest sample. So neither a slow reader nor a flood of telemetry can stall the session, and
@@ -15,6 +15,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from adapters.batch import Batch, pack
 from adapters.errors import PayloadError, TelemetryError, UndefinedTypeError
 from adapters.message import Message
 from adapters.source import ZENOH
@@ -72,6 +73,8 @@ class ZenohLink:
         Key expression to subscribe to.
     decoder : PayloadDecoder | None
         Knows the types of CDR payloads; None: those that samples name themselves and that are shipped.
+    batch_s : float
+        Time from one batch to the next while telemetry comes, seconds; 0 hands on at once whatever is there.
 
     Raises
     ------
@@ -79,13 +82,17 @@ class ZenohLink:
         The key expression is not valid.
     """
 
-    def __init__(self, session: zenoh.Session, keyexpr: str, decoder: PayloadDecoder | None = None) -> None:
+    def __init__(
+        self, session: zenoh.Session, keyexpr: str, decoder: PayloadDecoder | None = None, batch_s: float = 0.0
+    ) -> None:
         import zenoh
 
         self._decoder = decoder or PayloadDecoder()
         self._queue: deque[tuple[str, str, bytes, int]] = deque()
         self._queued_bytes = 0
         self._arrived = threading.Condition()
+        self._batch_s = batch_s
+        self._due_s = 0.0
         self._messages = self._dropped = self._oversized = self._malformed = 0
         self._undefined = self._connected = self._reconnections = 0
         self._lost_all = False
@@ -122,8 +129,12 @@ class ZenohLink:
                 self._connected -= 1
                 self._lost_all = self._connected == 0
 
-    def receive(self, timeout_s: float) -> list[Message]:
-        """Return all messages that are there; wait for the first one at most ``timeout_s`` seconds."""
+    def receive(self, timeout_s: float) -> Batch:
+        """Return what has arrived once a batch is due; wait for the first sample at most ``timeout_s`` seconds."""
+        wait_s = min(self._due_s - time.monotonic(), timeout_s)
+        if wait_s > 0.0:
+            time.sleep(wait_s)
+            timeout_s -= wait_s
         with self._arrived:
             if not self._queue:
                 self._arrived.wait(timeout_s)
@@ -143,7 +154,8 @@ class ZenohLink:
             else:
                 messages.append(Message(ZENOH, name, received_ns, fields))
         self._messages += len(messages)
-        return messages
+        self._due_s = time.monotonic() + self._batch_s
+        return pack(messages)
 
     def _say_once(self, key: str, error: ValueError) -> None:
         """Log why a payload was passed over: the first of each key, as its sender will hardly mend itself."""

@@ -11,11 +11,12 @@ import numpy as np
 from arm_controller import LINK, Controller
 from numpy.typing import NDArray
 
+from adapters.batch import pack
 from adapters.message import Message
 from adapters.simulation.arm import ArmScenario, State, fault_size, measure_arm, step_arm, tracking_reference
 from adapters.source import ZENOH
 from monitor.bus.payload import estimate_json
-from monitor.estimate import Estimate
+from monitor.estimate import Estimates as EstimateRows
 from monitor.pipeline import Pipeline
 from monitor.profile import read_profile
 
@@ -122,8 +123,12 @@ def in_process(controller: Controller, delay: int = 0) -> Exchange:
     def exchange(now_s: float, torque: float, y: NDArray[np.float64]) -> tuple[float, Estimates]:
         time_ns = round(now_s * 1e9)
         fields = {"time_ns": time_ns, "u": [torque], "y": y.tolist()}
-        outputs = pipeline.feed(Message(ZENOH, TELEMETRY, 10**18 + time_ns, fields))
-        found = [estimate_json(layouts[one.observer], one) for one in outputs if isinstance(one, Estimate)]
+        outputs = pipeline.run(pack([Message(ZENOH, TELEMETRY, 10**18 + time_ns, fields)]))
+        found = [
+            estimate_json(layouts[output.observer], output, -1)
+            for output in outputs
+            if isinstance(output, EstimateRows)
+        ]
         said.append(found[-1] if found else said[-1] if said else None)
         estimate = said.pop(0) if len(said) > delay else None
         return controller.step(now_s, y, estimate), estimate

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from monitor.estimate import Estimate, Layout
+from monitor.estimate import Estimates, Layout
 
 if TYPE_CHECKING:
     import zenoh
@@ -62,18 +62,18 @@ def to_json(payload: Mapping[str, Any] | Sequence[Any]) -> bytes:
     return text.encode(errors="backslashreplace")
 
 
-def estimate_json(layout: Layout, estimate: Estimate) -> dict[str, Any]:
-    """Return an estimate as the JSON object of the contract, values by channel name."""
+def estimate_json(layout: Layout, estimates: Estimates, row: int) -> dict[str, Any]:
+    """Return one of an observer's estimates as the JSON object of the contract, values by channel name."""
     return {
-        "time_ns": estimate.sample.time_ns,
-        "vehicle_time_ms": estimate.sample.vehicle_time_ns // 1_000_000,
-        "armed": estimate.armed,
-        "x": named(layout.states, estimate.x),
-        "fault": named(layout.faults, estimate.fault),
-        "sd": named(layout.faults, estimate.sd),
-        "coasted_s": estimate.coasted_s,
-        "isolated": named(layout.faults, estimate.isolated),
-        "residual": named(layout.outputs, estimate.residual),
+        "time_ns": int(estimates.samples.time_ns[row]),
+        "vehicle_time_ms": int(estimates.samples.vehicle_time_ns[row]) // 1_000_000,
+        "armed": bool(estimates.armed[row]),
+        "x": named(layout.states, estimates.x[row]),
+        "fault": named(layout.faults, estimates.fault[row]),
+        "sd": named(layout.faults, estimates.sd[row]),
+        "coasted_s": float(estimates.coasted_s[row]),
+        "isolated": named(layout.faults, estimates.isolated[row]),
+        "residual": named(layout.outputs, estimates.residual[row]),
     }
 
 

@@ -12,7 +12,7 @@ from zenoh import ext
 
 from monitor.bus.keys import alarm_key, estimate_key, vehicle_root
 from monitor.bus.payload import estimate_json, to_json
-from monitor.estimate import Estimate, Layout
+from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent
 
 HISTORY_EVENTS = 4096
@@ -110,16 +110,16 @@ class Publisher:
             )
         publisher.put(to_json(event.to_json()))
 
-    def estimate(self, estimate: Estimate) -> None:
-        """Publish an estimate, unless one of the same observer was published for the same slot of time."""
+    def estimates(self, estimates: Estimates) -> None:
+        """Publish the first estimate of each slot of time that has none yet."""
         if not self._period_ns:
             return
-        slot = estimate.sample.time_ns // self._period_ns
-        if self._slots.get(estimate.observer) == slot:
-            return
-        self._slots[estimate.observer] = slot
-        payload = estimate_json(self._layouts[estimate.observer], estimate)
-        self._estimates[estimate.observer].put(to_json(payload))
+        observer = estimates.observer
+        for row, slot in enumerate((estimates.samples.time_ns // self._period_ns).tolist()):
+            if self._slots.get(observer) != slot:
+                self._slots[observer] = slot
+                payload = estimate_json(self._layouts[observer], estimates, row)
+                self._estimates[observer].put(to_json(payload))
 
     def status(self, status: Mapping[str, Any]) -> None:
         """Publish the daemon's status."""

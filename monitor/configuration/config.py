@@ -322,6 +322,13 @@ class Config:
         None, _path, "One MCAP file to record to, without end; see `[recording]`.", "flight.mcap"
     )
     inbox: int = _key(20_000, _COUNT, "Messages that wait at most; the oldest are dropped and counted.", 20_000)
+    batch_ms: float = _key(
+        20,
+        _number(at_least=0, at_most=1000),
+        "Telemetry that comes within this time is processed together, milliseconds: less work for each message, and "
+        "alarms that come so much later at most. 0 processes at once whatever has arrived.",
+        20,
+    )
     log_format: Literal["auto", "json", "text"] = _one_of(
         "auto", ("auto", "json", "text"), "auto", "Log lines on stderr; `auto`: text on a terminal, JSON otherwise."
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from adapters.mavlink.heartbeat import is_autopilot_heartbeat
+from adapters.batch import Batch, Columns, gathered, joined
+from adapters.mavlink.heartbeat import autopilot_heartbeats
 from adapters.message import Message
 from monitor.service.inbox import Arrival
 from monitor.service.vehicle_monitor import VehicleMonitor
@@ -54,33 +55,70 @@ class Fleet:
         if vehicle.pipeline.system:
             self._by_system[vehicle.pipeline.system] = vehicle
 
-    def vehicle_of(self, arrival: Arrival) -> VehicleMonitor | None:
-        """Return the vehicle that a message belongs to, None (and counted) where it belongs to none."""
-        vehicle = None
-        message = arrival.message
-        if arrival.vehicle is not None:
-            vehicle = self._vehicles.get(arrival.vehicle)
-        elif message.source.has_ids:
-            vehicle = self._by_system.get(message.system) or self._first_seen(message)
-        elif len(self._vehicles) == 1:
-            vehicle = next(iter(self._vehicles.values()))
-        if vehicle is None:
-            self.foreign += 1
-        return vehicle
+    def routed(self, arrivals: Sequence[Arrival]) -> list[tuple[VehicleMonitor, Batch]]:
+        """Return each vehicle with its messages as one batch; those that belong to none are counted.
 
-    def _first_seen(self, message: Message) -> VehicleMonitor | None:
+        Parameters
+        ----------
+        arrivals : Sequence[Arrival]
+            Batches in order of arrival.
+        """
+        parts: dict[str, tuple[VehicleMonitor, list[Batch]]] = {}
+        for arrival in arrivals:
+            for vehicle, batch in self._split(arrival):
+                parts.setdefault(vehicle.name, (vehicle, []))[1].append(batch)
+        return [(vehicle, joined(batches)) for vehicle, batches in parts.values()]
+
+    def _split(self, arrival: Arrival) -> list[tuple[VehicleMonitor, Batch]]:
+        """Return the vehicles that a batch belongs to, each with its part."""
+        batch = arrival.batch
+        if arrival.vehicle is not None:
+            own = self._vehicles.get(arrival.vehicle)
+            return [(own, batch)] if own is not None else self._discard(batch.count)
+        entries: list[Columns | Message] = [*batch.columns, *batch.others.values()]
+        systems = {entry.system if entry.source.has_ids else None for entry in entries}
+        if len(systems) == 1:
+            vehicle = self._vehicle_of(systems.pop(), batch)
+            return [(vehicle, batch)] if vehicle is not None else self._discard(batch.count)
+        found = []
+        for system in systems:
+            part = gathered(
+                [columns for columns in batch.columns if _is_of(columns, system)],
+                {index: message for index, message in batch.others.items() if _is_of(message, system)},
+            )
+            vehicle = self._vehicle_of(system, part)
+            found += [(vehicle, part)] if vehicle is not None else self._discard(part.count)
+        return found
+
+    def _discard(self, count: int) -> list[tuple[VehicleMonitor, Batch]]:
+        self.foreign += count
+        return []
+
+    def _vehicle_of(self, system: int | None, batch: Batch) -> VehicleMonitor | None:
+        """Return the vehicle of a batch of one system; None for the system stands for messages without ids."""
+        if system is None:
+            return next(iter(self._vehicles.values())) if len(self._vehicles) == 1 else None
+        return self._by_system.get(system) or self._first_seen(system, batch)
+
+    def _first_seen(self, system: int, batch: Batch) -> VehicleMonitor | None:
         """Return the vehicle that a new system id belongs to from now on."""
-        if not message.source.is_telemetry or message.system in self._refused:
+        if system in self._refused:
             return None
         for vehicle in self._vehicles.values():
-            if vehicle.pipeline.system == 0 and vehicle.pipeline.accepts(message):
-                self._by_system[message.system] = vehicle
+            if vehicle.pipeline.system == 0 and any(vehicle.pipeline.accepts(columns) for columns in batch.columns):
+                self._by_system[system] = vehicle
                 return vehicle
-        if self._new_vehicle is None or not (message.component == _AUTOPILOT and is_autopilot_heartbeat(message)):
+        if self._new_vehicle is None or not any(
+            columns.component == _AUTOPILOT and autopilot_heartbeats(columns).any() for columns in batch.columns
+        ):
             return None
-        made = self._new_vehicle(message.system)
+        made = self._new_vehicle(system)
         if made is None:
-            self._refused.add(message.system)
+            self._refused.add(system)
             return None
         self.add(made)
         return made
+
+
+def _is_of(entry: Columns | Message, system: int | None) -> bool:
+    return not entry.source.has_ids if system is None else entry.source.has_ids and entry.system == system

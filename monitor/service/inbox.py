@@ -1,4 +1,4 @@
-"""One bounded queue between the links' threads and the monitor: when it is full the oldest message goes, counted."""
+"""One bounded queue between the links' threads and the monitor: when it is full the oldest messages go, counted."""
 
 from __future__ import annotations
 
@@ -6,31 +6,34 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from adapters.message import Message
+from adapters.batch import Batch, cut
 
 _POLL_S = 0.2
+"""How long a link waits for telemetry before its thread looks whether it is to end; closing waits that long."""
 _STUCK_S = 5.0
+"""A link comes back every 0.2 s, or after a connection attempt of 1 s: longer than this it hangs."""
 _AFTER_ERROR_S = 0.2
-_TURN = 512
+_TURN = 4096
+"""Messages after which :meth:`Inbox.take` returns: about 0.1 s of work, so that what is due in between (status,
+watchdog, election) is not held up by a backlog."""
 
 
 class Link(Protocol):
-    """Where messages come from."""
+    """A source of batches."""
 
-    def receive(self, timeout_s: float) -> list[Message]:
-        """Return the messages that are there, waiting at most ``timeout_s`` for the first."""
+    def receive(self, timeout_s: float) -> Batch:
+        """Return what has arrived, waiting at most ``timeout_s`` for the first message; it may be empty."""
         ...
 
 
 class Arrival(NamedTuple):
-    """A message and the vehicle whose own link it came over; None: of a link that vehicles share."""
+    """A batch and the vehicle whose own link it came over; None: of a link that vehicles share."""
 
     vehicle: str | None
-    message: Message
+    batch: Batch
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +57,12 @@ class InboxStatistics:
 
 
 class Inbox:
-    """Collects the messages of all links, in the order in which they arrive.
+    """Collects the batches of all links, in the order in which they arrive.
 
     Parameters
     ----------
     limit : int
-        Largest number of messages waiting.
+        Largest number of messages waiting, in all batches together.
     """
 
     def __init__(self, limit: int) -> None:
@@ -69,7 +72,7 @@ class Inbox:
         self._closed = False
         self._threads: list[threading.Thread] = []
         self._answered: dict[str, float] = {}
-        self._arrived = self._dropped = self._errors = 0
+        self._waiting = self._arrived = self._dropped = self._errors = 0
 
     def listen(self, name: str, link: Link, vehicle: str | None = None) -> None:
         """Read a link in a thread of its own until the inbox is closed.
@@ -88,24 +91,39 @@ class Inbox:
         self._answered[name] = time.monotonic()
         thread.start()
 
-    def put(self, messages: Sequence[Message], vehicle: str | None = None) -> None:
-        """Add messages; the oldest waiting ones make room."""
-        if not messages:
+    def put(self, batch: Batch, vehicle: str | None = None) -> None:
+        """Add a batch; the oldest waiting messages make room."""
+        if not batch.count:
             return
         with self._changed:
-            self._queue.extend(Arrival(vehicle, message) for message in messages)
-            self._arrived += len(messages)
-            while len(self._queue) > self.limit:
-                self._queue.popleft()
-                self._dropped += 1
+            self._queue.append(Arrival(vehicle, batch))
+            self._arrived += batch.count
+            self._waiting += batch.count
+            while (excess := self._waiting - self.limit) > 0:
+                oldest = self._queue.popleft()
+                dropped = min(excess, oldest.batch.count)
+                if dropped < oldest.batch.count:
+                    rest = cut(oldest.batch, dropped, oldest.batch.count)
+                    self._queue.appendleft(oldest._replace(batch=rest))
+                self._dropped += dropped
+                self._waiting -= dropped
             self._changed.notify()
 
     def take(self, timeout_s: float) -> list[Arrival]:
-        """Return some messages in order of arrival, waiting at most ``timeout_s`` for the first."""
+        """Return batches in order of arrival, waiting at most ``timeout_s`` for the first.
+
+        A backlog is returned in portions of about 4096 messages.
+        """
         with self._changed:
             if not self._queue:
                 self._changed.wait(timeout_s)
-            return [self._queue.popleft() for _ in range(min(len(self._queue), _TURN))]
+            taken: list[Arrival] = []
+            count = 0
+            while self._queue and count < _TURN:
+                taken.append(self._queue.popleft())
+                count += taken[-1].batch.count
+            self._waiting -= count
+            return taken
 
     @property
     def empty(self) -> bool:
@@ -119,7 +137,7 @@ class Inbox:
 
     def statistics(self) -> InboxStatistics:
         """Return the counts so far."""
-        return InboxStatistics(self._arrived, self._dropped, len(self._queue), self._errors)
+        return InboxStatistics(self._arrived, self._dropped, self._waiting, self._errors)
 
     def close(self) -> None:
         """Stop reading; what waits stays."""

@@ -6,7 +6,7 @@ five leading bits and how many follow.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 _LEADING_BITS = 5
@@ -70,16 +70,16 @@ class LatencyHistogram:
         self._interval_max_ns = 0
         self._interval = LatencyStatistics()
 
-    def add(self, latency_ns: int) -> None:
-        """Count a latency, nanoseconds; below zero (a clock was set back) it counts as zero, above 18 min as that."""
-        if latency_ns < 0:
-            latency_ns = 0
-        elif latency_ns > _LARGEST_NS:
-            latency_ns = _LARGEST_NS
-        shift = latency_ns.bit_length() - _LEADING_BITS
-        self._counts[latency_ns if shift <= 0 else (shift << 4) + (latency_ns >> shift)] += 1
-        self._sum_ns += latency_ns
-        self._interval_max_ns = max(self._interval_max_ns, latency_ns)
+    def add(self, latencies_ns: Iterable[int]) -> None:
+        """Count latencies, nanoseconds; below zero (a clock was set back) one counts as zero, above 18 min as that."""
+        counts, largest_ns = self._counts, self._interval_max_ns
+        for given_ns in latencies_ns:
+            latency_ns = min(max(given_ns, 0), _LARGEST_NS)
+            shift = latency_ns.bit_length() - _LEADING_BITS
+            counts[latency_ns if shift <= 0 else (shift << 4) + (latency_ns >> shift)] += 1
+            self._sum_ns += latency_ns
+            largest_ns = max(largest_ns, latency_ns)
+        self._interval_max_ns = largest_ns
 
     def end_interval(self) -> LatencyStatistics:
         """Return the statistics since the last call, and begin the next interval."""

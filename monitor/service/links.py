@@ -50,9 +50,10 @@ def open_links(config: Config, session: zenoh.Session | None, stack: ExitStack) 
         A link, the signing key or a message definition cannot be used.
     """
     key = read_key(config.signing.key_file) if config.signing.key_file is not None else None
+    batch_s = config.batch_ms / 1e3
     opened = []
     for url in config.mavlink:
-        link = MavlinkLink(url, key, config.signing.require, may_send=config.send.allow)
+        link = MavlinkLink(url, key, config.signing.require, may_send=config.send.allow, batch_s=batch_s)
         stack.callback(link.close)
         opened.append(OpenedLink(url, link, _requesting(link, config, key)))
     if session is None:
@@ -61,7 +62,7 @@ def open_links(config: Config, session: zenoh.Session | None, stack: ExitStack) 
     shared = [(keyexpr, None) for keyexpr in config.zenoh]
     own = [(vehicle.zenoh, vehicle) for vehicle in config.vehicles if vehicle.zenoh is not None]
     for keyexpr, vehicle in (*shared, *own):
-        zenoh_link = ZenohLink(session, keyexpr, PayloadDecoder(config.zenoh_types, folders))
+        zenoh_link = ZenohLink(session, keyexpr, PayloadDecoder(config.zenoh_types, folders), batch_s)
         stack.callback(zenoh_link.close)
         opened.append(OpenedLink(keyexpr, zenoh_link, zenoh_link, vehicle))
     return opened

@@ -96,13 +96,15 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
             reloads = station.reloads
             station.turn(now_ns)
             if station.reloads != reloads:
-                notifier.ready(f"monitoring {len(station.posts)} vehicles")
+                notifier.ready(f"monitoring {len(station.services)} vehicles")
             notifier.feed(not inbox.stuck())
             first_look.turn(now_ns)
 
-        daemon = Daemon(inbox, station.fleet, lambda: station.posts, station.troubles, every_turn)
+        daemon = Daemon(
+            inbox, station.fleet, lambda: station.services, station.troubles, every_turn, config.batch_ms / 1e3
+        )
         station.announce()
-        notifier.ready(f"monitoring {len(station.posts)} vehicles")
+        notifier.ready(f"monitoring {len(station.services)} vehicles")
         # What stands for weeks need not be searched for garbage again and again, which takes longer than an alarm.
         gc.collect()
         gc.freeze()
@@ -110,8 +112,8 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         notifier.stopping()
         inbox.close()
         daemon.finish(_FINISH_S)
-        for post in station.posts:
-            monitor = post.monitor
+        for service in station.services:
+            monitor = service.monitor
             log.say("stopped", vehicle=monitor.name, messages=monitor.messages, samples=monitor.samples)
         return 130 if signal.SIGINT in received else 0
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+from adapters.batch import messages
 from adapters.errors import StorageError, TelemetryError, UsageError
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
@@ -124,8 +125,9 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
 
         def record(timeout_s: float) -> None:
             for arrival in inbox.take(timeout_s):
-                tally.add(arrival.message)
-                writer.write(arrival.message)
+                for message in messages(arrival.batch):
+                    tally.add(message)
+                    writer.write(message)
 
         flushed_ns = time.time_ns()
         while not {signal.SIGINT, signal.SIGTERM} & set(received):

@@ -1,4 +1,4 @@
-"""The vehicles of a daemon: their posts, set up from the configuration, added and reloaded while it runs."""
+"""The vehicles of a daemon: their services, set up from the configuration, added and reloaded while it runs."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from monitor.service.fleet import Fleet
 from monitor.service.health import Health, LinkHealth, ProcessHealth
 from monitor.service.inbox import Inbox
 from monitor.service.log import Level, Log
-from monitor.service.post import Post, PostRule
 from monitor.service.station_health import Links, take_health
 from monitor.service.vehicle_monitor import VehicleMonitor
+from monitor.service.vehicle_service import ServiceRule, VehicleService
 
 if TYPE_CHECKING:
     import zenoh
@@ -100,7 +100,7 @@ class Station:
         self._views: dict[str, VehicleView] = {}
         self._said: dict[str, tuple[str, ...]] = {}
         self._profiles: dict[Path, Profile] = {}
-        self._posts: dict[str, Post] = {}
+        self._services: dict[str, VehicleService] = {}
         self.reloads = 0
         self._new = 0
         self._events: dict[str, int] = {}
@@ -113,12 +113,12 @@ class Station:
         for vehicle in config.vehicles:
             self._add(vehicle)
         makes_new = config.new_vehicles.profile is not None
-        self.fleet = Fleet([post.monitor for post in self._posts.values()], self._meet if makes_new else None)
+        self.fleet = Fleet([service.monitor for service in self._services.values()], self._meet if makes_new else None)
 
     @property
-    def posts(self) -> Sequence[Post]:
-        """The vehicles' posts."""
-        return tuple(self._posts.values())
+    def services(self) -> Sequence[VehicleService]:
+        """The vehicles' services."""
+        return tuple(self._services.values())
 
     def name_of(self, vehicle: Vehicle) -> str:
         """Return the name of a vehicle of the configuration, which may be its profile's."""
@@ -152,7 +152,7 @@ class Station:
                 self._journal.retry()
             self._troubles = tuple(self._find_troubles())
             journal = None if self._journal is None else self._journal.statistics()
-            self._health = take_health(self.posts, self._inbox, self._links, journal, self._events)
+            self._health = take_health(self.services, self._inbox, self._links, journal, self._events)
             self._say_states()
 
     def reload(self) -> None:
@@ -160,9 +160,9 @@ class Station:
         threading.Thread(target=self._load, name="reload", daemon=True).start()
 
     def close(self) -> None:
-        """Close all posts."""
-        for post in self.posts:
-            post.close()
+        """Close all services."""
+        for service in self.services:
+            service.close()
 
     def _load(self) -> None:
         try:
@@ -182,18 +182,18 @@ class Station:
         for vehicle in config.vehicles:
             profile = profiles[vehicle.profile or Path()]
             name = self.name_of(vehicle)
-            post = self._posts.get(name)
-            if post is None:
+            service = self._services.get(name)
+            if service is None:
                 self.fleet.add(self._add(vehicle).monitor)
                 self._say_monitoring(vehicle)
                 continue
-            if _models(post.monitor.pipeline.profile) != _models(profile):
+            if _models(service.monitor.pipeline.profile) != _models(profile):
                 self._log.say("restart needed", level="warning", vehicle=name, reason="its models or gains changed")
                 continue
-            post.retune(self._desk(vehicle), profile)
+            service.retune(self._desk(vehicle), profile)
             if name in self._views:
-                self._views[name].retune(post.monitor.pipeline.thresholds)
-        self._log.say("reloaded", vehicles=len(self._posts))
+                self._views[name].retune(service.monitor.pipeline.thresholds)
+        self._log.say("reloaded", vehicles=len(self._services))
 
     def _meet(self, system: int) -> VehicleMonitor | None:
         """Return the monitor of a vehicle that nobody has named."""
@@ -201,18 +201,18 @@ class Station:
             self._log.say("vehicle refused", level="warning", system=system, reason="[new_vehicles] limit is reached")
             return None
         vehicle = self._config.new_vehicles.vehicle(system)
-        if vehicle.name in self._posts:
+        if vehicle.name in self._services:
             return None
         try:
-            post = self._add(vehicle)
+            service = self._add(vehicle)
         except (ValueError, OSError) as error:
             self._log.say("vehicle refused", level="error", system=system, reason=str(error))
             return None
         self._new += 1
         self._say_monitoring(vehicle)
-        return post.monitor
+        return service.monitor
 
-    def _add(self, vehicle: Vehicle) -> Post:
+    def _add(self, vehicle: Vehicle) -> VehicleService:
         config, folder = self._config, vehicle.profile
         if folder is None:
             raise UsageError(f"vehicle '{vehicle.name}' has no profile: name one, made by 'fauio fit'")
@@ -220,7 +220,7 @@ class Station:
             self._profiles[folder] = read_profile(folder)
         profile = self._profiles[folder]
         pipeline = Pipeline(profile, vehicle.name, vehicle.system or None, vehicle.component)
-        if pipeline.vehicle in self._posts:
+        if pipeline.vehicle in self._services:
             raise UsageError(f"two vehicles are called '{pipeline.vehicle}'; give each a name of its own")
         with ExitStack() as stack:
             archive = self._archive(pipeline, profile, stack)
@@ -237,7 +237,7 @@ class Station:
                 self._say_event,
                 time.time_ns(),
             )
-            rule = PostRule(
+            rule = ServiceRule(
                 prefix=config.prefix,
                 estimate_rate_hz=config.estimate_rate_hz,
                 commands=config.commands.allow,
@@ -247,9 +247,9 @@ class Station:
             )
             closers = stack.pop_all()
             desk, links = self._desk(vehicle), functools.partial(self._links_of, vehicle)
-            post = Post(monitor, desk, self._session, rule, self._journal, archive, [closers.close], links)
-        self._posts[pipeline.vehicle] = post
-        return post
+            service = VehicleService(monitor, desk, self._session, rule, self._journal, archive, [closers.close], links)
+        self._services[pipeline.vehicle] = service
+        return service
 
     def _say_monitoring(self, vehicle: Vehicle) -> None:
         config, name = self._config, self.name_of(vehicle)
@@ -263,8 +263,8 @@ class Station:
 
     def _say_states(self) -> None:
         """Log how each vehicle's status has changed: not every one has a subscriber."""
-        for name, post in self._posts.items():
-            said = post.last_status
+        for name, service in self._services.items():
+            said = service.last_status
             status = VehicleStatus(name, said.get("state", "starting"), tuple(said.get("reasons", ())))
             if status.kind != self._said.get(name, ("starting",)):
                 self._said[name] = status.kind

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from monitor.recording.journal import JournalStatistics
 from monitor.service.health import Health, LinkHealth, ObserverHealth, ProcessHealth, RecorderHealth, VehicleHealth
 from monitor.service.inbox import Inbox
-from monitor.service.post import Post
+from monitor.service.vehicle_service import VehicleService
 
 _MEASUREMENT_LOSSES = ("late", "invalid", "untimed", "doubted", "incomplete", "skipped")
 _LINK_LOSSES = ("lost", "unknown", "damaged", "overruns", "dropped", "oversized", "malformed")
@@ -25,13 +25,17 @@ Links = Mapping[str, Counting]
 
 
 def take_health(
-    posts: Sequence[Post], inbox: Inbox, links: Links, journal: JournalStatistics | None, events: Mapping[str, int]
+    services: Sequence[VehicleService],
+    inbox: Inbox,
+    links: Links,
+    journal: JournalStatistics | None,
+    events: Mapping[str, int],
 ) -> Health:
     """Return the health of everything at this moment.
 
     Parameters
     ----------
-    posts : Sequence[Post]
+    services : Sequence[VehicleService]
         The vehicles.
     inbox : Inbox
         Between links and vehicles.
@@ -46,14 +50,14 @@ def take_health(
     process = ProcessHealth(inbox_depth=waiting.waiting, inbox_capacity=inbox.limit, inbox_dropped=waiting.dropped)
     return Health(
         process,
-        tuple(_vehicle(post, events.get(post.monitor.name, 0)) for post in posts),
+        tuple(_vehicle(service, events.get(service.monitor.name, 0)) for service in services),
         tuple(_link(name, link.statistics()) for name, link in links.items()),
         journal,
     )
 
 
-def _vehicle(post: Post, events: int) -> VehicleHealth:
-    monitor = post.monitor
+def _vehicle(service: VehicleService, events: int) -> VehicleHealth:
+    monitor = service.monitor
     active = dict.fromkeys(("warning", "critical"), 0)
     for event in monitor.pipeline.desk.active:
         active[event.severity] += 1
@@ -62,12 +66,12 @@ def _vehicle(post: Post, events: int) -> VehicleHealth:
         for name, counts in monitor.pipeline.statistics().items()
     )
     recorder = None
-    if post.archive is not None:
-        found = post.archive.statistics()
+    if service.archive is not None:
+        found = service.archive.statistics()
         recorder = RecorderHealth(found.records, found.lost, found.trouble)
     return VehicleHealth(
         name=monitor.name,
-        state=post.last_status.get("state", "starting"),
+        state=service.last_status.get("state", "starting"),
         messages=monitor.messages,
         events=events,
         active=active,

@@ -11,6 +11,8 @@ from monitor.sampling.slow_telemetry import spanned
 _LACKING_NS = 5_000_000_000
 _COUNTED_NS = 10_000_000_000
 _FEWEST_SAMPLES = 20
+_SET_BACK_NS = 1_000_000_000
+"""A time of arrival that is earlier by more than this shows that the clock was set back."""
 
 
 class TelemetryWatch:
@@ -45,19 +47,22 @@ class TelemetryWatch:
         self._counted_ns = now_ns
         self._slow: dict[str, str] = {}
 
-    def hear(self, name: str, received_ns: int) -> None:
-        """Take note of a message of the vehicle."""
+    def count_messages(self, name: str, received_ns: int, count: int = 1) -> None:
+        """Count messages of the vehicle of one name, the last one received at a Unix time."""
         if name in self._needed:
             if self._silent:
                 # an observer needs some time from its first messages to its first sample
                 self._since_ns, self._silent = received_ns, False
-            self._heard[name] = self.heard_ns = received_ns
-            self._counts[name] += 1
+            self._heard[name] = received_ns
+            # Of the messages of a batch the newest counts, unless the clock was set back.
+            if not 0 <= self.heard_ns - received_ns < _SET_BACK_NS:
+                self.heard_ns = received_ns
+            self._counts[name] += count
 
-    def sampled(self, observer: str) -> None:
-        """Take note of a sample."""
+    def count_samples(self, observer: str, count: int = 1) -> None:
+        """Count samples of an observer."""
         self._sampled[observer] = self.heard_ns
-        self._samples[observer] += 1
+        self._samples[observer] += count
 
     def pause(self, now_ns: int) -> None:
         """Begin anew: until now nothing came, or what came was not taken in time."""

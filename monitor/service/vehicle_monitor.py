@@ -1,7 +1,7 @@
-"""One monitored vehicle: its pipeline, what it says to the world, and how it is doing.
+"""One monitored vehicle: its pipeline, its recording and publishing, its status.
 
-An event is on disk before anybody hears of it: first the recording, then the journal, then Zenoh. Where another monitor
-speaks for the vehicle, this one watches in silence, and goes on from the other's alarms when that one falls silent.
+An event is on disk before it is published: first the recording, then the journal, then Zenoh. While another monitor of
+the vehicle is active, this one is on standby, and continues the other's alarms when that one is gone.
 """
 
 from __future__ import annotations
@@ -12,12 +12,15 @@ from importlib.metadata import version
 from types import MappingProxyType
 from typing import Any, Protocol
 
-from adapters.message import Message, silence
+import numpy as np
+
+from adapters.batch import Batch, gathered, pack
+from adapters.message import silence
 from adapters.source import JOURNAL, OPERATOR
 from monitor.bus.payload import estimate_json
-from monitor.estimate import Estimate
+from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
-from monitor.pipeline import Output, Pipeline, handover_message
+from monitor.pipeline import Pipeline, handover_message
 from monitor.service.health import LinkHealth
 from monitor.service.latency import LatencyHistogram
 from monitor.service.telemetry_watch import TelemetryWatch
@@ -25,18 +28,20 @@ from monitor.service.telemetry_watch import TelemetryWatch
 # read once: it stands in a file of the installation
 _VERSION = version("fauio")
 _SILENCE_NS = 100_000_000
+"""Silence after which time passes by messages of its own: a tenth of the shortest time that an alarm counts (1 s)."""
 _BEHIND_S = 1.0
-# Numbers that are left out after another monitor: it may have given some away before anybody heard of them.
-_UNHEARD = 100
+_TAKEOVER_SEQ_GAP = 100
+"""Sequence numbers skipped on takeover: the other monitor may have assigned some that never arrived here. It publishes
+at most ten alarm events at once of a channel; chosen: far above what one burst can hold."""
 _LARGEST_SEQ = 1 << 53
 _MOST_CHANNELS = 4096
 
 
 class Archive(Protocol):
-    """Where everything is recorded."""
+    """Records everything of one vehicle."""
 
-    def message(self, message: Message) -> None: ...  # noqa: D102
-    def estimate(self, estimate: Estimate) -> None: ...  # noqa: D102
+    def batch(self, batch: Batch) -> None: ...  # noqa: D102
+    def estimates(self, estimates: Estimates) -> None: ...  # noqa: D102
     def event(self, event: AlarmEvent) -> None: ...  # noqa: D102
     def flush(self) -> None: ...  # noqa: D102
 
@@ -48,11 +53,11 @@ class Journal(Protocol):
     def shelve(self, vehicle: str, channels: Mapping[str, int]) -> None: ...  # noqa: D102
 
 
-class Voice(Protocol):
-    """What speaks for the vehicle."""
+class Outlet(Protocol):
+    """Publishes for the vehicle while its monitor is active."""
 
     def event(self, event: AlarmEvent) -> None: ...  # noqa: D102
-    def estimate(self, estimate: Estimate) -> None: ...  # noqa: D102
+    def estimates(self, estimates: Estimates) -> None: ...  # noqa: D102
     def status(self, status: Mapping[str, Any]) -> None: ...  # noqa: D102
     def close(self) -> None: ...  # noqa: D102
 
@@ -74,11 +79,11 @@ class VehicleMonitor:
     pipeline : Pipeline
         The vehicle's pipeline.
     archives : Sequence[Archive]
-        Recording, black box, live view: whatever takes all that comes and goes.
+        Recording with black box, live view.
     journal : Journal | None
         Alarm events for ever; None keeps none.
     on_event : Callable[[AlarmEvent], None]
-        Called with every event this monitor says, for the log.
+        Called with every event that this monitor publishes, for the log.
     now_ns : int
         Unix time of the start.
     """
@@ -97,12 +102,12 @@ class VehicleMonitor:
         self._archives = tuple(archives)
         self._journal = journal
         self._on_event = on_event
-        self._voice: Voice | None = None
-        self._theirs: dict[tuple[str, str], AlarmEvent] = {}
-        self._their_seq = 0
+        self._outlet: Outlet | None = None
+        self._peer_events: dict[tuple[str, str], AlarmEvent] = {}
+        self._peer_seq = 0
         self._shelved: Mapping[str, int] = {}
         self._layouts = {layout.observer: layout for layout in pipeline.layouts}
-        self._latest: dict[str, Estimate] = {}
+        self._latest: dict[str, Estimates] = {}
         self._watch = TelemetryWatch(pipeline.profile.observers, pipeline.needs, now_ns)
         self._second = _Second(now_ns)
         self.messages = self.samples = 0
@@ -113,109 +118,137 @@ class VehicleMonitor:
         return self.pipeline.vehicle
 
     @property
-    def speaks(self) -> bool:
-        """Whether this monitor speaks for the vehicle; otherwise it watches in silence."""
-        return self._voice is not None
+    def active(self) -> bool:
+        """Whether this monitor publishes for the vehicle; otherwise it is on standby."""
+        return self._outlet is not None
 
-    def speak(
+    def activate(
         self,
-        voice: Voice,
+        outlet: Outlet,
         now_ns: int,
         alarms: Sequence[AlarmEvent] = (),
         seq: int = 0,
         shelved: Mapping[str, int] = MappingProxyType({}),
     ) -> None:
-        """Begin to speak, going on from alarms that a former run or another monitor left standing.
+        """Begin to publish, continuing the active alarms of an earlier run or of another monitor.
 
         Parameters
         ----------
-        voice : Voice
-            What speaks; closed by :meth:`hush`.
+        outlet : Outlet
+            Where to publish; closed by :meth:`deactivate`.
         now_ns : int
             Unix time.
         alarms : Sequence[AlarmEvent]
-            Last events of alarms in the journal; those heard from another monitor are known already.
+            Last events of the active alarms in the journal; those received from another monitor are known already.
         seq : int
             Number of the journal's last event.
         shelved : Mapping[str, int]
             Channels in the journal that operators had shelved, and until when.
         """
-        self._voice = voice
-        heard = [event for event in self._theirs.values() if event.state != "cleared"]
-        standing = {event.id: event for event in (*alarms, *heard)}
-        seq = max(seq, self._their_seq + _UNHEARD if self._theirs else 0)
-        self._theirs = {}
-        if standing or seq or shelved or self.pipeline.desk.active:
-            in_order = sorted(standing.values(), key=lambda event: event.seq)
-            self.take(handover_message(in_order, seq, now_ns, shelved))
+        self._outlet = outlet
+        received = [event for event in self._peer_events.values() if event.state != "cleared"]
+        active = {event.id: event for event in (*alarms, *received)}
+        seq = max(seq, self._peer_seq + _TAKEOVER_SEQ_GAP if self._peer_events else 0)
+        self._peer_events = {}
+        if active or seq or shelved or self.pipeline.desk.active:
+            in_order = sorted(active.values(), key=lambda event: event.seq)
+            self.process(pack([handover_message(in_order, seq, now_ns, shelved)]))
 
-    def hush(self) -> None:
-        """Stop speaking; go on watching."""
-        if self._voice is not None:
-            self._voice.close()
-            self._voice = None
-            # what was said last stands until another says otherwise
-            self._theirs = {(event.observer, event.channel): event for event in self.pipeline.desk.active}
-            self._their_seq = self.pipeline.desk.seq
+    def deactivate(self) -> None:
+        """Stop publishing; go on monitoring on standby."""
+        if self._outlet is not None:
+            self._outlet.close()
+            self._outlet = None
+            # The last published events hold until another monitor publishes others.
+            self._peer_events = {(event.observer, event.channel): event for event in self.pipeline.desk.active}
+            self._peer_seq = self.pipeline.desk.seq
 
-    def hear(self, event: AlarmEvent) -> None:
-        """Take an event that another monitor of this vehicle has said."""
-        if self._voice is not None or event.vehicle != self.name or not 0 < event.seq < _LARGEST_SEQ:
+    def on_peer_event(self, event: AlarmEvent) -> None:
+        """Keep an event that another monitor of this vehicle has published."""
+        if self._outlet is not None or event.vehicle != self.name or not 0 < event.seq < _LARGEST_SEQ:
             return
-        self._their_seq = max(self._their_seq, event.seq)
+        self._peer_seq = max(self._peer_seq, event.seq)
         key = event.observer, event.channel
-        known = self._theirs.get(key)
+        known = self._peer_events.get(key)
         if known is None:
-            is_news = len(self._theirs) < _MOST_CHANNELS
+            is_news = len(self._peer_events) < _MOST_CHANNELS
         else:
-            # The past may come after the present; and two that were apart have each counted on by themselves.
+            # History may arrive after live events; after a partition both monitors may have used the same seq.
             is_news = event.seq > known.seq or event.time_ns > known.time_ns
         if is_news:
-            self._theirs[key] = _with_own_sentence(event, known)
+            self._peer_events[key] = _with_own_sentence(event, known)
         if self._journal is not None:
             self._journal.write(event)
 
-    def take(self, message: Message, clock: Callable[[], int] | None = None) -> list[AlarmEvent]:
-        """Take one message; return the events said. ``clock`` gives Unix time, to measure how late they are."""
-        accepted = self.pipeline.accepts(message)
-        outputs = self.pipeline.feed(message)
-        if accepted:
-            self.messages += 1
-            self._second.messages += 1
+    def process(self, batch: Batch, clock: Callable[[], int] | None = None) -> list[AlarmEvent]:
+        """Run a batch through the pipeline, record and publish the results; return the published events.
+
+        Parameters
+        ----------
+        batch : Batch
+            Messages in order of arrival, of this vehicle or of others.
+        clock : Callable[[], int] | None
+            Gives Unix time, to measure how late messages and events are; None measures nothing.
+        """
+        outputs = self.pipeline.run(batch)
+        own = self._own(batch)
+        self.messages += own.count
+        self._second.messages += own.count
+        telemetry: list[int] = []
+        for columns in own.columns:
+            times = columns.received_ns.tolist()
+            telemetry += times
+            self._watch.count_messages(columns.name, times[-1], len(times))
+        commanded = False
+        for message in own.others.values():
             if message.source.is_telemetry:
-                self._watch.hear(message.name, message.received_ns)
+                telemetry.append(message.received_ns)
+                self._watch.count_messages(message.name, message.received_ns)
+            commanded |= message.source in (OPERATOR, JOURNAL)
+        if own.count:
             for archive in self._archives:
-                archive.message(message)
-        events = self._say(outputs)
-        if message.source in (OPERATOR, JOURNAL):
+                archive.batch(own)
+        events = self._publish(outputs)
+        if commanded:
             self._note_shelved()
-        if clock is not None and message.source.is_telemetry:
-            late_ns = clock() - message.received_ns
-            self.latency.add(late_ns)
-            if events:
-                self.alarm_latency.add(late_ns)
+        if clock is not None and telemetry:
+            now_ns = clock()
+            self.latency.add(now_ns - received_ns for received_ns in telemetry)
+            # The packet that caused an event is one of this batch, however the vehicle's clock is set.
+            first_ns, last_ns = min(telemetry), max(telemetry)
+            self.alarm_latency.add(now_ns - min(max(event.time_ns, first_ns), last_ns) for event in events)
         return events
 
+    def _own(self, batch: Batch) -> Batch:
+        """Return the messages of a batch that come from the monitored vehicle."""
+        accepts = self.pipeline.accepts
+        columns = [entry for entry in batch.columns if accepts(entry)]
+        others = {index: message for index, message in batch.others.items() if accepts(message)}
+        if len(columns) == len(batch.columns) and len(others) == len(batch.others):
+            return batch
+        return gathered(columns, others)
+
     def pass_time(self, now_ns: int) -> None:
-        """Let the pipeline know that time passes where nothing comes; record it where that changed something."""
+        """Let the pipeline know that time has passed without telemetry; record it where that changed something."""
         if now_ns - self._watch.heard_ns < _SILENCE_NS:
             return
-        message = silence(now_ns)
-        outputs = self.pipeline.feed(message)
+        batch = pack([silence(now_ns)])
+        outputs = self.pipeline.run(batch)
         if outputs:
             for archive in self._archives:
-                archive.message(message)
-        self._say(outputs)
+                archive.batch(batch)
+        self._publish(outputs)
 
     def freeze_frame(self, event: AlarmEvent) -> dict[str, Any]:
         """Return all that was known when an alarm was raised: inputs, outputs, estimates and thresholds."""
         frame: dict[str, Any] = {"time_ns": event.time_ns, "observers": {}}
-        for name, estimate in self._latest.items():
-            layout = self._layouts[name]
+        for name, estimates in self._latest.items():
+            layout, samples = self._layouts[name], estimates.samples
+            row = max(int(np.searchsorted(samples.time_ns, event.time_ns, side="right")) - 1, 0)
             frame["observers"][name] = {
-                **estimate_json(layout, estimate),
-                "u": dict(zip(layout.inputs, estimate.sample.u.tolist(), strict=True)),
-                "y": dict(zip(layout.outputs, estimate.sample.y.tolist(), strict=True)),
+                **estimate_json(layout, estimates, row),
+                "u": dict(zip(layout.inputs, samples.u[row].tolist(), strict=True)),
+                "y": dict(zip(layout.outputs, samples.y[row].tolist(), strict=True)),
                 "thresholds": {
                     channel: size for (owner, channel), size in self.pipeline.thresholds.items() if owner == name
                 },
@@ -240,7 +273,7 @@ class VehicleMonitor:
         behind = recent.p99_s > _BEHIND_S
         reasons = [*troubles]
         if behind or self.pipeline.stale:
-            # What it is behind with it cannot miss.
+            # While the monitor lags, messages may be queued, not missing.
             self._watch.pause(now_ns)
         else:
             reasons += self._watch.lacks(now_ns)
@@ -253,10 +286,10 @@ class VehicleMonitor:
             state = "stale"
         elif self.samples:
             state = "degraded" if reasons else "monitoring"
-        standing = self.pipeline.desk.active
+        active = self.pipeline.desk.active
         status = {
             "state": state,
-            "role": "active" if self.speaks else "standby",
+            "role": "active" if self.active else "standby",
             "reasons": reasons,
             "vehicle": self.name,
             "system": self.pipeline.system,
@@ -274,7 +307,7 @@ class VehicleMonitor:
             "latency_ms": round(recent.max_s * 1e3, 3),
             "latency_p99_ms": round(recent.p99_s * 1e3, 3),
             "alarm_latency_p99_ms": round(self.alarm_latency.statistics().p99_s * 1e3, 3),
-            "active_alarms": len(standing),
+            "active_alarms": len(active),
             "shelved": dict(self.pipeline.desk.shelved),
             "out_of_service": sorted(self.pipeline.desk.rule.out_of_service),
             "observers": {name: asdict(counts) for name, counts in self.pipeline.statistics().items()},
@@ -282,8 +315,8 @@ class VehicleMonitor:
             "versions": {"fauio": _VERSION},
         }
         self._second = _Second(now_ns)
-        if self._voice is not None:
-            self._voice.status(status)
+        if self._outlet is not None:
+            self._outlet.status(status)
         return status
 
     def flush(self) -> None:
@@ -291,31 +324,33 @@ class VehicleMonitor:
         for archive in self._archives:
             archive.flush()
 
-    def _say(self, outputs: Sequence[Output]) -> list[AlarmEvent]:
-        voice = self._voice
+    def _publish(self, outputs: Sequence[Estimates | AlarmEvent]) -> list[AlarmEvent]:
+        """Record all outputs, publish them where this monitor is active; return the published events."""
+        outlet = self._outlet
         events = []
         for output in outputs:
-            if isinstance(output, Estimate):
-                self._second.samples += 1
-                self.samples += 1
+            if isinstance(output, Estimates):
+                count = len(output)
+                self._second.samples += count
+                self.samples += count
                 self._latest[output.observer] = output
-                self._watch.sampled(output.observer)
+                self._watch.count_samples(output.observer, count)
                 for archive in self._archives:
-                    archive.estimate(output)
-                if voice is not None:
-                    voice.estimate(output)
+                    archive.estimates(output)
+                if outlet is not None:
+                    outlet.estimates(output)
                 continue
             for archive in self._archives:
                 archive.event(output)
-            if voice is not None:
+            if outlet is not None:
                 events.append(output)
-        if not events or voice is None:
+        if not events or outlet is None:
             return []
         self.flush()
         for event in events:
             if self._journal is not None:
                 self._journal.write(event, self.freeze_frame(event) if event.state == "raised" else None)
-            voice.event(event)
+            outlet.event(event)
             self._on_event(event)
         return events
 

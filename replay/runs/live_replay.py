@@ -11,6 +11,7 @@ from operator import itemgetter
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+from adapters.batch import pack
 from adapters.errors import UsageError
 from adapters.logs.recordings import read_recording, recording_kind
 from adapters.logs.tlog import TlogReader
@@ -125,13 +126,13 @@ class LiveReplay:
                 self._socket.sendto(item, self._to[1])
 
     def _told(self, messages: Iterator[Message], pipeline: Pipeline) -> Iterator[Message]:
-        """Return messages after a monitor of their vehicle has taken and published what they lead to."""
+        """Yield messages after a monitor of their vehicle has processed them and published the results."""
         if self._session is None:
             yield from messages
             return
         from monitor.bus.publisher import Publisher
 
-        voice = Publisher(self._session, pipeline.vehicle, pipeline.layouts, self._prefix)
+        outlet = Publisher(self._session, pipeline.vehicle, pipeline.layouts, self._prefix)
         _await_subscriber(self._session, alarm_key(vehicle_root(self._prefix, pipeline.vehicle), "replay", "begins"))
         monitor: VehicleMonitor | None = None
         status_ns = now_ns = 0
@@ -140,9 +141,9 @@ class LiveReplay:
                 now_ns = message.received_ns
                 if monitor is None:
                     monitor = VehicleMonitor(pipeline, (), None, self._on_event, now_ns)
-                    monitor.speak(voice, now_ns)
+                    monitor.activate(outlet, now_ns)
                     status_ns = now_ns
-                monitor.take(message, _since(now_ns))
+                monitor.process(pack([message]), _since(now_ns))
                 if now_ns - status_ns >= _STATUS_NS:
                     status_ns = now_ns
                     monitor.status(now_ns)
@@ -150,7 +151,7 @@ class LiveReplay:
             if monitor is not None and now_ns > status_ns:
                 monitor.status(now_ns)
         finally:
-            voice.close()
+            outlet.close()
 
 
 def _await_subscriber(session: zenoh.Session, key: str) -> None:

@@ -1,4 +1,4 @@
-"""What stands around one vehicle's monitor: who speaks for it, operators' commands, what is done once in a while."""
+"""The service around one vehicle's monitor: active or standby, operators' commands, status, flushing, clips."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
+from adapters.batch import pack
 from monitor.alarms.desk_rule import DeskRule
 from monitor.bus.keys import vehicle_root
 from monitor.bus.operators import Operators
@@ -28,14 +29,14 @@ if TYPE_CHECKING:
 _STATUS_NS = 1_000_000_000
 _FLUSH_NS = 500_000_000
 _AWAY_NS = 1_000_000_000
-_HEARD_AT_ONCE = 500
+_PEER_EVENTS_AT_ONCE = 500
 _PAST_EVENTS = 4096
 # records of clips: about a millisecond's worth, which is what an alarm may have to wait for
 _CLIP_PORTION = 30
 
 
 class PastEvents(Protocol):
-    """What a journal knows of a vehicle."""
+    """A journal of past events of a vehicle."""
 
     def active(self, vehicle: str) -> Sequence[AlarmEvent]: ...  # noqa: D102
     def shelved(self, vehicle: str) -> Mapping[str, int]: ...  # noqa: D102
@@ -44,8 +45,8 @@ class PastEvents(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class PostRule:
-    """How a vehicle's monitor faces the world.
+class ServiceRule:
+    """How a vehicle's monitor publishes and which commands it obeys.
 
     Parameters
     ----------
@@ -58,8 +59,8 @@ class PostRule:
     shelve_minutes, max_shelve_minutes : float
         How long an alarm is shelved where the command does not say, and at most.
     standby_s : float | None
-        Another monitor of the same vehicle may speak, and this one waits until that has been gone for this time,
-        seconds; None: there is no other.
+        Another monitor of the same vehicle may be active; this one is on standby until that has been gone for this
+        time, seconds. None: there is no other.
     """
 
     prefix: str
@@ -70,8 +71,8 @@ class PostRule:
     standby_s: float | None = None
 
 
-class Post:
-    """One vehicle's monitor at its place in the daemon.
+class VehicleService:
+    """Runs one vehicle's monitor in the daemon.
 
     Parameters
     ----------
@@ -81,16 +82,16 @@ class Post:
         The desk's rule at the start.
     session : zenoh.Session
         An open session; left open by :meth:`close`.
-    rule : PostRule
-        How it faces the world.
+    rule : ServiceRule
+        How it publishes and which commands it obeys.
     journal : PastEvents | None
-        Where alarms that stood before a restart are found.
+        Keeps the alarms that were active before a restart.
     archive : Archive | None
-        What the vehicle is recorded in.
+        Records the vehicle.
     closers : Sequence[Callable[[], None]]
-        Closes what the vehicle records to, in order.
+        Close the recordings, in order.
     links : Callable[[], Sequence[LinkHealth]]
-        How the links are that its telemetry may come over.
+        Health of the links that its telemetry may come over.
     """
 
     def __init__(
@@ -98,7 +99,7 @@ class Post:
         monitor: VehicleMonitor,
         desk: DeskRule,
         session: zenoh.Session,
-        rule: PostRule,
+        rule: ServiceRule,
         journal: PastEvents | None = None,
         archive: Archive | None = None,
         closers: Sequence[Callable[[], None]] = (),
@@ -117,20 +118,20 @@ class Post:
         self._others: AlarmSubscriber | None = None
         self._root = vehicle_root(rule.prefix, monitor.name)
         self._status_ns = self._flushed_ns = self._decided_ns = time.time_ns()
-        monitor.take(rules_message(desk, monitor.pipeline.profile, self._status_ns))
+        monitor.process(pack([rules_message(desk, monitor.pipeline.profile, self._status_ns)]))
         if rule.standby_s is not None:
-            # with the past: what was said while this monitor was not running belongs in its journal too
+            # With history: events published while this monitor was not running belong in its journal too.
             self._others = AlarmSubscriber(session, monitor.name, rule.prefix, history=True)
             self._election = Election(session, self._root, rule.standby_s)
         else:
-            self._speak(self._status_ns)
+            self._activate(self._status_ns)
 
     def retune(self, desk: DeskRule, profile: Profile) -> None:
-        """Let another desk's rule and a profile's alarm sizes hold from now on."""
-        self.monitor.take(rules_message(desk, profile, time.time_ns()))
+        """Apply another desk's rule and a profile's alarm sizes from now on."""
+        self.monitor.process(pack([rules_message(desk, profile, time.time_ns())]))
 
     def work(self, now_ns: int, troubles: Sequence[str]) -> None:
-        """Do what is due: take over or step down, answer operators, flush, say how it goes."""
+        """Do what is due: activate or deactivate, answer operators, flush, publish the status."""
         self._decide(now_ns)
         # clips grow also where there is never a moment to spare
         self.work_on_clips(now_ns)
@@ -149,10 +150,10 @@ class Post:
         return self.archive is not None and self.archive.work(_CLIP_PORTION, now_ns) > 0
 
     def close(self) -> None:
-        """Fall silent and finish what is recorded."""
+        """Deactivate and finish the recordings."""
         if self._operators is not None:
             self._operators.close()
-        self.monitor.hush()
+        self.monitor.deactivate()
         if self._election is not None:
             self._election.close()
         if self._others is not None:
@@ -163,37 +164,37 @@ class Post:
     def _decide(self, now_ns: int) -> None:
         if self._election is None or self._others is None:
             return
-        for _ in range(_HEARD_AT_ONCE):
+        for _ in range(_PEER_EVENTS_AT_ONCE):
             if (event := self._others.receive(0.0)) is None:
                 break
-            self.monitor.hear(event)
+            self.monitor.on_peer_event(event)
         else:
-            # who has not heard all that was said cannot go on from it
+            # More events wait; only after the last of them can this monitor continue from them.
             return
         away_ns, self._decided_ns = now_ns - self._decided_ns, now_ns
-        if away_ns > _AWAY_NS and self.monitor.speaks:
-            # Frozen for so long, it may have been replaced: it must not speak before it knows.
+        if away_ns > _AWAY_NS and self.monitor.active:
+            # After a freeze of the process another monitor may be active: elect anew before publishing.
             self._election.close()
             self._election = Election(self._session, self._root, self._rule.standby_s or 0.0)
         leads = self._election.leads
-        if leads and not self.monitor.speaks:
-            logging.getLogger(__name__).warning("speaking for %s from now on", self.monitor.name)
-            self._speak(now_ns)
-            # at once, and not when the next one is due: who watches shall see that somebody speaks
+        if leads and not self.monitor.active:
+            logging.getLogger(__name__).warning("active for %s from now on", self.monitor.name)
+            self._activate(now_ns)
+            # A status at once shows the new active monitor.
             self._status_ns = 0
-        elif not leads and self.monitor.speaks:
-            logging.getLogger(__name__).warning("another monitor speaks for %s; standing by", self.monitor.name)
+        elif not leads and self.monitor.active:
+            logging.getLogger(__name__).warning("another monitor is active for %s; on standby", self.monitor.name)
             if self._operators is not None:
                 self._operators.close()
                 self._operators = None
-            self.monitor.hush()
+            self.monitor.deactivate()
 
-    def _speak(self, now_ns: int) -> None:
+    def _activate(self, now_ns: int) -> None:
         monitor, journal = self.monitor, self._journal
         name, layouts = monitor.name, monitor.pipeline.layouts
         past = None if journal is None else functools.partial(journal.events, name, limit=_PAST_EVENTS)
-        voice = Publisher(self._session, name, layouts, self._rule.prefix, self._rule.estimate_rate_hz, journal=past)
-        monitor.speak(voice, now_ns, *_remembered(journal, name))
+        outlet = Publisher(self._session, name, layouts, self._rule.prefix, self._rule.estimate_rate_hz, journal=past)
+        monitor.activate(outlet, now_ns, *_remembered(journal, name))
         limits = (self._rule.shelve_minutes, self._rule.max_shelve_minutes)
         self._operators = Operators(self._session, self._root, self._rule.commands, *limits)
 
@@ -205,17 +206,17 @@ class Post:
             if reason is not None:
                 operators.refuse(command, reason)
                 continue
-            events = self.monitor.take(message)
+            events = self.monitor.process(pack([message]))
             operators.accept(command, events[-1] if events else None)
 
 
 def _remembered(journal: PastEvents | None, vehicle: str) -> tuple[Sequence[AlarmEvent], int, Mapping[str, int]]:
-    """Return the alarms that stood when the journal was last written, its last event's number, what was shelved."""
+    """Return the active alarms of the journal, the number of its last event, the shelved channels."""
     if journal is None:
         return (), 0, {}
     try:
         return journal.active(vehicle), journal.last_seq(vehicle), journal.shelved(vehicle)
     except OSError as error:
         logging.getLogger(__name__).warning("alarms from before the start are not known: %s", error)
-        # Numbers that were used before would later be taken for events that are known.
+        # Numbers used before would be mistaken for known events: the Unix time in seconds is above them all.
         return (), int(time.time()), {}

@@ -12,8 +12,8 @@ from monitor.alarms.desk_rule import DeskRule
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.service.election import Election
-from monitor.service.post import Post, PostRule
 from monitor.service.vehicle_monitor import VehicleMonitor
+from monitor.service.vehicle_service import ServiceRule, VehicleService
 
 VEHICLE = "copter-1"
 SECOND_NS = 1_000_000_000
@@ -27,39 +27,39 @@ def endpoint() -> Iterator[Endpoint]:
 
 
 @pytest.fixture
-def post(endpoint: Endpoint, arm_profile: Profile) -> Iterator[Post]:
+def service(endpoint: Endpoint, arm_profile: Profile) -> Iterator[VehicleService]:
     monitor = VehicleMonitor(Pipeline(arm_profile, VEHICLE), (), None, lambda _: None, time.time_ns())
-    one = Post(monitor, DeskRule(), endpoint.session, PostRule("fauio", 10.0, standby_s=0.5))
+    one = VehicleService(monitor, DeskRule(), endpoint.session, ServiceRule("fauio", 10.0, standby_s=0.5))
     yield one
     one.close()
 
 
-def works(post: Post) -> bool:
-    """Let a post do what is due, return whether it speaks."""
-    post.work(time.time_ns(), ())
-    return post.monitor.speaks
+def works(service: VehicleService) -> bool:
+    """Let a service do what is due, return whether it speaks."""
+    service.work(time.time_ns(), ())
+    return service.monitor.active
 
 
 def test_one_that_was_frozen_gives_way_before_it_says_anything_to_one_that_may_have_replaced_it(
-    endpoint: Endpoint, post: Post
+    endpoint: Endpoint, service: VehicleService
 ) -> None:
-    until(lambda: works(post))
-    assert post.last_status["role"] == "active"
+    until(lambda: works(service))
+    assert service.last_status["role"] == "active"
     other = Election(endpoint.client(), f"fauio/{VEHICLE}")
     until(lambda: other.others == 1)
-    assert works(post)
-    post.work(time.time_ns() + 2 * SECOND_NS, ())
-    assert not post.monitor.speaks
+    assert works(service)
+    service.work(time.time_ns() + 2 * SECOND_NS, ())
+    assert not service.monitor.active
     until(lambda: other.leads)
-    assert not works(post)
+    assert not works(service)
     other.close()
-    until(lambda: works(post))
+    until(lambda: works(service))
 
 
-def test_one_that_stands_by_makes_a_status_of_its_own_and_publishes_none(endpoint: Endpoint, post: Post) -> None:
+def test_a_standby_makes_a_status_of_its_own_and_publishes_none(endpoint: Endpoint, service: VehicleService) -> None:
     with endpoint.client().declare_subscriber(f"fauio/{VEHICLE}/status") as statuses:
-        post.work(time.time_ns() + SECOND_NS, ())
-        assert post.last_status["role"] == "standby"
+        service.work(time.time_ns() + SECOND_NS, ())
+        assert service.last_status["role"] == "standby"
         assert statuses.try_recv() is None
-        until(lambda: works(post))
+        until(lambda: works(service))
         assert b'"active"' in statuses.recv().payload.to_bytes()
