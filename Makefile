@@ -4,8 +4,9 @@ BIN := $(VENV)/bin
 # What is compiled on installing: a change installs anew.
 CORE := $(wildcard monitor/core/*.pyx monitor/core/*.pxd)
 
-# Three processes for two cores: tests of daemons wait for flights in real time. tests/conftest.py orders the files.
-PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+# Five processes for two cores: half of what the suite takes is waiting for daemons, in real time, and for networks. Files of
+# such tests are spread over the others (tests/conftest.py).
+PYTEST := $(BIN)/python -m pytest -n 5 --dist loadfile --no-loadscope-reorder
 
 # The compiled core in place, for whoever works on it.
 .PHONY: core demo test test-long test-system lint format docs dist clean

@@ -38,6 +38,7 @@ from detectors import DETECTORS, ENERGY, FAUIO, Run, Suite, make_suite, run_suit
 from flights import Fault, Flight, read_flights
 from numpy.typing import NDArray
 
+from adapters.logs.recordings import packed
 from monitor.trace import Trace
 from monitor.vehicles.kinds import KINDS, fit_messages
 from replay.fit import fit
@@ -81,7 +82,7 @@ def fits_of(flights: Sequence[Flight], folder: Path) -> tuple[list[Fit], list[st
 
 def make(task: Fit) -> Suite | str:
     """Fit and calibrate; return why not where the flights do not allow it."""
-    logs = [lambda flight=flight: flight.messages(fit_messages()) for flight in task.healthy]
+    logs = [lambda flight=flight: packed(flight.messages(fit_messages())) for flight in task.healthy]
     try:
         fit(task.healthy[0].kind, logs, task.folder, "vehicle")
         return make_suite(task.folder, [flight.messages for flight in task.healthy])

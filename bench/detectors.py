@@ -28,22 +28,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.errors import InfeasibleError
+from adapters.logs.recordings import packed
 from adapters.message import Message
-from adapters.sample import Sample
+from adapters.sample import Samples
 from gains.analysis.estimability import problem_of, restricted
 from gains.plants.model_file import read_model
 from gains.plants.plant import Plant
 from gains.published.kalman import design_ekf
 from gains.synthesis.gains_file import Gains
 from monitor.alarms.alarm import Alarm, AlarmRule
-from monitor.chain import ObserverChain
+from monitor.alarms.excuse import Excuses
+from monitor.chain import ObserverChain, alarm_events
+from monitor.core.alarms import ChainRows, walk
 from monitor.core.sampling import VehicleClock
-from monitor.estimate import Estimate
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.isolation_rule import BankRule, IndependentRule
 from monitor.event import AlarmEvent
-from monitor.fitting.calibrate import GatedSample, bank_rule, contiguous, flight_samples
+from monitor.fitting.calibrate import bank_rule
 from monitor.fitting.extremes import return_level, standing
+from monitor.fitting.flights import Flight, flight_samples
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
 from monitor.profile import ObserverProfile, Profile, fault_channels, read_profile
 from monitor.sampling.gate import GateRule
@@ -115,12 +118,12 @@ def make_suite(folder: Path, logs: Sequence[Log]) -> Suite:
     """Return a profile's detectors, the baselines calibrated on the healthy logs it was fitted on."""
     profile = read_profile(folder)
     only = interests(profile)
-    filters: list[tuple[ObserverProfile, list[list[GatedSample]]]] = []
-    banks: list[tuple[ObserverProfile, list[list[GatedSample]]]] = []
+    filters: list[tuple[ObserverProfile, list[Flight]]] = []
+    banks: list[tuple[ObserverProfile, list[Flight]]] = []
     energy, notes = [], []
     for observer in profile.observers:
         gate = replace(profile.gate, settle_s=max(profile.gate.settle_s, observer.settle_s))
-        flights = [flight_samples(log(only), observer.source, observer.rate_hz, gate) for log in logs]
+        flights = [flight_samples(packed(log(only)), observer.source, observer.rate_hz, gate) for log in logs]
         plant = read_model(folder / f"{observer.name}.model.toml")
         try:
             filters.append((_one_filter(observer, plant), flights))
@@ -149,13 +152,14 @@ def run_suite(suite: Suite, messages: Iterable[Message]) -> dict[str, Run]:
     }
 
 
-def gated(trace: Trace) -> list[GatedSample]:
-    """Return the samples that an observer took."""
-    columns = zip(
-        trace.vehicle_ns.tolist(), trace.unix_ns.tolist(), trace.u, trace.y, trace.restart.tolist(), strict=True
+def gated(trace: Trace) -> Flight:
+    """Return the samples that an observer processed."""
+    count = len(trace.armed)
+    always, times = np.ones(count, np.bool_), (trace.vehicle_ns, trace.unix_ns)
+    samples = Samples(
+        np.arange(count), *times, trace.u, trace.y, trace.restart, always, np.zeros(count, np.int64), always
     )
-    samples = (Sample(k, t, unix, u, y, restart, complete=True) for k, (t, unix, u, y, restart) in enumerate(columns))
-    return [GatedSample(sample, armed) for sample, armed in zip(samples, trace.armed.tolist(), strict=True)]
+    return Flight(samples, trace.armed)
 
 
 def _compared(observer: ObserverProfile) -> list[Gains]:
@@ -179,22 +183,20 @@ def _one_filter(observer: ObserverProfile, plant: Plant) -> ObserverProfile:
     )
 
 
-def _filter_bank(
-    observer: ObserverProfile, plant: Plant, flights: Sequence[Sequence[GatedSample]]
-) -> ObserverProfile | None:
+def _filter_bank(observer: ObserverProfile, plant: Plant, flights: Sequence[Flight]) -> ObserverProfile | None:
     """Return an observer with a Kalman filter for each hypothesis, without alarms; None where it is no bank."""
     compared = _compared(observer)
     if len(compared) < 2:
         return None
     gains = tuple(design_ekf(restricted(plant, one.faults), observer.rate_hz) for one in compared)
-    isolation = bank_rule(gains, [segment for flight in flights for segment in contiguous(flight)])
+    isolation = bank_rule(gains, [segment for flight in flights for segment in flight.segments()])
     return replace(
         observer, gains=gains, faults=fault_channels(gains), isolation=isolation, alarms=(), effectiveness={}
     )
 
 
 def _with_alarms(
-    observers: Sequence[tuple[ObserverProfile, Sequence[Sequence[GatedSample]]]], gate: GateRule
+    observers: Sequence[tuple[ObserverProfile, Sequence[Flight]]], gate: GateRule
 ) -> tuple[ObserverProfile, ...]:
     """Return observers with alarms calibrated on healthy flights; channels that differ in their number are pooled."""
     share = FALSE_ALARMS_PER_HOUR / max(1, sum(len(observer.faults) for observer, _ in observers))
@@ -215,31 +217,23 @@ def _with_alarms(
     return tuple(found)
 
 
-def _run_chains(
-    observers: Sequence[ObserverProfile], gate: GateRule, samples: Mapping[str, Sequence[GatedSample]]
-) -> Run:
+def _run_chains(observers: Sequence[ObserverProfile], gate: GateRule, samples: Mapping[str, Flight]) -> Run:
     traces: list[Trace] = []
     events: list[AlarmEvent] = []
     for observer in observers:
         chain = ObserverChain(observer, KALMAN, gate, VehicleClock())
         builder = TraceBuilder(chain.layout)
-        for sample, armed in samples[observer.name]:
-            for output in chain.step(sample, armed):
-                if isinstance(output, Estimate):
-                    builder.add(output)
-                else:
-                    events.append(output)
+        run = chain.estimate(samples[observer.name].samples, samples[observer.name].armed)
+        builder.extend(run.estimates)
+        events += alarm_events([run], Excuses(()))
         traces.append(builder.build())
     return Run(tuple(sorted(events, key=lambda event: event.vehicle_time_ms)), tuple(traces))
 
 
-def _energy(
-    observer: ObserverProfile, plant: Plant, flights: Sequence[Sequence[GatedSample]], share: float
-) -> EnergyDetector:
+def _energy(observer: ObserverProfile, plant: Plant, flights: Sequence[Flight], share: float) -> EnergyDetector:
     gains = design_ekf(restricted(plant, ()), observer.rate_hz)
     residuals = [_residuals(gains, flight) for flight in flights]
-    armed = [np.array([sample.armed for sample in flight]) for flight in flights]
-    healthy = np.concatenate([r[a] for r, a in zip(residuals, armed, strict=True)])
+    healthy = np.concatenate([r[flight.armed] for r, flight in zip(residuals, flights, strict=True)])
     S = healthy.T @ healthy / len(healthy)
     W = np.linalg.cholesky(np.linalg.inv(S)).T / np.sqrt(len(S))
     raise_s, rate_hz = Times().raise_s, observer.rate_hz
@@ -250,30 +244,25 @@ def _energy(
     return EnergyDetector(observer.name, gains, W, rule)
 
 
-def _run_energy(detector: EnergyDetector, samples: Sequence[GatedSample]) -> list[AlarmEvent]:
+def _run_energy(detector: EnergyDetector, flight: Flight) -> list[AlarmEvent]:
     alarm = Alarm(detector.rule, ENERGY)
-    energy = _windowed(_residuals(detector.gains, samples), detector.W, samples, detector.gains.rate_hz)
-    events = []
-    for (sample, _), size in zip(samples, energy.tolist(), strict=True):
-        if np.isnan(size):
-            alarm.pause()
-            continue
-        event = alarm.update(sample, size, None)
-        events += [] if event is None else [event]
+    energy = _windowed(_residuals(detector.gains, flight), detector.W, flight, detector.gains.rate_hz)[:, None]
+    events: list[AlarmEvent] = []
+    samples, known = flight.samples, np.isfinite(energy)
+    times_ns, index = samples.vehicle_time_ns, np.arange(len(flight))
+    rows = ChainRows([alarm.state], index, times_ns, samples.restart, np.where(known, energy, 0.0), known)
+    walk([rows], lambda _, row, __, code: events.append(alarm.event(code, samples, row, None, None)))
     return events
 
 
-def _residuals(gains: Gains, samples: Sequence[GatedSample]) -> NDArray[np.float64]:
+def _residuals(gains: Gains, flight: Flight) -> NDArray[np.float64]:
     """Return the one-step prediction residual at each sample (N, p)."""
-    if not samples:
-        return np.empty((0, len(gains.outputs)))
-    u, y = np.stack([sample.u for sample, _ in samples]), np.stack([sample.y for sample, _ in samples])
-    restart = np.array([sample.restart for sample, _ in samples])
-    return AffineObserver([gains]).run(u, y, restart=restart).residual[:, 0]
+    samples = flight.samples
+    return AffineObserver([gains]).run(samples.u, samples.y, restart=samples.restart).residual[:, 0]
 
 
 def _windowed(
-    residuals: NDArray[np.float64], W: NDArray[np.float64], samples: Sequence[GatedSample], rate_hz: float
+    residuals: NDArray[np.float64], W: NDArray[np.float64], flight: Flight, rate_hz: float
 ) -> NDArray[np.float64]:
     """Return the mean of r' S^-1 r / p over the window before each sample (N,), nan without a window of evidence."""
     width = max(1, round(WINDOW_S * rate_hz))
@@ -281,8 +270,8 @@ def _windowed(
     total = np.concatenate([[0.0], np.cumsum(sizes)])
     energy = np.full(len(sizes), np.nan)
     start = 0
-    for k, (sample, armed) in enumerate(samples):
-        if not armed or sample.restart:
+    for k, (armed, restart) in enumerate(zip(flight.armed.tolist(), flight.samples.restart.tolist(), strict=True)):
+        if not armed or restart:
             start = k + (not armed)
         if k + 1 - start >= width:
             energy[k] = (total[k + 1] - total[k + 1 - width]) / width

@@ -136,9 +136,11 @@ class Flight:
 
     def messages(self, only: frozenset[str]) -> Iterator[Message]:
         """Return the vehicle's messages of these names, up to touchdown."""
-        from adapters.logs.recordings import read_recording
+        from adapters.batch import messages
+        from adapters.logs.recordings import read_batches
 
-        return until(of_one_vehicle(read_recording(self.log, only)), self.touchdown_ms)
+        own = of_one_vehicle(read_batches(self.log, only))
+        return until((message for batch in own for message in messages(batch)), self.touchdown_ms)
 
 
 def until(messages: Iterable[Message], end_ms: int | None) -> Iterator[Message]:

@@ -32,9 +32,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from long_log import LongLog
 
 from adapters.logs.recordings import read_batches
-from monitor.fitting.small_png import save_small
 from monitor.profile import Profile, read_profile
 from monitor.views.palette import BLUE, GREY
+from monitor.views.plot_style import save_small
 from replay.player import interests, play_batches
 
 ROOT = Path(__file__).parent.parent

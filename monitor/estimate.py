@@ -103,6 +103,21 @@ class Estimates:
     def __len__(self) -> int:
         return len(self.samples)
 
+    def part(self, start: int, stop: int) -> Estimates:
+        """Return the estimates start <= row < stop, as views."""
+        rows = slice(start, stop)
+        return Estimates(
+            observer=self.observer,
+            samples=self.samples.part(start, stop),
+            x=self.x[rows],
+            fault=self.fault[rows],
+            isolated=self.isolated[rows],
+            residual=self.residual[rows],
+            armed=self.armed[rows],
+            sd=self.sd[rows],
+            coasted_s=self.coasted_s[rows],
+        )
+
     def one(self, row: int) -> Estimate:
         """Return one of the estimates; its vectors are views."""
         return Estimate(

@@ -1,4 +1,4 @@
-"""What a run leaves behind for plots: an observer's series as arrays, and alarms as spans of time."""
+"""A run as plots need it: each observer's series as arrays, and alarms as spans of time."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.estimate import Estimate, Estimates, Layout, alone
+from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent, Severity
 
 FIRST_ROWS = 4096
+"""Rows allocated at first; the memory doubles as it fills. Chosen: 40 s at 100 Hz, below the length of most flights."""
 MAX_ROWS = 4_000_000
+"""Rows kept at most: 11 h at 100 Hz, in 2 GB for an observer of 60 columns. Longer runs are thinned."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,11 +28,11 @@ class Trace:
     vehicle_ns, unix_ns : NDArray[np.int64]
         Vehicle's clock and Unix time of the samples (N,).
     u, y, x, fault, isolated, residual, sd : NDArray[np.float64]
-        One row per sample, as in :class:`Sample` and :class:`Estimate`.
+        One row per sample, as in :class:`~adapters.sample.Samples` and :class:`~monitor.estimate.Estimates`.
     armed : NDArray[np.bool_]
         Whether alarms could be raised from the sample (N,).
     restart : NDArray[np.bool_]
-        Whether the observer started afresh at the sample (N,): what stands before has nothing to do with it.
+        Whether the observer restarted at the sample (N,): earlier samples have no influence on it.
     """
 
     layout: Layout
@@ -50,8 +52,8 @@ class Trace:
 class TraceBuilder:
     """Collects one observer's estimates in bounded memory.
 
-    Room doubles as it fills. At ``max_rows`` every second sample is dropped and from then on only every
-    second one taken, then every fourth and so on, so that a run of any length is covered from end to end.
+    At ``max_rows`` every second sample is dropped, and from then on only every second sample is kept, then every fourth
+    and so on, so that a run of any length is covered from end to end.
 
     Parameters
     ----------
@@ -76,12 +78,8 @@ class TraceBuilder:
         self._skip = 0
         self._restart = False
 
-    def add(self, estimate: Estimate) -> None:
-        """Take the next estimate."""
-        self.extend(alone(estimate))
-
     def extend(self, estimates: Estimates) -> None:
-        """Take the next estimates."""
+        """Add the next estimates; the trace does not depend on how a run is cut into calls."""
         samples = estimates.samples
         values = (
             samples.u,
@@ -113,7 +111,7 @@ class TraceBuilder:
             start = stop
 
     def build(self) -> Trace:
-        """Return what was collected so far, as a copy."""
+        """Return the samples collected so far, as a copy."""
         values = self._values[: self._rows].copy()
         times, flags = self._times[: self._rows].copy(), self._flags[: self._rows].copy()
         u, y, x, fault, isolated, residual, sd = np.split(values, self._edges, axis=1)
@@ -152,18 +150,18 @@ class TraceBuilder:
 
 @dataclass(frozen=True, slots=True)
 class AlarmSpan:
-    """Time an alarm stood.
+    """Time during which an alarm was active.
 
     Parameters
     ----------
     observer, channel : str
-        What the alarm is about.
+        Observer and channel of the alarm.
     severity : {"warning", "critical"}
-        The worst it had.
+        The worst severity it had.
     start_ns, start_vehicle_ns : int
         Unix time and vehicle's time of the event that raised it.
     end_ns, end_vehicle_ns : int | None
-        The same of the event that cleared it, None while it stands.
+        The same of the event that cleared it, None while it is active.
     """
 
     observer: str

@@ -15,8 +15,8 @@ from replay import attack_commands
 from replay.runs.replay_command import LOG_HELP, MAPPING_HELP, add_replay
 
 if TYPE_CHECKING:
+    from adapters.batch import Batch
     from adapters.logs.damage import Damage
-    from adapters.message import Message
 
 
 def add_parsers(subparsers: Any) -> None:
@@ -117,9 +117,10 @@ def run_fit(args: argparse.Namespace) -> int:
 
     wanted = custom_messages(args.model) if args.model else fit_messages()
 
-    def log(path: Path) -> Iterator[Message]:
+    def log(path: Path) -> Iterator[Batch]:
         recording = Recording(path, wanted, args.mapping)
-        yield from track(recording if args.model else of_one_vehicle(recording), f"reading {path.name}")
+        batches = track(recording.batches(), f"reading {path.name}", weigh=lambda batch: batch.count)
+        yield from batches if args.model else of_one_vehicle(batches)
         damage[path] = recording.damage()
 
     damage: dict[Path, tuple[Damage, ...]] = {}

@@ -13,18 +13,25 @@ from hypothesis import settings
 from monitor.profile import Profile, read_profile
 
 DATA = Path(__file__).parent / "data"
-LIVE = (
-    "test_chaos_network.py",
-    "test_standby.py",
+WAITING = (
     "test_daemon.py",
     "test_chaos_crash.py",
-    "test_soak.py",
     "test_live.py",
-    "test_shards.py",
+    "test_standby.py",
+    "test_chaos_network.py",
+    "test_zenoh_security.py",
+    "test_soak.py",
+    "test_record.py",
+    "test_readme.py",
     "test_chaos_hostile.py",
+    "test_shards.py",
     "test_chaos_zenoh.py",
+    "test_fauio.py",
+    "test_adapters_zenoh_link.py",
+    "test_monitor_election.py",
+    "test_monitor_operator_client.py",
 )
-"""Tests of daemons, which wait for flights in real time and leave the processor to others meanwhile."""
+"""Tests of daemons and networks, the longest first: they wait in real time and leave the processor to others."""
 FITS = "test_flights.py"
 """Begins with the fit that many other files need."""
 
@@ -61,10 +68,10 @@ def pytest_collection_finish() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Spread the files that wait over the first half of those that compute: none waits alone at the end."""
     files = dict.fromkeys(item.path.name for item in items)
-    live = [name for name in LIVE if name in files]
-    others = sorted((name for name in files if name not in LIVE), key=lambda name: name != FITS)
+    waiting = [name for name in WAITING if name in files]
+    others = sorted((name for name in files if name not in WAITING), key=lambda name: name != FITS)
     place = {name: float(k) for k, name in enumerate(others)}
-    place |= {name: 0.5 * len(others) * k / len(live) - 0.5 for k, name in enumerate(live)}
+    place |= {name: 0.5 * len(others) * k / len(waiting) - 0.5 for k, name in enumerate(waiting)}
     items.sort(key=lambda item: place[item.path.name])
 
 

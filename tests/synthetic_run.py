@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from loopback import START_NS
 
-from adapters.sample import Sample
-from monitor.estimate import Estimate, Layout
+from adapters.sample import Samples
+from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent
 from monitor.trace import Trace, TraceBuilder
 
@@ -28,39 +29,39 @@ STANDBY = replace(LAYOUT, observer="standby")
 BOTH_THRESHOLDS = THRESHOLDS | {("standby", name): 0.5 for name in STANDBY.faults}
 
 
-def estimate(tick: int, rng: np.random.Generator) -> Estimate:
-    """Return the estimate at a tick of the grid; motor1 loses 0.03 from tick 1000 on."""
-    sample = Sample(
-        index=tick,
-        vehicle_time_ns=tick * 10_000_000,
-        time_ns=START_NS + tick * 10_000_000,
-        u=rng.uniform(0.4, 0.6, 4),
-        y=rng.normal(size=4),
-        restart=tick in (0, 700),
-        complete=True,
+def estimates(ticks: Sequence[int], rng: np.random.Generator) -> Estimates:
+    """Return the estimates at ticks of the grid; motor1 loses 0.03 from tick 1000 on."""
+    index, count = np.array(ticks, np.int64), len(ticks)
+    fault = rng.normal(0.0, 0.002, (count, 4))
+    fault[:, 0] -= 0.03 * (index >= 1000)
+    samples = Samples(
+        index=index,
+        vehicle_time_ns=index * 10_000_000,
+        time_ns=START_NS + index * 10_000_000,
+        u=rng.uniform(0.4, 0.6, (count, 4)),
+        y=rng.normal(size=(count, 4)),
+        restart=np.isin(index, (0, 700)),
+        complete=np.full(count, True),
+        known_ns=np.zeros(count, np.int64),
+        measured=np.full(count, True),
     )
-    fault = rng.normal(0.0, 0.002, 4)
-    fault[0] -= 0.03 * (tick >= 1000)
-    return Estimate(
+    return Estimates(
         observer=LAYOUT.observer,
-        sample=sample,
-        x=rng.normal(size=3),
+        samples=samples,
+        x=rng.normal(size=(count, 3)),
         fault=fault,
         isolated=fault * 2,
-        residual=rng.normal(size=4),
-        armed=tick >= 100,
-        sd=np.full(4, 0.002),
-        coasted_s=0.0,
+        residual=rng.normal(size=(count, 4)),
+        armed=index >= 100,
+        sd=np.full((count, 4), 0.002),
+        coasted_s=np.zeros(count),
     )
 
 
 def trace(ticks: int = 1500) -> Trace:
     """Return a run with a gap from tick 600 to 700."""
-    rng = np.random.default_rng(7)
     builder = TraceBuilder(LAYOUT)
-    for tick in range(ticks):
-        if not 600 <= tick < 700:
-            builder.add(estimate(tick, rng))
+    builder.extend(estimates([tick for tick in range(ticks) if not 600 <= tick < 700], np.random.default_rng(7)))
     return builder.build()
 
 

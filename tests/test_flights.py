@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import fauio
-from adapters.logs.recordings import read_recording
+from adapters.logs.recordings import read_batches, read_recording
 from gains.plants.model_file import read_model
 from monitor.profile import Profile, read_profile
 from replay.player import Replay, play
@@ -143,9 +143,9 @@ def test_a_recorded_replay_replays_to_the_same_bits(quad_profile: Profile, tmp_p
 def test_other_vehicles_in_a_log_do_not_enter_the_fit(data: Path) -> None:
     from monitor.fitting.survey import of_one_vehicle
 
-    flight = list(read_recording(data / "copter_5s.tlog.xz"))
-    assert {message.system for message in flight} > {1}
-    assert {message.system for message in of_one_vehicle(flight)} == {1}
+    flight = list(read_batches(data / "copter_5s.tlog.xz"))
+    assert {columns.system for batch in flight for columns in batch.columns} > {1}
+    assert {columns.system for batch in of_one_vehicle(flight) for columns in batch.columns} == {1}
 
 
 @pytest.mark.parametrize(

@@ -54,6 +54,7 @@ def test_theorem_1_has_no_least_bound() -> None:
         assert design.sqrt_mu == pytest.approx(bound)
 
 
+@pytest.mark.long
 def test_beta_cancels() -> None:
     plant = builtin_model("arm-disturbed")
     one, hundred = (design_theorem(plant, "theorem2", beta=beta) for beta in (1.0, 100.0))
@@ -76,7 +77,8 @@ def product(rows: Any, slopes: Any) -> Nonlinearity:
     return Nonlinearity("sin(" + " + ".join(names) + ")", names, np.array(rows), np.array(slopes), box)
 
 
-@pytest.mark.parametrize("theorem", ["theorem1", pytest.param("theorem2", marks=LONG)])
+@pytest.mark.long
+@pytest.mark.parametrize("theorem", ["theorem1", "theorem2"])
 def test_several_nonlinearities_of_several_arguments_share_a_multiplier(theorem: Theorem) -> None:
     plant = builtin_model("arm-disturbed" if theorem == "theorem2" else "arm")
     plant = replace(

@@ -19,13 +19,14 @@ import pytest
 import rerun as rr
 from loopback import free_port, until
 from rerun.chunk import RrdReader
-from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, estimate, event
+from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, estimates, event
 
+from adapters.batch import pack
 from adapters.errors import UsageError
-from adapters.logs.recordings import read_recording
+from adapters.logs.recordings import read_batches
 from adapters.message import Message
 from adapters.source import MAVLINK
-from monitor.estimate import Estimate
+from monitor.estimate import Estimates
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.views.live_buffer import VehicleView
@@ -92,22 +93,22 @@ def fake_rerun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeRerun:
     return install
 
 
-def fill(view: VehicleView, ticks: int = 200) -> list[Estimate]:
-    rng = np.random.default_rng(5)
-    estimates = [estimate(tick, rng) for tick in range(ticks)]
-    for one in estimates:
-        view.estimate(one)
-        view.message(Message(MAVLINK, "ATTITUDE", one.sample.time_ns, {"time_boot_ms": 1, "roll": 0.5, "yaw": 2.0}))
+def fill(view: VehicleView, ticks: int = 200) -> Estimates:
+    """Show a run, of which thinning keeps every fifth row."""
+    run = estimates(range(ticks), np.random.default_rng(5))
+    fields = {"time_boot_ms": 1, "roll": 0.5, "yaw": 2.0}
+    view.estimates(run)
+    view.batch(pack([Message(MAVLINK, "ATTITUDE", at_ns, fields) for at_ns in run.samples.time_ns.tolist()]))
     for alarm in EVENTS:
         view.event(alarm)
-    return estimates[::5]
+    return run
 
 
 def test_a_viewer_that_connects_sees_everything(tmp_path: Path) -> None:
     port, path = free_port(), tmp_path / "seen.rrd"
     live = LiveView("serve", port=port, memory_mb=64)
     view = live.vehicle("copter-1", [LAYOUT], THRESHOLDS, {"ATTITUDE"})
-    kept = fill(view)
+    run = fill(view)
     command = [rerun_binary(), live.url, "--save", str(path), "--bind=127.0.0.1", f"--port={free_port()}"]
     until(lambda: live.statistics().batches > 0 and listening(port))
     viewer = subprocess.Popen(command, env=os.environ | {"CI": "1"}, stderr=subprocess.DEVNULL)
@@ -119,8 +120,8 @@ def test_a_viewer_that_connects_sees_everything(tmp_path: Path) -> None:
         live.close()
     found = tables(path)
     residual = found["/copter-1/motors/residual"]
-    np.testing.assert_array_equal(residual["Scalars:scalars"], [one.residual for one in kept])
-    assert residual["unix_time"] == [one.sample.time_ns for one in kept]
+    np.testing.assert_array_equal(residual["Scalars:scalars"], run.residual[::5])
+    assert residual["unix_time"] == run.samples.time_ns[::5].tolist()
     assert "TimeSeries" in blueprint_text(path)
 
 
@@ -149,7 +150,7 @@ def test_nothing_but_loopback_is_listened_on() -> None:
 
 def test_values_thresholds_alarms_and_telemetry_of_all_vehicles_are_sent(receiver: Path) -> None:
     live = LiveView("spawn", memory_mb=99)
-    kept = fill(live.vehicle("a", [LAYOUT, STANDBY], BOTH_THRESHOLDS, {"ATTITUDE"}))
+    run = fill(live.vehicle("a", [LAYOUT, STANDBY], BOTH_THRESHOLDS, {"ATTITUDE"}))
     fill(live.vehicle("b", [LAYOUT], THRESHOLDS, ()))
     until(lambda: live.statistics().batches > 0)
     live.close()
@@ -157,16 +158,16 @@ def test_values_thresholds_alarms_and_telemetry_of_all_vehicles_are_sent(receive
     found = tables(receiver)
     units = [THRESHOLDS["motors", name] for name in LAYOUT.faults[:3]]
     quiet = found["/a/motors/quiet/estimate"]
-    np.testing.assert_array_equal(quiet["Scalars:scalars"], np.array([one.isolated[:3] for one in kept]) / units)
-    assert quiet["vehicle_time"] == [one.sample.vehicle_time_ns for one in kept]
+    np.testing.assert_array_equal(quiet["Scalars:scalars"], run.isolated[::5, :3] / units)
+    assert quiet["vehicle_time"] == run.samples.vehicle_time_ns[::5].tolist()
     assert found["/a/motors/quiet/threshold"]["Scalars:scalars"][0] == [1.0, -1.0]
     assert found["/b/motors/threshold/motor1"]["Scalars:scalars"][0] == [0.015, -0.015]
     assert found["/b/alarms/motors/motor1"]["StateChange:state"] == [["warning"], ["critical"], [""]]
     assert found["/a/log"]["TextLog:level"] == [["WARN"], ["CRITICAL"], ["INFO"]]
     raw = found["/a/raw/ATTITUDE"]
     assert raw["SeriesLines:names"] == [["roll", "yaw"]]
-    assert raw["Scalars:scalars"] == [[0.5, 2.0]] * len(kept)
-    assert raw["unix_time"] == [one.sample.time_ns for one in kept]
+    assert raw["Scalars:scalars"] == [[0.5, 2.0]] * 40
+    assert raw["unix_time"] == run.samples.time_ns[::5].tolist()
     assert not any("raw" in entity for entity in found if entity.startswith("/b/"))
     text = blueprint_text(receiver)
     for part in ("motors / residuals", "standby / quiet", "raw channels", "/b/alarms/**", "StateTimeline", "unix_time"):
@@ -190,15 +191,13 @@ def test_a_viewer_that_never_reads_stalls_nobody_and_ends_with_the_view(fake_rer
     fake_rerun("exec sleep 1000")
     live = LiveView("spawn")
     view = live.vehicle("a", [LAYOUT], THRESHOLDS, {"ATTITUDE"})
-    rng = np.random.default_rng(5)
-    one = estimate(0, rng)
     tick = 0
 
     def feed() -> bool:
         nonlocal tick
+        view.estimates(estimates(range(tick, tick + 5000), np.random.default_rng(5)))
         for _ in range(1000):
-            tick += 1
-            view.estimate(replace(one, sample=replace(one.sample, time_ns=one.sample.time_ns + tick * 50_000_000)))
+            tick += 5
             view.event(event(tick, "raised", message="x" * 1000))
         return live.statistics().dropped > 10_000
 
@@ -248,18 +247,15 @@ def test_a_flight_with_a_motor_fault_shows_its_thresholds_and_its_alarm(
     needed = frozenset[str]().union(*pipeline.needs.values())
     view = live.vehicle(pipeline.vehicle, pipeline.layouts, pipeline.thresholds, needed)
     said = []
-    for message in read_recording(data / "copter_motor2_080.tlog.xz"):
-        if not pipeline.accepts(message):
-            continue
-        view.message(message)
-        for output in pipeline.feed(message):
-            if isinstance(output, Estimate):
-                view.estimate(output)
+    for batch in read_batches(data / "copter_motor2_080.tlog.xz", count=500):
+        view.batch(batch)
+        for output in pipeline.run(batch):
+            if isinstance(output, Estimates):
+                view.estimates(output)
             else:
                 view.event(output)
                 said.append(output)
-        if len(view) > 400:
-            until(lambda: len(view) < 400)
+        until(lambda: len(view) < 400)
     live.close()
     until(lambda: finished(receiver))
     assert live.statistics().dropped == 0

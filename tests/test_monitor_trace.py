@@ -3,46 +3,41 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from loopback import START_NS
-from synthetic_run import LAYOUT, estimate, event
+from synthetic_run import LAYOUT, estimates, event
 
-from adapters.sample import Sample, stacked
-from monitor.estimate import Estimate, Estimates, Layout
+from monitor.estimate import Layout
 from monitor.trace import FIRST_ROWS, TraceBuilder, alarm_spans
 
 
 def test_every_vector_of_every_estimate_is_in_its_own_columns() -> None:
-    estimates = [estimate(tick, np.random.default_rng(tick)) for tick in range(10)]
+    given = estimates(range(10), np.random.default_rng(1))
     builder = TraceBuilder(LAYOUT)
-    for one in estimates:
-        builder.add(one)
+    builder.extend(given)
     found = builder.build()
     assert found.layout == LAYOUT
-    for name in ("x", "fault", "isolated", "residual"):
-        np.testing.assert_array_equal(getattr(found, name), [getattr(one, name) for one in estimates])
-    np.testing.assert_array_equal(found.u, [one.sample.u for one in estimates])
-    np.testing.assert_array_equal(found.y, [one.sample.y for one in estimates])
-    assert found.vehicle_ns.tolist() == [one.sample.vehicle_time_ns for one in estimates]
-    assert found.unix_ns.tolist() == [one.sample.time_ns for one in estimates]
-    assert found.armed.tolist() == [one.armed for one in estimates]
+    for name in ("x", "fault", "isolated", "residual", "sd", "armed"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(given, name))
+    np.testing.assert_array_equal(found.u, given.samples.u)
+    np.testing.assert_array_equal(found.y, given.samples.y)
+    assert found.vehicle_ns.tolist() == given.samples.vehicle_time_ns.tolist()
+    assert found.unix_ns.tolist() == given.samples.time_ns.tolist()
     assert found.restart.tolist() == [True] + [False] * 9
 
 
 def test_a_trace_is_a_copy_that_later_samples_do_not_change() -> None:
     rng = np.random.default_rng(1)
     builder = TraceBuilder(LAYOUT, max_rows=4)
-    for tick in range(4):
-        builder.add(estimate(tick, rng))
+    builder.extend(estimates(range(4), rng))
     before = builder.build()
     kept = before.fault.copy()
-    for tick in range(4, 9):
-        builder.add(estimate(tick, rng))
+    builder.extend(estimates(range(4, 9), rng))
     np.testing.assert_array_equal(before.fault, kept)
 
 
@@ -56,8 +51,7 @@ def test_nothing_collected_is_an_empty_trace() -> None:
 def test_room_grows_with_the_run() -> None:
     rng = np.random.default_rng(1)
     builder = TraceBuilder(LAYOUT)
-    for tick in range(FIRST_ROWS + 1):
-        builder.add(estimate(tick, rng))
+    builder.extend(estimates(range(FIRST_ROWS + 1), rng))
     assert builder.build().vehicle_ns.tolist() == [tick * 10_000_000 for tick in range(FIRST_ROWS + 1)]
 
 
@@ -65,8 +59,7 @@ def test_room_grows_with_the_run() -> None:
 def test_a_long_run_is_thinned_evenly_from_end_to_end(ticks: int) -> None:
     rng = np.random.default_rng(1)
     builder = TraceBuilder(LAYOUT, max_rows=8)
-    for tick in range(ticks):
-        builder.add(estimate(tick, rng))
+    builder.extend(estimates(range(ticks), rng))
     kept = (builder.build().vehicle_ns // 10_000_000).tolist()
     steps = {b - a for a, b in pairwise(kept)}
     assert len(kept) <= 8
@@ -79,8 +72,7 @@ def test_a_long_run_is_thinned_evenly_from_end_to_end(ticks: int) -> None:
 def test_thinning_keeps_a_restart_at_the_next_kept_sample(first: int) -> None:
     rng = np.random.default_rng(1)
     builder = TraceBuilder(LAYOUT, max_rows=16)
-    for tick in range(first, 1000):
-        builder.add(estimate(tick, rng))
+    builder.extend(estimates(range(first, 1000), rng))
     found = builder.build()
     ticks = found.vehicle_ns // 10_000_000
     [at] = ticks[found.restart]
@@ -89,10 +81,12 @@ def test_thinning_keeps_a_restart_at_the_next_kept_sample(first: int) -> None:
 
 def test_a_layout_without_channels_is_collected_too() -> None:
     layout = Layout("o", 1.0, (), (), (), (), ())
-    nothing = np.empty(0)
-    sample = Sample(0, 0, START_NS, nothing, nothing, True, True)
+    given = estimates([0], np.random.default_rng(1))
+    nothing = np.empty((1, 0))
+    samples = replace(given.samples, u=nothing, y=nothing)
     builder = TraceBuilder(layout)
-    builder.add(Estimate("o", sample, nothing, nothing, nothing, nothing, False, nothing, 0.0))
+    vectors = dict.fromkeys(("x", "fault", "isolated", "residual", "sd"), nothing)
+    builder.extend(replace(given, samples=samples, **vectors))
     assert builder.build().fault.shape == (1, 0)
 
 
@@ -117,33 +111,15 @@ def test_no_events_are_no_spans() -> None:
 
 
 @given(st.lists(st.integers(1, 40), min_size=1, max_size=8), st.sampled_from([4, 10, 64]), st.integers(0, 99))
-def test_it_does_not_matter_in_which_stretches_estimates_come(lengths: list[int], room: int, seed: int) -> None:
+def test_a_trace_does_not_depend_on_how_estimates_are_cut(lengths: list[int], room: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    estimates = [estimate(tick, rng) for tick in range(sum(lengths))]
-    for one in rng.choice(len(estimates), 3):
-        estimates[one] = replace(estimates[one], sample=replace(estimates[one].sample, restart=True))
-    singly, together = TraceBuilder(LAYOUT, room), TraceBuilder(LAYOUT, room)
-    for one in estimates:
-        singly.add(one)
-    start = 0
-    for length in lengths:
-        together.extend(in_one(estimates[start : start + length]))
-        start += length
-    a, b = singly.build(), together.build()
+    run = estimates(range(sum(lengths)), rng)
+    run.samples.restart[rng.choice(len(run), 3)] = True
+    rows, parts = TraceBuilder(LAYOUT, room), TraceBuilder(LAYOUT, room)
+    for row in range(len(run)):
+        rows.extend(run.part(row, row + 1))
+    for start, length in zip(accumulate([0, *lengths]), lengths, strict=False):
+        parts.extend(run.part(start, start + length))
+    a, b = rows.build(), parts.build()
     for name in ("vehicle_ns", "unix_ns", "u", "y", "x", "fault", "isolated", "residual", "sd", "armed", "restart"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-
-
-def in_one(estimates: list[Estimate]) -> Estimates:
-    samples = [one.sample for one in estimates]
-    return Estimates(
-        observer=estimates[0].observer,
-        samples=stacked(samples, len(samples[0].u), len(samples[0].y)),
-        x=np.array([one.x for one in estimates]),
-        fault=np.array([one.fault for one in estimates]),
-        isolated=np.array([one.isolated for one in estimates]),
-        residual=np.array([one.residual for one in estimates]),
-        armed=np.array([one.armed for one in estimates]),
-        sd=np.array([one.sd for one in estimates]),
-        coasted_s=np.array([one.coasted_s for one in estimates]),
-    )

@@ -15,7 +15,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from onboard_flights import BOOT_US, dataflash_of, messages_of, ulog_of
 
 import fauio
-from adapters.logs.recordings import Recording, read_recording, recording_kind
+from adapters.logs.recordings import Recording, read_batches, read_recording, recording_kind
 from monitor.fitting.survey import common_rate_hz, of_one_vehicle, survey
 from monitor.profile import Profile, read_profile
 from monitor.vehicles.inertial.signals import strapdown_channels
@@ -162,7 +162,7 @@ def test_a_fit_sees_the_channels_and_rates_that_it_sees_in_telemetry(
     logs: dict[str, Path], data: Path, kind: str
 ) -> None:
     onboard, telemetry = (
-        survey(of_one_vehicle(read_recording(log, fit_messages())))
+        survey(of_one_vehicle(read_batches(log, fit_messages())))
         for log in (logs[f"gps_step25m.{kind}"], data / "copter_gps_step25m.tlog.xz")
     )
     assert multirotor_channels([onboard]) == multirotor_channels([telemetry])

@@ -16,12 +16,15 @@ import pytest
 from daemons import ENVIRONMENT, FAUIO, Flight, free_ports
 from desks import ROOT, lay_out
 from loopback import until
+from test_fauio import EXAMPLES
 
 import fauio
 
 README = (ROOT / "README.md").read_text()
 FOR_EVER = ("record", "run", "alarms")
 SLOW = ("demo", "detectability", "fit")
+RUN_ELSEWHERE = {tuple(shlex.split(example)[1:]) for example in EXAMPLES}
+"""Examples of the command line's own help, which tests/test_fauio.py runs in each run of the suite."""
 
 
 def code_lines() -> Iterator[str]:
@@ -70,7 +73,12 @@ def test_each_make_target_of_the_readme_is_there() -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        pytest.param(words, marks=[pytest.mark.long, pytest.mark.timeout(900)] if words[0] in SLOW else [])
+        pytest.param(
+            words,
+            marks=[pytest.mark.long, pytest.mark.timeout(900)]
+            if words[0] in SLOW or tuple(words) in RUN_ELSEWHERE
+            else [],
+        )
         for words in ENDING
     ],
     ids=[" ".join(words) for words in ENDING],

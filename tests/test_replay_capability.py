@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.logs.recordings import read_recording
+from adapters.logs.recordings import packed, read_batches, read_recording
 from adapters.simulation.arm import SCENARIOS, TORQUES, simulate_arm
 from adapters.simulation.arm_source import arm_messages
 from gains.plants.model_file import builtin_model, read_model
-from monitor.fitting.calibrate import flight_samples
 from monitor.fitting.capability import (
     Capability,
     Detection,
@@ -20,8 +19,8 @@ from monitor.fitting.capability import (
     capability_text,
     step_sizes,
 )
+from monitor.fitting.flights import Flight, flight_samples
 from monitor.profile import Profile
-from monitor.sampling.gate import GatedSample
 from replay.player import play
 
 LONG = pytest.mark.long
@@ -65,11 +64,11 @@ def test_the_text_names_each_size_once_with_its_shortest_delay() -> None:
 
 
 @pytest.fixture(scope="module")
-def healthy(quad_profile: Profile, data: Path) -> list[list[GatedSample]]:
+def healthy(quad_profile: Profile, data: Path) -> list[Flight]:
     observer = quad_profile.observers[0]
     return [
         flight_samples(
-            read_recording(data / f"copter_healthy_{name}.tlog.xz"),
+            read_batches(data / f"copter_healthy_{name}.tlog.xz"),
             observer.source,
             observer.rate_hz,
             quad_profile.gate,
@@ -79,7 +78,7 @@ def healthy(quad_profile: Profile, data: Path) -> list[list[GatedSample]]:
 
 
 @pytest.fixture(scope="module")
-def quad(quad_profile: Profile, quad_folder: Path, healthy: list[list[GatedSample]]) -> dict[str, Capability]:
+def quad(quad_profile: Profile, quad_folder: Path, healthy: list[Flight]) -> dict[str, Capability]:
     model = read_model(quad_folder / "motors.model.toml")
     observer = quad_profile.observers[0]
     measured = capability(
@@ -119,7 +118,7 @@ def test_a_real_loss_is_detected_as_soon_as_measured_beforehand(
 
 
 def test_the_same_samples_give_the_same_answer(
-    quad: dict[str, Capability], quad_profile: Profile, quad_folder: Path, healthy: list[list[GatedSample]]
+    quad: dict[str, Capability], quad_profile: Profile, quad_folder: Path, healthy: list[Flight]
 ) -> None:
     observer = quad_profile.observers[0]
     only = replace(observer, alarms=tuple(rule for rule in observer.alarms if rule.channel == "motor3"))
@@ -129,10 +128,10 @@ def test_the_same_samples_give_the_same_answer(
 
 
 def test_flights_too_short_for_an_onset_say_so(
-    quad_profile: Profile, quad_folder: Path, healthy: list[list[GatedSample]]
+    quad_profile: Profile, quad_folder: Path, healthy: list[Flight]
 ) -> None:
     model = read_model(quad_folder / "motors.model.toml")
-    found = capability(quad_profile.observers[0], model, [healthy[0][:500]], quad_profile.gate)
+    found = capability(quad_profile.observers[0], model, [healthy[0].part(0, 500)], quad_profile.gate)
     assert len(found) == 7
     assert all("not measured" in capability_text(one) for one in found)
 
@@ -142,7 +141,7 @@ def test_faults_that_scale_no_command_worth_losing_are_steps_in_their_own_units(
     (observer,) = arm_profile.observers
     runs = [simulate_arm(SCENARIOS["healthy"], 30.0, observer.rate_hz, torque) for torque in TORQUES]
     flights = [
-        flight_samples(arm_messages(run, 10**18), observer.source, observer.rate_hz, arm_profile.gate) for run in runs
+        flight_samples(packed(arm_messages(run, 10**18)), observer.source, observer.rate_hz, arm_profile.gate) for run in runs
     ]
     found = capability(observer, builtin_model("arm-disturbed"), flights, arm_profile.gate)
     assert [(one.channel, one.unit, one.loss) for one in found] == [("motor", "N m", False), ("encoder", "rad", False)]

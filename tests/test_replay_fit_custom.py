@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 import fauio
+from adapters.batch import Batch, messages
 from adapters.errors import ModelError, TelemetryError
 from adapters.logs.mcap_log import MessageLogWriter
-from adapters.message import Message
+from adapters.logs.recordings import packed
 from adapters.simulation.arm import SCENARIOS, ArmFault, ArmRun, ArmScenario, simulate_arm
 from adapters.simulation.arm_source import arm_messages
 from gains.plants.model_file import read_model
@@ -46,8 +47,8 @@ def excited(phase: float) -> ArmRun:
     return replace(run, u=run.f_a, f_a=0.0 * run.f_a)
 
 
-def log(run: ArmRun) -> Callable[[], Iterable[Message]]:
-    return lambda: arm_messages(run, 10**18)
+def log(run: ArmRun) -> Callable[[], Iterable[Batch]]:
+    return lambda: packed(arm_messages(run, 10**18))
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +58,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     logs = [work / "monday.mcap", work / "tuesday.mcap"]
     for path, phase in zip(logs, (0.0, 2.0), strict=True):
         with MessageLogWriter(path) as writer:
-            for message in log(excited(phase))():
-                writer.write(message)
+            for batch in log(excited(phase))():
+                for message in messages(batch):
+                    writer.write(message)
     command = ["fit", "--vehicle", "custom", "--model", str(MODEL), *map(str, logs), "-o", str(work / "arm")]
     assert fauio.main(command) == 0
     return work / "arm"
@@ -91,7 +93,7 @@ def test_the_arms_disturbance_and_noise_are_told_apart(folder: Path, arm: dict[s
 @pytest.mark.long
 def test_the_fitted_profile_detects_the_papers_faults_and_nothing_before(folder: Path) -> None:
     run = simulate_arm(SCENARIOS["case2"], 37.0, 100.0, "tracking")
-    events = play(read_profile(folder), log(run)()).events
+    events = play(read_profile(folder), arm_messages(run, 10**18)).events
     found = [(event.channel, event.state, event.vehicle_time_ms / 1000) for event in events if event.state != "updated"]
     assert [(channel, state) for channel, state, _ in found] == [
         ("motor", "raised"),
@@ -144,7 +146,7 @@ def test_faults_that_cannot_be_estimated_together_get_a_bank(tmp_path: Path, mon
     assert len(observer.gains) == len(fitted.isolation.hypotheses) == 4
     assert {rule.channel for rule in observer.alarms} == {channel.name for channel in observer.faults} | {UNEXPLAINED}
     run = simulate_arm(SCENARIOS["case2"], 37.0, 100.0, "tracking")
-    events = play(read_profile(folder), log(run)()).events
+    events = play(read_profile(folder), arm_messages(run, 10**18)).events
     raised = [(event.channel, event.vehicle_time_ms / 1000) for event in events if event.state == "raised"]
     assert all(time > 10.0 for _, time in raised)
     assert next(time for channel, time in raised if channel == "motor") < 10.5

@@ -11,9 +11,9 @@ import pytest
 from matplotlib import image
 from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, event, trace
 
-from monitor.fitting.plot_style import DPI, WIDTH_IN
 from monitor.trace import TraceBuilder
 from monitor.views.palette import BLUE, DARK, GREY, SERIES, SEVERITY, rgba
+from monitor.views.plot_style import DPI, WIDTH_IN
 from replay.reports.plot import HIGHEST_IN, colour_variables, plot_png, plot_svg
 from replay.reports.plot_panels import BAND_ALPHA, DOUBT_ALPHA, SPAN_ALPHA
 

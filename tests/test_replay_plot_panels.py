@@ -18,10 +18,10 @@ from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, event, trace
 
 from monitor.bus.alarm_text import utc
 from monitor.event import AlarmEvent
-from monitor.fitting.plot_style import STYLE
 from monitor.trace import Trace
 from monitor.views.palette import LIGHT
 from monitor.views.panels import Truth
+from monitor.views.plot_style import STYLE
 from replay.reports.plot import run_figure
 from replay.reports.plot_panels import Look, unwatched
 

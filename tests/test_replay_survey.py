@@ -7,10 +7,12 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from adapters.batch import Batch, Columns
 from adapters.errors import TelemetryError
-from adapters.logs.recordings import read_recording
+from adapters.logs.recordings import packed, read_batches
 from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.fitting.fitted import FitRequest
@@ -26,15 +28,17 @@ def outputs_over_time(values: Mapping[int, Sequence[int]]) -> Survey:
     """Return the survey of a flight whose servo outputs had these values, one after the other."""
     count = max(map(len, values.values()))
     return survey(
-        Message(
-            MAVLINK,
-            "SERVO_OUTPUT_RAW",
-            10_000_000 * at,
-            {"time_usec": 10_000 * (at + 1), "port": 0} | {f"servo{n}_raw": v[at] for n, v in values.items()},
-            1,
-            1,
+        packed(
+            Message(
+                MAVLINK,
+                "SERVO_OUTPUT_RAW",
+                10_000_000 * at,
+                {"time_usec": 10_000 * (at + 1), "port": 0} | {f"servo{n}_raw": v[at] for n, v in values.items()},
+                1,
+                1,
+            )
+            for at in range(count)
         )
-        for at in range(count)
     )
 
 
@@ -84,19 +88,24 @@ def test_what_every_output_did_is_said_where_none_is_a_motor() -> None:
         motor_commands([outputs_over_time({1: [0] * 50})])
 
 
-def as_speeds(messages: Iterator[Message]) -> Iterator[Message]:
+def as_speeds(batches: Iterator[Batch]) -> Iterator[Batch]:
     """Yield a flight with its pulses of 1000 to 2000 us as speeds of 150 to 1000."""
-    for message in messages:
-        fields = dict(message.fields)
-        for name in [f"servo{n}_raw" for n in range(1, 5) if message.name == "SERVO_OUTPUT_RAW"]:
-            fields[name] = round(150 + 0.85 * (fields[name] - 1000)) if fields.get(name) else 0
-        yield replace(message, fields=fields)
+    for batch in batches:
+        yield replace(batch, columns=tuple(map(_with_speeds, batch.columns)))
+
+
+def _with_speeds(columns: Columns) -> Columns:
+    if columns.name != "SERVO_OUTPUT_RAW":
+        return columns
+    pulses = {name: np.asarray(columns.fields[name], np.int64) for name in (f"servo{n}_raw" for n in range(1, 5))}
+    speeds = {name: np.where(p, np.round(150 + 0.85 * (p - 1000)), 0).astype(np.int64) for name, p in pulses.items()}
+    return replace(columns, fields={**columns.fields, **speeds})
 
 
 @pytest.mark.long
 def test_a_quadrotor_that_sends_speeds_is_fitted_and_the_range_is_stated(data: Path, quad_folder: Path) -> None:
-    def log(path: Path) -> Iterator[Message]:
-        return as_speeds(of_one_vehicle(read_recording(path, fit_messages())))
+    def log(path: Path) -> Iterator[Batch]:
+        return as_speeds(of_one_vehicle(read_batches(path, fit_messages())))
 
     logs = [partial(log, data / name) for name in FLIGHTS]
     surveys = [survey(one()) for one in logs]

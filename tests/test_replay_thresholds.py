@@ -1,6 +1,7 @@
 """Thresholds: levels from healthy evidence, floors, and the three paths' sizes in their order."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,15 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.logs.recordings import read_recording
+from adapters.logs.recordings import read_batches
 from monitor.chain import ObserverChain
 from monitor.core.sampling import VehicleClock
-from monitor.estimate import Estimate
-from monitor.fitting.calibrate import flight_samples
 from monitor.fitting.fitted import bare_rule
+from monitor.fitting.flights import flight_samples
 from monitor.fitting.thresholds import Times, calibrated, healthy_evidence, healthy_levels, plain_only, weighted_mean
 from monitor.profile import Profile
-from monitor.sampling.gate import GatedSample
 
 RATE_HZ = 50.0
 BARE = bare_rule("motors", "motor1", "actuator", "share")
@@ -70,20 +69,19 @@ def test_an_alarm_with_its_plain_path_alone_has_no_other() -> None:
 
 def test_a_long_wait_before_the_flight_changes_nothing_that_matters(quad_profile: Profile, data: Path) -> None:
     observer = quad_profile.observers[0]
-    messages = read_recording(data / "copter_healthy_square.tlog.xz")
-    flight = flight_samples(messages, observer.source, observer.rate_hz, quad_profile.gate)
+    batches = read_batches(data / "copter_healthy_square.tlog.xz")
+    flight = flight_samples(batches, observer.source, observer.rate_hz, quad_profile.gate)
     start = round(0.8 * len(flight))
     assert start > 32 * observer.rate_hz
-    waited = [GatedSample(sample, armed and k >= start) for k, (sample, armed) in enumerate(flight)]
+    waited = replace(flight, armed=flight.armed & (np.arange(len(flight)) >= start))
     chain = ObserverChain(observer, "", quad_profile.gate, VehicleClock())
-    outputs = [output for sample, armed in waited for output in chain.step(sample, armed)]
-    whole = np.stack([one.isolated for one in outputs if isinstance(one, Estimate) and one.armed])
+    whole = chain.estimate(waited.samples, waited.armed).estimates.isolated[waited.armed]
     found = np.concatenate(healthy_evidence(observer, quad_profile.gate, [waited]))
     assert np.allclose(found[:, :-1], whole, atol=1e-6)
 
 
 def test_a_recording_that_never_counts_has_no_evidence(quad_profile: Profile, data: Path) -> None:
     observer = quad_profile.observers[0]
-    messages = read_recording(data / "copter_5s.tlog.xz")
-    flight = flight_samples(messages, observer.source, observer.rate_hz, quad_profile.gate)
-    assert healthy_evidence(observer, quad_profile.gate, [[GatedSample(one.sample, False) for one in flight]]) == []
+    batches = read_batches(data / "copter_5s.tlog.xz")
+    flight = flight_samples(batches, observer.source, observer.rate_hz, quad_profile.gate)
+    assert healthy_evidence(observer, quad_profile.gate, [replace(flight, armed=np.zeros_like(flight.armed))]) == []

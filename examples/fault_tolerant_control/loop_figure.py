@@ -10,8 +10,8 @@ import numpy as np
 from closed_loop import PERIOD_S, Run
 from numpy.typing import NDArray
 
-from monitor.fitting.plot_style import DPI, STYLE, WIDTH_IN
 from monitor.views.palette import DARK, LIGHT, Theme
+from monitor.views.plot_style import DPI, STYLE, WIDTH_IN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -987,6 +987,47 @@ cdef class SamplerCore:
         return found
 
 
+cdef class Settling:
+    """Which samples count as evidence: those for which a condition has held for a while.
+
+    Parameters
+    ----------
+    settle_s : float
+        How long it has to have held, seconds of vehicle time; a restart counts as its beginning.
+    """
+
+    cdef double _settle_ns
+    cdef bint _holds
+    cdef nanoseconds _since
+
+    def __init__(self, double settle_s):
+        self._settle_ns = settle_s * 1e9
+
+    def run(self, samples, bint allowed, least_command):
+        """Return which samples count (n,), ``allowed`` and the mean input being at least ``least_command``, if any."""
+        cdef const nanoseconds[:] times = samples.vehicle_time_ns
+        cdef const unsigned char[:] restart = samples.restart.view(np.uint8)
+        cdef const double[:, :] u = samples.u
+        cdef bint by_command = least_command is not None
+        cdef double least = least_command if by_command else 0.0, total
+        cdef Py_ssize_t row, i
+        cdef bint holds
+        admitted = np.empty(times.shape[0], np.bool_)
+        cdef unsigned char[::1] found = admitted.view(np.uint8)
+        for row in range(times.shape[0]):
+            holds = allowed
+            if holds and by_command:
+                total = 0.0
+                for i in range(u.shape[1]):
+                    total = total + u[row, i]
+                holds = total / u.shape[1] >= least
+            if holds and (restart[row] or not self._holds):
+                self._since = times[row]
+            self._holds = holds
+            found[row] = holds and times[row] - self._since >= self._settle_ns
+        return admitted
+
+
 cdef void* _data(array) except NULL:
     """Return where a new array has its numbers."""
     cdef Py_buffer view

@@ -1,89 +1,36 @@
-"""Healthy samples of recordings, and what they say about isolation and thresholds."""
+"""How the evidence of a bank is weighed, and when it counts, from its residuals in healthy flight."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from adapters.batch import Batch, pack
-from adapters.message import Message
-from adapters.sample import Sample, stacked
 from gains.identification.segment import Segment
 from gains.synthesis.gains_file import Gains
 from monitor.chain import ObserverChain
 from monitor.core.sampling import VehicleClock
-from monitor.estimate import Estimate
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.bank import whitening
 from monitor.estimation.isolation_rule import BankRule
+from monitor.fitting.flights import Flight
 from monitor.profile import Profile
-from monitor.sampling.gate import GatedSample, GatedSampler, GateRule
-from monitor.sampling.phase import FlightPhase
-from monitor.sampling.transform import Source, Transform
 
 SETTLE_S = 1.0
+"""Least wait after arming, take-off or a restart before samples are evidence, seconds. Chosen: observers of vehicles
+forget a wrong start within some tenths of a second (:func:`settling_s`); slower ones wait longer."""
 MARGIN = 2.0
+"""Factor on the largest score that the best hypothesis left unexplained in healthy flight. Chosen: minutes of flight do
+not show the largest score of the hours to come; a fault that no hypothesis explains exceeds it many times."""
 
 _SMOOTHING_S = 0.05
 _LONGEST_SETTLE_S = 60.0
 _TOLERANCE = 0.2
 _GAIN_PENALTY = 25.0
 _NOISE_SHARE = 0.1
-_BATCH = 4096
-
-
-def flight_samples(
-    messages: Iterable[Message],
-    source: Source,
-    rate_hz: float,
-    gate: GateRule,
-) -> list[GatedSample]:
-    """Return a recording's samples, each with whether it is evidence, as the monitor would take them."""
-    sampler, phase = GatedSampler(source, rate_hz, VehicleClock(), gate), FlightPhase()
-    gated: list[GatedSample] = []
-    for batch in _of_one_phase(messages, phase):
-        samples, armed = sampler.sample(batch, phase)
-        gated += [GatedSample(samples.one(row), good) for row, good in enumerate(armed.tolist())]
-    return gated
-
-
-def _of_one_phase(messages: Iterable[Message], phase: FlightPhase) -> Iterator[Batch]:
-    """Yield messages as batches in which the flight phase does not change; ``phase`` follows from batch to batch."""
-    following, batch = FlightPhase(), list[Message]()
-    for message in messages:
-        following.feed(message)
-        changed = (following.armed, following.landed) != (phase.armed, phase.landed)
-        if batch and (changed or len(batch) >= _BATCH):
-            yield pack(batch)
-            batch = []
-        phase.armed, phase.landed = following.armed, following.landed
-        batch.append(message)
-    yield pack(batch)
-
-
-def transformed(flight: Sequence[GatedSample], transform: Transform) -> list[GatedSample]:
-    """Return the samples that a transform makes of raw ones."""
-    raw = stacked([sample for sample, _ in flight], len(transform.signals), 0)
-    samples, rows = transform.run(raw)
-    return [
-        GatedSample(samples.one(k), flight[row].armed and bool(samples.complete[k]))
-        for k, row in enumerate(rows.tolist())
-    ]
-
-
-def contiguous(samples: Iterable[GatedSample]) -> list[Segment]:
-    """Return the stretches of evidence without a break."""
-    runs: list[list[Sample]] = [[]]
-    for sample, armed in samples:
-        if runs[-1] and (not armed or sample.restart):
-            runs.append([])
-        if armed:
-            runs[-1].append(sample)
-    return [Segment(np.stack([s.u for s in run]), np.stack([s.y for s in run])) for run in runs if run]
 
 
 def bank_rule(
@@ -132,34 +79,19 @@ def bank_rule(
     )
 
 
-def healthy_maxima(
-    profile: Profile, flights: Sequence[Sequence[GatedSample]], raise_s: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Step the profile's first observer over healthy samples as the monitor does.
-
-    Returns
-    -------
-    worst : NDArray[np.float64]
-        For each fault the largest size that stood for ``raise_s`` (a,).
-    typical : NDArray[np.float64]
-        Median command of each input (s,).
-    """
+def healthy_maxima(profile: Profile, flights: Sequence[Flight], raise_s: float) -> NDArray[np.float64]:
+    """Return for each fault of a profile's first observer the largest healthy size that lasted ``raise_s`` (a,)."""
     observer = profile.observers[0]
     width = max(1, round(raise_s * observer.rate_hz))
     worst = np.zeros(len(observer.faults))
     for flight in flights:
         chain = ObserverChain(observer, profile.name, profile.gate, VehicleClock())
-        sizes = [
-            np.abs(output.isolated) if output.armed else np.zeros(len(worst))
-            for sample, armed in flight
-            for output in chain.step(sample, armed)
-            if isinstance(output, Estimate)
-        ]
+        run = chain.estimate(flight.samples, flight.armed)
+        sizes = np.abs(run.estimates.isolated) * flight.armed[:, None]
         if len(sizes) >= width:
-            stood = np.lib.stride_tricks.sliding_window_view(np.stack(sizes), width, axis=0).min(axis=-1)
-            worst = np.maximum(worst, stood.max(axis=0))
-    commands = [sample.u for flight in flights for sample, armed in flight if armed]
-    return worst, np.asarray(np.median(np.stack(commands), axis=0))
+            lasted = np.lib.stride_tricks.sliding_window_view(sizes, width, axis=0).min(axis=-1)
+            worst = np.maximum(worst, lasted.max(axis=0))
+    return worst
 
 
 def settling_s(bank: Sequence[Gains]) -> float:

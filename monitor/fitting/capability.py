@@ -13,17 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sample import Sample
+from adapters.sample import Samples
 from gains.plants.discretise import discretise
 from gains.plants.plant import Plant
-from monitor.chain import ObserverChain
+from monitor.alarms.excuse import Excuses
+from monitor.chain import ObserverChain, alarm_events
 from monitor.core.sampling import VehicleClock
-from monitor.estimate import Estimate
 from monitor.estimation.input_curve import effect_of_command
+from monitor.fitting.flights import Flight
 from monitor.fitting.progress import track
 from monitor.fitting.superpose import effect_change, fault_response
 from monitor.profile import FaultChannel, ObserverProfile
-from monitor.sampling.gate import GatedSample, GateRule
+from monitor.sampling.gate import GateRule
 
 WITHIN_S = (2.0, 1.0, 0.25)
 """Delays the smallest detected fault is asked for, seconds."""
@@ -41,7 +42,7 @@ _ACTIVE_S = 0.5
 _ACTIVE_SHARE = 0.5
 _GUESS = 1.2
 
-_Calm = tuple[list[tuple[Sample, str]], NDArray[np.float64]]
+_Calm = tuple[list[tuple[int, str]], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,7 @@ class Capability:
 class _Window:
     """Healthy samples around an onset, the number of those before it, the sign of a step, and x^ since the onset."""
 
-    samples: tuple[Sample, ...]
+    samples: Samples
     before: int
     sign: float
     x: NDArray[np.float64]
@@ -115,7 +116,7 @@ class _Bench:
 def capability(
     observer: ObserverProfile,
     plant: Plant,
-    flights: Sequence[Sequence[GatedSample]],
+    flights: Sequence[Flight],
     gate: GateRule,
     within_s: Sequence[float] = WITHIN_S,
     onsets: int = ONSETS,
@@ -131,7 +132,7 @@ def capability(
         The observer with its alarm rules.
     plant : Plant
         The plant it was designed for, with all the faults of a bank; continuous or of the observer's rate.
-    flights : Sequence[Sequence[GatedSample]]
+    flights : Sequence[Flight]
         Healthy samples, as the observer takes them.
     gate : GateRule
         Gives the time an observer settles.
@@ -187,17 +188,17 @@ def step_sizes(threshold: float) -> tuple[float, ...]:
     return tuple(rungs[start : start + _STEPS])
 
 
-def _is_loss(fault: FaultChannel, threshold: float, flights: Sequence[Sequence[GatedSample]]) -> bool:
+def _is_loss(fault: FaultChannel, threshold: float, flights: Sequence[Flight]) -> bool:
     """Return whether losing the most of the input that is tried would matter."""
     if fault.input is None:
         return False
     return _LOSSES[-1] * _typical_command(fault, flights) >= threshold
 
 
-def _typical_command(fault: FaultChannel, flights: Sequence[Sequence[GatedSample]]) -> float:
+def _typical_command(fault: FaultChannel, flights: Sequence[Flight]) -> float:
     """Return the root mean square of the command that a fault scales, zero where there is no sample."""
     at = 0 if fault.input is None else fault.input
-    command = np.array([sample.u[at] for flight in flights for sample, armed in flight if armed])
+    command = np.concatenate([flight.samples.u[flight.armed, at] for flight in flights])
     return float(np.sqrt(np.mean(command**2))) if len(command) else 0.0
 
 
@@ -239,7 +240,7 @@ def _search(bench: _Bench, sizes: Sequence[float], limits: Sequence[float], gues
 
 def _windows(
     bench: _Bench,
-    flights: Sequence[Sequence[GatedSample]],
+    flights: Sequence[Flight],
     after_s: float,
     onsets: int,
     calm: dict[tuple[int, int], _Calm],
@@ -254,15 +255,14 @@ def _windows(
     places: list[tuple[int, int]] = []
     strengths: list[NDArray[np.float64]] = []
     for number, flight in enumerate(flights):
-        good = np.array([armed and not sample.restart for sample, armed in flight], dtype=np.float64)
+        good = (flight.armed & ~flight.samples.restart).astype(np.float64)
         if len(good) < before + after:
             continue
         whole = np.convolve(good, np.ones(before + after), "valid") > before + after - 0.5
         starts = np.flatnonzero(whole)
         places.extend((number, int(start)) for start in starts)
         if bench.loss and fault.input is not None:
-            command = np.stack([sample.u for sample, _ in flight])
-            effect = np.abs(effect_of_command(observer.gains[0].input_curves, command)[:, fault.input])
+            effect = np.abs(effect_of_command(observer.gains[0].input_curves, flight.samples.u)[:, fault.input])
             ahead = max(1, round(_ACTIVE_S * rate_hz))
             mean = np.convolve(effect, np.full(ahead, 1.0 / ahead), "valid")
             strengths.append(mean[np.minimum(starts + before, len(mean) - 1)])
@@ -273,7 +273,7 @@ def _windows(
     found = []
     for i in range(onsets if places else 0):
         number, start = places[int((i + 0.5) / onsets * len(places))]
-        samples = tuple(sample for sample, _ in flights[number][start : start + before + after])
+        samples = flights[number].part(start, start + before + after).samples
         window = _Window(samples, before, -1.0 if i % 2 else 1.0, np.zeros(0))
         if (number, start) not in calm:
             calm[number, start] = _run(bench, window, np.zeros((after, len(bench.plant.outputs))))
@@ -320,16 +320,16 @@ def _detect(bench: _Bench, size: float) -> Detection:
 def _delay(bench: _Bench, window: _Window, size: float) -> tuple[float | None, bool]:
     """Return the delay of the channel's alarm after the onset, and whether no other alarm came up in the window."""
     fault = bench.fault
-    onset, after = window.samples[window.before], window.samples[window.before :]
-    signal = np.full(len(after), window.sign * size)
+    u = window.samples.u[window.before :]
+    signal = np.full(len(u), window.sign * size)
     if fault.input is not None:
-        u = np.array([sample.u[fault.input] for sample in after])
+        u = u[:, fault.input]
         executed = (1.0 - size) * u if bench.loss else u + signal
         curve = bench.observer.gains[0].input_curves[fault.input]
         signal = effect_change(u, executed, curve, bench.plant.taps)
     raised, _ = _run(bench, window, fault_response(bench.plant, fault.name, signal, window.x))
-    right = [sample for sample, channel in raised if channel == fault.name]
-    delay = (right[0].vehicle_time_ns - onset.vehicle_time_ns) / 1e9 if right else None
+    right = [time_ns for time_ns, channel in raised if channel == fault.name]
+    delay = (right[0] - int(window.samples.vehicle_time_ns[window.before])) / 1e9 if right else None
     return delay, len(right) == len(raised)
 
 
@@ -338,23 +338,25 @@ def _run(bench: _Bench, window: _Window, added: NDArray[np.float64]) -> _Calm:
 
     Returns
     -------
-    raised : list[tuple[Sample, str]]
-        When alarms were raised, and the channels of them.
+    raised : list[tuple[int, str]]
+        When alarms were raised, vehicle nanoseconds, and the channels of them.
     x : NDArray[np.float64]
         State estimates since the onset (N, n).
     """
     watched = window.before - round(_WATCHED_S * bench.observer.rate_hz)
     chain = ObserverChain(bench.observer, "", bench.gate, VehicleClock())
-    raised: list[tuple[Sample, str]] = []
-    x = []
-    for k, sample in enumerate(window.samples):
-        y = sample.y if k < window.before else sample.y + added[k - window.before]
-        for output in chain.step(replace(sample, y=y, restart=k == 0), armed=k >= watched):
-            if isinstance(output, Estimate):
-                x.append(output.x)
-            elif output.state == "raised":
-                raised.append((sample, output.channel))
-    return raised, np.stack(x[window.before :])
+    y = window.samples.y.copy()
+    y[window.before :] += added
+    run = chain.estimate(replace(window.samples, y=y), np.arange(len(y)) >= watched)
+    samples = window.samples
+    known_ms = np.maximum(samples.known_ns, samples.vehicle_time_ns) // 1_000_000
+    tick_ns = dict(zip(known_ms.tolist(), samples.vehicle_time_ns.tolist(), strict=True))
+    raised = [
+        (tick_ns[event.vehicle_time_ms], event.channel)
+        for event in alarm_events([run], Excuses(()))
+        if event.state == "raised"
+    ]
+    return raised, run.estimates.x[window.before :]
 
 
 def _size(one: Capability, size: float) -> str:

@@ -24,14 +24,15 @@ from gains.synthesis.gains_file import Gains
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.isolation_rule import IndependentRule
-from monitor.fitting.calibrate import SETTLE_S, contiguous, flight_samples, transformed
+from monitor.fitting.calibrate import SETTLE_S
 from monitor.fitting.effect_signals import EffectSignals
 from monitor.fitting.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
 from monitor.fitting.effects_report import compare_effects
 from monitor.fitting.fit_report import comparison_lines
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
+from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import Calibrated
-from monitor.sampling.gate import GatedSample, GateRule
+from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import Source, TransformRule, make_transform
 
 _OBSERVER_HZ = 50.0
@@ -99,7 +100,7 @@ def fit_effects(
 
     def segments(parameters: Mapping[str, float]) -> list[list[Segment]]:
         delayed = replace(bare, parameters=speeds | dict(parameters))
-        return [contiguous(transformed(flight, make_transform(delayed, rate_hz))) for flight in raw]
+        return [transformed(flight, make_transform(delayed, rate_hz)).segments() for flight in raw]
 
     def learn(some: Sequence[Segment]) -> tuple[Mapping[str, float], Plant]:
         trained = kind.identify(some, rate_hz, inputs)
@@ -133,7 +134,7 @@ def fit_effects(
         isolation=IndependentRule(_SMOOTHING_S),
         alarms=tuple(Calibrated(alarm, None) for alarm in alarms),
         effectiveness=reading,
-        flight_s=sum(armed for flight in flights for _, armed in flight) / rate_hz,
+        flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
         findings=_findings(fit, rate_hz, reference, reading),
         lines=tuple(_lines(fit, rate_hz, reference, reading)),
         details=() if comparison is None else ("on data kept back:", *comparison_lines(comparison)),
@@ -142,10 +143,10 @@ def fit_effects(
     return fitted, gate
 
 
-def _reference_speed(kind: EffectKind, raw: Sequence[Sequence[GatedSample]]) -> float:
+def _reference_speed(kind: EffectKind, raw: Sequence[Flight]) -> float:
     """Return the median healthy speed while moving."""
-    rows = [sample.u for flight in raw for sample, armed in flight if armed]
-    speed = kind.speed(np.stack(rows)) if rows else np.zeros(1)
+    moving = [flight.samples.u[flight.armed] for flight in raw]
+    speed = kind.speed(np.concatenate(moving)) if sum(map(len, moving)) else np.zeros(1)
     fastest = float(np.quantile(speed, 0.95))
     if fastest <= 0.0:
         raise TelemetryError("no healthy motion in these logs: the vehicle was never seen armed and moving")
@@ -153,7 +154,7 @@ def _reference_speed(kind: EffectKind, raw: Sequence[Sequence[GatedSample]]) -> 
 
 
 def _reading(
-    kind: EffectKind, fit: AxesFit, plant: Plant, gains: Gains, flights: Sequence[Sequence[GatedSample]]
+    kind: EffectKind, fit: AxesFit, plant: Plant, gains: Gains, flights: Sequence[Flight]
 ) -> dict[str, EffectivenessRule]:
     """Return how each fault's estimate is read."""
     runs = [run for flight in flights for run in _observed(gains, flight)]
@@ -191,20 +192,16 @@ def _reading(
     return found
 
 
-def _observed(gains: Gains, flight: Sequence[GatedSample]) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def _observed(gains: Gains, flight: Flight) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Return fault estimates and inputs of each healthy stretch, the observer settled."""
-    if not flight:
-        return []
-    u, y = np.stack([sample.u for sample, _ in flight]), np.stack([sample.y for sample, _ in flight])
-    fault = AffineObserver([gains]).run(u, y, restart=np.array([sample.restart for sample, _ in flight])).fault
-    runs: list[list[int]] = [[]]
-    for k, (sample, armed) in enumerate(flight):
-        if runs[-1] and (not armed or sample.restart):
-            runs.append([])
-        if armed:
-            runs[-1].append(k)
+    samples = flight.samples
+    estimates = AffineObserver([gains]).run(samples.u, samples.y, restart=samples.restart).fault
     settle, least = round(SETTLE_S * gains.rate_hz), round((SETTLE_S + _LEAST_RUN_S) * gains.rate_hz)
-    return [(fault[run[settle:]], u[run[settle:]]) for run in runs if len(run) > least]
+    return [
+        (estimates[rows][settle:], samples.u[rows][settle:])
+        for rows in flight.stretches(at_restart=True)
+        if rows.stop - rows.start > least
+    ]
 
 
 def _findings(

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from gains.identification.excitation import Verdict
 from gains.identification.residuals import ResidualStatistics
-from monitor.fitting.plot_style import DPI, STYLE, WIDTH_IN
-from monitor.fitting.small_png import save_small
 from monitor.views.palette import GREY, LIGHT
+from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

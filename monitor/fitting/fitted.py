@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.message import Message
+from adapters.batch import Batch
 from gains.plants.model_file import write_model
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, write_gains
@@ -20,13 +20,14 @@ from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.isolation_rule import BankRule, IsolationRule, gains_file_names
 from monitor.fitting.capability import Capability, capability_text
 from monitor.fitting.fit_report import Comparison
+from monitor.fitting.flights import Flight
 from monitor.fitting.survey import Survey
 from monitor.fitting.thresholds import Calibrated, Times, calibrated, healthy_levels, plain_only
 from monitor.profile import UNEXPLAINED, ObserverProfile, fault_channels, observer_table
-from monitor.sampling.gate import GatedSample
 from monitor.sampling.transform import Source
 
-Log = Callable[[], Iterable[Message]]
+Log = Callable[[], Iterable[Batch]]
+"""A recording; each call goes through it once from its start."""
 
 _UNEXPLAINED = Times(fast_s=2.0, raise_s=2.0, clear_s=0.5)
 """A push or a collision is over sooner, two faults at once are not."""
@@ -41,7 +42,7 @@ class FitRequest:
     name : str
         Name of the vehicle and its models.
     logs : Sequence[Log]
-        Healthy recordings; each call of a log goes through it once from the start.
+        Healthy recordings.
     surveys : Sequence[Survey]
         What each of them holds; empty for a kind that needs a model.
     model : Path | None
@@ -86,7 +87,7 @@ class Fitted:
         More for people, for ``fit.txt`` alone.
     comparison : Comparison | None
         Prediction against measurement on data kept back, for ``fit.png``.
-    flights : Sequence[Sequence[GatedSample]]
+    flights : Sequence[Flight]
         Healthy samples to measure on what will be detected; not written. Empty: it is not measured.
     capability : tuple[Capability, ...]
         What will be detected, and how fast.
@@ -107,7 +108,7 @@ class Fitted:
     settle_s: float = 0.0
     details: tuple[str, ...] = ()
     comparison: Comparison | None = None
-    flights: Sequence[Sequence[GatedSample]] = ()
+    flights: Sequence[Flight] = ()
     capability: tuple[Capability, ...] = ()
     excuses: tuple[ExcuseRule, ...] = ()
 

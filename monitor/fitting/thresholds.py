@@ -9,7 +9,7 @@ enough to speak about. The confidence limits of the level are reported: minutes 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,10 +19,10 @@ from scipy.signal import lfilter
 from monitor.alarms.alarm import AlarmRule
 from monitor.chain import ObserverChain
 from monitor.core.sampling import VehicleClock
-from monitor.estimate import Estimate
 from monitor.fitting.extremes import ReturnLevel, return_level, standing
+from monitor.fitting.flights import Flight
 from monitor.profile import ObserverProfile
-from monitor.sampling.gate import GatedSample, GateRule
+from monitor.sampling.gate import GateRule
 
 FALSE_ALARMS_PER_HOUR = 0.1
 _PATHS = 3
@@ -63,45 +63,37 @@ class Calibrated:
 
 
 def healthy_evidence(
-    observer: ObserverProfile, gate: GateRule, flights: Sequence[Sequence[GatedSample]], *, own: bool = False
+    observer: ObserverProfile, gate: GateRule, flights: Sequence[Flight], *, own: bool = False
 ) -> list[NDArray[np.float64]]:
-    """Step an observer's chain over healthy samples as the monitor does.
+    """Run an observer's chain over healthy samples as the monitor does.
 
-    ``own`` takes each fault's smoothed estimate under its own hypothesis, whichever is believed: a hypothesis that
-    healthy flight hardly ever brought to be believed would else look quieter than it is. It is in effect units.
+    With ``own`` the evidence of a fault is its smoothed estimate under its own hypothesis, whichever is believed, in
+    effect units: a hypothesis that healthy flight hardly ever brought to be believed would else look quieter than it
+    is.
 
     Returns
     -------
     list[NDArray[np.float64]]
-        Evidence (N, a + 1) of each stretch of counting samples; the last column is the unexplained score.
+        Evidence (N, a + 1) of each stretch of samples that count; the last column is the unexplained score.
     """
-    found: list[list[NDArray[np.float64]]] = []
+    found = []
     for flight in flights:
+        watched = flight.rows(_watched(flight, observer.rate_hz * max(_LEAD_S, 3.0 * gate.settle_s)))
         chain = ObserverChain(observer, "healthy", gate, VehicleClock())
-        found.append([])
-        for sample, armed in _without_waiting(flight, observer.rate_hz * max(_LEAD_S, 3.0 * gate.settle_s)):
-            for output in chain.step(sample, armed):
-                if not isinstance(output, Estimate):
-                    continue
-                if output.armed:
-                    found[-1].append(np.append(chain.smoothed if own else output.isolated, chain.unexplained))
-                elif found[-1]:
-                    found.append([])
-    return [np.stack(rows) for rows in found if rows]
+        run = chain.estimate(watched.samples, watched.armed)
+        evidence = np.column_stack([run.smoothed if own else run.estimates.isolated, run.unexplained])
+        found += [evidence[rows] for rows in watched.stretches(at_restart=False)]
+    return found
 
 
-def _without_waiting(flight: Sequence[GatedSample], lead: float) -> Iterator[GatedSample]:
-    """Yield a flight's samples without those that no evidence follows within ``lead`` samples, as on the ground."""
-    evidence = np.flatnonzero([armed for _, armed in flight])
-    following = evidence[np.searchsorted(evidence, np.arange(evidence[-1] + 1))] if len(evidence) else evidence
-    skipped = True
-    for k, ahead in enumerate(following.tolist()):
-        if ahead - k > lead:
-            skipped = True
-            continue
-        sample, armed = flight[k]
-        yield GatedSample(replace(sample, restart=True) if skipped else sample, armed)
-        skipped = False
+def _watched(flight: Flight, lead: float) -> NDArray[np.intp]:
+    """Return the rows of a flight without those that no evidence follows within ``lead`` samples, as on the ground."""
+    evidence = flight.evidence
+    if not len(evidence):
+        return evidence
+    rows = np.arange(evidence[-1] + 1)
+    following = evidence[np.searchsorted(evidence, rows)]
+    return rows[following - rows <= lead]
 
 
 def healthy_levels(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from adapters.batch import Batch
 from adapters.sample import Given, Sample, Samples
 from adapters.toml_tables import Table
-from monitor.core.sampling import VehicleClock, sample_batch
+from monitor.core.sampling import Settling, VehicleClock, sample_batch
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler, SamplerStatistics
 from monitor.sampling.transform import Source, make_sampler
@@ -57,31 +57,20 @@ def read_gate(table: Table, default: GateRule) -> GateRule:
 
 
 class FlightGate:
-    """Keeps the time since the rules hold."""
+    """Says which samples are evidence; keeps since when the rules hold."""
 
     def __init__(self, rule: GateRule) -> None:
         self._rule = rule
-        self._since_ns: int | None = None
+        self._settling = Settling(rule.settle_s)
 
     def admitted(self, phase: FlightPhase, samples: Samples, commands: bool = True) -> NDArray[np.bool_]:
         """Return which samples count as evidence (n,), the flight phase being the same for all of them.
 
         Without ``commands`` their inputs are none, and say nothing about being in the air.
         """
-        times = samples.vehicle_time_ns
-        holds = np.full(len(times), _allowed(self._rule, phase))
-        if self._rule.require_airborne and phase.landed is None and commands and len(times):
-            holds &= np.mean(samples.u, axis=1) >= self._rule.airborne_command
-        # Row at which the rules came to hold, for each row: the first of the stretch goes on from before it.
-        begins = holds.copy()
-        begins[1:] &= ~holds[:-1] | samples.restart[1:]
-        if len(times) and self._since_ns is not None and not samples.restart[0]:
-            begins[0] = False
-        since = np.maximum.accumulate(np.where(begins, np.arange(len(times)), -1))
-        since_ns = np.where(since >= 0, times[since], self._since_ns or 0)
-        if len(times):
-            self._since_ns = int(since_ns[-1]) if holds[-1] else None
-        return np.asarray(holds & (times - since_ns >= self._rule.settle_s * 1e9))
+        rule = self._rule
+        by_command = rule.require_airborne and phase.landed is None and commands
+        return self._settling.run(samples, _allowed(rule, phase), rule.airborne_command if by_command else None)
 
 
 class GatedSample(NamedTuple):

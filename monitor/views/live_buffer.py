@@ -1,4 +1,4 @@
-"""What the live view has yet to show of one vehicle, in bounded memory: thinned in time, the oldest dropped."""
+"""One vehicle's data on the way to the live view, in bounded memory: thinned in time, the oldest dropped."""
 
 from __future__ import annotations
 
@@ -13,20 +13,25 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, one_message
+from adapters.batch import Batch, one_message, pack
 from adapters.channels import follow
 from adapters.message import Message
-from monitor.estimate import Estimate, Estimates, Layout
+from monitor.estimate import Estimate, Estimates, Layout, alone
 from monitor.event import AlarmEvent
 from monitor.trace import Trace, TraceBuilder
 from monitor.views.panels import Thresholds
 
 MAX_RATE_HZ = 20
+"""Rows a second of an observer or message. Chosen: a plot of a minute has some 1,200 pixels."""
 MAX_ROWS = 600
+"""Rows of an observer or message that wait at most: 30 s at :data:`MAX_RATE_HZ`. A viewer starts in less."""
 MAX_EVENTS = 500
+"""Alarm events that wait at most; chosen as far more than an operator can read in those 30 s."""
 MAX_FIELDS = 24
+"""Fields of a message that are shown. SERVO_OUTPUT_RAW, the largest message that our observers read, has 18."""
 
 _PERIOD_NS = 1_000_000_000 // MAX_RATE_HZ
+# Bounds of the search for numbers in JSON from a stranger: entries looked at, and levels of nesting.
 _WALK = 200
 _DEPTH = 3
 _CLOCKS = ("time_boot_ms", "time_usec", "time_ns")
@@ -59,7 +64,7 @@ class RawBatch:
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """All that came since the last call of :meth:`VehicleView.drain`."""
+    """Everything since the last call of :meth:`VehicleView.drain`."""
 
     traces: tuple[Trace, ...]
     events: tuple[AlarmEvent, ...]
@@ -73,10 +78,10 @@ class _Raw:
 
 
 class VehicleView:
-    """Takes all that one vehicle's monitor sees and says; another thread takes it away in batches.
+    """Collects what one vehicle's monitor receives and computes, as an archive does; another thread drains it.
 
-    Estimates are thinned to :data:`MAX_RATE_HZ` per observer, telemetry to the same rate per message name. Whatever
-    happens to the viewer, no call takes longer than an append.
+    Estimates are thinned to :data:`MAX_RATE_HZ` per observer, telemetry to the same rate per message name and sender.
+    Whatever happens to the viewer, no call takes longer than an append.
 
     Parameters
     ----------
@@ -99,69 +104,63 @@ class VehicleView:
         self.messages = tuple(sorted(messages))
         self._wanted = frozenset(messages)
         self._lock = threading.Lock()
-        self._estimates: dict[str, deque[Estimate]] = {
+        self._estimates: dict[str, deque[Estimates]] = {
             layout.observer: deque(maxlen=MAX_ROWS) for layout in self.layouts
         }
         self._events: deque[AlarmEvent] = deque(maxlen=MAX_EVENTS)
         self._raw: dict[str, _Raw] = {}
-        self._last_ns: dict[tuple[str, str], int] = {}
+        self._last_ns: dict[tuple[str | int, ...], int] = {}
         self.dropped = 0
 
-    def message(self, message: Message) -> None:
-        """Take telemetry as received; messages that are not to be shown cost nothing."""
-        if message.name not in self._wanted or not self._due(("message", message.name), message.received_ns):
-            return
-        raw = self._raw.get(message.name)
-        if raw is None:
-            paths = tuple(islice(_numeric_paths(message.fields), MAX_FIELDS))
-            if not paths:
-                return
-            raw = _Raw(paths)
-        row = tuple(_number(follow(message.fields, path)) for path in raw.paths)
-        with self._lock:
-            self._raw[message.name] = raw
-            self._keep(raw.rows, (message.received_ns, row))
-
-    def estimate(self, estimate: Estimate) -> None:
-        """Take an estimate."""
-        buffer = self._estimates.get(estimate.observer)
-        if buffer is None or not self._due(("observer", estimate.observer), estimate.sample.time_ns):
-            return
-        with self._lock:
-            self._keep(buffer, estimate)
-
     def batch(self, batch: Batch) -> None:
-        """Keep the telemetry to be shown."""
+        """Keep the telemetry to be shown; messages that are not to be shown cost nothing."""
         for columns in batch.columns:
             if columns.name in self._wanted:
-                for row in range(len(columns.position)):
-                    self.message(one_message(columns, row))
+                sender = columns.name, columns.system, columns.component
+                for row, time_ns in enumerate(columns.received_ns.tolist()):
+                    if self._is_due(sender, time_ns):
+                        self._keep_message(one_message(columns, row))
         for message in batch.others.values():
-            self.message(message)
+            sender = message.name, message.system, message.component
+            if message.name in self._wanted and self._is_due(sender, message.received_ns):
+                self._keep_message(message)
 
     def estimates(self, estimates: Estimates) -> None:
-        """Keep estimates."""
-        for row in range(len(estimates)):
-            self.estimate(estimates.one(row))
+        """Keep estimates to be shown."""
+        buffer = self._estimates.get(estimates.observer)
+        if buffer is None:
+            return
+        for row, time_ns in enumerate(estimates.samples.time_ns.tolist()):
+            if self._is_due((estimates.observer,), time_ns):
+                with self._lock:
+                    self._keep(buffer, estimates.part(row, row + 1))
+
+    def message(self, message: Message) -> None:
+        """Keep one message to be shown."""
+        self.batch(pack([message]))
+
+    def estimate(self, estimate: Estimate) -> None:
+        """Keep one estimate to be shown."""
+        self.estimates(alone(estimate))
 
     def work(self, max_records: int, now_ns: int) -> int:
-        """Do nothing: all that waits leaves by itself."""
+        """Do nothing, and return that nothing was written."""
         return 0
 
     def event(self, event: AlarmEvent) -> None:
-        """Take an alarm event."""
+        """Keep an alarm event."""
         with self._lock:
             self._keep(self._events, event)
 
     def flush(self) -> None:
-        """Do nothing: batches leave by themselves."""
+        """Do nothing: another thread drains the view."""
 
     def retune(self, thresholds: Thresholds) -> None:
         """Show other thresholds from now on."""
         self.thresholds = dict(thresholds)
 
     def drain(self) -> Shown:
-        """Return and forget all that came since the last call; for one thread other than the monitor's."""
+        """Return and forget everything since the last call; for one thread other than the monitor's."""
         with self._lock:
             estimates = {name: list(buffer) for name, buffer in self._estimates.items()}
             events = tuple(self._events)
@@ -198,8 +197,20 @@ class VehicleView:
         self.dropped += len(buffer) == buffer.maxlen
         buffer.append(item)
 
-    def _due(self, key: tuple[str, str], time_ns: int) -> bool:
-        """Return whether enough time passed since the last one kept; time that jumped back has."""
+    def _keep_message(self, message: Message) -> None:
+        raw = self._raw.get(message.name)
+        if raw is None:
+            paths = tuple(islice(_numeric_paths(message.fields), MAX_FIELDS))
+            if not paths:
+                return
+            raw = _Raw(paths)
+        row = tuple(_number(follow(message.fields, path)) for path in raw.paths)
+        with self._lock:
+            self._raw[message.name] = raw
+            self._keep(raw.rows, (message.received_ns, row))
+
+    def _is_due(self, key: tuple[str | int, ...], time_ns: int) -> bool:
+        """Return whether a period has passed since the last row kept under a key, or the time jumped back."""
         last_ns = self._last_ns.get(key)
         if last_ns is not None and 0 <= time_ns - last_ns < _PERIOD_NS:
             return False
@@ -207,10 +218,10 @@ class VehicleView:
         return True
 
 
-def _trace(layout: Layout, estimates: Sequence[Estimate]) -> Trace:
+def _trace(layout: Layout, estimates: Sequence[Estimates]) -> Trace:
     builder = TraceBuilder(layout, max_rows=len(estimates) + 1)
-    for estimate in estimates:
-        builder.add(estimate)
+    for row in estimates:
+        builder.extend(row)
     return builder.build()
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import tomli_w
 
 from adapters.channels import Channel
+from adapters.logs.recordings import packed
 from adapters.output_file import write_file
 from adapters.simulation.arm import SCENARIOS, TORQUES, simulate_arm
 from adapters.simulation.arm_source import arm_messages
@@ -18,7 +19,8 @@ from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import write_gains
 from monitor.alarms.alarm import AlarmRule
 from monitor.estimation.isolation_rule import IndependentRule
-from monitor.fitting.calibrate import flight_samples, healthy_maxima
+from monitor.fitting.calibrate import healthy_maxima
+from monitor.fitting.flights import flight_samples
 from monitor.profile import (
     PROFILE_FILE,
     Profile,
@@ -86,6 +88,8 @@ def write_arm_profile(folder: Path) -> Profile:
         return read_profile(folder)
 
     runs = [simulate_arm(SCENARIOS["healthy"], _HEALTHY_S, RATE_HZ, torque) for torque in TORQUES]
-    healthy = [flight_samples(arm_messages(run, 10**18), Source(inputs, outputs), RATE_HZ, _GATE) for run in runs]
-    worst, _ = healthy_maxima(write({}), healthy, _RAISE_S)
+    healthy = [
+        flight_samples(packed(arm_messages(run, 10**18)), Source(inputs, outputs), RATE_HZ, _GATE) for run in runs
+    ]
+    worst = healthy_maxima(write({}), healthy, _RAISE_S)
     return write({name: round(_MARGIN * float(worst[i]), 4) for i, name in enumerate(gains.faults)})

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from adapters.batch import Batch, Columns, one_message
 from adapters.errors import TelemetryError
 from adapters.logs.recordings import Recording, recorded_alarms, recorded_metadata, recording_kind
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
@@ -52,29 +53,54 @@ class _Tally:
         self.last_ns = 0
         self.watched: int | None = None
 
-    def count(self, messages: Iterable[Message]) -> Iterator[Message]:
-        """Yield the messages."""
-        for message in messages:
-            now_ns, name = message.received_ns, message.name
-            self.first_ns = now_ns if self.first_ns is None else self.first_ns
-            self.last_ns = now_ns
-            self.counts[name] += 1
-            self.spans[name] = (self.spans[name][0] if name in self.spans else now_ns, now_ns)
-            if message.source is ZENOH:
-                self.examples[name] = message.fields
-            elif message.source is MAVLINK:
-                sender = self.senders.setdefault(message.system, _Sender())
-                sender.messages += 1
-                sender.components.add(message.component)
-                if name == "HEARTBEAT":
-                    _note(sender, message)
-            yield message
+    def count(self, batches: Iterable[Batch]) -> Iterator[Batch]:
+        """Yield the batches."""
+        for batch in batches:
+            arrivals: dict[str, list[tuple[int, int]]] = {}
+            heartbeats: list[tuple[int, Message]] = []
+            for columns in batch.columns:
+                ends = (0, -1)
+                arrivals.setdefault(columns.name, []).extend(
+                    (int(columns.position[end]), int(columns.received_ns[end])) for end in ends
+                )
+                self._count_sender(columns, len(columns.position))
+                if columns.source is ZENOH:
+                    self.examples[columns.name] = one_message(columns, -1).fields
+                elif columns.name == "HEARTBEAT":
+                    heartbeats += [(int(at), one_message(columns, row)) for row, at in enumerate(columns.position)]
+            for index, message in batch.others.items():
+                arrivals.setdefault(message.name, []).append((index, message.received_ns))
+                self._count_sender(message, 1)
+                if message.source is ZENOH:
+                    self.examples[message.name] = message.fields
+                elif message.name == "HEARTBEAT":
+                    heartbeats.append((index, message))
+            for _, message in sorted(heartbeats, key=lambda heartbeat: heartbeat[0]):
+                if message.source is MAVLINK:
+                    _note(self.senders[message.system], message)
+            for name, found in arrivals.items():
+                first_ns, last_ns = min(found)[1], max(found)[1]
+                self.spans[name] = self.spans.get(name, (first_ns, last_ns))[0], last_ns
+            everything = [arrival for found in arrivals.values() for arrival in found]
+            if everything:
+                self.first_ns = min(everything)[1] if self.first_ns is None else self.first_ns
+                self.last_ns = max(everything)[1]
+            yield batch
 
-    def watch(self, messages: Iterable[Message]) -> Iterator[Message]:
+    def _count_sender(self, messages: Columns | Message, count: int) -> None:
+        self.counts[messages.name] += count
+        if messages.source is MAVLINK:
+            sender = self.senders.setdefault(messages.system, _Sender())
+            sender.messages += count
+            sender.components.add(messages.component)
+
+    def watch(self, batches: Iterable[Batch]) -> Iterator[Batch]:
         """Yield the messages of the vehicle that a fit would take, and note which it is."""
-        for message in of_one_vehicle(messages):
-            self.watched = message.system
-            yield message
+        for batch in of_one_vehicle(batches):
+            systems = [columns.system for columns in batch.columns] + [m.system for m in batch.others.values()]
+            if systems:
+                self.watched = systems[0]
+            yield batch
 
 
 def _note(sender: _Sender, message: Message) -> None:
@@ -104,7 +130,8 @@ def log_info(path: Path) -> dict[str, Any]:
     """
     kind = recording_kind(path)
     tally, recording = _Tally(), Recording(path)
-    found = survey(tally.watch(tally.count(track(recording, f"reading {path.name}"))))
+    batches = track(recording.batches(), f"reading {path.name}", weigh=lambda batch: batch.count)
+    found = survey(tally.watch(tally.count(batches)))
     first_ns = tally.first_ns
     return {
         "file": str(path),

@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING, Any
 from adapters.errors import printable
 from monitor.bus.alarm_text import utc
 from monitor.event import AlarmEvent
-from monitor.fitting.plot_style import DPI, STYLE, WIDTH_IN
-from monitor.fitting.small_png import save_small
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.views.palette import DARK, LIGHT, Theme
 from monitor.views.panels import Panels, Thresholds, Truth, choose_panels, same_scale
+from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
 from replay.reports.envelope import BINS
 from replay.reports.plot_panels import (
     BAND_ALPHA,

@@ -6,9 +6,8 @@ import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from monitor.fitting.plot_style import DPI, STYLE, WIDTH_IN
-from monitor.fitting.small_png import save_small
 from monitor.views.palette import BLUE, GREY, PURPLE
+from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
 from replay.sensitivity.detectability import Detectability, Row
 
 if TYPE_CHECKING:

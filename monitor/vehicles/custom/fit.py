@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.batch import Batch, messages
 from adapters.channels import Channel, read_channel
 from adapters.errors import InfeasibleError, ModelError, TelemetryError
-from adapters.message import Message
 from gains.analysis.estimability import problem_of
 from gains.identification.fitted_plant import fitted_plant
 from gains.identification.free_model import FreeModel, read_free_model
@@ -26,9 +27,11 @@ from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.isolation_rule import BankRule, IndependentRule
-from monitor.fitting.calibrate import SETTLE_S, bank_rule, contiguous, flight_samples, settling_s
+from monitor.fitting.calibrate import SETTLE_S, bank_rule, settling_s
 from monitor.fitting.fit_report import Comparison, comparison_json, comparison_lines, parameter_lines
 from monitor.fitting.fitted import FitRequest, Fitted, Log, bare_rule, unexplained_alarm
+from monitor.fitting.flights import flight_samples
+from monitor.fitting.survey import of_one_vehicle
 from monitor.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
     Calibrated,
@@ -77,9 +80,10 @@ def fit_custom(request: FitRequest) -> tuple[Fitted, GateRule]:
     model = read_free_model(model_path)
     source = Source(*model_channels(model))
     gate = _gate(model)
-    own = [_of_one_system(log, {channel.message for channel in source.channels}) for log in logs]
+    names = {channel.message for channel in source.channels}
+    own = [partial(_of_one_system, log, names) for log in logs]
     rate_hz = model.example.rate_hz or _rate_hz(own, source.channels, str(model_path))
-    stretches = [contiguous(flight_samples(log(), source, rate_hz, gate)) for log in own]
+    stretches = [flight_samples(log(), source, rate_hz, gate).segments() for log in own]
     segments = [segment for flight in stretches for segment in flight]
     fit = identify(model, *split_segments(stretches), rate_hz)
     _check_determined(fit)
@@ -237,18 +241,8 @@ def _gate(model: FreeModel) -> GateRule:
     return gate
 
 
-def _of_one_system(log: Log, names: set[str]) -> Log:
-    """Return the log with the messages of the first system that sends a channel, from then on."""
-
-    def messages() -> Iterator[Message]:
-        system: int | None = None
-        for message in log():
-            if system is None and message.name in names:
-                system = message.system
-            if message.system == system:
-                yield message
-
-    return messages
+def _of_one_system(log: Log, names: Collection[str]) -> Iterable[Batch]:
+    return of_one_vehicle(log(), names)
 
 
 def _rate_hz(logs: Sequence[Log], channels: Sequence[Channel], where: str) -> float:
@@ -256,7 +250,7 @@ def _rate_hz(logs: Sequence[Log], channels: Sequence[Channel], where: str) -> fl
     slowest = np.inf
     for number, log in enumerate(logs, 1):
         stamps: dict[str, list[int]] = {channel.name: [] for channel in channels}
-        for message in log():
+        for message in (message for batch in log() for message in messages(batch)):
             for channel in channels:
                 if message.name == channel.message and channel.selects(message.fields):
                     stamp = channel.stamp_ns(message.fields)

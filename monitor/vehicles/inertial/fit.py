@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from adapters.errors import TelemetryError
 from gains.synthesis.bank import compile_bank
 from monitor.alarms.excuse import ExcuseRule
-from monitor.fitting.calibrate import SETTLE_S, bank_rule, contiguous, flight_samples, transformed
+from monitor.fitting.calibrate import SETTLE_S, bank_rule
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
+from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
     Calibrated,
@@ -22,7 +23,7 @@ from monitor.fitting.thresholds import (
     healthy_levels,
 )
 from monitor.profile import FaultChannel
-from monitor.sampling.gate import GatedSample, GateRule
+from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import Source, TransformRule
 from monitor.vehicles.inertial.identify import WASHED_FAULTS, inertial_bank, inertial_plant, smallest_faults
 from monitor.vehicles.inertial.sensor_fit import (
@@ -90,7 +91,7 @@ def fit_inertial(request: FitRequest, gate: GateRule) -> Fitted:
     parameters |= _delays(raw, parameters, signal_hz, rate_hz)
     rule = TransformRule("strapdown", signal_hz, parameters)
     flights = [transformed(flight, Strapdown(parameters, signal_hz, rate_hz)) for flight in raw]
-    segments = [segment for flight in flights for segment in contiguous(flight)]
+    segments = [segment for flight in flights for segment in flight.segments()]
     transform = Strapdown(parameters, signal_hz, rate_hz)
     fit = identify_inertial(
         [InertialSegment(segment.u, segment.y) for segment in segments],
@@ -132,7 +133,7 @@ def _rates(message_hz: float) -> tuple[float, float]:
 
 
 def _delays(
-    raw: Sequence[Sequence[GatedSample]], parameters: Mapping[str, float], signal_hz: float, rate_hz: float
+    raw: Sequence[Flight], parameters: Mapping[str, float], signal_hz: float, rate_hz: float
 ) -> dict[str, float]:
     """Return by how much GPS, barometer and compass are late, from trial delays over the middle of each flight."""
     keys = ("gps_delay_s", "baro_delay_s", "compass_delay_s")
@@ -142,23 +143,18 @@ def _delays(
         values = {**parameters, **dict.fromkeys(keys, delay)}
         segments = []
         for flight in raw:
-            evidence = [k for k, sample in enumerate(flight) if sample.armed]
-            if not evidence:
+            evidence = flight.evidence
+            if not len(evidence):
                 continue
-            start = max(evidence[0], evidence[len(evidence) // 2] - length // 2)
+            start = int(max(evidence[0], evidence[len(evidence) // 2] - length // 2))
             transform = Strapdown(values, signal_hz, rate_hz)
-            segments += contiguous(transformed(_restarted(flight[start : start + length]), transform))
+            segments += transformed(flight.part(start, start + length), transform).segments()
         if not segments:
             raise TelemetryError("no healthy motion in the logs; record the vehicle moving, armed and in the air")
         longest = [InertialSegment(segment.u, segment.y) for segment in segments if len(segment.u) > 10 * rate_hz]
         names = transform.inputs, transform.outputs
         trials[delay] = delay_costs(longest, *names, rate_hz, _WASHOUT_S, _VELOCITY_WASHOUT_S)
     return best_delays(trials)
-
-
-def _restarted(flight: Sequence[GatedSample]) -> list[GatedSample]:
-    first, armed = flight[0]
-    return [GatedSample(replace(first, restart=True), armed), *flight[1:]]
 
 
 def _alarms(

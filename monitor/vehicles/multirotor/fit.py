@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gains.synthesis.bank import compile_bank, design_bank
-from monitor.fitting.calibrate import SETTLE_S, bank_rule, contiguous, flight_samples
+from monitor.fitting.calibrate import SETTLE_S, bank_rule
 from monitor.fitting.fit_report import comparison_json, comparison_lines
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule, unexplained_alarm
+from monitor.fitting.flights import flight_samples
 from monitor.fitting.survey import Survey, common_rate_hz
 from monitor.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
@@ -67,7 +68,7 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
     source = Source(inputs, outputs)
     rate_hz = common_rate_hz(surveys, source.channels)
     flights = [flight_samples(log(), source, rate_hz, gate) for log in logs]
-    stretches = [contiguous(flight) for flight in flights]
+    stretches = [flight.segments() for flight in flights]
     segments = [segment for flight in stretches for segment in flight]
     comparison, taps = compare_kept_back(stretches, rate_hz)
     model = identify_multirotor(segments, rate_hz, taps)

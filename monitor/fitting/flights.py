@@ -1,0 +1,117 @@
+"""Healthy samples of recordings, each with whether it is evidence, as the monitor would process them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.batch import Batch, cut, one_message
+from adapters.message import Message
+from adapters.sample import Samples
+from gains.identification.segment import Segment
+from monitor.core.sampling import VehicleClock
+from monitor.sampling.gate import GatedSampler, GateRule
+from monitor.sampling.phase import FlightPhase
+from monitor.sampling.transform import Source, Transform
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flight:
+    """Samples of one recording.
+
+    Parameters
+    ----------
+    samples : Samples
+        The n samples.
+    armed : NDArray[np.bool_]
+        Whether each is evidence (n,).
+    """
+
+    samples: Samples
+    armed: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.armed)
+
+    @property
+    def evidence(self) -> NDArray[np.intp]:
+        """Rows of the samples that are evidence, ascending."""
+        return np.flatnonzero(self.armed)
+
+    def part(self, start: int, stop: int) -> Flight:
+        """Return the samples start <= row < stop as a flight of their own, which begins with a restart."""
+        return self.rows(np.arange(start, min(stop, len(self))))
+
+    def rows(self, rows: NDArray[np.intp]) -> Flight:
+        """Return some of the samples, ascending; the observer restarts wherever one before it is left out."""
+        samples = _chosen(self.samples, rows)
+        restart = samples.restart.copy()
+        restart[:1] = True
+        restart[1:] |= np.diff(rows) != 1
+        return Flight(replace(samples, restart=restart), self.armed[rows])
+
+    def segments(self) -> list[Segment]:
+        """Return the stretches of evidence without a break."""
+        return [Segment(self.samples.u[rows], self.samples.y[rows]) for rows in self.stretches(at_restart=True)]
+
+    def stretches(self, *, at_restart: bool) -> Iterator[slice]:
+        """Yield the rows of each stretch of evidence; a restart ends a stretch if ``at_restart``."""
+        rows = self.evidence
+        breaks = np.diff(rows) != 1
+        if at_restart:
+            breaks |= self.samples.restart[rows[1:]]
+        for stretch in np.split(rows, np.flatnonzero(breaks) + 1) if len(rows) else ():
+            yield slice(int(stretch[0]), int(stretch[-1]) + 1)
+
+
+def flight_samples(batches: Iterable[Batch], source: Source, rate_hz: float, gate: GateRule) -> Flight:
+    """Return the samples of a recording, ``rate_hz`` of them per second."""
+    sampler = GatedSampler(source, rate_hz, VehicleClock(), gate)
+    found: list[Flight] = []
+    for part, phase in _by_phase(batches):
+        found.append(Flight(*sampler.sample(part, phase)))
+    return _joined(found)
+
+
+def transformed(flight: Flight, transform: Transform) -> Flight:
+    """Return the samples that a transform makes of raw ones."""
+    samples, rows = transform.run(flight.samples)
+    return Flight(samples, flight.armed[rows] & samples.complete)
+
+
+def _by_phase(batches: Iterable[Batch]) -> Iterator[tuple[Batch, FlightPhase]]:
+    """Yield a recording in parts, each with the phase of flight that holds from its first message to its last."""
+    phase = FlightPhase()
+    for batch in batches:
+        start, current = 0, copy(phase)
+        for index, message in _phase_reports(batch):
+            phase.feed(message)
+            if (phase.armed, phase.landed) != (current.armed, current.landed):
+                if index > start:
+                    yield cut(batch, start, index), current
+                start, current = index, copy(phase)
+        yield cut(batch, start, batch.count), current
+
+
+def _phase_reports(batch: Batch) -> list[tuple[int, Message]]:
+    reports = [(index, message) for index, message in batch.others.items() if message.name in FlightPhase.interests]
+    for columns in batch.columns:
+        if columns.name in FlightPhase.interests:
+            reports += [(int(index), one_message(columns, row)) for row, index in enumerate(columns.position)]
+    return sorted(reports, key=lambda report: report[0])
+
+
+def _chosen(samples: Samples, rows: NDArray[np.intp]) -> Samples:
+    return Samples(**{column.name: getattr(samples, column.name)[rows] for column in fields(Samples)})
+
+
+def _joined(flights: Sequence[Flight]) -> Flight:
+    columns = {
+        column.name: np.concatenate([getattr(flight.samples, column.name) for flight in flights])
+        for column in fields(Samples)
+    }
+    return Flight(Samples(**columns), np.concatenate([flight.armed for flight in flights]))
