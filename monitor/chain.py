@@ -22,10 +22,10 @@ from monitor.core.alarms import ChainRows, walk
 from monitor.core.sampling import VehicleClock
 from monitor.effectiveness_stage import EffectivenessStage
 from monitor.estimate import Estimate, Estimates, Layout
+from monitor.estimation.affine import AffineObserver
 from monitor.estimation.effectiveness import EffectivenessRun
 from monitor.estimation.estimator import make_estimator
 from monitor.estimation.estimator_run import EstimatorRun
-from monitor.estimation.settling import settling_s
 from monitor.estimation.uncertainty import Uncertainty
 from monitor.event import AlarmEvent
 from monitor.profile import ObserverProfile
@@ -113,11 +113,12 @@ class ObserverChain:
             faults=names,
             fault_units=tuple(channel.unit for channel in profile.faults),
         )
-        rule = replace(gate, settle_s=max(gate.settle_s, profile.settle_s or settling_s(profile.gains)))
+        observer = AffineObserver(profile.gains)
+        rule = replace(gate, settle_s=max(gate.settle_s, profile.settle_s or observer.settling_s()))
         self._sampler = GatedSampler(profile.source, gains.rate_hz, clock, rule)
         thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
-        self._estimator = make_estimator(profile.gains, profile.isolation, names, thresholds)
-        self._uncertainty = Uncertainty(profile.gains, profile.model, names)
+        self._estimator = make_estimator(observer, profile.isolation, names, thresholds)
+        self._uncertainty = Uncertainty(observer, profile.model, names)
         self._measured_ns = 0
         self._command = CommandUnits(profile)
         self._effectiveness = EffectivenessStage(profile.effectiveness, profile.faults, gains.inputs, gains.rate_hz)
@@ -250,8 +251,8 @@ class ObserverChain:
         speaking = np.empty(evidence.shape, np.bool_)
         evidence[:, :faults] = estimates.isolated[:, self._fault_of]
         evidence[:, faults:] = found.unexplained[:, None]
-        # Evidence that no hypothesis explains speaks neither for a fault nor against it.
-        np.logical_and(armed[:, None], found.speaks[:, self._fault_of], out=speaking[:, :faults])
+        # Data that no hypothesis explains are evidence neither for a fault nor against it.
+        np.logical_and(armed[:, None], found.counted[:, self._fault_of], out=speaking[:, :faults])
         speaking[:, faults:] = armed[:, None]
         scaled, relative = {}, {}
         for alarm, fault in enumerate(self._fault_of.tolist()):

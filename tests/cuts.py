@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
@@ -15,6 +16,6 @@ def cuts(count: int) -> st.SearchStrategy[list[slice]]:
     return some.map(lambda at: [slice(*span) for span in pairwise(sorted([0, *at, *(k + 1 for k in at[:2]), count]))])
 
 
-def same_bits(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+def same_bits(one: NDArray[Any], other: NDArray[Any]) -> bool:
     """Return whether numbers have the same bits; all that are no number count as the same."""
     return one.shape == other.shape and bool(np.all((one == other) | (np.isnan(one) & np.isnan(other))))

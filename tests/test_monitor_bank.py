@@ -85,7 +85,7 @@ def test_what_no_hypothesis_explains_names_no_fault(gains: tuple[Gains, ...]) ->
     estimates, _ = run(bank_of(gains), np.zeros(2), np.array([1.0, 1.0]), 0)
     assert estimates.unexplained[-1] > 4.0
     assert not estimates.evidence[-1].any()
-    assert not estimates.speaks[-1].any()
+    assert not estimates.counted[-1].any()
 
 
 def test_each_fault_is_estimated_under_its_own_hypothesis(gains: tuple[Gains, ...]) -> None:

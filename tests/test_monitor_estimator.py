@@ -7,6 +7,7 @@ import pytest
 from cuts import cuts, same_bits
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from adapters.sample import Samples
 from gains.analysis.estimability import restricted
@@ -14,9 +15,14 @@ from gains.plants.plant import Disturbance, Fault, Noise, Plant
 from gains.synthesis.bank import Hypothesis, compile_bank
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
+from monitor.estimation.affine import AffineObserver
 from monitor.estimation.estimator import Estimator, make_estimator
 from monitor.estimation.isolation_rule import BankRule, IndependentRule, SingleRule
+from monitor.estimation.observer import FaultSet, Observer, ObserverRun
+from monitor.estimation.uncertainty import Uncertainty
 
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 NAMES = ("left", "right", "gyro")
 THRESHOLDS = dict.fromkeys(NAMES, 0.05)
 
@@ -52,10 +58,12 @@ def estimator(gains: tuple[Gains, ...], kind: str) -> Estimator:
     if kind == "bank":
         hypotheses, edges = tuple(one.faults for one in gains), (False, False, True, False)
         rule = BankRule(0.03, 0.2, 3.0, 25.0, hypotheses, (1e-4 * np.eye(2),) * 4, edges, {"left": 0.4, "right": 0.2})
-        return make_estimator(gains, rule, NAMES, THRESHOLDS)
+        return make_estimator(AffineObserver(gains), rule, NAMES, THRESHOLDS)
     if kind == "single":
-        return make_estimator(gains[3:], SingleRule(0.05, 0.2, 3.0, 5.0, 1e-4 * np.eye(2)), ("left", "gyro"), {})
-    return make_estimator(gains[3:], IndependentRule(0.05), ("left", "gyro"), {})
+        return make_estimator(
+            AffineObserver(gains[3:]), SingleRule(0.05, 0.2, 3.0, 5.0, 1e-4 * np.eye(2)), ("left", "gyro"), {}
+        )
+    return make_estimator(AffineObserver(gains[3:]), IndependentRule(0.05), ("left", "gyro"), {})
 
 
 def flight(rng: np.random.Generator, count: int) -> Samples:
@@ -84,17 +92,57 @@ def test_cuts_do_not_change_a_bit(gains: tuple[Gains, ...], kind: str, seed: int
         assert same_bits(np.concatenate(column), expected), name
 
 
+class Difference:
+    """An observer that is no affine map: it takes the sine of the first output for the state, the rest for faults."""
+
+    rate_hz = 100.0
+    hypotheses = (FaultSet(("left", "gyro"), (False, False)),)
+
+    def __init__(self) -> None:
+        self._last = np.zeros(2)
+
+    def run(self, u: Array, y: Array, measured: Flags | None = None, restart: Flags | None = None) -> ObserverRun:
+        fault = np.empty((len(u), 2))
+        for k in range(len(u)):
+            if measured is None or measured[k]:
+                self._last = y[k] - np.sin(u[k, 0])
+            fault[k] = self._last
+        return ObserverRun(np.sin(u)[:, None], fault, np.zeros((len(u), 1, 2)))
+
+    def error_systems(self, plant: Plant) -> None:
+        """Return None: its errors are not known."""
+
+    def settling_s(self) -> float:
+        return 0.0
+
+    def slowest_s(self) -> float:
+        return 0.0
+
+
+def test_an_observer_of_another_kind_is_used_like_compiled_gains() -> None:
+    samples = flight(np.random.default_rng(3), 30)
+    samples.measured[:], samples.restart[:], samples.y[:] = True, False, 0.3
+    observer: Observer = Difference()
+    joint = make_estimator(observer, IndependentRule(0.0), ("left", "gyro"), {}).run(samples)
+    assert joint.evidence == pytest.approx(np.tile(0.3 - np.sin(samples.u), (1, 2)))
+    rule = BankRule(0.0, 0.2, 3.0, 25.0, (("left", "gyro"),), (np.eye(2),), (False,))
+    bank = make_estimator(observer, rule, ("left", "gyro"), {}).run(samples)
+    assert bank.x == pytest.approx(np.sin(samples.u))
+    assert bank.evidence == pytest.approx(joint.evidence)
+    assert np.isnan(Uncertainty(observer, None, ("left", "gyro")).run(samples.measured, samples.restart)).all()
+
+
 def test_without_measurements_the_evidence_stays(gains: tuple[Gains, ...]) -> None:
     for kind in ("bank", "single", "independent"):
         samples = flight(np.random.default_rng(5), 60)
         samples.measured[40:], samples.restart[:] = False, False
         run = estimator(gains, kind).run(samples)
-        for column in (run.evidence, run.speaks, run.smoothed, run.unexplained):
+        for column in (run.evidence, run.counted, run.smoothed, run.unexplained):
             assert np.array_equal(column[40:], np.broadcast_to(column[39], column[40:].shape), equal_nan=True)
 
 
 def test_a_joint_estimate_counts_for_all_channels_and_leaves_nothing_unexplained(gains: tuple[Gains, ...]) -> None:
     run = estimator(gains, "independent").run(flight(np.random.default_rng(1), 20))
-    assert run.speaks.all()
+    assert run.counted.all()
     assert not run.unexplained.any()
     assert run.smoothed is run.evidence

@@ -17,12 +17,12 @@ from monitor.profile import Profile
 def test_an_observer_of_measured_states_has_nothing_to_forget() -> None:
     whole = plant()
     design = design_convex(whole)
-    assert settling_s([compile_gains(whole, design, certify(whole, design))]) == 0.0
+    assert settling_s(compile_gains(whole, design, certify(whole, design))) == 0.0
 
 
 def test_two_observers_started_apart_agree_after_it(arm_profile: Profile) -> None:
     (gains,) = arm_profile.observers[0].gains
-    wait = round(settling_s([gains]) * gains.rate_hz)
+    wait = round(settling_s(gains) * gains.rate_hz)
     assert 100 < wait < 950
     # a motion that the three outputs do not show: the link's angle and rate against each other
     wrong = gains.initial_matrix.copy()

@@ -26,7 +26,7 @@ def gains() -> Gains:
 
 
 def uncertainty(gains: Gains) -> Uncertainty:
-    return Uncertainty([gains], plant(), NAMES)
+    return Uncertainty(AffineObserver([gains]), plant(), NAMES)
 
 
 def test_it_is_the_scatter_of_the_estimates_measured_coasted_and_resumed(gains: Gains) -> None:
@@ -60,7 +60,7 @@ def test_a_restart_begins_with_more_than_is_left_later(gains: Gains) -> None:
 
 
 def test_without_a_model_it_is_not_known(gains: Gains) -> None:
-    shown = Uncertainty([gains], None, NAMES)
+    shown = Uncertainty(AffineObserver([gains]), None, NAMES)
     assert np.isnan(shown.run(np.array([True, False, True]), np.array([True, False, False]))).all()
 
 

@@ -25,7 +25,6 @@ from gains.synthesis.gains_file import Gains
 from monitor.alarms.alarm import TUNABLE, AlarmRule
 from monitor.alarms.excuse import ExcuseRule
 from monitor.estimation.effectiveness import EffectivenessRule
-from monitor.estimation.isolation import SingleFaultIsolator
 from monitor.estimation.isolation_rule import METHODS, BankRule, SingleRule
 from monitor.profile import ObserverProfile, Profile, read_profile
 from monitor.sampling.gate import GateRule
@@ -76,7 +75,7 @@ def profile_page() -> str:
     rule = observer.alarms[0]
     top = {key: getattr(minimal, key) for key in ("vehicle_type", "system", "stale_s")}
     isolation = {key: getattr(observer.isolation, key) for key in ("smoothing_s", "tolerance", "gain_penalty")}
-    single = parameters_of(SingleRule) | {key: parameters_of(SingleFaultIsolator)[key] for key in _BANK}
+    single = parameters_of(SingleRule)
     bank = {key: (single[key][0], _BANK.get(key, single[key][1])) for key in single if key in _SHARED}
     alarms = {key: getattr(rule, key) for key in TUNABLE if key != "threshold"}
     parts = [

@@ -9,13 +9,26 @@ from libc.math cimport INFINITY, fabs, isnan, sqrt
 
 import numpy as np
 
-# See monitor.estimation.bank, edge, washout and isolation, which document these.
+# How many times smaller another hypothesis' J has to be before it replaces the one believed. Measured on five recorded
+# quadrotor flights: 1, 1.5, 2 and 4 change the hypothesis in 28, 16, 13 and 8 % of the rows; the alarms are the same,
+# and from 2 on the sizes of their events too.
 cdef double LOYALTY = 2.0
+# A level is flat where it moves by less than this share of the step. A ramp through the window moves a level by
+# flat / (gap + mean), 1.7 steps; chosen: far below that, and enough for noise of an eighth of the step.
 cdef double EDGE_SHARE = 0.25
+# An edge that leaves less than this share of itself of the sum that is held has ended it. Chosen: halfway between a
+# sensor that is back where it was and one that jumped once more.
 cdef double EDGE_CANCELLED = 0.5
+# Share of bridged rows in the window up to which an edge is believed: lines across losses are flat and have corners.
+# Without it two of twelve healthy runs with 30 % of the messages lost raised a gyro.
 cdef double EDGE_BRIDGED = 0.6
+# Shares of the threshold and of the peak, explained in monitor.estimation.washout. Chosen: a smaller share of
+# the threshold would integrate errors of healthy operation, a larger one cuts off more of a slow fault; a tenth of the
+# peak is what an error of a tenth in scale or time constant leaves of a fault that has ended.
 cdef double WASHOUT_QUIET = 0.5
 cdef double WASHOUT_OVER = 0.1
+# Least weight of a channel beside the suspects, relative to its own: below it the channel is a combination of theirs
+# and the difference that remains is rounding (some 1e-16 times the condition of Sigma).
 cdef double SMALLEST_WEIGHT = 1e-9
 
 

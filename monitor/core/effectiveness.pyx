@@ -8,12 +8,17 @@ from libc.math cimport INFINITY, NAN, exp, fabs, isnan, sqrt
 
 import numpy as np
 
-# See monitor.estimation.effectiveness, which documents these.
+# Losses that can be one: no actuator loses more than everything, and one that seems to deliver much more than commanded
+# is out of trim. Chosen: a quarter more.
 cdef double LEAST_LOSS = -0.25
 cdef double LARGEST_LOSS = 1.0
+# Standard errors within which health is certain: 95 of 100 times.
 cdef double ACQUITTAL = 2.0
+# Drop of the misfit, in squared standard errors, by which health has to explain better: three standard errors.
 cdef double CONTRADICTION = 9.0
+# Information is 1 / variance of sizes near 1: this little is none, and only keeps a division defined.
 cdef double SMALLEST_INFORMATION = 1e-30
+# Effects are near 1; values a million times larger come from a broken sender, and their squares would drown the rest.
 cdef double LARGEST_EFFECT = 1e6
 
 cdef struct Verdict:

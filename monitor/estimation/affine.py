@@ -14,6 +14,7 @@ zeros cost nothing.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf, log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains
 from monitor.core.observers import AffineMap
 from monitor.estimation.error_system import error_system
-from monitor.estimation.observer import ErrorSystem, Hypothesis, ObserverRun
+from monitor.estimation.observer import ErrorSystem, FaultSet, ObserverRun
 from monitor.estimation.settling import settling_s
 from monitor.estimation.stack_layout import stack_layout
 
@@ -42,7 +43,7 @@ class AffineObserver:
         self.gains = tuple(gains)
         self.rate_hz = first.rate_hz
         self.hypotheses = tuple(
-            Hypothesis(one.faults, tuple(source is not None for source in one.fault_inputs)) for one in gains
+            FaultSet(one.faults, tuple(source is not None for source in one.fault_inputs)) for one in gains
         )
         K, n, p, F = len(gains), len(first.states), len(first.outputs), sum(layout.faults)
         self._shape = K, n, p
@@ -91,4 +92,17 @@ class AffineObserver:
 
     def settling_s(self) -> float:
         """Return the time after which a wrong start has no effect on fault estimates any more, seconds."""
-        return settling_s(self.gains)
+        return max(settling_s(one) for one in self.gains)
+
+    def slowest_s(self) -> float:
+        """Return the time constant of the slowest mode of the error, seconds; infinite where one does not decay."""
+        radius = max(float(np.abs(np.linalg.eigvals(M_ss)).max(initial=0.0)) for M_ss in map(_state_matrix, self.gains))
+        if radius >= 1.0:
+            return inf
+        return -1.0 / (self.rate_hz * log(radius)) if radius > 0.0 else 0.0
+
+
+def _state_matrix(gains: Gains) -> NDArray[np.float64]:
+    """Return M_ss of s+ = M_ss s + ..."""
+    ns = len(gains.initial_matrix)
+    return gains.step_matrix[:ns, :ns]

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from gains.synthesis.gains_file import Gains
 
 _NEGLIGIBLE = 1e-10
+"""Singular values, relative to the largest, below which an output does not show in the residual but for rounding."""
 
 
 class StepMap(NamedTuple):

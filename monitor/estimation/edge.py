@@ -7,8 +7,7 @@ sensor leaves no more unexplained than healthy flight does. The size of the edge
 it, at most ``hold_s``: how large the bias is afterwards only another sensor can tell. Lines across lost measurements
 are flat and have corners: where more than three in five of the samples around an edge are such, it is none.
 
-A level is flat where its running mean moves by less than a quarter of the step; an edge that leaves less than half of
-itself of the sum that is held has cancelled it. The rule itself is :class:`monitor.core.bank.EdgeDetector`.
+The rule itself is :class:`monitor.core.bank.EdgeDetector`.
 """
 
 from __future__ import annotations
@@ -18,9 +17,14 @@ from math import nan
 from monitor.core.bank import EdgeDetector
 
 _MEAN_S = 0.03
+"""Span of the running mean, seconds. Chosen: three samples at 100 Hz, so that noise of one sample is no level."""
 _GAP_S = 0.03
+"""Time that the estimate may take to jump, seconds. Chosen: as long as the mean needs to follow."""
 _FLAT_S = 0.1
+"""Time for which a level has to last, seconds. Chosen: with gap and mean an edge is known within 0.2 s of the jump."""
 HOLD_S = 10.0
+"""How long an edge is held, seconds. Chosen: a longer one shows an old bias whose present size this sensor alone cannot
+tell, a shorter one clears alarms that still hold."""
 
 
 def edge_detector(rate_hz: float, limit: float, smallest: float | None, hold_s: float = HOLD_S) -> EdgeDetector:

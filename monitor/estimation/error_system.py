@@ -25,7 +25,8 @@ from monitor.estimation.settling import unseen_states
 
 _MEASURED = 0
 _PRIOR_S = 1.0
-"""An actuator fault that was there before a restart counts as one that grew for a second at its rate."""
+"""An actuator fault that was there before a restart counts as one that grew for this long at its rate, seconds. Chosen:
+a longer time shows estimates after a restart as more uncertain, and for longer."""
 
 
 def error_system(gains: Gains, plant: Plant) -> ErrorSystem:

@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from adapters.sample import Samples
-from gains.synthesis.gains_file import Gains
-from monitor.estimation.affine import AffineObserver
 from monitor.estimation.bank import Bank
 from monitor.estimation.estimator_run import EstimatorRun
 from monitor.estimation.isolation import independent_isolation, single_fault_isolation
@@ -47,7 +45,7 @@ class JointEstimator:
             fault=run.fault,
             residual=run.residual[:, 0],
             evidence=evidence,
-            speaks=np.ones(evidence.shape, np.bool_),
+            counted=np.ones(evidence.shape, np.bool_),
             smoothed=evidence,
             unexplained=np.zeros(len(evidence)),
         )
@@ -57,10 +55,21 @@ Estimator = JointEstimator | Bank
 
 
 def make_estimator(
-    gains: Sequence[Gains], rule: IsolationRule, faults: Sequence[str], thresholds: Mapping[str, float]
+    observer: Observer, rule: IsolationRule, faults: Sequence[str], thresholds: Mapping[str, float]
 ) -> Estimator:
-    """Return the estimator that a profile asks for: several gains for a bank, one otherwise."""
-    observer = AffineObserver(gains)
+    """Return the estimator that a profile's isolation asks for.
+
+    Parameters
+    ----------
+    observer : Observer
+        The observer, of several hypotheses where the rule is that of a bank.
+    rule : IsolationRule
+        Isolation part of the profile.
+    faults : Sequence[str]
+        Names of all fault channels, in the order of the estimates.
+    thresholds : Mapping[str, float]
+        Alarm thresholds by channel.
+    """
     if isinstance(rule, BankRule):
         return Bank(observer, rule, faults, thresholds)
     return JointEstimator(observer, rule)

@@ -18,7 +18,7 @@ class EstimatorRun(NamedTuple):
         (N, p), not smoothed; x and residual are those of the hypothesis believed.
     evidence : NDArray[np.float64]
         Size of each fault that is held responsible (N, a), zero for all others.
-    speaks : NDArray[np.bool_]
+    counted : NDArray[np.bool_]
         Channels whose evidence counts (N, a): in a bank not those that are compared where no hypothesis explains the
         data.
     smoothed : NDArray[np.float64]
@@ -31,6 +31,6 @@ class EstimatorRun(NamedTuple):
     fault: NDArray[np.float64]
     residual: NDArray[np.float64]
     evidence: NDArray[np.float64]
-    speaks: NDArray[np.bool_]
+    counted: NDArray[np.bool_]
     smoothed: NDArray[np.float64]
     unexplained: NDArray[np.float64]

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from monitor.core.observers import effects
 
 _SMALLEST_COMMAND = 0.02
-"""Commands are of order 1: below a fiftieth of full command a share of it is mostly the noise of the estimate."""
+"""Smallest command, of full command 1, that a loss is stated as a share of. Chosen: the share of an estimate's
+error grows without bound as the command goes to zero."""
 
 
 def effect_of_command(curve: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -23,14 +23,19 @@ class IndependentRule:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SingleRule:
-    """One channel is held responsible at a time: see :class:`monitor.estimation.isolation.SingleFaultIsolator`.
+    """One channel is held responsible at a time: see :mod:`monitor.estimation.isolation`.
 
     Parameters
     ----------
     smoothing_s : float
         Time constant of the smoothing, seconds.
-    tolerance, score_floor, gain_penalty : float
-        As there.
+    tolerance : float
+        Share of the first suspect's score sqrt(J) that model error may leave unexplained.
+    score_floor : float
+        Score that healthy flight does not reach: below it no channel is held responsible beside the first suspect.
+    gain_penalty : float
+        How much larger J must be to believe that a channel delivers more than commanded, rather than that another
+        one delivers less: motors fail towards less.
     covariance : NDArray[np.float64]
         Healthy covariance of the smoothed joint estimate (a, a), effect units.
     """
@@ -51,7 +56,9 @@ class BankRule:
     smoothing_s : float
         Time constant of the smoothing of estimates and residuals, seconds.
     tolerance, score_floor, gain_penalty : float
-        As there.
+        Share of the worst hypothesis' score that model error may leave on the right one, score sqrt(J) that healthy
+        flight does not reach, and how much larger J may be before an actuator is believed to deliver more than
+        commanded: see :mod:`monitor.estimation.bank`.
     hypotheses : tuple[tuple[str, ...], ...]
         The faults of each hypothesis.
     covariances : tuple[NDArray[np.float64], ...]

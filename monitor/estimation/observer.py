@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Hypothesis:
+class FaultSet:
     """Faults that an observer estimates together.
 
     Parameters
@@ -77,7 +77,7 @@ class Observer(Protocol):
         """Rows per second."""
 
     @property
-    def hypotheses(self) -> tuple[Hypothesis, ...]:
+    def hypotheses(self) -> tuple[FaultSet, ...]:
         """The K hypotheses, in the order of the estimates."""
 
     def run(
@@ -105,3 +105,6 @@ class Observer(Protocol):
 
     def settling_s(self) -> float:
         """Return the time after which a wrong start has no effect on fault estimates any more, seconds."""
+
+    def slowest_s(self) -> float:
+        """Return the time constant of the slowest mode of the error, seconds; infinite where one does not decay."""

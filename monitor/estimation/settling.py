@@ -8,36 +8,34 @@ An observer all of whose states are measured has nothing to forget, however slow
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from gains.synthesis.gains_file import Gains
 
 _FORGOTTEN = 0.05
+"""Share of its largest error down to which a fault estimate has forgotten a wrong start. Chosen: a smaller share
+waits longer after each restart, a larger one may let a wrong start show as a fault."""
 _NEGLIGIBLE = 1e-9
+"""Singular values and errors, relative to the largest and to effects near 1, below which there is only rounding."""
 _LONGEST_S = 60.0
+"""Longest wait, seconds. Chosen: a longer wait would leave little of a flight to watch."""
 
 
-def settling_s(bank: Sequence[Gains]) -> float:
+def settling_s(gains: Gains) -> float:
     """Return the time after which a wrong start moves no fault estimate by more than a twentieth of its largest error.
 
     Parameters
     ----------
-    bank : Sequence[Gains]
-        Gains of an observer, or of each hypothesis of a bank. Gains of another structure than
-        :mod:`gains.analysis.augment` count as zero: nothing says which of their states the outputs show.
+    gains : Gains
+        Gains of an observer. Those of another structure than :mod:`gains.analysis.augment` count as zero: nothing tells
+        which of their states the outputs show.
 
     Returns
     -------
     float
         Seconds, at most a minute.
     """
-    return max(_settling_s(gains) for gains in bank)
-
-
-def _settling_s(gains: Gains) -> float:
     n, a = len(gains.states), len(gains.faults)
     if not gains.L1.size or not a:
         return 0.0

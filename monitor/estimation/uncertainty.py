@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 
 from gains.plants.discretise import discretise
 from gains.plants.plant import Plant
-from gains.synthesis.gains_file import Gains
 from monitor.core.observers import ErrorCovariance
-from monitor.estimation.affine import AffineObserver
 from monitor.estimation.bank import owners
+from monitor.estimation.observer import Observer
 
 _BACK = 0.01
-"""Standard deviations within a hundredth of the steady ones are shown, and go on, as those: no one reads the third
-digit of an uncertainty, and the last hundredth of the way would take as long again as the rest."""
+"""Standard deviations within this share of the steady ones count as those. Chosen: a hundredth shows in no plot and no
+alarm, while the rest of an exponential approach would be stepped for nothing."""
 
 
 class Uncertainty:
@@ -32,16 +31,15 @@ class Uncertainty:
 
     Parameters
     ----------
-    gains : Sequence[Gains]
-        Its gains.
+    observer : Observer
+        The observer.
     plant : Plant | None
-        The model they were designed for.
+        The model it was designed for.
     faults : Sequence[str]
         Names of all fault channels (a,), in the order of the estimates.
     """
 
-    def __init__(self, gains: Sequence[Gains], plant: Plant | None, faults: Sequence[str]) -> None:
-        observer = AffineObserver(gains)
+    def __init__(self, observer: Observer, plant: Plant | None, faults: Sequence[str]) -> None:
         self._covariance: ErrorCovariance | None = None
         self._sd = np.full(len(faults), np.nan)
         systems = None if plant is None else observer.error_systems(discretise(plant, observer.rate_hz))
@@ -72,7 +70,7 @@ class Uncertainty:
     def run(self, measured: NDArray[np.bool_], restart: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Return one standard deviation of each fault estimate after each of n samples (n, a), effect units.
 
-        Not a number where there is no plant, or the gains are not those of a discrete design. While all is measured it
+        Not a number where there is no plant, or the observer has no error system. While all is measured it
         is one row n times, read-only.
 
         Parameters

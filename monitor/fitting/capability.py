@@ -19,6 +19,7 @@ from gains.plants.plant import Plant
 from monitor.alarms.excuse import Excuses
 from monitor.chain import ObserverChain, alarm_events
 from monitor.core.sampling import VehicleClock
+from monitor.estimation.affine import AffineObserver
 from monitor.estimation.input_curve import effect_of_command
 from monitor.fitting.flights import Flight
 from monitor.fitting.progress import track
@@ -204,14 +205,8 @@ def _typical_command(fault: FaultChannel, flights: Sequence[Flight]) -> float:
 
 def _lead_s(observer: ObserverProfile, gate: GateRule) -> float:
     """Return how long an observer started afresh needs until it can be watched."""
-    longest = 0.0
-    for gains in observer.gains:
-        states = len(gains.step_matrix) - len(gains.states) - len(gains.faults) - len(gains.outputs)
-        radius = float(np.abs(np.linalg.eigvals(gains.step_matrix[:states, :states])).max(initial=0.0))
-        if radius >= 1.0:
-            return _LONGEST_LEAD_S
-        longest = max(longest, -1.0 / (gains.rate_hz * np.log(radius)) if radius > 0.0 else 0.0)
-    return min(_LONGEST_LEAD_S, gate.settle_s + max(_LEAD_S, _TIME_CONSTANTS * longest))
+    slowest_s = AffineObserver(observer.gains).slowest_s()
+    return min(_LONGEST_LEAD_S, gate.settle_s + max(_LEAD_S, _TIME_CONSTANTS * slowest_s))
 
 
 def _search(bench: _Bench, sizes: Sequence[float], limits: Sequence[float], guess: int) -> Capability:
