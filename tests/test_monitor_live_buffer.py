@@ -17,7 +17,7 @@ from adapters.batch import pack
 from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.estimate import Estimates
-from monitor.views.live_buffer import MAX_EVENTS, MAX_FIELDS, MAX_ROWS, VehicleView
+from monitor.views.live_buffer import MAX_EVENTS, MAX_FIELDS, MAX_WAITING_ROWS, VehicleView
 
 SAMPLE = estimates([0], np.random.default_rng(3))
 
@@ -51,8 +51,8 @@ def test_ten_minutes_of_estimates_and_a_thousand_events_stay_bounded_and_are_cou
     shown.estimates(at(*range(60_000)))
     for seq in range(1000):
         shown.event(event(seq, "raised"))
-    assert len(shown) == MAX_ROWS + MAX_EVENTS
-    assert shown.dropped == 12_000 - MAX_ROWS + 1000 - MAX_EVENTS
+    assert len(shown) == MAX_WAITING_ROWS + MAX_EVENTS
+    assert shown.dropped == 12_000 - MAX_WAITING_ROWS + 1000 - MAX_EVENTS
     batch = shown.drain()
     assert batch.traces[0].unix_ns[-1] == START_NS + 59_995 * 10_000_000
     assert batch.events[-1].seq == 999

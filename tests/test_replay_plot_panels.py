@@ -20,7 +20,7 @@ from monitor.bus.alarm_text import utc
 from monitor.event import AlarmEvent
 from monitor.trace import Trace
 from monitor.views.palette import LIGHT
-from monitor.views.panels import Truth
+from monitor.views.panels import TrueSizes
 from monitor.views.plot_style import STYLE
 from replay.reports.plot import run_figure
 from replay.reports.plot_panels import Look, unwatched
@@ -33,7 +33,7 @@ ALARMS = [
 ]
 
 
-def figure(traces: Sequence[Trace], events: Sequence[AlarmEvent] = (), truth: Truth | None = None) -> Figure:
+def figure(traces: Sequence[Trace], events: Sequence[AlarmEvent] = (), truth: TrueSizes | None = None) -> Figure:
     """Return a run's page, laid out."""
     with rc_context(STYLE):
         drawn = run_figure(traces, events, BOTH_THRESHOLDS, truth or {}, "a run", Look(LIGHT, 300))

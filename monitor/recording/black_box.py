@@ -15,23 +15,29 @@ from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
 from monitor.event import AlarmEvent
 from monitor.recording.encoded_record import EncodedRecord, TopicTable
-from monitor.recording.recorder import METADATA, start_log
+from monitor.recording.recorder import METADATA, RETRY_S, start_log
 from monitor.recording.retention import Retention, file_stem, writable_folder
 from monitor.sampling.phase import FlightPhase
 
 MAX_OPEN_CLIPS: Final = 4
+"""Clips being made at once. Chosen: they hold the same records, so a fifth tells nothing that four do not; an alarm
+beyond is named in the clips that cover it."""
 MAX_WAITING_CLIPS: Final = 8
-"""Of those a disk refused: the oldest is given up for the next."""
+"""Clips that wait for a disk that refused them, with their records in memory: the oldest is given up for the next.
+Eight of at most :data:`BlackBox` ``held_bytes`` each share those bytes, since one moment's clips hold the same ones."""
 MAX_TRIES: Final = 60
-RETRY_S: Final = 10.0
+"""Tries, ten minutes in all, until a clip is given up. Chosen: no memory is kept for a disk without attendance."""
 
 _PHASE_TOPICS = frozenset(f"/mavlink/{name}" for name in FlightPhase.interests)
+# The letters of Crockford's base 32, of which ULIDs are made (https://github.com/ulid/spec).
 _ULID = r"[0-9A-HJKMNP-TV-Z]{26}"
+# Ids of alarms raised lately that a clip may have to name; more than a desk in flood raises in the seconds before one.
+_MOST_RAISED = 256
 
 
 @dataclass(frozen=True, slots=True)
 class BlackBoxStatistics:
-    """What a black box holds and did so far.
+    """Records that a black box holds, and counts so far.
 
     Parameters
     ----------
@@ -48,7 +54,7 @@ class BlackBoxStatistics:
     failures : int
         Clips given up because they could not be written.
     failed : str | None
-        Why a clip could not be written; None once the disk takes clips again.
+        The error with which a clip could not be written; None once the disk takes clips again.
     deleted : int
         Clips deleted to stay within the budget.
     """
@@ -66,7 +72,7 @@ class BlackBoxStatistics:
 
 @dataclass(slots=True)
 class _Clip:
-    """A clip being made: what waits to be written, its file once there is one, and what is in that."""
+    """A clip being made: records that wait to be written, its file once there is one, and the records in that."""
 
     path: Path
     begun_ns: int
@@ -77,7 +83,7 @@ class _Clip:
     log: MessageLogWriter | None = None
     ended: bool = False
     done: list[EncodedRecord] | None = field(default_factory=list)
-    """None where they are too many to be kept, in case that the file has to be begun again."""
+    """Records to write again if the file has to be begun again; None where they are too many to be kept."""
     done_bytes: int = 0
     tries: int = 0
     retry_ns: int = 0
@@ -87,9 +93,10 @@ class BlackBox:
     """Keeps the last seconds of one vehicle's records and writes ``<folder>/<vehicle>-<alarm id>.mcap``.
 
     A clip is complete in itself: profile, metadata (``alarm_id``, ``alarm_channel``, ``alarm_observer``, and
-    ``alarm_ids`` of all alarms raised in its span), telemetry, estimates and alarms. It begins with what the vehicle
-    last said of its phase before that, so that a replay knows it armed. Time is that of the telemetry's arrival.
-    A clip that the disk refuses is begun again every :data:`RETRY_S`, up to :data:`MAX_TRIES` times, from memory.
+    ``alarm_ids`` of all alarms raised in its span), telemetry, estimates and alarms. It begins with the vehicle's last
+    messages about its flight phase before that, so that a replay knows it armed. Time is that of telemetry's arrival.
+    A clip that the disk refuses is begun again from memory, every :data:`~monitor.recording.recorder.RETRY_S` seconds
+    up to :data:`MAX_TRIES` times.
     Nothing is written but by :meth:`work` and :meth:`close`; no method raises after construction.
     Not for several threads at once.
 
@@ -108,10 +115,12 @@ class BlackBox:
     before_s, after_s : float
         Span of a clip around the moment its alarm was raised, seconds.
     budget_bytes : int
-        What the vehicle's clips may take together; looked after whenever one is completed. A single clip ends early
+        Bytes that the vehicle's clips may take together, checked whenever one is completed. A single clip ends early
         at a quarter of it.
     held_records, held_bytes : int
-        Bounds of what is held for alarms to come; at more records than that a clip waiting to be written drops some.
+        Bounds of the records held for alarms to come. A vehicle with two observers at 125 Hz makes 1,000 records a
+        second of 160 bytes on average (measured): the defaults hold 100 s. A clip drops records while twice as many
+        wait to be written.
 
     Raises
     ------
@@ -147,13 +156,13 @@ class BlackBox:
             self._folder, re.compile(f"{re.escape(self._stem)}-{_ULID}\\.mcap", re.ASCII), budget_bytes
         )
         self._now_ns: int | None = None
-        # apart from each other, so that an alarm copies the records at once
+        # Apart from the records, so that an alarm copies those in one call.
         self._held: deque[EncodedRecord] = deque()
         self._arrived_ns: deque[int] = deque()
         self._bytes = 0
         self._phase: dict[int, EncodedRecord] = {}
         self._clips: list[_Clip] = []
-        self._raised: deque[tuple[int, str]] = deque(maxlen=256)
+        self._raised: deque[tuple[int, str]] = deque(maxlen=_MOST_RAISED)
         self._written = self._covered = self._dropped = self._failures = 0
         self._failed: str | None = None
 
@@ -204,7 +213,7 @@ class BlackBox:
         self._clips.append(_Clip(path, now, now + self._after_ns, self._metadata | alarm, waiting, alarms))
 
     def work(self, max_records: int, now_ns: int | None = None) -> int:
-        """Write some of what waits; call it on each turn of the loop.
+        """Write some of the records that wait; call it on each turn of the loop.
 
         Parameters
         ----------
@@ -227,7 +236,7 @@ class BlackBox:
         return max_records - left
 
     def close(self) -> None:
-        """Complete all clips with what there is, as far as the disk takes them."""
+        """Complete all clips with the records at hand, as far as the disk takes them."""
         for clip in [*self._clips]:
             clip.ended, clip.tries = True, MAX_TRIES
             self._advance(clip, len(clip.waiting))
@@ -238,7 +247,7 @@ class BlackBox:
         self._metadata.update(metadata)
 
     def statistics(self) -> BlackBoxStatistics:
-        """Return what is held and the counts so far."""
+        """Return the counts so far."""
         return BlackBoxStatistics(
             held_records=len(self._held),
             held_bytes=self._bytes,
@@ -252,14 +261,14 @@ class BlackBox:
         )
 
     def _pass_time(self, now_ns: int) -> None:
-        """Note the time; clips end after their span, and where the clock was set back so far that it may not come."""
+        """Set the time; a clip ends after its span, or when the clock was set back to before it."""
         self._now_ns = now_ns
         for clip in self._clips:
             if not clip.begun_ns - self._before_ns <= now_ns <= clip.ends_ns:
                 clip.ended = True
 
     def _is_over(self, now_ns: int) -> bool:
-        """Return whether the oldest record held has to go: by time (also where the clock jumped back), or by size."""
+        """Return whether the oldest record has to be dropped: by age (also after the clock jumped back), or by size."""
         if len(self._held) > self._held_records or self._bytes > self._held_bytes:
             return True
         age_ns = now_ns - self._arrived_ns[0]
@@ -333,12 +342,12 @@ class BlackBox:
         self._make_room(clip)
 
     def _recover(self) -> None:
-        """Note that the disk takes clips again, unless it refused another one."""
+        """Clear the error now that the disk takes clips again, unless it refused another one."""
         if not any(other.tries for other in self._clips):
             self._failed = None
 
     def _postpone(self, clip: _Clip) -> None:
-        """Begin a clip's file anew later, as long as all that belongs into it is at hand."""
+        """Begin a clip's file again later, as long as all its records are at hand."""
         clip.tries += 1
         if clip.done is None or clip.tries > MAX_TRIES:
             self._give_up(clip)
@@ -353,7 +362,7 @@ class BlackBox:
         clip.retry_ns = (self._now_ns or 0) + round(RETRY_S * 1e9)
 
     def _give_up(self, clip: _Clip) -> None:
-        """Leave what the disk took of a clip."""
+        """End a clip with the records that the disk took."""
         self._clips.remove(clip)
         self._failures += 1
         if clip.log is not None:

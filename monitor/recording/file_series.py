@@ -25,10 +25,10 @@ class FileSeries:
         The vehicle's name.
     file_bytes, file_s : int, float
         Size, and time between the arrivals of first and last telemetry, after which a new file begins. Defaults chosen:
-        a file of ten minutes, or of what the largest of today's telemetry rates gives in that time, opens at once in a
-        viewer, and a power cut in the middle of it costs no more than its index.
+        ten minutes, 25 MB for a copter of 500 records a second
+        (measured), open at once in a viewer; the size bounds the files of faster ones.
     budget_bytes : int
-        Bytes that the vehicle's files may take together, the one being written included.
+        Bytes of all the vehicle's files together, the one being written included.
 
     Raises
     ------

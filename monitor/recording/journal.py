@@ -1,8 +1,8 @@
-"""The journal: every alarm event exactly once, on disk before anybody is told, whatever becomes of the process.
+"""The journal: every alarm event exactly once, on disk before it is published, whatever becomes of the process.
 
 An SQLite database in WAL mode. What :meth:`Journal.write` has committed survives ``kill -9``; a power cut can take
-what the operating system had not yet put on the disk, which is what was written since the last :meth:`Journal.sync`,
-and never damages what came before.
+events that the operating system had not yet put on the disk, those since the last :meth:`Journal.sync`, and never
+damages earlier ones.
 """
 
 from __future__ import annotations
@@ -22,12 +22,17 @@ from adapters.errors import StorageError
 from monitor.bus.payload import to_json
 from monitor.event import AlarmEvent, valid_event
 from monitor.recording.journal_file import DamagedError, open_database, read_connection, set_aside
-from monitor.recording.journal_rows import LARGEST, Row, bounded, insert, plain, prune, shelve
+from monitor.recording.journal_rows import LARGEST, JournalRow, bounded, insert, plain, prune, shelve
 
 MAX_PENDING = 10_000
+"""Events that wait for the disk at most. Chosen: a night of alarms on a full disk, in 8 MB of memory."""
 MAX_FRAME_BYTES = 1 << 15
+"""Largest freeze frame. Chosen: a copter's with two observers has 4.3 kB, so there is room for plants of hundreds of
+channels."""
 MAX_ANSWER = 100_000
+"""Events that one query returns at most: some 40 MB of JSON, beyond which a caller should ask for less."""
 RETRIED_AT_ONCE = 200
+"""Events of one transaction of a retry. Chosen: 200 take 2 to 6 ms (measured), which the monitoring loop can spare."""
 
 _ACTIVE = """
 SELECT body FROM alarm JOIN event ON event.number = alarm.latest
@@ -64,7 +69,7 @@ class JournalStatistics:
     open : bool
         Whether the file is open; where it cannot be at the start, every :meth:`Journal.retry` tries again.
     last_error : str | None
-        What went wrong last; it stays when it is over.
+        The last error; it stays when it has passed.
     """
 
     written: int = 0
@@ -82,9 +87,9 @@ class Journal:
     """Append-only journal of alarm events with one writer in this process and readers in any thread.
 
     No trouble of the disk raises from :meth:`write`, :meth:`retry`, :meth:`sync` or :meth:`close`: events wait in
-    memory, in order, until :meth:`retry` (called once a second) can write them. Queries give what is on disk, each
-    over a connection of its own, so they wait for nobody and nobody waits for them. Beyond ``max_events`` the
-    oldest events go, a few with each new one; the latest event of an alarm that is not cleared never goes.
+    memory, in order, until :meth:`retry` (called once a second) can write them. Queries give the events on disk, each
+    over a connection of its own, so readers and writer do not wait for each other. Beyond ``max_events`` the oldest
+    events are deleted, a few with each new one, but never the latest event of an alarm that is not cleared.
 
     Parameters
     ----------
@@ -96,7 +101,7 @@ class Journal:
     Attributes
     ----------
     set_aside : Path | None
-        Where a damaged journal found at the start was moved to; this one began empty.
+        Path that a damaged journal was moved to at the start; this one began empty.
 
     Raises
     ------
@@ -110,7 +115,7 @@ class Journal:
         self._path = Path(path)
         self._max_events = max_events
         self._lock = threading.Lock()
-        self._pending: deque[Row] = deque()
+        self._pending: deque[JournalRow] = deque()
         self._shelved: dict[str, Mapping[str, int]] = {}
         self._counts = dict.fromkeys(("written", "duplicates", "conflicts", "rejected", "dropped", "pruned"), 0)
         self._last_error: str | None = None
@@ -121,12 +126,12 @@ class Journal:
             self._open()
 
     def write(self, event: AlarmEvent, frame: Mapping[str, Any] | None = None) -> None:
-        """Commit an event, once however often it is given; keep it in memory where the disk does not take it.
+        """Commit an event, once however often it is given; keep it in memory if the disk does not take it.
 
         Parameters
         ----------
         event : AlarmEvent
-            The event; its vehicle and ``seq`` say which one it is.
+            The event, identified by its vehicle and ``seq``.
         frame : Mapping[str, Any] | None
             Freeze frame, kept by the alarm's id: inputs, outputs, estimates and thresholds at the moment. The first
             one of an alarm stays.
@@ -135,7 +140,7 @@ class Journal:
             row = self._row(event, frame)
             if row is None:
                 return
-            # behind those that wait, so that the order stays
+            # After those that wait, so that the order is kept.
             if self._pending or not self._commit([row]):
                 if len(self._pending) >= MAX_PENDING:
                     self._pending.popleft()
@@ -143,13 +148,13 @@ class Journal:
                 self._pending.append(row)
 
     def shelve(self, vehicle: str, channels: Mapping[str, int]) -> None:
-        """Remember which channels (``observer/channel``) operators have shelved, and until when; the last holds."""
+        """Replace the stored channels (``observer/channel``) that are shelved, and the times until which they are."""
         with self._lock:
             self._shelved[plain(vehicle)] = dict(channels)
             self._commit_shelved()
 
     def retry(self) -> int:
-        """Write some of the events that wait, the oldest first; return how many still do."""
+        """Write some of the pending events, the oldest first; return how many are still pending."""
         with self._lock:
             if self._connection is None:
                 try:
@@ -164,9 +169,9 @@ class Journal:
             return len(self._pending)
 
     def sync(self) -> None:
-        """Put on the disk what was written, so that a power cut cannot take it; takes as long as the disk does.
+        """Put written events on the disk, so that a power cut cannot take them; takes as long as the disk does.
 
-        For any thread but the one that monitors; once a second bounds what a power cut can lose.
+        Call it once a second, which bounds the loss of a power cut, in a thread other than the one that monitors.
         """
         if not self._unsynced:
             return
@@ -197,7 +202,7 @@ class Journal:
         Raises
         ------
         OSError
-            The journal cannot be read; so do all queries.
+            The journal cannot be read; all other queries raise it too.
         """
         return self._readable(body for (body,) in self._query(_ACTIVE, (plain(vehicle),)))
 
@@ -233,13 +238,13 @@ class Journal:
         """Return the freeze frame of an alarm, None where there is none or the file is damaged there."""
         rows = self._query("SELECT frame FROM alarm WHERE id = ? AND frame IS NOT NULL", (plain(alarm_id),))
         try:
-            found = json.loads(rows[0][0]) if rows else None
+            frame = json.loads(rows[0][0]) if rows else None
         except (TypeError, ValueError, RecursionError):
             return None
-        return found if isinstance(found, dict) else None
+        return frame if isinstance(frame, dict) else None
 
     def close(self) -> None:
-        """Write what waits as far as the disk takes it, and close; a second call does nothing."""
+        """Write pending events as far as the disk takes them, and close; a second call does nothing."""
         before = MAX_PENDING + 1
         while 0 < (waiting := self.statistics().pending) < before:
             before = waiting
@@ -264,7 +269,7 @@ class Journal:
         except sqlite3.Error as error:
             self._note(error)
 
-    def _row(self, event: AlarmEvent, frame: Mapping[str, Any] | None) -> Row | None:
+    def _row(self, event: AlarmEvent, frame: Mapping[str, Any] | None) -> JournalRow | None:
         """Return an event as a row; None, counted, where no row can hold it."""
         if not isinstance(event.seq, int) or abs(event.seq) > LARGEST:
             self._reject(f"event of {event.vehicle} with seq {event.seq!r:.40}")
@@ -277,7 +282,7 @@ class Journal:
             self._reject(f"event {event.seq} of {event.vehicle!r:.80}: {error}")
             return None
         frozen = None if frame is None else self._frozen(event, frame)
-        return Row(vehicle, event.seq, alarm, time_ns, event.state != "cleared", body, frozen)
+        return JournalRow(vehicle, event.seq, alarm, time_ns, event.state != "cleared", body, frozen)
 
     def _frozen(self, event: AlarmEvent, frame: Mapping[str, Any]) -> str | None:
         try:
@@ -290,7 +295,7 @@ class Journal:
             return None
         return body.decode()
 
-    def _commit(self, rows: Sequence[Row]) -> bool:
+    def _commit(self, rows: Sequence[JournalRow]) -> bool:
         """Write rows in one transaction; return whether all are there."""
         if self._connection is None:
             return False
@@ -319,7 +324,7 @@ class Journal:
         return True
 
     def _commit_shelved(self) -> None:
-        """Write what is shelved, where that is not written yet."""
+        """Write the shelved channels that are not written yet."""
         for vehicle, channels in list(self._shelved.items()):
             if self._connection is None:
                 return

@@ -10,14 +10,19 @@ from pathlib import Path
 from adapters.errors import StorageError
 
 APPLICATION_ID = 0x6661_756A
+"""SQLite's ``application_id`` of our journals: "fauj" in ASCII."""
 SCHEMA_VERSION = 1
 BUSY_S = 0.05
+"""Seconds the writer waits for a lock of another process. Chosen: the loop that monitors waits along; what is not
+written is retried once a second."""
 READ_BUSY_S = 1.0
+"""Seconds a reader waits for one; it runs in a thread that may wait, for a person who asked."""
 WAL_PAGES = 1000
+"""Pages in the write-ahead log (4 MB) after which SQLite moves them into the database: its own default."""
 
 _MAGIC = b"SQLite format 3\0"
 _SIDECARS = ("-wal", "-shm", "-journal")
-# what goes away by itself: no room, a failing disk, another process in the way
+# Errors that may pass: no room, a failing disk, a lock of another process.
 _PASSING = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
 _DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 _SHELVED = """
@@ -28,7 +33,7 @@ CREATE TABLE IF NOT EXISTS shelved (
     PRIMARY KEY (vehicle, channel)
 ) STRICT
 """
-# 'latest' is the number of the event with the largest seq, 'standing' whether that is another one than 'cleared'
+# 'latest' is the number of an alarm's event with the largest seq, 'standing' is 1 while the alarm is active
 _SCHEMA = f"""
 BEGIN IMMEDIATE;
 CREATE TABLE event (
@@ -87,7 +92,7 @@ def open_database(path: Path) -> sqlite3.Connection:
         if isinstance(error, sqlite3.DatabaseError):
             _explain(path, error)
         if isinstance(error, UnicodeDecodeError):
-            # SQLite quotes what it stumbles over, and that is no longer text.
+            # SQLite quotes the name at fault, which is no longer text.
             raise DamagedError("its tables have no readable names") from error
         raise
     return connection
@@ -101,8 +106,8 @@ def read_connection(path: Path, alone: bool = False) -> sqlite3.Connection:
     path : Path
         The database file.
     alone : bool
-        Whether nobody else has it open, our own writer neither: then it is read without creating a file, as it has to
-        be on a full disk. The connection could write; otherwise it cannot.
+        Whether no one has it open, not even our own writer: then it is read without creating a file, as is necessary
+        on a full disk. Such a connection could write; others cannot.
     """
     uri = f"{path.absolute().as_uri()}?mode={'rw' if alone else 'ro'}"
     connection = sqlite3.connect(uri, uri=True, timeout=READ_BUSY_S, isolation_level=None)
@@ -114,7 +119,7 @@ def read_connection(path: Path, alone: bool = False) -> sqlite3.Connection:
 
 
 def set_aside(path: Path) -> Path:
-    """Rename a damaged database, and what belongs to it, to ``<name>.damaged-<time>``; return the new path.
+    """Rename a damaged database and its sidecars to ``<name>.damaged-<time>``; return the new path.
 
     Raises
     ------
@@ -138,7 +143,7 @@ def set_aside(path: Path) -> Path:
 
 
 def _refuse_what_is_no_database(path: Path) -> None:
-    """Tell a file that never was a database (somebody's, refused) from one that no longer is (damaged)."""
+    """Distinguish a file that never was a database (refused) from one that no longer is one (damaged)."""
     if not path.parent.is_dir():
         raise StorageError(f"{path}: no folder '{path.parent}' for the journal: create it")
     if path.is_dir():
@@ -176,16 +181,16 @@ def _prepare(path: Path, connection: sqlite3.Connection) -> None:
     trouble = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
     if trouble != "ok":
         raise DamagedError(" ".join(trouble.split()))
-    # a read-only file opens; only a write says so
+    # a read-only file can be opened; only writing fails
     connection.execute("BEGIN IMMEDIATE")
-    # journals of before there was such a table go on
+    # journals of older versions lack this table
     connection.execute(_SHELVED)
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     connection.execute("COMMIT")
 
 
 def _explain(path: Path, error: sqlite3.DatabaseError) -> None:
-    """Raise what an error of SQLite means for the user; return where it may pass by itself."""
+    """Raise the error that tells a user what SQLite's means; return where it may pass by itself."""
     code = (getattr(error, "sqlite_errorcode", None) or 0) & 0xFF
     if code in _PASSING:
         return

@@ -7,8 +7,8 @@ from typing import Final
 
 from monitor.recording.encoded_record import EncodedRecord
 
-MAX_PENDING: Final = 10_000
-"""Records that wait at most. Chosen: two an event, so a night of 5,000 events on a full disk, in 5 MB of memory."""
+MAX_PENDING_RECORDS: Final = 10_000
+"""Records that wait at most. Chosen: two an event, so a night of 5,000 events on a full disk, in 4 MB of memory."""
 
 
 class PendingEvents:
@@ -18,8 +18,8 @@ class PendingEvents:
     """
 
     def __init__(self) -> None:
-        self._sent: deque[tuple[int, EncodedRecord]] = deque(maxlen=MAX_PENDING)
-        self._waiting: deque[EncodedRecord] = deque(maxlen=MAX_PENDING)
+        self._sent: deque[tuple[int, EncodedRecord]] = deque(maxlen=MAX_PENDING_RECORDS)
+        self._waiting: deque[EncodedRecord] = deque(maxlen=MAX_PENDING_RECORDS)
 
     def __len__(self) -> int:
         """Return how many records wait for a file."""
@@ -31,7 +31,7 @@ class PendingEvents:
 
     def keep(self, record: EncodedRecord) -> bool:
         """Keep a record while there is no file; return whether there was room."""
-        kept = len(self._waiting) < MAX_PENDING
+        kept = len(self._waiting) < MAX_PENDING_RECORDS
         if kept:
             self._waiting.append(record)
         return kept

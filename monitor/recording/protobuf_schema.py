@@ -1,4 +1,4 @@
-"""Protobuf types of what the monitor records: samples and estimates by channel name, and alarm events."""
+"""Protobuf types of the monitor's own records: samples and estimates by channel name, and alarm events."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class EstimateType:
 
 
 def alarm_record(event: AlarmEvent) -> Any:
-    """Return the protobuf message ``fauio.Alarm`` of an event; what is None in the event is absent."""
+    """Return the protobuf message ``fauio.Alarm`` of an event; fields that are None in the event are absent."""
     return _alarm_class()(**event.to_json())
 
 

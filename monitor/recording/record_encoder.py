@@ -33,9 +33,9 @@ class RecordEncoder:
     """Encodes one vehicle's messages, estimates and alarm events.
 
     Topics: ``/mavlink/<MESSAGE>`` and ``/zenoh/<key>`` telemetry as received (and ``/link``, ``/operator`` and the
-    like for what else the pipeline is fed); ``/fauio/<observer>/sample`` and ``/fauio/<observer>/estimate``;
+    like for the pipeline's other inputs); ``/fauio/<observer>/sample`` and ``/fauio/<observer>/estimate``;
     ``/fauio/alarm`` (protobuf) and ``/fauio/alarm_json``. The time of a record is the time of arrival for telemetry
-    and the Unix time of the sample for what the monitor made of it.
+    and the Unix time of the sample for the monitor's results.
 
     Parameters
     ----------

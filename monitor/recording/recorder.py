@@ -214,7 +214,7 @@ class Recorder:
             self._fail(error)
 
     def close(self) -> None:
-        """Finish the file with its index, after a last try to write what waits; a second call does nothing."""
+        """Finish the file with its index, after a last try to write pending events; a second call does nothing."""
         if self._closed:
             return
         self._closed = True
@@ -297,7 +297,7 @@ class Recorder:
         elif self._log is not None:
             log = self._log
             log.resume()
-            # metadata may be among what was lost
+            # metadata may have been lost with the failed write
             log.add_metadata(METADATA, self._metadata)
         else:
             raise RuntimeError("a recorder of one file has begun it")

@@ -1,4 +1,4 @@
-"""Keeps the files of one kind in a folder within a budget of bytes: the oldest go, files of others stay."""
+"""Keeps a folder's files of one kind within a budget of bytes: the oldest are deleted, files of others are not."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Retention:
     def make_room(self, room_bytes: int = 0, keep: Container[Path] = ()) -> None:
         """Delete the oldest files until ``room_bytes`` more fit into the budget, those to ``keep`` excepted.
 
-        They go in the background: a large file takes the disk tens of milliseconds.
+        A thread deletes them: a large file takes the disk tens of milliseconds.
         """
         self.wait()
         sizes = {}
@@ -60,13 +60,13 @@ class Retention:
             with contextlib.suppress(OSError):
                 sizes[path] = path.stat().st_size
         excess = sum(sizes.values()) + room_bytes - self._budget_bytes
-        going = []
+        excessive = []
         for path, size in sizes.items():
             if excess > 0 and path not in keep:
-                going.append(path)
+                excessive.append(path)
                 excess -= size
-        if going:
-            self._deleting = threading.Thread(target=self._delete, args=(going,), daemon=True)
+        if excessive:
+            self._deleting = threading.Thread(target=self._delete, args=(excessive,), daemon=True)
             self._deleting.start()
 
     def wait(self) -> None:

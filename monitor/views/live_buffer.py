@@ -23,7 +23,7 @@ from monitor.views.panels import Thresholds
 
 MAX_RATE_HZ = 20
 """Rows a second of an observer or message. Chosen: a plot of a minute has some 1,200 pixels."""
-MAX_ROWS = 600
+MAX_WAITING_ROWS = 600
 """Rows of an observer or message that wait at most: 30 s at :data:`MAX_RATE_HZ`. A viewer starts in less."""
 MAX_EVENTS = 500
 """Alarm events that wait at most; chosen as far more than an operator can read in those 30 s."""
@@ -74,7 +74,7 @@ class Shown:
 @dataclass(slots=True)
 class _Raw:
     paths: tuple[_Path, ...]
-    rows: deque[tuple[int, tuple[float, ...]]] = field(default_factory=lambda: deque(maxlen=MAX_ROWS))
+    rows: deque[tuple[int, tuple[float, ...]]] = field(default_factory=lambda: deque(maxlen=MAX_WAITING_ROWS))
 
 
 class VehicleView:
@@ -105,7 +105,7 @@ class VehicleView:
         self._wanted = frozenset(messages)
         self._lock = threading.Lock()
         self._estimates: dict[str, deque[Estimates]] = {
-            layout.observer: deque(maxlen=MAX_ROWS) for layout in self.layouts
+            layout.observer: deque(maxlen=MAX_WAITING_ROWS) for layout in self.layouts
         }
         self._events: deque[AlarmEvent] = deque(maxlen=MAX_EVENTS)
         self._raw: dict[str, _Raw] = {}

@@ -1,7 +1,7 @@
 """The live Rerun view of all monitored vehicles: faults with thresholds, residuals, alarms and telemetry.
 
-A thread of its own sends what the vehicles' monitors have collected to a Rerun process four times a second. One that
-stalls or goes away costs them nothing: their buffers drop the oldest.
+A thread of its own sends the buffers of the vehicles' monitors to a Rerun process four times a second. A process that
+stalls or ends costs the monitors nothing: their buffers drop the oldest rows.
 """
 
 from __future__ import annotations
@@ -19,15 +19,19 @@ from monitor.estimate import Layout
 from monitor.views.live_buffer import VehicleView
 from monitor.views.panels import Panels, Thresholds, choose_panels
 from monitor.views.rerun_blueprint import blueprint, observer_tab, raw_tab
-from monitor.views.rerun_process import DEFAULT_PORT, LOOPBACK, Mode, RerunProcess, require_free, rerun_binary
-from monitor.views.rerun_scene import APPLICATION, Scene
+from monitor.views.rerun_process import DEFAULT_PORT, LOOPBACK, RerunProcess, ViewMode, require_free, rerun_binary
+from monitor.views.rerun_scene import APPLICATION, RerunScene
 
 PERIOD_S = 0.25
+"""Seconds between sends. Chosen: the eye takes a plot that moves four times a second for a running one."""
 DEFAULT_MEMORY_MB = 256
 
+# Seconds until a server that failed is started again; chosen so that one that always fails costs little.
 _RESTART_S = 5.0
+# Seconds that serializing a batch may take, and that ending may take: the monitor waits for the latter only.
 _FLUSH_S = 1.0
 _CLOSE_S = 1.0
+# Memory of the server itself, MB, beside the data it keeps.
 _OWN_MB = 128
 
 
@@ -42,7 +46,7 @@ class LiveViewStatistics:
     batches, sent_bytes : int
         What it was sent.
     dropped : int
-        Rows and events that were dropped because it did not take them in time.
+        Rows and events dropped because it did not read them in time.
     failures : int
         How often it went away, grew too large or could not be started.
     """
@@ -67,7 +71,7 @@ class LiveView:
     port : int
         Port to serve on.
     memory_mb : int
-        Memory for what was shown; the oldest is dropped.
+        Memory for data that were shown; the oldest are dropped.
 
     Raises
     ------
@@ -75,12 +79,14 @@ class LiveView:
         The port is taken, or Rerun's executable is missing.
     """
 
-    def __init__(self, mode: Mode = "serve", *, port: int = DEFAULT_PORT, memory_mb: int = DEFAULT_MEMORY_MB) -> None:
+    def __init__(
+        self, mode: ViewMode = "serve", *, port: int = DEFAULT_PORT, memory_mb: int = DEFAULT_MEMORY_MB
+    ) -> None:
         rerun_binary()
         if mode == "serve":
             require_free(port)
         self.url = f"rerun+http://{LOOPBACK}:{port}/proxy" if mode == "serve" else ""
-        self._mode: Mode = mode
+        self._mode: ViewMode = mode
         self._port = port
         self._memory_mb = memory_mb
         self._recording_id = f"live-{uuid.uuid4()}"
@@ -95,7 +101,7 @@ class LiveView:
     def vehicle(
         self, name: str, layouts: Sequence[Layout], thresholds: Thresholds, messages: Collection[str]
     ) -> VehicleView:
-        """Show one more vehicle; return what its monitor gives everything to.
+        """Show one more vehicle; return its archive, to be given everything.
 
         Parameters
         ----------
@@ -119,7 +125,7 @@ class LiveView:
         return LiveViewStatistics(self._process is not None, self._batches, self._sent_bytes, dropped, self._failures)
 
     def close(self) -> None:
-        """Send what is left if that is quickly done, and end; a second call does nothing."""
+        """Send the rest if that is quickly done, and end; a second call does nothing."""
         self._stop.set()
         self._thread.join(_CLOSE_S)
         process = self._process
@@ -145,7 +151,7 @@ class LiveView:
             stream = recording.binary_stream()
             self._process = process
             shown: dict[str, VehicleView] = {}
-            scenes: dict[str, tuple[Scene, dict[str, Panels]]] = {}
+            scenes: dict[str, tuple[RerunScene, dict[str, Panels]]] = {}
             try:
                 stopping = False
                 while not stopping:
@@ -168,13 +174,13 @@ class LiveView:
                 recording.disconnect()
 
 
-def _scene(recording: rr.RecordingStream, view: VehicleView) -> tuple[Scene, dict[str, Panels]]:
+def _scene(recording: rr.RecordingStream, view: VehicleView) -> tuple[RerunScene, dict[str, Panels]]:
     chosen = choose_panels(view.layouts, (), (), view.thresholds)
-    panels = {layout.observer: one for layout, one in zip(view.layouts, chosen, strict=True)}
-    return Scene(recording, (view.vehicle,)), panels
+    panels = dict(zip((layout.observer for layout in view.layouts), chosen, strict=True))
+    return RerunScene(recording, (view.vehicle,)), panels
 
 
-def _send(scene: Scene, panels: dict[str, Panels], view: VehicleView) -> None:
+def _send(scene: RerunScene, panels: dict[str, Panels], view: VehicleView) -> None:
     batch = view.drain()
     thresholds = view.thresholds
     for trace in batch.traces:

@@ -1,4 +1,4 @@
-"""Colours that people with any colour vision tell apart (Okabe and Ito 2008), and what they stand for."""
+"""Colours that people with any colour vision tell apart (Okabe and Ito 2008), and their meanings."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ ANY_GROUND = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION)
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """The same colours for a light or a dark ground; each place of one theme stands for the same in the other.
+    """The same colours for a light or a dark ground; the k-th colour of either means the same.
 
     Parameters
     ----------
     paper, ink, muted : str
-        The ground, text and axes, and what recedes.
+        The ground; text and axes; and lines in the background.
     series : tuple[str, ...]
         Series by number; the first is an estimate, the third a residual.
     severity : Mapping[Severity, str]
@@ -51,12 +51,12 @@ class Theme:
 
     @property
     def band(self) -> str:
-        """Colour of what lies within a threshold."""
+        """Colour of the band within a threshold."""
         return self.muted
 
     @property
     def measured(self) -> str:
-        """Colour of what was measured or commanded; dashed, of what is known to be true."""
+        """Colour of measurements and commands; dashed, of known true sizes."""
         return self.ink
 
     @property
@@ -76,7 +76,7 @@ DARK = Theme(
 
 
 def any_ground_colour(index: int) -> str:
-    """Return the same on a ground that is not known; they repeat after six."""
+    """Return the colour of the ``index``-th series on a ground that is not known; they repeat after six."""
     return ANY_GROUND[index % len(ANY_GROUND)]
 
 

@@ -1,4 +1,4 @@
-"""Which fault channels of a run get a panel of their own, which share one, and what sets their vertical scale."""
+"""Fault channels of a run: which get a panel of their own, which share one, and the scales of their axes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,15 @@ from monitor.estimate import Layout
 from monitor.trace import Trace
 
 Thresholds = Mapping[tuple[str, str], float]
-Truth = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
+TrueSizes = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
 
 FEW = 6
+"""Channels in all up to which each gets a panel. Chosen: six panels still fit a page."""
 OUTLIERS_PERCENT = 0.02
-MARGIN = 0.06
+"""Share of values beyond an axis, percent, at either end. Chosen: of a minute at 100 Hz one sample, so that a single
+spike does not flatten a panel."""
+AXIS_MARGIN = 0.06
+"""Share of an axis's range left free at either end, so that lines do not touch the frame; a matter of looks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,22 +65,22 @@ def choose_panels(
             few or channel in known or key in alarmed or not thresholds.get(key)
             for channel, key in ((channel, (layout.observer, channel)) for channel in layout.faults)
         ]
-        chosen.append(Panels(_places(alone), _places([not one for one in alone])))
+        chosen.append(Panels(_places(alone), _places([not is_alone for is_alone in alone])))
     return tuple(chosen)
 
 
 def same_scale(layout: Layout, panels: Panels, place: int) -> tuple[int, ...]:
     """Return the places of the channels that share a channel's vertical scale.
 
-    Channels of one unit do where every channel has its own panel, to be compared; an alarm among many stands for
-    itself.
+    Channels of one unit do where every channel has its own panel, to be compared. A channel that is shown by itself
+    because of its alarm has its own scale.
     """
     if panels.together:
         return (place,)
     return tuple(other for other in panels.alone if layout.fault_units[other] == layout.fault_units[place])
 
 
-def fault_limits(trace: Trace, places: Iterable[int], thresholds: Thresholds, truth: Truth) -> tuple[float, float]:
+def fault_limits(trace: Trace, places: Iterable[int], thresholds: Thresholds, truth: TrueSizes) -> tuple[float, float]:
     """Return the ends of a vertical axis that shows channels' estimates, thresholds and truth, around zero.
 
     Estimates count only where alarms could be raised, and all but single outliers.
@@ -103,7 +107,7 @@ def evidence(trace: Trace, values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _places(chosen: Sequence[bool]) -> tuple[int, ...]:
-    return tuple(place for place, one in enumerate(chosen) if one)
+    return tuple(place for place, is_chosen in enumerate(chosen) if is_chosen)
 
 
 def _range(values: NDArray[np.float64]) -> list[float]:
@@ -116,5 +120,5 @@ def _range(values: NDArray[np.float64]) -> list[float]:
 
 def _padded(ends: Sequence[float]) -> tuple[float, float]:
     low, high = min(ends), max(ends)
-    margin = MARGIN * (high - low) or 0.05
+    margin = AXIS_MARGIN * (high - low) or 0.05
     return low - margin, high + margin

@@ -15,6 +15,7 @@ Limits = tuple[float, float]
 Root = tuple[str, ...]
 
 FAULTS_BELOW = 4
+"""Panels of faults one below the other; more get a second column. Chosen for a laptop's screen."""
 
 
 def blueprint(
@@ -31,9 +32,9 @@ def blueprint(
     tabs : Sequence[Vertical | Tabs | Grid]
         From :func:`observer_tab` and :func:`raw_tab`, or tabs of those.
     roots : Sequence[tuple[str, ...]]
-        What the entity paths of each vehicle begin with.
+        Beginning of the entity paths of each vehicle.
     follow : bool
-        Whether the viewer follows the newest Unix time; otherwise it stands on the vehicle's time.
+        Whether the viewer follows the newest Unix time; otherwise it shows the vehicle's time.
     active : int
         Which tab is open.
     """
@@ -83,7 +84,7 @@ def observer_tab(
     quiet_limits : tuple[float, float] | None
         The same of the channels that share a view, in units of their thresholds.
     root : tuple[str, ...]
-        What the entity paths begin with.
+        Beginning of the entity paths.
     """
     base = f"/{entity_path(*root, layout.observer)}"
 

@@ -1,4 +1,4 @@
-"""Rerun in a process of its own, fed through its standard input: what becomes of it touches nobody else.
+"""Rerun in a process of its own, fed through its standard input, so that its failures do not affect the monitor.
 
 Rerun's in-process server listens on all interfaces unless told otherwise, grows without bound behind a client that
 stalls, and then holds up the process that ends. A child can be killed, and a server does not outlive its parent.
@@ -17,15 +17,18 @@ from typing import Literal
 
 from adapters.errors import UsageError
 
-Mode = Literal["serve", "spawn"]
+ViewMode = Literal["serve", "spawn"]
 
 LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 9876
+"""Rerun's own default."""
 
 _PAGES_FILE = "/proc/{}/statm"
+# Seconds until a server that does not end, as one does not while a client stalls, is killed: the daemon's end waits.
 _STOP_S = 1.0
-# waits for its standard input to end, as it does when whoever holds the other end is gone, however it went
+# Waits for its standard input to end, as it does when the process at the other end is gone, for whatever reason.
 _KILL_AT_EOF = 'read -r _; kill -9 "$1"'
+# Seconds to wait for a viewer that may have been closed, so that it leaves no zombie; an open one is left alone.
 _LEAVE_S = 0.3
 
 
@@ -37,12 +40,12 @@ class RerunProcess:
     mode : {"serve", "spawn"}
         A server on loopback that viewers connect to, or a viewer on this machine's screen.
     port : int
-        Port of the server; a viewer takes any free one.
+        Port of the server; a viewer uses any free one.
     memory_mb : int
-        What the server keeps for viewers that come later, or what the viewer keeps; the oldest is dropped.
+        Memory of the server, for viewers that connect later, or of the viewer; the oldest data are dropped.
     """
 
-    def __init__(self, mode: Mode, port: int, memory_mb: int) -> None:
+    def __init__(self, mode: ViewMode, port: int, memory_mb: int) -> None:
         self._mode = mode
         options = [f"--bind={LOOPBACK}"]
         if mode == "serve":
@@ -89,7 +92,7 @@ class RerunProcess:
         self._process.kill()
 
     def close(self) -> None:
-        """End a server; leave a viewer open with what it has."""
+        """End a server; leave a viewer open with its data."""
         try:
             self._end()
         finally:
@@ -142,12 +145,12 @@ def rerun_binary() -> str:
 
 
 def require_free(port: int) -> None:
-    """Check that nobody listens on a port of loopback.
+    """Check that no process listens on a port of loopback.
 
     Raises
     ------
     UsageError
-        Somebody does, or it is no port.
+        One does, or it is no port.
     """
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

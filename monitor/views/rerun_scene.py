@@ -1,4 +1,4 @@
-"""What Rerun shows of a run, live or replayed: entity paths, names, colours, and how values get there."""
+"""A run in Rerun, live or replayed: entity paths, names, colours, and how values are sent."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from monitor.event import AlarmEvent
 from monitor.trace import AlarmSpan, Trace
 from monitor.views.palette import BLUE, GREEN, GREY, SEVERITY, any_ground_colour, rgba
-from monitor.views.panels import Panels, Thresholds, Truth
+from monitor.views.panels import Panels, Thresholds, TrueSizes
 
 APPLICATION = "fauio"
 BATCH_ROWS = 1 << 16
+"""Rows sent at once. Chosen: 11 min at 100 Hz; a viewer draws a recording while it reads it, batch by batch."""
 SPAN_WIDTH = 6.0
+"""Width of a threshold's line while its alarm is active, in points; other lines have 1."""
 
 _LEVELS = {"warning": rr.TextLogLevel.WARN, "critical": rr.TextLogLevel.CRITICAL}
 _QUIET_STATES = ("acknowledged", "shelved", "cleared")
@@ -28,8 +30,8 @@ def entity_path(*parts: str) -> str:
     return "/".join(rr.escape_entity_path_part(part) for part in parts)
 
 
-class Scene:
-    """Sends a run to a Rerun recording; what an entity looks like is sent once, before its first values.
+class RerunScene:
+    """Sends a run to a Rerun recording; the looks of an entity are sent once, before its first values.
 
     Time lines are ``vehicle_time`` (seconds of the vehicle's clock) and ``unix_time``. Entities per observer:
     ``<observer>/fault``, ``/residual``, ``/state``, ``/input`` and ``/output`` with one series per channel,
@@ -40,9 +42,9 @@ class Scene:
     Parameters
     ----------
     recording : RecordingStream
-        Where to.
+        The recording.
     root : tuple[str, ...]
-        What all entity paths begin with.
+        Beginning of all entity paths.
     """
 
     def __init__(self, recording: rr.RecordingStream, root: tuple[str, ...] = ()) -> None:
@@ -51,7 +53,7 @@ class Scene:
         self._described: set[str] = set()
 
     def trace(self, trace: Trace, panels: Panels, thresholds: Thresholds, *, shown_only: bool = False) -> None:
-        """Send samples and estimates of one observer; ``shown_only`` leaves out what the blueprint has no view of."""
+        """Send samples and estimates of one observer; ``shown_only`` omits entities without a view in the blueprint."""
         layout = trace.layout
         units = [f"{name} ({unit})" for name, unit in zip(layout.faults, layout.fault_units, strict=True)]
         groups = {
@@ -73,7 +75,7 @@ class Scene:
                 self._level(trace, (layout.observer, "threshold", name), f"threshold of {name}", level)
         self._quiet(trace, panels.together, thresholds)
 
-    def truth(self, trace: Trace, truth: Truth) -> None:
+    def truth(self, trace: Trace, truth: TrueSizes) -> None:
         """Send the true sizes of faults, where they are known."""
         for name in trace.layout.faults:
             if name not in truth or not len(trace.vehicle_ns):
@@ -90,7 +92,7 @@ class Scene:
             )
 
     def spans(self, trace: Trace, spans: Sequence[AlarmSpan], thresholds: Thresholds) -> None:
-        """Send when the alarms of an observer stood, as thick stretches of the lines of their thresholds."""
+        """Send when the alarms of an observer were active, as thick spans of the lines of their thresholds."""
         layout = trace.layout
         for name in layout.faults:
             own = [span for span in spans if (span.observer, span.channel) == (layout.observer, name)]
@@ -98,19 +100,19 @@ class Scene:
             if not own or level is None or not len(trace.vehicle_ns):
                 continue
             for severity, colour in SEVERITY.items():
-                stood = [span for span in own if span.severity == severity]
-                if not stood:
+                active = [span for span in own if span.severity == severity]
+                if not active:
                     continue
                 entity = (layout.observer, "span", name, severity)
                 style = rr.SeriesLines(
                     names=[f"{severity} alarm of {name}"] * 2, colors=[rgba(colour)] * 2, widths=[SPAN_WIDTH] * 2
                 )
-                vehicle_ns, unix_ns, levels = _stretches(trace, stood, level)
+                vehicle_ns, unix_ns, levels = _span_lines(trace, active, level)
                 path = self._describe(entity, style)
                 self._send(path, _times(vehicle_ns, unix_ns), rr.Scalars.columns(scalars=levels))
 
     def events(self, events: Sequence[AlarmEvent]) -> None:
-        """Send alarms as states, which stand until the next, and every event as a line of text."""
+        """Send alarms as states, each of which lasts until the next, and every event as a line of text."""
         channels: dict[tuple[str, ...], list[AlarmEvent]] = {}
         for event in events:
             channels.setdefault(("alarms", event.observer, event.channel), []).append(event)
@@ -177,7 +179,7 @@ class Scene:
         return entity_path(*self._root, *entity)
 
     def _describe(self, entity: tuple[str, ...], style: rr.AsComponents) -> str:
-        """Say what an entity looks like unless that was said; return its path."""
+        """Send the looks of an entity unless they were sent; return its path."""
         path = self._path(entity)
         if path not in self._described:
             self._recording.log(path, style, static=True)
@@ -188,10 +190,10 @@ class Scene:
         self._recording.send_columns(path, indexes=indexes, columns=columns)
 
 
-def _stretches(
+def _span_lines(
     trace: Trace, spans: Sequence[AlarmSpan], level: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Return vehicle's times, Unix times and values of two lines that are there while alarms stood, broken between."""
+    """Return vehicle's times, Unix times and values of two lines that are shown while alarms were active."""
     vehicle_ns: list[int] = []
     unix_ns: list[int] = []
     levels: list[list[float]] = []

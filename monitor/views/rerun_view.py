@@ -1,4 +1,4 @@
-"""A run as a Rerun recording that opens on what matters: faults with thresholds, alarms, residuals."""
+"""A run as a Rerun recording that opens on faults with their thresholds, alarms and residuals."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ import rerun as rr
 
 from monitor.event import AlarmEvent
 from monitor.trace import Trace, alarm_spans
-from monitor.views.panels import Panels, Thresholds, Truth, choose_panels, fault_limits, same_scale
+from monitor.views.panels import Panels, Thresholds, TrueSizes, choose_panels, fault_limits, same_scale
 from monitor.views.rerun_blueprint import Limits, blueprint, observer_tab
-from monitor.views.rerun_scene import APPLICATION, Scene
+from monitor.views.rerun_scene import APPLICATION, RerunScene
 
 FLUSH_TIMEOUT_S = 30.0
+"""Seconds until a disk that does not take the recording is an error. Chosen: far more than a disk that works needs."""
 QUIET_LIMITS = (-1.3, 1.3)
+"""Axis of the quiet channels in units of their thresholds: the band with some room around it."""
 
 
 def write_rrd(
@@ -23,13 +25,13 @@ def write_rrd(
     traces: Sequence[Trace],
     events: Sequence[AlarmEvent],
     thresholds: Thresholds,
-    truth: Truth | None = None,
+    truth: TrueSizes | None = None,
 ) -> None:
-    """Write a run to an ``.rrd`` file with its blueprint inside; ``Scene`` names its entities.
+    """Write a run to an ``.rrd`` file with its blueprint inside; ``RerunScene`` names its entities.
 
     No viewer is needed. The blueprint has a tab per observer that had a sample, that of the first alarm open, with the
-    thresholds of faults as lines which are thick while an alarm stands, scaled by what they were while alarms were
-    armed; below stand all alarms as states over time.
+    thresholds of faults as lines that are thick while an alarm is active, scaled by the estimates while alarms were
+    armed; below are all alarms as states over time.
 
     Parameters
     ----------
@@ -63,7 +65,7 @@ def write_rrd(
     recording = rr.RecordingStream(APPLICATION)
     try:
         recording.save(os.fspath(path), default_blueprint=blueprint(tabs, active=active))
-        scene = Scene(recording)
+        scene = RerunScene(recording)
         for trace, panels in zip(traces, chosen, strict=True):
             scene.trace(trace, panels, thresholds)
             scene.spans(trace, spans, thresholds)
@@ -71,13 +73,13 @@ def write_rrd(
         scene.events(events)
         recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
     except RuntimeError as error:
-        # Rerun's own kind of error for a disk that takes no more
+        # Rerun's own kind of error for a full disk
         raise OSError(errno.EIO, str(error), os.fspath(path)) from error
     finally:
         recording.disconnect()
 
 
-def _limits(trace: Trace, panels: Panels, thresholds: Thresholds, truth: Truth) -> dict[int, Limits]:
+def _limits(trace: Trace, panels: Panels, thresholds: Thresholds, truth: TrueSizes) -> dict[int, Limits]:
     return {
         place: fault_limits(trace, same_scale(trace.layout, panels, place), thresholds, truth) for place in panels.alone
     }

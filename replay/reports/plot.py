@@ -18,7 +18,7 @@ from monitor.bus.alarm_text import utc
 from monitor.event import AlarmEvent
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.views.palette import DARK, LIGHT, Theme
-from monitor.views.panels import Panels, Thresholds, Truth, choose_panels, same_scale
+from monitor.views.panels import Panels, Thresholds, TrueSizes, choose_panels, same_scale
 from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
 from replay.reports.envelope import BINS
 from replay.reports.plot_panels import (
@@ -78,7 +78,7 @@ def plot_png(
     traces: Sequence[Trace],
     events: Sequence[AlarmEvent],
     thresholds: Thresholds,
-    truth: Truth | None = None,
+    truth: TrueSizes | None = None,
     title: str = "",
     *,
     dark: bool = False,
@@ -128,7 +128,7 @@ def plot_svg(
     thresholds: Thresholds,
     beside: Sequence[Trace] = (),
     *,
-    truth: Truth | None = None,
+    truth: TrueSizes | None = None,
     without_sd: Collection[tuple[str, str]] = (),
 ) -> str:
     """Return the same picture of one observer as an ``<svg>`` element to stand in a page, whose colours it takes.
@@ -181,7 +181,7 @@ def run_figure(
     traces: Sequence[Trace],
     events: Sequence[AlarmEvent],
     thresholds: Thresholds,
-    truth: Truth,
+    truth: TrueSizes,
     title: str,
     look: Look,
     beside: Sequence[Trace] = (),
@@ -263,7 +263,7 @@ def _rows(
     panels: Panels,
     spans: Sequence[AlarmSpan],
     thresholds: Thresholds,
-    truth: Truth,
+    truth: TrueSizes,
     look: Look,
     *,
     heading: bool,
@@ -295,7 +295,7 @@ def _draw_legend(
     traces: Sequence[Trace],
     thresholds: Thresholds,
     chosen: Sequence[Panels],
-    truth: Truth,
+    truth: TrueSizes,
     spans: Sequence[AlarmSpan],
 ) -> None:
     """Say once, above all panels, what the marks of the fault panels mean."""

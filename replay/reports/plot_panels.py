@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from adapters.errors import printable
 from monitor.trace import AlarmSpan, Trace
 from monitor.views.palette import Theme
-from monitor.views.panels import Thresholds, Truth, evidence, fault_limits
+from monitor.views.panels import Thresholds, TrueSizes, evidence, fault_limits
 from replay.reports.envelope import band, envelope
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def draw_fault(
     place: int,
     spans: Sequence[AlarmSpan],
     thresholds: Thresholds,
-    truth: Truth,
+    truth: TrueSizes,
     scale: Sequence[int],
 ) -> None:
     """Draw one fault channel with its alarms, threshold and truth, scaled as the channels at ``scale`` need."""

@@ -15,7 +15,7 @@ from monitor.bus.alarm_text import utc
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR
 from monitor.profile import Profile
-from monitor.views.panels import Truth
+from monitor.views.panels import TrueSizes
 from replay.player import Replay
 from replay.reports.findings import Calibration, Finding, WatchedChannel, effects, findings, watched_channels
 from replay.reports.plot import plot_svg
@@ -60,7 +60,7 @@ class Run:
         What went in.
     damage : tuple[Damage, ...]
         What of the recording could not be read.
-    truth : Truth
+    truth : TrueSizes
         What is known to have been injected, by channel.
     """
 
@@ -72,7 +72,7 @@ class Run:
     replay: Replay
     recording: RecordingFacts
     damage: tuple[Damage, ...] = ()
-    truth: Truth = field(default_factory=dict)
+    truth: TrueSizes = field(default_factory=dict)
 
 
 def write_report(path: str | os.PathLike[str], run: Run) -> None:

@@ -17,7 +17,7 @@ from adapters.message import Message
 from monitor.event import AlarmEvent
 from monitor.fitting.progress import recording_bytes, track
 from monitor.profile import Profile
-from monitor.views.panels import Truth
+from monitor.views.panels import TrueSizes
 from replay.player import Replay, interests, play_batches
 from replay.reports.known_truth import known_truth
 from replay.reports.recording_facts import RecordingMeter
@@ -230,7 +230,7 @@ def _replay(
     )
 
 
-def _write(profile: Profile, task: LogTask, found: Replay, truth: Truth, title: str) -> None:
+def _write(profile: Profile, task: LogTask, found: Replay, truth: TrueSizes, title: str) -> None:
     """Write the plot and the Rerun recording that were asked for."""
     if task.plot:
         from replay.reports.findings import effects
