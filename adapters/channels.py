@@ -17,6 +17,7 @@ Interpolation = Literal["linear", "previous"]
 _STEP = re.compile(r"([^.\[\]]+)|\[(?:(\d+)|([^\[\]]+))\]")
 _INTERPOLATIONS = ("linear", "previous")
 CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
+"""The usual names of clock fields and the nanoseconds they count, the first one that a message has being its clock."""
 MAX_VALUE = 1e12
 """Beyond it no vehicle measures anything, in any unit; an observer that believed it would be blind for seconds."""
 # Where messages of ROS 2, and those of Foxglove's schemas, have their time: seconds and nanoseconds.
@@ -51,7 +52,7 @@ class Channel:
     clock_unit_ns : int | None
         Nanoseconds per count of that field; None: known from the usual names.
     interpolation : {"linear", "previous"}
-        How the value between two measurements is found.
+        How values between two measurements are interpolated.
     period : float | None
         Of a value that wraps, in the channel's unit: an angle of 359 degrees and one of 1 degree (period 360) are 2
         degrees apart. Interpolation goes the shorter way round and may leave the range.
@@ -76,11 +77,11 @@ class Channel:
         """Return the channel's value, None where no number is there that can be one: NaN, beyond :data:`MAX_VALUE`."""
         path = self.path
         # Most paths are one name; they are read some thousand times a second.
-        found = fields.get(path[0]) if len(path) == 1 else follow(fields, path)  # type: ignore[arg-type]
-        if not isinstance(found, float) and (not isinstance(found, int) or isinstance(found, bool)):
+        number = fields.get(path[0]) if len(path) == 1 else follow(fields, path)  # type: ignore[arg-type]
+        if not isinstance(number, float) and (not isinstance(number, int) or isinstance(number, bool)):
             return None
         try:
-            value = self.scale * found + self.offset
+            value = self.scale * number + self.offset
         except OverflowError:
             return None
         return value if -MAX_VALUE <= value <= MAX_VALUE else None
@@ -88,10 +89,10 @@ class Channel:
     def stamp_ns(self, fields: Mapping[str, Any]) -> int | None:
         """Return the measurement's time on the vehicle's clock in nanoseconds, None where it has none."""
         if self.clock is not None:
-            found = fields.get(self.clock)
-            if found is None:
-                found = follow(fields, field_steps(self.clock))
-            return _stamp(found, self.clock_unit_ns or CLOCK_UNITS_NS.get(self.clock, 1))
+            count = fields.get(self.clock)
+            if count is None:
+                count = follow(fields, field_steps(self.clock))
+            return _stamp(count, self.clock_unit_ns or CLOCK_UNITS_NS.get(self.clock, 1))
         for name, unit_ns in CLOCK_UNITS_NS.items():
             stamp = _stamp(fields.get(name), self.clock_unit_ns or unit_ns)
             if stamp is not None:
@@ -116,7 +117,7 @@ def _whole(count: Any, unit_ns: int) -> int | None:
 
 
 def follow(fields: Mapping[str, Any], path: tuple[str | int, ...]) -> Any:
-    """Return what stands at ``path`` inside decoded fields, None where there is nothing."""
+    """Return the value at ``path`` inside decoded fields, None where there is none."""
     here: Any = fields
     above: Any = None
     for step in path:
@@ -132,7 +133,7 @@ def follow(fields: Mapping[str, Any], path: tuple[str | int, ...]) -> Any:
 
 
 def _named(names: Any, values: list[Any], name: str) -> Any:
-    """Return the value that belongs to a name; None where it is not there, twice, or the lists are not alike long."""
+    """Return the value that belongs to a name; None where it is missing or twice, or the lists differ in length."""
     if not isinstance(names, list) or len(names) != len(values) or names.count(name) != 1:
         return None
     return values[names.index(name)]

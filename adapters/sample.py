@@ -1,4 +1,4 @@
-"""(u, y) samples on the fixed-rate grid of the vehicle's clock: what the observer eats, one by one or in stretches."""
+"""(u, y) samples on the fixed-rate grid of the vehicle's clock: the input of observers."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Sample:
         the tick: with a GPS of 5 Hz up to 200 ms. What is concluded from the sample is not known earlier.
     measured : bool
         False where an output was bridged across three or more lost measurements: the observer coasts on its model,
-        which says more than the straight line that ``y`` holds there.
+        which is better than the straight line that ``y`` holds there.
     """
 
     index: int

@@ -71,7 +71,7 @@ def ruled(first: int, resumed: bool) -> Iterator[None]:
         return CoastingMaps(coast, StepMap(np.pad(gains.step_matrix, more), np.pad(gains.argument_matrix, nu)))
 
     with (
-        patch("monitor.sampling.lane._LINE_PERIODS", first),
+        patch("monitor.core.sampling.LINE_PERIODS", first),
         patch("monitor.estimation.stack_layout.coasting_maps", maps),
     ):
         yield

@@ -74,7 +74,7 @@ def test_bursts_on_a_healthy_flight_are_coasted_closer_than_a_straight_line_and_
     whole = play(quad_profile, gusty, keep_traces=True).traces[0]
     errors = []
     for first in (3, 1_000_000):
-        monkeypatch.setattr("monitor.sampling.lane._LINE_PERIODS", first)
+        monkeypatch.setattr("monitor.core.sampling.LINE_PERIODS", first)
         found = play(quad_profile, with_bursts_lost(gusty, 0.08, seed), keep_traces=True)
         if first == 3:
             assert found.events == ()

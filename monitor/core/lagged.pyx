@@ -22,12 +22,12 @@ def sines(angles):
 
 cdef object _each(angles, double (*function)(double) noexcept nogil):
     cdef const double[:] given = angles
-    found = np.empty(given.shape[0])
-    cdef double[::1] values = found
+    results = np.empty(given.shape[0])
+    cdef double[::1] values = results
     cdef Py_ssize_t k
     for k in range(given.shape[0]):
         values[k] = function(given[k])
-    return found
+    return results
 
 
 cdef class _Lag:

@@ -10,6 +10,7 @@ from adapters.sample import Samples
 
 MAX_STAMP_NS: int
 CAPACITY: int
+LINE_PERIODS: int
 
 class VehicleClock:
     @property

@@ -19,11 +19,11 @@ their order count:
    around t_k are more than 1.5 periods apart (1 ms or a quarter of a period, whichever is less, is granted
    for jitter), some were lost in between and the sample is marked ``complete=False``: an estimate, no
    evidence. If three or more of an output's are missing, of one that comes at least at every second tick, it
-   is marked ``measured=False`` too: the observer coasts, for over such a distance its model says more than a
+   is marked ``measured=False`` too: the observer coasts, for over such a distance its model is better than a
    straight line. Without outputs any channel counts (the raw signals of a transform). If they are further apart
    than 10 periods and than ``max_gap_s``, it is a gap: its ticks are skipped and the first sample after it is
-   marked ``restart=True``. The default of 0.1 s is ten samples at 100 Hz, about as long as a straight line says
-   something about a body rate; an observer is better started afresh than fed with more of it.
+   marked ``restart=True``. The default of 0.1 s is ten samples at 100 Hz, about as long as a straight line is close
+   to a body rate; an observer is better started afresh than fed with more of it.
 5. A channel that stops while others go on is waited for until the vehicle's clock is 0.5 s and 10 of its
    periods ahead; then ticks are skipped and measurements that only they would have used are dropped. Memory
    is bounded.
@@ -64,6 +64,7 @@ ctypedef long long nanoseconds
 MAX_STAMP_NS = 1 << 62
 """Stamps and arrival times at or beyond it (the year 2116) are damaged; sums of two below it fit into 64 bits."""
 
+# The same for C, and units.
 cdef nanoseconds _MAX_STAMP = 1 << 62
 cdef nanoseconds _SECOND = 1_000_000_000
 cdef nanoseconds _MILLISECOND = 1_000_000
@@ -71,33 +72,54 @@ cdef nanoseconds _MILLISECOND = 1_000_000
 cdef nanoseconds _UNTIMED = -1
 cdef nanoseconds _CLOCKLESS = -2
 
-# The clock (VehicleClock says what for).
+# Messages of one vehicle overtake each other by less: the longest silence of a link in 12 recorded flights is 0.11 s. A
+# reboot steps back by the time since the last one, which is more as soon as anything can fly.
 cdef nanoseconds _TOLERANCE = _SECOND
+# Chosen: after a longer silence nothing of what was estimated before it is of use, so starting anew costs nothing.
 cdef nanoseconds _JUMP = 10 * _SECOND
+# A minute of least delays, twelve of them: after it a clock with 200 ppm of skew behind up to 20 ms of jitter is mapped
+# within half a millisecond (tests/test_monitor_sampling_clock.py). Longer, and a skew that changes is followed late.
 cdef nanoseconds _BUCKET = 5 * _SECOND
 cdef nanoseconds _BUCKETS = 12
-cdef nanoseconds _LEAST_SPAN = 15 * _SECOND
+# Quartz crystals keep 100 ppm over temperature; five times that is no crystal any more.
 cdef nanoseconds _LARGEST_SKEW_PPM = 500
+# Over this span the largest skew is a delay of 7.5 ms; over less, jitter alone would look like it.
+cdef nanoseconds _LEAST_SPAN = 15 * _SECOND
+# 32 bits of milliseconds and of microseconds.
 cdef nanoseconds[2] _TURNS
 _TURNS[0], _TURNS[1] = 1_000 << 32, 1_000_000 << 32
 
-# Lanes: rules 3 to 5.
+# Rule 3. The median of three steps is the period although one measurement was lost.
 cdef int _FIRST_STEPS = 3
+# Chosen: a changed rate moves the median after 16 steps; looking every eighth step sees it at most a half later, and
+# sorting 31 steps each time would cost more than the rest of the sampling.
 cdef int _RELEARN_EVERY = 8
+# Rule 4. Stamps in milliseconds are rounded by up to one; of steps of 10 ms in 12 recorded flights 99.9 % lie within a
+# quarter of a period.
+cdef nanoseconds _JITTER = _MILLISECOND
+# Rule 5. Chosen: over four times the longest silence of 12 recorded flights; the longer, the later all other channels.
 cdef nanoseconds _SILENCE = 500 * _MILLISECOND
+# Rules 4 and 5. Chosen: the default of max_gap_s for a channel at 100 Hz; slower ones in proportion.
 cdef nanoseconds _GAP_PERIODS = 10
-cdef nanoseconds _LINE_PERIODS = 3
-cdef double _MAX_VALUE = MAX_VALUE
-CAPACITY = 1 << 14
-"""Most measurements a lane keeps; a flood of one channel while another is waited for drops the older half."""
 
-cdef Py_ssize_t _CAPACITY = CAPACITY
-# Ten times it still fits into 64 bits: a period of nine years.
+LINE_PERIODS = 3
+"""Lost measurements of an output from which the observer coasts (rule 4): of 1, 2, 3 the best of those measured
+(docs/measurements.md, bench/gaps.py)."""
+
+# Values and times beyond these are no measurements; ten times the longest period still fits into 64 bits.
+cdef double _MAX_VALUE = MAX_VALUE
 cdef nanoseconds _LONGEST_PERIOD = 1 << 58
 
-# Numbers of array lengths that C needs when it is compiled.
+CAPACITY = 1 << 14
+"""Most measurements a lane keeps; a flood of one channel while another is waited for drops the older half. Chosen: 16 s
+at 1 kHz, and 2 MB for a lane of 15 channels."""
+
+cdef Py_ssize_t _CAPACITY = CAPACITY
+
 cdef enum:
+    # Buckets, and what damaged clocks may add to them; the oldest point gives way.
     _MOST_POINTS = 64
+    # Odd, so the median is one of them; up to 15 of them may be lost or doubled without moving it.
     _STEPS = 31
 
 
@@ -126,7 +148,7 @@ cdef struct Point:
 
 
 cdef class VehicleClock:
-    """Follows one vehicle's clock through its messages; what it says depends on nothing but them.
+    """Follows one vehicle's clock through its messages, and depends on nothing but them.
 
     Belief. A stamp within 1 s of the newest one, before or after, is believed at once. One further away is
     believed only when the next message has another stamp near it (at most 1 s before or 10 s after), so a
@@ -139,7 +161,7 @@ cdef class VehicleClock:
     at once (S. Moon, P. Skelly, D. Towsley, "Estimation and Removal of Clock Skew from Network Delay
     Measurements", INFOCOM 1999). It is the edge of their lower convex hull below the mean of their stamps. Where
     they span less than 15 s, or the edge is steeper than any crystal (500 ppm: simulated time that runs fast, a
-    clock that was just set), the least delay stands alone. A single arrival time that would lower the offset by
+    clock that was just set), the least delay alone counts. A single arrival time that would lower the offset by
     more than 1 s is not believed.
 
     Attributes
@@ -373,7 +395,7 @@ cdef class Lane:
     loss
         Distance of neighbours beyond which measurements are missing between them.
     line
-        Distance of neighbours beyond which a model says more of an output than the straight line between them.
+        Distance of neighbours beyond which a model of an output is better than the straight line between them.
     gap
         Distance of neighbours beyond which nothing is interpolated.
     silence
@@ -382,7 +404,7 @@ cdef class Lane:
 
     cdef Column* columns
     cdef int width
-    cdef nanoseconds max_gap, slow
+    cdef nanoseconds max_gap, slow, line_periods
     # Measurements start <= i < start + count of buffers with room for `room`.
     cdef nanoseconds* _stamps
     cdef double* _rows
@@ -393,7 +415,7 @@ cdef class Lane:
     cdef nanoseconds loss, line, gap, silence
 
     def __cinit__(self, int width, nanoseconds max_gap, nanoseconds slow):
-        self.width, self.max_gap, self.slow = width, max_gap, slow
+        self.width, self.max_gap, self.slow, self.line_periods = width, max_gap, slow, LINE_PERIODS
         self.columns = <Column*>PyMem_Malloc(width * sizeof(Column))
         if self.columns == NULL:
             raise MemoryError
@@ -417,8 +439,8 @@ cdef class Lane:
         """Let what follows from a period hold."""
         period = min(period, _LONGEST_PERIOD)
         self.gap = max(self.max_gap, _GAP_PERIODS * period)
-        self.loss = period + period // 2 + min(_MILLISECOND, period // 4)
-        self.line = self.gap if period >= self.slow else self.loss + (_LINE_PERIODS - 1) * period
+        self.loss = period + period // 2 + min(_JITTER, period // 4)
+        self.line = self.gap if period >= self.slow else self.loss + (self.line_periods - 1) * period
         self.silence = max(_SILENCE, _GAP_PERIODS * period)
 
     cdef inline bint ready(self) noexcept:
@@ -542,8 +564,8 @@ cdef class Lane:
 
 cdef inline double _modulo(double value, double period) noexcept:
     """Return the remainder in [0, period)."""
-    cdef double rest = fmod(value, period)
-    return rest + period if rest < 0.0 else rest
+    cdef double remainder = fmod(value, period)
+    return remainder + period if remainder < 0.0 else remainder
 
 
 cdef class Stream:
@@ -980,11 +1002,11 @@ cdef class SamplerCore:
             whole[0], whole[1], whole[2], inputs, measured, marks[0], marks[1], whole[3], marks[2]
         )
         self._count = 0
-        found = samples, whole[4]
+        collected = samples, whole[4]
         if not count:
             # Most batches of a live link complete no sample of a slow observer.
-            self._none = found
-        return found
+            self._none = collected
+        return collected
 
 
 cdef class Settling:
@@ -1013,7 +1035,7 @@ cdef class Settling:
         cdef Py_ssize_t row, i
         cdef bint holds
         admitted = np.empty(times.shape[0], np.bool_)
-        cdef unsigned char[::1] found = admitted.view(np.uint8)
+        cdef unsigned char[::1] flags = admitted.view(np.uint8)
         for row in range(times.shape[0]):
             holds = allowed
             if holds and by_command:
@@ -1024,7 +1046,7 @@ cdef class Settling:
             if holds and (restart[row] or not self._holds):
                 self._since = times[row]
             self._holds = holds
-            found[row] = holds and times[row] - self._since >= self._settle_ns
+            flags[row] = holds and times[row] - self._since >= self._settle_ns
         return admitted
 
 

@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""Strapdown kinematics tick by tick: what the raw signals of a vehicle say about its motion, brought to one age.
+"""Strapdown kinematics tick by tick: the vehicle's motion by each of its raw signals, brought to one age.
 
-:mod:`monitor.vehicles.inertial.strapdown` says what goes in and comes out, and why. Sines, roots and powers are those
+:mod:`monitor.vehicles.inertial.strapdown` tells its inputs and outputs, and why they are these. Sines, roots and powers are those
 of the C library, one tick after the other, so results do not depend on how a stream is cut into batches.
 """
 
@@ -21,10 +21,10 @@ cdef double _GRAVITY = STANDARD_GRAVITY
 cdef double _WGS84_A = 6_378_137.0
 cdef double _WGS84_E2 = 6.694_379_990_14e-3
 cdef double _DEGREE = M_PI / 180.0
-# Pitch at which the heading says nothing any more: within 3 degrees of the vertical its rate grows without bound.
+# Chosen: within 3 degrees of the vertical the heading's rate is the body's times more than 20, and grows without bound.
 cdef double _STEEPEST_COSINE = 0.05
-# An attitude that turns this much faster than the gyro says (rad/s) was reset: another estimator took over, which takes
-# a few ticks at most. Its step is no rotation; one that goes on for longer is believed.
+# Chosen: an attitude that turns faster than the gyro measures by this much (rad/s, well above a gyro's bias) was
+# reset, as where another estimator took over. That takes a few ticks at most: one that goes on for longer is believed.
 cdef double _RESET_RATE = 1.0
 cdef int _RESET_TICKS = 3
 
@@ -214,7 +214,7 @@ cdef class StrapdownCore:
     cdef bint tick(self, const double* signals, double* u, double* y) noexcept:
         """Fill in u of this tick and the integrals y before washing; return whether every delay line is full."""
         cdef const double* rate = signals + 3
-        cdef const double* rest = signals + 9
+        cdef const double* sensors = signals + 9
         cdef double[9] R
         cdef double[5] values
         cdef double* motion
@@ -243,21 +243,21 @@ cdef class StrapdownCore:
         if self._gps:
             if not self._placed:
                 self._placed = True
-                self._origin[0], self._origin[1] = rest[0], rest[1]
-                _metres_per_degree(rest[0], self._origin + 2)
-            course = rest[4] * _DEGREE
-            values[0] = (rest[0] - self._origin[0]) * self._origin[2]
-            values[1] = (_modulo(rest[1] - self._origin[1] + 180.0, 360.0) - 180.0) * self._origin[3]
-            values[2] = -rest[2]
-            values[3], values[4] = rest[3] * cos(course), rest[3] * sin(course)
+                self._origin[0], self._origin[1] = sensors[0], sensors[1]
+                _metres_per_degree(sensors[0], self._origin + 2)
+            course = sensors[4] * _DEGREE
+            values[0] = (sensors[0] - self._origin[0]) * self._origin[2]
+            values[1] = (_modulo(sensors[1] - self._origin[1] + 180.0, 360.0) - 180.0) * self._origin[3]
+            values[2] = -sensors[2]
+            values[3], values[4] = sensors[3] * cos(course), sensors[3] * sin(course)
             fix = self._fixes.push(values)
             full = full and fix != NULL
-            rest += 5
+            sensors += 5
         if self._baro:
-            values[0] = _pressure_altitude(rest[0]) if self._hectopascal else rest[0]
+            values[0] = _pressure_altitude(sensors[0]) if self._hectopascal else sensors[0]
             altitude = self._altitudes.push(values)
             full = full and altitude != NULL
-            rest += 1
+            sensors += 1
         if not full:
             return False
         if self._gps:
@@ -274,12 +274,12 @@ cdef class StrapdownCore:
             u[i + axis], y[k + axis] = rate[axis], self._turned[axis]
         if self._mag:
             u[i + 3] = level[4]
-            self._heading = self._heading + _wrapped(_magnetic_heading(level, rest) - self._heading)
+            self._heading = self._heading + _wrapped(_magnetic_heading(level, sensors) - self._heading)
             y[k + 3] = self._heading
         return True
 
     cdef void turn(self, const double* R, const double* rate) noexcept:
-        """Add what the attitude turned since the tick before; while it is being reset, what the gyro says."""
+        """Add what the attitude turned since the tick before; while it is being reset, what the gyro measured."""
         cdef double[3] angles
         cdef double step, apart, largest = 0.0
         cdef int axis
@@ -346,5 +346,5 @@ cdef inline double _wrapped(double angle) noexcept:
 
 cdef inline double _modulo(double value, double period) noexcept:
     """Return the remainder in [0, period)."""
-    cdef double rest = fmod(value, period)
-    return rest + period if rest < 0.0 else rest
+    cdef double remainder = fmod(value, period)
+    return remainder + period if remainder < 0.0 else remainder

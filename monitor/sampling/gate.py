@@ -1,10 +1,10 @@
 """Samples and when they count as evidence: armed, in the air, and settled; never on the ground, at take-off or landing.
 
 Rules, in order: a vehicle known to be disarmed is not watched; where the vehicle reports its landed state, only
-"in the air" counts; where it does not, a mean command of at least ``airborne_command`` stands for it. Each time the
-rules come to hold, ``settle_s`` of vehicle time passes before evidence counts. When what the vehicle says of itself
-comes to allow evidence, the samples restart: what was estimated on the ground, before the first fix of the
-GPS or while the vehicle was carried about, is forgotten.
+"in the air" counts; where it does not, a mean command of at least ``airborne_command`` takes its place. Each time the
+rules come to hold, ``settle_s`` of vehicle time passes before evidence counts. When the reported flight phase
+comes to allow evidence, the samples restart: the estimates made on the ground, before the first fix of the
+GPS or while the vehicle was carried about, are forgotten.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class FlightGate:
     def admitted(self, phase: FlightPhase, samples: Samples, commands: bool = True) -> NDArray[np.bool_]:
         """Return which samples count as evidence (n,), the flight phase being the same for all of them.
 
-        Without ``commands`` their inputs are none, and say nothing about being in the air.
+        Without ``commands`` the inputs are no commands, so their mean does not tell that the vehicle flies.
         """
         rule = self._rule
         by_command = rule.require_airborne and phase.landed is None and commands

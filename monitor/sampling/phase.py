@@ -1,4 +1,4 @@
-"""What the vehicle says about itself: armed or not, on the ground or in the air, what kind of vehicle it is."""
+"""Flight phase as the vehicle reports it: armed or not, on the ground or in the air; and its type."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from adapters.source import MAVLINK
 
 Landed = Literal["ground", "air", "takeoff", "landing"]
 
+# MAV_MODE_FLAG_SAFETY_ARMED, and the values of MAV_LANDED_STATE.
 _ARMED = 128
 _LANDED: dict[int, Landed] = {1: "ground", 2: "air", 3: "takeoff", 4: "landing"}
 
@@ -22,9 +23,9 @@ class FlightPhase:
     armed : bool | None
         Bit 128 of HEARTBEAT.base_mode; None before the first heartbeat.
     landed : {"ground", "air", "takeoff", "landing"} | None
-        EXTENDED_SYS_STATE.landed_state; None where the vehicle does not say.
+        EXTENDED_SYS_STATE.landed_state; None where the vehicle does not report it.
     vehicle_type : int | None
-        HEARTBEAT.type where it says something (0 is "generic"), else None.
+        HEARTBEAT.type; None where it is 0, "generic".
     interests : frozenset[str]
         Names of the messages it reads.
     """
@@ -42,13 +43,13 @@ class FlightPhase:
     __hash__ = None  # type: ignore[assignment]
 
     def copy(self) -> FlightPhase:
-        """Return a phase of its own that says the same."""
+        """Return a phase of its own with the same state."""
         phase = FlightPhase()
         phase.armed, phase.landed, phase.vehicle_type = self.armed, self.landed, self.vehicle_type
         return phase
 
     def feed(self, message: Message) -> None:
-        """Take a message; one of no interest changes nothing."""
+        """Follow a message; one of no interest changes nothing."""
         if message.name not in self.interests or message.source is not MAVLINK:
             return
         fields = message.fields

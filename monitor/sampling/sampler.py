@@ -1,6 +1,6 @@
 """What turns the messages of one vehicle into samples (u, y) on a grid of its clock, and what it counts.
 
-The rules stand at the top of :mod:`monitor.core.sampling`, which carries them out: :func:`sample_batch` works through
+The rules are at the top of :mod:`monitor.core.sampling`, which carries them out: :func:`sample_batch` works through
 a batch of telemetry for all samplers of a vehicle at once.
 """
 

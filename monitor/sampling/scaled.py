@@ -30,7 +30,7 @@ class Scaled(NamedTuple):
 
 
 class ScaledInputs(ABC):
-    """A transform whose inputs are effects of actuators at the present speed; a kind says how, by :meth:`scale`.
+    """A transform whose inputs are effects of actuators at the present speed; a kind implements :meth:`scale`.
 
     Parameters
     ----------

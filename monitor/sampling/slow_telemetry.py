@@ -7,10 +7,12 @@ from collections.abc import Collection, Mapping, Sequence
 from monitor.sampling.transform import Source
 
 SELDOM = frozenset({"GPS_RAW_INT", "SCALED_PRESSURE", "VFR_HUD", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT"})
-"""Slow by their nature; the transforms that read them wait for them."""
+"""Slow by their nature; the transforms that read them delay the others."""
 
 _ENOUGH = 0.8
+"""Share of the wanted rate that is enough; chosen: a rate a little below the wanted one is no reason to complain."""
 _SPANNED = 3.0
+"""Samples between two messages from which an observer interpolates more than it measures: two of three are between."""
 
 
 def slow_messages(
@@ -28,15 +30,15 @@ def slow_messages(
         How often they should come per second.
     """
     fast = sorted(set(messages) - SELDOM)
-    rates = {name: min(found.get(name, 0.0) for found in recordings) for name in fast}
+    rates = {name: min(recording.get(name, 0.0) for recording in recordings) for name in fast}
     return {name: rate for name, rate in rates.items() if rate < _ENOUGH * wanted_hz}
 
 
 def slow_text(slow: Mapping[str, float], wanted_hz: float) -> str:
     """Return a line about messages that come too seldom: how often, what is needed, how to get it."""
-    told = ", ".join(f"{name} {rate:.3g} Hz" for name, rate in slow.items())
+    rates = ", ".join(f"{name} {rate:.3g} Hz" for name, rate in slow.items())
     return (
-        f"slow telemetry: {told}; {wanted_hz:g} Hz or more are needed to see faults early and small ones at all. Raise "
+        f"slow telemetry: {rates}; {wanted_hz:g} Hz or more are needed to see faults early and small ones at all. Raise "
         "the rates in the autopilot (ArduPilot SRx_*, PX4 mavlink stream) or with [send] rates of fauio.toml, record "
         "again and fit again"
     )
