@@ -153,18 +153,18 @@ def run_design(args: argparse.Namespace) -> int:
     try:
         if args.method == "all":
             return _compare(plant, args, model_hash(model))
-        found = _design(plant, args, model_hash(model))
+        report = _design(plant, args, model_hash(model))
     except InfeasibleError as error:
         if args.json:
             _print_json(_failure(plant, args, error))
         raise
-    found |= {"floor": _floor(plant, found), "reason": None}
+    report |= {"floor": _floor(plant, report), "reason": None}
     if args.json:
-        _print_json(found)
+        _print_json(report)
     else:
         from gains.synthesis.design_text import text
 
-        sys.stdout.write(text(found, args.out))
+        sys.stdout.write(text(report, args.out))
     return 0
 
 
@@ -195,20 +195,20 @@ def _compare(plant: Plant, args: argparse.Namespace, model_hash: str) -> int:
     for method, continuous in runs:
         if method == "convex" and not continuous and args.rate is None and plant.rate_hz is None:
             continue
-        one = argparse.Namespace(**{**vars(args), "method": method, "continuous": continuous})
+        case = argparse.Namespace(**{**vars(args), "method": method, "continuous": continuous})
         try:
-            found = _design(plant, one, model_hash)
-            found |= {"floor": _floor(plant, found), "reason": None}
+            report = _design(plant, case, model_hash)
+            report |= {"floor": _floor(plant, report), "reason": None}
         except (InfeasibleError, ModelError) as error:
-            found = _failure(plant, one, error)
+            report = _failure(plant, case, error)
         if args.json:
-            _print_json(found)
+            _print_json(report)
             continue
-        name = f"{method}, {found['domain']}" if method == "convex" else method
+        name = f"{method}, {report['domain']}" if method == "convex" else method
         figures = "".join(
-            f"{'-' if found[key] is None else format(found[key], '.5g'):>12}" for key in ("sqrt_mu", "norm", "floor")
+            f"{'-' if report[key] is None else format(report[key], '.5g'):>12}" for key in ("sqrt_mu", "norm", "floor")
         )
-        sys.stdout.write(f"{name:<22}{figures}  {found.get('reason') or found['status']}\n")
+        sys.stdout.write(f"{name:<22}{figures}  {report.get('reason') or report['status']}\n")
     return 0
 
 
@@ -276,7 +276,7 @@ def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str
     )
     certificate = certify(plant, design)
     if args.out is not None:
-        # Whoever runs the gains checks the hash of the model file, which --fault-rate does not change.
+        # The monitor compares the hash with that of the model file, which --fault-rate does not change.
         write_gains(replace(compile_gains(plant, design, certificate), model_hash=model_hash), args.out)
     return report(plant, design, certificate)
 
@@ -293,12 +293,12 @@ def _design_baseline(plant: Plant, args: argparse.Namespace, model_hash: str) ->
     from gains.published.catalogue import design_baseline
     from gains.synthesis.gains_file import write_gains
 
-    gains, found = design_baseline(plant, args.method, args.rate)
+    gains, report = design_baseline(plant, args.method, args.rate)
     if args.out is not None:
         if gains is None:
             raise UsageError(f"{plant.name}: gains that run need a rate in samples per second (--rate)")
         write_gains(replace(gains, model_hash=model_hash), args.out)
-    return found
+    return report
 
 
 def _design_continuous(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str, Any]:
@@ -315,12 +315,12 @@ def _design_continuous(plant: Plant, args: argparse.Namespace, model_hash: str) 
         raise UsageError(f"{plant.name}: gains that run need a rate in samples per second (--rate)")
     design = _continuous_design(plant, args)
     certificate = certify_continuous(plant, design)
-    found = continuous_report(plant, design, certificate, args.rate)
+    report = continuous_report(plant, design, certificate, args.rate)
     if args.rate is not None:
-        gains = compile_continuous(design.observer(plant), args.rate, found)
+        gains = compile_continuous(design.observer(plant), args.rate, report)
         if args.out is not None:
             write_gains(replace(gains, model_hash=model_hash), args.out)
-    return found
+    return report
 
 
 def _continuous_design(plant: Plant, args: argparse.Namespace) -> ContinuousDesign:
@@ -373,14 +373,14 @@ def _failure(plant: Plant, args: argparse.Namespace, error: ValueError) -> dict[
     return failure
 
 
-def _floor(plant: Plant, found: dict[str, Any]) -> float | None:
+def _floor(plant: Plant, report: dict[str, Any]) -> float | None:
     """Return the sqrt(mu) that no observer of the plant can beat; None where it has no bound."""
     from gains.analysis.floor import floor_sqrt_mu
 
-    rate_hz = found["rate_hz"] if found["domain"] == "discrete" else None
-    floor = floor_sqrt_mu(plant, rate_hz, found.get("integrator_order", 1))
+    rate_hz = report["rate_hz"] if report["domain"] == "discrete" else None
+    floor = floor_sqrt_mu(plant, rate_hz, report.get("integrator_order", 1))
     return floor.value if math.isfinite(floor.value) else None
 
 
-def _print_json(found: dict[str, Any]) -> None:
-    sys.stdout.write(json.dumps(found) + "\n")
+def _print_json(report: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(report) + "\n")

@@ -131,14 +131,14 @@ def check_plant(plant: Plant, rate_hz: float | None = None) -> Check:
         raise ModelError(f"{plant.name}: 'fault' is empty; there is nothing to estimate")
     if rate_hz is not None:
         plant = discretise(plant, rate_hz)
-    found = estimability(plant)
+    result = estimability(plant)
     everything = tuple(fault.name for fault in plant.faults)
-    fixing = _mending_sensors(plant, everything) if found.sets != (everything,) else ()
-    late = {name for part in found.sets[:_MOST_EXPLAINED] for name in late_faults(restricted(plant, part))}
+    fixing = _mending_sensors(plant, everything) if result.sets != (everything,) else ()
+    late = {name for part in result.sets[:_MOST_EXPLAINED] for name in late_faults(restricted(plant, part))}
     return Check(
         plant=plant,
-        estimability=found,
-        explanations=tuple(_explanation(plant, problem) for problem in found.problems[:_MOST_EXPLAINED]),
+        estimability=result,
+        explanations=tuple(_explanation(plant, problem) for problem in result.problems[:_MOST_EXPLAINED]),
         sensors=fixing,
         pairs=tuple(_pairs(plant)),
         late=tuple(name for name in everything if name in late),
@@ -184,21 +184,21 @@ def report(check: Check) -> dict[str, Any]:
         "estimable": check.estimable,
         "faults": [fault.name for fault in plant.faults],
         "outputs": list(plant.outputs),
-        "sets": [list(found) for found in check.estimability.sets],
+        "sets": [list(names) for names in check.estimability.sets],
         "complete": check.estimability.complete,
         "problems": [
             {
-                "faults": list(found.problem.faults),
-                "condition": found.problem.condition,
-                "states": list(found.problem.states),
-                "mode": _complex(found.problem.mode),
-                "at_every_frequency": found.problem.at_every_frequency,
-                "add_sensor_of": list(found.sensors),
-                "leak_s": LEAK_S if found.leak else None,
-                "leak_on": list(found.leak),
-                "message": sentence(found, plant),
+                "faults": list(explanation.problem.faults),
+                "condition": explanation.problem.condition,
+                "states": list(explanation.problem.states),
+                "mode": _complex(explanation.problem.mode),
+                "at_every_frequency": explanation.problem.at_every_frequency,
+                "add_sensor_of": list(explanation.sensors),
+                "leak_s": LEAK_S if explanation.leak else None,
+                "leak_on": list(explanation.leak),
+                "message": sentence(explanation, plant),
             }
-            for found in check.explanations
+            for explanation in check.explanations
         ],
         "add_sensor_of": list(check.sensors),
         "pairs": [{"faults": list(pair.faults), "strength": pair.strength} for pair in check.pairs],

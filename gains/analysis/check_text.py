@@ -27,7 +27,7 @@ def text(check: Check) -> str:
     """Return the whole report."""
     lines = [_headline(check), *_entries("why not", _reasons(check))]
     if not check.estimable:
-        together = [" + ".join(found) for found in check.estimability.sets]
+        together = [" + ".join(names) for names in check.estimability.sets]
         lines += _entries("together", _capped(together, "set") or ["none"])
         if not check.estimability.complete:
             lines += _entries("", ["(there may be more: the search was stopped)"])
@@ -48,15 +48,15 @@ def text(check: Check) -> str:
     return "\n".join([*lines, *_structure(check)]) + "\n"
 
 
-def sentence(found: Explanation, plant: Plant) -> str:
+def sentence(explanation: Explanation, plant: Plant) -> str:
     """Return why a set of faults cannot be estimated, and what mends it."""
-    problem = found.problem
+    problem = explanation.problem
     faults, states = _and(problem.faults), _and(problem.states)
     number = len(problem.faults)
     if problem.condition == "hidden mode":
         why = f"{states} shows in no output although {_noun(problem.mode)} there does not decay"
     elif problem.condition.startswith("detectability"):
-        why = f"{faults} cannot be told from {states} {_noun(problem.mode)}: {_missing(found)}"
+        why = f"{faults} cannot be told from {states} {_noun(problem.mode)}: {_missing(explanation)}"
     elif number == 1:
         motion = "shows in no output" if problem.at_every_frequency else "shows in no output once it is constant"
         why = f"{faults} {motion}" + (f": {states} answers unseen" if states else "")
@@ -66,27 +66,31 @@ def sentence(found: Explanation, plant: Plant) -> str:
             why += ": they do the same" if number == 2 else ": what some of them do, the others can undo"
         elif number > len(plant.outputs):
             why += f": {number} faults for {_count(len(plant.outputs), 'output')}"
-    return f"{why}; {_mend(found)}"
+    return f"{why}; {_mend(explanation)}"
 
 
-def _mend(found: Explanation) -> str:
+def _mend(explanation: Explanation) -> str:
     mends = []
-    if found.sensors:
-        alone = len(found.problem.states) == 1 and not found.shown_elsewhere
-        plain = alone and found.problem.states[0] in found.sensors and found.problem.condition.startswith("detect")
-        mends.append("add one" if plain else f"add a sensor of {_or(found.sensors)}")
-    if found.leak:
-        on = "" if len(found.problem.states) == 1 else f" in {_and(found.leak)}"
+    if explanation.sensors:
+        alone = len(explanation.problem.states) == 1 and not explanation.shown_elsewhere
+        plain = (
+            alone
+            and explanation.problem.states[0] in explanation.sensors
+            and explanation.problem.condition.startswith("detect")
+        )
+        mends.append("add one" if plain else f"add a sensor of {_or(explanation.sensors)}")
+    if explanation.leak:
+        on = "" if len(explanation.problem.states) == 1 else f" in {_and(explanation.leak)}"
         mends.append(f"a leak of 1/60 s{on}")
     if not mends:
-        return "leave one out" if len(found.problem.faults) > 1 else "leave it out or model it otherwise"
+        return "leave one out" if len(explanation.problem.faults) > 1 else "leave it out or model it otherwise"
     return ", or ".join(mends)
 
 
-def _missing(found: Explanation) -> str:
-    if found.shown_elsewhere:
+def _missing(explanation: Explanation) -> str:
+    if explanation.shown_elsewhere:
         return "the other sensors do not settle it"
-    states = found.problem.states
+    states = explanation.problem.states
     return f"no other {states[0]} sensor" if len(states) == 1 else f"no other sensor of {_and(states)}"
 
 
@@ -108,7 +112,9 @@ def _headline(check: Check) -> str:
 
 
 def _reasons(check: Check) -> list[str]:
-    reasons = [f"{sentence(found, check.plant)} [{found.problem.condition}]" for found in check.explanations]
+    reasons = [
+        f"{sentence(explanation, check.plant)} [{explanation.problem.condition}]" for explanation in check.explanations
+    ]
     reasons = _capped(reasons, "reason", len(check.estimability.problems))
     faults, outputs = len(check.plant.faults), len(check.plant.outputs)
     if faults > outputs:
@@ -125,8 +131,8 @@ def _structure(check: Check) -> Iterator[str]:
     for name, effects in check.structure.items():
         cells = "   ".join(f"{effects[output].replace('none', '-'):<{max(6, len(output))}}" for output in outputs)
         yield f"  {name:<{name_width}}   {cells}".rstrip()
-    found = {effect for effects in check.structure.values() for effect in effects.values()}
-    legend = [f"{effect}: {meaning}" for effect, meaning in _LEGEND.items() if effect in found]
+    shown = {effect for effects in check.structure.values() for effect in effects.values()}
+    legend = [f"{effect}: {meaning}" for effect, meaning in _LEGEND.items() if effect in shown]
     yield f"  ({'; '.join(legend)})"
 
 

@@ -122,22 +122,22 @@ def estimability(plant: Plant) -> Estimability:
         for smaller, name in itertools.product(level, names):
             if tests >= LARGEST_TEST_COUNT or (smaller and names.index(name) <= names.index(smaller[-1])):
                 continue
-            found = (*smaller, name)
-            if not all(part in known for part in itertools.combinations(found, len(smaller))):
+            faults = (*smaller, name)
+            if not all(part in known for part in itertools.combinations(faults, len(smaller))):
                 continue
             tests += slopes
-            problem = problem_of(plant, found)
+            problem = problem_of(plant, faults)
             if problem is None:
-                larger.append(found)
+                larger.append(faults)
             else:
                 problems.append(problem)
-        covered = {part for found in larger for part in itertools.combinations(found, len(found) - 1)}
-        sets += [found for found in level if found and found not in covered]
+        covered = {part for faults in larger for part in itertools.combinations(faults, len(faults) - 1)}
+        sets += [faults for faults in level if faults and faults not in covered]
         level = larger
     if tests >= LARGEST_TEST_COUNT:
-        sets = list(dict.fromkeys(_grown(plant, found, names) for found in sets[:_MOST_GROWN]))
+        sets = list(dict.fromkeys(_grown(plant, faults, names) for faults in sets[:_MOST_GROWN]))
         problems = problems or [_smallest_problem(plant, names)]
-    sets.sort(key=lambda found: (-len(found), [names.index(name) for name in found]))
+    sets.sort(key=lambda faults: (-len(faults), [names.index(name) for name in faults]))
     return Estimability(tuple(sets), tuple(problems), tests < LARGEST_TEST_COUNT)
 
 
@@ -172,13 +172,13 @@ def problem_of(plant: Plant, faults: Iterable[str]) -> Problem | None:
     if first_dependent(part.D_f) is not None:
         return Problem(names, "rank of D_f", 0j, (), at_every_frequency=True)
     for A in sloped_dynamics(part)[0]:
-        for condition, found in conditions(part, A):
-            if found and found[0].stays:
+        for condition, modes in conditions(part, A):
+            if modes and modes[0].stays:
                 return Problem(
                     faults=names,
                     condition=condition,
-                    mode=continuous_mode(found[0].eigenvalue, plant),
-                    states=moving_states(plant, found[0]),
+                    mode=continuous_mode(modes[0].eigenvalue, plant),
+                    states=moving_states(plant, modes[0]),
                     at_every_frequency=hides_at_every_frequency(part, A),
                 )
     return None

@@ -111,10 +111,10 @@ def _highest(plant: Plant, A: FloatArray, order: int) -> tuple[float, float]:
     ratio = (math.sqrt(5.0) - 1.0) / 2.0
     for _ in range(_REFINEMENTS if 0.0 < best < math.inf else 0):
         inner = np.array([high - ratio * (high - low), low + ratio * (high - low)])
-        found = _floors(plant, A, inner, order)
-        better = int(np.argmax(found))
-        if found[better] > best * (1.0 + _TIE):
-            best, where = float(found[better]), float(inner[better])
+        floors = _floors(plant, A, inner, order)
+        better = int(np.argmax(floors))
+        if floors[better] > best * (1.0 + _TIE):
+            best, where = float(floors[better]), float(inner[better])
         low, high = (low, float(inner[1])) if better == 0 else (float(inner[0]), high)
     return best, where
 

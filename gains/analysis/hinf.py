@@ -81,10 +81,10 @@ def hinf_norm(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, discre
             break
         level = lower * (1.0 + _GAP * 10.0 ** max(0, step - _WIDEN_AFTER))
         crossings = _crossings(A, B, C / level, D / level, discrete)
-        found, where = _highest(A, B, C, D, _with_middles(crossings), discrete)
-        if found > lower:
-            lower, omega = found, where
-        if found <= level:
+        highest, where = _highest(A, B, C, D, _with_middles(crossings), discrete)
+        if highest > lower:
+            lower, omega = highest, where
+        if highest <= level:
             return HinfNorm(lower, level, omega)
     return HinfNorm(lower, lower, omega)
 
@@ -149,12 +149,12 @@ def _crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, discr
     rest = Q[:, m + p :].T
     alpha, beta = eigvals(rest @ constant, rest @ linear, homogeneous_eigvals=True)
     if discrete:
-        found = np.abs(np.angle(alpha * np.conj(beta)))
-        return np.unique(np.concatenate([found, [0.0, math.pi]]))
+        omega = np.abs(np.angle(alpha * np.conj(beta)))
+        return np.unique(np.concatenate([omega, [0.0, math.pi]]))
     finite = np.abs(beta) > 0.0
     with np.errstate(over="ignore"):
-        found = np.abs((alpha[finite] / beta[finite]).imag)
-    return np.unique(np.concatenate([found[np.isfinite(found)], [0.0]]))
+        omega = np.abs((alpha[finite] / beta[finite]).imag)
+    return np.unique(np.concatenate([omega[np.isfinite(omega)], [0.0]]))
 
 
 def _with_middles(omega: FloatArray) -> FloatArray:

@@ -58,10 +58,10 @@ def invariant_zeros(plant: Plant) -> tuple[Zero, ...]:
     The latter only where the faults can be told apart at all, or every s would be a zero.
     """
     A = sloped_dynamics(plant)[0][0]
-    found = _sensor_zeros(plant, A) if plant.sensor_faults else []
+    zeros = _sensor_zeros(plant, A) if plant.sensor_faults else []
     if plant.actuator_faults and not hides_at_every_frequency(plant, A):
-        found += _fault_zeros(plant, A)
-    return tuple(sorted(found, key=lambda zero: (-zero.s.real, zero.s.imag)))
+        zeros += _fault_zeros(plant, A)
+    return tuple(sorted(zeros, key=lambda zero: (-zero.s.real, zero.s.imag)))
 
 
 def mode_text(s: complex) -> str:

@@ -67,7 +67,7 @@ def excitation_verdicts(
         Standard deviation of each input and state in the recordings, by name.
     """
     errors = np.sqrt(np.diag(covariance))
-    found = []
+    verdicts = []
     for j, parameter in enumerate(model.parameters):
         value, error = float(theta[j]), float(errors[j])
         determined = bool(error <= _LARGEST_ERROR * max(abs(value), parameter.size))
@@ -86,8 +86,8 @@ def excitation_verdicts(
             note = _advice(driving, movement)
         elif _at_bound(value, parameter):
             note = "it ends at its bound: widen 'min' and 'max' if that is physical, else the model lacks something"
-        found.append(Verdict(parameter.name, value, error, determined, note))
-    return tuple(found)
+        verdicts.append(Verdict(parameter.name, value, error, determined, note))
+    return tuple(verdicts)
 
 
 def _partners(covariance: FloatArray, errors: FloatArray, j: int, parameters: Sequence[Parameter]) -> list[str]:

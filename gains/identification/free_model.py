@@ -8,7 +8,7 @@
 
 Text is read as an expression in A, B, C, offset, curves, in ``into`` and ``arguments``, and in ``scale``, ``rate`` and
 ``error``; a nonlinearity's own expression may name parameters beside its arguments. The tables ``channels`` (where
-inputs and outputs come from) and ``phase`` (when samples count) are kept as they stand for whoever reads recordings.
+inputs and outputs come from) and ``phase`` (when samples count) are kept as parsed for the reader of recordings.
 """
 
 from __future__ import annotations
@@ -213,20 +213,20 @@ def _resolved(document: Mapping[str, Any], named: Mapping[str, float], used: set
 
     ``used`` collects the names of the parameters met.
     """
-    found = dict(document)
+    resolved = dict(document)
     number = _Resolver(named, set() if used is None else used)
     for key in _MATRICES:
-        found[key] = _each(found.get(key, {}), lambda row: _each(row, number))
+        resolved[key] = _each(resolved.get(key, {}), lambda row: _each(row, number))
     for key in ("offset", "error"):
-        found[key] = _each(found.get(key, {}), number)
-    if "curves" in found:
-        found["curves"] = _each(
-            found["curves"], lambda curve: _each(curve, number) if _is_row(curve) else number(curve)
+        resolved[key] = _each(resolved.get(key, {}), number)
+    if "curves" in resolved:
+        resolved["curves"] = _each(
+            resolved["curves"], lambda curve: _each(curve, number) if _is_row(curve) else number(curve)
         )
     for key in ("nonlinearity", "fault", "disturbance", "noise"):
-        if key in found and _tables(found, key):
-            found[key] = [_resolved_term(table, named, number.used) for table in found[key]]
-    return {key: value for key, value in found.items() if value != {}}
+        if key in resolved and _tables(resolved, key):
+            resolved[key] = [_resolved_term(table, named, number.used) for table in resolved[key]]
+    return {key: value for key, value in resolved.items() if value != {}}
 
 
 def _resolved_term(
@@ -234,17 +234,17 @@ def _resolved_term(
 ) -> dict[str, Any]:
     """Return one [[nonlinearity]], [[fault]], [[disturbance]] or [[noise]] with numbers for expressions."""
     number = _Resolver(named, set() if used is None else used)
-    found = dict(table)
+    resolved = dict(table)
     for key in ("scale", "rate", "error"):
-        if key in found:
-            found[key] = number(found[key])
-    if "into" in found:
-        found["into"] = _each(found["into"], number)
-    if "arguments" in found:
-        found["arguments"] = _each(found["arguments"], lambda row: _each(row, number))
-    if isinstance(found.get("expression"), str):
-        found["expression"] = _WORD.sub(number.word, found["expression"])
-    return found
+        if key in resolved:
+            resolved[key] = number(resolved[key])
+    if "into" in resolved:
+        resolved["into"] = _each(resolved["into"], number)
+    if "arguments" in resolved:
+        resolved["arguments"] = _each(resolved["arguments"], lambda row: _each(row, number))
+    if isinstance(resolved.get("expression"), str):
+        resolved["expression"] = _WORD.sub(number.word, resolved["expression"])
+    return resolved
 
 
 class _Resolver:

@@ -97,9 +97,9 @@ def fit_noise_scales(A: FloatArray, C: FloatArray, E: FloatArray, D: FloatArray,
     grid = np.array([[a] * q + [b] * (len(reference) - q) for a in steps for b in steps])
     start = grid[int(np.argmin(_likelihoods(A, C, *filters_at(grid), shown)))]
     options = {"maxiter": _ITERATIONS, "ftol": 1e-6}
-    found = minimize(objective, start, method="L-BFGS-B", jac=True, bounds=bounds, options=options)
-    K, S = filters_at(found.x[None])
-    scales = reference * np.exp(found.x)
+    best = minimize(objective, start, method="L-BFGS-B", jac=True, bounds=bounds, options=options)
+    K, S = filters_at(best.x[None])
+    scales = reference * np.exp(best.x)
     return NoiseScales(scales[:q], scales[q:], K[0], S[0])
 
 

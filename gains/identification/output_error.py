@@ -166,12 +166,7 @@ def identify(
     length = int(np.clip(round(window_s * rate_hz), *_LENGTHS))
     longest = round(longest_delay_s * rate_hz) if model.example.inputs else 0
     for segments in (training, validation):
-        lasts = max((len(segment.u) for segment in segments), default=0)
-        if lasts < length + longest:
-            raise ModelError(
-                f"{model.path}: the longest stretch of healthy samples lasts {lasts / rate_hz:.1f} s; to fit and "
-                f"to judge the fit takes {(length + longest) / rate_hz:.1f} s: record longer, or see [phase]"
-            )
+        _check_longest(model, segments, rate_hz, length + longest)
     work = _Work(model, training, rate_hz, length, longest)
     delay, hold, theta, size = work.delay_and_hold()
     windows = work.windows(delay, _MOST_WINDOWS)
@@ -180,24 +175,27 @@ def identify(
             f"{model.path}: only {len(windows.y) * length / rate_hz:.0f} s of healthy samples to fit on; "
             f"at least {_FEWEST_WINDOWS * length / rate_hz:.0f} s are needed"
         )
+    # 1. Simulation, K = 0; then again with each output in units of what the first left of it.
     free = np.zeros((len(model.example.states), len(model.example.outputs)))
     theta, shooting = work.fit(theta, windows, hold, free, np.diag(1.0 / size))
     size = np.maximum(_rms(shooting.errors(theta)), 1e-9)
     theta, shooting = work.fit(theta, windows, hold, free, np.diag(1.0 / size), shooting.x)
     for _ in range(_ROUNDS):
+        # 2. Disturbance and noise: gain K and covariance S of the innovations. L L' = S^-1 makes them of size one.
         simulation = work.shooting(windows, hold, free, np.diag(1.0 / size), shooting.x)
         errors = simulation.errors(theta)
         noise = _noise(_with_signals(model.plant(theta)), simulation.states(theta), errors, rate_hz)
         weight = np.linalg.cholesky(np.linalg.inv(noise.S))
+        # 3. One-step prediction with that gain, at the delays next to the one found.
         delay, hold, theta, shooting = work.refined(delay, hold, theta, noise.K, weight)
         windows = work.windows(delay, _MOST_WINDOWS)
+    # What it is worth: on the windows it was fitted on, and on windows kept back.
     covariance = _covariance(shooting, theta, len(windows.y))
     fitted = work.fitted(theta, hold, windows, noise)
     kept_back = work.fitted(theta, hold, cut_windows(validation, length, delay, longest, _MOST_WINDOWS), noise)
     names = (*model.example.states, *model.example.inputs)
     moved = np.concatenate([fitted.states.std(axis=(0, 1)), fitted.u.std(axis=(0, 1))])
     movement = dict(zip(names, moved.tolist(), strict=True))
-    signals = _with_signals(model.plant(theta))
     return OutputErrorFit(
         model=model,
         rate_hz=rate_hz,
@@ -206,13 +204,7 @@ def identify(
         verdicts=excitation_verdicts(model, theta, covariance, movement),
         delay=delay,
         hold=hold,
-        signals=replace(
-            signals,
-            disturbances=tuple(
-                replace(w, scale=float(q)) for w, q in zip(signals.disturbances, noise.disturbances, strict=True)
-            ),
-            noises=tuple(replace(w, scale=float(r)) for w, r in zip(signals.noises, noise.noises, strict=True)),
-        ),
+        signals=_with_scales(_with_signals(model.plant(theta)), noise),
         noise=noise,
         training=fitted,
         validation=kept_back,
@@ -260,7 +252,7 @@ class _Work:
         if not np.isfinite(shooting.residual(inside)).all():
             at = ", ".join(f"{p.name} = {v:g}" for p, v in zip(self.model.parameters, inside, strict=True))
             raise ModelError(f"{self.model.path}: the model runs away from the data at {at}; give other 'start' values")
-        found = least_squares(
+        fit = least_squares(
             shooting.residual,
             inside,
             shooting.jacobian,
@@ -270,7 +262,7 @@ class _Work:
             xtol=1e-7,
             ftol=1e-7,
         )
-        return np.asarray(found.x), shooting
+        return np.asarray(fit.x), shooting
 
     def delay_and_hold(self) -> tuple[int, Hold, FloatArray, FloatArray]:
         """Return delay and hold, the parameters that go with them, and the size of the errors left.
@@ -323,13 +315,13 @@ class _Work:
         held = self.model.example.domain == "continuous" and bool(self.model.example.inputs)
         near: list[tuple[int, Hold]] = [(delay, hold), (delay - 1, "first"), (delay, "first"), (delay + 1, "first")]
         near += [(delay - 1, "zero"), (delay, "zero")] if held else []
-        found: list[tuple[float, int, Hold, FloatArray, Shooting]] = []
+        candidates: list[tuple[float, int, Hold, FloatArray, Shooting]] = []
         for d, h in dict.fromkeys(near):
             if 0 <= d <= self.longest_delay:
                 estimate, shooting = self.fit(theta, self.windows(d, _MOST_WINDOWS), h, K, weight)
                 cost = float(np.sum(shooting.residual(estimate) ** 2)) - (_SWITCH if (d, h) == (delay, hold) else 0.0)
-                found.append((cost, d, h, estimate, shooting))
-        return min(found, key=lambda one: one[0])[1:]
+                candidates.append((cost, d, h, estimate, shooting))
+        return min(candidates, key=lambda candidate: candidate[0])[1:]
 
     def fitted(self, theta: FloatArray, hold: Hold, windows: Windows, noise: NoiseScales) -> FittedData:
         """Return what the model says about windows."""
@@ -367,6 +359,27 @@ def _with_signals(plant: Plant) -> Plant:
         or tuple(Disturbance(f"disturbance_{name}", states[i]) for i, name in enumerate(plant.states)),
         noises=plant.noises
         + tuple(Noise(f"noise_{name}", outputs[j]) for j, name in enumerate(plant.outputs) if j not in own),
+    )
+
+
+def _check_longest(model: FreeModel, segments: Sequence[Segment], rate_hz: float, needed: int) -> None:
+    """Refuse segments none of which has as many samples as a window and the delays before it need."""
+    longest = max((len(segment.u) for segment in segments), default=0)
+    if longest < needed:
+        raise ModelError(
+            f"{model.path}: the longest stretch of healthy samples lasts {longest / rate_hz:.1f} s; to fit and "
+            f"to judge the fit takes {needed / rate_hz:.1f} s: record longer, or see [phase]"
+        )
+
+
+def _with_scales(plant: Plant, noise: NoiseScales) -> Plant:
+    """Return the plant with its disturbances and noises at their most likely scales."""
+    return replace(
+        plant,
+        disturbances=tuple(
+            replace(w, scale=float(q)) for w, q in zip(plant.disturbances, noise.disturbances, strict=True)
+        ),
+        noises=tuple(replace(w, scale=float(r)) for w, r in zip(plant.noises, noise.noises, strict=True)),
     )
 
 

@@ -145,7 +145,7 @@ def fit_axis(
     Parameters
     ----------
     segments : Sequence[Segment]
-        Healthy stretches without a break, the actuators' effects without delay and lag.
+        Unbroken healthy operation, the actuators' effects without delay and lag.
     rate_hz : float
         Samples per second.
     inputs, outputs : Sequence[str]

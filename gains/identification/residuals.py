@@ -73,7 +73,7 @@ class ResidualStatistics:
 
 
 def residual_statistics(
-    names: Sequence[str], stretches: Sequence[FloatArray], lags: int = LAGS
+    names: Sequence[str], segments: Sequence[FloatArray], lags: int = LAGS
 ) -> tuple[ResidualStatistics, ...]:
     """Return the statistics of each output's residual.
 
@@ -81,21 +81,21 @@ def residual_statistics(
     ----------
     names : Sequence[str]
         Names of the outputs (p,).
-    stretches : Sequence[FloatArray]
+    segments : Sequence[FloatArray]
         Residuals without a break (N_i, p); correlations are taken within each.
     lags : int
-        Number of lags, fewer where the stretches are short.
+        Number of lags, fewer where the segments are short.
     """
     from scipy.stats import chi2
 
-    joined = np.concatenate(stretches)
+    joined = np.concatenate(segments)
     joined = joined - joined.mean(axis=0)
-    centred = np.split(joined, np.cumsum([len(stretch) for stretch in stretches])[:-1])
-    lags = max(1, min(lags, min(len(stretch) for stretch in stretches) - 2))
+    centred = np.split(joined, np.cumsum([len(segment) for segment in segments])[:-1])
+    lags = max(1, min(lags, min(len(segment) for segment in segments) - 2))
     power = np.maximum((joined**2).sum(axis=0), 1e-300)
     rho, pairs = np.empty((lags, len(names))), np.empty(lags)
     for lag in range(1, lags + 1):
-        products = np.concatenate([stretch[lag:] * stretch[:-lag] for stretch in centred])
+        products = np.concatenate([segment[lag:] * segment[:-lag] for segment in centred])
         pairs[lag - 1] = len(products)
         rho[lag - 1] = products.sum(axis=0) / power * (len(joined) / len(products))
     # the variance of a lag's correlation is one over its number of pairs, which is Ljung's and Box's correction

@@ -162,9 +162,9 @@ class Shooting:
 
     def jacobian(self, theta: FloatArray) -> FloatArray:
         """Return their sensitivities to the parameters (W T p, k), initial states following (Kaufman)."""
-        found = self._evaluate(theta)
-        W, T, p, k = found.parameters.shape
-        J, J_0 = self._weighted(found.parameters), self._weighted(found.states)
+        sensitivities = self._evaluate(theta)
+        W, T, p, k = sensitivities.parameters.shape
+        J, J_0 = self._weighted(sensitivities.parameters), self._weighted(sensitivities.states)
         base = _range(J_0)
         return np.asarray((J - base @ (np.swapaxes(base, 1, 2) @ J)).reshape(W * T * p, k))
 
@@ -185,23 +185,23 @@ class Shooting:
             return self._found
         stepper = self._stepper(theta)
         x = self._first_guess(stepper) if self.x is None else self.x
-        found = self._linearised(stepper, theta, x)
+        current = self._linearised(stepper, theta, x)
         for _ in range(_SWEEPS):
-            if not np.isfinite(found.states).all():
+            if not np.isfinite(current.states).all():
                 break
-            J_0, e = self._weighted(found.states), self._whitened(found.errors).reshape(len(x), -1, 1)
+            J_0, e = self._weighted(current.states), self._whitened(current.errors).reshape(len(x), -1, 1)
             step = _least_squares(J_0, e)[..., 0]
             moved = self._linearised(stepper, theta, x - step)
-            if not self._cost(moved) < self._cost(found):
+            if not self._cost(moved) < self._cost(current):
                 break
-            gained = self._cost(found) - self._cost(moved)
-            x, found = x - step, moved
-            if gained < 1e-6 * self._cost(found):
+            gained = self._cost(current) - self._cost(moved)
+            x, current = x - step, moved
+            if gained < 1e-6 * self._cost(current):
                 break
-        if np.isfinite(found.errors).all() and self._cost(found) <= self._best:
-            self._best, self.x = self._cost(found), x
-        self._at, self._found = theta.copy(), found
-        return found
+        if np.isfinite(current.errors).all() and self._cost(current) <= self._best:
+            self._best, self.x = self._cost(current), x
+        self._at, self._found = theta.copy(), current
+        return current
 
     def _stepper(self, theta: FloatArray) -> Stepper:
         n, k = len(self._K), len(theta)
@@ -222,9 +222,9 @@ class Shooting:
     def _first_guess(self, stepper: Stepper) -> FloatArray:
         return np.asarray(self._windows.y[:, 0] @ np.linalg.pinv(stepper.C_T[0]))
 
-    def _cost(self, found: Sensitivities) -> float:
+    def _cost(self, sensitivities: Sensitivities) -> float:
         with np.errstate(all="ignore"):
-            cost = float(np.sum(self._whitened(found.errors) ** 2))
+            cost = float(np.sum(self._whitened(sensitivities.errors) ** 2))
         return cost if np.isfinite(cost) else np.inf
 
     def _whitened(self, errors: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Simulation of many copies of a plant at once: parameter sets by stretches of data, one NumPy step per sample.
+"""Simulation of many copies of a plant at once: parameter sets by windows of data, one NumPy step per sample.
 
 Between samples k and k+1 the linear part is exact (matrix exponential); inputs v and nonlinearities g(x) are ramps
 from one sample to the next, g(x(k+1)) being taken at a first prediction (exponential time differencing of order 2,
@@ -64,7 +64,7 @@ class Dynamics:
 
 
 def dynamics_of(plant: Plant) -> Dynamics:
-    """Return the equations of a plant; its taps are left to whoever delays the inputs."""
+    """Return the equations of a plant; its taps are not applied: delay the inputs beforehand."""
     curves = np.zeros((len(plant.inputs), max((len(curve) for curve in plant.curves), default=1)))
     for row, curve in zip(curves, plant.curves, strict=True):
         row[: len(curve)] = curve
@@ -113,7 +113,7 @@ def linearised(plant: Plant, states: FloatArray) -> Plant:
 class Stepper:
     """Steps copies of a plant from sample to sample.
 
-    Arrays of states are (P, W, n): P parameter sets, W stretches of data.
+    Arrays of states are (P, W, n): P parameter sets, W windows of data.
 
     Parameters
     ----------
@@ -134,14 +134,14 @@ class Stepper:
         first = sets[0]
         if first.rate_hz is not None and first.rate_hz != rate_hz:
             raise ModelError(f"the model is discrete at {first.rate_hz:g} Hz; the samples come at {rate_hz:g} Hz")
-        distinct = {id(one): _sampled(one, 1.0 / rate_hz, hold) for one in sets}
-        self.C_T = _T(np.stack([one.C for one in sets]))
-        self._rows_T = [_T(np.stack([one.rows[i] for one in sets])) for i in range(len(first.rows))]
+        distinct = {id(dynamics): _sampled(dynamics, 1.0 / rate_hz, hold) for dynamics in sets}
+        self.C_T = _T(np.stack([dynamics.C for dynamics in sets]))
+        self._rows_T = [_T(np.stack([dynamics.rows[i] for dynamics in sets])) for i in range(len(first.rows))]
         self._functions = first.functions
-        self._parameters = [column[:, None] for column in np.stack([one.parameters for one in sets]).T]
-        self._curves = np.stack([one.curves for one in sets])
+        self._parameters = [column[:, None] for column in np.stack([dynamics.parameters for dynamics in sets]).T]
+        self._curves = np.stack([dynamics.curves for dynamics in sets])
         Phi, Gamma_0, Gamma_1, self._gamma, Lambda_0, Lambda_1 = (
-            np.stack(parts) for parts in zip(*(distinct[id(one)] for one in sets), strict=True)
+            np.stack(parts) for parts in zip(*(distinct[id(dynamics)] for dynamics in sets), strict=True)
         )
         self._Phi_T, self._Gamma_0_T, self._Gamma_1_T = _T(Phi), _T(Gamma_0), _T(Gamma_1)
         self._Lambda_0_T, self._Lambda_1_T = _T(Lambda_0), _T(Lambda_1)
@@ -167,26 +167,26 @@ class Stepper:
 
     def nonlinear(self, x: FloatArray) -> FloatArray:
         """Return g(x) (P, W, m)."""
-        found = np.empty((*x.shape[:2], len(self._functions)))
+        values = np.empty((*x.shape[:2], len(self._functions)))
         for i, (function, rows_T) in enumerate(zip(self._functions, self._rows_T, strict=True)):
             nu = x @ rows_T
-            found[..., i] = function([*(nu[..., j] for j in range(nu.shape[2])), *self._parameters])
-        return found
+            values[..., i] = function([*(nu[..., j] for j in range(nu.shape[2])), *self._parameters])
+        return values
 
 
 def _T(matrices: FloatArray) -> FloatArray:
     return np.swapaxes(matrices, -1, -2)
 
 
-def _sampled(one: Dynamics, h: float, hold: Hold) -> tuple[FloatArray, ...]:
+def _sampled(dynamics: Dynamics, h: float, hold: Hold) -> tuple[FloatArray, ...]:
     """Return Phi, Gamma_0, Gamma_1, gamma, Lambda_0, Lambda_1 for a step of h seconds (van Loan 1978)."""
-    n, s, m = len(one.A), one.B.shape[1], one.G.shape[1]
-    if one.rate_hz is not None:
-        return one.A, one.B, np.zeros((n, s)), one.c, one.G, np.zeros((n, m))
-    held = np.hstack([one.B, one.c[:, None], one.G])
+    n, s, m = len(dynamics.A), dynamics.B.shape[1], dynamics.G.shape[1]
+    if dynamics.rate_hz is not None:
+        return dynamics.A, dynamics.B, np.zeros((n, s)), dynamics.c, dynamics.G, np.zeros((n, m))
+    held = np.hstack([dynamics.B, dynamics.c[:, None], dynamics.G])
     r = held.shape[1]
     exponent = np.zeros((n + 2 * r, n + 2 * r))
-    exponent[:n, :n], exponent[:n, n : n + r] = h * one.A, h * held
+    exponent[:n, :n], exponent[:n, n : n + r] = h * dynamics.A, h * held
     exponent[n : n + r, n + r :] = np.eye(r)
     with np.errstate(all="ignore"):
         transition = _expm(exponent)[:n]
@@ -215,11 +215,11 @@ def _expm(matrix: FloatArray) -> FloatArray:
     halvings = max(0, int(np.ceil(np.log2(max(float(np.abs(matrix).sum(axis=1).max()), 1e-300)))) + 1)
     if halvings > _MOST_HALVINGS:
         return np.full_like(matrix, np.inf)
-    term = found = np.eye(len(matrix))
+    term = total = np.eye(len(matrix))
     scaled = matrix / 2.0**halvings
     for order in range(1, _TERMS):
         term = term @ scaled / order
-        found = found + term
+        total = total + term
     for _ in range(halvings):
-        found = found @ found
-    return found
+        total = total @ total
+    return total

@@ -100,14 +100,14 @@ def check_slopes(text: str, arguments: Sequence[str], ranges: Sequence[Interval]
         slope = derivative(node, j)
         for sign, limit in ((1.0, declared[j][1]), (-1.0, declared[j][0])):
             goal = sign * limit + _DECLARED_TOLERANCE * (1.0 + abs(limit))
-            found = _supremum(slope if sign > 0.0 else _negative(slope), box, goal)
-            if found.seen > goal:
-                at = ", ".join(f"{a} = {v:g}" for a, v in zip(arguments, found.point, strict=True))
+            supremum = _supremum(slope if sign > 0.0 else _negative(slope), box, goal)
+            if supremum.seen > goal:
+                at = ", ".join(f"{a} = {v:g}" for a, v in zip(arguments, supremum.point, strict=True))
                 raise ModelError(
-                    f"the slope of '{text}' with respect to {name} is {sign * found.seen:g} at {at}, "
+                    f"the slope of '{text}' with respect to {name} is {sign * supremum.seen:g} at {at}, "
                     f"{'above' if sign > 0.0 else 'below'} the declared {limit:g}"
                 )
-            if found.bound > goal:
+            if supremum.bound > goal:
                 side = "below" if sign > 0.0 else "above"
                 raise ModelError(
                     f"the slope of '{text}' with respect to {name} could not be proven to stay {side} "

@@ -53,7 +53,7 @@ def design_baseline(plant: Plant, method: str, rate_hz: float | None) -> tuple[G
         return _filter(plant, rate_hz)
     observer = _DESIGNS[method](plant)
     norm = error_norm(plant, observer, noise_path="all", inputs="disturbances" if method == "gao2016" else "all")
-    found = {
+    report = {
         "model": plant.name,
         "method": method,
         "domain": "continuous",
@@ -72,7 +72,7 @@ def design_baseline(plant: Plant, method: str, rate_hz: float | None) -> tuple[G
         "total_s": observer.total_s,
         "notes": ["a reconstruction: the original text could not be had", *observer.notes],
     }
-    return None if rate_hz is None else compile_continuous(observer, rate_hz, found), found
+    return None if rate_hz is None else compile_continuous(observer, rate_hz, report), report
 
 
 def _filter(plant: Plant, rate_hz: float | None) -> tuple[Gains, dict[str, Any]]:

@@ -58,16 +58,16 @@ def design_gao2022(plant: Plant, sigmas: float | Sequence[float] = SIGMAS) -> Co
         Solutions were found, but none that the norm of its gains confirms.
     """
     started = time.perf_counter()
-    found: list[ContinuousObserver] = []
+    observers: list[ContinuousObserver] = []
     failures: list[InfeasibleError] = []
     for sigma in np.atleast_1d(np.asarray(sigmas, dtype=np.float64)).tolist():
         try:
-            found.append(_design(plant, sigma))
+            observers.append(_design(plant, sigma))
         except InfeasibleError as error:
             failures.append(error)
-    if not found:
+    if not observers:
         raise next((error for error in failures if isinstance(error, InaccurateError)), failures[0])
-    best = min(found, key=lambda observer: observer.sqrt_mu or math.inf)
+    best = min(observers, key=lambda observer: observer.sqrt_mu or math.inf)
     return replace(best, total_s=time.perf_counter() - started)
 
 

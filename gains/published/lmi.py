@@ -178,10 +178,10 @@ def confirmed(
     InaccurateError
         It is not: the bound is no bound.
     """
-    found = error_norm(observer.plant, observer, noise_path=noise_path, inputs=inputs)
-    if not found.confirms(math.inf if observer.sqrt_mu is None else observer.sqrt_mu):
+    norm = error_norm(observer.plant, observer, noise_path=noise_path, inputs=inputs)
+    if not norm.confirms(math.inf if observer.sqrt_mu is None else observer.sqrt_mu):
         raise InaccurateError(
-            f"{observer.plant.name}: the {observer.method} gains have the norm {found.value:.6g}, above the bound "
+            f"{observer.plant.name}: the {observer.method} gains have the norm {norm.value:.6g}, above the bound "
             f"{observer.sqrt_mu} that the solver reports; they are not for use"
         )
     return observer

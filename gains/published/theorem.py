@@ -314,13 +314,13 @@ def _solve(
     seconds = solve_program(program, DEFAULT, ROBUST)
     if program.status == cp.INFEASIBLE or P1.value is None:
         return None, seconds
-    found = np.asarray(P.value, dtype=np.float64)
-    if np.linalg.eigvalsh(found)[0] <= 0.0:
+    P_value = np.asarray(P.value, dtype=np.float64)
+    if np.linalg.eigvalsh(P_value)[0] <= 0.0:
         return None, seconds
     return _Solution(
         K=np.linalg.solve(P1.value, R1_T.value),
         L=np.linalg.solve(P2.value, L_P.value) if a1 else np.zeros((0, p)),
-        P=0.5 * (found + found.T),
+        P=0.5 * (P_value + P_value.T),
         mu=float(mu.value) if mu_fixed is None else mu_fixed,
     ), seconds
 

@@ -43,14 +43,14 @@ def admissible_hypotheses(plant: Plant, *, largest: bool = False) -> tuple[tuple
         No fault can be estimated even by itself, or too many slopes vary.
     """
     if largest:
-        found = estimability(plant).sets
+        hypotheses = estimability(plant).sets
     else:
-        found = tuple((fault.name,) for fault in plant.faults if problem_of(plant, (fault.name,)) is None)
-    if not found:
+        hypotheses = tuple((fault.name,) for fault in plant.faults if problem_of(plant, (fault.name,)) is None)
+    if not hypotheses:
         raise InfeasibleError(
             f"{plant.name}: no fault can be estimated even when it is the only one; 'fauio check' says why"
         )
-    return found
+    return hypotheses
 
 
 def design_bank(plant: Plant, rate_hz: float | None = None, *, largest: bool = False) -> tuple[Hypothesis, ...]:
@@ -72,8 +72,8 @@ def design_bank(plant: Plant, rate_hz: float | None = None, *, largest: bool = F
     """
     from gains.synthesis.convex import design_convex
 
-    plants = [(found, restricted(plant, found)) for found in admissible_hypotheses(plant, largest=largest)]
-    return tuple(Hypothesis(found, part, design_convex(part, rate_hz)) for found, part in plants)
+    plants = [(faults, restricted(plant, faults)) for faults in admissible_hypotheses(plant, largest=largest)]
+    return tuple(Hypothesis(faults, part, design_convex(part, rate_hz)) for faults, part in plants)
 
 
 def compile_bank(plant: Plant, bank: Sequence[Hypothesis]) -> tuple[Gains, ...]:

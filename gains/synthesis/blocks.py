@@ -54,7 +54,7 @@ def blocks_of(plant: Plant) -> tuple[PlantBlock, ...]:
         together[np.ix_(members, members)] = True
     for _ in range(n + p):
         together = together @ together
-    found: dict[tuple[int, ...], None] = {tuple(np.flatnonzero(row).tolist()): None for row in together}
+    groups: dict[tuple[int, ...], None] = {tuple(np.flatnonzero(row).tolist()): None for row in together}
     return tuple(
         PlantBlock(
             states=tuple(i for i in members if i < n),
@@ -62,7 +62,7 @@ def blocks_of(plant: Plant) -> tuple[PlantBlock, ...]:
             sensor_faults=_inside(plant.D_f, [i - n for i in members if i >= n]),
             actuator_faults=_inside(plant.E_f, [i for i in members if i < n]),
         )
-        for members in found
+        for members in groups
     )
 
 
@@ -113,10 +113,10 @@ def design_blocks(plant: Plant, *, gain_weight: float = GAIN_WEIGHT, h2: float =
         N=N,
         J=N @ augmentation.F + K,
         P=P,
-        mu=max(one.mu for one in designs),
-        solve_s=sum(one.solve_s for one in designs),
+        mu=max(block_design.mu for block_design in designs),
+        solve_s=sum(block_design.solve_s for block_design in designs),
         total_s=time.perf_counter() - started,
-        notes=tuple(note for one in designs for note in one.notes),
+        notes=tuple(note for block_design in designs for note in block_design.notes),
     )
     if not certify(plant, design).holds:
         raise InaccurateError(f"{plant.name}: its blocks have certificates but the whole has none; check the scales")

@@ -250,6 +250,6 @@ def _consistent(design: Design, augmentation: Augmentation) -> bool:
         (design.F, augmentation.F),
     )
     return all(
-        bool(np.max(np.abs(found - expected)) <= _CONSISTENCY * max(1.0, np.max(np.abs(expected))))
-        for found, expected in pairs
+        bool(np.max(np.abs(actual - expected)) <= _CONSISTENCY * max(1.0, np.max(np.abs(expected))))
+        for actual, expected in pairs
     )

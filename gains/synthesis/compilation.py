@@ -162,10 +162,10 @@ def common_matrix(plant: Plant, rate_hz: float | None, gains: Gains, source: str
     return P
 
 
-def _provable(found: dict[str, Any], design: Design) -> dict[str, Any]:
+def _provable(summary: dict[str, Any], design: Design) -> dict[str, Any]:
     """Return the report of a design with what proves it: P and, where it has them, the multipliers of the slopes."""
     multipliers = None if design.multipliers is None else design.multipliers.tolist()
-    return {**found, "certificate": {**found["certificate"], "P": design.P.tolist(), "multipliers": multipliers}}
+    return {**summary, "certificate": {**summary["certificate"], "P": design.P.tolist(), "multipliers": multipliers}}
 
 
 def _initial_matrix(plant: Plant, design: Design, nq: int, delays: int) -> FloatArray:

@@ -162,9 +162,9 @@ def _scaled_margin(matrix: FloatArray, rounding: FloatArray) -> float:
 
 def _consistent(plant: Plant, design: ContinuousDesign) -> bool:
     """Return whether N and J, which run, belong to K, which is certified."""
-    found = design.gains
-    expected = fauio_gains(plant, found.K, found.L_i, found.L_p)
-    pairs = ((found.N, expected.N), (found.J, expected.J), (found.L1, expected.L1), (found.F, expected.F))
+    gains = design.gains
+    expected = fauio_gains(plant, gains.K, gains.L_i, gains.L_p)
+    pairs = ((gains.N, expected.N), (gains.J, expected.J), (gains.L1, expected.L1), (gains.F, expected.F))
     return all(
         bool(np.max(np.abs(a - b), initial=0.0) <= _CONSISTENCY * max(1.0, np.max(np.abs(b), initial=0.0)))
         for a, b in pairs

@@ -6,24 +6,24 @@ from pathlib import Path
 from typing import Any
 
 
-def text(found: dict[str, Any], out: Path | None) -> str:
+def text(report: dict[str, Any], out: Path | None) -> str:
     """Return the report that ``fauio design`` prints, with the file the gains were written to, if any."""
-    continuous = found["domain"] == "continuous"
-    at = "" if found["rate_hz"] is None else f" at {found['rate_hz']:g} Hz"
-    where = "infinite frequency" if found["norm_hz"] is None else f"{found['norm_hz']:.3g} Hz"
+    continuous = report["domain"] == "continuous"
+    at = "" if report["rate_hz"] is None else f" at {report['rate_hz']:g} Hz"
+    where = "infinite frequency" if report["norm_hz"] is None else f"{report['norm_hz']:.3g} Hz"
     lines = [
-        f"{found['model']}: {'continuous ' if continuous else ''}{found['method']} design{at}",
-        *([] if found["sqrt_mu"] is None else [f"  certified sqrt(mu)  {found['sqrt_mu']:.6g}"]),
-        *([] if found["floor"] is None else [f"  no observer below   {found['floor']:.6g}"]),
-        *([] if found["norm"] is None else [f"  H-infinity norm     {found['norm']:.6g} at {where}"]),
-        *([] if found.get("h2") is None else [f"  H2 norm at most     {found['h2']:.6g}"]),
-        f"  certificate         {_proof(found['certificate'])}",
-        f"  slowest pole        {found['poles_max_re']:.4g} rad/s"
+        f"{report['model']}: {'continuous ' if continuous else ''}{report['method']} design{at}",
+        *([] if report["sqrt_mu"] is None else [f"  certified sqrt(mu)  {report['sqrt_mu']:.6g}"]),
+        *([] if report["floor"] is None else [f"  no observer below   {report['floor']:.6g}"]),
+        *([] if report["norm"] is None else [f"  H-infinity norm     {report['norm']:.6g} at {where}"]),
+        *([] if report.get("h2") is None else [f"  H2 norm at most     {report['h2']:.6g}"]),
+        f"  certificate         {_proof(report['certificate'])}",
+        f"  slowest pole        {report['poles_max_re']:.4g} rad/s"
         if continuous
-        else f"  largest pole        {found['poles_max_abs']:.6f}",
-        f"  largest gain        {found['gain_max_abs']:.4g}",
-        f"  time                {found['solve_s']:.2f} s in the solver, {found['total_s']:.2f} s in all",
-        *(f"  note                {note}" for note in found["notes"]),
+        else f"  largest pole        {report['poles_max_abs']:.6f}",
+        f"  largest gain        {report['gain_max_abs']:.4g}",
+        f"  time                {report['solve_s']:.2f} s in the solver, {report['total_s']:.2f} s in all",
+        *(f"  note                {note}" for note in report["notes"]),
     ]
     if out is not None:
         lines.append(f"  written to          {out}")

@@ -185,10 +185,10 @@ def _check_shapes(gains: Gains) -> None:
         "L_p": (a1, p),
     }
     for name, shape in expected.items():
-        found = getattr(gains, name).shape
+        actual = getattr(gains, name).shape
         structural = name not in _COMPILED_KEYS
-        if found != shape and not (continuous and structural and found == (0, 0)):
-            raise ModelError(f"'{name}' is {found} where the names make it {shape}")
+        if actual != shape and not (continuous and structural and actual == (0, 0)):
+            raise ModelError(f"'{name}' is {actual} where the names make it {shape}")
     if gains.input_curves.shape[0] != s or gains.input_curves.shape[1] < 1:
         raise ModelError("'input_curves' does not have a row for each input")
 
@@ -242,9 +242,9 @@ def _nonlinearity(entry: Any) -> ScalarNonlinearity:
         raise ModelError("'nonlinearities' has an entry without an expression")
     if "arguments" not in entry:
         raise ModelError("'nonlinearities' has an entry without arguments")
-    found = ScalarNonlinearity(entry["expression"], _names(entry, "arguments"))
-    compile_expression(found.expression, found.arguments)
-    return found
+    nonlinearity = ScalarNonlinearity(entry["expression"], _names(entry, "arguments"))
+    compile_expression(nonlinearity.expression, nonlinearity.arguments)
+    return nonlinearity
 
 
 def _one_row_per_line(document: Mapping[str, Any]) -> str:
