@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, messages
+from adapters.batch import Batch
 from adapters.errors import TelemetryError
 from adapters.logs.onboard_log import (
     READ_AHEAD_BYTES,
@@ -29,6 +29,7 @@ from adapters.logs.onboard_log import (
     Records,
     Values,
     Window,
+    first_relation,
     layout,
     text,
 )
@@ -63,7 +64,6 @@ _MARK = b"\xa3\x95"
 _HEAD_BYTES = 3
 _FORMAT_KIND = 128
 _ARRAY = "a"
-_DEFINITIONS = ("FMT", "FMTU")
 _INSTANCE = "#"
 _SEARCHED_AT_ONCE = 1 << 16
 """Bytes in which to look for the next record at a time. Chosen: little beside a batch, many beside a record."""
@@ -71,6 +71,7 @@ _LARGEST_RECORD = 256
 _PADDING_BYTES = 528
 """Boards that log in blocks fill the last one up; pymavlink passes over as many bytes."""
 _STAMPS = (("TimeUS", 1_000), ("TimeMS", 1_000_000))
+_RELATION = ("GWk", "GMS", "TimeUS", "Status")
 _GPS_EPOCH_S = 315_964_800
 _WEEK_S = 604_800
 # Since 2017; GPS time knows no leap seconds, and what the log holds is GPS time.
@@ -80,11 +81,24 @@ _FIX_3D = 3
 
 @dataclass(slots=True)
 class _Format:
-    """A kind of record as the log defines it: its bytes with mark and number, and the names of its fields."""
+    """A kind of record as the log defines it.
+
+    Parameters
+    ----------
+    kind : RecordKind
+        Its name and fields.
+    length : int
+        Its bytes with mark and number.
+    columns : tuple[str, ...]
+        Names of all fields.
+    defines : bool
+        Whether its records say what others look like.
+    """
 
     kind: RecordKind
     length: int
     columns: tuple[str, ...]
+    defines: bool = False
 
 
 class DataflashReader:
@@ -119,7 +133,10 @@ class DataflashReader:
         self._only = only
         self._offset_ns = utc_minus_boot_ns
         self._read_ahead_bytes = read_ahead_bytes
-        self._formats = {_FORMAT_KIND: self._format("FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")}
+        formats = self._format("FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")
+        formats.defines = True
+        # by the bytes that records begin with
+        self._heads = {_head(_FORMAT_KIND): formats}
         self._records = self._damaged = self._skipped_bytes = 0
         self._broken_off = False
 
@@ -158,31 +175,28 @@ class DataflashReader:
 
     def _chain(self, window: Window, records: Records) -> None:
         """Take the records that follow one another among the bytes held."""
-        data, at, formats = window.data, window.at, self._formats
-        size = len(data)
-        last = size - _HEAD_BYTES
-        first, second = _MARK
+        data, at, heads = window.data, window.at, self._heads
+        end = len(data)
         start, kind = records.start, records.kind
-        while at <= last:
-            number = data[at + 2]
-            form = formats.get(number)
-            if form is None or data[at] != first or data[at + 1] != second:
+        count = 0
+        while True:
+            form = heads.get(data[at : at + _HEAD_BYTES])
+            if form is None:
                 break
             behind = at + form.length
-            if behind > size:
+            if behind > end or (form.defines and not self._learn(form, data[at + _HEAD_BYTES : behind])):
                 break
-            if form.kind.name in _DEFINITIONS and not self._learn(number, form, data[at + _HEAD_BYTES : behind]):
-                break
-            self._records += 1
+            count += 1
             if form.kind.wanted:
                 start.append(at + _HEAD_BYTES)
                 kind.append(form.kind)
             at = behind
+        self._records += count
         window.at = at
 
     def _single(self, window: Window) -> bool:
         """Go on from what ends a chain to where the next record is; return whether there may be any."""
-        form = self._formats.get(window.data[window.at + 2]) if window.data.startswith(_MARK, window.at) else None
+        form = self._heads.get(window.data[window.at : window.at + _HEAD_BYTES])
         if form is None:
             return self._resume(window)
         held = window.data
@@ -191,14 +205,12 @@ class DataflashReader:
         # the chain goes on where more bytes had to be read
         return window.data is not held or self._resume(window)
 
-    def _learn(self, number: int, form: _Format, body: bytes) -> bool:
+    def _learn(self, form: _Format, body: bytes) -> bool:
         """Learn from a record what others look like; return whether it is one."""
-        if number != _FORMAT_KIND and form.kind.name != "FMTU":
-            return True
         fields = form.kind.layout.rows(np.frombuffer(body, form.kind.layout.dtype))[0]
-        if number == _FORMAT_KIND:
+        if form is self._heads[_head(_FORMAT_KIND)]:
             return self._define(form, fields)
-        defined = self._formats.get(_whole(fields.get("FmtType")))
+        defined = self._heads.get(_head(_whole(fields.get("FmtType"))))
         place = str(fields.get("UnitIds", "")).find(_INSTANCE)
         if defined is not None and 0 <= place < len(defined.columns):
             instance = defined.columns[place]
@@ -216,10 +228,11 @@ class DataflashReader:
         number = fields["Type"]
         if number == _FORMAT_KIND:
             return made.length == form.length
-        before = self._formats.get(number)
+        before = self._heads.get(_head(number))
         if before is not None and before.columns == made.columns:
             made.kind.instance = before.kind.instance
-        self._formats[number] = made
+        made.defines = made.kind.name == "FMTU"
+        self._heads[_head(number)] = made
         return True
 
     def _format(self, name: str, length: int, codes: str, columns: str) -> _Format:
@@ -239,13 +252,13 @@ class DataflashReader:
         if not window.fill(ahead + _HEAD_BYTES):
             return window.left == ahead
         at = window.at + ahead
-        return window.data.startswith(_MARK, at) and window.data[at + 2] in self._formats
+        return window.data[at : at + _HEAD_BYTES] in self._heads
 
     def _standing(self, window: Window, searched: int) -> int | None:
         """Return how many bytes ahead a record with another behind it stands."""
         start, at = window.at, window.at
         while (at := window.data.find(_MARK, at + 1, start + searched)) >= 0:
-            form = self._formats.get(window.data[at + 2]) if at + 2 < len(window.data) else None
+            form = self._heads.get(window.data[at : at + _HEAD_BYTES])
             if form is not None and self._stands(window, at - start + form.length):
                 return at - start
         return None
@@ -271,6 +284,11 @@ class DataflashReader:
         self._skipped_bytes += ahead
         window.at += ahead
         return True
+
+
+def _head(number: int) -> bytes:
+    """Return what the records of a kind begin with."""
+    return _MARK + bytes([number]) if 0 <= number < 256 else b""
 
 
 def _layout(name: str, codes: str, columns: Sequence[str]) -> Layout:
@@ -312,15 +330,18 @@ def _raw(values: NDArray[np.void]) -> Values:
 
 def utc_minus_boot_ns(path: str | os.PathLike[str]) -> int | None:
     """Return UTC minus time since boot in nanoseconds, from the first 3D fix in a log; None without one."""
-    for message in (message for batch in DataflashReader(path, ("GPS",), 0) for message in messages(batch)):
-        week, ms, boot_us, status = (_whole(message.fields.get(name)) for name in ("GWk", "GMS", "TimeUS", "Status"))
-        if week > 0 and boot_us > 0 and status >= _FIX_3D:
-            utc_ms = (_GPS_EPOCH_S + _WEEK_S * week - _LEAP_S) * 1_000 + ms
-            found_ns = utc_ms * 1_000_000 - boot_us * 1_000
-            if 0 <= found_ns < LATEST_NS:
-                return found_ns
-    return None
+    return first_relation(DataflashReader(path, ("GPS",), 0), _RELATION, _relation)
+
+
+def _relation(
+    week: NDArray[np.int64], ms: NDArray[np.int64], boot_us: NDArray[np.int64], status: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    good = (week > 0) & (boot_us > 0) & (status >= _FIX_3D)
+    # weeks have 16 bits, milliseconds of a week 32: what damage makes of them fits
+    utc_ms = (_GPS_EPOCH_S + _WEEK_S * week - _LEAP_S) * 1_000 + ms
+    return utc_ms * 1_000_000 - boot_us * 1_000, good & (boot_us < LATEST_NS // 1_000)
 
 
 def _whole(value: Any) -> int:
+    """Return a whole number; 0 where there is none."""
     return value if type(value) is int else 0

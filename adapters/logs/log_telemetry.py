@@ -432,9 +432,9 @@ class _Join:
     """
 
     def __init__(self, topics: int) -> None:
-        # rows that are still of use: of messages that wait, and of each topic
-        self._waiting: deque[int] = deque()
-        self._rows: list[deque[int]] = [deque() for _ in range(topics)]
+        # time and row of messages that wait, and of each topic's records that are still of use
+        self._waiting: deque[tuple[int, int]] = deque()
+        self._rows: list[deque[tuple[int, int]]] = [deque() for _ in range(topics)]
 
     def run(self, positions: Sequence[Integers], starts: Sequence[int], times_ns: Sequence[Integers]) -> _Joined:
         """Go through the records of a batch.
@@ -448,78 +448,81 @@ class _Join:
         times_ns : Sequence[NDArray[np.int64]]
             Times of arrival of all rows, from before the batch too.
         """
-        at = np.concatenate(positions)
-        kind = np.repeat(np.arange(len(positions)), [len(one) for one in positions])
-        row = np.concatenate([start + np.arange(len(one)) for start, one in zip(starts, positions, strict=True)])
-        order = np.argsort(at)
-        times = [one.tolist() for one in times_ns]
+        waiting, rows = self._waiting, self._rows
         done: list[tuple[int, int, int]] = []
-        pairs: list[list[tuple[int, int]]] = []
-        events = zip(at[order].tolist(), kind[order].tolist(), row[order].tolist(), strict=True)
-        for position, by, index in events:
-            now_ns = times[by][index]
+        pairs: list[tuple[int, int]] = []
+        for position, by, now_ns, index in _in_order(positions, starts, times_ns):
             if by == 0:
-                self._waiting.append(index)
-            elif not self._add(self._rows[by - 1], times[by], index):
+                waiting.append((now_ns, index))
+            elif not _added(rows[by - 1], now_ns, index):
                 continue
-            while self._waiting:
-                pair = self._release(times, now_ns)
-                if pair is None:
+            while waiting:
+                time_ns, message = waiting[0]
+                early = late = False
+                for known in rows:
+                    while len(known) > 2 and known[1][0] <= time_ns:
+                        known.popleft()
+                    if not known or known[-1][0] < time_ns:
+                        late = True
+                    elif known[0][0] > time_ns:
+                        early = True
+                in_time = -_PATIENCE_NS < now_ns - time_ns < _PATIENCE_NS and len(waiting) < _MOST_WAITING
+                if late and in_time and not early:
                     break
-                message = self._waiting.popleft()
-                if pair:
+                waiting.popleft()
+                if not early:
                     done.append((message, position, by))
-                    pairs.append(pair)
+                    pairs += (_around(known, time_ns) for known in rows)
         found = np.array(done, np.int64).reshape(-1, 3)
-        pair_rows = np.array(pairs, np.int64).reshape(len(done), len(self._rows), 2)
-        return _Joined(found[:, 0], pair_rows, found[:, 1], found[:, 2])
-
-    @staticmethod
-    def _add(rows: deque[int], times: Sequence[int], index: int) -> bool:
-        """Add a record of a topic; return False where another of its time is there."""
-        if rows:
-            step_ns = times[index] - times[rows[-1]]
-            if step_ns == 0:
-                return False
-            if not 0 < step_ns < _PATIENCE_NS:
-                rows.clear()
-        rows.append(index)
-        if len(rows) > _MOST_WAITING:
-            rows.popleft()
-        return True
-
-    def _release(self, times: Sequence[Sequence[int]], now_ns: int) -> list[tuple[int, int]] | None:
-        """Return the rows on either side of the first message, none where it is given up; None where it waits."""
-        time_ns = times[0][self._waiting[0]]
-        pairs = []
-        early = late = False
-        for known, rows in zip(times[1:], self._rows, strict=True):
-            while len(rows) > 2 and known[rows[1]] <= time_ns:
-                rows.popleft()
-            early |= bool(rows) and known[rows[0]] > time_ns
-            late |= not rows or known[rows[-1]] < time_ns
-            pairs.append(_around(rows, known, time_ns))
-        waits = abs(now_ns - time_ns) < _PATIENCE_NS and len(self._waiting) < _MOST_WAITING
-        if early:
-            return []
-        return None if late and waits else pairs
+        pair = np.array(pairs, np.int64).reshape(len(done), len(rows), 2)
+        return _Joined(found[:, 0], pair, found[:, 1], found[:, 2])
 
     def forget(self) -> list[int]:
         """Return the first row of each that is still of use, and count from there on."""
         first = []
         for rows in (self._waiting, *self._rows):
-            first.append(rows[0] if rows else np.iinfo(np.int64).max)
-            for k in range(len(rows)):
-                rows[k] -= first[-1]
+            least = rows[0][1] if rows else _NO_ROW
+            for k, (time_ns, row) in enumerate(rows):
+                rows[k] = time_ns, row - least
+            first.append(least)
         return first
 
 
-def _around(rows: deque[int], times: Sequence[int], time_ns: int) -> tuple[int, int]:
+_NO_ROW = np.iinfo(np.int64).max
+
+
+def _in_order(
+    positions: Sequence[Integers], starts: Sequence[int], times_ns: Sequence[Integers]
+) -> Iterator[tuple[int, int, int, int]]:
+    """Yield position, number of the series, time and row of the records of several series, as they arrived."""
+    order = np.argsort(np.concatenate(positions))
+    series = np.repeat(np.arange(len(positions)), [len(one) for one in positions])
+    times = [times[start : start + len(at)] for times, start, at in zip(times_ns, starts, positions, strict=True)]
+    rows = [start + np.arange(len(at)) for start, at in zip(starts, positions, strict=True)]
+    columns = (np.concatenate(positions), series, np.concatenate(times), np.concatenate(rows))
+    return zip(*(column[order].tolist() for column in columns), strict=True)
+
+
+def _added(rows: deque[tuple[int, int]], time_ns: int, row: int) -> bool:
+    """Add a record of a topic; return False where another of its time is there."""
+    if rows:
+        step_ns = time_ns - rows[-1][0]
+        if step_ns == 0:
+            return False
+        if not 0 < step_ns < _PATIENCE_NS:
+            rows.clear()
+        elif len(rows) >= _MOST_WAITING:
+            rows.popleft()
+    rows.append((time_ns, row))
+    return True
+
+
+def _around(rows: deque[tuple[int, int]], time_ns: int) -> tuple[int, int]:
     """Return the rows before and after a time, -1 where there are none."""
-    for left, right in pairwise(rows):
-        if times[left] <= time_ns <= times[right]:
+    for (left_ns, left), (right_ns, right) in pairwise(rows):
+        if left_ns <= time_ns <= right_ns:
             return left, right
-    return (rows[-1], rows[-1]) if rows and times[rows[-1]] == time_ns else (-1, -1)
+    return (rows[-1][1], rows[-1][1]) if rows and rows[-1][0] == time_ns else (-1, -1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ and notes only where they begin; :class:`Records` then decodes all of a kind at 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -362,6 +362,44 @@ class Window:
     def cut(self) -> bool:
         """Whether the compressed data was damaged, as far as was read."""
         return self._source.damaged
+
+
+def first_relation(
+    batches: Iterable[Batch],
+    fields: Sequence[str],
+    relation: Callable[..., tuple[NDArray[np.int64], NDArray[np.bool_]]],
+) -> int | None:
+    """Return UTC minus time since boot from the first record that tells it; None without one.
+
+    Parameters
+    ----------
+    batches : Iterable[Batch]
+        Records of receivers of satellites.
+    fields : Sequence[str]
+        Names of the fields that tell it.
+    relation : Callable
+        From those fields of n records, whole numbers (n,), zero where they have none: the relation, nanoseconds (n,),
+        and whether it can be one (n,).
+    """
+    for batch in batches:
+        rows = [(one.position, one.fields) for one in batch.columns]
+        rows += [
+            (np.array([at]), {name: np.array([value]) for name, value in message.fields.items() if type(value) is int})
+            for at, message in batch.others.items()
+        ]
+        found: list[tuple[int, int]] = []
+        for position, columns in rows:
+            numbers = []
+            for name in fields:
+                values = columns.get(name)
+                whole = values is not None and values.dtype.kind in "iu" and values.ndim == 1
+                numbers.append(values.astype(np.int64) if whole else np.zeros(len(position), np.int64))
+            offset_ns, good = relation(*numbers)
+            good &= (offset_ns >= 0) & (offset_ns < LATEST_NS)
+            found += ((int(position[row]), int(offset_ns[row])) for row in np.flatnonzero(good)[:1])
+        if found:
+            return min(found)[1]
+    return None
 
 
 def layout(fields: Sequence[tuple[LayoutField, Any, int]], size: int) -> Layout:

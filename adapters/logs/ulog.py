@@ -14,9 +14,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from adapters.batch import Batch, messages
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.batch import Batch
 from adapters.errors import TelemetryError
-from adapters.logs.onboard_log import READ_AHEAD_BYTES, LogClock, LogStatistics, RecordKind, Records, Window, text
+from adapters.logs.onboard_log import (
+    READ_AHEAD_BYTES,
+    LogClock,
+    LogStatistics,
+    RecordKind,
+    Records,
+    Window,
+    first_relation,
+    text,
+)
 from adapters.logs.ulog_format import UlogField, UlogType, compile_type, decode_keyed, parse_format
 from adapters.message import LATEST_NS
 from adapters.source import ULOG
@@ -98,6 +110,7 @@ class UlogReader:
         self._formats: dict[str, tuple[UlogField, ...]] = {}
         self._kinds: dict[str, tuple[UlogType, RecordKind]] = {}
         self._topics: dict[int, _Topic] = {}
+        self._heads: dict[bytes, tuple[int, RecordKind | None]] = {}
         self._appended: list[int] = []
         self._records = self._unknown = self._damaged = self._skipped_bytes = 0
         self._broken_off = False
@@ -149,24 +162,43 @@ class UlogReader:
 
     def _chain(self, window: Window, records: Records) -> None:
         """Take the topics' records that follow one another among the bytes held."""
-        data, at, topics = window.data, window.at, self._topics
+        data, at, heads = window.data, window.at, self._heads
         end = len(data) if not self._appended else min(len(data), window.index(self._appended[0]))
-        last = end - _DATA_HEAD.size
-        unpack, start, kind = _DATA_HEAD.unpack_from, records.start, records.kind
-        while at <= last:
-            size, record, number = unpack(data, at)
-            topic = topics.get(number)
-            if record != _DATA or topic is None or not topic.least <= size <= topic.most:
-                break
-            behind = at + _HEAD.size + size
+        start, kind = records.start, records.kind
+        count = 0
+        while True:
+            head = data[at : at + _DATA_HEAD.size]
+            known = heads.get(head)
+            if known is None:
+                known = self._known(head)
+                if known is None:
+                    break
+            length, wanted = known
+            behind = at + length
             if behind > end:
                 break
-            self._records += 1
-            if topic.kind.wanted:
+            count += 1
+            if wanted is not None:
                 start.append(at + _DATA_HEAD.size)
-                kind.append(topic.kind)
+                kind.append(wanted)
             at = behind
+        self._records += count
         window.at = at
+
+    def _known(self, head: bytes) -> tuple[int, RecordKind | None] | None:
+        """Return the bytes of a record that begins like this, and its kind where it is wanted; None if it is no data.
+
+        Records of a topic begin alike, so what is found out is kept until topics change.
+        """
+        if len(head) < _DATA_HEAD.size:
+            return None
+        size, kind, number = _DATA_HEAD.unpack(head)
+        topic = self._topics.get(number)
+        if kind != _DATA or topic is None or not topic.least <= size <= topic.most:
+            return None
+        found = _HEAD.size + size, topic.kind if topic.kind.wanted else None
+        self._heads[head] = found
+        return found
 
     def _single(self, window: Window, records: Records) -> bool:
         """Take the record that ends the chain, or go on to where the next one is; return whether there may be any."""
@@ -271,9 +303,11 @@ class UlogReader:
         # a record without any field is none
         least = max(1, compiled.layout.dtype.itemsize)
         self._topics[number] = _Topic(kind, _ID.size + least, _ID.size + compiled.size)
+        self._heads.clear()
 
     def _unsubscribe(self, body: bytes) -> None:
         self._topics.pop(_ID.unpack(body)[0], None)
+        self._heads.clear()
 
     def _define(self, body: bytes) -> None:
         name, fields = parse_format(body)
@@ -336,14 +370,14 @@ def _sync(body: bytes) -> None:
 
 def utc_minus_boot_us(path: str | os.PathLike[str]) -> int | None:
     """Return UTC minus time since boot in microseconds, from the first position fix in a log; None without one."""
-    for message in (message for batch in UlogReader(path, GPS_TOPICS, 0) for message in messages(batch)):
-        utc_us, boot_us, fix, relative_us = (_whole(message.fields.get(name)) for name in _RELATION)
-        found_us = utc_us - boot_us - relative_us
-        if fix >= _FIX_3D and utc_us > _YEAR_2001_US and 0 <= found_us < LATEST_NS // 1_000:
-            return found_us
-    return None
+    found_ns = first_relation(UlogReader(path, GPS_TOPICS, 0), _RELATION, _relation)
+    return None if found_ns is None else found_ns // 1_000
 
 
-def _whole(value: Any) -> int:
-    """Return a whole number; 0, which stands for unknown, where there is none."""
-    return value if type(value) is int else 0
+def _relation(
+    utc_us: NDArray[np.int64], boot_us: NDArray[np.int64], fix: NDArray[np.int64], relative_us: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    found_us = utc_us - boot_us - relative_us
+    # beyond the latest time nanoseconds do not fit
+    good = (fix >= _FIX_3D) & (utc_us > _YEAR_2001_US) & (boot_us >= 0) & (found_us < LATEST_NS // 1_000)
+    return np.where(good, found_us, 0) * 1_000, good
