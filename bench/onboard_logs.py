@@ -1,4 +1,4 @@
-"""How long `fauio info`, `convert` and `replay` take for a long log of PX4, as multiples of what pyulog needs to read it.
+"""Time that `fauio info`, `convert` and `replay` take for a long log of PX4, in multiples of pyulog reading it.
 
 A flight is repeated, each time later by its length, until the log has the size asked for. Each figure is the processor
 time of a process of its own, from its start to its end, imports included; the least of some runs. Run it with
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
+import os
 import struct
 import subprocess
 import sys
@@ -77,12 +77,13 @@ def processor_s(command: list[str], runs: int) -> tuple[float, float]:
     """Return the least processor time of a command, and the most memory it had, in MB."""
     best, memory = float("inf"), 0.0
     for _ in range(runs):
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        best = min(best, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-        # of all children so far: the first of them that is large shows
-        memory = after.ru_maxrss / 1024
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+            _, status, usage = os.wait4(process.pid, 0)
+            process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
+            raise SystemExit(f"{' '.join(command)}: exit status {process.returncode}")
+        best = min(best, usage.ru_utime + usage.ru_stime)
+        memory = max(memory, usage.ru_maxrss / 1024)
     return best, memory
 
 
@@ -110,7 +111,10 @@ def main() -> None:
         found: dict[str, float] = {"mb": round(log.stat().st_size / 1e6, 1)}
         for name, one in commands.items():
             spent, memory = processor_s(one, args.runs)
-            found |= {f"{name}_s": round(spent, 2), f"{name}_times_pyulog": round(spent / found.get("pyulog_s", spent), 2)}
+            found |= {
+                f"{name}_s": round(spent, 2),
+                f"{name}_times_pyulog": round(spent / found.get("pyulog_s", spent), 2),
+            }
             found[f"{name}_memory_mb"] = round(memory)
         sys.stdout.write(json.dumps(found, indent=1) + "\n")
 

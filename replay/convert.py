@@ -13,6 +13,9 @@ from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import ONBOARD_LOG
 from monitor.recording.record_encoder import RecordEncoder
 
+# a file has no more than so many
+_NO_CHANNEL = 0
+
 
 def convert(entries: Iterable[Batch | Record], source: str, target: Path, onboard: str | None = None) -> int:
     """Write all messages to an MCAP file; return how many were written.
@@ -39,14 +42,20 @@ def convert(entries: Iterable[Batch | Record], source: str, target: Path, onboar
         if onboard is not None:
             writer.add_metadata("fauio", {ONBOARD_LOG: onboard})
         encoder = RecordEncoder(())
+        channels: dict[int, int] = {}
         for entry in chain(first, remaining):
             if isinstance(entry, Record):
                 writer.write_record(entry)
                 continue
-            for number, data, time_ns in encoder.batch(entry):
+            records = encoder.batch(entry)
+            for number in {number for number, _, _ in records} - channels.keys():
                 topic = encoder.topics[number]
-                channel = writer.channel(topic.name, topic.encoding, topic.schema)
-                if channel is not None:
-                    writer.add(channel, data, time_ns)
+                channels[number] = writer.channel(topic.name, topic.encoding, topic.schema) or _NO_CHANNEL
+            kept = [record for record in records if channels[record[0]] != _NO_CHANNEL]
+            writer.add_all(
+                [channels[number] for number, _, _ in kept],
+                [data for _, data, _ in kept],
+                [time_ns for _, _, time_ns in kept],
+            )
         writer.add_metadata("fauio", {"fauio": version("fauio"), "converted_from": source})
         return writer.statistics().records

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -132,10 +132,16 @@ class MessageLogWriter:
 
     def add(self, channel: int, data: bytes, time_ns: int, publish_ns: int | None = None) -> None:
         """Record encoded data on a channel; times are Unix nanoseconds, neither negative nor beyond 64 bits."""
+        self.add_all([channel], [data], [time_ns], publish_ns)
+
+    def add_all(
+        self, channels: Sequence[int], data: Sequence[bytes], times_ns: Sequence[int], publish_ns: int | None = None
+    ) -> None:
+        """Record encoded data, each on its channel, in their order; see :meth:`add`."""
         if self._closed:
             raise RuntimeError("the log is closed; open another one")
-        self._records += 1
-        self._writer.add_message(channel, time_ns, data, publish_ns)
+        self._records += len(data)
+        self._writer.add_messages(channels, times_ns, data, publish_ns)
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record."""
