@@ -1,4 +1,4 @@
-"""What the observer says at one tick or over a stretch of ticks, and the names of its entries."""
+"""An observer's results over consecutive samples, and the names of their entries."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sample import Sample, Samples, stacked
+from adapters.sample import Sample, Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,19 +131,3 @@ class Estimates:
             sd=self.sd[row],
             coasted_s=float(self.coasted_s[row]),
         )
-
-
-def alone(estimate: Estimate) -> Estimates:
-    """Return one estimate as a stretch of its own."""
-    sample = estimate.sample
-    return Estimates(
-        observer=estimate.observer,
-        samples=stacked([sample], len(sample.u), len(sample.y)),
-        x=estimate.x[None],
-        fault=estimate.fault[None],
-        isolated=estimate.isolated[None],
-        residual=estimate.residual[None],
-        armed=np.array([estimate.armed]),
-        sd=estimate.sd[None],
-        coasted_s=np.array([estimate.coasted_s]),
-    )

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from adapters.batch import Batch, pack
-from adapters.message import Message
-from monitor.estimate import Estimate, Estimates, alone
+from adapters.batch import Batch
+from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.recording.black_box import BlackBox
 from monitor.recording.record_encoder import RecordEncoder
@@ -68,14 +67,6 @@ class Archive:
             self._recorder.record(records)
         if self._black_box is not None:
             self._black_box.record(records)
-
-    def message(self, message: Message) -> None:
-        """Record one message."""
-        self.batch(pack([message]))
-
-    def estimate(self, estimate: Estimate) -> None:
-        """Record one estimate."""
-        self.estimates(alone(estimate))
 
     def event(self, event: AlarmEvent) -> None:
         """Record an alarm event; a raised alarm begins a clip of the black box."""

@@ -13,10 +13,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, one_message, pack
+from adapters.batch import Batch, one_message
 from adapters.channels import follow
 from adapters.message import Message
-from monitor.estimate import Estimate, Estimates, Layout, alone
+from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent
 from monitor.trace import Trace, TraceBuilder
 from monitor.views.panels import Thresholds
@@ -134,14 +134,6 @@ class VehicleView:
             if self._is_due((estimates.observer,), time_ns):
                 with self._lock:
                     self._keep(buffer, estimates.part(row, row + 1))
-
-    def message(self, message: Message) -> None:
-        """Keep one message to be shown."""
-        self.batch(pack([message]))
-
-    def estimate(self, estimate: Estimate) -> None:
-        """Keep one estimate to be shown."""
-        self.estimates(alone(estimate))
 
     def work(self, max_records: int, now_ns: int) -> int:
         """Do nothing, and return that nothing was written."""
