@@ -1,33 +1,140 @@
-"""The ``fauio`` command line: gathers the commands of the packages, runs one, turns errors into one line.
+"""Fault and attack monitor for drones and ground vehicles: the command line, and the library.
 
-Nothing heavy is imported here or in the packages' ``commands`` modules: each command loads what it uses.
+As a library, ``import fauio`` gives what ``__all__`` lists; ``docs/library.md`` shows how it goes together:
+
+======================  ================================================================================
+read_batches            the messages of a recording, as batches of columns
+read_recording          the same one by one
+read_profile, Profile   what is known of a vehicle: models, gains, channels, thresholds
+replay, Replay          look for faults in a recording
+Pipeline                the same for telemetry that is still coming
+fit, FitReport          learn a vehicle from recordings of healthy flights
+check, Check            which faults of a plant can be told apart
+design, Gains           design an observer for a plant; read_gains and write_gains keep it
+open_session,           receive the alarms of running monitors over Zenoh
+AlarmSubscriber
+FauioError ...          errors, all of one tree: adapters/errors.py
+======================  ================================================================================
+
+As a command line it gathers the commands of the packages, runs one, and turns errors into lines on stderr. Nothing
+heavy is imported here or in the packages' ``commands`` modules: each command, and each name of the library, loads what
+it uses.
 """
 
 from __future__ import annotations
 
 import argparse
 import errno
+import importlib
 import math
 import os
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
-import adapters.commands
-import gains.commands
-import monitor.commands
-import replay.commands
-from adapters.errors import FauioError, printable
+from adapters import commands as adapters_commands
+from adapters.errors import (
+    ConfigError,
+    FauioError,
+    InaccurateError,
+    InfeasibleError,
+    ModelError,
+    ProfileError,
+    StorageError,
+    TelemetryError,
+    UsageError,
+    printable,
+)
+from gains import commands as gains_commands
+from monitor import commands as monitor_commands
 from monitor.console.completion import add_completion
+from replay import commands as replay_commands
+
+if TYPE_CHECKING:
+    from adapters.batch import Batch
+    from adapters.logs.recordings import read_batches, read_recording
+    from adapters.message import Message
+    from adapters.zenoh.zenoh_session import open_session
+    from gains.analysis.check import Check
+    from gains.plants.model_file import read_model, write_model
+    from gains.plants.plant import Plant
+    from gains.synthesis.gains_file import Gains, read_gains, write_gains
+    from monitor.bus.subscriber import AlarmSubscriber
+    from monitor.estimate import Estimates
+    from monitor.event import AlarmEvent
+    from monitor.pipeline import Pipeline
+    from monitor.profile import Profile, read_profile
+    from replay.fit import FitReport
+    from replay.library import check, design, fit, replay
+    from replay.player import Replay
+
+    __version__: str
+
+__all__ = [
+    "AlarmEvent",
+    "AlarmSubscriber",
+    "Batch",
+    "Check",
+    "ConfigError",
+    "Estimates",
+    "FauioError",
+    "FitReport",
+    "Gains",
+    "InaccurateError",
+    "InfeasibleError",
+    "Message",
+    "ModelError",
+    "Pipeline",
+    "Plant",
+    "Profile",
+    "ProfileError",
+    "Replay",
+    "StorageError",
+    "TelemetryError",
+    "UsageError",
+    "__version__",
+    "check",
+    "design",
+    "fit",
+    "open_session",
+    "read_batches",
+    "read_gains",
+    "read_model",
+    "read_profile",
+    "read_recording",
+    "replay",
+    "write_gains",
+    "write_model",
+]
+
+_PLACES = {
+    "adapters.batch": ("Batch",),
+    "adapters.logs.recordings": ("read_batches", "read_recording"),
+    "adapters.message": ("Message",),
+    "adapters.zenoh.zenoh_session": ("open_session",),
+    "gains.analysis.check": ("Check",),
+    "gains.plants.model_file": ("read_model", "write_model"),
+    "gains.plants.plant": ("Plant",),
+    "gains.synthesis.gains_file": ("Gains", "read_gains", "write_gains"),
+    "monitor.bus.subscriber": ("AlarmSubscriber",),
+    "monitor.estimate": ("Estimates",),
+    "monitor.event": ("AlarmEvent",),
+    "monitor.pipeline": ("Pipeline",),
+    "monitor.profile": ("Profile", "read_profile"),
+    "replay.fit": ("FitReport",),
+    "replay.library": ("check", "design", "fit", "replay"),
+    "replay.player": ("Replay",),
+}
+"""Modules of the library's names; each is imported when one of its names is first asked for."""
 
 INTERRUPTED = 130
 USAGE = 2
 EXAMPLE = "example: "
 
 _DESCRIPTION = (
-    "Fault and attack monitor for drones and ground vehicles: says which motor lost how much thrust, or by how many "
-    "metres GPS is being walked away."
+    "Fault and attack monitor for drones and ground vehicles: says which motor lost how much thrust, or how many "
+    "metres GPS has been pulled off course."
 )
 _FIRST_STEPS = """\
 first steps:
@@ -61,6 +168,25 @@ _ADVICE = {
 }
 
 
+def __getattr__(name: str) -> Any:
+    """Load a name of the library when it is first used."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("fauio")
+    for module, names in _PLACES.items():
+        if name in names:
+            value = getattr(importlib.import_module(module), name)
+            globals()[name] = value
+            return value
+    raise AttributeError(f"module 'fauio' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    """Return the names of the library and of the command line."""
+    return sorted({*globals(), *__all__})
+
+
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
     parser = _Parser(prog="fauio", usage="fauio [-h] [--version] COMMAND ...", description=_DESCRIPTION)
@@ -70,7 +196,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(
         dest="command", metavar="COMMAND", required=True, help=argparse.SUPPRESS, prog="fauio"
     )
-    for package in (replay.commands, gains.commands, monitor.commands, adapters.commands):
+    for package in (replay_commands, gains_commands, monitor_commands, adapters_commands):
         package.add_parsers(commands)
     add_completion(commands, parser)
     parser.epilog = _overview((action.dest, action.help or "") for action in commands._get_subactions())

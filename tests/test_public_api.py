@@ -1,14 +1,17 @@
-"""The library does what typed_api.py, the example of its use that mypy checks, expects of it."""
+"""The library does what typed_api.py, the example of its use that mypy checks, and its page say."""
 
+import doctest
+import re
 import subprocess
 import sys
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 import typed_api
 
+import fauio
+import replay.library
 from gains.plants.model_file import load_model
 
 ROOT = Path(__file__).parent.parent
@@ -16,19 +19,16 @@ QUAD = ROOT / "replay/data/quad"
 FLIGHT = ROOT / "replay/data/copter_motor1.tlog.xz"
 
 
-def test_a_recording_is_read_replayed_and_fed_message_by_message() -> None:
+def test_a_recording_is_read_replayed_and_run_batch_by_batch() -> None:
     assert set(typed_api.rates_of(FLIGHT)) == {"ATTITUDE", "HIGHRES_IMU"}
     raised = [event.channel for event in typed_api.alarms_of(QUAD, FLIGHT) if event.state == "raised"]
     assert raised == ["motor1"]
-    times = [time_ns for time_ns, _ in islice(typed_api.estimates_of(QUAD, FLIGHT, "motors"), 100)]
-    assert len(times) == 100
-    assert sorted(times) == times
+    estimates, _ = next(typed_api.estimates_of(QUAD, FLIGHT, "motors"))
+    assert estimates.shape[1] == 7 and np.isfinite(estimates).all()
 
 
-def test_gains_are_designed_written_and_run(tmp_path: Path) -> None:
-    gains = typed_api.gains_of("arm", 100.0, tmp_path / "arm.gains.json")
-    still = typed_api.step_by_step(gains, np.zeros((50, len(gains.inputs))), np.zeros((50, len(gains.outputs))))
-    assert still == [0.0] * 50
+def test_gains_are_designed_written_and_read(tmp_path: Path) -> None:
+    assert typed_api.gains_of("arm", 100.0, tmp_path / "arm.gains.json").faults == ("motor", "encoder")
     plant = load_model("arm")
     assert [fault.rate for fault in typed_api.faster(plant, tmp_path / "arm.toml").faults] == [
         2.0 * fault.rate for fault in plant.faults
@@ -39,8 +39,34 @@ def test_waiting_for_an_alarm_of_nobody_ends() -> None:
     assert typed_api.listen("tcp/127.0.0.1:1", 0.1) is None
 
 
-@pytest.mark.long  # as `make lint` does
 def test_its_use_is_fully_typed() -> None:
     command = [sys.executable, "-m", "mypy", "--config-file", "pyproject.toml", "tests/typed_api.py"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
+
+
+def test_each_name_of_the_library_is_there_and_says_what_it_is() -> None:
+    for name in fauio.__all__:
+        assert getattr(fauio, name).__doc__
+    assert set(fauio.__all__) <= set(dir(fauio))
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = fauio.nonsense
+
+
+def test_the_page_names_all_of_it_and_its_examples_are_right(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (ROOT / "docs/library.md").read_text()
+    assert [name for name in fauio.__all__ if f"`{name}" not in page] == []
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "replay").symlink_to(ROOT / "replay")
+    names: dict[str, object] = {}
+    for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL):
+        exec(compile(block, "docs/library.md", "exec"), names)  # noqa: S102 - our own page
+    shown = re.findall(r"^# prints (.*)$", page, re.MULTILINE)
+    assert capsys.readouterr().out.splitlines() == shown
+
+
+def test_the_examples_of_docstrings_are_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    assert doctest.testmod(replay.library, extraglobs={"fauio": fauio}).failed == 0
