@@ -13,13 +13,14 @@ import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from adapters.errors import FauioError
 from adapters.toml_lines import KeyPath, key_lines, line_of
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 LARGEST_BYTES = 1 << 20
 """Largest file that is read; chosen: fifty times the largest model or configuration here, and parsed in a second."""
@@ -277,6 +278,9 @@ class Table:
 
     def matrix(self, key: str, rows: int, columns: int) -> NDArray[np.float64]:
         """Return a finite matrix (rows, columns) from a list of rows; NaN where it is none."""
+        # the command line reads no matrix, and starts without NumPy
+        import numpy as np
+
         value = self._get(key, None)
         try:
             matrix = np.array(value, dtype=np.float64)
