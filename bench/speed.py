@@ -89,7 +89,10 @@ RAW = "mcap, non-seeking, raw"
 
 def replay_rows(found: Sequence[dict[str, Any]]) -> list[Row]:
     """Return the promises about replays."""
-    return [Row(f"replay of {row['log']}: times real time", row["blocks"], 500.0) for row in found]
+    return [
+        *(Row(f"replay of {row['log']}: times real time", row["large_batches"], 500.0) for row in found),
+        *(Row(f"fauio replay of {row['log']}: times real time", row["command"], 160.0) for row in found),
+    ]
 
 
 def text(rows: Sequence[Row]) -> str:
