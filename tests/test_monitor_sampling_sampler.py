@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sampled import Row, feed, rows
 
@@ -126,7 +126,6 @@ def test_a_sampler_may_be_without_inputs() -> None:
     st.integers(0, 30),
     st.integers(3, 12),
 )
-@settings(max_examples=60, deadline=None)
 def test_loss_repetition_and_reordering_never_break_the_grid(
     seed: int, copies: list[int], loss: int, reach: int
 ) -> None:
@@ -157,7 +156,6 @@ def test_loss_repetition_and_reordering_never_break_the_grid(
 
 
 @given(st.integers(0, 2**32), st.integers(2, 6))
-@settings(max_examples=40, deadline=None)
 def test_reordering_and_repetition_within_the_time_to_wait_lose_nothing(seed: int, reach: int) -> None:
     rng = np.random.default_rng(seed)
     slow = [message("C", t, slow=0.0) for t in range(2_000_000, 3_000_000, 100_000)]
@@ -176,7 +174,6 @@ def test_reordering_and_repetition_within_the_time_to_wait_lose_nothing(seed: in
 
 
 @given(st.integers(1, 400), st.integers(0, 2**32))
-@settings(max_examples=40, deadline=None)
 def test_a_late_start_gives_the_same_samples(cut: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     messages = telemetry(1_000_000, 6_000_000, 10_000, 20_000)
@@ -479,7 +476,6 @@ FIELDS = st.dictionaries(
 
 
 @given(st.lists(st.tuples(st.sampled_from("AB"), FIELDS, st.integers(-(10**18), 10**19)), max_size=60))
-@settings(deadline=None)
 def test_no_message_makes_the_sampler_fail(messages: list[tuple[str, dict[str, Any], int]]) -> None:
     to = sampler(rate=1000.0)
     for name, fields, received_ns in messages:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import strapdown_truth as truth
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sampled import raw_samples, rows
 
@@ -63,7 +63,6 @@ def given_out(transform: Transform, raw: Samples, cuts: Sequence[int]) -> list[t
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-@settings(max_examples=20, deadline=None)
 @given(
     cuts=st.lists(st.integers(0, COUNT), max_size=6),
     seed=st.integers(0, 10**6),

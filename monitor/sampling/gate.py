@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch
-from adapters.sample import Given, Sample, Samples
+from adapters.sample import Given, Samples
 from adapters.toml_tables import Table
 from monitor.core.sampling import Settling, VehicleClock, sample_batch
 from monitor.sampling.phase import FlightPhase
@@ -71,13 +71,6 @@ class FlightGate:
         rule = self._rule
         by_command = rule.require_airborne and phase.landed is None and commands
         return self._settling.run(samples, _allowed(rule, phase), rule.airborne_command if by_command else None)
-
-
-class GatedSample(NamedTuple):
-    """A sample and whether it is evidence."""
-
-    sample: Sample
-    armed: bool
 
 
 class GatedSamples(NamedTuple):

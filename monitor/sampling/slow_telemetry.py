@@ -38,9 +38,9 @@ def slow_text(slow: Mapping[str, float], wanted_hz: float) -> str:
     """Return a line about messages that come too seldom: how often, what is needed, how to get it."""
     rates = ", ".join(f"{name} {rate:.3g} Hz" for name, rate in slow.items())
     return (
-        f"slow telemetry: {rates}; {wanted_hz:g} Hz or more are needed to see faults early and small ones at all. Raise "
-        "the rates in the autopilot (ArduPilot SRx_*, PX4 mavlink stream) or with [send] rates of fauio.toml, record "
-        "again and fit again"
+        f"slow telemetry: {rates}; {wanted_hz:g} Hz or more are needed to see faults early and small ones at all. "
+        "Raise the rates in the autopilot (ArduPilot SRx_*, PX4 mavlink stream) or with [send] rates of fauio.toml, "
+        "record again and fit again"
     )
 
 

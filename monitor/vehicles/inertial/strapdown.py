@@ -48,9 +48,9 @@ DEFAULTS = {
     "baro_delay_s": 0.0,
     "compass_delay_s": 0.0,
 }
-"""What a parameter is where it is left out. Chosen: positions and angles are forgotten within 30 s, over which receivers
-and barometers drift by half a metre; velocities within 10 s, as an attitude that is wrong by 10 mrad makes 1 m/s of gravity
-in that time."""
+"""Parameters that are left out. Chosen: positions and angles are forgotten within 30 s, over which receivers and
+barometers drift by half a metre; velocities within 10 s, in which an attitude that is wrong by 10 mrad makes 1 m/s of
+gravity."""
 
 
 class Strapdown:
