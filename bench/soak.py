@@ -49,7 +49,7 @@ SAMPLE_S = 1.0
 HELD_UP_S = 0.2
 # Memory of a process that has just started grows: shorter runs say nothing about a leak.
 MEMORY_MINUTES = 10.0
-LIMITS = {"memory_percent": 2.0, "alarm_latency_p99_ms": 20.0, "cpu_percent_per_vehicle": 25.0}
+LIMITS = {"memory_percent": 2.0, "alarm_latency_p99_ms": 40.0, "cpu_percent_per_vehicle": 25.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """Where everything of one run is."""
+    """Where everything of one run is, whether the daemon records, and the core it is bound to, if any."""
 
     folder: Path
     profile: Path
@@ -71,6 +71,8 @@ class Setup:
     udp: str
     zenoh: str
     metrics: str
+    recorded: bool = True
+    core: int | None = None
 
     @property
     def heard(self) -> Path:
@@ -88,11 +90,14 @@ class Setup:
             f'mavlink = "udpin:{self.udp}"',
             f'listen = ["{self.zenoh}"]',
             'log_format = "json"',
-            'recording = { folder = "recordings", file_mb = 20, budget_mb = 60 }',
-            'black_box = { folder = "clips", budget_mb = 60 }',
-            'journal = { path = "journal.db" }',
             f'metrics = {{ listen = "{self.metrics}" }}',
         ]
+        if self.recorded:
+            lines += [
+                'recording = { folder = "recordings", file_mb = 20, budget_mb = 60 }',
+                'black_box = { folder = "clips", budget_mb = 60 }',
+                'journal = { path = "journal.db" }',
+            ]
         for system in range(1, len(self.logs) + 1):
             lines += ["[[vehicle]]", f'name = "{name_of(system)}"', f'profile = "{self.profile}"', f"system = {system}"]
         path = self.folder / "soak.toml"
@@ -110,7 +115,7 @@ def free_port(kind: socket.SocketKind) -> int:
         return int(probe.getsockname()[1])
 
 
-def set_up(folder: Path, profile: Path, logs: Sequence[Path]) -> Setup:
+def set_up(folder: Path, profile: Path, logs: Sequence[Path], **options: Any) -> Setup:
     return Setup(
         folder=folder,
         profile=profile.resolve(),
@@ -118,6 +123,7 @@ def set_up(folder: Path, profile: Path, logs: Sequence[Path]) -> Setup:
         udp=f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}",
         zenoh=f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}",
         metrics=f"127.0.0.1:{free_port(socket.SOCK_STREAM)}",
+        **options,
     )
 
 
@@ -230,6 +236,8 @@ def soak(setup: Setup, minutes: float) -> dict[str, Any]:
         running(["-m", "fauio", "run", "--config", str(setup.config())], folder / "daemon.log") as daemon,
         running(["bench/soak_listener.py", setup.zenoh, str(setup.heard)], folder / "listener.log") as listener,
     ):
+        if setup.core is not None:
+            os.sched_setaffinity(daemon.pid, {setup.core})
         show("waiting for the daemon")
         wait_for(lambda: set(last_statuses(lines_of(setup.heard))) == set(names), daemon, START_S, "a status of each")
         send = ["-m", "adapters.simulation.fleet_sender", f"udp:{setup.udp}", "--seconds", str(seconds)]

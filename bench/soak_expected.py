@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
+from adapters.mavlink.mavlink_columns import decoded
 from adapters.mavlink.mavlink_message import PacketParser
 from adapters.simulation.fleet_sender import Flight, fleet_packets
-from monitor.estimate import Estimate
+from monitor.estimate import Estimates
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 
@@ -65,12 +66,12 @@ def expected(profile: Profile, flight: Flight, seconds: float = inf) -> Expected
         if index == 0:
             turns.append([])
             samples = 0
-        for kind, found in parser.feed(packet):
-            for output in pipeline.feed(kind.decode(found, _START_NS + due_ns)):
-                if isinstance(output, Estimate):
-                    samples += 1
-                    known_ns = output.sample.vehicle_time_ns + output.sample.later_ns
-                    causes[output.observer, known_ns // 1_000_000] = index
+        batch = decoded(packets := parser.feed(packet), [_START_NS + due_ns] * len(packets))
+        for output in pipeline.run(batch):
+            if isinstance(output, Estimates):
+                samples += len(output)
+                known_ns = output.samples.known_ns
+                causes.update(((output.observer, at // 1_000_000), index) for at in known_ns.tolist())
         turns[turn].append(samples)
     turns += [[]] * (_TURNS - len(turns))
     if turns[1][: len(turns[2])] != turns[2]:
