@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from adapters.channels import Channel, channel_table
+if TYPE_CHECKING:
+    from adapters.channels import Channel
+
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +80,8 @@ class Preview:
 
     def to_json(self) -> dict[str, Any]:
         """Return the preview as a JSON object."""
+        from adapters.channels import channel_table
+
         return {
             "missing": list(self.missing),
             "watches": list(self.watches),
