@@ -216,7 +216,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
         axis.set(xlabel=across, ylabel=up)
         axis.grid(alpha=0.3)
         axis.spines[["top", "right"]].set_visible(False)
-        axis.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, 0.8) if LIVE in names else None)
+        axis.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, 0.7) if LIVE in names else None)
     figure.suptitle("What the observer costs (one core)")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)

@@ -43,11 +43,11 @@ class AffineObserver:
         self.gains = tuple(gains)
         self.rate_hz = first.rate_hz
         self.hypotheses = tuple(
-            FaultSet(one.faults, tuple(source is not None for source in one.fault_inputs)) for one in gains
+            FaultSet(single.faults, tuple(source is not None for source in single.fault_inputs)) for single in gains
         )
         K, n, p, F = len(gains), len(first.states), len(first.outputs), sum(layout.faults)
         self._shape = K, n, p
-        nonlinearities = [g for one in gains for g in one.nonlinearities]
+        nonlinearities = [g for single in gains for g in single.nonlinearities]
         s = len(first.inputs)
         entry = {(0, j): j for j in range(s)} | {held: s + i for i, held in enumerate(layout.held)}
         self._map = AffineMap(
@@ -86,13 +86,13 @@ class AffineObserver:
 
     def error_systems(self, plant: Plant) -> tuple[ErrorSystem, ...] | None:
         """Return the error system of each hypothesis, None where the gains are not those of a discrete design."""
-        if not all(one.L1.size and one.domain == "discrete" for one in self.gains):
+        if not all(single.L1.size and single.domain == "discrete" for single in self.gains):
             return None
-        return tuple(error_system(one, plant) for one in self.gains)
+        return tuple(error_system(single, plant) for single in self.gains)
 
     def settling_s(self) -> float:
         """Return the time after which a wrong start has no effect on fault estimates any more, seconds."""
-        return max(settling_s(one) for one in self.gains)
+        return max(settling_s(single) for single in self.gains)
 
     def slowest_s(self) -> float:
         """Return the time constant of the slowest mode of the error, seconds; infinite where one does not decay."""

@@ -6,12 +6,12 @@ that residual in healthy flight,
     J_k = r_k' S_k^-1 r_k = |W_k r_k|^2
 
 stays about p while the hypothesis is right and grows with what it leaves unexplained (structured residuals). A
-hypothesis explains the data as long as J_k <= max(score_floor^2, tolerance^2 max_i J_i): what healthy flight shows, or
-what model error makes of a fault that large. Of those that do, the ones with fewest faults are preferred, and among
-them the smallest J. To J is added gain_penalty, or what model error makes of a fault that large, for an actuator that
-would have to deliver more than commanded: actuators fail towards less, and two of opposite effect are told apart by
-little else. The one believed so far stays until another is clearly better (half its J), so noise does not make names
-flicker. Where none explains the data no fault is named, and the score sqrt(min J) is reported as unexplained.
+hypothesis explains the data as long as J_k <= max(score_floor^2, tolerance^2 max_i J_i): the level of healthy flight,
+or that of model error for a fault that large. Of those that do, the ones with fewest faults are preferred, and among
+them the smallest J. To J is added gain_penalty, or the level of model error, for an actuator that would have to deliver
+more than commanded: actuators fail towards less, and little else tells two of opposite effect apart. The one believed
+so far stays until another is clearly better (half its J), so noise does not make names flicker. Where none explains the
+data no fault is named, and the score sqrt(min J) is reported as unexplained.
 
 A hypothesis of a sensor fault that would explain anything (a gyro bias against the motors) may be set apart: it takes
 no part in the comparison, and its fault is evidence where its estimate has an edge (:mod:`monitor.estimation.edge`).

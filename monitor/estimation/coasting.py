@@ -1,17 +1,17 @@
 """Steps around lost measurements: by the model alone, and the first one after it.
 
 With the recursion of :mod:`monitor.estimation.affine` the residual is yt = R_s s + R_y y + R_v v + r. An observer
-coasts on the y that makes it zero: the states go on as the model says, an actuator fault stays as it was (with
-integrators of order 2, its rate does), and where a sensor fault leaves y open, because it takes up all that its output
-does, y is the one that keeps that fault as it was.
+coasts on the y that makes it zero: the states follow the model, an actuator fault keeps its size (with integrators of
+order 2, its rate), and where a sensor fault leaves y open, because it explains all that its output does, that fault
+keeps its size too.
 
-What has gathered in y when measurements return is the drift of many steps. Taken for that of one, as the gains would,
-it throws the estimates of faults off by as many times their noise, and short gaps in quick succession make them
-diverge. So the observer resumes first: the states move by initial_matrix (y - expected y), as at a restart, but what
-is not measured, and the faults, stay.
+When measurements return, y differs from what is expected by the drift of many steps. The gains would treat it as the
+drift of a single step: it would throw the estimates of faults off by many times their noise, and short gaps in quick
+succession would make them diverge. So the observer resumes first: the states move by initial_matrix (y - expected y),
+as at a restart, while states that are not measured, and the faults, stay.
 
 All of this is linear in z = [s; v; y; 1; g; f], f = [fa^; fs^] the estimates of the step before: substituted once, a
-step of either kind is one product, as any other.
+step of either kind is a single product, as any other.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class CoastingMaps(NamedTuple):
 
 
 def coasting_maps(gains: Gains) -> CoastingMaps:
-    """Return what a compiled observer does while measurements are missing and when they return."""
+    """Return the steps of a compiled observer while measurements are missing and when they return."""
     s, p, n, a = len(gains.inputs), len(gains.outputs), len(gains.states), len(gains.faults)
     a1 = gains.fault_kinds.count("actuator")
     M = gains.step_matrix

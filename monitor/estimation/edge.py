@@ -1,11 +1,12 @@
-"""Edges: a sensor that jumps and then stays, told from a fault of the plant, which makes the same estimate ramp.
+"""Edges: tell a sensor that jumps and then stays from a fault of the plant, which makes the same estimate ramp.
 
 A sensor fault is estimated without any assumption about how it moves, so it can explain whatever its output does: the
-estimate of a gyro bias takes up a failing motor as well. What a jump of the sensor does and a push on the plant cannot
-do is an edge: flat, then another level within a few samples, then flat again, while the hypothesis that it is this
-sensor leaves no more unexplained than healthy flight does. The size of the edge is held until an opposite one cancels
-it, at most ``hold_s``: how large the bias is afterwards only another sensor can tell. Lines across lost measurements
-are flat and have corners: where more than three in five of the samples around an edge are such, it is none.
+estimate of a gyro bias takes up a failing motor as well. A jump of the sensor makes an edge, which a push on the
+plant cannot make: flat, then another level within a few samples, then flat again, while the hypothesis of this sensor
+leaves no more unexplained than healthy flight does. The size of the edge is held until an opposite one cancels
+it, at most ``hold_s``: how large the bias is afterwards only another sensor can tell. Lines that bridge lost
+measurements are flat and have corners: where more than three in five of the samples around an edge are bridged, it does
+not count.
 
 The rule itself is :class:`monitor.core.bank.EdgeDetector`.
 """

@@ -1,6 +1,6 @@
 """How much of its command an actuator still delivers: loss and offset from the fault estimate, with their errors.
 
-A surface that lost a share of its effectiveness shows nothing while it stands at trim: its additive fault estimate
+A surface that lost a share of its effectiveness shows nothing while it is at trim: its additive fault estimate
 f^ has to be read against the deflection at which it arose. With u the effect commanded (lagged like f^) and m the
 effect of a full constant deflection (speed scaling; 1 where there is none),
 
@@ -13,13 +13,13 @@ Both are followed by least squares with exponential forgetting: information Lamb
 where 1 / w is the variance of the noise times the number of samples that count as one (noise is coloured). Loss
 alone and offset alone are tested each by itself, estimate over standard error, the latter including how wrong the
 healthy model may be in both, and that the time between u and f^ is known within ``timing_s`` only, which looks like a
-fault of size timing_s u' while u moves. The one that explains more, b_i^2 / Lambda_ii, is the evidence. An
+fault of size timing_s u' while u moves. The size that explains more, b_i^2 / Lambda_ii, is the evidence. An
 unexcited actuator has a large standard error: it is neither accused nor acquitted.
 
 A short memory sees a large fault, and its end, at once; a long one a small fault. The shortest memory with a verdict
-decides. Where health explains better than its accusation what the shortest one holds, the accusation is dropped and
-everything before forgotten: what an actuator did while it was deflected would otherwise outweigh what it does at rest.
-The rules themselves, row after row, are in :mod:`monitor.core.effectiveness`.
+decides. Where health explains the shortest memory better than its accusation does, the accusation is dropped and all
+before forgotten: the time in which an actuator was deflected would otherwise outweigh the time at rest. The rules
+themselves, row after row, are in :mod:`monitor.core.effectiveness`.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class EffectivenessRule:
     timing_s : float
         How well the time between command and effect is known, seconds.
     hold_s : float
-        How long an accusation stands without the excitation that could confirm it, seconds; the shortest memory has
+        How long an accusation is kept without the excitation that could confirm it, seconds; the shortest memory has
         to fade first.
     full : str | None
         Input that is the effect of a full constant deflection; None: that effect is 1.

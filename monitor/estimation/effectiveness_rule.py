@@ -31,7 +31,7 @@ def read_effectiveness(
 
     Mistakes are recorded in the table's file: a key that is missing, unknown or wrong, or a fault that scales no input.
     """
-    found = {}
+    rules = {}
     for name in table:
         if faults.get(name) is None:
             scaling = ", ".join(fault for fault, source in faults.items() if source is not None) or "none"
@@ -39,8 +39,8 @@ def read_effectiveness(
         elif bank:
             table.mistake(name, ": a bank's estimates cannot be read this way; use one observer")
         else:
-            found[name] = _read_rule(table.table(name), inputs)
-    return found
+            rules[name] = _read_rule(table.table(name), inputs)
+    return rules
 
 
 def effectiveness_table(rule: EffectivenessRule) -> dict[str, Any]:

@@ -5,10 +5,10 @@ looks like all motors at once). With Sigma its healthy covariance, the size of a
 
     theta_i = e_i' Sigma^-1 f^ / (e_i' Sigma^-1 e_i),        J_i = theta_i^2 e_i' Sigma^-1 e_i,
 
-J_i being the drop of the misfit when channel i is held responsible. The channel with the largest J is the
-suspect; gain_penalty is how much larger J must be to believe that a channel delivers more than commanded, rather than
-that another one delivers less: motors fail towards less. Others are held responsible beside it one by one, each for the
-largest drop of what the suspects so far leave unexplained, and only while that drop is beyond healthy flight
+J_i being the drop of the misfit when channel i is held responsible. The channel with the largest J is the suspect;
+gain_penalty is how much larger J must be to believe that a channel delivers more than commanded, rather than that
+another one delivers less: motors fail towards less. Others are held responsible beside it one after the other, each for
+the largest drop of what the suspects so far leave unexplained, and only while that drop is beyond healthy flight
 (score_floor) and beyond what model error makes of the first suspect (tolerance, a share of its score sqrt(J)); the
 sizes of all suspects are then fitted together. The rules themselves are in :mod:`monitor.core.bank`.
 """

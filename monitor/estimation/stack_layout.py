@@ -1,4 +1,4 @@
-"""The matrices of several observers of one plant as those of one: their blocks, and the past inputs they share.
+"""The matrices of several observers of one plant as those of a single one, with the past inputs they share kept once.
 
 With z = [c; v; past v; y; 1; g; f] the outputs are [c+; x; f; yt], each observer's parts one after the other. A state
 that only hands on what an input was a sample before (v(k-1), v(k-2), ...) is the same for all observers and is kept
@@ -58,20 +58,23 @@ def stack_layout(gains: Sequence[Gains]) -> StackLayout:
     """Return the matrices of observers with the same inputs, outputs and states."""
     first, K = gains[0], len(gains)
     s, p, n = len(first.inputs), len(first.outputs), len(first.states)
-    passed_on = [_passed_on(one) for one in gains]
-    held = tuple(sorted(set[Held]().union(*(found.values() for found in passed_on))))
-    own = [[i for i in range(_states(one)) if i not in found] for one, found in zip(gains, passed_on, strict=True)]
-    at_c, at_f = _starts([len(core) for core in own]), _starts([len(one.faults) for one in gains])
-    at_g = _starts([len(one.nonlinearities) for one in gains])
-    at_nu = _starts([len(one.argument_matrix) for one in gains])
+    passed_on = [_passed_on(observer) for observer in gains]
+    held = tuple(sorted(set[Held]().union(*(states.values() for states in passed_on))))
+    own = [
+        [i for i in range(_states(observer)) if i not in states]
+        for observer, states in zip(gains, passed_on, strict=True)
+    ]
+    at_c, at_f = _starts([len(core) for core in own]), _starts([len(observer.faults) for observer in gains])
+    at_g = _starts([len(observer.nonlinearities) for observer in gains])
+    at_nu = _starts([len(observer.argument_matrix) for observer in gains])
     cores, nf = at_c[-1], at_f[-1]
     width = cores + s + len(held) + p + 1
     shape = cores + K * (n + p) + nf, width + at_g[-1] + nf
     maps = [StepMap(np.zeros(shape), np.zeros((at_nu[-1], shape[1]))) for _ in range(3)]
     initial = np.zeros((cores, width - cores))
     v, y = cores + np.arange(s), width - p - 1 + np.arange(p + 1)
-    for k, one in enumerate(gains):
-        count, size, a1 = len(one.faults), _states(one), one.fault_kinds.count("actuator")
+    for k, observer in enumerate(gains):
+        count, size, a1 = len(observer.faults), _states(observer), observer.fault_kinds.count("actuator")
         zeta, fa, fs = size, size + n + count - a1 + np.arange(a1), size + n + np.arange(count - a1)
         rows = np.concatenate([own[k], zeta + np.arange(n), fa, fs, size + n + count + np.arange(p)]).astype(np.intp)
         f = at_f[k] + np.arange(count)
@@ -86,14 +89,14 @@ def stack_layout(gains: Sequence[Gains]) -> StackLayout:
         columns = np.concatenate([affine, width + np.arange(at_g[k], at_g[k + 1])])
         known = np.concatenate([columns, width + at_g[-1] + f])
         nu = np.arange(at_nu[k], at_nu[k + 1])
-        alone = StepMap(one.step_matrix, one.argument_matrix), *coasting_maps(one)
+        alone = StepMap(observer.step_matrix, observer.argument_matrix), *coasting_maps(observer)
         for stacked, single in zip(maps, alone, strict=True):
             stacked.step[np.ix_(into, known[: single.step.shape[1]])] = single.step[rows]
             stacked.arguments[np.ix_(nu, known[: single.arguments.shape[1]])] = single.arguments
-        initial[np.ix_(c, np.concatenate([v, y]) - cores)] = one.initial_matrix[own[k]]
+        initial[np.ix_(c, np.concatenate([v, y]) - cores)] = observer.initial_matrix[own[k]]
     step, coast, resume = maps
     step = StepMap(step.step[:, : width + at_g[-1]], step.arguments[:, :width])
-    return StackLayout(cores, held, tuple(len(one.faults) for one in gains), step, coast, resume, initial)
+    return StackLayout(cores, held, tuple(len(observer.faults) for observer in gains), step, coast, resume, initial)
 
 
 def _states(gains: Gains) -> int:
@@ -102,23 +105,23 @@ def _states(gains: Gains) -> int:
 
 
 def _passed_on(gains: Gains) -> dict[int, Held]:
-    """Return which states are but an input of the past, also at a restart."""
+    """Return the states that hold nothing but an input of the past, also at a restart."""
     size, s = _states(gains), len(gains.inputs)
-    found: dict[int, Held] = {}
+    passed_on: dict[int, Held] = {}
     sources = {size + j: Held(0, j) for j in range(s)}
     for _ in range(size):
         for i in range(size):
             (columns,) = np.nonzero(gains.step_matrix[i])
-            if i in found or len(columns) != 1 or gains.step_matrix[i, columns[0]] != 1.0:
+            if i in passed_on or len(columns) != 1 or gains.step_matrix[i, columns[0]] != 1.0:
                 continue
             newer = sources.get(int(columns[0]))
             if newer is None:
                 continue
             past = Held(newer.delay + 1, newer.source)
             start = np.arange(gains.initial_matrix.shape[1]) == past.source
-            if past not in found.values() and np.array_equal(gains.initial_matrix[i], start):
-                found[i] = sources[i] = past
-    return found
+            if past not in passed_on.values() and np.array_equal(gains.initial_matrix[i], start):
+                passed_on[i] = sources[i] = past
+    return passed_on
 
 
 def _starts(counts: Sequence[int]) -> list[int]:

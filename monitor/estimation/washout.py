@@ -5,12 +5,12 @@ An observer of washed-out positions and angles sees a fault f through the same w
     f_w' = f' - f_w / tau,     whose exact inverse is     f = f_w + (1/tau) * integral of f_w dt,
 
 so a step fades and, when the fault ends, swings to the other side. Integrated for ever the inverse would grow with
-every error of healthy operation; it is integrated while |f_w| says that something is there:
+every error of healthy operation; it is integrated only while |f_w| is large:
 
-- nothing there (integral zero) and |f_w| <= threshold / 2: f = f_w;
+- no fault (integral zero) and |f_w| <= threshold / 2: f = f_w;
 - |f_w| > threshold / 2: the integral runs (by the trapezoidal rule), and f = f_w + integral / tau;
 - |f_w| <= threshold / 2 again while f is still large: the fault lasts, fully washed out; the integral is held;
-- |f| back within the threshold, or within a tenth of its peak (what errors of a tenth leave): the fault is over, and
+- |f| back within the threshold, or within a tenth of its peak (errors of a tenth leave as much): the fault is over, and
   zero is given until |f_w| has settled too, when everything is forgotten.
 
 The rule itself is :class:`monitor.core.bank.Washout`.
