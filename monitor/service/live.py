@@ -25,7 +25,7 @@ from monitor.service.station import Station
 from monitor.service.systemd import Notifier
 
 if TYPE_CHECKING:
-    from monitor.views.live_view import LiveView
+    from monitor.views.view import View
 
 _SYNC_S = 1.0
 _FINISH_S = 1.0
@@ -69,8 +69,9 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         journal = _open_journal(config, log, stack)
         inbox = Inbox(config.inbox)
         links = open_links(config, session, stack)
-        view = _open_view(config, log, stack)
-        station = Station(config, read_again, session, inbox, journal, log, {one.name: one.link for one in links}, view)
+        views = _open_views(config, log, stack)
+        counted = {one.name: one.link for one in links}
+        station = Station(config, read_again, session, inbox, journal, log, counted, views)
         stack.callback(station.close)
         # before the links are closed, which their threads read
         stack.callback(inbox.close)
@@ -141,17 +142,17 @@ def _open_journal(config: Config, log: Log, stack: ExitStack) -> Journal | None:
     return journal
 
 
-def _open_view(config: Config, log: Log, stack: ExitStack) -> LiveView | None:
-    """Open the live view; where it cannot be shown, monitoring goes on without it."""
+def _open_views(config: Config, log: Log, stack: ExitStack) -> list[View]:
+    """Open the views of the configuration; where one cannot be shown, monitoring continues without it."""
     if config.rerun.mode == "off":
-        return None
+        return []
     from monitor.views.live_view import LiveView
 
     try:
         view = LiveView(config.rerun.mode, memory_mb=config.rerun.memory_mb)
     except ValueError as error:
         log.say("no live view", level="error", reason=str(error))
-        return None
+        return []
     stack.callback(view.close)
     log.say("live view", url=view.url)
-    return view
+    return [view]

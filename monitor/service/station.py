@@ -37,8 +37,7 @@ from monitor.service.vehicle_service import ServiceRule, VehicleService
 if TYPE_CHECKING:
     import zenoh
 
-    from monitor.views.live_buffer import VehicleView
-    from monitor.views.live_view import LiveView
+    from monitor.views.view import ShownVehicle, View
 
 _SECOND_NS = 1_000_000_000
 _MEGABYTE = 1_000_000
@@ -63,8 +62,8 @@ class Station:
         The daemon's log.
     links : Links
         The links by name, for their counts.
-    live_view : LiveView | None
-        Shows the vehicles live, if any.
+    views : Sequence[View]
+        Views that show the vehicles.
 
     Attributes
     ----------
@@ -86,7 +85,7 @@ class Station:
         journal: Journal | None,
         log: Log,
         links: Links,
-        live_view: LiveView | None = None,
+        views: Sequence[View] = (),
     ) -> None:
         self._config = config
         self._read_again = read_again
@@ -96,8 +95,8 @@ class Station:
         self._log = log
         self._links = links
         self._shared_links = frozenset((*config.mavlink, *config.zenoh))
-        self._live_view = live_view
-        self._views: dict[str, VehicleView] = {}
+        self._views = tuple(views)
+        self._shown: dict[str, list[ShownVehicle]] = {}
         self._said: dict[str, tuple[str, ...]] = {}
         self._profiles: dict[Path, Profile] = {}
         self._services: dict[str, VehicleService] = {}
@@ -191,8 +190,8 @@ class Station:
                 self._log.say("restart needed", level="warning", vehicle=name, reason="its models or gains changed")
                 continue
             service.retune(self._desk(vehicle), profile)
-            if name in self._views:
-                self._views[name].retune(service.monitor.pipeline.thresholds)
+            for shown in self._shown[name]:
+                shown.retune(service.monitor.pipeline.thresholds)
         self._log.say("reloaded", vehicles=len(self._services))
 
     def _meet(self, system: int) -> VehicleMonitor | None:
@@ -225,11 +224,12 @@ class Station:
         with ExitStack() as stack:
             archive = self._archive(pipeline, profile, stack)
             archives: list[Any] = [] if archive is None else [archive]
-            if self._live_view is not None:
-                needed = frozenset[str]().union(*pipeline.needs.values())
-                view = self._live_view.vehicle(pipeline.vehicle, pipeline.layouts, pipeline.thresholds, needed)
-                self._views[pipeline.vehicle] = view
-                archives.append(view)
+            needed = frozenset[str]().union(*pipeline.needs.values())
+            shown = [
+                view.vehicle(pipeline.vehicle, pipeline.layouts, pipeline.thresholds, needed) for view in self._views
+            ]
+            self._shown[pipeline.vehicle] = shown
+            archives += shown
             monitor = VehicleMonitor(
                 pipeline,
                 archives,

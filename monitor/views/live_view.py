@@ -101,19 +101,7 @@ class LiveView:
     def vehicle(
         self, name: str, layouts: Sequence[Layout], thresholds: Thresholds, messages: Collection[str]
     ) -> VehicleView:
-        """Show one more vehicle; return its archive, to be given everything.
-
-        Parameters
-        ----------
-        name : str
-            The vehicle's name; one that is shown already is replaced.
-        layouts : Sequence[Layout]
-            Its observers.
-        thresholds : Mapping[tuple[str, str], float]
-            Alarm thresholds by observer and channel.
-        messages : Collection[str]
-            Names of the messages that its observers need.
-        """
+        """Show one more vehicle; see :meth:`monitor.views.view.View.vehicle`."""
         view = VehicleView(name, layouts, thresholds, messages)
         with self._lock:
             self._vehicles = self._vehicles | {name: view}
