@@ -130,11 +130,15 @@ def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Batch
         if one is not kept.setdefault((one.name, one.system, one.component), one):
             others.update((int(one.position[row]), one_message(one, row)) for row in range(len(one.position)))
     places = np.concatenate([np.array([*others], np.int64), *(one.position for one in kept.values())])
-    rank = np.zeros(int(places.max(initial=-1)) + 1, np.int64)
-    rank[places] = 1
-    rank = rank.cumsum() - 1
-    closed = tuple(replace(one, position=rank[one.position]) for one in kept.values())
-    return Batch(len(places), closed, {int(rank[place]): message for place, message in others.items()})
+    # places may be far apart: only their order counts
+    rank = np.empty(len(places), np.int64)
+    rank[np.argsort(places)] = np.arange(len(places))
+    closed = []
+    start = len(others)
+    for one in kept.values():
+        closed.append(replace(one, position=rank[start : start + len(one.position)]))
+        start += len(one.position)
+    return Batch(len(places), tuple(closed), dict(zip(rank.tolist(), others.values(), strict=False)))
 
 
 def joined(batches: Sequence[Batch]) -> Batch:

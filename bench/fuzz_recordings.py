@@ -20,13 +20,12 @@ from adapters.encoding.foreign_record import foreign_decoder
 from adapters.encoding.message_record import decoder, encode
 from adapters.encoding.record import Record, Schema
 from adapters.errors import TelemetryError
-from adapters.logs import tlog_columns
+from adapters.logs import tlog
 from adapters.logs.compressed import CompressedFile
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader
-from adapters.logs.tlog import TlogReader
-from adapters.logs.tlog_columns import TlogBlocks
-from adapters.mavlink.mavlink_message import mavlink_types
+from adapters.logs.tlog import TlogReader, read_tlog
+from adapters.mavlink.mavlink_message import mavlink_types, message_number
 from adapters.message import Message
 from adapters.source import CLOCK, LINK, MAVLINK, OPERATOR, ZENOH
 
@@ -43,15 +42,16 @@ def _tlog(folder: Path) -> Run:
         suffix = ("", ".xz", ".gz", "")[packed % 4]
         path = folder / f"log.tlog{suffix}"
         path.write_bytes(content)
-        reader, blocks = TlogReader(path), TlogBlocks(path)
+        reader, batches = TlogReader(path), TlogReader(path)
         one_by_one, at_once = [], []
         with only(TelemetryError):
-            for message in reader:
+            for time_ns, packet in reader.packets():
+                message = mavlink_types()[message_number(packet)].decode(packet, time_ns)
                 encode(message)
                 one_by_one.append(repr(message))
-        with only(TelemetryError), mock.patch.object(tlog_columns, "_FEW", 1):
-            at_once = [repr(message) for block in blocks for message in messages(block)]
-        assert (at_once, blocks.statistics()) == (one_by_one, reader.statistics())
+        with only(TelemetryError), mock.patch.object(tlog, "_FEW", 1):
+            at_once = [repr(message) for batch in batches for message in messages(batch)]
+        assert (at_once, batches.statistics()) == (one_by_one, reader.statistics())
 
     return run
 
@@ -86,7 +86,7 @@ def _compressed_seeds() -> list[bytes]:
 
 
 def _some_messages() -> list[Message]:
-    flight = list(itertools.islice(TlogReader(DATA / "copter_5s.tlog.xz"), 30))
+    flight = list(itertools.islice(read_tlog(DATA / "copter_5s.tlog.xz"), 30))
     more = [
         Message(ZENOH, "arm/telemetry", START_NS, {"time_ns": 5, "data": [1.5, {"deep": "ü"}]}),
         Message(CLOCK, "silence", START_NS + 1, {}),

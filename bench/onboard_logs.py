@@ -77,7 +77,7 @@ def processor_s(command: list[str], runs: int) -> tuple[float, float]:
     """Return the least processor time of a command, and the most memory it had, in MB."""
     best, memory = float("inf"), 0.0
     for _ in range(runs):
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:  # noqa: S603 - ours
             _, status, usage = os.wait4(process.pid, 0)
             process.returncode = os.waitstatus_to_exitcode(status)
         if process.returncode:

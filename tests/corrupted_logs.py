@@ -23,7 +23,7 @@ from mcap.stream_reader import breakup_chunk
 from onboard_flights import dataflash_of, ulog_of
 
 from adapters.logs.mcap_log import MessageLogWriter
-from adapters.logs.tlog import TlogReader
+from adapters.logs.tlog import read_tlog
 from adapters.message import Message as Telemetry
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages, arm_packets
@@ -48,7 +48,7 @@ def _ours(path: Path) -> None:
 
 def _onboard(write: Callable[[list[Telemetry], Path], Path]) -> Callable[[Path], None]:
     # without a position fix: the times of all messages hang on the first one
-    flight = [one for one in islice(TlogReader(FLIGHT), 1300) if one.name != "GPS_RAW_INT"]
+    flight = [one for one in islice(read_tlog(FLIGHT), 1300) if one.name != "GPS_RAW_INT"]
     return lambda path: ignore(write(flight, path))
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from onboard_flights import messages_of
 
 from adapters.errors import TelemetryError
 from adapters.logs import compressed
@@ -38,7 +39,7 @@ def read(tmp_path: Path, raw: bytes) -> tuple[list[Message], TlogStatistics]:
     path = tmp_path / "a.tlog"
     path.write_bytes(raw)
     reader = TlogReader(path)
-    return list(reader), reader.statistics()
+    return messages_of(reader), reader.statistics()
 
 
 def key(message: Message) -> tuple[str, int, str]:
@@ -71,14 +72,14 @@ def test_compressed_logs_read_like_plain_ones(tmp_path: Path, suffix: str, pack:
     path = tmp_path / f"a.tlog{suffix}"
     path.write_bytes(pack(RAW))
     reader = TlogReader(path)
-    assert [key(one) for one in reader] == [key(one) for one in read_tlog(FLIGHT)]
+    assert [key(one) for one in messages_of(reader)] == [key(one) for one in read_tlog(FLIGHT)]
     assert reader.statistics() == TlogStatistics(2683, 0, 0, 0, broken_off=False)
 
 
 def test_only_the_wanted_messages_are_decoded() -> None:
     wanted = {"ATTITUDE", "HEARTBEAT"}
     reader = TlogReader(FLIGHT, wanted)
-    assert [key(one) for one in reader] == [key(one) for one in read_tlog(FLIGHT) if one.name in wanted]
+    assert [key(one) for one in messages_of(reader)] == [key(one) for one in read_tlog(FLIGHT) if one.name in wanted]
     assert reader.statistics().packets == 2683
     assert list(read_tlog(FLIGHT, ())) == []
 
@@ -178,7 +179,7 @@ def test_a_broken_xz_file_gives_what_could_be_decompressed(tmp_path: Path) -> No
     path = tmp_path / "a.tlog.xz"
     path.write_bytes(packed[: len(packed) // 2])
     reader = TlogReader(path)
-    messages = list(reader)
+    messages = messages_of(reader)
     assert 1000 < len(messages) < 2683
     assert reader.statistics().broken_off
     packed[len(packed) // 2 :] = bytes(len(packed) - len(packed) // 2)

@@ -1,4 +1,4 @@
-"""Telemetry logs in blocks: what the reader finds record by record, in whole and in damaged logs."""
+"""Telemetry logs in batches: what the reader finds record by record, in whole and in damaged logs."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ from hypothesis import strategies as st
 
 from adapters.batch import messages
 from adapters.errors import TelemetryError
-from adapters.logs import compressed, tlog_columns
+from adapters.logs import compressed, tlog
 from adapters.logs.tlog import TlogReader, TlogStatistics
-from adapters.logs.tlog_columns import TlogBlocks
-from adapters.mavlink.mavlink_message import mavlink_types
+from adapters.mavlink.mavlink_message import mavlink_types, message_number
 from adapters.message import Message
 
 DATA = Path(__file__).parent / "data"
@@ -40,15 +39,18 @@ def outcome(found: list[Message], statistics: TlogStatistics) -> Outcome:
 def one_by_one(path: Path, only: frozenset[str] | None = None) -> Outcome | str:
     reader = TlogReader(path, only)
     try:
-        return outcome(list(reader), reader.statistics())
+        found = [
+            mavlink_types()[message_number(packet)].decode(packet, time_ns) for time_ns, packet in reader.packets()
+        ]
+        return outcome(found, reader.statistics())
     except TelemetryError as error:
         return str(error)
 
 
-def in_blocks(path: Path, only: frozenset[str] | None = None, read_ahead_bytes: int = 1 << 20) -> Outcome | str:
-    blocks = TlogBlocks(path, only, read_ahead_bytes)
+def in_batches(path: Path, only: frozenset[str] | None = None, read_ahead_bytes: int = 1 << 20) -> Outcome | str:
+    batches = TlogReader(path, only, read_ahead_bytes)
     try:
-        return outcome([message for block in blocks for message in messages(block)], blocks.statistics())
+        return outcome([message for batch in batches for message in messages(batch)], batches.statistics())
     except TelemetryError as error:
         return str(error)
 
@@ -116,24 +118,24 @@ def test_blocks_say_what_the_reader_says_whatever_the_log_holds(
     only = frozenset(kind.name for kind in mavlink_types().values() if draw.random() < 0.5) if some else None
     expected = one_by_one(path, only)
     with (
-        mock.patch.object(tlog_columns, "_FEW", few),
-        mock.patch.object(tlog_columns, "_SHORT_REACH", 1 << draw.randrange(8, 15)),
+        mock.patch.object(tlog, "_FEW", few),
+        mock.patch.object(tlog, "_SHORT_REACH", 1 << draw.randrange(8, 15)),
         mock.patch.object(compressed, "_PIECE_BYTES", piece_bytes),
     ):
-        assert in_blocks(path, only, read_ahead_bytes) == expected
+        assert in_batches(path, only, read_ahead_bytes) == expected
         assert one_by_one(path, only) == expected
 
 
 @pytest.mark.parametrize("few", [1, 200])
 @given(st.randoms(use_true_random=True))
 @settings(max_examples=15, deadline=None)
-def test_a_damaged_flight_gives_the_same_in_blocks(
+def test_a_damaged_flight_gives_the_same_in_batches(
     tmp_path_factory: pytest.TempPathFactory, few: int, draw: random.Random
 ) -> None:
     path = tmp_path_factory.mktemp("log") / "a.tlog"
     path.write_bytes(damaged(draw, RAW[: draw.choice((20_000, len(RAW)))]))
-    with mock.patch.object(tlog_columns, "_FEW", few):
-        assert in_blocks(path, None, draw.choice((7_000, 1 << 20))) == one_by_one(path)
+    with mock.patch.object(tlog, "_FEW", few):
+        assert in_batches(path, None, draw.choice((7_000, 1 << 20))) == one_by_one(path)
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -146,46 +148,46 @@ def test_every_message_of_the_dialect_at_every_length_reads_the_same(tmp_path: P
         longest = 256 if version == 2 else kind.size + 1
         records += [record(draw, number, length, version) for length in (*range(0, longest, 7), kind.size, 255)]
     path.write_bytes(b"".join(records))
-    assert in_blocks(path) == one_by_one(path)
-    names = {message.name for block in TlogBlocks(path) for message in messages(block)}
+    assert in_batches(path) == one_by_one(path)
+    names = {message.name for block in TlogReader(path) for message in messages(block)}
     assert names == {kind.name for kind in known.values()}
 
 
 @pytest.mark.parametrize("name", ["copter_5s", "plane_aileron_080_end", "rover_steering_050_end"])
-def test_flights_read_the_same_in_blocks(name: str) -> None:
+def test_flights_read_the_same_in_batches(name: str) -> None:
     path = DATA / f"{name}.tlog.xz"
     wanted = frozenset({"ATTITUDE", "HEARTBEAT", "STATUSTEXT"})
-    assert in_blocks(path) == one_by_one(path)
-    assert in_blocks(path, wanted) == one_by_one(path, wanted)
-    assert in_blocks(path, frozenset()) == one_by_one(path, frozenset())
+    assert in_batches(path) == one_by_one(path)
+    assert in_batches(path, wanted) == one_by_one(path, wanted)
+    assert in_batches(path, frozenset()) == one_by_one(path, frozenset())
 
 
 def test_compressed_logs_read_like_plain_ones(tmp_path: Path) -> None:
-    expected = in_blocks(FLIGHT)
+    expected = in_batches(FLIGHT)
     for suffix, raw in ((".tlog", RAW), (".tlog.gz", gzip.compress(RAW))):
         path = tmp_path / f"a{suffix}"
         path.write_bytes(raw)
-        assert in_blocks(path) == expected
+        assert in_batches(path) == expected
     path = tmp_path / "broken.tlog.xz"
     path.write_bytes(FLIGHT.read_bytes()[:-1000])
-    assert in_blocks(path) == one_by_one(path)
+    assert in_batches(path) == one_by_one(path)
 
 
 def test_columns_have_the_types_of_the_wire_and_one_sender_each(tmp_path: Path) -> None:
     draw = random.Random(0)
     path = tmp_path / "a.tlog"
     path.write_bytes(b"".join(any_record(draw) for _ in range(3_000)))
-    (block,) = TlogBlocks(path)
+    (block,) = TlogReader(path)
     senders = [(one.name, one.system, one.component) for one in block.columns]
     assert len(senders) == len(set(senders))
     assert all((np.diff(one.position) > 0).all() for one in block.columns)
-    (attitude,) = [one for one in next(iter(TlogBlocks(FLIGHT))).columns if one.name == "ATTITUDE"]
+    (attitude,) = [one for one in next(iter(TlogReader(FLIGHT))).columns if one.name == "ATTITUDE"]
     assert list(attitude.fields) == ["time_boot_ms", "roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed"]
     assert [values.dtype for values in attitude.fields.values()] == [np.uint32, *[np.float32] * 6]
 
 
 def test_a_block_is_as_long_as_what_is_read_ahead() -> None:
-    counts = [block.count for block in TlogBlocks(FLIGHT, read_ahead_bytes=1 << 16)]
+    counts = [block.count for block in TlogReader(FLIGHT, read_ahead_bytes=1 << 16)]
     assert sum(counts) == 2683
     assert len(counts) > 1
 
@@ -195,7 +197,7 @@ def test_only_text_stays_messages(tmp_path: Path) -> None:
     draw = random.Random(1)
     path = tmp_path / "a.tlog"
     path.write_bytes(b"".join(any_record(draw) for _ in range(3_000)))
-    (block,) = TlogBlocks(path)
+    (block,) = TlogReader(path)
     assert {message.name for message in block.others.values()} <= texts
     assert "STATUSTEXT" in texts
     assert not texts & {one.name for one in block.columns}
@@ -203,4 +205,4 @@ def test_only_text_stays_messages(tmp_path: Path) -> None:
 
 def test_a_missing_file_is_reported_by_name(tmp_path: Path) -> None:
     with pytest.raises(TelemetryError, match=r"none\.tlog: cannot be opened"):
-        list(TlogBlocks(tmp_path / "none.tlog"))
+        list(TlogReader(tmp_path / "none.tlog"))

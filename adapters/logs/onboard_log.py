@@ -392,8 +392,9 @@ def first_relation(
             numbers = []
             for name in fields:
                 values = columns.get(name)
-                whole = values is not None and values.dtype.kind in "iu" and values.ndim == 1
-                numbers.append(values.astype(np.int64) if whole else np.zeros(len(position), np.int64))
+                if values is None or values.dtype.kind not in "iu" or values.ndim > 1:
+                    values = np.zeros(len(position), np.int64)
+                numbers.append(values.astype(np.int64))
             offset_ns, good = relation(*numbers)
             good &= (offset_ns >= 0) & (offset_ns < LATEST_NS)
             found += ((int(position[row]), int(offset_ns[row])) for row in np.flatnonzero(good)[:1])

@@ -204,9 +204,9 @@ def _scanner(kind: RecordingKind) -> Any:
         from adapters.logs.dataflash import DataflashReader
 
         return DataflashReader
-    from adapters.logs.tlog_columns import TlogBlocks
+    from adapters.logs.tlog import TlogReader
 
-    return TlogBlocks
+    return TlogReader
 
 
 def _open_entries(file: Path, only: Collection[str] | None) -> tuple[Iterable[Record], Callable[[], Damage | None]]:
