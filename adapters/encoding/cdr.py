@@ -14,6 +14,7 @@ from adapters.encoding.message_definition import Definitions, MessageField, cano
 from adapters.errors import PayloadError, TelemetryError
 
 MAX_NESTING = 32
+"""Messages within messages. Chosen: far more than interfaces of ROS 2 nest, far below the limit of the interpreter."""
 
 _BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _CODES = {

@@ -12,11 +12,13 @@ from adapters.errors import TelemetryError
 SHIPPED = Path(__file__).parent.parent / "definitions"
 
 MAX_DEFINITION_CHARACTERS = 1 << 20
+"""Chosen: definitions of ROS 2, with all that they refer to, have some thousands."""
 
 _PRIMITIVES = {
     *("bool", "byte", "char", "float32", "float64", "string", "wstring"),
     *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
 }
+"""Of ROS 2's interface definition language."""
 _NAME = r"[A-Za-z][A-Za-z0-9_]*"
 _TYPE = re.compile(rf"({_NAME}(?:/{_NAME})*)(?:<=\d{{1,9}})?(?:\[(<=)?(\d{{0,9}})\])?", re.ASCII)
 _FIELD = re.compile(_NAME, re.ASCII)

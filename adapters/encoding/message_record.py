@@ -25,6 +25,7 @@ from adapters.source import LINK, MAVLINK, SOURCES, ZENOH
 _JSON_SCHEMA = Schema("fauio.Telemetry", "jsonschema", b'{"type": "object"}')
 
 _LARGEST_ID = 255
+"""A byte: MAVLink's system and component."""
 
 Decode = Callable[[bytes, int], Message]
 

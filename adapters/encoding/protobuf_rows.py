@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 _PADDING = 16
 
 _VARINT, _FIXED_64, _LENGTH, _FIXED_32 = 0, 1, 2, 5
+"""Wire types of the Protocol Buffers encoding."""
 _LONGEST_VARINT = 10
+"""64 bits in groups of seven."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,12 +21,14 @@ from adapters.source import MAVLINK
 _SYSTEM = _COMPONENT = 1
 _LOOKED_AT_NS = 5_000_000_000
 """How much of a log is looked at before it is decided from which records messages are filled. Chosen: long enough to
-tell rates of 1 Hz apart, short enough to hold in memory."""
+tell rates of 1 Hz apart, short enough to hold in memory.
+"""
 _LOOKED_AT = 20_000
 """Records after which it is decided in any case."""
 _PATIENCE_NS = 1_000_000_000
-"""How long a message waits for the records it is joined with, and the longest gap that is interpolated across. Chosen:
-five times the interval of the slowest record that the built-in tables interpolate (attitude at 5 Hz)."""
+"""How long a message waits for the records it is joined with, and the longest gap that is interpolated across.
+Chosen: five times the interval of the slowest record that the built-in tables interpolate (attitude at 5 Hz).
+"""
 _MOST_WAITING = 2_000
 """Messages that wait at most: two seconds of the fastest records there are (1 kHz); bounds memory where times stand."""
 _TURN: Final = 2.0 * np.pi

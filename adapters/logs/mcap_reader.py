@@ -42,7 +42,8 @@ _MOST_SUMMARY_BYTES = 1 << 24
 """Where a summary is looked for at most, from the file's end. Chosen: that of a day's recording has some 5 MB."""
 _BATCH_BYTES = 1 << 24
 """Payload in a batch at most: recordings of others hold images. Chosen: five times what as many messages of telemetry
-take, so that it bounds memory and nothing else."""
+take, so that it bounds memory and nothing else.
+"""
 # samples, estimates and alarms of a monitor: no telemetry
 _OUR_RESULTS = "/fauio/"
 

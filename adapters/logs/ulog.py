@@ -49,11 +49,13 @@ _APPENDED = 1
 _DATA = ord("D")
 _KINDS = frozenset(b"ABCDFILMOPQRS")
 _LARGEST_UNKNOWN = 10_000
-"""Bytes of a record of a kind yet unknown. Chosen: no kind known today but data and formats is larger; a longer one is
-more likely damage than news."""
+"""Bytes of a record of a kind yet unknown. Chosen: no kind known today but data and formats is larger; a longer one
+is more likely damage than news.
+"""
 _CHAINED = 3
-"""Records of known kinds that must follow one of an unknown kind. 13 of 256 bytes are kinds: one stands behind garbage
-once in 20 times, three in a row once in 7,600."""
+"""Records of known kinds that must follow one of an unknown kind. 13 of 256 bytes are kinds: one stands behind
+garbage once in 20 times, three in a row once in 7,600.
+"""
 _LEVELS = range(ord("0"), ord("8"))
 # Where reading may go on after damage: a topic's record or a mark for this very purpose.
 _RESUMES = re.compile(rb"[DS]")

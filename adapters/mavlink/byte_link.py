@@ -20,13 +20,20 @@ from typing import Any, Protocol, cast
 from adapters.errors import TelemetryError
 
 UDP_BUFFER_BYTES = 1 << 22
+"""Kernel memory for packets that came while nobody read. A small packet costs about 1 KiB of it: seconds of several
+vehicles.
+"""
 
 _READ_BYTES = 1 << 16
+"""The largest datagram, and more than a serial line or TCP gives at once."""
 _DATAGRAMS = 1024
 """Most datagrams of one read: so a flood cannot keep a reader from what else is due (1024 take about 10 ms)."""
 _RETRY_S = 0.5
+"""Chosen: a ground station that restarts is back within a second, and trying twice a second costs nothing."""
 _CONNECT_S = 1.0
+"""TCP tries again after a second: an answer that takes longer was lost, and so would be the next reads."""
 _BAUD = 57_600
+"""What telemetry radios (SiK) and autopilots' TELEM ports are set to when they are new."""
 _HELP = "use udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD"
 
 # What Linux tells about each datagram; the socket module names neither. See socket(7).

@@ -29,7 +29,9 @@ from adapters.source import MAVLINK
 PADDING = 255
 
 _CHECKSUM_BYTES = 2
+"""CRC-16 of MAVLink."""
 _LAST_BYTES = 16
+"""128 bits: so far before the end a byte can be added to later ones (see :func:`intact`)."""
 # Largest id of version 2, plus one.
 _NUMBERS = 1 << 24
 

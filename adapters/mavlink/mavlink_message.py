@@ -16,15 +16,21 @@ from adapters.message import Message
 from adapters.source import MAVLINK
 
 MAGIC_1 = 0xFE
+"""First byte of a packet of MAVLink 1."""
 MAGIC_2 = 0xFD
+"""First byte of a packet of MAVLink 2."""
 MAGICS = (MAGIC_1, MAGIC_2)
 MAX_PACKET_BYTES = 280
+"""MAVLink 2: ten bytes of header, 255 of payload, two of checksum, 13 of signature."""
 # Bytes of a packet that say how long it is: magic, payload length, incompatibility flags.
 HEAD_BYTES = 3
 
 PAYLOAD_START_1, PAYLOAD_START_2 = 6, 10
+"""Bytes of the header in MAVLink 1 and 2."""
 SIGNATURE_BYTES = 13
+"""Of MAVLink 2: link id, six bytes of time, six of hash."""
 _SIGNED = 1
+"""MAVLINK_IFLAG_SIGNED, the one incompatibility flag there is."""
 # Where a packet may begin; of version 2 only with flags that are understood, as far as the bytes are there.
 _MAGIC = re.compile(rb"\xfe|\xfd(?=.[\x00\x01]|.?\Z)", re.DOTALL)
 

@@ -26,6 +26,9 @@ OWN_IDS = (245, 191)
 
 _SECOND_NS = 1_000_000_000
 _ENOUGH = 0.7
+"""Share of the rate that was asked for. Chosen: a link that loses a tenth and a scheduler that rounds periods are no
+news, half the rate is.
+"""
 # A rate is measured over so many messages, and over no less than the time.
 _MEASURED_MESSAGES = 5
 _MEASURED_S = 2.0

@@ -7,7 +7,9 @@ from adapters.mavlink.mavlink_message import MAGIC_2, mavlink_types, message_num
 from adapters.mavlink.signing import SigningKey
 
 _HEAD_1, _HEAD_2 = 6, 10
+"""Bytes of the header in MAVLink 1 and 2."""
 _SIGNED = 1
+"""MAVLINK_IFLAG_SIGNED."""
 
 
 def readdressed(packet: bytes, system: int, sequence: int) -> bytes:

@@ -29,12 +29,19 @@ SIGNING = "signing"
 """Name of the messages of source ``link`` that tell of refused packets."""
 
 _KEY_BYTES = 32
+"""MAVLink 2 message signing: a key of 256 bits."""
 _HASH_BYTES = 6
+"""MAVLink 2 message signing: the first 48 bits of SHA-256."""
 _STAMP_BYTES = 6
+"""MAVLink 2 message signing: 48 bits of time."""
 _EPOCH_NS = 1_420_070_400_000_000_000
+"""MAVLink 2 message signing counts from 1 January 2015 GMT."""
 _STAMP_NS = 10_000
+"""MAVLink 2 message signing counts in units of 10 microseconds."""
 _MINUTE = 6_000_000
+"""In units of the time stamp. MAVLink refuses a new stream whose time is more than a minute behind."""
 _LARGEST_KEY_FILE = 4096
+"""Bytes: a key is 32, as text 64 digits; nothing larger is read."""
 # Only holders of the key get a stream; of more than these the longest silent one is forgotten.
 _STREAMS = 1024
 _LATE_NS = 1_000_000_000

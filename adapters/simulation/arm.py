@@ -37,8 +37,11 @@ FAULT_KINDS: tuple[FaultKind, ...] = ("step", "ramp", "sine")
 TORQUES: tuple[Torque, ...] = ("zero", "tracking")
 
 DURATION_S = 50.0
+"""The paper's: its errors are averaged over 50 s."""
 SINE_HZ = 0.5
+"""Of a sine that users ask for, if they name no other: a turn in 2 s. The paper's own turn at .5 and 5 rad/s."""
 MAX_STEP_S = 5e-4
+"""Of the Runge-Kutta method of fourth order: each sample is then exact to 1e-9, which a test holds."""
 
 # Joint stiffness over motor and over link inertia, motor damping, torque constant, gravity over link inertia.
 _STIFF_MOTOR, _STIFF_LINK, _DAMPING, _TORQUE, _GRAVITY = 48.6, 19.5, 1.25, 21.6, 3.33

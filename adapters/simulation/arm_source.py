@@ -23,14 +23,21 @@ from adapters.simulation.arm import ArmRun
 from adapters.simulation.pacing import paced
 
 SYSTEM = 1
+"""Of the simulated vehicle: what autopilots have when they are new."""
 COMPONENT = 1
+"""MAV_COMP_ID_AUTOPILOT1."""
 ARRAY_NAME = "arm"
 
 _HEARTBEAT_NS = 1_000_000_000
+"""MAVLink's rate of heartbeats, one a second."""
 _ARMED = 128
+"""MAV_MODE_FLAG_SAFETY_ARMED."""
 _ACTIVE = 4
+"""MAV_STATE_ACTIVE."""
 _MAVLINK_VERSION = 3
+"""Of the heartbeat's last field: 3 for both versions of the protocol."""
 _FLOATS = 58
+"""Length of DEBUG_FLOAT_ARRAY's data."""
 # Publishing waits for a subscriber at most this long, so that none misses the start.
 _SUBSCRIBER_S = 5.0
 

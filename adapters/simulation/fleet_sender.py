@@ -34,7 +34,9 @@ from adapters.mavlink.signing import SigningKey, read_key, unix_stamp
 from adapters.simulation.pacing import paced
 
 _PAUSE_NS = 10_000_000
+"""Between the end of a flight and its next turn: a sample of 100 Hz."""
 _CATCH_UP_S = 0.5
+"""A sender that was stopped for longer goes on in real time, in place of a burst that no vehicle sends."""
 
 Due = tuple[int, bytes]
 

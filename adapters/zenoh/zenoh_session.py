@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 MAX_MESSAGE_BYTES = 1 << 24
+"""Bytes that a peer can make us hold for one message: sixteen times the largest telemetry, as much as history answers
+with.
+"""
 
 Mode = Literal["peer", "router", "client"]
 
