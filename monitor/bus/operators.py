@@ -22,8 +22,11 @@ if TYPE_CHECKING:
 
 VERBS = ("ack", "shelve", "unshelve", "reset")
 _WAITING = 64
+"""Commands that wait for the loop. Chosen: more than people send in the milliseconds that it takes to answer them."""
 _MAX_BYTES = 4096
+"""Bytes of a command. Chosen: a channel, a name and a comment have some hundreds."""
 _MAX_TEXT = 200
+"""Letters of an operator's name or comment that are kept. Chosen: two lines of a table."""
 _MINUTE_NS = 60_000_000_000
 
 

@@ -16,8 +16,11 @@ from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent
 
 HISTORY_EVENTS = 4096
+"""Events that late subscribers can ask for. Chosen: one every 3.5 s for four hours; the journal has them all."""
 CACHED_EVENTS = 64
+"""Events that Zenoh sends again to a subscriber that missed some. Chosen: more than a failure of seconds causes."""
 HEARTBEAT_S = 1.0
+"""A subscriber learns within this time that the last event was lost."""
 
 
 class Publisher:

@@ -15,8 +15,11 @@ if TYPE_CHECKING:
     import zenoh
 
 MAX_VEHICLES = 1000
+"""Names come from the network: the memory for them has to end. Chosen: more than one network watches."""
 _MAX_REASONS = 10
+"""Chosen: more do not fit on a screen."""
 _MAX_TEXT = 300
+"""Letters of a reason. Chosen: three lines of a terminal."""
 _STATES = ("starting", "monitoring", "degraded", "stale")
 _FIGURES = re.compile(r"[0-9.]+")
 

@@ -15,9 +15,13 @@ from monitor.bus.payload import decode_payload
 from monitor.event import AlarmEvent, valid_event
 
 HELD_EVENTS = 10_000
+"""Events that wait to be received. Chosen: twice the history of a monitor, and more."""
 HISTORY_TIMEOUT_S = 1.0
+"""Chosen: an answer on a network takes milliseconds; a monitor that gives none is asked again."""
 HISTORY_TRIES = 10
+"""Chosen: with pause and timeout up to twelve seconds, for routers and routes that come up after the monitor."""
 HISTORY_PAUSE_S = 0.2
+"""Chosen: a monitor that was announced may declare its queryable a moment later."""
 
 
 class AlarmSubscriber:

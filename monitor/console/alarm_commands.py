@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 DEFAULT_CONNECT = "tcp/127.0.0.1:7447"
 NOBODY_AFTER_S = 1.0
+"""Chosen: a monitor on the network is discovered well before, and a person waits that long without a word."""
 
 _VERBS = {
     "ack": "say that you know of an alarm",

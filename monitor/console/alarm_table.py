@@ -10,7 +10,9 @@ from adapters.errors import printable
 from monitor.event import AlarmEvent
 
 KEPT_CLEARED_S = 30.0
+"""Chosen: a cleared alarm stays in view for as long as it takes to look there."""
 MAX_ALARMS = 1000
+"""Rows come from the network: the memory for them has to end."""
 
 Group = Literal["active", "shelved", "cleared"]
 

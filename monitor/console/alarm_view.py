@@ -19,15 +19,21 @@ from monitor.console.alarm_table import AlarmRow, AlarmTable
 from monitor.views.palette import SEVERITY
 
 REFRESH_S = 0.25
+"""Chosen: four times a second looks live and costs next to nothing."""
 
 _COLOURS = {str(severity): colour for severity, colour in SEVERITY.items()}
 _HELP = "fauio alarms ack | shelve | unshelve | reset CHANNEL   Ctrl-C ends"
 _AROUND_ROWS = 5
+"""Lines of the screen that are not rows of alarms: heading, rules and the line below."""
 _LEAST_ROWS = 3
+"""Shown even where a terminal is lower than that."""
 _MOST_WARNINGS = 3
+"""Lines about monitors that are not well. Chosen: the alarms are what the table is for."""
 _LAST = "message"
 _LAST_WIDTH = 20
+"""Letters that the last column needs to say anything."""
 _GAP = 3
+"""Rich puts a blank, a rule and a blank between columns."""
 _TITLES = {"brief": "size", "age": "since"}
 # from the widest to the narrowest terminal
 _LAYOUTS = (

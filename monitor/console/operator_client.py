@@ -14,11 +14,15 @@ from monitor.bus.keys import ANY, vehicle_of, vehicle_root
 from monitor.bus.payload import decode_payload, to_json
 
 ANSWER_S = 5.0
+"""Chosen: a monitor answers within milliseconds, a network of radios may take seconds."""
 TRIES = 10
+"""Chosen: with the pause two seconds, for routes that come up after the monitor was announced."""
 PAUSE_S = 0.2
+"""Between two tries. Chosen: a person does not notice one."""
 
 _ULID = re.compile(r"[0-9A-HJKMNP-TV-Z]{26}")
 _NAMED = 5
+"""Alarms that an error names: what fits on a line."""
 
 
 class Target(NamedTuple):

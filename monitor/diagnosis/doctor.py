@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from adapters.zenoh.zenoh_session import Mode
 
 FAILED = 2
+"""Exit status, as for any other mistake: docs/reference/exit-status.md."""
 
 
 @dataclass(frozen=True, slots=True)

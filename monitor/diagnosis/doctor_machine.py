@@ -15,12 +15,16 @@ from adapters.mavlink.byte_link import UDP_BUFFER_BYTES
 from monitor.diagnosis.doctor_check import Check, Verdict
 
 _LITTLE_BYTES = 2_000_000_000
+"""Five hours of a vehicle's recording at 400 MB an hour (docs/operations.md)."""
 _TOO_LITTLE_BYTES = 100_000_000
+"""A quarter of an hour of it: a flight may end without a recording."""
 _RECEIVE_LIMIT = Path("/proc/sys/net/core/rmem_max")
 _SYNCHRONISED = Path("/run/systemd/timesync/synchronized")
 _SERIAL_PATTERNS = ("ttyUSB*", "ttyACM*", "ttyAMA*")
 _COMPARE_S = 0.05
+"""Chosen: long enough that a clock which is being set shows beside the milliseconds of the scheduler."""
 _LARGEST_DRIFT = 0.05
+"""Of the time compared. NTP slews by .05 % at most; what is a hundred times as fast is being set."""
 # A clock that was never set shows the year 1970, or the one in which its system was built.
 _EARLIEST_S = 1_735_689_600
 # adjtimex(2)

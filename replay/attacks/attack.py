@@ -23,6 +23,7 @@ Signal = Callable[[int], float]
 Change = Callable[[int, float], float]
 
 DEFAULT_ACCELERATION = 0.5
+"""m/s^2. Chosen: gentler than any manoeuvre, so that what is seen is the spoof and not its start."""
 _NEEDED = {
     "bias": ("size",),
     "ramp": ("rate",),

@@ -21,8 +21,11 @@ Fields = Mapping[str, Any]
 _GRAVITY = 9.80665
 _WGS84_A, _WGS84_E2 = 6_378_137.0, 6.694_379_990_14e-3
 _SEA_LEVEL_HPA, _ISA_SCALE_M, _ISA_EXPONENT = 1013.25, 44_330.77, 0.190_263
+"""Of the international standard atmosphere: T_0 / L = 288.15 K / 6.5 K/km, R L / g."""
 _UNKNOWN_U16 = 65535
+"""UINT16_MAX: MAVLink for a speed or a course that is not known."""
 _DEGE7 = 1e-7
+"""Degrees in MAVLink's unit of latitude and longitude."""
 
 
 @dataclass(slots=True)

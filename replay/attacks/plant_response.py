@@ -39,8 +39,10 @@ from monitor.profile import ObserverProfile, Profile
 from replay.attacks.attack import Signal
 
 _MAX_STEPS = 2000
+"""Chosen: after 20 s at 100 Hz without a sample the response begins anew, as observers do."""
 _AUTOPILOT_OUTPUT = "SERVO_OUTPUT_RAW"
 _FULL_COMMAND = 1.0
+"""Commands are fractions of full throw."""
 
 
 class PlantResponse:

@@ -36,8 +36,11 @@ from replay.reports.plot import plot_png
 
 _DATA = Path(__file__).parent.parent / "data"
 _START_TIMEOUT_S = 30.0
+"""Chosen: ten times what a cold start takes on a desktop, for small boards."""
 _LAST_EVENTS_S = 1.0
+"""Chosen: for events that are on their way when the flight ends; they need milliseconds."""
 _STOP_TIMEOUT_S = 10.0
+"""Chosen: the daemon closes its files within a second or hangs."""
 
 
 @dataclass(frozen=True, slots=True)

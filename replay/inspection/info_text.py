@@ -16,8 +16,11 @@ _FORMATS = {
     "bin": "ArduPilot log",
 }
 _MOST_ALARMS = 20
+"""Chosen: what fits on a screen beside the rest."""
 _MOST_FIELDS = 8
+"""Names of a message's fields. Chosen: two lines."""
 _WIDTH = 110
+"""Letters of a line of a list. Chosen: a wide terminal."""
 
 
 def info_text(found: Mapping[str, Any]) -> str:

@@ -23,6 +23,7 @@ from monitor.vehicles.base import Preview, VehicleKind, likely_kind, load
 from monitor.vehicles.kinds import KINDS
 
 _ARMED = 128
+"""MAV_MODE_FLAG_SAFETY_ARMED."""
 # what comes all at once, as the head of a log does, has no rate
 _SHORTEST_NS = 1_000_000
 _MAX_FIELDS = 400

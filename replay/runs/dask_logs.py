@@ -13,9 +13,13 @@ from replay.runs.many_logs import profile_of
 from replay.runs.one_log import LogOutcome, LogTask, replay_log
 
 _CONNECT_S = 10
+"""Chosen: a scheduler that is there answers within a second, also over a slow network."""
 _LEAST_AHEAD = 64
+"""Chosen: tasks that are handed out before the first is done, so that no core waits for the network."""
 _AHEAD_PER_CORE = 8
+"""Chosen: a log takes about a second; eight of them hide the latency of handing out more."""
 _KEPT_PROFILES = 4
+"""Profiles that a worker keeps read. Chosen: several replays may share a cluster."""
 
 Files = tuple[tuple[str, bytes], ...]
 

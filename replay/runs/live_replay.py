@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     import zenoh
 
 _STATUS_NS = 1_000_000_000
+"""As the daemon does: one a second."""
 _SUBSCRIBER_S = 2.0
+"""Chosen: subscribers have to be discovered before the first event; on a network that takes part of a second."""
 
 
 class LiveReplay:

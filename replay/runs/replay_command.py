@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from replay.runs.one_log import LogOutcome, LogTask
 
 ALARMS_RAISED = 4
+"""Exit status of --fail-on-alarm: docs/reference/exit-status.md."""
 FAILED = 2
+"""Exit status where a log could not be replayed: docs/reference/exit-status.md."""
 LOG_HELP = (
     "recording: .tlog, .mcap, .ulg (PX4) or .bin (ArduPilot), plain or with .xz / .gz behind, "
     "or a folder of a recorded session"

@@ -37,6 +37,7 @@ COLUMNS: Mapping[str, type] = {
     "times_real_time": float,
 }
 _ROWS_AT_ONCE = 1000
+"""Rows of a Parquet row group. Chosen: enough to compress, little to lose."""
 
 
 def summary_row(outcome: LogOutcome) -> dict[str, Any]:
