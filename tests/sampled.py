@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, pack
+from adapters.batch import Batch, Columns, pack
 from adapters.message import Message
 from adapters.sample import Samples
+from adapters.source import MAVLINK
 from monitor.core.sampling import sample_batch
 from monitor.sampling.sampler import Sampler
 
@@ -80,3 +81,53 @@ def raw_samples(u: NDArray[np.float64], first: int = 0) -> Samples:
         known_ns=index * 10_000_000,
         measured=np.ones(count, np.bool_),
     )
+
+
+def packed(messages: Sequence[Message], types: dict[str, Any] | None = None) -> Batch:
+    """Return messages as a batch; those whose fields are not all numbers, or unlike the first's, stay messages.
+
+    ``types`` gives NumPy types of fields by name; otherwise they are int64 and float64.
+    """
+    groups: dict[tuple[Any, ...], list[tuple[int, Message]]] = {}
+    others: dict[int, Message] = {}
+    for place, message in enumerate(messages):
+        kinds = tuple((name, _kind(value)) for name, value in message.fields.items())
+        if message.source is not MAVLINK or any(kind is None for _, kind in kinds):
+            others[place] = message
+            continue
+        members = groups.setdefault((message.source, message.name, message.system, message.component), [])
+        if members and kinds != tuple((name, _kind(value)) for name, value in members[0][1].fields.items()):
+            others[place] = message
+        else:
+            members.append((place, message))
+    columns = []
+    for (source, name, system, component), members in groups.items():
+        fields = {}
+        for field in members[0][1].fields:
+            values = [message.fields[field] for _, message in members]
+            first = values[0][0] if isinstance(values[0], list) else values[0]
+            usual = np.int64 if isinstance(first, int) else np.float64
+            fields[field] = np.array(values, (types or {}).get(field, usual))
+        columns.append(
+            Columns(
+                source,
+                name,
+                system,
+                component,
+                np.array([place for place, _ in members]),
+                np.array([message.received_ns for _, message in members]),
+                fields,
+            )
+        )
+    return Batch(len(messages), tuple(columns), others)
+
+
+def _kind(value: Any) -> tuple[str, int] | None:
+    if isinstance(value, list):
+        inner = {_kind(element) for element in value}
+        return (inner.pop()[0], len(value)) if len(inner) == 1 and None not in inner else None  # type: ignore[index]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    if isinstance(value, int):
+        return ("int", 0) if abs(value) < 1 << 63 else None
+    return "float", 0

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from blocks import pack
 from hypothesis import given
 from hypothesis import strategies as st
-from sampled import batches, rows
+from sampled import batches, packed, rows
 
 from adapters.batch import Batch
 from adapters.channels import Channel
@@ -64,7 +63,7 @@ def compare(
     single, watch = Watch(*setups), Watch(*setups)
     for message in messages:
         single.run(Batch(1, (), {0: message}))
-    for batch in batches(messages, cuts, partial(pack, types=types)):
+    for batch in batches(messages, cuts, partial(packed, types=types)):
         watch.run(batch)
     assert watch.given == single.given
     assert watch.newest_ns == single.newest_ns
