@@ -8,35 +8,37 @@ per message, which costs about ten times as much. The wire format: https://proto
 from cpython.buffer cimport PyBUF_FORMAT, PyBUF_STRIDES, Py_buffer, PyBuffer_Release, PyObject_GetBuffer
 from cpython.bytes cimport PyBytes_FromStringAndSize
 from cpython.mem cimport PyMem_Free, PyMem_Malloc
-from libc.stdint cimport int8_t, int16_t, int32_t, int64_t, uint8_t, uint16_t, uint32_t, uint64_t
+from libc.stdint cimport int64_t, uint32_t, uint64_t
 from libc.string cimport memcpy, memmove
 
-# Types of fields, as numbered in google/protobuf/descriptor.proto.
-cdef enum:
-    DOUBLE = 1
-    FLOAT = 2
-    INT64 = 3
-    UINT64 = 4
-    INT32 = 5
-    BOOL = 8
-    UINT32 = 13
+# By type of field, as numbered in google/protobuf/descriptor.proto: wire type, formats of columns (those of the module
+# struct), largest value (of integers), whether negative ones are allowed.
+_TYPES = {
+    1: (1, b"df", 0, True),
+    2: (5, b"df", 0, True),
+    3: (0, b"bBhHiIlLqQ", 2**63 - 1, True),
+    4: (0, b"bBhHiIlLqQ", 2**64 - 1, False),
+    5: (0, b"bBhHiIlLqQ", 2**31 - 1, True),
+    8: (0, b"?", 1, False),
+    13: (0, b"bBhHiIlLqQ", 2**32 - 1, False),
+}
 
-# Wire types.
+# Wire types, and the most bytes that a varint takes.
 cdef enum:
     VARINT = 0
     FIXED_64 = 1
     LENGTH = 2
     FIXED_32 = 5
-
-cdef enum:
     LONGEST_VARINT = 10
 
 cdef struct Number:
-    int type
+    int wire
     uint32_t tag
+    uint64_t largest
+    int is_signed
 
 cdef struct FieldPlan:
-    # Rows hold one number (is_message and is_repeated both 0), a list of them, or a message of count numbers.
+    # Rows hold one number (neither flag), a list of numbers, or a message of count numbers.
     int is_message
     int is_repeated
     uint32_t tag
@@ -44,11 +46,12 @@ cdef struct FieldPlan:
     Py_ssize_t count
 
 cdef struct Column:
-    # Where a column's values are: value (row, k) at data + row * row_stride + k * stride.
+    # Value (row, k) is at data + row * row_stride + k * stride, of size bytes.
     const char* data
     Py_ssize_t row_stride
     Py_ssize_t stride
     Py_ssize_t width
+    Py_ssize_t size
     char format
     int64_t constant
 
@@ -76,7 +79,7 @@ cdef class RowEncoder:
     cdef FieldPlan* _fields
     cdef Number* _numbers
     cdef Py_ssize_t _count
-    cdef Py_ssize_t _inner
+    cdef tuple _formats
 
     def __cinit__(self, pb_class):
         fields = sorted(pb_class.DESCRIPTOR.fields, key=lambda field: field.number)
@@ -94,7 +97,7 @@ cdef class RowEncoder:
                     raise ValueError(f"{field.full_name} has fields that are no plain numbers")
             plans.append((nested is not None, field.is_repeated, field.number, len(numbers), len(inner)))
             for part in inner:
-                if part.type not in (DOUBLE, FLOAT, INT64, UINT64, INT32, BOOL, UINT32) or part.has_presence:
+                if part.type not in _TYPES or part.has_presence:
                     raise ValueError(f"{part.full_name} is no plain number")
                 numbers.append((part.type, part.number))
         self._count = len(plans)
@@ -104,9 +107,10 @@ cdef class RowEncoder:
             raise MemoryError
         for k, (is_message, is_repeated, number, first, count) in enumerate(plans):
             self._fields[k] = FieldPlan(is_message, is_repeated, number << 3 | LENGTH, first, count)
+        self._formats = tuple(_TYPES[kind][1] for kind, _ in numbers)
         for k, (kind, number) in enumerate(numbers):
-            wire = FIXED_64 if kind == DOUBLE else FIXED_32 if kind == FLOAT else VARINT
-            self._numbers[k] = Number(kind, number << 3 | wire)
+            wire, _, largest, is_signed = _TYPES[kind]
+            self._numbers[k] = Number(wire, number << 3 | wire, largest, is_signed)
 
     def __dealloc__(self):
         PyMem_Free(self._fields)
@@ -142,15 +146,18 @@ cdef class RowEncoder:
                 column = columns[k]
                 if isinstance(column, int):
                     plan[k].constant = column
-                    plan[k].format = b"q"
                     plan[k].data = <const char*>&plan[k].constant
                     plan[k].row_stride = plan[k].stride = 0
-                    plan[k].width = 1
-                    self._check(k, &plan[k], 1)
+                    plan[k].width, plan[k].size, plan[k].format = 1, 8, b"q"
+                    has_width = False
                 else:
                     PyObject_GetBuffer(column, &buffers[held], PyBUF_STRIDES | PyBUF_FORMAT)
                     held += 1
-                    self._open(k, &buffers[held - 1], &plan[k], count)
+                    _open(&plan[k], &buffers[held - 1])
+                    has_width = buffers[held - 1].ndim == 2
+                    if not 1 <= buffers[held - 1].ndim <= 2 or buffers[held - 1].shape[0] != count:
+                        raise ValueError(f"{self.names[k]} is of another shape than its field")
+                self._check(k, &plan[k], has_width)
                 capacity += (plan[k].width + 1) * (LONGEST_VARINT + 5)
             start = <char*>PyMem_Malloc(capacity)
             if start == NULL:
@@ -169,40 +176,14 @@ cdef class RowEncoder:
             PyMem_Free(plan)
             PyMem_Free(buffers)
 
-    cdef int _open(self, Py_ssize_t k, Py_buffer* view, Column* column, Py_ssize_t count) except -1:
-        """Set where the values of an array are."""
-        cdef int has_width = self._fields[k].is_message or self._fields[k].is_repeated
-        if view.ndim != 1 + has_width or view.shape[0] != count:
-            raise ValueError(f"{self.names[k]} is of another shape than its field")
-        column.data = <const char*>view.buf
-        column.row_stride = view.strides[0]
-        column.stride = view.strides[1] if has_width else 0
-        column.width = view.shape[1] if has_width else 1
-        # "=" stands before the format of numbers that are not aligned, as columns of packed records are
-        column.format = view.format[view.format[0] == b"="]
-        # formats of several letters ("Zd", ">d") are refused
-        if view.format[1 + (view.format[0] == b"=")] != 0:
-            column.format = 0
-        if self._fields[k].is_message and column.width != self._fields[k].count:
-            raise ValueError(f"{self.names[k]} is of another shape than its field")
-        self._check(k, column, 0)
-        return 0
-
-    cdef int _check(self, Py_ssize_t k, Column* column, int is_constant) except -1:
-        """Raise where a column cannot hold the values of its field."""
+    cdef int _check(self, Py_ssize_t k, const Column* column, bint has_width) except -1:
+        """Raise if a column cannot hold the values of its field."""
+        cdef const FieldPlan* field = &self._fields[k]
         cdef Py_ssize_t j
-        cdef int kind
-        if is_constant and (self._fields[k].is_message or self._fields[k].is_repeated):
+        if has_width != (field.is_message or field.is_repeated) or (field.is_message and column.width != field.count):
             raise ValueError(f"{self.names[k]} is of another shape than its field")
-        for j in range(self._fields[k].first, self._fields[k].first + self._fields[k].count):
-            kind = self._numbers[j].type
-            if kind == DOUBLE or kind == FLOAT:
-                fits = column.format in b"df"
-            elif kind == BOOL:
-                fits = column.format == b"?"
-            else:
-                fits = column.format != 0 and column.format in b"bBhHiIlLqQ"
-            if not fits:
+        for j in range(field.first, field.first + field.count):
+            if column.format == 0 or column.format not in <bytes>self._formats[j]:
                 raise ValueError(f"{self.names[k]} is of another kind than its field")
         return 0
 
@@ -214,7 +195,7 @@ cdef class RowEncoder:
         cdef Py_ssize_t j
         cdef char* body
         if not field.is_message and not field.is_repeated:
-            return self._write_number(at, k, number, column.format, value, 1)
+            return self._write_number(at, k, number, column, value, 1)
         if field.is_repeated and column.width == 0:
             return at
         at = _varint(at, field.tag)
@@ -223,62 +204,66 @@ cdef class RowEncoder:
         end = body
         for j in range(column.width):
             if field.is_message:
-                end = self._write_number(end, k, &number[j], column.format, value + j * column.stride, 1)
+                end = self._write_number(end, k, &number[j], column, value + j * column.stride, 1)
             else:
-                end = self._write_number(end, k, number, column.format, value + j * column.stride, 0)
+                end = self._write_number(end, k, number, column, value + j * column.stride, 0)
         at = _varint(at, end - body)
         memmove(at, body, end - body)
         return at + (end - body)
 
     cdef char* _write_number(
-        self, char* at, Py_ssize_t k, const Number* number, char format, const char* value, int tagged
+        self, char* at, Py_ssize_t k, const Number* number, const Column* column, const char* value, bint tagged
     ) except NULL:
         """Write a number; a tagged one that is zero (plus zero where it has a sign) is left out."""
         cdef double wide
         cdef float narrow
+        cdef int64_t whole
         cdef uint64_t bits = 0
-        cdef uint32_t short_bits = 0
-        if number.type == DOUBLE or number.type == FLOAT:
-            if number.type == FLOAT:
-                if format == b"f":
-                    memcpy(&short_bits, value, 4)
-                else:
-                    memcpy(&wide, value, 8)
-                    narrow = <float>wide
-                    memcpy(&short_bits, &narrow, 4)
-                if tagged:
-                    if short_bits == 0:
-                        return at
-                    at = _varint(at, number.tag)
-                memcpy(at, &short_bits, 4)
-                return at + 4
-            if format == b"f":
-                memcpy(&narrow, value, 4)
-                wide = narrow
-                memcpy(&bits, &wide, 8)
+        cdef int spare
+        # Copied, as values need not be aligned; the machine is little-endian, as protobuf is.
+        memcpy(&bits, value, column.size)
+        if number.wire == VARINT:
+            if column.format in b"bhilq":
+                spare = 64 - 8 * column.size
+                whole = <int64_t>(bits << spare) >> spare
+                bits = <uint64_t>whole
+                if whole < 0 and number.is_signed:
+                    whole = -(whole + 1)
+                in_range = 0 <= whole and <uint64_t>whole <= number.largest
             else:
-                memcpy(&bits, value, 8)
-            if tagged:
-                if bits == 0:
-                    return at
-                at = _varint(at, number.tag)
-            memcpy(at, &bits, 8)
-            return at + 8
-        cdef int is_negative = 0
-        bits = _integer(format, value, &is_negative)
-        if (
-            (is_negative and (number.type == UINT32 or number.type == UINT64))
-            or (number.type == INT64 and not is_negative and bits >> 63)
-            or (number.type == UINT32 and bits >> 32)
-            or (number.type == INT32 and (<int64_t>bits > 2147483647 or <int64_t>bits < -2147483648 or
-                                          (not is_negative and bits >> 63)))
-        ):
-            raise ValueError(f"{self.names[k]} is out of its field's range")
+                in_range = bits <= number.largest
+            if not in_range:
+                raise ValueError(f"{self.names[k]} is out of its field's range")
+        elif column.format == b"f" and number.wire == FIXED_64:
+            memcpy(&narrow, &bits, 4)
+            wide = narrow
+            memcpy(&bits, &wide, 8)
+        elif column.format == b"d" and number.wire == FIXED_32:
+            memcpy(&wide, &bits, 8)
+            narrow = <float>wide
+            bits = 0
+            memcpy(&bits, &narrow, 4)
         if tagged:
             if bits == 0:
                 return at
             at = _varint(at, number.tag)
-        return _varint(at, bits)
+        if number.wire == VARINT:
+            return _varint(at, bits)
+        memcpy(at, &bits, 8 if number.wire == FIXED_64 else 4)
+        return at + (8 if number.wire == FIXED_64 else 4)
+
+
+cdef int _open(Column* column, const Py_buffer* view) noexcept:
+    """Set where the values of an array are."""
+    # "=" stands before the format of numbers that are not aligned; formats of several letters ("Zd", ">d") are refused
+    cdef int at = view.format[0] == b"="
+    column.data = <const char*>view.buf
+    column.row_stride = view.strides[0] if view.ndim else 0
+    column.stride = view.strides[1] if view.ndim > 1 else 0
+    column.width = view.shape[1] if view.ndim > 1 else 1
+    column.size = view.itemsize
+    column.format = view.format[at] if view.format[at + 1] == 0 else 0
+    return 0
 
 
 cdef char* _varint(char* at, uint64_t bits) noexcept:
@@ -289,39 +274,3 @@ cdef char* _varint(char* at, uint64_t bits) noexcept:
         at += 1
     at[0] = <char>bits
     return at + 1
-
-
-cdef uint64_t _integer(char format, const char* value, int* is_negative) noexcept:
-    """Return an integer's bits, those of a negative one as two's complement of 64 bits."""
-    # Copied, as they need not be aligned.
-    cdef int8_t tiny
-    cdef int16_t short_number
-    cdef int32_t number
-    cdef uint16_t short_bits
-    cdef uint32_t word
-    cdef uint64_t bits
-    cdef int64_t whole
-    if format == b"?" or format == b"B":
-        return (<const uint8_t*>value)[0]
-    if format == b"H":
-        memcpy(&short_bits, value, 2)
-        return short_bits
-    if format == b"I":
-        memcpy(&word, value, 4)
-        return word
-    if format == b"L" or format == b"Q":
-        memcpy(&bits, value, 8)
-        return bits
-    if format == b"b":
-        memcpy(&tiny, value, 1)
-        whole = tiny
-    elif format == b"h":
-        memcpy(&short_number, value, 2)
-        whole = short_number
-    elif format == b"i":
-        memcpy(&number, value, 4)
-        whole = number
-    else:
-        memcpy(&whole, value, 8)
-    is_negative[0] = whole < 0
-    return <uint64_t>whole
