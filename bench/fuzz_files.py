@@ -12,6 +12,7 @@ from fuzz_input import Draw, random_inputs
 from fuzz_pipeline import QUAD, ROOT
 from fuzz_target import Run, Target, only
 
+from adapters.batch import pack
 from adapters.errors import ConfigError, ModelError, ProfileError
 from adapters.message import silence
 from adapters.toml_lines import key_lines
@@ -70,7 +71,7 @@ def _profile(folder: Path) -> Run:
         (one / name).write_bytes(content)
         try:
             with only(ProfileError):
-                Pipeline(read_profile(one)).feed(silence(START_NS))
+                Pipeline(read_profile(one)).run(pack([silence(START_NS)]))
         finally:
             (one / name).write_bytes(contents[name])
 

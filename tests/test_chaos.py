@@ -10,9 +10,10 @@ import chaos
 import pytest
 from chaos import Sufferer
 
+from adapters.logs.recordings import packed
 from adapters.mavlink.mavlink_message import PacketParser
 from adapters.mavlink.signing import SigningGuard
-from adapters.message import silence
+from adapters.message import Message, silence
 from adapters.simulation.fleet_sender import Due
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
@@ -46,18 +47,20 @@ def packets_of(log: Path, distortion: str) -> list[Due]:
 
 def raised(profile: Profile, packets: Sequence[Due]) -> list[AlarmEvent]:
     """Return the alarms raised, those of the link left out; time passes where nothing comes."""
-    pipeline, parser, guard = Pipeline(profile, system=7), PacketParser(), SigningGuard(chaos.KEY)
-    found, heard_ns = [], START_NS
+    parser, guard = PacketParser(), SigningGuard(chaos.KEY)
+    messages: list[Message] = []
+    heard_ns = START_NS
     for due, data in packets:
         now_ns = START_NS + due
         for then_ns in range(heard_ns + TENTH_NS, now_ns, TENTH_NS):
-            found += pipeline.feed(silence(then_ns))
+            messages.append(silence(then_ns))
         heard_ns = now_ns
         for kind, packet in parser.feed(data):
             if guard.admits(packet, now_ns):
-                found += pipeline.feed(kind.decode(packet, now_ns))
-        for finding in guard.findings(now_ns):
-            found += pipeline.feed(finding)
+                messages.append(kind.decode(packet, now_ns))
+        messages += guard.findings(now_ns)
+    pipeline = Pipeline(profile, system=7)
+    found = [output for batch in packed(messages) for output in pipeline.run(batch)]
     events = [event for event in found if isinstance(event, AlarmEvent)]
     return [event for event in events if event.state == "raised" and event.observer != "link"]
 

@@ -26,7 +26,6 @@ from live_loop import Loop
 from loopback import Endpoint, event, until
 
 import fauio
-from adapters.batch import messages as each
 from adapters.simulation.arm import SCENARIOS, ArmScenario, make_fault
 from adapters.zenoh.zenoh_link import ZenohLink
 from monitor.bus.publisher import Publisher
@@ -249,8 +248,7 @@ def test_cdr_on_the_keys_of_rmw_zenoh_raises_the_same_alarm_live() -> None:
         sender.start()
         raised: list[AlarmEvent] = []
         while not raised and (sender.is_alive() or link.statistics().messages < 12 * 210):
-            for message in [*each(link.receive(0.1))]:
-                raised += [one for one in pipeline.feed(message) if isinstance(one, AlarmEvent)]
+            raised += [one for one in pipeline.run(link.receive(0.1)) if isinstance(one, AlarmEvent)]
         sender.join()
         assert (link.statistics().malformed, link.statistics().undefined) == (0, 0)
     endpoint.close()

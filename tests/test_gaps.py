@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters.logs.recordings import read_recording
+from adapters.logs.recordings import packed, read_recording
 from adapters.message import Message
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
-from monitor.estimate import Estimate
+from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
@@ -99,12 +99,9 @@ def test_a_failing_motor_is_found_through_bursts_as_fast_as_without(
 
 def test_what_is_shown_while_coasting_says_so(quad_profile: Profile, gusty: list[Message]) -> None:
     pipeline = Pipeline(quad_profile)
-    found = [
-        output
-        for message in without(gusty, 12.0, 0.08)
-        for output in pipeline.feed(message)
-        if isinstance(output, Estimate) and output.observer == "motors"
-    ]
+    outputs = [output for batch in packed(without(gusty, 12.0, 0.08)) for output in pipeline.run(batch)]
+    parts = [output for output in outputs if isinstance(output, Estimates) and output.observer == "motors"]
+    found = [part.one(row) for part in parts for row in range(len(part))]
     coasted = [k for k, estimate in enumerate(found) if not estimate.sample.measured]
     assert 5 <= len(coasted) <= 10
     assert coasted == list(range(coasted[0], coasted[-1] + 1))

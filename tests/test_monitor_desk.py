@@ -187,8 +187,8 @@ def test_what_an_operator_is_refused_says_why_and_changes_nothing() -> None:
         ("unshelve", {"channel": "motor1"}, "not shelved"),
         ("shelve", {"channel": "motor1"}, "until_ns"),
         ("shelve", {"channel": "motor1", "until_ns": True}, "until_ns"),
-        ("ack", {}, "stands"),
-        ("ack", {"id": 7}, "stands"),
+        ("ack", {}, "is active"),
+        ("ack", {"id": 7}, "is active"),
     ):
         assert reason in (desk.refusal(verb, fields) or "")
         assert desk.operate(verb, fields, at(1)) == []
@@ -204,7 +204,7 @@ def test_alarms_that_stood_come_back_with_their_ids_flags_and_numbers() -> None:
     old.process(raw("motor3", "cleared", 1.0))
     new = AlarmDesk("copter-1", old.rule)
     new.seq = old.seq
-    told = new.adopt(old.standing, WATCHED, at(20))
+    told = new.adopt(old.active, WATCHED, at(20))
     assert states(told) == ["updated", "shelved", "updated", "updated"]
     assert [one.seq for one in told] == list(range(old.seq + 1, old.seq + 5))
     assert _life(new) == _life(old)

@@ -3,20 +3,21 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from test_monitor_recorder import Log
 
-from adapters.logs.recordings import read_recording
+from adapters.batch import pack
+from adapters.logs.recordings import packed, read_recording
 from adapters.message import Message, silence
 from adapters.source import CLOCK, JOURNAL, LINK, MAVLINK, OPERATOR
 from monitor.alarms.desk_rule import DeskRule
-from monitor.estimate import Estimate
+from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
-from monitor.pipeline import Output, Pipeline, handover_message, rules_message
+from monitor.pipeline import Pipeline, handover_message, rules_message
 from monitor.profile import Profile
 from monitor.sampling.phase import FlightPhase
 
@@ -36,13 +37,20 @@ def expected(quad_profile: Profile, flight: list[Message]) -> list[AlarmEvent]:
     return found
 
 
-def outputs(profile: Profile, messages: Iterator[Message] | list[Message]) -> list[Output]:
-    pipeline = Pipeline(profile)
-    return [output for message in messages for output in pipeline.feed(message)]
+def outputs(profile: Profile, messages: Iterator[Message] | list[Message]) -> list[Estimates | AlarmEvent]:
+    return processed(Pipeline(profile), messages)
+
+
+def processed(pipeline: Pipeline, messages: Iterable[Message]) -> list[Estimates | AlarmEvent]:
+    return [output for batch in packed(messages) for output in pipeline.run(batch)]
+
+
+def only_events(outputs: Iterable[Estimates | AlarmEvent]) -> list[AlarmEvent]:
+    return [output for output in outputs if isinstance(output, AlarmEvent)]
 
 
 def events(profile: Profile, messages: Iterator[Message] | list[Message]) -> list[AlarmEvent]:
-    return [output for output in outputs(profile, messages) if isinstance(output, AlarmEvent)]
+    return only_events(outputs(profile, messages))
 
 
 def test_other_stations_change_nothing(
@@ -99,7 +107,7 @@ def test_nothing_is_raised_while_landing_or_disarmed(
     ]
     found = outputs(quad_profile, masked)
     assert [output for output in found if isinstance(output, AlarmEvent)] == []
-    assert not any(output.armed for output in found if isinstance(output, Estimate))
+    assert not any(output.armed.any() for output in found if isinstance(output, Estimates))
 
 
 def test_a_vehicle_that_reports_no_phase_is_watched_by_its_commands(
@@ -114,7 +122,8 @@ def test_a_gap_restarts_the_observer_without_a_false_alarm(quad_profile: Profile
     start = healthy[0].received_ns
     cut = [m for m in healthy if not 5e9 < m.received_ns - start < 8e9]
     found = outputs(quad_profile, cut)
-    restarts = [output.sample for output in found if isinstance(output, Estimate) and output.sample.restart]
+    parts = [output.samples for output in found if isinstance(output, Estimates)]
+    restarts = [part.one(row) for part in parts for row in range(len(part)) if part.restart[row]]
     assert len(restarts) == 2  # of the motors; the inertial observer waits for a GPS, which this log lacks
     stale = [output for output in found if isinstance(output, AlarmEvent)]
     assert [(event.channel, event.state) for event in stale] == [("telemetry", "raised"), ("telemetry", "cleared")]
@@ -172,14 +181,12 @@ def test_a_recording_of_everything_fed_gives_the_same_events_again(
 ) -> None:
     first, *_ = expected
     live = Pipeline(quad_profile)
-    said: list[Output] = []
     path = tmp_path / "flight.mcap"
+    session = with_operators(quad_profile, flight, first)
     with Log(path, live.layouts, live.metadata()) as recorder:
-        for message in with_operators(quad_profile, flight, first):
-            found = live.feed(message)
+        for message in session:
             recorder.write(message)
-            said += found
-    told = [output for output in said if isinstance(output, AlarmEvent)]
+    told = only_events(processed(live, session))
     assert [event.seq for event in told] == list(range(42, 42 + len(told)))
     assert {"raised", "acknowledged", "shelved", "cleared"} <= {event.state for event in told}
     recorded = list(read_recording(path))
@@ -213,13 +220,13 @@ def test_a_restart_brings_standing_alarms_back_with_their_ids(
     raised, *_ = expected
     old, at = Pipeline(quad_profile), 0
     while not old.desk.active:
-        old.feed(flight[at])
-        at += 1
+        old.run(pack(flight[at : at + 10]))
+        at += 10
     new = Pipeline(quad_profile)
-    (told,) = new.feed(handover_message(old.desk.active, old.desk.seq, flight[at].received_ns))
+    (told,) = processed(new, [handover_message(old.desk.active, old.desk.seq, flight[at].received_ns)])
     assert isinstance(told, AlarmEvent)
     assert (told.state, told.id, told.seq) == ("updated", raised.id, old.desk.seq + 1)
-    later = [output for message in flight[at:] for output in new.feed(message) if isinstance(output, AlarmEvent)]
+    later = only_events(processed(new, flight[at:]))
     assert "raised" not in alarm_states(later, raised.channel)
     assert {event.id for event in later if event.channel == raised.channel} <= {raised.id}
 
@@ -232,9 +239,7 @@ def test_a_reboot_during_an_alarm_neither_loses_nor_mutes_it_nor_raises_it_twice
     lasted = flight[-1].received_ns - flight[0].received_ns + 500_000_000
     again = [dataclasses.replace(message, received_ns=message.received_ns + lasted) for message in flight]
     pipeline = Pipeline(quad_profile)
-    told: list[AlarmEvent] = []
-    for message in [*flight, *again]:
-        told += [output for output in pipeline.feed(message) if isinstance(output, AlarmEvent)]
+    told = only_events(processed(pipeline, [*flight, *again]))
     assert any(counts.clock_restarts for counts in pipeline.statistics().values())
     assert raised.channel in {event.channel for event in pipeline.desk.active}
     turns = [state for state in alarm_states(told, raised.channel) if state in ("raised", "cleared")]

@@ -117,11 +117,11 @@ def test_the_status_says_that_the_vehicle_is_another_than_the_profile_s(quad_pro
 @pytest.mark.parametrize("kind", [0, 6, 250, 99_999_999, -1, None, "1", True])
 def test_what_says_nothing_of_the_vehicle_is_no_mismatch(quad_profile: Profile, kind: object) -> None:
     pipeline = Pipeline(quad_profile, system=1)
-    pipeline.feed(heartbeat(kind))
+    pipeline.run(pack([heartbeat(kind)]))
     assert pipeline.mismatch is None
 
 
 def test_a_profile_that_does_not_know_its_vehicle_s_type_takes_any(quad_profile: Profile) -> None:
     pipeline = Pipeline(replace(quad_profile, vehicle_type=""), system=1)
-    pipeline.feed(heartbeat(1))
+    pipeline.run(pack([heartbeat(1)]))
     assert pipeline.mismatch is None

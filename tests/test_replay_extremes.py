@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
-from adapters.sample import Sample
 from monitor.alarms.alarm import Alarm, AlarmRule
+from monitor.core.alarms import ChainRows, walk
 from monitor.fitting.extremes import local_peaks, return_level, standing
 
 RATE_HZ = 50.0
@@ -183,13 +183,11 @@ def test_an_alarm_is_raised_first_where_the_standing_size_reaches_its_threshold(
     values = np.concatenate([[0.0], np.abs(lfilter([0.3], [1.0, -0.9], rng.normal(size=400)))])
     rule = AlarmRule("motors", "motor1", "actuator", "", threshold, 0.0, 99.0, samples / 100.0, 1.0)
     alarm = Alarm(rule, "copter")
-    zero = np.zeros(1)
-    raised = None
-    for k, value in enumerate(values):
-        sample = Sample(k, k * STEP_NS, k * STEP_NS, zero, zero, restart=False, complete=True)
-        if alarm.update(sample, float(value), None) is not None:
-            raised = k
-            break
+    index, always = np.arange(len(values)), np.ones((len(values), 1), np.bool_)
+    rows = ChainRows([alarm.state], index, index * STEP_NS, np.zeros(len(values), np.bool_), values[:, None], always)
+    events: list[int] = []
+    walk([rows], lambda _observer, row, _alarm, _code: events.append(row))
+    raised = events[0] if events else None
     stood = standing(values, samples)
     surely = np.flatnonzero(stood >= 1.011 * threshold)
     possibly = np.flatnonzero(stood >= threshold)
