@@ -16,6 +16,7 @@ _STRING = re.compile(
     re.DOTALL,
 )
 _DEEPEST = 100
+"""Nesting. Chosen: far more than any of our files, far below the limit of the interpreter."""
 _SCALAR = re.compile(r"[^,\]}#\r\n]*")
 
 

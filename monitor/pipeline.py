@@ -38,6 +38,7 @@ from monitor.sampling.sampler import SamplerStatistics
 from monitor.segments import Arrivals, arrivals_of, message_at, selected
 
 AUTOPILOT = 1
+"""MAV_COMP_ID_AUTOPILOT1."""
 RULES = "rules"
 STANDING = "standing"
 """Name of the message with the alarms that were active before; recordings hold it."""

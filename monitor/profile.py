@@ -36,6 +36,7 @@ from monitor.sampling.transform import Source
 from monitor.source_tables import read_source, source_table
 
 FORMAT = 1
+"""Number of the layout: a reader refuses what it does not know."""
 PROFILE_FILE = "profile.toml"
 UNEXPLAINED = "unexplained"
 """Alarm channel of a bank none of whose hypotheses explains the data."""

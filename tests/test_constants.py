@@ -19,30 +19,12 @@ CONSTANT = re.compile(r"_?[A-Z][A-Z0-9_]*")
 COMPILED = re.compile(r"(?:cdef\s+(?:\w+\s+)+?)?(_?[A-Z][A-Z0-9_]*)\s*=[^=]*\d")
 """A constant of a Cython module, which ``ast`` cannot read."""
 SPEAKS_FOR_ITSELF = re.compile(
-    r"_?(SECOND|MINUTE|HOUR|DAY)_(NS|US|MS|S)|_?NS_PER_(SECOND|MS|US)|_?MEGABYTE|_?MAX_U?INT\d+"
+    r"_?(SECOND|MINUTE|HOUR|DAY)_(NS|US|MS|S)|_?NS_PER_(SECOND|MS|US)|_?MEGABYTE|NANOSECONDS|_?MAX_U?INT\d+"
     r"|_?G|_?(STANDARD_)?GRAVITY|_?TURN|_?WGS84_\w+|_?UNIT_ROUNDOFF"
 )
 """Names of units, limits of types and constants of nature: their values are no choice."""
 
-PENDING = (
-    "adapters/logs/",
-    "adapters/mavlink/",
-    "adapters/simulation/",
-    "adapters/toml_lines.py",
-    "monitor/alarms/",
-    "monitor/configuration/",
-    "monitor/core/",
-    "monitor/estimation/",
-    "monitor/fitting/",
-    "monitor/pipeline.py",
-    "monitor/profile.py",
-    "monitor/recording/",
-    "monitor/service/",
-    "monitor/vehicles/",
-    "monitor/views/",
-    "replay/reports/",
-    "replay/sensitivity/",
-)
+PENDING = ("monitor/fitting/", "monitor/vehicles/", "replay/sensitivity/")
 """Folders whose constants still lack reasons: a folder that has them all leaves this list."""
 
 
@@ -78,8 +60,9 @@ def children(value: ast.expr) -> list[ast.expr]:
 def of_module(path: Path) -> Iterator[Constant]:
     """Yield the constants of a module.
 
-    A reason is a string below the constant, or a comment above it, at the end of its line or between its lines; one
-    above a run of constants without a blank line is the reason of them all.
+    A value that is computed from another constant has that one's reason, but for units. A reason is a string below the
+    constant, or a comment above it, at the end of its line or between its lines; one above a run of constants without a
+    blank line is the reason of them all.
     """
     text = path.read_text()
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
@@ -103,19 +86,22 @@ def of_module(path: Path) -> Iterator[Constant]:
             continue
         below = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)
         beside = any(line in comments for line in range(first, last + 1))
-        named = all(SPEAKS_FOR_ITSELF.fullmatch(name) for name in names)
+        used = {name.id for name in ast.walk(node.value) if isinstance(name, ast.Name) and CONSTANT.fullmatch(name.id)}
+        computed = any(not SPEAKS_FOR_ITSELF.fullmatch(name) for name in used)
+        named = computed or all(SPEAKS_FOR_ITSELF.fullmatch(name) for name in names)
         yield Constant(path, first, ", ".join(names), ast.unparse(node.value), below or beside or above or named)
 
 
 def of_compiled_module(path: Path) -> Iterator[Constant]:
-    """Yield the constants of a Cython module, which has comments alone."""
+    """Yield the constants of a Cython module, whose syntax is read line by line."""
     lines = path.read_text().splitlines()
     covered = False
     for k, line in enumerate(lines):
         found = COMPILED.match(line)
         covered = (k > 0 and lines[k - 1].startswith("#")) or (covered and found is not None)
         if found:
-            explained = covered or "#" in line or bool(SPEAKS_FOR_ITSELF.fullmatch(found[1]))
+            below = k + 1 < len(lines) and lines[k + 1].startswith('"""')
+            explained = covered or below or "#" in line or bool(SPEAKS_FOR_ITSELF.fullmatch(found[1]))
             yield Constant(path, k + 1, found[1], line.partition("=")[2].strip(), explained)
 
 
@@ -148,6 +134,8 @@ def test_every_constant_has_a_reason_beside_it(package: str) -> None:
         ("# Of the standard.\n_LOW = 1.0\n\n_LIMIT = 3.0", False),
         ("_LOW = 1.0  # of the standard\n_LIMIT = 3.0", False),
         ("_GRAVITY = 9.80665", True),
+        ("_LIMIT = 2 * _SIZE", True),
+        ("_LIMIT = 2 * SECOND_NS", False),
     ],
 )
 def test_a_reason_is_a_string_below_or_a_comment_above_or_beside(tmp_path: Path, text: str, explained: bool) -> None:

@@ -16,6 +16,7 @@ from adapters.logs.mcap_writer import McapWriter
 from adapters.message import Message
 
 MAX_CHANNELS = 4096
+"""Topics come from the network: the memory for them, and for their schemas, has to end."""
 
 
 @dataclass(frozen=True, slots=True)

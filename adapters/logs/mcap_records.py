@@ -23,6 +23,9 @@ from adapters.errors import TelemetryError
 from adapters.logs.compressed import CompressedFile
 
 MAX_RECORD_BYTES = 512 * 1024 * 1024
+"""Chosen: many times the largest chunk that recorders write; a length beyond it is damage, and nothing is allocated
+for it.
+"""
 RECORD_HEAD = struct.Struct("<BQ")
 UNREADABLE = (struct.error, ValueError, KeyError, OverflowError, EOFError, RuntimeError, zstandard.ZstdError)
 """What decompressing and decoding damaged bytes raises."""

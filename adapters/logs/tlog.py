@@ -35,6 +35,7 @@ from adapters.mavlink.mavlink_message import (
 from adapters.message import LATEST_NS, Message
 
 TIME_BYTES = 8
+"""Each packet follows its time of arrival, microseconds in 64 bits."""
 MAX_TIME_US = LATEST_NS // 1_000
 READ_AHEAD_BYTES = 1 << 20
 """Bytes of a log in a batch: half a minute of a flight."""

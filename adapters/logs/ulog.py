@@ -46,6 +46,7 @@ _DATA_HEAD = struct.Struct("<HBH")
 _SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _FLAGS = struct.Struct("<8s8s3Q")
 _APPENDED = 1
+"""Of the incompatibility flags: data appended behind a crash dump, the only one that is defined."""
 _DATA = ord("D")
 _KINDS = frozenset(b"ABCDFILMOPQRS")
 _LARGEST_UNKNOWN = 10_000

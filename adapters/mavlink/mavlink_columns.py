@@ -27,6 +27,7 @@ from adapters.message import Message
 from adapters.source import MAVLINK
 
 PADDING = 255
+"""Bytes behind the buffer: the longest payload, so that a cut off packet is read whole."""
 
 _CHECKSUM_BYTES = 2
 """CRC-16 of MAVLink."""

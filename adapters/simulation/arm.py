@@ -115,6 +115,7 @@ def _wave(time_s: float) -> float:
     return math.sin(0.5 * time_s) + 0.2 * math.cos(5.0 * time_s)
 
 
+# Sizes and times are those of the paper's cases.
 SCENARIOS: dict[str, ArmScenario] = {
     "healthy": ArmScenario(),
     "undisturbed": ArmScenario(

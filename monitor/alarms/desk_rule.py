@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 MAX_FLOOD = 1_000_000
+"""Alarms and seconds that a rule may state. Chosen: what is beyond is a mistake in a recorded rule."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,8 +95,8 @@ def _table_of(names: Callable[[str], None], read: _Read) -> _Read:
     return read_all
 
 
-_ID = _whole(0, 255)
-_COUNT = _whole(1)
+_ID = _whole(0, 255)  # a byte of MAVLink
+_COUNT = _whole(1)  # one at least
 _POSITIVE = _number(above=0)
 
 

@@ -10,7 +10,9 @@ from adapters.toml_tables import Table
 from monitor.estimation.effectiveness import EffectivenessRule
 
 _SMALLEST_NOISE = 1e-12
+"""In units of the output: evidence is divided by it."""
 _SMALLEST_CERTAINTY = 1.0
+"""Standard errors. One is the least that tells a loss from none at all."""
 
 
 def read_effectiveness(

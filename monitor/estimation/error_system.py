@@ -24,6 +24,7 @@ from monitor.estimation.observer import ErrorSystem
 from monitor.estimation.settling import unseen_states
 
 _MEASURED = 0
+"""Index of the system in which all outputs are measured."""
 _PRIOR_S = 1.0
 """An actuator fault that was there before a restart counts as one that grew for this long at its rate, seconds. Chosen:
 a longer time shows estimates after a restart as more uncertain, and for longer."""

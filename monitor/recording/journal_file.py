@@ -12,6 +12,7 @@ from adapters.errors import StorageError
 APPLICATION_ID = 0x6661_756A
 """SQLite's ``application_id`` of our journals: "fauj" in ASCII."""
 SCHEMA_VERSION = 1
+"""Number of the tables' layout, in the file's user_version: what is not this is not written to."""
 BUSY_S = 0.05
 """Seconds the writer waits for a lock of another process. Chosen: the loop that monitors waits along; what is not
 written is retried once a second."""

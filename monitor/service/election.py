@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     import zenoh
 
 _DISCOVERY_S = 1.0
+"""Chosen: on a network peers are discovered in part of a second; a monitor that decided sooner could raise alarms
+beside another.
+"""
 
 
 class Election:

@@ -11,6 +11,7 @@ from monitor.service.inbox import Arrival
 from monitor.service.vehicle_monitor import VehicleMonitor
 
 _AUTOPILOT = 1
+"""MAV_COMP_ID_AUTOPILOT1."""
 
 NewVehicle = Callable[[int], VehicleMonitor | None]
 

@@ -14,6 +14,7 @@ from monitor.service.latency import LatencyBuckets, LatencyStatistics
 
 VehicleState = Literal["starting", "monitoring", "degraded", "stale"]
 LOOP_LIMIT_S = 5.0
+"""Chosen: far longer than any turn of the loop takes, sooner than systemd's watchdog (systemd/fauio@.service) acts."""
 
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 

@@ -16,6 +16,7 @@ _POLL_S = 0.2
 _STUCK_S = 5.0
 """A link comes back every 0.2 s, or after a connection attempt of 1 s: longer than this it hangs."""
 _AFTER_ERROR_S = 0.2
+"""Chosen: a link that fails at once again does not fill the log or a core."""
 _TURN = 4096
 """Messages after which :meth:`Inbox.take` returns: about 0.1 s of work, so that what is due in between (status,
 watchdog, election) is not held up by a backlog."""

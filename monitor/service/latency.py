@@ -10,8 +10,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 _LEADING_BITS = 5
+"""A bucket is 2 ^ -4 of its octave wide: percentiles are exact to 6 %."""
 _PER_OCTAVE = 1 << (_LEADING_BITS - 1)
 _LARGEST_NS = (1 << 40) - 1
+"""18 minutes: what is later counts as this late."""
 _BUCKETS = (_LARGEST_NS.bit_length() - _LEADING_BITS) * _PER_OCTAVE + (1 << _LEADING_BITS)
 # upper bounds offered to Prometheus: each factor of two from 16 us to 17 s is a bucket boundary here too
 _EXPORTED_EXPONENTS = range(14, 35)

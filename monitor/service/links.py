@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import zenoh
 
 _FIRST_NS = 5_000_000_000
+"""Chosen: autopilots send heartbeats once a second; five missing ones are worth a line."""
 
 
 class OpenedLink(NamedTuple):

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from monitor.views.view import View
 
 _SYNC_S = 1.0
+"""Chosen: what a power cut costs of recordings and journal."""
 _FINISH_S = 1.0
 """For what still waits at the end: a monitor that could not keep up may have more than there is time for."""
 

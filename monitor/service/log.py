@@ -22,10 +22,14 @@ from monitor.event import AlarmEvent
 Level = Literal["debug", "info", "warning", "error"]
 
 BURST = 10
+"""Lines of one name that pass at once; then one a second. Chosen: an error with its consequences passes whole."""
 MAX_NAMES = 1000
+"""Names may come from the network: the memory for them has to end."""
 MAX_TEXT = 400
+"""Letters of a value. Chosen: longer than any of our own, short enough for a line of a log."""
 
 _REFILL_NS = 1_000_000_000
+"""Of one more line for a name whose burst is used up."""
 _RESERVED = ("time_ns", "level", "event", "suppressed")
 
 

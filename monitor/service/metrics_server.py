@@ -16,8 +16,11 @@ from monitor.service.health import Health, health_json
 from monitor.service.metrics import render
 
 MAX_CONNECTIONS = 16
+"""Chosen: scrapers and a health check need two or three."""
 MAX_REQUEST_BYTES = 8192
+"""What web servers commonly accept as headers."""
 REQUEST_S = 2.0
+"""Chosen: a scraper on any network sends its request within it."""
 
 _JSON = "application/json"
 _TEXT = "text/plain; charset=utf-8"

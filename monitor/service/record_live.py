@@ -23,6 +23,7 @@ from monitor.service.log import Log
 from monitor.service.noted_signals import noted_signals
 
 _POLL_S = 0.1
+"""Chosen: how late Ctrl-C and the end of --seconds are seen."""
 _SECOND_NS = 1_000_000_000
 
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Mapping
 
 _MAX_STATUS = 500
+"""Chosen: systemctl status shows it as one line."""
 
 
 class Notifier:

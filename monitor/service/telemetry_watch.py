@@ -9,8 +9,11 @@ from monitor.profile import ObserverProfile
 from monitor.sampling.slow_telemetry import spanned
 
 _LACKING_NS = 5_000_000_000
+"""Chosen: ten times the half second of silence that is a gap; a message that long away does not come."""
 _COUNTED_NS = 10_000_000_000
+"""Over which samples are counted. Chosen: at 10 Hz and more their share is known to 1 %."""
 _FEWEST_SAMPLES = 20
+"""Below, a share says nothing."""
 _SET_BACK_NS = 1_000_000_000
 """A time of arrival that is earlier by more than this shows that the clock was set back."""
 

@@ -27,10 +27,15 @@ if TYPE_CHECKING:
     import zenoh
 
 _STATUS_NS = 1_000_000_000
+"""A status a second, as the interface promises."""
 _FLUSH_NS = 500_000_000
+"""Chosen: what a kill costs of a recording at most; flushing more often makes small chunks."""
 _AWAY_NS = 1_000_000_000
+"""A loop that was away for longer may have been taken for dead: another monitor may be active."""
 _PEER_EVENTS_AT_ONCE = 500
+"""Chosen: events of the active monitor that one turn of the loop takes, so that telemetry does not wait."""
 _PAST_EVENTS = 4096
+"""Events that the history starts with: as many as the publisher keeps."""
 # records of clips: about a millisecond's worth, which is what an alarm may have to wait for
 _CLIP_PORTION = 30
 

@@ -25,6 +25,7 @@ from monitor.views.rerun_scene import APPLICATION, RerunScene
 PERIOD_S = 0.25
 """Seconds between sends. Chosen: the eye takes a plot that moves four times a second for a running one."""
 DEFAULT_MEMORY_MB = 256
+"""What a viewer may hold of the past. Chosen: minutes of a vehicle, beside a daemon of 150 MB."""
 
 # Seconds until a server that failed is started again; chosen so that one that always fails costs little.
 _RESTART_S = 5.0

@@ -21,6 +21,7 @@ from monitor.trace import Trace
 
 FIT_FILE = "fit.json"
 _SAME_SIZE = 1e-3
+"""Relative: thresholds are written with four digits."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,12 +13,16 @@ from adapters.message import Message
 from adapters.source import Source
 
 GAP_S = 0.5
+"""A silence that observers restart after (monitor/sampling)."""
 GAP_PERIODS = 10.0
 """A gap is longer than both: rare messages are no gaps, nor is the jitter of frequent ones."""
 MOST_GAPS = 1000
+"""Chosen: more gaps make no better report; the memory for them has to end."""
 
 _PERIODS_KEPT = 2000
+"""Chosen: enough for the usual period of a message, its median."""
 _PENDING = 512
+"""Messages that are looked at together: one by one costs more."""
 
 Key = tuple[Source, str, int, int]
 

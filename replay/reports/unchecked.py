@@ -15,6 +15,7 @@ from replay.reports.findings import Finding
 from replay.reports.recording_facts import RecordingFacts
 
 _MOST_GAPS_TOLD = 5
+"""Chosen: what fits in a sentence."""
 
 
 class Unchecked(NamedTuple):
