@@ -24,7 +24,6 @@ class AffineMap:
     def run(self, u: Array, y: Array, measured: Flags, restart: Flags) -> Array: ...
 
 class ErrorCovariance:
-    is_settled: bool
     def __init__(
         self,
         A: Array,

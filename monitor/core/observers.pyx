@@ -205,26 +205,24 @@ cdef class ErrorCovariance:
         self.tolerance = tolerance
         self.settled, self.coasted = True, False
 
-    @property
-    def is_settled(self):
-        """Whether P is the steady one: while all is measured it stays so."""
-        return self.settled
-
     def run(self, const unsigned char[:] measured, const unsigned char[:] restart):
-        """Return one standard deviation of each fault estimate after each of n rows (n, a)."""
+        """Return one standard deviation of each fault estimate after each of n rows (n, a); a restart is measured."""
         cdef Py_ssize_t k, i, count = measured.shape[0], faults = self.owner.shape[0]
         cdef int kind
+        cdef bint seen
         result = np.empty((count, faults))
         cdef double[:, ::1] sd = result
         for k in range(count):
             if restart[k]:
                 self.P[:] = self.start
                 self.settled = self.coasted = False
-            if not (self.settled and measured[k]):
-                kind = COASTED if not measured[k] else RESUMED if self.coasted else MEASURED
-                self.coasted = not measured[k]
+            seen = measured[k] or restart[k]
+            # While all is measured P stays the steady one and nothing has to be computed.
+            if not (self.settled and seen):
+                kind = COASTED if not seen else RESUMED if self.coasted else MEASURED
+                self.coasted = not seen
                 self.propagate(kind)
-                self.settled = measured[k]
+                self.settled = seen
                 for i in range(faults):
                     sd[k, i] = self.deviation(i)
                     if not fabs(sd[k, i] - self.steady_sd[i]) <= self.tolerance * self.steady_sd[i]:

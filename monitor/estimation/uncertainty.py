@@ -41,7 +41,7 @@ class Uncertainty:
 
     def __init__(self, observer: Observer, plant: Plant | None, faults: Sequence[str]) -> None:
         self._covariance: ErrorCovariance | None = None
-        self._sd = np.full(len(faults), np.nan)
+        self._channels = len(faults)
         systems = None if plant is None else observer.error_systems(discretise(plant, observer.rate_hz))
         if systems is None:
             return
@@ -65,13 +65,11 @@ class Uncertainty:
             ),
             tolerance=_BACK,
         )
-        self._sd = self._covariance.run(np.ones(1, np.uint8), np.zeros(1, np.uint8))[0]
 
     def run(self, measured: NDArray[np.bool_], restart: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Return one standard deviation of each fault estimate after each of n samples (n, a), effect units.
 
-        Not a number where there is no plant, or the observer has no error system. While all is measured it
-        is one row n times, read-only.
+        Not a number where there is no plant, or the observer has no error system.
 
         Parameters
         ----------
@@ -80,10 +78,9 @@ class Uncertainty:
         restart : NDArray[np.bool_]
             Whether the observer restarts before it (n,).
         """
-        covariance = self._covariance
-        if covariance is None or (covariance.is_settled and measured.all() and not restart.any()):
-            return np.broadcast_to(self._sd, (len(measured), len(self._sd)))
-        return covariance.run((measured | restart).view(np.uint8), restart.view(np.uint8))
+        if self._covariance is None:
+            return np.full((len(measured), self._channels), np.nan)
+        return self._covariance.run(measured.view(np.uint8), restart.view(np.uint8))
 
 
 def _padded(matrix: NDArray[np.float64], size: int) -> NDArray[np.float64]:
