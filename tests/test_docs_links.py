@@ -26,7 +26,11 @@ GENERATED = {f"docs/{place}": render() for place, render in PAGES.items()}
 FOLDERS = ("docs", "examples")
 WRITTEN = {
     str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
-    for path in (ROOT / "README.md", *(one for folder in FOLDERS for one in sorted((ROOT / folder).rglob("*.md"))))
+    for path in (
+        ROOT / "README.md",
+        ROOT / "SECURITY.md",
+        *(one for folder in FOLDERS for one in sorted((ROOT / folder).rglob("*.md"))),
+    )
 }
 TEXTS = WRITTEN | GENERATED
 PROFILE = ROOT / "replay/data/quad"

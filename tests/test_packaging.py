@@ -28,6 +28,7 @@ FILES = (
     "MANIFEST.in",
     "README.md",
     "CHANGELOG.md",
+    "SECURITY.md",
     "LICENSE",
     "NOTICE",
     "Makefile",
