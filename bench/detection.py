@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from adapters.logs.recordings import packed
 from monitor.trace import Trace
 from monitor.vehicles.kinds import KINDS, fit_messages
-from replay.fit import fit
+from replay.fit import fit_profile
 from replay.player import interests
 
 ROOT = Path(__file__).parent.parent
@@ -84,7 +84,7 @@ def make(task: Fit) -> Suite | str:
     """Fit and calibrate; return why not where the flights do not allow it."""
     logs = [lambda flight=flight: packed(flight.messages(fit_messages())) for flight in task.healthy]
     try:
-        fit(task.healthy[0].kind, logs, task.folder, "vehicle")
+        fit_profile(task.healthy[0].kind, logs, task.folder, "vehicle")
         return make_suite(task.folder, [flight.messages for flight in task.healthy])
     except ValueError as error:
         return str(error)

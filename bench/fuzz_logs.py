@@ -24,7 +24,7 @@ from adapters.encoding.message_record import decoder, encode
 from adapters.encoding.record import Record, Schema
 from adapters.errors import TelemetryError
 from adapters.logs.dataflash import DataflashReader
-from adapters.logs.log_mapping import SOURCES, builtin_mapping, parse_mapping, read_mapping
+from adapters.logs.log_mapping import ONBOARD_SOURCES, builtin_mapping, parse_mapping, read_mapping
 from adapters.logs.log_telemetry import telemetry
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader
@@ -63,7 +63,7 @@ def _mapping(folder: Path) -> Run:
 
     def run(data: bytes) -> None:
         draw = Draw(data)
-        source = draw.choice(SOURCES)
+        source = draw.choice(ONBOARD_SOURCES)
         with only(TelemetryError):
             if draw.number() % 3:
                 found = parse_mapping(_tables(draw, source, messages_of(logs[source])), "mapping.toml")
@@ -108,7 +108,7 @@ def _tables(draw: Draw, source: str, log: Sequence[Message]) -> dict[str, Any]:
 
 def _mapping_seeds() -> list[bytes]:
     path = Path(__file__).parents[1] / "adapters" / "definitions" / "logs"
-    whole = [(path / f"{source}.toml").read_bytes() for source in SOURCES]
+    whole = [(path / f"{source}.toml").read_bytes() for source in ONBOARD_SOURCES]
     tables = [
         bytes([k, 0]) + b"[[" + one
         for k, text in enumerate(whole)

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soak_expected import Expected, expected
 
-from adapters.simulation.fleet_sender import Flight, read_flight
+from adapters.simulation.fleet_sender import SentFlight, read_flight
 from monitor.profile import read_profile
 
 ROOT = Path(__file__).parent.parent
@@ -228,7 +228,7 @@ def soak(setup: Setup, minutes: float) -> dict[str, Any]:
     seconds = 60.0 * minutes
     show("replaying offline, to know what to expect")
     profile = read_profile(setup.profile)
-    flights: list[Flight] = [read_flight(log, system) for system, log in enumerate(setup.logs, 1)]
+    flights: list[SentFlight] = [read_flight(log, system) for system, log in enumerate(setup.logs, 1)]
     expectations = [expected(profile, flight, seconds) for flight in flights]
     names = [name_of(flight.system) for flight in flights]
     folder = setup.folder

@@ -8,7 +8,7 @@ from math import inf
 
 from adapters.mavlink.mavlink_columns import decoded
 from adapters.mavlink.mavlink_message import PacketParser
-from adapters.simulation.fleet_sender import Flight, fleet_packets
+from adapters.simulation.fleet_sender import SentFlight, fleet_packets
 from monitor.estimate import Estimates
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
@@ -46,7 +46,7 @@ class Expected:
         return self.first[-1] + (turns - 1) * self.later[-1] + (self.later[rest - 1] if rest else 0)
 
 
-def expected(profile: Profile, flight: Flight, seconds: float = inf) -> Expected:
+def expected(profile: Profile, flight: SentFlight, seconds: float = inf) -> Expected:
     """Run a flight through a pipeline of its own, offline, so many seconds or three turns, which stand for all others.
 
     Raises

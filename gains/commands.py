@@ -162,9 +162,9 @@ def run_design(args: argparse.Namespace) -> int:
     if args.json:
         _print_json(report)
     else:
-        from gains.synthesis.design_text import text
+        from gains.synthesis.design_text import design_text
 
-        sys.stdout.write(text(report, args.out))
+        sys.stdout.write(design_text(report, args.out))
     return 0
 
 
@@ -229,15 +229,15 @@ def _add_check(subparsers: Any) -> None:
 
 def run_check(args: argparse.Namespace) -> int:
     """Run ``fauio check``."""
-    from gains.analysis.check import check_plant, report
-    from gains.analysis.check_text import text
+    from gains.analysis.check import check_plant, check_report
+    from gains.analysis.check_text import check_text
     from gains.plants.model_file import load_model
 
     check = check_plant(load_model(args.model), args.rate)
     if args.json:
-        _print_json(report(check))
+        _print_json(check_report(check))
     else:
-        sys.stdout.write(text(check))
+        sys.stdout.write(check_text(check))
     return 0 if check.estimable else InfeasibleError.exit_status
 
 
@@ -255,7 +255,7 @@ def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str
         raise UsageError(f"{plant.name}: --{stray[0].replace('_', '-')} belongs to a continuous design (--continuous)")
     from dataclasses import replace
 
-    from gains.synthesis.certificate import certify, report
+    from gains.synthesis.certificate import certify, design_report
     from gains.synthesis.compilation import common_matrix, compile_gains
     from gains.synthesis.convex import GAIN_WEIGHT, design_convex
     from gains.synthesis.gains_file import read_gains, write_gains
@@ -278,7 +278,7 @@ def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str
     if args.out is not None:
         # The monitor compares the hash with that of the model file, which --fault-rate does not change.
         write_gains(replace(compile_gains(plant, design, certificate), model_hash=model_hash), args.out)
-    return report(plant, design, certificate)
+    return design_report(plant, design, certificate)
 
 
 def _continuous(args: argparse.Namespace) -> bool:

@@ -32,7 +32,7 @@ from monitor.estimation.isolation_rule import (
     read_isolation,
 )
 from monitor.sampling.gate import GateRule, read_gate
-from monitor.sampling.transform import Source
+from monitor.sampling.transform import SampleSource
 from monitor.source_tables import read_source, source_table
 
 FORMAT = 1
@@ -63,7 +63,7 @@ class ObserverProfile:
         Its gains; those of each hypothesis where it is a bank. All share inputs, outputs, states and rate.
     faults : tuple[FaultChannel, ...]
         All fault channels, actuators first.
-    source : Source
+    source : SampleSource
         Where u and y come from.
     isolation : IsolationRule
         How estimates become evidence.
@@ -81,7 +81,7 @@ class ObserverProfile:
     name: str
     gains: tuple[Gains, ...]
     faults: tuple[FaultChannel, ...]
-    source: Source
+    source: SampleSource
     isolation: IsolationRule
     alarms: tuple[AlarmRule, ...]
     settle_s: float = 0.0
@@ -183,7 +183,7 @@ def _part_of_topic(name: str) -> None:
 
 def observer_table(
     *,
-    source: Source,
+    source: SampleSource,
     isolation: IsolationRule,
     alarms: Sequence[AlarmRule],
     settle_s: float = 0.0,

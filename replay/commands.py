@@ -107,7 +107,7 @@ def run_fit(args: argparse.Namespace) -> int:
     from monitor.fitting.survey import of_one_vehicle
     from monitor.profile import PROFILE_FILE
     from monitor.vehicles.custom.fit import custom_messages
-    from replay.fit import fit
+    from replay.fit import fit_profile
     from replay.runs.log_list import check_output_folder
 
     for path in args.logs:
@@ -126,7 +126,7 @@ def run_fit(args: argparse.Namespace) -> int:
     damage: dict[Path, tuple[Damage, ...]] = {}
     logs = [lambda path=path: log(path) for path in args.logs]
     try:
-        report = fit(args.vehicle, logs, args.out, name, args.model)
+        report = fit_profile(args.vehicle, logs, args.out, name, args.model)
     except (TelemetryError, ModelError, InfeasibleError) as error:
         raise type(error)(_about_logs(str(error), args.logs, args.model)) from error
     found = _warn(one for path in args.logs for one in damage.get(path, ()))

@@ -14,7 +14,7 @@ from adapters.errors import InfeasibleError, ModelError, TelemetryError, UsageEr
 from adapters.output_file import write_file
 from monitor.fitting.capability import capability
 from monitor.fitting.fit_report import draw_comparison
-from monitor.fitting.fitted import FitRequest, Fitted, Log
+from monitor.fitting.fitted import BatchSource, FitRequest, Fitted
 from monitor.fitting.survey import Survey, survey
 from monitor.profile import PROFILE_FILE, profile_table
 from monitor.sampling.gate import GateRule
@@ -64,14 +64,16 @@ class FitReport:
         return [*lines, *(f"not fitted: {note}" for note in self.notes), *(self.warnings if details else ())]
 
 
-def fit(kind: str, logs: Sequence[Log], folder: Path, name: str, model: Path | None = None) -> FitReport:
+def fit_profile(
+    kind: str, logs: Sequence[BatchSource], folder: Path, name: str, model: Path | None = None
+) -> FitReport:
     """Write a profile.
 
     Parameters
     ----------
     kind : str
         Name of one of :data:`monitor.vehicles.kinds.KINDS`.
-    logs : Sequence[Log]
+    logs : Sequence[BatchSource]
         Healthy recordings; each call of a log goes through it once from the start.
     folder : Path
         The profile's folder; made where it does not exist.

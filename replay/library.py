@@ -8,7 +8,6 @@ from pathlib import Path
 
 from adapters.batch import Batch
 from adapters.logs.recordings import Recording, read_batches
-from adapters.message import Message
 from gains.analysis.check import Check, check_plant
 from gains.plants.model_file import load_model
 from gains.plants.plant import Plant
@@ -21,8 +20,7 @@ from monitor.fitting.survey import of_one_vehicle
 from monitor.profile import Profile, read_profile
 from monitor.vehicles.custom.fit import custom_messages
 from monitor.vehicles.kinds import fit_messages
-from replay.fit import FitReport
-from replay.fit import fit as fit_logs
+from replay.fit import FitReport, fit_profile
 from replay.player import Replay, interests, play_batches
 
 
@@ -114,12 +112,13 @@ def fit(
     own_model = None if model is None else Path(model)
     wanted = fit_messages() if own_model is None else custom_messages(own_model)
 
-    def log(path: str | os.PathLike[str]) -> Iterable[Message]:
+    def log(path: str | os.PathLike[str]) -> Iterable[Batch]:
         recording = Recording(path, wanted)
-        return recording if own_model is not None else of_one_vehicle(recording)
+        batches = recording.batches()
+        return batches if own_model is not None else of_one_vehicle(batches)
 
     logs = [lambda path=path: log(path) for path in recordings]
-    return fit_logs(kind, logs, Path(folder), name or Path(folder).resolve().name, own_model)
+    return fit_profile(kind, logs, Path(folder), name or Path(folder).resolve().name, own_model)
 
 
 def check(model: Plant | str | os.PathLike[str], rate_hz: float | None = None) -> Check:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from adapters.errors import TelemetryError
-from adapters.logs.log_mapping import SOURCES, builtin_mapping, parse_mapping, read_mapping
+from adapters.logs.log_mapping import ONBOARD_SOURCES, builtin_mapping, parse_mapping, read_mapping
 from monitor.fitting.survey import MOTOR_MESSAGE
 from monitor.vehicles.inertial.signals import MESSAGES
 
@@ -17,7 +17,7 @@ OUTPUTS = {"timestamp": 1, "output": [0.0] * 16}
 COMMANDS = {"timestamp": 1, "control": [0.0] * 12}
 
 
-@pytest.mark.parametrize("source", SOURCES)
+@pytest.mark.parametrize("source", ONBOARD_SOURCES)
 def test_the_built_in_tables_fill_what_profiles_need(source: str) -> None:
     rules = builtin_mapping(source).rules
     wanted = MESSAGES - {"RAW_IMU"} | {MOTOR_MESSAGE, "HEARTBEAT", "EXTENDED_SYS_STATE", "VFR_HUD"}

@@ -12,7 +12,7 @@ from adapters.batch import pack
 from adapters.errors import TelemetryError
 from adapters.mavlink.mavlink_message import PacketParser
 from adapters.mavlink.message_rates import RateRequests, RequestedRate
-from adapters.mavlink.signing import SignatureVerifier, SigningKey, Verdict
+from adapters.mavlink.signing import SignatureVerdict, SignatureVerifier, SigningKey
 from adapters.message import Message
 from adapters.source import MAVLINK
 
@@ -211,7 +211,7 @@ def test_with_a_key_all_that_is_sent_is_signed() -> None:
     for now in range(START_NS, START_NS + 5 * SECOND_NS, STEP_NS):
         count(requests, Message(MAVLINK, "HEARTBEAT", now, {"type": 2}, 1, 1))
         for packet in requests.requests(now):
-            assert verifier.check(packet, now) is Verdict.VALID
+            assert verifier.check(packet, now) is SignatureVerdict.VALID
 
 
 @pytest.mark.parametrize(

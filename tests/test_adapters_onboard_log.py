@@ -23,7 +23,7 @@ from ulog_writer import UlogWriter
 from adapters.errors import TelemetryError
 from adapters.logs.damage import scan_damage
 from adapters.logs.dataflash import DataflashReader
-from adapters.logs.onboard_log import LogStatistics
+from adapters.logs.onboard_log import OnboardLogStatistics
 from adapters.logs.ulog import DROPOUT, TEXT, UlogReader
 from adapters.message import Message
 
@@ -42,7 +42,7 @@ class Kind:
     refused: bytes
     reader: Callable[..., Any]
 
-    def read(self, folder: Path, data: bytes, **options: Any) -> tuple[list[Message], LogStatistics]:
+    def read(self, folder: Path, data: bytes, **options: Any) -> tuple[list[Message], OnboardLogStatistics]:
         path = folder / f"a{self.suffix}"
         path.write_bytes(data)
         reader = self.reader(path, options.pop("only", None), 0, **options)

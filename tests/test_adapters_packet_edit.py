@@ -12,7 +12,7 @@ from adapters.errors import TelemetryError
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink.mavlink_message import MAGIC_1, PacketParser
 from adapters.mavlink.packet_edit import checksummed, readdressed, signed
-from adapters.mavlink.signing import SignatureVerifier, SigningKey, Verdict, unix_stamp
+from adapters.mavlink.signing import SignatureVerdict, SignatureVerifier, SigningKey, unix_stamp
 
 NOW_NS = 1_795_251_917_265_689_600
 KEY = SigningKey(bytes(range(32)))
@@ -55,8 +55,8 @@ def test_a_damaged_packet_becomes_a_valid_one(packets: list[bytes]) -> None:
 
 def test_a_signed_packet_is_valid_for_the_holder_of_the_key_alone(packets: list[bytes]) -> None:
     packet = signed(packets[0], KEY, unix_stamp(NOW_NS), link=3)
-    assert SignatureVerifier(KEY).check(packet, NOW_NS) is Verdict.VALID
-    assert SignatureVerifier(SigningKey(bytes(32))).check(packet, NOW_NS) is Verdict.FORGED
+    assert SignatureVerifier(KEY).check(packet, NOW_NS) is SignatureVerdict.VALID
+    assert SignatureVerifier(SigningKey(bytes(32))).check(packet, NOW_NS) is SignatureVerdict.FORGED
     parser = ardupilotmega.MAVLink(None)
     parser.signing.secret_key = KEY.secret
     assert parser.parse_buffer(packet)[0].get_signed()

@@ -14,10 +14,10 @@ from pymavlink.dialects.v20 import ardupilotmega
 
 from adapters.errors import TelemetryError
 from adapters.mavlink.signing import (
+    SignatureVerdict,
     SignatureVerifier,
     SigningGuard,
     SigningKey,
-    Verdict,
     read_key,
     unix_stamp,
 )
@@ -59,11 +59,11 @@ STAMP = unix_stamp(NOW_NS)
 
 def test_what_pymavlink_signs_is_valid_and_what_changes_in_it_is_not() -> None:
     packet = signed(STAMP)
-    assert SignatureVerifier(KEY).check(packet, NOW_NS) is Verdict.VALID
+    assert SignatureVerifier(KEY).check(packet, NOW_NS) is SignatureVerdict.VALID
     for place in range(10, len(packet)):
         changed = bytearray(packet)
         changed[place] ^= 0x10
-        assert SignatureVerifier(KEY).check(bytes(changed), NOW_NS) is Verdict.FORGED
+        assert SignatureVerifier(KEY).check(bytes(changed), NOW_NS) is SignatureVerdict.FORGED
 
 
 def test_the_signature_is_the_first_six_bytes_of_the_hash_that_the_guide_states() -> None:
@@ -80,8 +80,8 @@ def test_a_forged_packet_with_the_largest_time_stamp_locks_nobody_out() -> None:
     theirs = [library.check_signature(bytearray(packet), 1, 1) for packet in traffic]
     verifier = SignatureVerifier(KEY)
     ours = [verifier.check(packet, NOW_NS) for packet in traffic]
-    assert ours == [Verdict.VALID, Verdict.FORGED, *[Verdict.VALID] * 19]
-    assert theirs.count(True) <= ours.count(Verdict.VALID)
+    assert ours == [SignatureVerdict.VALID, SignatureVerdict.FORGED, *[SignatureVerdict.VALID] * 19]
+    assert theirs.count(True) <= ours.count(SignatureVerdict.VALID)
 
 
 def test_a_forged_first_packet_takes_no_stream_and_no_memory() -> None:
@@ -90,40 +90,40 @@ def test_a_forged_first_packet_takes_no_stream_and_no_memory() -> None:
         for component in range(0, 256, 5):
             packet = bytearray(forged(LARGEST_STAMP, system))
             packet[6] = component
-            assert verifier.check(bytes(packet), NOW_NS) is Verdict.FORGED
+            assert verifier.check(bytes(packet), NOW_NS) is SignatureVerdict.FORGED
     assert not verifier._streams
-    assert verifier.check(signed(STAMP), NOW_NS) is Verdict.VALID
+    assert verifier.check(signed(STAMP), NOW_NS) is SignatureVerdict.VALID
 
 
 def test_time_stamps_have_to_increase_within_each_stream_alone() -> None:
     verifier = SignatureVerifier(KEY)
     streams = [(1, 1, 0), (2, 1, 0), (1, 2, 0), (1, 1, 1)]
     for k, stream in enumerate(streams):
-        assert verifier.check(signed(STAMP - k, *stream), NOW_NS) is Verdict.VALID
+        assert verifier.check(signed(STAMP - k, *stream), NOW_NS) is SignatureVerdict.VALID
     for k, stream in enumerate(streams):
-        assert verifier.check(signed(STAMP - k, *stream), NOW_NS) is not Verdict.VALID
-        assert verifier.check(signed(STAMP - k + 1, *stream), NOW_NS) is Verdict.VALID
+        assert verifier.check(signed(STAMP - k, *stream), NOW_NS) is not SignatureVerdict.VALID
+        assert verifier.check(signed(STAMP - k + 1, *stream), NOW_NS) is SignatureVerdict.VALID
 
 
 def test_a_packet_recorded_earlier_and_sent_again_is_a_replay() -> None:
     verifier = SignatureVerifier(KEY)
     for tenth in range(100):
         now = NOW_NS + tenth * SECOND_NS // 10
-        assert verifier.check(signed(unix_stamp(now)), now) is Verdict.VALID
+        assert verifier.check(signed(unix_stamp(now)), now) is SignatureVerdict.VALID
     now = NOW_NS + 10 * SECOND_NS
     verdicts = [verifier.check(signed(STAMP + tenth * 10_000), now) for tenth in range(100)]
-    assert set(verdicts[:80]) == {Verdict.REPLAYED}
-    assert set(verdicts[90:]) == {Verdict.LATE}
-    assert verifier.check(signed(unix_stamp(now)), now) is Verdict.VALID
+    assert set(verdicts[:80]) == {SignatureVerdict.REPLAYED}
+    assert set(verdicts[90:]) == {SignatureVerdict.LATE}
+    assert verifier.check(signed(unix_stamp(now)), now) is SignatureVerdict.VALID
 
 
 def test_replays_to_a_vehicle_whose_stamps_only_count_its_packets_are_noticed_too() -> None:
     verifier = SignatureVerifier(KEY)
     recorded = [signed(STAMP + k) for k in range(100)]
     for k, packet in enumerate(recorded):
-        assert verifier.check(packet, NOW_NS + k * SECOND_NS // 10) is Verdict.VALID
+        assert verifier.check(packet, NOW_NS + k * SECOND_NS // 10) is SignatureVerdict.VALID
     now = NOW_NS + 60 * SECOND_NS
-    assert [verifier.check(packet, now) for packet in recorded] == [Verdict.REPLAYED] * 100
+    assert [verifier.check(packet, now) for packet in recorded] == [SignatureVerdict.REPLAYED] * 100
 
 
 @given(st.data())
@@ -138,35 +138,41 @@ def test_duplicates_and_reordering_on_the_way_are_refused_but_are_no_replays(dat
             packet = signed(unix_stamp(now))
             arrival = NOW_NS + (5 * block + 5) * SECOND_NS // 20
             found += [verifier.check(packet, arrival), verifier.check(packet, arrival)]
-    assert set(found) <= {Verdict.VALID, Verdict.LATE}
-    assert found.count(Verdict.VALID) >= 8
+    assert set(found) <= {SignatureVerdict.VALID, SignatureVerdict.LATE}
+    assert found.count(SignatureVerdict.VALID) >= 8
 
 
 @pytest.mark.parametrize(
-    ("behind_s", "verdict"), [(0, Verdict.VALID), (-3600, Verdict.VALID), (60, Verdict.VALID), (61, Verdict.REPLAYED)]
+    ("behind_s", "verdict"),
+    [
+        (0, SignatureVerdict.VALID),
+        (-3600, SignatureVerdict.VALID),
+        (60, SignatureVerdict.VALID),
+        (61, SignatureVerdict.REPLAYED),
+    ],
 )
-def test_the_first_packet_of_a_stream_may_be_a_minute_behind(behind_s: int, verdict: Verdict) -> None:
+def test_the_first_packet_of_a_stream_may_be_a_minute_behind(behind_s: int, verdict: SignatureVerdict) -> None:
     packet = signed(STAMP - behind_s * 100_000)
     assert SignatureVerifier(KEY).check(packet, NOW_NS) is verdict
 
 
 def test_without_a_clock_the_newest_valid_stamp_is_what_first_packets_are_held_against() -> None:
     verifier = SignatureVerifier(KEY)
-    assert verifier.check(signed(STAMP), 0) is Verdict.VALID
-    assert verifier.check(signed(STAMP - 6_000_001, system=2), 0) is Verdict.REPLAYED
-    assert verifier.check(signed(STAMP - 6_000_000, system=3), 0) is Verdict.VALID
+    assert verifier.check(signed(STAMP), 0) is SignatureVerdict.VALID
+    assert verifier.check(signed(STAMP - 6_000_001, system=2), 0) is SignatureVerdict.REPLAYED
+    assert verifier.check(signed(STAMP - 6_000_000, system=3), 0) is SignatureVerdict.VALID
 
 
 def test_a_clock_set_back_costs_no_packet() -> None:
     verifier = SignatureVerifier(KEY)
     for k in range(20):
-        assert verifier.check(signed(STAMP + k), NOW_NS - k * 3600 * SECOND_NS) is Verdict.VALID
+        assert verifier.check(signed(STAMP + k), NOW_NS - k * 3600 * SECOND_NS) is SignatureVerdict.VALID
 
 
 def test_even_holders_of_the_key_get_only_bounded_memory() -> None:
     verifier = SignatureVerifier(KEY)
     for k in range(1300):
-        assert verifier.check(signed(STAMP + k, 1 + k % 250, 1 + k // 250), NOW_NS) is Verdict.VALID
+        assert verifier.check(signed(STAMP + k, 1 + k % 250, 1 + k // 250), NOW_NS) is SignatureVerdict.VALID
     assert len(verifier._streams) == 1024
 
 

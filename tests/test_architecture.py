@@ -31,6 +31,14 @@ HEAVY = {
 }
 
 
+INTERFACES = {
+    "add_parsers",  # of a module of commands, called by fauio.py
+    "main",  # of a module that is run
+    "preview",  # of a kind of vehicle
+}
+"""Names that several modules define on purpose, with one meaning for all of them."""
+
+
 def modules() -> list[Path]:
     return [path for package in ALLOWED for path in sorted((ROOT / package).rglob("*.py"))]
 
@@ -54,6 +62,29 @@ def test_modules_import_only_packages_upstream_of_their_own(package: str) -> Non
 
 def test_every_module_begins_with_what_it_does() -> None:
     assert [str(path) for path in modules() if not path.read_text().startswith('"""')] == []
+
+
+def public_names(path: Path) -> dict[str, str]:
+    """Return the classes, functions and named types that a module defines for others, with their source."""
+    found = {}
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            found[node.name] = ast.unparse(node)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
+                # constants in capitals belong to their module
+                if isinstance(target, ast.Name) and not target.id.isupper():
+                    found[target.id] = ast.unparse(node)
+    return {name: source for name, source in found.items() if not name.startswith("_")}
+
+
+def test_a_public_name_has_one_meaning() -> None:
+    meanings: dict[str, dict[str, str]] = {}
+    for path in modules():
+        for name, source in public_names(path).items():
+            meanings.setdefault(name, {})[str(path.relative_to(ROOT))] = source
+    several = {name: sorted(places) for name, places in meanings.items() if len(set(places.values())) > 1}
+    assert {name: places for name, places in several.items() if name not in INTERFACES} == {}
 
 
 def folder(path: Path) -> str:

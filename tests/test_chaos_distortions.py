@@ -13,7 +13,7 @@ import chaos
 import pytest
 
 from adapters.mavlink.mavlink_message import PacketParser, packet_sequence
-from adapters.mavlink.signing import SignatureVerifier, Verdict
+from adapters.mavlink.signing import SignatureVerdict, SignatureVerifier
 from adapters.message import Message
 from adapters.simulation.fleet_sender import Due, fleet_packets, read_flight
 
@@ -125,10 +125,10 @@ def test_poison_is_in_packets_that_are_intact(packets: list[Due], rng: random.Ra
 def test_a_forger_has_another_key_and_replays_are_old(packets: list[Due], rng: random.Random) -> None:
     verifier = SignatureVerifier(chaos.KEY)
     verdicts = Counter(verifier.check(packet, NOW_NS + due) for due, packet in chaos.forge(packets, rng, NOW_NS))
-    assert verdicts[Verdict.VALID] == len(packets)
-    assert verdicts[Verdict.FORGED] > 20
-    assert verdicts[Verdict.REPLAYED] > 50
-    assert verdicts[Verdict.UNSIGNED] == 0
+    assert verdicts[SignatureVerdict.VALID] == len(packets)
+    assert verdicts[SignatureVerdict.FORGED] > 20
+    assert verdicts[SignatureVerdict.REPLAYED] > 50
+    assert verdicts[SignatureVerdict.UNSIGNED] == 0
 
 
 def test_sequence_numbers_survive(packets: list[Due]) -> None:

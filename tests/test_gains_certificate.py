@@ -9,7 +9,7 @@ from gains_samples import random_plant
 
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
-from gains.synthesis.certificate import certify, report
+from gains.synthesis.certificate import certify, design_report
 from gains.synthesis.convex import design_convex
 from gains.synthesis.design import Design
 
@@ -70,7 +70,7 @@ def test_rounding_is_counted_against_the_margin() -> None:
 
 
 def test_the_report_has_the_keys_of_the_contract(arm: Plant, design: Design) -> None:
-    found = report(arm, design, certify(arm, design))
+    found = design_report(arm, design, certify(arm, design))
     keys = "model method domain rate_hz status sqrt_mu norm poles_max_abs gain_max_abs certificate solve_s total_s"
     assert set(keys.split()) <= set(found)
     assert found["certificate"] | {"margin": None} == {

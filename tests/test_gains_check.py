@@ -12,19 +12,19 @@ from hypothesis import strategies as st
 
 import fauio
 from adapters.errors import ModelError
-from gains.analysis.check import check_plant, report
-from gains.analysis.check_text import text
+from gains.analysis.check import check_plant, check_report
+from gains.analysis.check_text import check_text
 from gains.analysis.existence import check_existence
 from gains.plants.model_file import builtin_model, write_model
 from gains.plants.plant import Fault, FloatArray, Plant
 
 
 def messages(plant: Plant) -> list[str]:
-    return [problem["message"] for problem in report(check_plant(plant))["problems"]]
+    return [problem["message"] for problem in check_report(check_plant(plant))["problems"]]
 
 
 def conditions(plant: Plant) -> set[str]:
-    return {problem["condition"] for problem in report(check_plant(plant))["problems"]}
+    return {problem["condition"] for problem in check_report(check_plant(plant))["problems"]}
 
 
 def tracker(faults: tuple[Fault, ...], C: FloatArray, outputs: tuple[str, ...]) -> Plant:
@@ -84,7 +84,7 @@ def test_the_hexacopter_can_have_most_sets_of_four_motors() -> None:
     opposite.add(("motor1", "motor3", "motor4", "motor6"))
     assert {problem.faults for problem in check.estimability.problems} == opposite
     assert check.pairs == ()
-    assert "6 faults for 4 outputs: at most 4 can be estimated together" in text(check)
+    assert "6 faults for 4 outputs: at most 4 can be estimated together" in check_text(check)
 
 
 def test_every_set_reported_can_be_designed_for() -> None:
@@ -107,7 +107,7 @@ def test_many_faults_are_explained_in_part_with_a_notice(monkeypatch: pytest.Mon
     assert {len(found) for found in check.estimability.sets} == {12}
     (problem,) = check.estimability.problems
     assert len(problem.faults) == 13
-    assert "the search was stopped" in text(check)
+    assert "the search was stopped" in check_text(check)
 
 
 def test_pairs_are_alike_at_every_frequency_or_only_when_constant() -> None:
@@ -191,8 +191,8 @@ def test_the_check_agrees_with_the_synthesis_on_plants_full_of_coincidences(seed
     names = tuple(f"x{i}" for i in range(n)), tuple(f"y{i}" for i in range(p))
     plant = Plant("coincidence", names[0], (), names[1], A, np.zeros((n, 0)), C, faults=tuple(faults))
     check = check_plant(plant)
-    json.dumps(report(check), allow_nan=False)
-    assert text(check).startswith("coincidence: ")
+    json.dumps(check_report(check), allow_nan=False)
+    assert check_text(check).startswith("coincidence: ")
     try:
         check_existence(plant)
     except ValueError:
@@ -225,7 +225,7 @@ def test_zeros_are_reported_with_what_moves_and_how_fast() -> None:
     (zero,) = check.zeros
     assert (zero.of, zero.faults, zero.states) == ("sensor faults", ("gps_offset",), ("position",))
     assert zero.s == pytest.approx(-0.1)
-    assert "gps_offset and position move unseen together: decays with time constant 10 s" in text(check)
+    assert "gps_offset and position move unseen together: decays with time constant 10 s" in check_text(check)
     (sampled,) = check_plant(plant, 50.0).zeros
     assert sampled.s == pytest.approx(-0.1, rel=1e-6)
 
@@ -241,7 +241,7 @@ def test_the_zero_of_a_motor_is_found_and_does_not_forbid_it() -> None:
 def test_a_fault_that_reaches_its_sensor_by_detour_is_seen_late() -> None:
     plant = tracker((Fault("motor", "actuator", input="force"),), np.array([[1.0, 0.0]]), ("gps",))
     assert check_plant(plant).late == ("motor",)
-    assert "seen late     motor" in text(check_plant(plant))
+    assert "seen late     motor" in check_text(check_plant(plant))
 
 
 def test_the_structure_matrix_tells_steady_ramp_change_and_none_apart() -> None:

@@ -10,7 +10,7 @@ from adapters.errors import ModelError
 from gains.analysis.augment import augment
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
-from gains.published.error_system import error_norm, error_system, slope_matrix
+from gains.published.error_system import error_norm, published_error_system, slope_matrix
 from gains.synthesis.continuous_observer import ContinuousObserver, fauio_observer
 
 
@@ -27,7 +27,7 @@ def test_the_printed_gains_have_the_norm_that_the_theory_states(name: str, norm:
 
 def test_the_printed_gains_have_the_poles_that_the_theory_states() -> None:
     plant, observer = printed("arm-disturbed")
-    poles = np.sort(np.linalg.eigvals(error_system(plant, observer, np.array([0.5])).A).real)
+    poles = np.sort(np.linalg.eigvals(published_error_system(plant, observer, np.array([0.5])).A).real)
     assert poles == pytest.approx([-33_280, -170, -12.26, -0.998, -0.998, -0.383], rel=0.01)
 
 
@@ -36,7 +36,7 @@ def test_it_is_similar_to_the_error_system_of_the_theory() -> None:
     plant = builtin_model("arm-disturbed")
     plant = replace(plant, faults=tuple(replace(fault, rate=3.0, error=0.5) for fault in plant.faults))
     K, L_i, L_p = rng.normal(size=(5, 3)), rng.normal(size=(1, 3)), rng.normal(size=(1, 3))
-    found = error_system(plant, fauio_observer(plant, K, L_i, L_p, "any"), np.array([0.3]))
+    found = published_error_system(plant, fauio_observer(plant, K, L_i, L_p, "any"), np.array([0.3]))
     a = augment(plant)
     injection = np.vstack([K + a.L1 @ plant.E_f @ L_p, L_i])
     C_a, D = np.hstack([a.C_b, np.zeros((3, 1))]), np.hstack([np.zeros((3, 1)), plant.D_1])
@@ -60,7 +60,7 @@ def test_it_is_similar_to_the_error_system_of_the_theory() -> None:
 
 def test_a_sensor_fault_that_needs_no_assumption_has_no_column() -> None:
     plant, observer = printed("arm-disturbed")
-    system = error_system(plant, observer, np.array([0.0]), sensor_fault_rates=True)
+    system = published_error_system(plant, observer, np.array([0.0]), sensor_fault_rates=True)
     assert np.max(np.abs(system.B[:, -1])) < 1e-9
 
 
@@ -68,7 +68,7 @@ def test_a_sensor_fault_that_needs_no_assumption_has_no_column() -> None:
 def test_an_observer_whose_error_depends_on_the_plant_is_refused(matrix: str) -> None:
     plant, observer = printed("arm-disturbed")
     with pytest.raises(ModelError, match="depends on"):
-        error_system(plant, replace(observer, **{matrix: getattr(observer, matrix) + 0.1}), np.array([0.0]))
+        published_error_system(plant, replace(observer, **{matrix: getattr(observer, matrix) + 0.1}), np.array([0.0]))
 
 
 def test_slopes_of_several_arguments_belong_to_their_own_nonlinearity() -> None:

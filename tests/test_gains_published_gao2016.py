@@ -7,7 +7,7 @@ import pytest
 
 from adapters.errors import InfeasibleError
 from gains.plants.model_file import builtin_model
-from gains.published.error_system import error_norm, error_system
+from gains.published.error_system import error_norm, published_error_system
 from gains.published.gao2016 import design_gao2016
 
 
@@ -31,13 +31,13 @@ def test_a_decoupled_disturbance_does_not_touch_the_error() -> None:
     plant = builtin_model("arm-disturbed")
     plant = replace(plant, faults=plant.sensor_faults)
     observer = design_gao2016(plant, decouple=True)
-    system = error_system(plant, observer, np.array([0.5]), noise_path="all")
+    system = published_error_system(plant, observer, np.array([0.5]), noise_path="all")
     assert np.max(np.abs(system.B[:, 0])) < 1e-6 * np.max(np.abs(system.B))
 
 
 def test_a_sensor_fault_that_moves_is_a_disturbance_to_it() -> None:
     plant = builtin_model("arm-disturbed")
-    system = error_system(plant, design_gao2016(plant), np.array([0.0]), sensor_fault_rates=True)
+    system = published_error_system(plant, design_gao2016(plant), np.array([0.0]), sensor_fault_rates=True)
     assert np.max(np.abs(system.B[:, -1])) > 0.1
 
 

@@ -18,7 +18,7 @@ from gains.analysis.floor import floor_sqrt_mu
 from gains.plants.discretise import discretise
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Disturbance, Fault, FloatArray, Plant
-from gains.synthesis.certificate import Certificate, certify, report
+from gains.synthesis.certificate import Certificate, certify, design_report
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.design import Design
@@ -163,7 +163,7 @@ def test_a_plant_with_12_sines_is_designed_without_its_4096_vertices() -> None:
     certificate = assert_proven(plant, design)
     assert (certificate.proof, certificate.slopes) == ("multipliers", 65)
     assert floor_sqrt_mu(plant).value <= design.sqrt_mu
-    assert "64 of their 2^12 vertices" in report(plant, design, certificate)["notes"][-1]
+    assert "64 of their 2^12 vertices" in design_report(plant, design, certificate)["notes"][-1]
     for slopes in np.random.default_rng(1).choice([-1.0, 1.0], (6, 12)):
         assert worst_norm(plant, design, slopes) <= design.sqrt_mu
     with pytest.raises(InfeasibleError, match="12 slopes vary"):

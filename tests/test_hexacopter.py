@@ -9,7 +9,7 @@ from hexacopter import hexacopter_flight
 from adapters.logs.recordings import packed
 from monitor.event import AlarmEvent
 from monitor.profile import Profile, read_profile
-from replay.fit import fit
+from replay.fit import fit_profile
 from replay.player import play
 
 pytestmark = pytest.mark.long
@@ -22,7 +22,7 @@ def profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
     with pytest.MonkeyPatch.context() as patch:
         # what a profile will detect is measured in other tests
         patch.setattr("replay.fit._measured", lambda fitted, gate: replace(fitted, flights=()))
-        fit("multirotor", [lambda: packed(first), lambda: packed(second)], folder, "hexa")
+        fit_profile("multirotor", [lambda: packed(first), lambda: packed(second)], folder, "hexa")
     return read_profile(folder)
 
 

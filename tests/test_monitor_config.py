@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from adapters.errors import ConfigError
 from monitor.configuration.config import Config, NewVehicles, Vehicle, entries, read_config
-from monitor.configuration.config_page import render
+from monitor.configuration.config_page import config_page
 from monitor.profile import Profile
 
 ROOT = Path(__file__).parent.parent
@@ -250,13 +250,13 @@ def test_the_worked_example_is_right_and_shows_every_key(tmp_path: Path) -> None
 
 
 def test_the_reference_page_is_up_to_date() -> None:
-    assert (ROOT / "docs/config.md").read_text() == render(), (
+    assert (ROOT / "docs/config.md").read_text() == config_page(), (
         "run python -m monitor.configuration.config_page > docs/config.md"
     )
 
 
 def test_every_key_has_a_description_and_an_example_that_is_right(tmp_path: Path) -> None:
-    page = render()
+    page = config_page()
     examples = re.findall(r"^\| `(\w+)` \|.* \| (.+?) \| `(.+)` \|$", page, re.MULTILINE)
     assert len(examples) == len(re.findall(r"^\| `", page, re.MULTILINE))
     for name, description, text in examples:

@@ -16,7 +16,7 @@ from loopback import Endpoint, free_port
 import fauio
 from monitor.bus.publisher import Publisher
 from monitor.diagnosis.doctor import checks_text, profile_check, version_checks, worst
-from monitor.diagnosis.doctor_check import Check
+from monitor.diagnosis.doctor_check import DoctorCheck
 from monitor.diagnosis.doctor_machine import buffer_check, clock_checks, disk_check, folder_check, serial_checks
 from monitor.diagnosis.doctor_network import mavlink_check, metrics_check, round_trip_check, zenoh_port_check
 from monitor.diagnosis.versions import Library
@@ -191,7 +191,7 @@ def test_libraries_that_are_missing_or_too_old_fail(monkeypatch: pytest.MonkeyPa
 
 
 def test_the_worst_check_counts() -> None:
-    ok, warning = Check("a", "ok", "fine"), Check("long name", "warning", "odd", "look")
+    ok, warning = DoctorCheck("a", "ok", "fine"), DoctorCheck("long name", "warning", "odd", "look")
     assert (worst([]), worst([ok, warning])) == ("ok", "warning")
     assert checks_text([ok, warning]) == (
         "ok       a          fine\nwarning  long name  odd\n                    -> look\n1 ok, 1 to look at, 0 failed\n"

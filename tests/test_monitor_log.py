@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from loopback import event, until
 
 from monitor.service import log as module
-from monitor.service.log import Log
+from monitor.service.log import ServiceLog
 
 ROOT = Path(__file__).parent.parent
 SECOND = 1_000_000_000
@@ -32,8 +32,8 @@ class Clock:
 
 
 @contextmanager
-def logging_to(stream: Any, as_json: bool = True, clock: Clock | None = None) -> Iterator[Log]:
-    log = Log(as_json, stream, clock or Clock())
+def logging_to(stream: Any, as_json: bool = True, clock: Clock | None = None) -> Iterator[ServiceLog]:
+    log = ServiceLog(as_json, stream, clock or Clock())
     try:
         yield log
     finally:
@@ -92,7 +92,7 @@ def test_ten_lines_of_a_name_come_at_once_then_one_a_second_with_the_number_left
         clock.now = 100 * SECOND
         for number in range(12):
             log.say("noise", number=100 + number)
-        assert log.statistics() == module.LogStatistics(written=22, suppressed=8, dropped=0)
+        assert log.statistics() == module.ServiceLogStatistics(written=22, suppressed=8, dropped=0)
     lines = parsed(stream)
     numbers = [line.get("number") for line in lines]
     assert numbers == [*range(10), None, 15, *range(100, 110)]
@@ -180,8 +180,8 @@ def test_a_pipe_that_nobody_reads_does_not_stop_the_monitor() -> None:
 def test_a_pipe_whose_reader_is_gone_does_not_stop_the_monitor() -> None:
     code = """
 import sys
-from monitor.service.log import Log
-log = Log(as_json=True)
+from monitor.service.log import ServiceLog
+log = ServiceLog(as_json=True)
 sys.stdin.read()
 log.say("unheard")
 assert log.statistics().dropped == 1

@@ -19,7 +19,7 @@ from adapters.source import MAVLINK
 from monitor.core.sampling import VehicleClock
 from monitor.sampling.gate import FlightGate, GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
-from monitor.sampling.transform import Source
+from monitor.sampling.transform import SampleSource
 
 COUNT = 300
 
@@ -111,7 +111,7 @@ def test_where_samples_are_cut_makes_no_difference(
 
 
 def test_samples_restart_where_the_vehicle_comes_to_say_that_it_flies_and_bridged_ones_are_no_evidence() -> None:
-    source = Source((Channel("u", "A", ("u",)),), (Channel("y", "A", ("y",)),))
+    source = SampleSource((Channel("u", "A", ("u",)),), (Channel("y", "A", ("y",)),))
     sampler = GatedSampler(source, 100.0, VehicleClock(), GateRule(settle_s=0.0))
     messages = [
         Message(MAVLINK, "A", 1_000 * t, {"time_usec": t, "u": 1.0, "y": 2.0}, 1, 1)

@@ -13,7 +13,7 @@ from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.sampling.sampler import Sampler
-from monitor.sampling.transform import Source, TransformedSampler, TransformRule, make_sampler, make_transform
+from monitor.sampling.transform import SampleSource, TransformedSampler, TransformRule, make_sampler, make_transform
 from monitor.vehicles.inertial.strapdown import IMU
 
 SIGNALS = tuple(Channel(name, "HIGHRES_IMU", (name,)) for name in IMU)
@@ -36,7 +36,7 @@ def given(sampler: TransformedSampler, messages: Sequence[Message]) -> list[Row]
 
 
 def test_samples_come_at_the_observers_rate_with_the_transforms_names() -> None:
-    sampler = make_sampler(Source(transform=RULE, signals=SIGNALS), 25.0, VehicleClock())
+    sampler = make_sampler(SampleSource(transform=RULE, signals=SIGNALS), 25.0, VehicleClock())
     assert sampler.interests == {"HIGHRES_IMU"}
     assert isinstance(sampler, TransformedSampler)
     samples = given(sampler, [*still(4.0)])
@@ -60,7 +60,7 @@ def test_a_gap_and_a_restart_start_the_transform_anew(by_gap: bool) -> None:
 
 
 def test_channels_as_they_are_need_no_transform() -> None:
-    source = Source(SIGNALS[:1], SIGNALS[1:2])
+    source = SampleSource(SIGNALS[:1], SIGNALS[1:2])
     assert isinstance(make_sampler(source, 50.0, VehicleClock()), Sampler)
     assert source.channels == SIGNALS[:2]
 

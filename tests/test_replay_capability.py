@@ -141,7 +141,8 @@ def test_faults_that_scale_no_command_worth_losing_are_steps_in_their_own_units(
     (observer,) = arm_profile.observers
     runs = [simulate_arm(SCENARIOS["healthy"], 30.0, observer.rate_hz, torque) for torque in TORQUES]
     flights = [
-        flight_samples(packed(arm_messages(run, 10**18)), observer.source, observer.rate_hz, arm_profile.gate) for run in runs
+        flight_samples(packed(arm_messages(run, 10**18)), observer.source, observer.rate_hz, arm_profile.gate)
+        for run in runs
     ]
     found = capability(observer, builtin_model("arm-disturbed"), flights, arm_profile.gate)
     assert [(one.channel, one.unit, one.loss) for one in found] == [("motor", "N m", False), ("encoder", "rad", False)]

@@ -25,7 +25,7 @@ from monitor.estimation.isolation_rule import BankRule
 from monitor.fitting.fitted import FitRequest
 from monitor.profile import UNEXPLAINED, read_profile
 from monitor.vehicles.custom.fit import _alarms, custom_messages, fit_custom
-from replay.fit import fit
+from replay.fit import fit_profile
 from replay.player import play
 
 MODEL = Path(__file__).parent / "data" / "arm_free.toml"
@@ -140,7 +140,7 @@ def test_faults_that_cannot_be_estimated_together_get_a_bank(tmp_path: Path, mon
         r"^(\w+) = \{ start.*", lambda found: f"{found[1]} = {TRUTH[found[1]]}", MODEL.read_text(), flags=re.M
     )
     path.write_text(known.replace("[[disturbance]]", sensors + "[[disturbance]]"))
-    (fitted,) = fit("custom", [log(excited(0.0)), log(excited(2.0))], folder, "arm", path).observers
+    (fitted,) = fit_profile("custom", [log(excited(0.0)), log(excited(2.0))], folder, "arm", path).observers
     assert isinstance(fitted.isolation, BankRule)
     (observer,) = read_profile(folder).observers
     assert len(observer.gains) == len(fitted.isolation.hypotheses) == 4
@@ -173,7 +173,7 @@ def test_a_custom_vehicle_needs_its_model_and_no_other_takes_one(
 def test_recordings_that_move_nothing_are_refused_with_what_to_record(tmp_path: Path) -> None:
     idle = simulate_arm(SCENARIOS["healthy"], 20.0, 100.0)
     with pytest.raises(ModelError, match=r"'parameters\.gain' .*record manoeuvres that move torque") as caught:
-        fit("custom", [log(idle)], tmp_path / "arm", "arm", MODEL)
+        fit_profile("custom", [log(idle)], tmp_path / "arm", "arm", MODEL)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "arm").exists()
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gains.identification.excitation import Verdict
+from gains.identification.excitation import ExcitationVerdict
 from gains.identification.residuals import residual_statistics
 from monitor.fitting.fit_report import Comparison, comparison_lines, draw_comparison, parameter_lines
 
@@ -34,7 +34,10 @@ def test_every_output_gets_a_line() -> None:
 
 def test_what_is_not_determined_stands_out() -> None:
     lines = parameter_lines(
-        [Verdict("mass", 2.0, 0.01, True, ""), Verdict("drag", 0.1, 3.0, False, "record manoeuvres that move speed")]
+        [
+            ExcitationVerdict("mass", 2.0, 0.01, True, ""),
+            ExcitationVerdict("drag", 0.1, 3.0, False, "record manoeuvres that move speed"),
+        ]
     )
     assert lines == ["mass  2 +- 0.01", "drag  0.1 +- 3  NOT DETERMINED: record manoeuvres that move speed"]
 

@@ -23,7 +23,7 @@ from adapters.logs.recordings import read_recording
 from adapters.message import Message
 from adapters.source import MAVLINK, ZENOH
 from monitor.profile import Profile
-from replay.attacks.attack import KINDS, Attack
+from replay.attacks.attack import ATTACK_KINDS, Attack
 from replay.attacks.injector import Injector, inject, plan
 from replay.attacks.instruments import INSTRUMENTS, metres_per_degree, pressure_altitude
 from replay.attacks.plant_response import PlantResponse, find_fault
@@ -507,7 +507,7 @@ def test_malformed_messages_pass_as_they_are() -> None:
     assert [m for m in found if m.fields == {"roll": "x"}] == bad
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ATTACK_KINDS)
 def test_every_kind_says_what_it_does(kind: str) -> None:
     assert attack("gyro_x", kind, size=0.5, rate=2.0).meaning
 
@@ -521,7 +521,7 @@ def test_the_help_lists_every_kind_and_every_channel(capsys: pytest.CaptureFixtu
     with pytest.raises(SystemExit):
         fauio.main(["inject", "--help"])
     said = capsys.readouterr().out
-    assert ", ".join(KINDS) in " ".join(said.split())
+    assert ", ".join(ATTACK_KINDS) in " ".join(said.split())
     for channel in INSTRUMENTS:
         axis = channel.removesuffix("_y").removesuffix("_z")
         assert axis in said

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from adapters.errors import StorageError, TelemetryError, UsageError
-from replay.runs.log_list import Log, find_logs, forbid_overwriting, target
+from replay.runs.log_list import LogFile, find_logs, forbid_overwriting, target
 
 
 @pytest.fixture
@@ -46,9 +46,9 @@ def test_a_folder_stands_for_all_recordings_below_and_a_session_for_itself(fligh
 def test_the_folder_of_a_session_is_one_recording(flights: Path) -> None:
     (flights / "day2/clips/one.mcap").unlink()
     (flights / "day2/other.tlog").unlink()
-    assert find_logs([flights / "day2"]) == [Log(flights / "day2", "day2")]
+    assert find_logs([flights / "day2"]) == [LogFile(flights / "day2", "day2")]
     (flights / "day2/quad-20260102T030405Z-0002.mcap").unlink()
-    assert find_logs([flights / "day2"]) == [Log(flights / "day2", "day2")]
+    assert find_logs([flights / "day2"]) == [LogFile(flights / "day2", "day2")]
 
 
 def test_recordings_of_the_same_name_get_names_of_their_own(flights: Path) -> None:
@@ -63,7 +63,7 @@ def test_a_folder_without_recordings_and_a_missing_file_are_refused(tmp_path: Pa
 
 
 def test_each_log_gets_a_file_of_its_own(tmp_path: Path) -> None:
-    log = Log(Path("in/a.tlog"), "day1_a")
+    log = LogFile(Path("in/a.tlog"), "day1_a")
     assert target("--plot", None, log, ".png", many=True) is None
     assert target("--plot", str(tmp_path), log, ".png", many=False) == tmp_path / "day1_a.png"
     assert target("--plot", f"{tmp_path}/new", log, ".png", many=True) == tmp_path / "new" / "day1_a.png"

@@ -20,7 +20,7 @@ from adapters.source import MAVLINK
 from monitor.profile import Profile
 from replay.player import play
 from replay.reports.recording_facts import RecordingMeter
-from replay.reports.report import Run, report
+from replay.reports.report import Run, recording_report
 
 DURATION_S = 30.0
 START_NS = 10**18
@@ -90,7 +90,7 @@ def healthy(arm_profile: Profile, tmp_path_factory: pytest.TempPathFactory) -> R
 
 
 def test_a_report_is_well_formed_and_loads_and_runs_nothing(faulty: Run) -> None:
-    html = report(faulty)
+    html = recording_report(faulty)
     page = Page(html)
     assert html.startswith("<!DOCTYPE html>")
     assert all(load.startswith("#") for load in page.loads)
@@ -102,7 +102,7 @@ def test_a_report_is_well_formed_and_loads_and_runs_nothing(faulty: Run) -> None
 
 
 def test_a_report_is_for_light_and_dark_and_paper(faulty: Run) -> None:
-    html = report(faulty)
+    html = recording_report(faulty)
     assert "@media (prefers-color-scheme: dark)" in html
     assert "@media print" in html
     assert "var(--series0)" in html
@@ -111,7 +111,7 @@ def test_a_report_is_for_light_and_dark_and_paper(faulty: Run) -> None:
 
 
 def test_a_faulty_run_is_told_with_time_size_certainty_and_threshold(faulty: Run) -> None:
-    page = Page(report(faulty))
+    page = Page(recording_report(faulty))
     raised = [event for event in faulty.replay.events if event.state == "raised"]
     assert raised
     for event in raised:
@@ -132,7 +132,7 @@ def test_a_faulty_run_is_told_with_time_size_certainty_and_threshold(faulty: Run
 
 
 def test_a_healthy_run_says_what_that_covers_and_what_not(healthy: Run) -> None:
-    page = Page(report(healthy))
+    page = Page(recording_report(healthy))
     assert healthy.replay.events == ()
     assert "No alarm was raised. That covers the channels below" in page.text
     assert "faults of any other kind, and smaller ones" in page.text
@@ -143,7 +143,7 @@ def test_a_recording_without_the_profile_s_messages_says_that_it_says_nothing(
     arm_profile: Profile, tmp_path: Path
 ) -> None:
     nothing = run_of(arm_profile, tmp_path, iter([Message(MAVLINK, "HEARTBEAT", START_NS, {}, 1, 1)]))
-    page = Page(report(nothing))
+    page = Page(recording_report(nothing))
     assert "This says nothing about the vehicle" in page.text
     assert "the recording has no" in page.text
     assert "there is nothing to draw" in page.text
@@ -153,14 +153,14 @@ def test_a_recording_without_the_profile_s_messages_says_that_it_says_nothing(
 def test_no_alarm_is_not_called_good_where_an_observer_watched_nothing(healthy: Run) -> None:
     [(name, watch)] = healthy.replay.watches.items()
     watches = {name: watch, "second": replace(watch, evidence=0)}
-    half = report(replace(healthy, replay=replace(healthy.replay, watches=watches)))
+    half = recording_report(replace(healthy, replay=replace(healthy.replay, watches=watches)))
     assert "second watched nothing at all." in Page(half).text
     assert 'class="verdict unknown"' in half
-    assert 'class="verdict"' in report(healthy)
+    assert 'class="verdict"' in recording_report(healthy)
 
 
 def test_an_empty_recording_is_reported_too(arm_profile: Profile, tmp_path: Path) -> None:
-    assert "no message" in Page(report(run_of(arm_profile, tmp_path, iter([])))).text
+    assert "no message" in Page(recording_report(run_of(arm_profile, tmp_path, iter([])))).text
 
 
 def test_names_from_outside_are_text_and_nothing_else(faulty: Run, tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_names_from_outside_are_text_and_nothing_else(faulty: Run, tmp_path: Pat
     )
     replay = replace(faulty.replay, events=hostile_events, traces=traces)
     profile = replace(faulty.profile, name=HOSTILE, vehicle=HOSTILE)
-    page = Page(report(replace(faulty, vehicle=HOSTILE, verdict=HOSTILE, replay=replay, profile=profile)))
+    page = Page(recording_report(replace(faulty, vehicle=HOSTILE, verdict=HOSTILE, replay=replay, profile=profile)))
     assert not page.tags & {"script", "img"}
     assert page.handlers == []
     assert all(load.startswith("#") for load in page.loads)
@@ -201,14 +201,14 @@ def test_what_thresholds_rest_on_is_told_where_the_fit_says_it(healthy: Run) -> 
     }
     fit = {"observers": {rules[0].observer: {"alarms": {rules[0].channel: said}}}}
     (healthy.folder / "fit.json").write_text(json.dumps(fit))
-    text = Page(report(healthy)).text
+    text = Page(recording_report(healthy)).text
     assert "0.012" in text
     assert "30 min" in text
     said["threshold"] = 3 * rules[0].threshold
     (healthy.folder / "fit.json").write_text(json.dumps(fit))
-    assert "30 min" not in Page(report(healthy)).text
+    assert "30 min" not in Page(recording_report(healthy)).text
     (healthy.folder / "fit.json").write_text("{broken")
-    assert "not calibrated, or edited since" in Page(report(healthy)).text
+    assert "not calibrated, or edited since" in Page(recording_report(healthy)).text
 
 
 def test_the_command_writes_a_report(arm_profile: Profile, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from replay.reports.report_html import Html, element, facts, page, table, text
+from replay.reports.report_html import Html, element, facts, html_text, page, table
 
 
 @given(st.text())
 def test_no_text_opens_an_element_or_leaves_an_attribute(words: str) -> None:
-    assert "<" not in text(words)
-    assert text(words).isprintable()
+    assert "<" not in html_text(words)
+    assert html_text(words).isprintable()
     made = element("p", words, aria_label=words)
     assert made.count("<") == made.count(">") == 2
     assert made.count('"') == 2
@@ -19,7 +19,7 @@ def test_no_text_opens_an_element_or_leaves_an_attribute(words: str) -> None:
 
 def test_markup_is_not_escaped_twice() -> None:
     assert element("p", element("b", "a & b"), "<") == "<p><b>a &amp; b</b>&lt;</p>"
-    assert text(Html("<br>")) == "<br>"
+    assert html_text(Html("<br>")) == "<br>"
 
 
 def test_attributes_have_their_names() -> None:

@@ -19,7 +19,7 @@ from adapters.errors import TelemetryError
 from adapters.message import Message
 from adapters.source import ZENOH
 
-Fields = Callable[[bytes], dict[str, Any]]
+FieldDecoder = Callable[[bytes], dict[str, Any]]
 
 _MOMENTS = {"google.protobuf.Timestamp", "google.protobuf.Duration"}
 
@@ -49,7 +49,7 @@ def foreign_decoder(topic: str, encoding: str, schema: Schema | None) -> Callabl
     return lambda data, time_ns: Message(ZENOH, name, time_ns, fields(data))
 
 
-def _fields(encoding: str, schema: Schema | None) -> Fields:
+def _fields(encoding: str, schema: Schema | None) -> FieldDecoder:
     if encoding == "json":
         return json_object
     if encoding == "cdr" and schema is not None:

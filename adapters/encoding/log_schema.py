@@ -11,7 +11,7 @@ from google.protobuf.message import DecodeError
 from adapters.batch import Columns
 from adapters.encoding.protobuf_types import (
     Field,
-    Scalar,
+    ProtobufScalar,
     class_from_descriptor_set,
     descriptor_set,
     identifiers,
@@ -23,8 +23,8 @@ from adapters.message import Message
 # One field's name and what it holds; of a nested type, its fields.
 Shape = tuple[tuple[str, str | tuple[Any, ...], bool], ...]
 
-_DTYPE_KINDS: Final[Mapping[str, Scalar]] = {"b": "bool", "i": "int64", "u": "int64", "f": "double"}
-_SCALARS: Final[Mapping[type, Scalar]] = {bool: "bool", int: "int64", float: "double", str: "string"}
+_DTYPE_KINDS: Final[Mapping[str, ProtobufScalar]] = {"b": "bool", "i": "int64", "u": "int64", "f": "double"}
+_SCALARS: Final[Mapping[type, ProtobufScalar]] = {bool: "bool", int: "int64", float: "double", str: "string"}
 
 
 def shape(fields: Mapping[str, Any]) -> Shape:

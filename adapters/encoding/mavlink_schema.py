@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from adapters.batch import Columns
 from adapters.encoding.protobuf_rows import RowDecoder
-from adapters.encoding.protobuf_types import Field, Scalar, message_class
+from adapters.encoding.protobuf_types import Field, ProtobufScalar, message_class
 from adapters.message import Message
 from adapters.source import MAVLINK
 
 PACKAGE = "mavlink"
 
-_KINDS: dict[str, Scalar] = {
+_KINDS: dict[str, ProtobufScalar] = {
     "float": "float",
     "double": "double",
     "char": "string",

@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory, timestamp_pb2
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto
 
-Scalar = Literal["bool", "double", "float", "int32", "uint32", "int64", "uint64", "string"]
+ProtobufScalar = Literal["bool", "double", "float", "int32", "uint32", "int64", "uint64", "string"]
 TIMESTAMP: Final = "google.protobuf.Timestamp"
 
 
@@ -30,7 +30,7 @@ class Field:
     """
 
     name: str
-    kind: Scalar | Literal["google.protobuf.Timestamp"] | tuple[Field, ...]
+    kind: ProtobufScalar | Literal["google.protobuf.Timestamp"] | tuple[Field, ...]
     repeated: bool = False
     optional: bool = False
 

@@ -21,17 +21,17 @@ from adapters.batch import Batch
 from adapters.errors import TelemetryError
 from adapters.logs.onboard_log import (
     READ_AHEAD_BYTES,
-    Layout,
+    FieldValues,
     LayoutField,
     LogClock,
-    LogStatistics,
+    OnboardLogStatistics,
     RecordKind,
+    RecordLayout,
     Records,
-    Values,
     Window,
     first_relation,
     layout,
-    text,
+    record_text,
 )
 from adapters.message import LATEST_NS
 from adapters.source import DATAFLASH
@@ -140,9 +140,9 @@ class DataflashReader:
         self._records = self._damaged = self._skipped_bytes = 0
         self._broken_off = False
 
-    def statistics(self) -> LogStatistics:
+    def statistics(self) -> OnboardLogStatistics:
         """Return the counts so far."""
-        return LogStatistics(self._records, 0, self._damaged, self._skipped_bytes, self._broken_off)
+        return OnboardLogStatistics(self._records, 0, self._damaged, self._skipped_bytes, self._broken_off)
 
     def __iter__(self) -> Iterator[Batch]:
         """Return the batches in which there are wanted messages.
@@ -291,7 +291,7 @@ def _head(number: int) -> bytes:
     return _MARK + bytes([number]) if 0 <= number < 256 else b""
 
 
-def _layout(name: str, codes: str, columns: Sequence[str]) -> Layout:
+def _layout(name: str, codes: str, columns: Sequence[str]) -> RecordLayout:
     """Return where the fields of a format lie; ValueError where it contradicts itself."""
     if any(code not in CODES for code in codes):
         raise ValueError(f"unknown code in {codes}")
@@ -316,15 +316,15 @@ def _layout(name: str, codes: str, columns: Sequence[str]) -> Layout:
     return layout(fields, at)
 
 
-def _divided(divisor: float, values: NDArray[Any]) -> Values:
+def _divided(divisor: float, values: NDArray[Any]) -> FieldValues:
     return np.asarray(values / divisor)
 
 
-def _texts(values: NDArray[np.void]) -> Values:
-    return [text(bytes(value).split(b"\0", 1)[0]) for value in values.tolist()]
+def _texts(values: NDArray[np.void]) -> FieldValues:
+    return [record_text(bytes(value).split(b"\0", 1)[0]) for value in values.tolist()]
 
 
-def _raw(values: NDArray[np.void]) -> Values:
+def _raw(values: NDArray[np.void]) -> FieldValues:
     return [bytes(value).decode("latin-1") for value in values.tolist()]
 
 

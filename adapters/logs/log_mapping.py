@@ -22,7 +22,7 @@ from adapters.errors import TelemetryError
 from adapters.toml_tables import is_number
 
 Angle = Literal["roll", "pitch", "yaw"]
-SOURCES: Final = ("ulog", "dataflash")
+ONBOARD_SOURCES: Final = ("ulog", "dataflash")
 
 _ANGLES = ("roll", "pitch", "yaw")
 _KEYS = {"topic", "field", "scale", "offset", "period", "interpolation", "angle", "values"}

@@ -24,11 +24,11 @@ READ_AHEAD_BYTES: Final = 1 << 22
 a PX4 log read in 1.3 s with 1, 4 and 16 MB), and what is decoded of it takes some ten times as much memory.
 """
 
-Values: TypeAlias = "NDArray[np.generic] | list[Any]"
+FieldValues: TypeAlias = "NDArray[np.generic] | list[Any]"
 
 
 @dataclass(frozen=True, slots=True)
-class LogStatistics:
+class OnboardLogStatistics:
     """Counts of a reader of onboard logs.
 
     Parameters
@@ -68,12 +68,12 @@ class LayoutField:
     """
 
     name: str
-    convert: Callable[[NDArray[Any]], Values] | None = None
+    convert: Callable[[NDArray[Any]], FieldValues] | None = None
     numbers: bool = True
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class RecordLayout:
     """Where the fields lie in the records of one kind.
 
     Parameters
@@ -101,9 +101,9 @@ class Layout:
         everywhere = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
         return everywhere[start].view(self.dtype)
 
-    def columns(self, records: NDArray[np.void]) -> dict[str, Values]:
+    def columns(self, records: NDArray[np.void]) -> dict[str, FieldValues]:
         """Return the fields of n records by name: an array of n rows, or a list of n values that are no numbers."""
-        found: dict[str, Values] = {}
+        found: dict[str, FieldValues] = {}
         for one in self.fields:
             values = np.ascontiguousarray(records[one.name])
             found[one.name] = values if one.convert is None else one.convert(values)
@@ -124,7 +124,7 @@ class RecordKind:
     ----------
     name : str
         Name of its messages.
-    layout : Layout
+    layout : RecordLayout
         Where the fields lie.
     wanted : bool
         Whether anybody wants them.
@@ -133,11 +133,11 @@ class RecordKind:
     """
 
     name: str
-    layout: Layout
+    layout: RecordLayout
     wanted: bool = True
     instance: str | None = None
 
-    def named(self, columns: Mapping[str, Values]) -> list[tuple[str, NDArray[np.int64] | slice]]:
+    def named(self, columns: Mapping[str, FieldValues]) -> list[tuple[str, NDArray[np.int64] | slice]]:
         """Return the names of the messages, and the rows that bear each."""
         values = None if self.instance is None else columns[self.instance]
         if isinstance(values, np.ndarray) and (values.dtype.kind not in "iu" or values.ndim > 1):
@@ -258,7 +258,7 @@ class Records:
         order = np.argsort(code, kind="stable")
         groups = np.split(order, np.searchsorted(code[order], np.arange(1, len(codes))))
         stamps_ns = np.full(len(start), _NO_TIME)
-        columns: list[tuple[str, NDArray[np.int64], dict[str, Values]]] = []
+        columns: list[tuple[str, NDArray[np.int64], dict[str, FieldValues]]] = []
         rows: list[tuple[str, int, dict[str, Any]]] = []
         for kind, index in zip(codes, groups, strict=True):
             if kind is None:
@@ -404,7 +404,7 @@ def first_relation(
     return None
 
 
-def layout(fields: Sequence[tuple[LayoutField, Any, int]], size: int) -> Layout:
+def layout(fields: Sequence[tuple[LayoutField, Any, int]], size: int) -> RecordLayout:
     """Return a layout of fields, the numpy type of each and where it begins, and the bytes of a record.
 
     Of fields of the same name the last one counts.
@@ -418,7 +418,7 @@ def layout(fields: Sequence[tuple[LayoutField, Any, int]], size: int) -> Layout:
             "itemsize": size,
         }
     )
-    return Layout(dtype, tuple(one for one, _, _ in by_name.values()))
+    return RecordLayout(dtype, tuple(one for one, _, _ in by_name.values()))
 
 
 def truth(values: NDArray[Any]) -> NDArray[np.bool_]:
@@ -426,7 +426,7 @@ def truth(values: NDArray[Any]) -> NDArray[np.bool_]:
     return np.asarray(values != 0)
 
 
-def text(data: bytes) -> str:
+def record_text(data: bytes) -> str:
     """Return bytes as text, as UTF-8 where they are that, else one character for each byte: nothing is lost."""
     try:
         return data.decode()
@@ -436,4 +436,4 @@ def text(data: bytes) -> str:
 
 def texts(values: NDArray[np.bytes_]) -> list[str]:
     """Return byte strings of fixed length as texts, without the zeros that fill them up."""
-    return [text(value) for value in values.tolist()]
+    return [record_text(value) for value in values.tolist()]

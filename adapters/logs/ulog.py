@@ -22,12 +22,12 @@ from adapters.errors import TelemetryError
 from adapters.logs.onboard_log import (
     READ_AHEAD_BYTES,
     LogClock,
-    LogStatistics,
+    OnboardLogStatistics,
     RecordKind,
     Records,
     Window,
     first_relation,
-    text,
+    record_text,
 )
 from adapters.logs.ulog_format import UlogField, UlogType, compile_type, decode_keyed, parse_format
 from adapters.message import LATEST_NS
@@ -132,9 +132,9 @@ class UlogReader:
             ord("S"): _sync,
         }
 
-    def statistics(self) -> LogStatistics:
+    def statistics(self) -> OnboardLogStatistics:
         """Return the counts so far."""
-        return LogStatistics(self._records, self._unknown, self._damaged, self._skipped_bytes, self._broken_off)
+        return OnboardLogStatistics(self._records, self._unknown, self._damaged, self._skipped_bytes, self._broken_off)
 
     def __iter__(self) -> Iterator[Batch]:
         """Return the batches in which there are wanted messages.
@@ -331,13 +331,13 @@ class UlogReader:
         level, stamp_us = struct.unpack_from("<BQ", body)
         if level not in _LEVELS:
             raise ValueError("no level of a text")
-        return TEXT, {"timestamp": stamp_us, "level": level - _LEVELS.start, "tag": 0, "text": text(body[9:])}
+        return TEXT, {"timestamp": stamp_us, "level": level - _LEVELS.start, "tag": 0, "text": record_text(body[9:])}
 
     def _tagged_text(self, body: bytes) -> tuple[str, dict[str, Any]]:
         level, tag, stamp_us = struct.unpack_from("<BHQ", body)
         if level not in _LEVELS:
             raise ValueError("no level of a text")
-        return TEXT, {"timestamp": stamp_us, "level": level - _LEVELS.start, "tag": tag, "text": text(body[11:])}
+        return TEXT, {"timestamp": stamp_us, "level": level - _LEVELS.start, "tag": tag, "text": record_text(body[11:])}
 
 
 def _information(body: bytes) -> tuple[str, dict[str, Any]]:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from adapters.logs.onboard_log import Layout, LayoutField, Values, layout, text, texts, truth
+from adapters.logs.onboard_log import FieldValues, LayoutField, RecordLayout, layout, record_text, texts, truth
 
 _CODES = {
     "int8_t": "b",
@@ -53,13 +53,13 @@ class UlogType:
 
     Parameters
     ----------
-    layout : Layout
+    layout : RecordLayout
         Of a record without the padding at its end, which the logger may leave out.
     size : int
         Bytes of a record with it.
     """
 
-    layout: Layout
+    layout: RecordLayout
     size: int
 
 
@@ -141,7 +141,7 @@ def _field(
     return LayoutField(field.name, lambda values: _nested(inner, values), numbers=False), np.dtype((inner.dtype, shape))
 
 
-def _nested(inner: Layout, values: np.ndarray[Any, Any]) -> Values:
+def _nested(inner: RecordLayout, values: np.ndarray[Any, Any]) -> FieldValues:
     """Return values of a nested type as mappings, or lists of mappings where there are several in a record."""
     rows = inner.rows(values.reshape(-1))
     if values.ndim == 1:
@@ -166,7 +166,7 @@ def decode_keyed(data: bytes) -> tuple[str, str, Any]:
     value = data[1 + length :]
     count = int(found["count"]) if found["count"] else None
     if kind == "char":
-        return name, f"char[{len(value)}]", text(value)
+        return name, f"char[{len(value)}]", record_text(value)
     code = _CODES.get(kind)
     if code is None:
         raise ValueError(f"no basic type: {kind}")

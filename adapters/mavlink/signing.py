@@ -120,7 +120,7 @@ def unix_stamp(now_ns: int) -> int:
     return max(0, (now_ns - _EPOCH_NS) // _STAMP_NS)
 
 
-class Verdict(enum.Enum):
+class SignatureVerdict(enum.Enum):
     """What a packet's signature says."""
 
     VALID = enum.auto()
@@ -139,7 +139,7 @@ class _Stream:
         self.newest = self.recent = self.before = oldest
         self.since_ns = now_ns
 
-    def take(self, stamp: int, now_ns: int) -> Verdict:
+    def take(self, stamp: int, now_ns: int) -> SignatureVerdict:
         age_ns = now_ns - self.since_ns
         if not 0 <= age_ns < _LATE_NS:
             # Kept by time of arrival: the stamps of a vehicle without a clock only count its packets.
@@ -148,8 +148,8 @@ class _Stream:
             self.since_ns = now_ns
         if stamp > self.newest:
             self.newest = stamp
-            return Verdict.VALID
-        return Verdict.LATE if stamp > self.before else Verdict.REPLAYED
+            return SignatureVerdict.VALID
+        return SignatureVerdict.LATE if stamp > self.before else SignatureVerdict.REPLAYED
 
 
 class SignatureVerifier:
@@ -166,16 +166,16 @@ class SignatureVerifier:
         self._streams: OrderedDict[tuple[int, int, int], _Stream] = OrderedDict()
         self._newest = 0
 
-    def check(self, packet: bytes, now_ns: int) -> Verdict:
+    def check(self, packet: bytes, now_ns: int) -> SignatureVerdict:
         """Return the verdict on an intact packet that came at a Unix time.
 
         A stream's time stamps have to increase; its first may be at most a minute behind the present time or the
         newest valid stamp of all streams.
         """
         if not packet_signed(packet):
-            return Verdict.UNSIGNED
+            return SignatureVerdict.UNSIGNED
         if not hmac.compare_digest(self._key.signature(packet[:-_HASH_BYTES]), packet[-_HASH_BYTES:]):
-            return Verdict.FORGED
+            return SignatureVerdict.FORGED
         stamp_at = len(packet) - _HASH_BYTES - _STAMP_BYTES
         stamp = int.from_bytes(packet[stamp_at : stamp_at + _STAMP_BYTES], "little")
         name = (packet[stamp_at - 1], *packet_sender(packet))
@@ -183,7 +183,7 @@ class SignatureVerifier:
         if stream is None:
             oldest = max(unix_stamp(now_ns), self._newest) - _MINUTE - 1
             if stamp <= oldest:
-                return Verdict.REPLAYED
+                return SignatureVerdict.REPLAYED
             stream = self._streams[name] = _Stream(oldest, now_ns)
             if len(self._streams) > _STREAMS:
                 self._streams.popitem(last=False)
@@ -239,12 +239,14 @@ class SigningGuard:
     def admits(self, packet: bytes, now_ns: int) -> bool:
         """Return whether an intact packet is let in; count it where not."""
         verdict = self._verifier.check(packet, now_ns)
-        if verdict is Verdict.VALID:
+        if verdict is SignatureVerdict.VALID:
             return True
-        if verdict is Verdict.LATE:
+        if verdict is SignatureVerdict.LATE:
             self._late += 1
             return False
-        if verdict is Verdict.UNSIGNED and (not self._require_signed or message_number(packet) in _FROM_RADIOS):
+        if verdict is SignatureVerdict.UNSIGNED and (
+            not self._require_signed or message_number(packet) in _FROM_RADIOS
+        ):
             return True
         system, _ = packet_sender(packet)
         counts = self._refused.setdefault(system, dict.fromkeys(_FINDINGS, 0))

@@ -26,14 +26,14 @@ from numpy.typing import NDArray
 
 from adapters.errors import UsageError
 
-Signal = Callable[[float], float]
-State = tuple[float, float, float, float]
-FaultChannel = Literal["f_a", "f_s"]
-FaultKind = Literal["step", "ramp", "sine"]
+ArmSignal = Callable[[float], float]
+ArmState = tuple[float, float, float, float]
+ArmFaultChannel = Literal["f_a", "f_s"]
+ArmFaultKind = Literal["step", "ramp", "sine"]
 Torque = Literal["zero", "tracking"]
 
-FAULT_CHANNELS: tuple[FaultChannel, ...] = ("f_a", "f_s")
-FAULT_KINDS: tuple[FaultKind, ...] = ("step", "ramp", "sine")
+FAULT_CHANNELS: tuple[ArmFaultChannel, ...] = ("f_a", "f_s")
+FAULT_KINDS: tuple[ArmFaultKind, ...] = ("step", "ramp", "sine")
 TORQUES: tuple[Torque, ...] = ("zero", "tracking")
 
 DURATION_S = 50.0
@@ -63,10 +63,10 @@ class ArmFault:
         Its course over simulated time.
     """
 
-    channel: FaultChannel
+    channel: ArmFaultChannel
     start_s: float
     stop_s: float
-    signal: Signal
+    signal: ArmSignal
 
     def at(self, time_s: float) -> float:
         """Return the fault's size at a time."""
@@ -137,7 +137,7 @@ SCENARIOS: dict[str, ArmScenario] = {
 
 
 def make_fault(
-    channel: FaultChannel, kind: FaultKind, start_s: float, stop_s: float, size: float, *, hz: float = SINE_HZ
+    channel: ArmFaultChannel, kind: ArmFaultKind, start_s: float, stop_s: float, size: float, *, hz: float = SINE_HZ
 ) -> ArmFault:
     """Return a fault of a simple kind.
 
@@ -228,19 +228,19 @@ def simulate_arm(
     return ArmRun(t=t, u=u, y=y, x=x, f_a=f_a, f_s=f_s)
 
 
-def fault_size(scenario: ArmScenario, channel: FaultChannel, time_s: float) -> float:
+def fault_size(scenario: ArmScenario, channel: ArmFaultChannel, time_s: float) -> float:
     """Return the true size of a channel's faults at a time; at a jump the one after it."""
     return sum(fault.at(time_s) for fault in scenario.faults if fault.channel == channel)
 
 
-def measure_arm(scenario: ArmScenario, state: State, time_s: float) -> tuple[float, float, float]:
+def measure_arm(scenario: ArmScenario, state: ArmState, time_s: float) -> tuple[float, float, float]:
     """Return the outputs C x + D_f f_s + D_1 w_2 at a state."""
     w_2 = 0.1 * math.sin(10.0 * time_s) if scenario.disturbed else 0.0
     f_s = fault_size(scenario, "f_s", time_s)
     return state[0] + f_s + 0.1 * w_2, state[1] - 0.02 * w_2, state[2] + state[3]
 
 
-def step_arm(scenario: ArmScenario, state: State, start_s: float, end_s: float, torque: float) -> State:
+def step_arm(scenario: ArmScenario, state: ArmState, start_s: float, end_s: float, torque: float) -> ArmState:
     """Return the state at ``end_s`` of an arm that was in ``state`` at ``start_s`` and whose torque is held."""
     edges = sorted({edge for fault in scenario.faults for edge in (fault.start_s, fault.stop_s)})
     borders = [start_s, *(edge for edge in edges if start_s < edge < end_s), end_s]
@@ -251,7 +251,7 @@ def step_arm(scenario: ArmScenario, state: State, start_s: float, end_s: float, 
     return state
 
 
-def tracking_reference(time_s: float) -> tuple[State, float]:
+def tracking_reference(time_s: float) -> tuple[ArmState, float]:
     """Return state and torque of the healthy, undisturbed arm whose link swings as 0.5 sin(0.5 t) rad.
 
     The link angle q = x_3 is a flat output: x_1 = q + (q'' + 3.33 sin q) / 19.5 follows from the link's
@@ -269,8 +269,8 @@ def tracking_reference(time_s: float) -> tuple[State, float]:
 
 
 def _integrate(
-    state: State, start_s: float, end_s: float, *, u: float, f_a: Sequence[Signal], disturbance: float
-) -> State:
+    state: ArmState, start_s: float, end_s: float, *, u: float, f_a: Sequence[ArmSignal], disturbance: float
+) -> ArmState:
     """Return the state at ``end_s``; ``f_a`` holds the signals that act all the while."""
     steps = max(1, math.ceil((end_s - start_s) / MAX_STEP_S - 1e-9))
     h = (end_s - start_s) / steps
@@ -289,7 +289,7 @@ def _integrate(
     return state
 
 
-def _slope(x: State, torque: float, w_1: float) -> State:
+def _slope(x: ArmState, torque: float, w_1: float) -> ArmState:
     """Return A x + B (u + f_a) + G sin(x_3) + E_1 w_1."""
     twist = x[0] - x[2]
     return (
@@ -300,11 +300,11 @@ def _slope(x: State, torque: float, w_1: float) -> State:
     )
 
 
-def _along(x: State, slope: State, h: float) -> State:
+def _along(x: ArmState, slope: ArmState, h: float) -> ArmState:
     return (x[0] + h * slope[0], x[1] + h * slope[1], x[2] + h * slope[2], x[3] + h * slope[3])
 
 
-def _start(torque: Torque) -> tuple[State, Signal]:
+def _start(torque: Torque) -> tuple[ArmState, ArmSignal]:
     """Return the state at time 0 and the torque over time."""
     if torque == "zero":
         return (0.0, 0.0, 0.0, 0.0), lambda _: 0.0

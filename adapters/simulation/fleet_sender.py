@@ -42,7 +42,7 @@ Due = tuple[int, bytes]
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class SentFlight:
     """What one vehicle sends.
 
     Parameters
@@ -57,7 +57,9 @@ class Flight:
     packets: Sequence[Due]
 
 
-def read_flight(path: str | os.PathLike[str], system: int, start_s: float = 0.0, stop_s: float | None = None) -> Flight:
+def read_flight(
+    path: str | os.PathLike[str], system: int, start_s: float = 0.0, stop_s: float | None = None
+) -> SentFlight:
     """Return the packets of the vehicle that a log is of, which is the one that most packets are from.
 
     Parameters
@@ -87,15 +89,17 @@ def read_flight(path: str | os.PathLike[str], system: int, start_s: float = 0.0,
     ]
     if not chosen:
         raise TelemetryError(f"{path}: holds nothing between {start_s:g} s and {stop_s or 0:g} s")
-    return Flight(system, chosen)
+    return SentFlight(system, chosen)
 
 
-def fleet_packets(flights: Iterable[Flight], seconds: float | None = None) -> Iterator[tuple[int, tuple[int, bytes]]]:
+def fleet_packets(
+    flights: Iterable[SentFlight], seconds: float | None = None
+) -> Iterator[tuple[int, tuple[int, bytes]]]:
     """Return what several vehicles send, in the order of time.
 
     Parameters
     ----------
-    flights : Iterable[Flight]
+    flights : Iterable[SentFlight]
         The vehicles; they begin together.
     seconds : float | None
         Repeat each flight until then; None sends each once.
@@ -112,7 +116,7 @@ def fleet_packets(flights: Iterable[Flight], seconds: float | None = None) -> It
         sequence[sender] += 1
 
 
-def _repeated(flight: Flight, seconds: float | None) -> Iterator[tuple[int, tuple[int, bytes]]]:
+def _repeated(flight: SentFlight, seconds: float | None) -> Iterator[tuple[int, tuple[int, bytes]]]:
     loop_ns = flight.packets[-1][0] + _PAUSE_NS
     for loop in itertools.count() if seconds is not None else (0,):
         for due_ns, packet in flight.packets:

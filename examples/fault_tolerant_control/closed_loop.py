@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from adapters.batch import pack
 from adapters.message import Message
-from adapters.simulation.arm import ArmScenario, State, fault_size, measure_arm, step_arm, tracking_reference
+from adapters.simulation.arm import ArmScenario, ArmState, fault_size, measure_arm, step_arm, tracking_reference
 from adapters.source import ZENOH
 from monitor.bus.payload import estimate_json
 from monitor.estimate import Estimates as EstimateRows
@@ -97,7 +97,7 @@ def close_loop(plant: Plant, exchange: Exchange) -> Run:
     return Run(*np.array(rows, dtype=float).T)
 
 
-def _next(plant: Plant, state: State, now_s: float, torque: float) -> State:
+def _next(plant: Plant, state: ArmState, now_s: float, torque: float) -> ArmState:
     return step_arm(plant.scenario, state, now_s, now_s + PERIOD_S, plant.effectiveness * torque)
 
 

@@ -63,7 +63,7 @@ class Explanation:
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class FaultPair:
     """Two faults that cannot be told apart: at any frequency (strong) or when they are constant only (weak)."""
 
     faults: tuple[str, str]
@@ -99,7 +99,7 @@ class Check:
     estimability: Estimability
     explanations: tuple[Explanation, ...]
     sensors: tuple[str, ...]
-    pairs: tuple[Pair, ...]
+    pairs: tuple[FaultPair, ...]
     late: tuple[str, ...]
     zeros: tuple[Zero, ...]
     structure: dict[str, dict[str, Effect]]
@@ -172,7 +172,7 @@ def structure_matrix(plant: Plant) -> dict[str, dict[str, Effect]]:
     return matrix
 
 
-def report(check: Check) -> dict[str, Any]:
+def check_report(check: Check) -> dict[str, Any]:
     """Return the findings as the JSON object of the command line."""
     from gains.analysis.check_text import sentence
 
@@ -263,7 +263,7 @@ def _with_leak(plant: Plant, states: tuple[str, ...]) -> Plant:
     return replace(plant, A=plant.A - leak)
 
 
-def _pairs(plant: Plant) -> Iterator[Pair]:
+def _pairs(plant: Plant) -> Iterator[FaultPair]:
     """Yield pairs that cannot be told apart although each of the two can be estimated, or that never can."""
     A = sloped_dynamics(plant)[0][0]
     alone = {fault.name: problem_of(plant, (fault.name,)) is None for fault in plant.faults}
@@ -272,9 +272,9 @@ def _pairs(plant: Plant) -> Iterator[Pair]:
         if hides_at_every_frequency(part, A) and not any(
             hides_at_every_frequency(restricted(plant, (name,)), A) for name in (first, second)
         ):
-            yield Pair((first, second), "strong")
+            yield FaultPair((first, second), "strong")
         elif alone[first] and alone[second] and problem_of(plant, (first, second)) is not None:
-            yield Pair((first, second), "weak")
+            yield FaultPair((first, second), "weak")
 
 
 def _effect(gains: FloatArray, reach: FloatArray) -> Effect:

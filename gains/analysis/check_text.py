@@ -23,7 +23,7 @@ _LEGEND = {
 }
 
 
-def text(check: Check) -> str:
+def check_text(check: Check) -> str:
     """Return the whole report."""
     lines = [_headline(check), *_entries("why not", _reasons(check))]
     if not check.estimable:

@@ -30,7 +30,7 @@ _STEP = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class ExcitationVerdict:
     """What is known about one parameter.
 
     Parameters
@@ -54,7 +54,7 @@ class Verdict:
 
 def excitation_verdicts(
     model: FreeModel, theta: FloatArray, covariance: FloatArray, movement: Mapping[str, float]
-) -> tuple[Verdict, ...]:
+) -> tuple[ExcitationVerdict, ...]:
     """Return a verdict on each free parameter.
 
     Parameters
@@ -86,7 +86,7 @@ def excitation_verdicts(
             note = _advice(driving, movement)
         elif _at_bound(value, parameter):
             note = "it ends at its bound: widen 'min' and 'max' if that is physical, else the model lacks something"
-        verdicts.append(Verdict(parameter.name, value, error, determined, note))
+        verdicts.append(ExcitationVerdict(parameter.name, value, error, determined, note))
     return tuple(verdicts)
 
 

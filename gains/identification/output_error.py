@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adapters.errors import ModelError
-from gains.identification.excitation import Verdict, excitation_verdicts
+from gains.identification.excitation import ExcitationVerdict, excitation_verdicts
 from gains.identification.free_model import FreeModel
 from gains.identification.noise_scales import NoiseScales, fit_noise_scales
 from gains.identification.residuals import ResidualStatistics, residual_statistics
@@ -122,7 +122,7 @@ class OutputErrorFit:
     rate_hz: float
     theta: FloatArray
     covariance: FloatArray
-    verdicts: tuple[Verdict, ...]
+    verdicts: tuple[ExcitationVerdict, ...]
     delay: int
     hold: Hold
     signals: Plant

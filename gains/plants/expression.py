@@ -27,8 +27,8 @@ _OPERATORS: dict[type[ast.operator], str] = {
 }
 _CONSTANTS = {"pi": math.pi}
 
-Values = tuple[float, ...]
-Scalar = Callable[[Values], float]
+ArgumentValues = tuple[float, ...]
+Scalar = Callable[[ArgumentValues], float]
 
 
 @dataclass(frozen=True, slots=True)

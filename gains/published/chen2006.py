@@ -29,7 +29,7 @@ import numpy as np
 from adapters.errors import InfeasibleError
 from gains.plants.plant import FloatArray, Plant
 from gains.published.error_system import argument_rows
-from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_constant, scaled, solve
+from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_constant, scaled, solve_lmi
 from gains.synthesis.continuous_observer import ContinuousObserver
 
 _RANK_TOLERANCE = 1e-9
@@ -94,7 +94,7 @@ def design_chen2006(plant: Plant, filter_s: float = 0.05) -> ContinuousObserver:
     why = f"the Lipschitz constant {constant:.3g} of the nonlinearity is too large for it"
     # the smallest excess always exists, so that an infeasible inequality is proved so and not given up on
     least = cp.Problem(cp.Minimize(excess), [inequality << excess * np.eye(2 * nz), P >> 0])
-    seconds = solve(least, plant, "chen2006", why)
+    seconds = solve_lmi(least, plant, "chen2006", why)
     if excess.value > -_MARGIN:
         raise InfeasibleError(f"{plant.name}: the chen2006 inequality has no solution: {why}")
     energies = [gain_energy(P, Yb), gain_energy(P, Kb)]
@@ -102,7 +102,7 @@ def design_chen2006(plant: Plant, filter_s: float = 0.05) -> ContinuousObserver:
         cp.Minimize(cp.trace(P) + sum(energy for energy, _ in energies)),
         [inequality << 0, P >> 0, *(holds for _, holds in energies)],
     )
-    seconds += solve(tempered, plant, "chen2006", why)
+    seconds += solve_lmi(tempered, plant, "chen2006", why)
     Y, K = np.linalg.solve(P.value, Yb.value), np.linalg.solve(P.value, Kb.value)
     E_o = U + Y @ V
     M = np.eye(nz) + E_o @ C_b

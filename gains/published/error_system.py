@@ -77,7 +77,7 @@ class ErrorNorm:
         return self.pole_max < 0.0 and self.value <= sqrt_mu * (1.0 + _CONSISTENCY)
 
 
-def error_system(
+def published_error_system(
     plant: Plant,
     observer: ContinuousObserver,
     slopes: FloatArray,
@@ -159,7 +159,7 @@ def error_norm(
     norms: list[ErrorNorm] = []
     kept = 2 * (len(plant.disturbances) + len(plant.noises))
     for slopes in slope_vertices(plant):
-        A, B, C, D = error_system(plant, observer, slopes, noise_path=noise_path)
+        A, B, C, D = published_error_system(plant, observer, slopes, noise_path=noise_path)
         used = slice(None) if inputs == "all" else slice(kept)
         norm = hinf_norm(A, B[:, used], C, D[:, used], discrete=False)
         pole = float(np.max(np.linalg.eigvals(A).real))

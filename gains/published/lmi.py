@@ -31,7 +31,7 @@ SMALLEST = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scaled:
+class ScaledPlant:
     """Matrices of a continuous plant in units of its scales.
 
     Parameters
@@ -60,7 +60,7 @@ class Scaled:
     lipschitz: FloatArray
 
 
-def scaled(plant: Plant) -> Scaled:
+def scaled(plant: Plant) -> ScaledPlant:
     """Return the scaled matrices of a plant.
 
     Raises
@@ -74,7 +74,7 @@ def scaled(plant: Plant) -> Scaled:
     disturbance = np.array([w.scale for w in plant.disturbances])
     noise = np.array([w.scale for w in plant.noises])
     sensor_errors = [fault.error for fault in plant.sensor_faults]
-    return Scaled(
+    return ScaledPlant(
         L1=augmentation.L1,
         F=augmentation.F,
         A_z=augmentation.A_z,
@@ -136,14 +136,14 @@ def solve_tempered(
     """
     import cvxpy as cp
 
-    seconds = solve(cp.Problem(cp.Minimize(mu), constraints), plant, method, why)
+    seconds = solve_lmi(cp.Problem(cp.Minimize(mu), constraints), plant, method, why)
     limit = max((1.0 + ALLOWANCE) ** 2 * float(mu.value), SMALLEST**2)
     energy = sum(energy for energy, _ in energies)
     tempered = cp.Problem(cp.Minimize(energy), [*constraints, *(holds for _, holds in energies), mu <= limit])
-    return seconds + solve(tempered, plant, method, why)
+    return seconds + solve_lmi(tempered, plant, method, why)
 
 
-def solve(problem: Any, plant: Plant, method: str, why: str) -> float:
+def solve_lmi(problem: Any, plant: Plant, method: str, why: str) -> float:
     """Solve an inequality with Clarabel and return the seconds it took.
 
     Raises

@@ -27,7 +27,7 @@ from adapters.errors import InfeasibleError
 from gains.analysis.augment import slope_vertices
 from gains.plants.plant import Plant
 from gains.published.error_system import argument_rows, slope_matrix
-from gains.published.lmi import block_matrix, confirmed, gain_energy, solve
+from gains.published.lmi import block_matrix, confirmed, gain_energy, solve_lmi
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
 
 
@@ -89,7 +89,7 @@ def design_zhang2008(
         M = block_matrix([[S + S.T + 2.0 * decay * P, -(S.T @ E) / sigma], [corner]])
         constraints.append(0.5 * (M + M.T) << 0)
     why = "the slopes are too wide, or E_f' P = F_z C cannot be met (a fault does not show in the rate of an output)"
-    seconds = solve(cp.Problem(cp.Minimize(energy), constraints), plant, "zhang2008", why)
+    seconds = solve_lmi(cp.Problem(cp.Minimize(energy), constraints), plant, "zhang2008", why)
     L = np.linalg.solve(P.value, Y.value)
     L_p = learning_rate * np.linalg.solve(E.T @ P.value @ E, F_z.value)
     x, q, y = np.split(np.eye(n + a1 + p), [n, n + a1])

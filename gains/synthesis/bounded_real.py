@@ -193,7 +193,7 @@ class _Unknowns:
     D_f: Any
 
 
-def solve(problem: Inequality, fixed: tuple[float, float] | None = None) -> tuple[Solution | None, float]:
+def solve_bounded_real(problem: Inequality, fixed: tuple[float, float] | None = None) -> tuple[Solution | None, float]:
     """Minimise mu (and the gains), or at fixed mu and trace(W) find the point farthest inside the inequality.
 
     Use the first form for the least bound. Its optimum lies on the boundary of the inequality, where rounding decides:

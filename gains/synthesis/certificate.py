@@ -131,7 +131,7 @@ def certify(plant: Plant, design: Design) -> Certificate:
     )
 
 
-def report(plant: Plant, design: Design, certificate: Certificate) -> dict[str, Any]:
+def design_report(plant: Plant, design: Design, certificate: Certificate) -> dict[str, Any]:
     """Return what a design is worth as the JSON object of the command line and the gains file."""
     return {
         "model": plant.name,

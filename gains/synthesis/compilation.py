@@ -21,7 +21,7 @@ from gains.analysis.augment import augment, integrators
 from gains.plants.discretise import discretise
 from gains.plants.model_file import model_hash
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.certificate import Certificate, report
+from gains.synthesis.certificate import Certificate, design_report
 from gains.synthesis.design import Design
 from gains.synthesis.gains_file import Gains, ScalarNonlinearity
 
@@ -91,7 +91,7 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
         F=design.F,
         N=design.N,
         J=design.J,
-        report=_provable(report(plant, design, certificate), design),
+        report=_provable(design_report(plant, design, certificate), design),
     )
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from gains.analysis.augment import augment, error_model
 from gains.analysis.hinf import hinf_norm
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.continuous_design import ContinuousDesign, ErrorSystem, closed_error_system
+from gains.synthesis.continuous_design import ContinuousDesign, ContinuousErrorSystem, closed_error_system
 from gains.synthesis.continuous_observer import fauio_gains
 
 _CONSISTENCY = 1e-9
@@ -122,7 +122,7 @@ def continuous_report(
     }
 
 
-def inequality_margin(system: ErrorSystem, P: FloatArray, mu: float) -> float:
+def inequality_margin(system: ContinuousErrorSystem, P: FloatArray, mu: float) -> float:
     """Return the smallest eigenvalue of P and of the negated inequality, scaled, less their rounding errors."""
     na, nw = len(P), system.B.shape[1]
     margin = _scaled_margin(P, np.zeros_like(P))

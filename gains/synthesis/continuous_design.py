@@ -66,7 +66,7 @@ class ContinuousDesign:
         )
 
 
-class ErrorSystem(NamedTuple):
+class ContinuousErrorSystem(NamedTuple):
     """The closed error system: A at each slope vertex (vertices, na, na), then B, C and D with the weights applied."""
 
     A: FloatArray
@@ -75,7 +75,7 @@ class ErrorSystem(NamedTuple):
     D: FloatArray
 
 
-def closed_error_system(model: ErrorModel, gains: FauioGains, fault_state: FaultState) -> ErrorSystem:
+def closed_error_system(model: ErrorModel, gains: FauioGains, fault_state: FaultState) -> ContinuousErrorSystem:
     """Close the error system of a continuous plant.
 
     With Kb = K + L1 E_f L_p the state [zeta~; z] obeys
@@ -104,7 +104,7 @@ def closed_error_system(model: ErrorModel, gains: FauioGains, fault_state: Fault
         L1_E_f = model.A[0, :nz, nz:]
         injection = np.vstack([gains.K + L1_E_f @ gains.L_p, gains.L_i])
         C_e, D_e = model.output(gains.L_p)
-        return ErrorSystem(model.A - injection @ model.C, model.B - injection @ model.D, C_e, D_e)
+        return ContinuousErrorSystem(model.A - injection @ model.C, model.B - injection @ model.D, C_e, D_e)
     q = (model.B.shape[1] - model.a1) // 2
     D_rate = np.roll(model.D, q, axis=1)
     A, B = np.empty_like(model.A), np.empty_like(model.B)
@@ -113,4 +113,4 @@ def closed_error_system(model: ErrorModel, gains: FauioGains, fault_state: Fault
     C_b = model.C[:, :nz]
     A[:, nz:] = -gains.L_i @ model.C - gains.L_p @ C_b @ A[:, :nz]
     B[nz:] = model.B[nz:] - gains.L_i @ model.D - gains.L_p @ (C_b @ B[:nz] + D_rate)
-    return ErrorSystem(A, B, np.diag(model.weights), np.zeros_like(B))
+    return ContinuousErrorSystem(A, B, np.diag(model.weights), np.zeros_like(B))

@@ -36,7 +36,7 @@ from gains.analysis.hinf import hinf_norm
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.conditioning import FLOOR, Coordinates, doubled
 from gains.synthesis.continuous_certificate import certify_continuous
-from gains.synthesis.continuous_design import ContinuousDesign, ErrorSystem, closed_error_system
+from gains.synthesis.continuous_design import ContinuousDesign, ContinuousErrorSystem, closed_error_system
 from gains.synthesis.continuous_observer import check_continuous, fauio_gains
 from gains.synthesis.solver import DEFAULT, ROBUST, bordered, solve_program
 
@@ -244,7 +244,7 @@ def _gains(
     return injection, np.sqrt(scaled.coordinates.mu) * L_p.value @ np.linalg.inv(Y) / weights, seconds
 
 
-def proofs(system: ErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArray, float, float]]:
+def proofs(system: ContinuousErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArray, float, float]]:
     """Yield P, mu and seconds that prove a closed error system: the least mu, raised by more and more slack.
 
     With the gains fixed the bounded-real inequality is linear in P and mu. An optimum lies on its boundary, where
@@ -252,7 +252,7 @@ def proofs(system: ErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArray, flo
 
     Parameters
     ----------
-    system : ErrorSystem
+    system : ContinuousErrorSystem
         The closed error system.
     S : FloatArray
         Coordinates (na, na) in which its state is of size one.
@@ -262,7 +262,9 @@ def proofs(system: ErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArray, flo
         return
     omega = float(np.exp(np.mean(np.log(np.abs(np.linalg.eigvals(system.A))))))
     inverse = np.linalg.inv(S)
-    own = ErrorSystem(inverse @ system.A @ S / omega, inverse @ system.B / omega, system.C @ S / norm, system.D / norm)
+    own = ContinuousErrorSystem(
+        inverse @ system.A @ S / omega, inverse @ system.B / omega, system.C @ S / norm, system.D / norm
+    )
     least, _, total = _proof(own)
     if least is None:
         return
@@ -275,7 +277,7 @@ def proofs(system: ErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArray, flo
             total = 0.0
 
 
-def _proof(system: ErrorSystem, mu_fixed: float | None = None) -> tuple[float | None, FloatArray, float]:
+def _proof(system: ContinuousErrorSystem, mu_fixed: float | None = None) -> tuple[float | None, FloatArray, float]:
     """Minimise mu over P, or at a fixed mu find the P farthest inside; mu, P and seconds."""
     import cvxpy as cp
 

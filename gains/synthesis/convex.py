@@ -27,7 +27,7 @@ from gains.analysis.augment import LARGEST_VERTEX_COUNT, Augmentation, ErrorMode
 from gains.analysis.existence import check_existence
 from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.bounded_real import Inequality, Solution, inequality, solve, user_gains
+from gains.synthesis.bounded_real import Inequality, Solution, inequality, solve_bounded_real, user_gains
 from gains.synthesis.certificate import certify
 from gains.synthesis.conditioning import kalman_coordinates
 from gains.synthesis.design import Design
@@ -230,13 +230,13 @@ def _solutions(problem: Inequality) -> Iterator[tuple[Solution, float]]:
     An optimum lies on the boundary of the inequality, where rounding decides. If it fails the certificate, a
     point inside, a little above the least mu, can still pass.
     """
-    best, solve_s = solve(problem)
+    best, solve_s = solve_bounded_real(problem)
     if best is None:
         return
     yield best, solve_s
     # Where gains are bounded the next condition of the ladder is worth more than more slack.
     for slack in _SLACKS if problem.gain_bound == np.inf else _SLACKS[:1]:
-        solution, seconds = solve(problem, (best.mu * (1.0 + slack), best.noise_energy * (1.0 + slack)))
+        solution, seconds = solve_bounded_real(problem, (best.mu * (1.0 + slack), best.noise_energy * (1.0 + slack)))
         solve_s += seconds
         if solution is not None:
             yield solution, solve_s

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 
-def text(report: dict[str, Any], out: Path | None) -> str:
+def design_text(report: dict[str, Any], out: Path | None) -> str:
     """Return the report that ``fauio design`` prints, with the file the gains were written to, if any."""
     continuous = report["domain"] == "continuous"
     at = "" if report["rate_hz"] is None else f" at {report['rate_hz']:g} Hz"

@@ -32,7 +32,7 @@ MAX_SHELVE_NS = 30 * 86_400 * 1_000_000_000
 """ISA-18.2 wants shelving to end by itself; a month is longer than any campaign. The configuration sets less."""
 _AS_BEFORE = " (as before the monitor changed)"
 
-Key = tuple[str, str]
+ChannelKey = tuple[str, str]
 
 
 @dataclass(slots=True)
@@ -59,12 +59,12 @@ class AlarmDesk:
         self.rule = rule
         self.seq = 0
         self._vehicle = vehicle
-        self._active: dict[Key, _Active] = {}
-        self._shelved: dict[Key, int] = {}
+        self._active: dict[ChannelKey, _Active] = {}
+        self._shelved: dict[ChannelKey, int] = {}
         self._raised_ns: deque[int] = deque(maxlen=rule.flood_raised + 1)
         self._flood_until_ns = 0
-        self._held_back: set[Key] = set()
-        self._unserved: dict[Key, AlarmEvent] = {}
+        self._held_back: set[ChannelKey] = set()
+        self._unserved: dict[ChannelKey, AlarmEvent] = {}
 
     @property
     def active(self) -> tuple[AlarmEvent, ...]:
@@ -198,7 +198,7 @@ class AlarmDesk:
     def adopt(
         self,
         alarms: Sequence[AlarmEvent],
-        watched: Collection[Key],
+        watched: Collection[ChannelKey],
         now_ns: int,
         shelved: Mapping[str, int] = MappingProxyType({}),
     ) -> list[AlarmEvent]:
@@ -208,7 +208,7 @@ class AlarmDesk:
         ----------
         alarms : Sequence[AlarmEvent]
             The last event of each, in the order of their numbers.
-        watched : Collection[Key]
+        watched : Collection[ChannelKey]
             Channels that can still clear by themselves.
         now_ns : int
             Unix time.
@@ -255,7 +255,7 @@ class AlarmDesk:
             )
         return published
 
-    def _take_raised(self, key: Key, event: AlarmEvent) -> list[AlarmEvent]:
+    def _take_raised(self, key: ChannelKey, event: AlarmEvent) -> list[AlarmEvent]:
         before = self._active.get(key)
         if before is not None:
             text = f"{event.message}; it is back before it was reset"
@@ -269,14 +269,14 @@ class AlarmDesk:
             self._held_back.add(key)
         return [*published, self._enter(key, event)]
 
-    def _enter(self, key: Key, event: AlarmEvent) -> AlarmEvent:
+    def _enter(self, key: ChannelKey, event: AlarmEvent) -> AlarmEvent:
         """Activate an alarm; return its event, shelved or not."""
         if (until := self._shelved.get(key)) is not None:
             event = replace(event, state="shelved", shelved_until_ns=until)
         entry = self._active[key] = _Active(self._numbered(event), silent=until is not None)
         return entry.event
 
-    def _unshelve(self, key: Key) -> None:
+    def _unshelve(self, key: ChannelKey) -> None:
         del self._shelved[key]
         self._held_back.discard(key)
 
@@ -333,7 +333,7 @@ class AlarmDesk:
         was = entry.event
         return replace(event, acknowledged=was.acknowledged, latched=was.latched, shelved_until_ns=was.shelved_until_ns)
 
-    def _raise_again(self, key: Key, now_ns: int, why: str) -> list[AlarmEvent]:
+    def _raise_again(self, key: ChannelKey, now_ns: int, why: str) -> list[AlarmEvent]:
         entry = self._active.get(key)
         if entry is None:
             return []
@@ -352,7 +352,7 @@ class AlarmDesk:
         self.seq += 1
         return replace(event, seq=self.seq)
 
-    def _key(self, fields: Mapping[str, object]) -> Key | None:
+    def _key(self, fields: Mapping[str, object]) -> ChannelKey | None:
         """Return the channel that a command means by id or by name; a name need not have an alarm now."""
         wanted = fields.get("id")
         for key, entry in self._active.items():
@@ -385,10 +385,10 @@ def _by(what: str, fields: Mapping[str, object]) -> str:
     )
 
 
-def _key_of(name: str) -> Key:
+def _key_of(name: str) -> ChannelKey:
     observer, _, channel = name.partition("/")
     return observer, channel
 
 
-def _text(key: Key) -> str:
+def _text(key: ChannelKey) -> str:
     return "/".join(key)

@@ -17,7 +17,7 @@ from monitor.configuration.config_checks import conflicts, link_conflicts
 DEFAULT_LISTEN = "tcp/127.0.0.1:7447"
 DEFAULT_PREFIX = "fauio"
 
-Command = Literal["ack", "shelve", "unshelve", "reset"]
+AllowedCommand = Literal["ack", "shelve", "unshelve", "reset"]
 T = TypeVar("T")
 _Read = Callable[[Table, str], Any]
 
@@ -143,7 +143,7 @@ class NewVehicles:
 
 
 @dataclass(frozen=True)
-class Recording:
+class RecordingTable:
     """MCAP files one after the other, the oldest deleted where they become too many."""
 
     folder: Path | None = _key(None, _path, "Folder they go to; none are written where it is left out.", "recordings/")
@@ -153,7 +153,7 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class BlackBox:
+class BlackBoxTable:
     """An MCAP file of its own for each alarm, with what came before and after it."""
 
     folder: Path | None = _key(None, _path, "Folder they go to; none are written where it is left out.", "clips/")
@@ -199,9 +199,9 @@ class Send:
 class Commands:
     """What operators may do over Zenoh (`fauio alarms ack` and the like)."""
 
-    allow: tuple[Command, ...] = _key(
+    allow: tuple[AllowedCommand, ...] = _key(
         (),
-        lambda table, key: table.choices(key, get_args(Command)),
+        lambda table, key: table.choices(key, get_args(AllowedCommand)),
         "Commands that are answered; none by default.",
         ["ack", "shelve", "unshelve", "reset"],
     )
@@ -332,8 +332,8 @@ class Config:
     log_format: Literal["auto", "json", "text"] = _one_of(
         "auto", ("auto", "json", "text"), "auto", "Log lines on stderr; `auto`: text on a terminal, JSON otherwise."
     )
-    recording: Recording = _section(Recording)
-    black_box: BlackBox = _section(BlackBox)
+    recording: RecordingTable = _section(RecordingTable)
+    black_box: BlackBoxTable = _section(BlackBoxTable)
     journal: JournalTable = _section(JournalTable)
     signing: Signing = _section(Signing)
     send: Send = _section(Send)

@@ -22,7 +22,7 @@ This page is written by `python -m monitor.configuration.config_page`.
 """
 
 
-def render() -> str:
+def config_page() -> str:
     """Return the page as Markdown."""
     parts = [_HEAD, "## Top level\n", *_rows(Config)]
     for name, (default, entry) in entries(Config).items():
@@ -44,4 +44,4 @@ def _rows(kind: type) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(render())
+    sys.stdout.write(config_page())

@@ -18,7 +18,7 @@ Group = Literal["active", "shelved", "cleared"]
 
 _GROUPS: tuple[Group, ...] = ("active", "shelved", "cleared")
 
-Key = tuple[str, str, str]
+RowKey = tuple[str, str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +56,8 @@ class AlarmTable:
 
     def __init__(self, kept_cleared_s: float = KEPT_CLEARED_S) -> None:
         self._kept_ns = round(kept_cleared_s * 1e9)
-        self._latest: dict[Key, AlarmEvent] = {}
-        self._cleared_ns: dict[Key, int] = {}
+        self._latest: dict[RowKey, AlarmEvent] = {}
+        self._cleared_ns: dict[RowKey, int] = {}
 
     def take(self, event: AlarmEvent, now_ns: int) -> None:
         """Take an event; one that is older than what is known of its channel changes nothing.

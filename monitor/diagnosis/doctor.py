@@ -12,7 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from monitor.diagnosis.doctor_check import VERDICTS, Check, Verdict
+from monitor.diagnosis.doctor_check import VERDICTS, DoctorCheck, DoctorVerdict
 
 if TYPE_CHECKING:
     from adapters.zenoh.zenoh_session import Mode
@@ -90,7 +90,7 @@ def run_doctor(args: argparse.Namespace) -> int:
     return FAILED if worst(checks) == "failed" else 0
 
 
-def diagnose(needs: Needs) -> list[Check]:
+def diagnose(needs: Needs) -> list[DoctorCheck]:
     """Return what all checks found."""
     from monitor.diagnosis.doctor_machine import buffer_check, clock_checks, disk_check, folder_check, serial_checks
     from monitor.diagnosis.doctor_network import (
@@ -116,7 +116,7 @@ def diagnose(needs: Needs) -> list[Check]:
     return [*checks, buffer_check(), *clock_checks()]
 
 
-def version_checks() -> list[Check]:
+def version_checks() -> list[DoctorCheck]:
     """Check that libraries are there and new enough, and say which extras are."""
     from monitor.diagnosis.versions import libraries
 
@@ -124,39 +124,39 @@ def version_checks() -> list[Check]:
     needed = [one for one in found if not one.extra]
     said = ", ".join(f"{one.name} {one.installed}" for one in needed if one.installed)
     checks = [
-        Check("version", "ok", f"fauio {version('fauio')}, Python {platform.python_version()}"),
-        Check("libraries", "ok", said),
+        DoctorCheck("version", "ok", f"fauio {version('fauio')}, Python {platform.python_version()}"),
+        DoctorCheck("libraries", "ok", said),
     ]
     for one in needed:
         if not one.will_do:
             what = "is not installed" if one.installed is None else f"{one.installed} is too old"
             advice = f"pip install '{one.name}>={one.least}'" if one.least else f"pip install {one.name}"
-            checks.append(Check("libraries", "failed", f"{one.name} {what}", advice))
+            checks.append(DoctorCheck("libraries", "failed", f"{one.name} {what}", advice))
     extras = dict.fromkeys(one.extra for one in found if one.extra)
     for extra in extras:
         missing = [one.name for one in found if one.extra == extra and not one.will_do]
         state = f"without {', '.join(missing)}: pip install 'fauio[{extra}]' where it is wanted" if missing else "there"
-        checks.append(Check("extra", "ok", f"{extra}: {state}"))
+        checks.append(DoctorCheck("extra", "ok", f"{extra}: {state}"))
     return checks
 
 
-def profile_check(folder: Path) -> Check:
+def profile_check(folder: Path) -> DoctorCheck:
     """Check that a profile can be used."""
     from monitor.profile import read_profile
 
     try:
         read_profile(folder)
     except (ValueError, OSError) as error:
-        return Check("profile", "failed", str(error), "name the folder that 'fauio fit' made, or make it anew")
-    return Check("profile", "ok", f"{folder} can be used")
+        return DoctorCheck("profile", "failed", str(error), "name the folder that 'fauio fit' made, or make it anew")
+    return DoctorCheck("profile", "ok", f"{folder} can be used")
 
 
-def worst(checks: Sequence[Check]) -> Verdict:
+def worst(checks: Sequence[DoctorCheck]) -> DoctorVerdict:
     """Return the worst verdict."""
     return max((check.verdict for check in checks), key=VERDICTS.index, default="ok")
 
 
-def checks_text(checks: Sequence[Check]) -> str:
+def checks_text(checks: Sequence[DoctorCheck]) -> str:
     """Return what was found for people: a line for each check, and one more where something is to be done."""
     width = max((len(check.name) for check in checks), default=0)
     lines = []

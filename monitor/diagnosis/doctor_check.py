@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Verdict = Literal["ok", "warning", "failed"]
-VERDICTS: tuple[Verdict, ...] = ("ok", "warning", "failed")
+DoctorVerdict = Literal["ok", "warning", "failed"]
+VERDICTS: tuple[DoctorVerdict, ...] = ("ok", "warning", "failed")
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class DoctorCheck:
     """What one check found.
 
     Parameters
@@ -26,6 +26,6 @@ class Check:
     """
 
     name: str
-    verdict: Verdict
+    verdict: DoctorVerdict
     found: str
     advice: str = ""

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from adapters.mavlink.byte_link import UDP_BUFFER_BYTES
-from monitor.diagnosis.doctor_check import Check, Verdict
+from monitor.diagnosis.doctor_check import DoctorCheck, DoctorVerdict
 
 _LITTLE_BYTES = 2_000_000_000
 """Five hours of a vehicle's recording at 400 MB an hour (docs/operations.md)."""
@@ -47,71 +47,73 @@ class _Timex(ctypes.Structure):
     )
 
 
-def folder_check(folder: Path) -> Check:
+def folder_check(folder: Path) -> DoctorCheck:
     """Check that files can be made in a folder, or that it can be made itself."""
     name = "folder"
     place = _existing(folder)
     advice = f"sudo chown $USER {place}, or name another folder"
     if not place.is_dir():
-        return Check(name, "failed", f"{folder}: {place} is no folder", "name another folder")
+        return DoctorCheck(name, "failed", f"{folder}: {place} is no folder", "name another folder")
     try:
         with tempfile.NamedTemporaryFile(dir=place):
             pass
     except OSError as error:
-        return Check(name, "failed", f"{folder}: cannot be written: {error.strerror}", advice)
+        return DoctorCheck(name, "failed", f"{folder}: cannot be written: {error.strerror}", advice)
     where = "can be written" if place == folder else f"can be made in {place}"
-    return Check(name, "ok", f"{folder.absolute()} {where}")
+    return DoctorCheck(name, "ok", f"{folder.absolute()} {where}")
 
 
-def disk_check(folder: Path) -> Check:
+def disk_check(folder: Path) -> DoctorCheck:
     """Check the room on a folder's disk."""
     try:
         free = shutil.disk_usage(_existing(folder)).free
     except OSError as error:
-        return Check("disk", "failed", f"{folder}: {error.strerror}", "name another folder")
+        return DoctorCheck("disk", "failed", f"{folder}: {error.strerror}", "name another folder")
     found = f"{free / 1e9:.1f} GB free at {folder.absolute()}"
     if free < _TOO_LITTLE_BYTES:
-        return Check("disk", "failed", found, "make room: neither journal nor recordings will fit")
+        return DoctorCheck("disk", "failed", found, "make room: neither journal nor recordings will fit")
     if free < _LITTLE_BYTES:
-        return Check("disk", "warning", found, "make room, or lower budget_mb: an hour of a vehicle takes 400 MB")
-    return Check("disk", "ok", found)
+        return DoctorCheck("disk", "warning", found, "make room, or lower budget_mb: an hour of a vehicle takes 400 MB")
+    return DoctorCheck("disk", "ok", found)
 
 
-def serial_checks(urls: Sequence[str], devices: Path = Path("/dev")) -> list[Check]:
+def serial_checks(urls: Sequence[str], devices: Path = Path("/dev")) -> list[DoctorCheck]:
     """Check that serial devices can be read: those of links, else all that look like an autopilot's."""
     name = "serial device"
     wanted = [Path(url.split(":")[1]) for url in urls]
     found = wanted or sorted(path for pattern in _SERIAL_PATTERNS for path in devices.glob(pattern))
     if not found:
-        return [Check(name, "ok", "none connected")]
+        return [DoctorCheck(name, "ok", "none connected")]
     checks = []
     for device in found:
         if not device.exists():
-            checks.append(Check(name, "failed", f"{device} is not there", "connect it, or mend the URL of the link"))
+            checks.append(
+                DoctorCheck(name, "failed", f"{device} is not there", "connect it, or mend the URL of the link")
+            )
         elif os.access(device, os.R_OK | os.W_OK):
-            checks.append(Check(name, "ok", f"{device} can be read"))
+            checks.append(DoctorCheck(name, "ok", f"{device} can be read"))
         else:
             advice = "sudo usermod -aG dialout $USER, then log in again"
-            verdict: Verdict = "failed" if wanted else "warning"
-            checks.append(Check(name, verdict, f"{device} cannot be read by this user", advice))
+            verdict: DoctorVerdict = "failed" if wanted else "warning"
+            checks.append(DoctorCheck(name, verdict, f"{device} cannot be read by this user", advice))
     return checks
 
 
-def buffer_check(limit: Path = _RECEIVE_LIMIT) -> Check:
+def buffer_check(limit: Path = _RECEIVE_LIMIT) -> DoctorCheck:
     """Check how large a receive buffer the kernel allows."""
     name = "udp buffer"
     try:
         allowed = int(limit.read_text())
     except (OSError, ValueError):
-        return Check(name, "ok", "the kernel does not say how large it may be")
+        return DoctorCheck(name, "ok", "the kernel does not say how large it may be")
     found = f"up to {allowed / 1024:.0f} KiB"
     if allowed >= UDP_BUFFER_BYTES:
-        return Check(name, "ok", found)
+        return DoctorCheck(name, "ok", found)
     found += f", the monitor asks for {UDP_BUFFER_BYTES / 1024:.0f} KiB: bursts beyond it are lost while it is busy"
-    return Check(name, "warning", found, f"sudo sysctl -w net.core.rmem_max={UDP_BUFFER_BYTES}")
+    return DoctorCheck(name, "warning", found, f"sudo sysctl -w net.core.rmem_max={UDP_BUFFER_BYTES}")
 
 
-def clock_checks() -> list[Check]:
+def clock_checks() -> list[DoctorCheck]:
     """Check that the clock is set, runs evenly, and is kept right by NTP where that can be told."""
     name = "clock"
     walls = time.time()
@@ -120,26 +122,28 @@ def clock_checks() -> list[Check]:
     elapsed_wall, elapsed = time.time_ns() - started_wall, time.monotonic_ns() - started
     if walls < _EARLIEST_S:
         day = time.strftime("%Y-%m-%d", time.gmtime(walls))
-        return [Check(name, "failed", f"it shows {day}", "set it: alarms and recordings carry its time")]
+        return [DoctorCheck(name, "failed", f"it shows {day}", "set it: alarms and recordings carry its time")]
     checks = []
     if abs(elapsed_wall - elapsed) > _LARGEST_DRIFT * elapsed:
         found = f"it moved {elapsed_wall / 1e6:.1f} ms in {elapsed / 1e6:.1f} ms"
-        checks.append(Check(name, "failed", found, "something sets it right now; wait, or look for two time services"))
+        checks.append(
+            DoctorCheck(name, "failed", found, "something sets it right now; wait, or look for two time services")
+        )
     else:
-        checks.append(Check(name, "ok", "it runs evenly"))
+        checks.append(DoctorCheck(name, "ok", "it runs evenly"))
     return [*checks, _synchronised_check()]
 
 
-def _synchronised_check() -> Check:
+def _synchronised_check() -> DoctorCheck:
     name = "ntp"
     state = _kernel_clock()
     advice = "sudo timedatectl set-ntp true, or install chrony: times of alarms are those of this clock"
     if _SYNCHRONISED.exists() or (state is not None and state[0]):
         error = f", within {state[1] / 1e3:.0f} ms" if state is not None and state[0] else ""
-        return Check(name, "ok", f"the clock is synchronised{error}")
+        return DoctorCheck(name, "ok", f"the clock is synchronised{error}")
     if state is None:
-        return Check(name, "ok", "whether the clock is synchronised cannot be told here")
-    return Check(name, "warning", "the clock is not synchronised", advice)
+        return DoctorCheck(name, "ok", "whether the clock is synchronised cannot be told here")
+    return DoctorCheck(name, "warning", "the clock is not synchronised", advice)
 
 
 def _kernel_clock() -> tuple[bool, int] | None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from adapters.errors import TelemetryError
 from adapters.mavlink.byte_link import open_byte_link, resolve
 from adapters.zenoh.zenoh_session import Mode, endpoints, open_session
-from monitor.diagnosis.doctor_check import Check
+from monitor.diagnosis.doctor_check import DoctorCheck
 
 if TYPE_CHECKING:
     import zenoh
@@ -32,7 +32,7 @@ _OPEN_MS = 1000
 """Chosen: a peer that is there answers within milliseconds."""
 
 
-def zenoh_port_check(endpoint: str) -> Check:
+def zenoh_port_check(endpoint: str) -> DoctorCheck:
     """Check that a Zenoh endpoint can be listened on, or who does already."""
     name = "zenoh port"
     try:
@@ -41,20 +41,20 @@ def zenoh_port_check(endpoint: str) -> Check:
     except TelemetryError as error:
         reason = str(error)
     else:
-        return Check(name, "ok", f"{endpoint} is free")
+        return DoctorCheck(name, "ok", f"{endpoint} is free")
     if "taken" not in reason:
-        return Check(name, "failed", reason, "give another endpoint with --listen, or mend this one")
+        return DoctorCheck(name, "failed", reason, "give another endpoint with --listen, or mend this one")
     answers, vehicles = _who_answers(endpoint)
     if vehicles:
-        return Check(name, "ok", f"{endpoint}: a monitor runs there ({', '.join(vehicles)})")
+        return DoctorCheck(name, "ok", f"{endpoint}: a monitor runs there ({', '.join(vehicles)})")
     if answers:
         advice = "stop it, or give the monitor another endpoint ('listen', --listen)"
-        return Check(name, "warning", f"{endpoint}: a Zenoh program that is no monitor listens there", advice)
+        return DoctorCheck(name, "warning", f"{endpoint}: a Zenoh program that is no monitor listens there", advice)
     advice = "stop it (ss -ltnp names it), or give the monitor another endpoint ('listen', --listen)"
-    return Check(name, "failed", f"{endpoint} is taken by something that is not Zenoh", advice)
+    return DoctorCheck(name, "failed", f"{endpoint} is taken by something that is not Zenoh", advice)
 
 
-def zenoh_file_check(config_file: Path, connect: Sequence[str], listen: Sequence[str], mode: Mode) -> Check:
+def zenoh_file_check(config_file: Path, connect: Sequence[str], listen: Sequence[str], mode: Mode) -> DoctorCheck:
     """Check that a session opens as a Zenoh configuration says: certificates are there, endpoints free."""
     name = "zenoh port"
     try:
@@ -64,12 +64,12 @@ def zenoh_file_check(config_file: Path, connect: Sequence[str], listen: Sequence
     except TelemetryError as error:
         if "taken" in str(error):
             advice = "stop who listens there (ss -ltnp names it; a monitor of ours?), or use another port"
-            return Check(name, "warning", str(error), advice)
-        return Check(name, "failed", str(error), "mend the file ('zenoh_config')")
-    return Check(name, "ok", f"{places}: free, as {config_file} says")
+            return DoctorCheck(name, "warning", str(error), advice)
+        return DoctorCheck(name, "failed", str(error), "mend the file ('zenoh_config')")
+    return DoctorCheck(name, "ok", f"{places}: free, as {config_file} says")
 
 
-def mavlink_check(url: str) -> Check:
+def mavlink_check(url: str) -> DoctorCheck:
     """Check that a MAVLink link can be opened."""
     name = "mavlink link"
     try:
@@ -77,12 +77,12 @@ def mavlink_check(url: str) -> Check:
     except TelemetryError as error:
         if "in use" in str(error):
             advice = "stop who listens there (ss -lunp names it; a monitor of ours?), or use another port ('mavlink')"
-            return Check(name, "warning", f"{url}: the port is taken", advice)
-        return Check(name, "failed", str(error), "mend the URL ('mavlink' in the configuration, or --mavlink)")
-    return Check(name, "ok", f"{url} can be opened")
+            return DoctorCheck(name, "warning", f"{url}: the port is taken", advice)
+        return DoctorCheck(name, "failed", str(error), "mend the URL ('mavlink' in the configuration, or --mavlink)")
+    return DoctorCheck(name, "ok", f"{url} can be opened")
 
 
-def metrics_check(address: str) -> Check:
+def metrics_check(address: str) -> DoctorCheck:
     """Check that metrics can be served at HOST:PORT."""
     name = "metrics"
     try:
@@ -92,14 +92,14 @@ def metrics_check(address: str) -> Check:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(place)
     except TelemetryError as error:
-        return Check(name, "failed", str(error), "mend 'listen' in [metrics]")
+        return DoctorCheck(name, "failed", str(error), "mend 'listen' in [metrics]")
     except OSError as error:
         advice = "stop who listens there (ss -ltnp names it; a monitor of ours?), or use another port ('listen')"
-        return Check(name, "warning", f"{address}: {error.strerror}", advice)
-    return Check(name, "ok", f"{address} is free")
+        return DoctorCheck(name, "warning", f"{address}: {error.strerror}", advice)
+    return DoctorCheck(name, "ok", f"{address} is free")
 
 
-def round_trip_check() -> Check:
+def round_trip_check() -> DoctorCheck:
     """Check that two Zenoh sessions on loopback hear each other, and how fast."""
     name = "zenoh"
     try:
@@ -107,17 +107,17 @@ def round_trip_check() -> Check:
         with open_session(listen=[endpoint]) as ours, open_session(connect=[endpoint]) as theirs:
             latencies, answered = _round_trips(ours, theirs)
     except (OSError, TelemetryError) as error:
-        return Check(
+        return DoctorCheck(
             name, "failed", f"no session on loopback: {error}", "check that loopback is up: ip address show lo"
         )
     if len(latencies) < _ROUNDS or not answered:
         found = f"{len(latencies)} of {_ROUNDS} samples and {'an' if answered else 'no'} answer came over loopback"
-        return Check(name, "failed", found, "check for a firewall on loopback, and the load of the machine")
+        return DoctorCheck(name, "failed", found, "check for a firewall on loopback, and the load of the machine")
     median_s, longest_s = statistics.median(latencies), max(latencies)
     found = f"put and get on loopback work; median {median_s * 1e3:.2f} ms, longest {longest_s * 1e3:.2f} ms"
     if median_s > _SLOW_S:
-        return Check(name, "warning", found, "the machine is busy: alarms will be late by as much")
-    return Check(name, "ok", found)
+        return DoctorCheck(name, "warning", found, "the machine is busy: alarms will be late by as much")
+    return DoctorCheck(name, "ok", found)
 
 
 def _round_trips(ours: zenoh.Session, theirs: zenoh.Session) -> tuple[list[float], bool]:

@@ -94,7 +94,7 @@ def healthy_maxima(profile: Profile, flights: Sequence[Flight], raise_s: float) 
     return worst
 
 
-def settling_s(bank: Sequence[Gains]) -> float:
+def profile_settling_s(bank: Sequence[Gains]) -> float:
     """Return how long the slowest observer takes to forget all but a hundredth of its initial error."""
     slowest = max(float(gains.report["poles_max_abs"]) for gains in bank)
     if not 0.0 < slowest < 1.0:

@@ -17,7 +17,7 @@ from monitor.fitting.fit_report import Comparison, liveliest
 HORIZON_S = 0.2
 SHOWN_S = 20.0
 
-Pair = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+EffectPair = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 def compare_effects(
@@ -73,7 +73,7 @@ def compare_effects(
     )
 
 
-def predict_ahead(plant: Plant, segment: Segment, steps: int) -> Pair:
+def predict_ahead(plant: Plant, segment: Segment, steps: int) -> EffectPair:
     """Return outputs when a prediction was made, ``steps`` samples later, and as predicted (N - steps, p) each."""
     x = segment.y[:-steps]
     for step in range(steps):
@@ -82,7 +82,7 @@ def predict_ahead(plant: Plant, segment: Segment, steps: int) -> Pair:
     return segment.y[:-steps], segment.y[steps:], x
 
 
-def _explained(pairs: Sequence[Pair]) -> NDArray[np.float64]:
+def _explained(pairs: Sequence[EffectPair]) -> NDArray[np.float64]:
     missed = np.vstack([measured - predicted for _, measured, predicted in pairs])
     change = np.vstack([measured - before for before, measured, _ in pairs])
     return np.asarray(1.0 - (missed**2).mean(axis=0) / np.maximum((change**2).mean(axis=0), 1e-300))

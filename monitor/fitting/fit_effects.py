@@ -33,7 +33,7 @@ from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import Calibrated
 from monitor.sampling.gate import GateRule
-from monitor.sampling.transform import Source, TransformRule, make_transform
+from monitor.sampling.transform import SampleSource, TransformRule, make_transform
 
 _OBSERVER_HZ = 50.0
 _MOVING = 0.1
@@ -91,7 +91,7 @@ def fit_effects(
         The recordings do not hold what is needed, excite no axis, or allow no certified design.
     """
     rate_hz = min(signals.rate_hz, _OBSERVER_HZ)
-    source = Source(inputs=signals.channels)
+    source = SampleSource(inputs=signals.channels)
     raw = [flight_samples(log(), source, signals.rate_hz, replace(gate, airborne_command=0.0)) for log in request.logs]
     reference = _reference_speed(kind, raw)
     speeds = {"reference_speed": reference, "minimum_speed": kind.slowest * reference}
@@ -130,7 +130,7 @@ def fit_effects(
         name=kind.observer,
         plant=plant,
         gains=(gains,),
-        source=Source(transform=rule, signals=signals.channels),
+        source=SampleSource(transform=rule, signals=signals.channels),
         isolation=IndependentRule(_SMOOTHING_S),
         alarms=tuple(Calibrated(alarm, None) for alarm in alarms),
         effectiveness=reading,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gains.identification.excitation import Verdict
+from gains.identification.excitation import ExcitationVerdict
 from gains.identification.residuals import ResidualStatistics
 from monitor.views.palette import GREY, LIGHT
 from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
@@ -58,7 +58,7 @@ class Comparison:
     units: tuple[str, ...] = ()
 
 
-def parameter_lines(verdicts: Sequence[Verdict]) -> list[str]:
+def parameter_lines(verdicts: Sequence[ExcitationVerdict]) -> list[str]:
     """Return one line for each parameter: value, standard error, and what is wrong with it."""
     width = max((len(verdict.name) for verdict in verdicts), default=0)
     lines = []

@@ -24,9 +24,9 @@ from monitor.fitting.flights import Flight
 from monitor.fitting.survey import Survey
 from monitor.fitting.thresholds import Calibrated, Times, calibrated, healthy_levels, plain_only
 from monitor.profile import UNEXPLAINED, ObserverProfile, fault_channels, observer_table
-from monitor.sampling.transform import Source
+from monitor.sampling.transform import SampleSource
 
-Log = Callable[[], Iterable[Batch]]
+BatchSource = Callable[[], Iterable[Batch]]
 """A recording; each call goes through it once from its start."""
 
 _UNEXPLAINED = Times(fast_s=2.0, raise_s=2.0, clear_s=0.5)
@@ -41,7 +41,7 @@ class FitRequest:
     ----------
     name : str
         Name of the vehicle and its models.
-    logs : Sequence[Log]
+    logs : Sequence[BatchSource]
         Healthy recordings.
     surveys : Sequence[Survey]
         What each of them holds; empty for a kind that needs a model.
@@ -50,7 +50,7 @@ class FitRequest:
     """
 
     name: str
-    logs: Sequence[Log]
+    logs: Sequence[BatchSource]
     surveys: Sequence[Survey] = ()
     model: Path | None = None
 
@@ -67,7 +67,7 @@ class Fitted:
         The identified model.
     gains : tuple[Gains, ...]
         Its gains, those of each hypothesis for a bank.
-    source : Source
+    source : SampleSource
         Where its samples come from.
     isolation : IsolationRule
         How estimates become evidence.
@@ -98,7 +98,7 @@ class Fitted:
     name: str
     plant: Plant
     gains: tuple[Gains, ...]
-    source: Source
+    source: SampleSource
     isolation: IsolationRule
     alarms: tuple[Calibrated, ...] = ()
     effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)

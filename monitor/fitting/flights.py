@@ -16,7 +16,7 @@ from gains.identification.segment import Segment
 from monitor.core.sampling import VehicleClock
 from monitor.sampling.gate import GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
-from monitor.sampling.transform import Source, Transform
+from monitor.sampling.transform import SampleSource, Transform
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +68,7 @@ class Flight:
             yield slice(int(stretch[0]), int(stretch[-1]) + 1)
 
 
-def flight_samples(batches: Iterable[Batch], source: Source, rate_hz: float, gate: GateRule) -> Flight:
+def flight_samples(batches: Iterable[Batch], source: SampleSource, rate_hz: float, gate: GateRule) -> Flight:
     """Return the samples of a recording, ``rate_hz`` of them per second."""
     sampler = GatedSampler(source, rate_hz, VehicleClock(), gate)
     found: list[Flight] = []

@@ -37,7 +37,7 @@ _MANY_VALUES = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Output:
+class MotorOutput:
     """How one servo output moved while armed, as MAVLink gives it: pulses in microseconds, or what a simulator sends.
 
     Parameters
@@ -70,7 +70,7 @@ class Survey:
         Messages by name.
     rate_hz : dict[str, float]
         Messages per second of the vehicle's clock, by name, for those that carry a time.
-    outputs : dict[int, Output]
+    outputs : dict[int, MotorOutput]
         How servo outputs moved while armed, by number.
     examples : dict[str, Mapping[str, Any]]
         Fields of the last message of each name while armed; of the GPS, the last that knew speed and course.
@@ -80,7 +80,7 @@ class Survey:
 
     counts: dict[str, int]
     rate_hz: dict[str, float]
-    outputs: dict[int, Output]
+    outputs: dict[int, MotorOutput]
     examples: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     vehicle_types: frozenset[str] = frozenset()
 
@@ -220,12 +220,12 @@ class _Tally:
         if len(self.values) < _MANY_VALUES:
             self.values.update(np.unique(pulses).tolist())
 
-    def output(self) -> Output:
+    def output(self) -> MotorOutput:
         """Return how the output moved."""
         count, total, square = self.total
         spread = max(0.0, square / count - (total / count) ** 2) ** 0.5
         many = len(self.values) >= _MANY_VALUES
-        return Output(total / count, spread, self.low, self.high, self.outside / count, many)
+        return MotorOutput(total / count, spread, self.low, self.high, self.outside / count, many)
 
 
 def of_one_vehicle(batches: Iterable[Batch], names: Collection[str] = MOTION_MESSAGES) -> Iterator[Batch]:

@@ -21,7 +21,7 @@ from adapters.toml_tables import Table
 from monitor.core.sampling import Settling, VehicleClock, sample_batch
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler, SamplerStatistics
-from monitor.sampling.transform import Source, make_sampler
+from monitor.sampling.transform import SampleSource, make_sampler
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class GatedSampler:
 
     Parameters
     ----------
-    source : Source
+    source : SampleSource
         Where u and y come from.
     rate_hz : float
         Samples per second.
@@ -95,7 +95,7 @@ class GatedSampler:
         When samples count.
     """
 
-    def __init__(self, source: Source, rate_hz: float, clock: VehicleClock, rule: GateRule) -> None:
+    def __init__(self, source: SampleSource, rate_hz: float, clock: VehicleClock, rule: GateRule) -> None:
         self._sampler = make_sampler(source, rate_hz, clock)
         self._gate = FlightGate(rule)
         self._rule = rule

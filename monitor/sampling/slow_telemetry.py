@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 
-from monitor.sampling.transform import Source
+from monitor.sampling.transform import SampleSource
 
 SELDOM = frozenset({"GPS_RAW_INT", "SCALED_PRESSURE", "VFR_HUD", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT"})
 """Slow by their nature; the transforms that read them delay the others."""
@@ -44,14 +44,14 @@ def slow_text(slow: Mapping[str, float], wanted_hz: float) -> str:
     )
 
 
-def spanned(source: Source, rate_hz: float, rates: Mapping[str, float]) -> dict[str, float]:
+def spanned(source: SampleSource, rate_hz: float, rates: Mapping[str, float]) -> dict[str, float]:
     """Return the messages between which an observer takes three samples or more, and how many.
 
     Those whose values hold until the next one are left out: they may come only when they change.
 
     Parameters
     ----------
-    source : Source
+    source : SampleSource
         Where its samples come from.
     rate_hz : float
         Samples per second.

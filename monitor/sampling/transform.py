@@ -60,7 +60,7 @@ class TransformRule:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class SampleSource:
     """Where (u, y) come from.
 
     Parameters
@@ -141,7 +141,7 @@ class TransformedSampler:
         return self._sampler.statistics()
 
 
-def make_sampler(source: Source, rate_hz: float, clock: VehicleClock) -> Sampler | TransformedSampler:
+def make_sampler(source: SampleSource, rate_hz: float, clock: VehicleClock) -> Sampler | TransformedSampler:
     """Return what turns the vehicle's messages into an observer's samples."""
     if source.transform is not None:
         return TransformedSampler(source.transform, source.signals, rate_hz, clock)

@@ -14,7 +14,7 @@ from adapters.zenoh.zenoh_link import ZenohLink
 from adapters.zenoh.zenoh_payload import PayloadDecoder
 from monitor.configuration.config import Config, Vehicle
 from monitor.service.inbox import Link
-from monitor.service.log import Log
+from monitor.service.log import ServiceLog
 from monitor.service.station_health import Counting
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def _requesting(link: MavlinkLink, config: Config, key: SigningKey | None) -> Li
 class FirstLook:
     """Says once which links have brought nothing in their first seconds: a wrong port looks like a quiet vehicle."""
 
-    def __init__(self, links: Mapping[str, Any], log: Log) -> None:
+    def __init__(self, links: Mapping[str, Any], log: ServiceLog) -> None:
         self._links = links
         self._log = log
         self._due_ns: int | None = 0

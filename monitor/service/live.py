@@ -18,7 +18,7 @@ from monitor.recording.journal import Journal
 from monitor.service.daemon import Daemon
 from monitor.service.inbox import Inbox
 from monitor.service.links import FirstLook, open_links
-from monitor.service.log import Log
+from monitor.service.log import ServiceLog
 from monitor.service.metrics_server import MetricsServer
 from monitor.service.noted_signals import noted_signals
 from monitor.service.station import Station
@@ -62,7 +62,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
     json_lines = {"auto": not sys.stderr.isatty(), "json": True, "text": False}[config.log_format]
     # signals first: the default action of SIGHUP is to end a process
     with ExitStack() as stack, noted_signals() as received:
-        log = Log(as_json or json_lines)
+        log = ServiceLog(as_json or json_lines)
         stack.callback(log.close)
         session = stack.enter_context(
             open_session(config.connect, config.listen, config.zenoh_config, config.zenoh_mode)
@@ -120,7 +120,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         return 130 if signal.SIGINT in received else 0
 
 
-def _open_journal(config: Config, log: Log, stack: ExitStack) -> Journal | None:
+def _open_journal(config: Config, log: ServiceLog, stack: ExitStack) -> Journal | None:
     if config.journal.path is None:
         return None
     # where it cannot be made the journal says what is wrong
@@ -143,7 +143,7 @@ def _open_journal(config: Config, log: Log, stack: ExitStack) -> Journal | None:
     return journal
 
 
-def _open_views(config: Config, log: Log, stack: ExitStack) -> list[View]:
+def _open_views(config: Config, log: ServiceLog, stack: ExitStack) -> list[View]:
     """Open the views of the configuration; where one cannot be shown, monitoring continues without it."""
     if config.rerun.mode == "off":
         return []

@@ -34,7 +34,7 @@ _RESERVED = ("time_ns", "level", "event", "suppressed")
 
 
 @dataclass(frozen=True, slots=True)
-class LogStatistics:
+class ServiceLogStatistics:
     """What became of the lines.
 
     Parameters
@@ -52,7 +52,7 @@ class LogStatistics:
     dropped: int = 0
 
 
-class Log:
+class ServiceLog:
     """The daemon's log; one per process.
 
     Of each event name, and of each alarm channel, ten lines come at once and then one a second; the next line that
@@ -101,7 +101,7 @@ class Log:
         limited_by = f"alarm {event.vehicle} {event.observer}/{event.channel}"
         self._write("alarm", "info", limited_by, {"alarm": event.to_json()}, text)
 
-    def statistics(self) -> LogStatistics:
+    def statistics(self) -> ServiceLogStatistics:
         """Return the counts so far."""
         return replace(self._handler.counts, suppressed=self._limit.suppressed)
 
@@ -144,7 +144,7 @@ class _Handler(logging.Handler):
 
     def __init__(self, as_json: bool, stream: TextIO | None, limit: _RateLimit) -> None:
         super().__init__()
-        self.counts = LogStatistics()
+        self.counts = ServiceLogStatistics()
         self._format = _json_line if as_json else _line_for_people
         self._stream = stream
         self._limit = limit

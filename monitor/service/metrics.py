@@ -19,7 +19,7 @@ from prometheus_client.registry import Collector
 from monitor.event import Severity
 from monitor.service.health import Health, VehicleState, problems
 
-Values = Iterable[tuple[tuple[str, ...], float]]
+MetricValues = Iterable[tuple[tuple[str, ...], float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class MetricRow:
         Names of its labels.
     help : str
         What it counts.
-    values : Callable[[Health], Values]
+    values : Callable[[Health], MetricValues]
         Label values and number of each series; not asked of a histogram.
     """
 
@@ -44,7 +44,7 @@ class MetricRow:
     kind: Literal["counter", "gauge", "histogram"]
     labels: tuple[str, ...]
     help: str
-    values: Callable[[Health], Values] = lambda health: ()
+    values: Callable[[Health], MetricValues] = lambda health: ()
 
 
 def render(health: Health, accept: str = "") -> tuple[bytes, str]:
@@ -113,67 +113,67 @@ def _label(text: str) -> str:
     return text.encode(errors="backslashreplace").decode()
 
 
-def _one(value: Callable[[Health], float]) -> Callable[[Health], Values]:
+def _one(value: Callable[[Health], float]) -> Callable[[Health], MetricValues]:
     return lambda health: [((), value(health))]
 
 
-def _journal(name: str) -> Callable[[Health], Values]:
+def _journal(name: str) -> Callable[[Health], MetricValues]:
     return lambda health: [] if health.journal is None else [((), getattr(health.journal, name))]
 
 
-def _vehicle(name: str) -> Callable[[Health], Values]:
+def _vehicle(name: str) -> Callable[[Health], MetricValues]:
     return lambda health: [((vehicle.name,), getattr(vehicle, name)) for vehicle in health.vehicles]
 
 
-def _recorder(name: str) -> Callable[[Health], Values]:
+def _recorder(name: str) -> Callable[[Health], MetricValues]:
     return lambda health: [
         ((vehicle.name,), getattr(vehicle.recorder, name)) for vehicle in health.vehicles if vehicle.recorder
     ]
 
 
-def _link(name: str) -> Callable[[Health], Values]:
+def _link(name: str) -> Callable[[Health], MetricValues]:
     return lambda health: [((link.name,), getattr(link, name)) for link in health.links]
 
 
-def _states(health: Health) -> Values:
+def _states(health: Health) -> MetricValues:
     for vehicle in health.vehicles:
         for state in get_args(VehicleState):
             yield (vehicle.name, state), float(vehicle.state == state)
 
 
-def _active(health: Health) -> Values:
+def _active(health: Health) -> MetricValues:
     for vehicle in health.vehicles:
         for severity in get_args(Severity):
             yield (vehicle.name, severity), vehicle.active.get(severity, 0)
 
 
-def _recent_latency(health: Health) -> Values:
+def _recent_latency(health: Health) -> MetricValues:
     for vehicle in health.vehicles:
         latency = vehicle.latency
         for quantile, value in (("0.5", latency.p50_s), ("0.99", latency.p99_s), ("1", latency.max_s)):
             yield (vehicle.name, quantile), value
 
 
-def _samples(health: Health) -> Values:
+def _samples(health: Health) -> MetricValues:
     for vehicle in health.vehicles:
         for observer in vehicle.observers:
             yield (vehicle.name, observer.name), observer.samples
 
 
-def _observer_losses(health: Health) -> Values:
+def _observer_losses(health: Health) -> MetricValues:
     for vehicle in health.vehicles:
         for observer in vehicle.observers:
             for reason, count in observer.losses.items():
                 yield (vehicle.name, observer.name, reason), count
 
 
-def _link_losses(health: Health) -> Values:
+def _link_losses(health: Health) -> MetricValues:
     for link in health.links:
         for reason, count in link.losses.items():
             yield (link.name, reason), count
 
 
-def _recorder_trouble(health: Health) -> Values:
+def _recorder_trouble(health: Health) -> MetricValues:
     for vehicle in health.vehicles:
         if vehicle.recorder is not None:
             yield (vehicle.name,), float(vehicle.recorder.trouble is not None)

@@ -19,7 +19,7 @@ from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
 from monitor.service.inbox import Inbox
 from monitor.service.links import FirstLook, open_links
-from monitor.service.log import Log
+from monitor.service.log import ServiceLog
 from monitor.service.noted_signals import noted_signals
 
 _POLL_S = 0.1
@@ -108,7 +108,7 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
     json_lines = {"auto": not sys.stderr.isatty(), "json": True, "text": False}[config.log_format]
     tally = _Tally()
     with ExitStack() as stack, noted_signals() as received:
-        log = Log(as_json or json_lines)
+        log = ServiceLog(as_json or json_lines)
         stack.callback(log.close)
         session = None
         if _over_zenoh(config):

@@ -29,7 +29,7 @@ from monitor.recording.recorder import Recorder
 from monitor.service.fleet import Fleet
 from monitor.service.health import Health, LinkHealth, ProcessHealth
 from monitor.service.inbox import Inbox
-from monitor.service.log import Level, Log
+from monitor.service.log import Level, ServiceLog
 from monitor.service.station_health import Links, take_health
 from monitor.service.vehicle_monitor import VehicleMonitor
 from monitor.service.vehicle_service import ServiceRule, VehicleService
@@ -58,7 +58,7 @@ class Station:
         Where messages come from.
     journal : Journal | None
         The journal, if one is kept.
-    log : Log
+    log : ServiceLog
         The daemon's log.
     links : Links
         The links by name, for their counts.
@@ -83,7 +83,7 @@ class Station:
         session: zenoh.Session,
         inbox: Inbox,
         journal: Journal | None,
-        log: Log,
+        log: ServiceLog,
         links: Links,
         views: Sequence[View] = (),
     ) -> None:

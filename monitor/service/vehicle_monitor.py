@@ -37,7 +37,7 @@ _LARGEST_SEQ = 1 << 53
 _MOST_CHANNELS = 4096
 
 
-class Archive(Protocol):
+class BatchSink(Protocol):
     """Records everything of one vehicle."""
 
     def batch(self, batch: Batch) -> None: ...  # noqa: D102
@@ -46,7 +46,7 @@ class Archive(Protocol):
     def flush(self) -> None: ...  # noqa: D102
 
 
-class Journal(Protocol):
+class EventSink(Protocol):
     """Where alarm events are kept."""
 
     def write(self, event: AlarmEvent, frame: Mapping[str, Any] | None = None) -> None: ...  # noqa: D102
@@ -78,9 +78,9 @@ class VehicleMonitor:
     ----------
     pipeline : Pipeline
         The vehicle's pipeline.
-    archives : Sequence[Archive]
+    archives : Sequence[BatchSink]
         Recording with black box, live view.
-    journal : Journal | None
+    journal : EventSink | None
         Alarm events for ever; None keeps none.
     on_event : Callable[[AlarmEvent], None]
         Called with every event that this monitor publishes, for the log.
@@ -91,8 +91,8 @@ class VehicleMonitor:
     def __init__(
         self,
         pipeline: Pipeline,
-        archives: Sequence[Archive],
-        journal: Journal | None,
+        archives: Sequence[BatchSink],
+        journal: EventSink | None,
         on_event: Callable[[AlarmEvent], None],
         now_ns: int,
     ) -> None:

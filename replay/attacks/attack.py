@@ -16,10 +16,10 @@ import numpy as np
 
 from adapters.errors import UsageError
 
-Kind = Literal["bias", "ramp", "scale", "freeze", "replay", "noise", "delay", "drop", "spoof", "loss"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
+AttackKind = Literal["bias", "ramp", "scale", "freeze", "replay", "noise", "delay", "drop", "spoof", "loss"]
+ATTACK_KINDS: tuple[AttackKind, ...] = get_args(AttackKind)
 
-Signal = Callable[[int], float]
+AttackSignal = Callable[[int], float]
 Change = Callable[[int, float], float]
 
 DEFAULT_ACCELERATION = 0.5
@@ -60,7 +60,7 @@ class Attack:
     ----------
     channel : str
         Channel of the contract, ``MESSAGE.field``, or fault of a profile's plant.
-    kind : Kind
+    kind : AttackKind
         What is done to it.
     start_ns, end_ns : int
         It acts on measurements with start_ns <= stamp < end_ns, vehicle clock.
@@ -78,7 +78,7 @@ class Attack:
     """
 
     channel: str
-    kind: Kind
+    kind: AttackKind
     start_ns: int
     end_ns: int
     size: float | None = None
@@ -107,8 +107,8 @@ class Attack:
         UsageError
             It is not so.
         """
-        if self.kind not in KINDS:
-            raise UsageError(f"--kind {self.kind}: no such kind; use one of {', '.join(KINDS)}")
+        if self.kind not in ATTACK_KINDS:
+            raise UsageError(f"--kind {self.kind}: no such kind; use one of {', '.join(ATTACK_KINDS)}")
         needed = _NEEDED[self.kind]
         for name, flag in _FLAGS.items():
             value = getattr(self, name)
@@ -148,7 +148,7 @@ class Attack:
         grown = self.rate * (stamp_ns - self.start_ns) / 1e9
         return grown if self.size is None or abs(grown) < abs(self.size) else self.size
 
-    def additive(self) -> Signal | None:
+    def additive(self) -> AttackSignal | None:
         """Return what is added at a time where the kind adds something that depends on time alone, else None."""
         if self.kind in ("bias", "ramp"):
             return self.growth
@@ -162,7 +162,7 @@ class Attack:
         share = 1.0 if self.size is None else self.size
         return self.acts(stamp_ns) and float(_generator(self.seed, stamp_ns).random()) < share
 
-    def spoof(self) -> tuple[Signal, Signal]:
+    def spoof(self) -> tuple[AttackSignal, AttackSignal]:
         """Return position and velocity of a consistent spoof.
 
         The velocity goes from zero to V = ``rate`` within T = 1.5 |V| / ``acceleration`` as V (3 q^2 - 2 q^3),

@@ -16,13 +16,13 @@ from adapters.logs.recordings import read_recording, recording_kind
 from adapters.message import Message
 from adapters.output_file import write_file
 from monitor.profile import read_profile
-from replay.attacks.attack import Attack, Kind
+from replay.attacks.attack import Attack, AttackKind
 from replay.attacks.injector import Injector, Plan, Senders, inject, plan, profile_clocks, survey_senders
 
 TRUTH = "truth"
 _SECOND_NS = 1_000_000_000
 
-Track = Callable[[Iterable[Message], str], Iterable[Message]]
+AttackTrack = Callable[[Iterable[Message], str], Iterable[Message]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Order:
     ----------
     channel : str
         See :class:`replay.attacks.attack.Attack`, as are ``kind``, ``size``, ``rate``, ``acceleration`` and ``seed``.
-    kind : Kind
+    kind : AttackKind
         Kind of attack.
     start_s : float | None
         When it begins; None where ``at_ms`` says it.
@@ -50,7 +50,7 @@ class Order:
     """
 
     channel: str
-    kind: Kind
+    kind: AttackKind
     start_s: float | None = None
     at_ms: int | None = None
     end_s: float | None = None
@@ -64,7 +64,7 @@ class Order:
 
 
 def inject_recording(
-    log: Path, out: Path, order: Order, profile: Path | None = None, track: Track = lambda messages, _: messages
+    log: Path, out: Path, order: Order, profile: Path | None = None, track: AttackTrack = lambda messages, _: messages
 ) -> dict[str, Any]:
     """Write a recording with a fault or attack to MCAP, and the truth to ``OUT.truth.json`` and into its metadata.
 
@@ -78,7 +78,7 @@ def inject_recording(
         The attack.
     profile : Path | None
         Profile folder, for faults of actuators.
-    track : Track
+    track : AttackTrack
         Shows progress.
 
     Returns

@@ -13,8 +13,8 @@ from adapters.errors import TelemetryError, UsageError
 from adapters.message import Message
 from monitor.core.sampling import VehicleClock
 from monitor.profile import Profile
-from replay.attacks.attack import Attack, Change, Signal
-from replay.attacks.instruments import INSTRUMENTS, SPOOFED, Quantity, Scene, alike, channel_quantity, unit_of
+from replay.attacks.attack import Attack, AttackSignal, Change
+from replay.attacks.instruments import INSTRUMENTS, SPOOFED, AttackScene, Quantity, alike, channel_quantity, unit_of
 from replay.attacks.plant_response import PlantResponse, find_fault, output_signals
 
 _MALFORMED = (KeyError, TypeError, ValueError, OverflowError)
@@ -85,7 +85,7 @@ def profile_clocks(profile: Profile | None) -> dict[str, Channel]:
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class AttackTarget:
     """A quantity that is altered, how, and whether that ends with the attack or outlasts it."""
 
     quantity: Quantity
@@ -107,7 +107,7 @@ class Plan:
         Unit of the attack's size.
     """
 
-    targets: tuple[Target, ...]
+    targets: tuple[AttackTarget, ...]
     response: PlantResponse | None = None
     unit: str = ""
 
@@ -178,21 +178,23 @@ def _instrument_plan(attack: Attack, quantities: Iterable[Quantity]) -> Plan:
             raise UsageError(f"--kind spoof moves a GPS: use --channel {' or '.join(SPOOFED)}, not {attack.channel}")
         position, velocity = attack.spoof()
         moved = INSTRUMENTS[SPOOFED[attack.channel]]
-        targets = [Target(quantity, _plus(position)) for quantity in quantities]
-        return Plan((*targets, *(Target(quantity, _plus(velocity)) for quantity in moved)), unit="m/s")
+        targets = [AttackTarget(quantity, _plus(position)) for quantity in quantities]
+        return Plan((*targets, *(AttackTarget(quantity, _plus(velocity)) for quantity in moved)), unit="m/s")
     if kind == "drop":
-        return Plan(tuple(Target(quantity, _plus(lambda _: 0.0)) for quantity in quantities), unit="share of messages")
+        return Plan(
+            tuple(AttackTarget(quantity, _plus(lambda _: 0.0)) for quantity in quantities), unit="share of messages"
+        )
     if kind == "scale" and any(quantity.circular for quantity in quantities):
         raise UsageError(f"--kind scale does not go with {attack.channel}: a heading has no size to scale")
     unit = {"scale": "times", "delay": "s"}.get(kind, unit_of(attack.channel))
     grows = f"{unit} per second" if kind == "ramp" and unit else unit
-    return Plan(tuple(Target(quantity, attack.change(quantity.from_home)) for quantity in quantities), unit=grows)
+    return Plan(tuple(AttackTarget(quantity, attack.change(quantity.from_home)) for quantity in quantities), unit=grows)
 
 
 def _plant_plan(attack: Attack, observer: Any, plant: Any, fault: Any) -> Plan:
     """Return what a fault of a profile's plant alters: the outputs that it moves, and the command that answers it."""
     channel, kind = attack.channel, attack.kind
-    response, targets = None, list[Target]()
+    response, targets = None, list[AttackTarget]()
     if fault.kind == "sensor":
         signal = attack.additive()
         if signal is None:
@@ -208,21 +210,21 @@ def _plant_plan(attack: Attack, observer: Any, plant: Any, fault: Any) -> Plan:
         response = PlantResponse(plant, fault, observer.source.inputs, _within(attack, size))
         moves = output_signals(plant, fault, response.at)
         if response.command is not None:
-            targets.append(Target(channel_quantity(response.command), response.answer))
+            targets.append(AttackTarget(channel_quantity(response.command), response.answer))
     mapped = {output.name: output for output in observer.source.outputs}
     for output, move in moves:
         if output not in mapped:
             raise UsageError(f"--channel {channel}: output {output} of {plant.name} comes from no single message")
         for quantity, factor in alike(mapped[output]):
-            targets.append(Target(quantity, _plus(move, factor), outlasts=response is not None))
+            targets.append(AttackTarget(quantity, _plus(move, factor), outlasts=response is not None))
     return Plan(tuple(targets), response, "share of the command" if kind == "loss" else fault.unit)
 
 
-def _within(attack: Attack, size: Signal) -> Signal:
+def _within(attack: Attack, size: AttackSignal) -> AttackSignal:
     return lambda stamp_ns: size(stamp_ns) if attack.acts(stamp_ns) else 0.0
 
 
-def _plus(signal: Signal, factor: float = 1.0) -> Change:
+def _plus(signal: AttackSignal, factor: float = 1.0) -> Change:
     return lambda stamp_ns, value: value + factor * signal(stamp_ns)
 
 
@@ -252,8 +254,8 @@ class Injector:
         self._unit = made.unit
         self._system = system
         self._time = VehicleTime(clocks)
-        self._scene = Scene()
-        self._targets: dict[str, list[Target]] = {}
+        self._scene = AttackScene()
+        self._targets: dict[str, list[AttackTarget]] = {}
         for target in made.targets:
             self._targets.setdefault(target.quantity.message, []).append(target)
         self.altered = 0
@@ -288,7 +290,7 @@ class Injector:
         self._note(stamp_ns)
         return replace(message, fields=fields)
 
-    def _alter(self, fields: Mapping[str, Any], target: Target, stamp_ns: int) -> Mapping[str, Any]:
+    def _alter(self, fields: Mapping[str, Any], target: AttackTarget, stamp_ns: int) -> Mapping[str, Any]:
         quantity = target.quantity
         value = quantity.read(fields, self._scene)
         if value is None:

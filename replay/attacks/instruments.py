@@ -16,7 +16,7 @@ from typing import Any
 from adapters.channels import Channel, follow
 from adapters.message import Message
 
-Fields = Mapping[str, Any]
+MessageFields = Mapping[str, Any]
 
 _GRAVITY = 9.80665
 _WGS84_A, _WGS84_E2 = 6_378_137.0, 6.694_379_990_14e-3
@@ -29,7 +29,7 @@ _DEGE7 = 1e-7
 
 
 @dataclass(slots=True)
-class Scene:
+class AttackScene:
     """What the other messages say that reading a compass or a position needs.
 
     Attributes
@@ -60,9 +60,9 @@ class Quantity:
     ----------
     message : str
         Name of the message.
-    read : Callable[[Fields, Scene], float | None]
+    read : Callable[[Fields, AttackScene], float | None]
         Its value in the channel's unit; None where the message does not hold one.
-    write : Callable[[Fields, float, Scene], dict[str, Any]]
+    write : Callable[[Fields, float, AttackScene], dict[str, Any]]
         All fields of the message with another value there.
     path : tuple[str | int, ...]
         Where it stands, if it is a plain field.
@@ -75,8 +75,8 @@ class Quantity:
     """
 
     message: str
-    read: Callable[[Fields, Scene], float | None]
-    write: Callable[[Fields, float, Scene], dict[str, Any]]
+    read: Callable[[MessageFields, AttackScene], float | None]
+    write: Callable[[MessageFields, float, AttackScene], dict[str, Any]]
     path: tuple[str | int, ...] = field(default=())
     scale: float = 1.0
     from_home: bool = False
@@ -86,10 +86,10 @@ class Quantity:
 def channel_quantity(channel: Channel, from_home: bool = False) -> Quantity:
     """Return the quantity of a mapped channel; a whole number in the message stays one."""
 
-    def read(fields: Fields, _: Scene) -> float | None:
+    def read(fields: MessageFields, _: AttackScene) -> float | None:
         return channel.value(fields) if channel.selects(fields) else None
 
-    def write(fields: Fields, value: float, _: Scene) -> dict[str, Any]:
+    def write(fields: MessageFields, value: float, _: AttackScene) -> dict[str, Any]:
         count = (value - channel.offset) / channel.scale
         whole = isinstance(follow(fields, channel.path), int)
         changed: dict[str, Any] = _replaced(fields, channel.path, round(count) if whole else count)
@@ -148,17 +148,17 @@ def _imu(letter: str, what: str, scaled: float) -> list[Quantity]:
     return [_plain("HIGHRES_IMU", name), _plain("SCALED_IMU", name, scaled), _plain("RAW_IMU", name, scaled)]
 
 
-def _has_fix(fields: Fields) -> bool:
+def _has_fix(fields: MessageFields) -> bool:
     return bool(fields["fix_type"] >= 2 and (fields["lat"] or fields["lon"]))
 
 
 def _gps_place(axis: int) -> Quantity:
     name, turn = ("lat", "lon")[axis], 360.0
 
-    def read(fields: Fields, scene: Scene) -> float | None:
+    def read(fields: MessageFields, scene: AttackScene) -> float | None:
         return fields[name] * _DEGE7 * scene.metres[axis] if scene.metres and _has_fix(fields) else None
 
-    def write(fields: Fields, value: float, scene: Scene) -> dict[str, Any]:
+    def write(fields: MessageFields, value: float, scene: AttackScene) -> dict[str, Any]:
         angle = value / scene.metres[axis] if scene.metres else 0.0
         angle = (angle + turn / 2) % turn - turn / 2 if axis else min(90.0, max(-90.0, angle))
         return {**fields, name: round(angle / _DEGE7)}
@@ -167,10 +167,10 @@ def _gps_place(axis: int) -> Quantity:
 
 
 def _gps_down() -> Quantity:
-    def read(fields: Fields, _: Scene) -> float | None:
+    def read(fields: MessageFields, _: AttackScene) -> float | None:
         return -fields["alt"] / 1000.0 if _has_fix(fields) else None
 
-    def write(fields: Fields, value: float, _: Scene) -> dict[str, Any]:
+    def write(fields: MessageFields, value: float, _: AttackScene) -> dict[str, Any]:
         risen = round(-value * 1000.0) - fields["alt"]
         ellipsoid = fields.get("alt_ellipsoid")
         above = {"alt_ellipsoid": ellipsoid + risen} if ellipsoid else {}
@@ -180,15 +180,15 @@ def _gps_down() -> Quantity:
 
 
 def _gps_velocity(axis: int) -> Quantity:
-    def both(fields: Fields) -> list[float]:
+    def both(fields: MessageFields) -> list[float]:
         speed, course = fields["vel"] / 100.0, radians(fields["cog"] / 100.0)
         return [speed * cos(course), speed * sin(course)]
 
-    def read(fields: Fields, _: Scene) -> float | None:
+    def read(fields: MessageFields, _: AttackScene) -> float | None:
         known = _has_fix(fields) and _UNKNOWN_U16 not in (fields["vel"], fields["cog"])
         return both(fields)[axis] if known else None
 
-    def write(fields: Fields, value: float, _: Scene) -> dict[str, Any]:
+    def write(fields: MessageFields, value: float, _: AttackScene) -> dict[str, Any]:
         velocity = both(fields)
         velocity[axis] = value
         course = degrees(atan2(velocity[1], velocity[0]))
@@ -202,10 +202,10 @@ def _gps_velocity(axis: int) -> Quantity:
 
 
 def _pressure(message: str, name: str) -> Quantity:
-    def read(fields: Fields, _: Scene) -> float | None:
+    def read(fields: MessageFields, _: AttackScene) -> float | None:
         return pressure_altitude(fields[name]) if fields[name] > 0.0 else None
 
-    def write(fields: Fields, value: float, _: Scene) -> dict[str, Any]:
+    def write(fields: MessageFields, value: float, _: AttackScene) -> dict[str, Any]:
         return {**fields, name: altitude_pressure(value)}
 
     return Quantity(message, read, write, from_home=True)
@@ -214,7 +214,7 @@ def _pressure(message: str, name: str) -> Quantity:
 def _compass(message: str) -> Quantity:
     """Heading of the levelled field; the field is turned about the vertical as if the vehicle pointed elsewhere."""
 
-    def read(fields: Fields, scene: Scene) -> float | None:
+    def read(fields: MessageFields, scene: AttackScene) -> float | None:
         x, y, z = fields["xmag"], fields["ymag"], fields["zmag"]
         if not (x or y or z):
             return None
@@ -222,7 +222,7 @@ def _compass(message: str) -> Quantity:
         along = x * cos(scene.pitch) + (y * sin(scene.roll) + z * cos(scene.roll)) * sin(scene.pitch)
         return atan2(-across, along)
 
-    def write(fields: Fields, value: float, scene: Scene) -> dict[str, Any]:
+    def write(fields: MessageFields, value: float, scene: AttackScene) -> dict[str, Any]:
         heading = read(fields, scene)
         turn = 0.0 if heading is None else heading - value
         vector = [fields[name] for name in ("xmag", "ymag", "zmag")]
@@ -236,7 +236,7 @@ def _compass(message: str) -> Quantity:
     return Quantity(message, read, write, circular=True)
 
 
-def _down(scene: Scene) -> tuple[float, float, float]:
+def _down(scene: AttackScene) -> tuple[float, float, float]:
     """Return the downward vertical in body axes."""
     return (-sin(scene.pitch), sin(scene.roll) * cos(scene.pitch), cos(scene.roll) * cos(scene.pitch))
 

@@ -36,7 +36,7 @@ from gains.plants.model_file import read_model
 from gains.plants.plant import Fault, Plant
 from monitor.estimation.input_curve import effect_of_command
 from monitor.profile import ObserverProfile, Profile
-from replay.attacks.attack import Signal
+from replay.attacks.attack import AttackSignal
 
 _MAX_STEPS = 2000
 """Chosen: after 20 s at 100 Hz without a sample the response begins anew, as observers do."""
@@ -56,7 +56,7 @@ class PlantResponse:
         An actuator fault of it.
     inputs : Sequence[Channel]
         Where the commands come from.
-    size : Signal
+    size : AttackSignal
         Loss or fault over time, vehicle nanoseconds.
 
     Attributes
@@ -67,7 +67,7 @@ class PlantResponse:
         Stamps of the first and the last command behind which the fault acted.
     """
 
-    def __init__(self, plant: Plant, fault: Fault, inputs: Sequence[Channel], size: Signal) -> None:
+    def __init__(self, plant: Plant, fault: Fault, inputs: Sequence[Channel], size: AttackSignal) -> None:
         self._A, self._C, self._column = plant.A, plant.C, fault.column
         self._step_ns = 1e9 / (plant.rate_hz or 1.0)
         self._taps = np.array(plant.taps)
@@ -171,7 +171,7 @@ def find_fault(profile: Profile, folder: Path, channel: str) -> tuple[ObserverPr
 
 def output_signals(
     plant: Plant, fault: Fault, response: Callable[[int], NDArray[np.float64]]
-) -> list[tuple[str, Signal]]:
+) -> list[tuple[str, AttackSignal]]:
     """Return the outputs that a fault moves and by how much over time, given its response of all outputs."""
     if fault.kind == "sensor":
         moved = fault.column != 0.0

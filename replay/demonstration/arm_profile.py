@@ -29,7 +29,7 @@ from monitor.profile import (
     read_profile,
 )
 from monitor.sampling.gate import GateRule
-from monitor.sampling.transform import Source
+from monitor.sampling.transform import SampleSource
 
 OBSERVER = "arm"
 MODEL = "arm-disturbed"
@@ -91,14 +91,14 @@ def write_arm_profile(folder: Path) -> Profile:
             for name, kind, unit in zip(gains.faults, gains.fault_kinds, gains.fault_units, strict=True)
             if name in thresholds
         ]
-        table = observer_table(source=Source(inputs, outputs), isolation=isolation, alarms=alarms)
+        table = observer_table(source=SampleSource(inputs, outputs), isolation=isolation, alarms=alarms)
         content = profile_table(name="arm", vehicle="custom", gate=_GATE, observers={OBSERVER: table})
         write_file(folder / PROFILE_FILE, tomli_w.dumps(content))
         return read_profile(folder)
 
     runs = [simulate_arm(SCENARIOS["healthy"], _HEALTHY_S, RATE_HZ, torque) for torque in TORQUES]
     healthy = [
-        flight_samples(packed(arm_messages(run, 10**18)), Source(inputs, outputs), RATE_HZ, _GATE) for run in runs
+        flight_samples(packed(arm_messages(run, 10**18)), SampleSource(inputs, outputs), RATE_HZ, _GATE) for run in runs
     ]
     worst = healthy_maxima(write({}), healthy, _RAISE_S)
     return write({name: round(_MARGIN * float(worst[i]), 4) for i, name in enumerate(gains.faults)})

@@ -44,7 +44,7 @@ _STOP_TIMEOUT_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class DemoScene:
     """What is demonstrated.
 
     Parameters
@@ -81,12 +81,12 @@ def demo(vehicle: str, out: Path, speed: float | None) -> int:
 
 
 @contextlib.contextmanager
-def _arm_scene(out: Path) -> Iterator[Scene]:
+def _arm_scene(out: Path) -> Iterator[DemoScene]:
     _say("designing the arm's observer and calibrating its alarms ...")
     profile = out / "arm-profile"
     write_arm_profile(profile)
     names = {"f_a": "motor", "f_s": "encoder"}
-    yield Scene(
+    yield DemoScene(
         title="A flexible-joint arm, disturbed; its motor gets 2 N m too much, later its encoder reads 2 rad off.",
         profile=profile,
         sender=lambda address, pace: [
@@ -101,8 +101,8 @@ def _arm_scene(out: Path) -> Iterator[Scene]:
 
 
 @contextlib.contextmanager
-def _copter_scene() -> Iterator[Scene]:
-    yield Scene(
+def _copter_scene() -> Iterator[DemoScene]:
+    yield DemoScene(
         title="A recorded flight of a quadcopter in gusts; its motor 1 loses 5 % of its command for 50 s.",
         profile=_DATA / "quad",
         sender=lambda address, pace: [
@@ -113,7 +113,7 @@ def _copter_scene() -> Iterator[Scene]:
     )
 
 
-def _run_live(scene: Scene, record: Path, speed: float) -> list[AlarmEvent]:
+def _run_live(scene: DemoScene, record: Path, speed: float) -> list[AlarmEvent]:
     """Run daemon, sender and subscriber; return the events that came over Zenoh."""
     udp, endpoint = (
         f"127.0.0.1:{_free_port(socket.SOCK_DGRAM)}",
@@ -154,7 +154,7 @@ def _wait_for_monitor(subscriber: AlarmSubscriber, daemon: subprocess.Popen[str]
         time.sleep(0.05)
 
 
-def _watch(scene: Scene, subscriber: AlarmSubscriber, sender_command: Sequence[str]) -> list[AlarmEvent]:
+def _watch(scene: DemoScene, subscriber: AlarmSubscriber, sender_command: Sequence[str]) -> list[AlarmEvent]:
     """Start the sender and collect events until a second after it has finished."""
     events: list[AlarmEvent] = []
     sender = subprocess.Popen(sender_command, stdout=subprocess.DEVNULL)  # noqa: S603 - as above
@@ -175,7 +175,7 @@ def _watch(scene: Scene, subscriber: AlarmSubscriber, sender_command: Sequence[s
     return events
 
 
-def _announce(scene: Scene, event: AlarmEvent) -> str:
+def _announce(scene: DemoScene, event: AlarmEvent) -> str:
     time_s = event.vehicle_time_ms / 1000
     line = f"  {time_s:8.2f} s  {event.channel:<8} {event.state:<8}"
     truth = next((t for t in scene.truth if t.channel == event.channel), None)
@@ -189,7 +189,7 @@ def _announce(scene: Scene, event: AlarmEvent) -> str:
     return f"{line}{estimate}{delay}"
 
 
-def _report(scene: Scene, events: Sequence[AlarmEvent], replayed: Replay, out: Path, vehicle: str) -> int:
+def _report(scene: DemoScene, events: Sequence[AlarmEvent], replayed: Replay, out: Path, vehicle: str) -> int:
     same = [event for event in replayed.events if event.kind != "stale"] == list(events)
     _say(f"replaying the recording gives the same {len(events)} events: {'yes' if same else 'NO'}")
     missing = [

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from adapters.logs.mcap_reader import read_mcap_metadata
 from adapters.logs.recordings import recording_kind
 from monitor.trace import Trace
-from replay.attacks.attack import Attack, Signal
+from replay.attacks.attack import Attack, AttackSignal
 from replay.attacks.inject import TRUTH
 
 Courses = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
@@ -74,7 +74,7 @@ def _course(fault: Mapping[str, Any], channel: str, trace: Trace) -> NDArray[np.
         acceleration=numbers["acceleration"],
     )
     attack.check()
-    signal: Signal
+    signal: AttackSignal
     if attack.kind in ("bias", "ramp"):
         signal = attack.growth
     elif attack.kind == "spoof":

@@ -24,7 +24,7 @@ _PERIODS_KEPT = 2000
 _PENDING = 512
 """Messages that are looked at together: one by one costs more."""
 
-Key = tuple[Source, str, int, int]
+StreamKey = tuple[Source, str, int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ class RecordingFacts:
         return sum(stream.count for stream in self.streams)
 
 
-def _in_order(entry: tuple[Key, _Stream]) -> tuple[str, str, int, int]:
+def _in_order(entry: tuple[StreamKey, _Stream]) -> tuple[str, str, int, int]:
     """Return what streams are sorted by."""
     source, name, system, component = entry[0]
     return source.name, name, system, component
@@ -108,7 +108,7 @@ class RecordingMeter:
     """Measures a recording that passes by, in memory that does not grow with it."""
 
     def __init__(self) -> None:
-        self._streams: dict[Key, _Stream] = {}
+        self._streams: dict[StreamKey, _Stream] = {}
 
     def watch(self, messages: Iterable[Message]) -> Iterator[Message]:
         """Yield the messages and take note of each."""
@@ -146,7 +146,7 @@ class RecordingMeter:
             ),
         )
 
-    def _stream(self, key: Key) -> _Stream:
+    def _stream(self, key: StreamKey) -> _Stream:
         found = self._streams.get(key)
         if found is None:
             found = self._streams[key] = _Stream()

@@ -20,7 +20,7 @@ from replay.player import Replay
 from replay.reports.findings import Calibration, Finding, WatchedChannel, effects, findings, watched_channels
 from replay.reports.plot import plot_svg
 from replay.reports.recording_facts import RecordingFacts, StreamFacts
-from replay.reports.report_html import Html, element, facts, joined, page, section, table
+from replay.reports.report_html import Html, element, facts, joined_html, page, section, table
 from replay.reports.unchecked import unchecked
 
 _WATCHED_HEADS = (
@@ -77,10 +77,10 @@ class Run:
 
 def write_report(path: str | os.PathLike[str], run: Run) -> None:
     """Write the report of a run: HTML with its pictures inside, light and dark, that loads and runs nothing."""
-    write_file(path, report(run))
+    write_file(path, recording_report(run))
 
 
-def report(run: Run) -> str:
+def recording_report(run: Run) -> str:
     """Return the report of a run as an HTML page."""
     replay = run.replay
     found = findings(run.profile, replay.events, replay.traces)
@@ -105,7 +105,7 @@ def _header(run: Run, found: Sequence[Finding]) -> Html:
     if not mark and _blind(run.replay):
         mark = "unknown"
     when = utc(run.recording.first_ns) if run.recording.first_ns is not None else "no message"
-    return joined(
+    return joined_html(
         [
             element("div", _sentence(run.verdict), class_=f"verdict {mark}".strip()),
             element("p", f"{when} · {_span(run.recording.duration_s)} · {run.profile.vehicle}", class_="note"),
@@ -317,7 +317,7 @@ def _made(run: Run) -> Html:
             ("fauio", version("fauio")),
             ("runs on", f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"),
             ("libraries", versions),
-            ("profile", joined([run.profile.name, ", ", element("code", str(run.folder))])),
+            ("profile", joined_html([run.profile.name, ", ", element("code", str(run.folder))])),
             ("profile's hash", element("code", run.profile.digest)),
             ("counts as evidence", ", ".join(rules)),
         ]

@@ -71,7 +71,7 @@ svg * { stroke-linejoin: round; stroke-linecap: butt; }
 """
 
 
-def text(value: object) -> Html:
+def html_text(value: object) -> Html:
     """Return a text escaped, without control characters: names come from outside."""
     return value if isinstance(value, Html) else Html(escape(printable(str(value))))
 
@@ -82,12 +82,12 @@ def element(tag: str, *content: object, **attributes: str) -> Html:
     In names of attributes ``_`` stands for ``-``, at the end for nothing.
     """
     said = "".join(f' {name.rstrip("_").replace("_", "-")}="{escape(value)}"' for name, value in attributes.items())
-    return Html(f"<{tag}{said}>{joined(content)}</{tag}>")
+    return Html(f"<{tag}{said}>{joined_html(content)}</{tag}>")
 
 
-def joined(parts: Iterable[object]) -> Html:
+def joined_html(parts: Iterable[object]) -> Html:
     """Return parts one behind the other, escaped where they are no :class:`Html`."""
-    return Html("".join(map(text, parts)))
+    return Html("".join(map(html_text, parts)))
 
 
 def facts(pairs: Iterable[tuple[str, object]]) -> Html:
@@ -125,7 +125,7 @@ def page(title: str, *content: object) -> Html:
         element("title", title),
         element("style", Html(_style())),
     )
-    return Html(f'<!DOCTYPE html>\n<html lang="en">{head}<body><main>{joined(content)}</main></body></html>\n')
+    return Html(f'<!DOCTYPE html>\n<html lang="en">{head}<body><main>{joined_html(content)}</main></body></html>\n')
 
 
 def _style() -> str:

@@ -14,7 +14,7 @@ PLACE = "{log}"
 
 
 @dataclass(frozen=True, slots=True)
-class Log:
+class LogFile:
     """A recording.
 
     Parameters
@@ -30,7 +30,7 @@ class Log:
     name: str
 
 
-def find_logs(arguments: Sequence[Path]) -> list[Log]:
+def find_logs(arguments: Sequence[Path]) -> list[LogFile]:
     """Return the recordings that arguments name, in their order.
 
     A file, and the folder of a recorded session, is one recording. Any other folder stands for all recordings in it
@@ -41,7 +41,7 @@ def find_logs(arguments: Sequence[Path]) -> list[Log]:
     TelemetryError
         A file is missing or no recording, or a folder holds none.
     """
-    found: list[Log] = []
+    found: list[LogFile] = []
     taken: set[str] = set()
     for argument in arguments:
         paths = _below(argument) if argument.is_dir() else [argument]
@@ -57,11 +57,11 @@ def find_logs(arguments: Sequence[Path]) -> list[Log]:
                 number += 1
                 name = f"{base}-{number}"
             taken.add(name)
-            found.append(Log(path, name))
+            found.append(LogFile(path, name))
     return found
 
 
-def target(option: str, given: str | None, log: Log, suffix: str, *, many: bool) -> Path | None:
+def target(option: str, given: str | None, log: LogFile, suffix: str, *, many: bool) -> Path | None:
     """Return the file to write about a log; None where nothing was asked for.
 
     Parameters
@@ -71,7 +71,7 @@ def target(option: str, given: str | None, log: Log, suffix: str, *, many: bool)
     given : str | None
         What the user gave: a file; a folder; or a name with ``{log}`` in the log's name's place. Among many logs a
         name without suffix is a folder, too.
-    log : Log
+    log : LogFile
         The log.
     suffix : str
         Suffix of files in a folder.
@@ -101,7 +101,7 @@ def target(option: str, given: str | None, log: Log, suffix: str, *, many: bool)
     return found
 
 
-def forbid_overwriting(logs: Sequence[Log], targets: Sequence[Path]) -> None:
+def forbid_overwriting(logs: Sequence[LogFile], targets: Sequence[Path]) -> None:
     """Make sure that what will be written is none of the logs.
 
     Raises

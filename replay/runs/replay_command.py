@@ -17,7 +17,7 @@ from adapters.output_file import naming
 if TYPE_CHECKING:
     from monitor.profile import Profile
     from replay.runs.live_replay import LiveReplay
-    from replay.runs.log_list import Log
+    from replay.runs.log_list import LogFile
     from replay.runs.one_log import LogOutcome, LogTask
 
 ALARMS_RAISED = 4
@@ -151,7 +151,7 @@ def _check(args: argparse.Namespace) -> None:
             raise UsageError(f"--listen {endpoint}: other machines reach it; use 127.0.0.1, or --allow-public")
 
 
-def _tasks(args: argparse.Namespace, logs: Sequence[Log]) -> list[LogTask]:
+def _tasks(args: argparse.Namespace, logs: Sequence[LogFile]) -> list[LogTask]:
     """Return what is to be done about each log."""
     from replay.runs.log_list import check_output, forbid_overwriting, target
     from replay.runs.one_log import LogTask

@@ -23,7 +23,7 @@ from monitor.estimate import Estimate
 from monitor.pipeline import Pipeline
 from monitor.profile import ObserverProfile, Profile, read_profile
 from monitor.sampling.phase import FlightPhase
-from replay.attacks.attack import KINDS, Attack
+from replay.attacks.attack import ATTACK_KINDS, Attack
 from replay.attacks.injector import plan
 from replay.sensitivity import windows
 from replay.sensitivity.trial import Outcome, Task, run_task
@@ -37,7 +37,7 @@ _DELAYS_S = (0.05, 0.1, 0.2, 0.5, 1.0)
 _SIZELESS = ("freeze", "drop", "replay")
 _SCENE_MESSAGES = frozenset({"ATTITUDE", "GPS_RAW_INT"})
 
-Track = Callable[..., Iterable[Any]]
+TrialTrack = Callable[..., Iterable[Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +157,7 @@ class _Subject:
     attacks: tuple[Attack, ...]
 
 
-def detectability(folder: Path, log: Path, sweep: Sweep, track: Track = lambda items, *_: items) -> Detectability:
+def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lambda items, *_: items) -> Detectability:
     """Sweep size and kind of faults over a profile's alarm channels.
 
     Parameters
@@ -168,7 +168,7 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: Track = lambda i
         Healthy recording.
     sweep : Sweep
         What to try.
-    track : Track
+    track : TrialTrack
         Shows progress, given the items, what they are part of, and what they are.
 
     Raises
@@ -182,9 +182,9 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: Track = lambda i
     if not (sweep.before_s > 0.0 and sweep.after_s > 0.0):
         raise UsageError("--before and --after are seconds above zero; their sum is the window of a trial")
     chosen = _chosen(profile, sweep.channels)
-    unknown = [kind for kind in sweep.kinds or () if kind not in KINDS]
+    unknown = [kind for kind in sweep.kinds or () if kind not in ATTACK_KINDS]
     if unknown:
-        raise UsageError(f"--kinds {unknown[0]}: no such kind; use some of {', '.join(KINDS)}")
+        raise UsageError(f"--kinds {unknown[0]}: no such kind; use some of {', '.join(ATTACK_KINDS)}")
     wanted = Pipeline(profile).interests | _SCENE_MESSAGES
     everything = list(track(read_recording(log, wanted), f"reading {log.name}"))
     system = _system(profile, everything)

@@ -27,9 +27,9 @@ from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.isolation_rule import BankRule, IndependentRule
-from monitor.fitting.calibrate import SETTLE_S, bank_rule, settling_s
+from monitor.fitting.calibrate import SETTLE_S, bank_rule, profile_settling_s
 from monitor.fitting.fit_report import Comparison, comparison_json, comparison_lines, parameter_lines
-from monitor.fitting.fitted import FitRequest, Fitted, Log, bare_rule, unexplained_alarm
+from monitor.fitting.fitted import BatchSource, FitRequest, Fitted, bare_rule, unexplained_alarm
 from monitor.fitting.flights import flight_samples
 from monitor.fitting.survey import of_one_vehicle
 from monitor.fitting.thresholds import (
@@ -42,7 +42,7 @@ from monitor.fitting.thresholds import (
 )
 from monitor.sampling.gate import GateRule, read_gate
 from monitor.sampling.phase import FlightPhase
-from monitor.sampling.transform import Source
+from monitor.sampling.transform import SampleSource
 
 _SMOOTHING_S = 0.05
 _LEAST_THRESHOLD = 1e-3
@@ -78,7 +78,7 @@ def fit_custom(request: FitRequest) -> tuple[Fitted, GateRule]:
         raise ModelError("a custom vehicle needs a model file")
     logs, model_path = request.logs, request.model
     model = read_free_model(model_path)
-    source = Source(*model_channels(model))
+    source = SampleSource(*model_channels(model))
     gate = _gate(model)
     names = {channel.message for channel in source.channels}
     own = [partial(_of_one_system, log, names) for log in logs]
@@ -89,7 +89,7 @@ def fit_custom(request: FitRequest) -> tuple[Fitted, GateRule]:
     _check_determined(fit)
     plant = fitted_plant(fit)
     gains, isolation = _design(plant, rate_hz, segments)
-    gate = replace(gate, settle_s=max(gate.settle_s, settling_s(gains)))
+    gate = replace(gate, settle_s=max(gate.settle_s, profile_settling_s(gains)))
     flights = [flight_samples(log(), source, rate_hz, gate) for log in own]
     bare = Fitted(plant.name, plant, gains, source, isolation)
     declared = {fault["name"] for fault in model.document.get("fault", ()) if "error" in fault}
@@ -241,11 +241,11 @@ def _gate(model: FreeModel) -> GateRule:
     return gate
 
 
-def _of_one_system(log: Log, names: Collection[str]) -> Iterable[Batch]:
+def _of_one_system(log: BatchSource, names: Collection[str]) -> Iterable[Batch]:
     return of_one_vehicle(log(), names)
 
 
-def _rate_hz(logs: Sequence[Log], channels: Sequence[Channel], where: str) -> float:
+def _rate_hz(logs: Sequence[BatchSource], channels: Sequence[Channel], where: str) -> float:
     """Return the rate of the grid: that of the slowest channel in its slowest log, rounded to a whole number."""
     slowest = np.inf
     for number, log in enumerate(logs, 1):

@@ -24,7 +24,7 @@ from monitor.fitting.thresholds import (
 )
 from monitor.profile import FaultChannel
 from monitor.sampling.gate import GateRule
-from monitor.sampling.transform import Source, TransformRule
+from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.inertial.identify import WASHED_FAULTS, inertial_bank, inertial_plant, smallest_faults
 from monitor.vehicles.inertial.sensor_fit import (
     InertialFit,
@@ -85,7 +85,7 @@ def fit_inertial(request: FitRequest, gate: GateRule) -> Fitted:
     gate = replace(gate, settle_s=max(gate.settle_s, _SETTLE_S))
     channels = common_channels(surveys)
     signal_hz, rate_hz = _rates(inertial_rate_hz(surveys, channels))
-    raw_source = Source(inputs=channels.channels)
+    raw_source = SampleSource(inputs=channels.channels)
     raw = [flight_samples(log(), raw_source, signal_hz, replace(gate, airborne_command=0.0)) for log in logs]
     parameters = {**channels.parameters, "washout_s": _WASHOUT_S, "velocity_washout_s": _VELOCITY_WASHOUT_S}
     parameters |= _delays(raw, parameters, signal_hz, rate_hz)
@@ -112,7 +112,7 @@ def fit_inertial(request: FitRequest, gate: GateRule) -> Fitted:
         noise=np.array([fit.noise[output] for output in fit.outputs]),
         washouts={fault: _WASHOUT_S for fault in WASHED_FAULTS if fault in names},
     )
-    source = Source(transform=rule, signals=channels.channels)
+    source = SampleSource(transform=rule, signals=channels.channels)
     bare = Fitted(OBSERVER, plant, gains, source, isolation, settle_s=_SETTLE_S)
     evidence = healthy_evidence(bare.profile(), gate, flights, own=True)
     alarms = _alarms(bare.profile().faults, evidence, rate_hz, smallest_faults(fit))

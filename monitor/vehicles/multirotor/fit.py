@@ -26,7 +26,7 @@ from monitor.fitting.thresholds import (
 )
 from monitor.profile import FaultChannel
 from monitor.sampling.gate import GateRule
-from monitor.sampling.transform import Source
+from monitor.sampling.transform import SampleSource
 from monitor.vehicles.multirotor.identify import GYROS, MultirotorFit, identify_multirotor, multirotor_plant
 from monitor.vehicles.multirotor.report import compare_kept_back
 from monitor.vehicles.multirotor.signals import motor_commands, multirotor_channels, range_text
@@ -65,7 +65,7 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
     logs, surveys = request.logs, request.surveys
     gate = multirotor_gate(surveys)
     inputs, outputs = multirotor_channels(surveys)
-    source = Source(inputs, outputs)
+    source = SampleSource(inputs, outputs)
     rate_hz = common_rate_hz(surveys, source.channels)
     flights = [flight_samples(log(), source, rate_hz, gate) for log in logs]
     stretches = [flight.segments() for flight in flights]

@@ -8,7 +8,7 @@ from math import log10
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
-from monitor.fitting.survey import MAX_OUTPUTS, MOTION_MESSAGES, MOTOR_MESSAGE, Output, Survey, common_rate_hz
+from monitor.fitting.survey import MAX_OUTPUTS, MOTION_MESSAGES, MOTOR_MESSAGE, MotorOutput, Survey, common_rate_hz
 from monitor.sampling.phase import FlightPhase
 from monitor.vehicles.base import Preview
 
@@ -164,12 +164,12 @@ def range_text(commands: CommandRange, surveys: Sequence[Survey]) -> str:
     )
 
 
-def _in_every_log(surveys: Sequence[Survey], moves: Callable[[Output], bool]) -> list[int]:
+def _in_every_log(surveys: Sequence[Survey], moves: Callable[[MotorOutput], bool]) -> list[int]:
     numbers = range(1, MAX_OUTPUTS + 1)
     return [n for n in numbers if all(n in found.outputs and moves(found.outputs[n]) for found in surveys)]
 
 
-def _moves_as_pulse(output: Output) -> bool:
+def _moves_as_pulse(output: MotorOutput) -> bool:
     return output.mean > _IDLE_US and output.spread > _STILL_US
 
 
@@ -178,7 +178,7 @@ def _extremes(surveys: Sequence[Survey], numbers: Sequence[int]) -> tuple[int, i
     return min(one.low for one in found), max(one.high for one in found)
 
 
-def _is_no_pulse(output: Output) -> bool:
+def _is_no_pulse(output: MotorOutput) -> bool:
     return output.outside > _FEW_OUTSIDE or output.high <= _IDLE_US
 
 
