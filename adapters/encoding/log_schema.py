@@ -1,4 +1,4 @@
-"""Protobuf types of onboard logs' records, taken from the records themselves: whole, typed, and the way back."""
+"""Protobuf types of onboard logs' records, derived from the records themselves; encoding and decoding them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from adapters.encoding.protobuf_types import (
 from adapters.encoding.record import Schema
 from adapters.message import Message
 
-# One field's name and what it holds; of a nested type, its fields.
+# Of each field the name, the kind (of a nested type its fields), and whether it is a list.
 Shape = tuple[tuple[str, str | tuple[Any, ...], bool], ...]
 
 _DTYPE_KINDS: Final[Mapping[str, ProtobufScalar]] = {"b": "bool", "i": "int64", "u": "int64", "f": "double"}
@@ -28,7 +28,7 @@ _SCALARS: Final[Mapping[type, ProtobufScalar]] = {bool: "bool", int: "int64", fl
 
 
 def shape(fields: Mapping[str, Any]) -> Shape:
-    """Return what fields look like; the records of one topic look alike.
+    """Return the names and kinds of fields; records of one topic share them.
 
     Raises
     ------
@@ -36,16 +36,16 @@ def shape(fields: Mapping[str, Any]) -> Shape:
         A value, or a name, is none that a typed record can hold.
     """
     if identifiers(tuple(fields)) != tuple(fields):
-        raise ValueError("names that protobuf does not know")
+        raise ValueError("names that are no protobuf identifiers")
     return tuple((name, *_kind(value)) for name, value in fields.items())
 
 
 def _kind(value: Any) -> tuple[str | tuple[Any, ...], bool]:
     if isinstance(value, list):
         kinds = {_kind(element) for element in value}
-        if len(kinds) != 1 or (found := kinds.pop())[1]:
+        if len(kinds) != 1 or (element := kinds.pop())[1]:
             raise ValueError("a list of nothing, of lists or of unlike things")
-        return found[0], True
+        return element[0], True
     if isinstance(value, dict):
         return shape(value), False
     kind = _SCALARS.get(type(value))
@@ -130,12 +130,12 @@ class LogProtobuf:
 
 
 def _read(message: Any) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    # of the class: a field may bear this name
+    fields: dict[str, Any] = {}
+    # of the class: a field of the message may be called DESCRIPTOR
     for field in type(message).DESCRIPTOR.fields:
         value = getattr(message, field.name)
         if field.message_type is not None:
-            found[field.name] = [_read(one) for one in value] if field.is_repeated else _read(value)
+            fields[field.name] = [_read(part) for part in value] if field.is_repeated else _read(value)
         else:
-            found[field.name] = list(value) if field.is_repeated else value
-    return found
+            fields[field.name] = list(value) if field.is_repeated else value
+    return fields

@@ -1,4 +1,4 @@
-"""Protobuf types of MAVLink messages, made from pymavlink's tables, lossless there and back."""
+"""Protobuf types of MAVLink messages, made from pymavlink's tables; encoding and decoding lose nothing."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def _tables() -> dict[str, Any]:
 def _fields(table: Any) -> list[Field]:
     """Return the sender's ids and then the message's fields in the order of its definition.
 
-    Text is a string, an array of numbers a repeated field. Where a message has a field ``system_id`` of its
-    own, the sender's is ``sender_system_id``; it is still known by its number, 1 or 2.
+    Text is a string, an array of numbers a repeated field. Where a message has a field ``system_id`` of its own, the
+    sender's is called ``sender_system_id``; readers know it by its number, 1 or 2.
     """
     own = set(table.fieldnames)
     fields = [Field(f"sender_{name}" if name in own else name, "uint32") for name in ("system_id", "component_id")]
@@ -56,7 +56,7 @@ def _fields(table: Any) -> list[Field]:
 
 
 class MavlinkProtobuf:
-    """The protobuf type of one MAVLink message and the way there and back.
+    """The protobuf type of one MAVLink message: encodes and decodes its messages.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ class MavlinkProtobuf:
     def rows_from_bytes(
         self, data: Sequence[bytes], name: str, received_ns: NDArray[np.int64], position: NDArray[np.int64]
     ) -> list[Columns] | None:
-        """Return what :meth:`from_bytes` does of each record, by sender; None where they have to be taken one by one.
+        """Return the messages of :meth:`from_bytes` as columns by sender, None where each has to be read by itself.
 
         Parameters
         ----------
@@ -133,32 +133,32 @@ class MavlinkProtobuf:
         name : str
             Name of the message.
         received_ns, position : NDArray[np.int64]
-            Their times and places in the block (n,).
+            Their times, and their indices in the batch (n,).
         """
-        found = None if self._rows is None else self._rows.decode(data)
-        if found is None:
+        fields = None if self._rows is None else self._rows.decode(data)
+        if fields is None:
             return None
-        system, component = found.pop(self._system), found.pop(self._component)
+        system, component = fields.pop(self._system), fields.pop(self._component)
         sender = system.astype(np.int64) << 32 | component.astype(np.int64)
         columns = []
-        for one in np.unique(sender).tolist():
-            rows = sender == one
+        for ids in np.unique(sender).tolist():
+            rows = sender == ids
             columns.append(
                 Columns(
                     source=MAVLINK,
                     name=name,
-                    system=one >> 32,
-                    component=one & 0xFFFFFFFF,
+                    system=ids >> 32,
+                    component=ids & 0xFFFFFFFF,
                     position=position[rows],
                     received_ns=received_ns[rows],
-                    fields={field: found[field][rows] for field in self._order},
+                    fields={field: fields[field][rows] for field in self._order},
                 )
             )
         return columns
 
 
 def _is_id(field: Any) -> bool:
-    """Return whether a field can hold the id of a sender; the schema of a damaged file may say anything."""
+    """Return whether a field can hold the id of a sender; the schema of a damaged file may have any type there."""
     return field.type == field.TYPE_UINT32 and not field.is_repeated
 
 

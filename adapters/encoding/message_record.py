@@ -1,4 +1,4 @@
-"""One telemetry message as a record of a log: its topic, its bytes, and the way back."""
+"""One telemetry message as a record of a log: encoding, and decoding by topic."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ from adapters.encoding.record import Record, Schema
 from adapters.message import LATEST_NS, Message
 from adapters.source import LINK, MAVLINK, SOURCES, ZENOH
 
-# viewers want some schema, and a JSON topic may carry anything
+# Viewers ask for a schema; a JSON topic may carry any object.
 _JSON_SCHEMA = Schema("fauio.Telemetry", "jsonschema", b'{"type": "object"}')
 
+# MAVLink's ids of systems and components have one byte.
 _LARGEST_ID = 255
 """A byte: MAVLink's system and component."""
 
@@ -34,7 +35,7 @@ def encode(message: Message) -> Record:
     """Return a message as a record.
 
     MAVLink messages are protobuf, as JSON only where the fields are not those of pymavlink's definition.
-    NaN and infinity stay literals in JSON, which JSON proper lacks: a replay has to see what the monitor saw.
+    NaN and infinity stay literals in JSON, which JSON proper lacks: a replay has to see the monitor's own input.
 
     Raises
     ------
@@ -66,7 +67,7 @@ def encode(message: Message) -> Record:
 
 
 def recorded_name(topic: str, encoding: str, schema: str | None) -> str | None:
-    """Return the name of the messages on a topic of ours, None where others made the topic.
+    """Return the name of the messages on a topic of ours, None where another program made the topic.
 
     Parameters
     ----------
@@ -88,7 +89,7 @@ def recorded_name(topic: str, encoding: str, schema: str | None) -> str | None:
 
 
 def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Decode | None:
-    """Return what turns a topic's records into messages, None where others made the topic.
+    """Return the function that decodes a topic's records, None where another program made the topic.
 
     Parameters
     ----------

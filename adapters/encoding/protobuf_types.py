@@ -1,4 +1,4 @@
-"""Protobuf message classes built at run time from lists of fields: typed records without a compiler."""
+"""Protobuf message classes built at run time from lists of fields, without protobuf's compiler."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Field:
     repeated : bool
         A list of values.
     optional : bool
-        Absent is told from zero.
+        Whether absence is distinguished from zero.
     """
 
     name: str
@@ -76,10 +76,10 @@ def _describe(proto: Any, full_name: str, fields: Sequence[Field]) -> None:
 
 def descriptor_set(pb_class: Any) -> bytes:
     """Return the class's FileDescriptorSet with all it depends on: the schema of an MCAP channel."""
-    found = descriptor_pb2.FileDescriptorSet()
+    files = descriptor_pb2.FileDescriptorSet()
     for file in (*pb_class.DESCRIPTOR.file.dependencies, pb_class.DESCRIPTOR.file):
-        file.CopyToProto(found.file.add())
-    return bytes(found.SerializeToString(deterministic=True))
+        file.CopyToProto(files.file.add())
+    return bytes(files.SerializeToString(deterministic=True))
 
 
 def class_from_descriptor_set(data: bytes, full_name: str) -> Any:
@@ -106,7 +106,7 @@ def identifiers(names: Sequence[str]) -> tuple[str, ...]:
     that protobuf derives for JSON, are told apart by trailing numbers.
     """
     taken: set[str] = set()
-    found = []
+    chosen = []
     for name in names:
         plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in name) or "_"
         plain = f"_{plain}" if plain[0].isdigit() else plain
@@ -114,8 +114,8 @@ def identifiers(names: Sequence[str]) -> tuple[str, ...]:
         while _json_name(candidate) in taken:
             candidate, number = f"{plain}_v{number}", number + 1
         taken.add(_json_name(candidate))
-        found.append(candidate)
-    return tuple(found)
+        chosen.append(candidate)
+    return tuple(chosen)
 
 
 def _json_name(name: str) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Schema:
-    """What a topic's records look like.
+    """The type of a topic's records.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Record:
     encoding : str
         ``"protobuf"`` or ``"json"``; others use others.
     schema : Schema | None
-        What ``data`` looks like.
+        Type of ``data``.
     data : bytes
         The encoded record.
     time_ns : int

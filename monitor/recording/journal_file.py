@@ -14,8 +14,8 @@ APPLICATION_ID = 0x6661_756A
 SCHEMA_VERSION = 1
 """Number of the tables' layout, in the file's user_version: what is not this is not written to."""
 BUSY_S = 0.05
-"""Seconds the writer waits for a lock of another process. Chosen: the loop that monitors waits along; what is not
-written is retried once a second."""
+"""Seconds the writer waits for a lock of another process. Chosen: the loop that monitors waits along; an event
+that is not written is retried once a second."""
 READ_BUSY_S = 1.0
 """Seconds a reader waits for one; it runs in a thread that may wait, for a person who asked."""
 WAL_PAGES = 1000

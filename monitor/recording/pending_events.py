@@ -37,7 +37,7 @@ class PendingEvents:
         return kept
 
     def settle(self) -> None:
-        """Forget what was sent: the file was flushed."""
+        """Forget the records that were sent: the file was flushed."""
         self._sent.clear()
 
     def fail(self, written: int) -> int:

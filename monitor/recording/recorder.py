@@ -316,7 +316,7 @@ class Recorder:
         return self._log
 
     def _fail(self, error: Exception) -> None:
-        """Keep what was flushed, count what is lost, and try again later."""
+        """Keep the records that were flushed, count those that are lost, and try again later."""
         log, path = self._log, self._path
         if log is not None:
             self._count_lost(log)

@@ -12,7 +12,7 @@ from monitor.views.panels import Thresholds
 
 
 class ShownVehicle(Protocol):
-    """One vehicle in a view: an archive that keeps what is to be shown, in bounded memory and without waiting."""
+    """One vehicle in a view: an archive that keeps everything to be shown in bounded memory, without waiting."""
 
     def batch(self, batch: Batch) -> None: ...  # noqa: D102
     def estimates(self, estimates: Estimates) -> None: ...  # noqa: D102
