@@ -17,6 +17,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +38,8 @@ _STAMP = "timestamp"
 _PAUSE_US = 10_000
 
 
-def repeated(flight: bytes, size: int) -> bytes:
-    """Return a log of about so many bytes: the flight, and its topics' records again and again, each time later."""
+def repeated(flight: bytes, size: int) -> Iterator[bytes]:
+    """Yield a log of about so many bytes: the flight, and its topics' records again and again, each time later."""
     formats: dict[str, bool] = {}
     stamped: dict[int, bool] = {}
     records: list[bytes] = []
@@ -63,14 +64,14 @@ def repeated(flight: bytes, size: int) -> bytes:
     middle = np.median(times_us)
     good = np.abs(times_us.astype(np.float64) - middle) < 1e10
     period_us = int(times_us[good].max() - times_us[good].min()) + _PAUSE_US
-    pieces, total, later = [flight], len(flight), 0
+    yield flight
+    total, later = len(flight), 0
     while total < size:
         later += period_us
         copy = data.copy()
         copy[eight[good]] = (times_us[good] + np.uint64(later)).view(np.uint8).reshape(-1, 8)
-        pieces.append(copy.tobytes())
+        yield copy.tobytes()
         total += len(copy)
-    return b"".join(pieces)
 
 
 def processor_s(command: list[str], runs: int) -> tuple[float, float]:
@@ -100,7 +101,8 @@ def main() -> None:
         flight = args.flight
         if flight is None:
             flight = ulog_of(read_recording(DATA / "copter_5s.tlog.xz"), Path(folder) / "flight.ulg", motors=True)
-        log.write_bytes(repeated(b"".join(CompressedFile(flight)), round(args.mb * 1e6)))
+        with log.open("wb") as file:
+            file.writelines(repeated(b"".join(CompressedFile(flight)), round(args.mb * 1e6)))
         python, command = sys.executable, [sys.executable, "-m", "fauio"]
         commands = {
             "pyulog": [python, "-c", "import sys; from pyulog import ULog; ULog(sys.argv[1])", str(log)],

@@ -18,7 +18,7 @@ from adapters.logs.tlog import read_tlog
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
 from monitor.profile import Profile
-from replay.inspection.log_info import raised_alarms
+from replay.inspection.first_raised import first_raised
 from replay.player import play
 
 FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
@@ -119,7 +119,7 @@ def test_a_recorded_session_tells_its_monitor_and_alarms(
 
 def test_a_recorded_alarm_that_was_unshelved_is_told_once() -> None:
     said = [{"id": "1", "state": "raised", "seq": k} for k in range(2)]
-    assert raised_alarms([*said, {"id": "2", "state": "cleared"}, {"state": "raised"}]) == [
+    assert first_raised([*said, {"id": "2", "state": "cleared"}, {"state": "raised"}]) == [
         said[0],
         {"state": "raised"},
     ]
@@ -220,7 +220,7 @@ def test_anything_else_is_one_line(
 
 
 def test_an_alarm_id_in_a_foreign_recording_may_be_anything() -> None:
-    from replay.inspection.log_info import raised_alarms
+    from replay.inspection.first_raised import first_raised
 
     events = [{"state": "raised", "id": ["a"]}, {"state": "raised", "id": ["a"]}, {"state": "raised", "id": {}}]
-    assert raised_alarms(events) == [events[0], events[2]]
+    assert first_raised(events) == [events[0], events[2]]

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+import numpy as np
 from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
 
 from adapters.batch import Columns
+from adapters.encoding.protobuf_rows import RowDecoder
 from adapters.encoding.protobuf_types import (
     Field,
     ProtobufScalar,
@@ -114,6 +118,13 @@ class LogProtobuf:
 
     def __init__(self, name: str, data: bytes) -> None:
         self._class = class_from_descriptor_set(data, name)
+        self._rows: RowDecoder | None = None
+        with contextlib.suppress(ValueError):
+            self._rows = RowDecoder(self._class)
+
+    def columns(self, data: Sequence[bytes]) -> dict[str, NDArray[np.generic]] | None:
+        """Return the fields of n records as arrays (n,), lists as (n, length); None where there are others in them."""
+        return None if self._rows is None else self._rows.decode(data)
 
     def fields(self, data: bytes) -> dict[str, Any]:
         """Return the fields that :func:`to_protobuf` wrote.

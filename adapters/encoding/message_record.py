@@ -19,7 +19,7 @@ from adapters.encoding.mavlink_schema import PACKAGE, MavlinkProtobuf, mavlink_p
 from adapters.encoding.protobuf_types import class_from_descriptor_set, descriptor_set
 from adapters.encoding.record import Record, Schema
 from adapters.message import LATEST_NS, Message
-from adapters.source import LINK, MAVLINK, SOURCES, ZENOH
+from adapters.source import LINK, MAVLINK, SOURCES, ZENOH, Source
 
 # Viewers ask for a schema; a JSON topic may carry any object.
 _JSON_SCHEMA = Schema("fauio.Telemetry", "jsonschema", b'{"type": "object"}')
@@ -115,8 +115,7 @@ def decoder(topic: str, encoding: str, schema: tuple[str, bytes] | None) -> Deco
     if source is LINK:
         return lambda data, time_ns: _link_from_json(data, name, time_ns)
     if source.is_onboard_log and encoding == "protobuf" and schema is not None:
-        log = LogProtobuf(*schema)
-        return lambda data, time_ns: Message(source, name, time_ns, log.fields(data))
+        return LogRecords(LogProtobuf(*schema), source, name)
     return lambda data, time_ns: Message(source, name, time_ns, json_object(data))
 
 
@@ -144,6 +143,36 @@ class MavlinkRecords:
     ) -> list[Columns] | None:
         """Return them all as columns; see :meth:`MavlinkProtobuf.rows_from_bytes`."""
         return self.kind.rows_from_bytes(data, self.name, time_ns, position)
+
+
+@dataclass(frozen=True, slots=True)
+class LogRecords:
+    """Decodes the records of one name of an onboard log, one by one when called, or many at once.
+
+    Parameters
+    ----------
+    kind : LogProtobuf
+        Their type.
+    source : Source
+        Which onboard log.
+    name : str
+        Name of the messages.
+    """
+
+    kind: LogProtobuf
+    source: Source
+    name: str
+
+    def __call__(self, data: bytes, time_ns: int) -> Message:
+        """Return one of them as a message; see :meth:`LogProtobuf.fields`."""
+        return Message(self.source, self.name, time_ns, self.kind.fields(data))
+
+    def columns(
+        self, data: Sequence[bytes], time_ns: NDArray[np.int64], position: NDArray[np.int64]
+    ) -> list[Columns] | None:
+        """Return them all as columns, None where they have to be taken one by one."""
+        fields = self.kind.columns(data)
+        return None if fields is None else [Columns(self.source, self.name, 0, 0, position, time_ns, fields)]
 
 
 @functools.cache

@@ -23,7 +23,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from adapters.batch import BATCH_MESSAGES, Batch, Columns, gathered, messages, pack
 from adapters.encoding.foreign_record import described, foreign_decoder, foreign_name
-from adapters.encoding.message_record import Decode, MavlinkRecords, decoder, recorded_name
+from adapters.encoding.message_record import Decode, LogRecords, MavlinkRecords, decoder, recorded_name
 from adapters.encoding.record import Record, Schema
 from adapters.logs.damage import Damage, counted
 from adapters.logs.mcap_records import RECORD_HEAD, UNREADABLE, McapRecords
@@ -206,7 +206,7 @@ class MessageLogReader:
     def _columns(self, topic: _Topic, group: Sequence[_Raw], places: Sequence[int]) -> list[Columns] | None:
         """Return the messages of a topic and count them, None where they have to be taken one by one."""
         decode = topic.decode or self._decoder(topic)
-        if not isinstance(decode, MavlinkRecords):
+        if not isinstance(decode, MavlinkRecords | LogRecords):
             return None
         times_ns = np.array([time_ns for _, time_ns, _, _ in group], np.int64)
         found = decode.columns([data for *_, data in group], times_ns, np.array(places))

@@ -145,8 +145,6 @@ class Recording:
         wanted = None if self._only is None else self._tables.topics(self._only) | frozenset(self._only)
         return telemetry(self._read(wanted, count), self._tables, self._only)
 
-    blocks = batches
-
     def records(self, count: int = BATCH_MESSAGES) -> Iterator[Batch]:
         """Return the messages as they stand in the files."""
         return self._read(self._only, count)

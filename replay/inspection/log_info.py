@@ -21,6 +21,7 @@ from monitor.fitting.survey import Survey, of_one_vehicle, survey
 from monitor.sampling.slow_telemetry import slow_messages
 from monitor.vehicles.base import Preview, VehicleKind, likely_kind, load
 from monitor.vehicles.kinds import KINDS
+from replay.inspection.first_raised import first_raised
 
 _ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED."""
@@ -147,19 +148,9 @@ def log_info(path: Path) -> dict[str, Any]:
         "vehicle": _fits(found, tally),
         "fields": {name: _paths(fields) for name, fields in sorted(tally.examples.items())},
         "recorded": recorded_metadata(path) or None,
-        "alarms": raised_alarms(recorded_alarms(path)),
+        "alarms": first_raised(recorded_alarms(path)),
         "damage": [damage.to_json() for damage in recording.damage()],
     }
-
-
-def raised_alarms(events: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the first event of each alarm that was raised; one that was unshelved says so again."""
-    found: dict[str, dict[str, Any]] = {}
-    for event in events:
-        if event.get("state") == "raised":
-            # what a damaged or foreign recording holds there may be anything
-            found.setdefault(repr(event.get("id")), event)
-    return list(found.values())
 
 
 def _moment(time_ns: int) -> str:

@@ -18,6 +18,7 @@ from monitor.event import AlarmEvent
 from monitor.fitting.progress import recording_bytes, track
 from monitor.profile import Profile
 from monitor.views.panels import TrueSizes
+from replay.inspection.first_raised import first_raised
 from replay.player import Replay, interests, play_batches
 from replay.reports.known_truth import known_truth
 from replay.reports.recording_facts import RecordingMeter
@@ -112,7 +113,7 @@ class LogOutcome:
     @property
     def raised(self) -> tuple[AlarmEvent, ...]:
         """The events that raised an alarm, one for each alarm."""
-        return first_raised(self.events)
+        return tuple(first_raised(self.events))
 
     def to_json(self) -> dict[str, Any]:
         """Return what ``--json`` prints."""
@@ -178,16 +179,16 @@ def _replay(
     span, meter = _Span(), RecordingMeter()
     if live is not None:
         # One by one: what follows from a message is told before the next one is due.
-        blocks = packed(live.messages(profile, task, vehicle), 1)
+        batches = packed(live.messages(profile, task, vehicle), 1)
     else:
-        blocks = recording.batches()
+        batches = recording.batches()
         if progress:
             size = recording_bytes(task.path)
-            blocks = track(blocks, Path(task.log).name, total_bytes=size, weigh=lambda block: block.count)
-    blocks = span.blocks(blocks)
+            batches = track(batches, Path(task.log).name, total_bytes=size, weigh=lambda batch: batch.count)
+    batches = span.watch(batches)
     found = play_batches(
         profile,
-        meter.watch_blocks(blocks) if task.report else blocks,
+        meter.watch_blocks(batches) if task.report else batches,
         vehicle=vehicle,
         record=task.record,
         keep_traces=bool(task.plot or task.rrd or task.report),
@@ -253,29 +254,20 @@ def _write(profile: Profile, task: LogTask, found: Replay, truth: TrueSizes, tit
 
 
 class _Span:
-    """First and last time of arrival of what goes by."""
+    """First and last time of arrival of the batches that pass."""
 
     def __init__(self) -> None:
         self.start_ns = self.end_ns = 0
 
-    def blocks(self, source: Iterable[Batch]) -> Iterator[Batch]:
-        for block in source:
-            others = [message.received_ns for message in block.others.values()]
-            firsts = [int(one.received_ns[0]) for one in block.columns]
-            lasts = [int(one.received_ns[-1]) for one in block.columns]
+    def watch(self, batches: Iterable[Batch]) -> Iterator[Batch]:
+        for batch in batches:
+            others = [message.received_ns for message in batch.others.values()]
+            firsts = [int(columns.received_ns[0]) for columns in batch.columns]
+            lasts = [int(columns.received_ns[-1]) for columns in batch.columns]
             if others or firsts:
                 self.start_ns = self.start_ns or min([*firsts, *others])
                 self.end_ns = max([*lasts, *others])
-            yield block
-
-
-def first_raised(events: Iterable[AlarmEvent]) -> tuple[AlarmEvent, ...]:
-    """Return the first event of each alarm that was raised: it is said again when an operator unshelves it."""
-    found: dict[str, AlarmEvent] = {}
-    for event in events:
-        if event.state == "raised":
-            found.setdefault(event.id, event)
-    return tuple(found.values())
+            yield batch
 
 
 def _verdict(found: Replay, profile: Profile) -> str:
