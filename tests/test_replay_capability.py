@@ -127,9 +127,7 @@ def test_the_same_samples_give_the_same_answer(
     assert again == quad["motor3"]
 
 
-def test_flights_too_short_for_an_onset_say_so(
-    quad_profile: Profile, quad_folder: Path, healthy: list[Flight]
-) -> None:
+def test_flights_too_short_for_an_onset_say_so(quad_profile: Profile, quad_folder: Path, healthy: list[Flight]) -> None:
     model = read_model(quad_folder / "motors.model.toml")
     found = capability(quad_profile.observers[0], model, [healthy[0].part(0, 500)], quad_profile.gate)
     assert len(found) == 7

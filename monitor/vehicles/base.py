@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from adapters.channels import Channel
 
 
-
 @dataclass(frozen=True, slots=True)
 class VehicleKind:
     """A kind of vehicle.
