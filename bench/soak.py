@@ -31,9 +31,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "tools"))
+
+from fleet_sender import SentFlight, read_flight
 from soak_expected import Expected, expected
 
-from adapters.simulation.fleet_sender import SentFlight, read_flight
 from monitor.profile import read_profile
 
 ROOT = Path(__file__).parent.parent
@@ -240,7 +243,7 @@ def soak(setup: Setup, minutes: float) -> dict[str, Any]:
             os.sched_setaffinity(daemon.pid, {setup.core})
         show("waiting for the daemon")
         wait_for(lambda: set(last_statuses(lines_of(setup.heard))) == set(names), daemon, START_S, "a status of each")
-        send = ["-m", "adapters.simulation.fleet_sender", f"udp:{setup.udp}", "--seconds", str(seconds)]
+        send = [str(ROOT / "tests" / "tools" / "fleet_sender.py"), f"udp:{setup.udp}", "--seconds", str(seconds)]
         send += ["--times", str(setup.times), *(f"{system}={log}" for system, log in enumerate(setup.logs, 1))]
         begin = time.monotonic()
         with running(send, folder / "sender.log", stdout=subprocess.PIPE) as sender:

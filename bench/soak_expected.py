@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "tools"))
+
+from fleet_sender import SentFlight, fleet_packets
 
 from adapters.mavlink.mavlink_columns import decoded
 from adapters.mavlink.mavlink_message import PacketParser
-from adapters.simulation.fleet_sender import SentFlight, fleet_packets
 from monitor.estimate import Estimates
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile

@@ -18,12 +18,12 @@ from heapq import merge
 from pathlib import Path
 from typing import Any
 
+from fleet_sender import Due, fleet_packets, read_flight, send_fleet
+from packet_edit import checksummed, signed
 from pymavlink.dialects.v20 import ardupilotmega
 
 from adapters.mavlink.mavlink_message import message_number
-from adapters.mavlink.packet_edit import checksummed, signed
 from adapters.mavlink.signing import SigningKey, unix_stamp
-from adapters.simulation.fleet_sender import Due, fleet_packets, read_flight, send_fleet
 
 ROOT = Path(__file__).parent.parent
 KEY = SigningKey(bytes(range(32)))

@@ -9,12 +9,12 @@ from typing import Any
 import chaos
 import pytest
 from chaos import Sufferer
+from fleet_sender import Due
 
 from adapters.logs.recordings import packed
 from adapters.mavlink.mavlink_message import PacketParser
 from adapters.mavlink.signing import SigningGuard
 from adapters.message import Message, silence
-from adapters.simulation.fleet_sender import Due
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile, read_profile

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import chaos
 import pytest
+from fleet_sender import Due, fleet_packets, read_flight
 
 from adapters.mavlink.mavlink_message import PacketParser, packet_sequence
 from adapters.mavlink.signing import SignatureVerdict, SignatureVerifier
 from adapters.message import Message
-from adapters.simulation.fleet_sender import Due, fleet_packets, read_flight
 
 NOW_NS = 1_795_251_917_265_689_600
 SECOND_NS = 1_000_000_000

@@ -1,6 +1,6 @@
 """Sends recorded flights as if live, several vehicles at once, each under a system id of its own, again and again.
 
-    python -m adapters.simulation.fleet_sender udp:HOST:PORT 1=FLIGHT 2=FLIGHT ... [--seconds S] [--key FILE]
+    python tests/tools/fleet_sender.py udp:HOST:PORT 1=FLIGHT 2=FLIGHT ... [--seconds S] [--key FILE]
 
 A log that has ended begins anew, like a vehicle that was switched off and on: its clock starts again. Each vehicle has
 a socket of its own, as vehicles do. At the end the number of packets sent for each is printed as JSON.
@@ -25,11 +25,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from packet_edit import readdressed, signed
+
 from adapters.errors import FauioError, TelemetryError
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink.byte_link import resolve
 from adapters.mavlink.mavlink_message import mavlink_types, message_number, packet_sender
-from adapters.mavlink.packet_edit import readdressed, signed
 from adapters.mavlink.signing import SigningKey, read_key, unix_stamp
 from adapters.simulation.pacing import paced
 
@@ -217,7 +218,7 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run from the command line; return the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m adapters.simulation.fleet_sender", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python tests/tools/fleet_sender.py", description=__doc__)
     parser.add_argument("to", help="udp:HOST:PORT")
     parser.add_argument("flights", nargs="+", metavar="SYSTEM=LOG", help="telemetry log and system id to send it under")
     parser.add_argument("--speed", type=float, default=1.0, help="times real time (default 1)")

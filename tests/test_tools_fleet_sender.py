@@ -12,7 +12,9 @@ from array import array
 from collections import Counter
 from pathlib import Path
 
+import fleet_sender
 import pytest
+from fleet_sender import Signer, fleet_packets, main, read_flight, send_fleet
 from loopback import until
 
 from adapters.batch import messages as each
@@ -22,7 +24,6 @@ from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.mavlink.mavlink_message import packet_sender, packet_sequence
 from adapters.mavlink.signing import SigningKey
 from adapters.message import Message
-from adapters.simulation.fleet_sender import Signer, fleet_packets, main, read_flight, send_fleet
 
 ROOT = Path(__file__).parent.parent
 FLIGHT = ROOT / "tests" / "data" / "copter_5s.tlog.xz"
@@ -86,7 +87,7 @@ def test_a_link_receives_all_of_all_vehicles(port: int) -> None:
 
 
 def test_another_process_counts_what_it_sent_when_it_is_stopped(port: int, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "adapters.simulation.fleet_sender", f"udp:127.0.0.1:{port}"]
+    command = [sys.executable, fleet_sender.__file__, f"udp:127.0.0.1:{port}"]
     options = ["--seconds", "600", "--times", str(tmp_path), "--stop", "0.5"]
     with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
         process = subprocess.Popen(

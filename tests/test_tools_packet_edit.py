@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from packet_edit import checksummed, readdressed, signed
 from pymavlink.dialects.v20 import ardupilotmega
 
 from adapters.errors import TelemetryError
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink.mavlink_message import MAGIC_1, PacketParser
-from adapters.mavlink.packet_edit import checksummed, readdressed, signed
 from adapters.mavlink.signing import SignatureVerdict, SignatureVerifier, SigningKey, unix_stamp
 
 NOW_NS = 1_795_251_917_265_689_600
