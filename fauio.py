@@ -144,7 +144,7 @@ first steps:
   fauio replay quad/ flight.tlog   look for faults in a recording
   fauio run quad/ --mavlink udpin:127.0.0.1:14550
                                    watch it live
-  fauio alarms                     in another terminal: what the monitor says
+  fauio alarms                     in another terminal: its active alarms
 """
 _GROUPS = {
     "your vehicle": ("record", "fit", "replay", "run", "alarms"),
@@ -285,7 +285,7 @@ class _Format(argparse.HelpFormatter):
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that says in one line what is wrong and what is probably meant; commands get the same kind."""
+    """A parser whose errors are one line: the mistake and what is probably meant; commands get the same kind."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**({"formatter_class": _Format} | options))
@@ -297,13 +297,13 @@ class _Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         # here and not at the end: only the command itself knows its options
-        found, unknown = super().parse_known_args(args, namespace)
+        namespace, unknown = super().parse_known_args(args, namespace)
         if unknown:
             first = unknown[0].partition("=")[0]
             if not first.startswith("-"):
                 self.error(f"'{first}' is one argument too many")
             self.error(f"{first}: no such option{_meant(first, self._option_string_actions)}")
-        return found, unknown
+        return namespace, unknown
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is None or value in action.choices:
@@ -341,7 +341,7 @@ def _whole_number(text: str) -> int:
 
 
 def _overview(commands: Iterable[tuple[str, str]]) -> str:
-    """Return first steps and the commands in groups; commands of no group stand at the end."""
+    """Return first steps and the commands in groups; commands of no group come last."""
     left = dict(commands)
     parts = [_FIRST_STEPS]
     for title, names in _GROUPS.items():

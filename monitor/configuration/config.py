@@ -119,7 +119,7 @@ class Vehicle:
     latched: tuple[str, ...] = _key(
         (),
         _texts(check.channel),
-        "Channels whose alarms stand after their cause is gone, until `fauio alarms reset`.",
+        "Channels whose alarms stay active after their cause is gone, until `fauio alarms reset`.",
         ["inertial/gps_north"],
     )
 
@@ -128,14 +128,14 @@ class Vehicle:
 class NewVehicles:
     """Vehicles that appear at run time: MAVLink systems that no `[[vehicle]]` names."""
 
-    profile: Path | None = _key(None, _path, "Profile folder of each; none are taken where it is left out.", "quad/")
+    profile: Path | None = _key(None, _path, "Profile folder of each; none are accepted where it is left out.", "quad/")
     name: str = _key(
         "vehicle-{system}",
         _text(check.vehicle_template),
         "Name in topics; `{system}` becomes the id.",
         "vehicle-{system}",
     )
-    limit: int = _key(16, _COUNT, "How many are taken at most.", 16)
+    limit: int = _key(16, _COUNT, "Largest number of them.", 16)
 
     def vehicle(self, system: int) -> Vehicle:
         """Return the vehicle with a MAVLink system id."""
@@ -211,7 +211,7 @@ class Commands:
 
 @dataclass(frozen=True)
 class Flood:
-    """When so many alarms come that nobody can read them: only the first ones are told one by one."""
+    """An alarm flood: more alarms than an operator can read; only the first ones are announced one by one."""
 
     raised: int = _key(10, _COUNT, "Alarms of a vehicle that make a flood ...", 10)
     within_s: float = _key(60, _POSITIVE, "... where they are raised within this time, seconds.", 60)
@@ -413,10 +413,13 @@ def read_config(path: str | Path | None, given: Mapping[str, Any] | None = None,
     mend = "docs/config-example.toml is one to begin with"
     file = read_toml(path, ConfigError, overrides=given, mend=mend)
     config = read_keys(Config, file.root)
-    found = (link_conflicts if links_only else conflicts)(config)
-    # what contradicts a value that is wrong itself, or its default, is no mistake of its own
-    judged = [one for one in found if all(file.good(place, keys_below=False) for place in (one.path, *one.others))]
-    for conflict in judged:
+    contradictions = (link_conflicts if links_only else conflicts)(config)
+    # a contradiction to a value that is wrong itself follows from that mistake; all are judged before any is recorded
+    for conflict in [
+        conflict
+        for conflict in contradictions
+        if all(file.good(path, keys_below=False) for path in (conflict.path, *conflict.others))
+    ]:
         file.mistake(conflict.path, conflict.what)
     file.check()
     return config

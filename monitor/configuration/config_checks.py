@@ -33,7 +33,7 @@ def conflicts(config: Config) -> Iterator[Conflict]:
 
 
 def link_conflicts(config: Config) -> Iterator[Conflict]:
-    """Yield the contradictions of what says where telemetry comes from, missing files included."""
+    """Yield the contradictions between the keys that name telemetry, missing files included."""
     yield from _listeners(config)
     yield from _ports(config)
     yield from _sending(config)

@@ -15,8 +15,8 @@ _HEAD = """# Configuration of the daemon
 
 `fauio run --config FILE.toml` reads this file; `fauio run PROFILE --mavlink URL` needs none. Options of the command
 line override its keys. Paths are relative to the file. Everything is checked before anything starts, and all mistakes
-are told at once, a line each: `FILE:LINE: 'key' what is wrong; what to do`. Keys of the top level stand above the first
-table. A worked example: [config-example.toml](config-example.toml).
+are reported at once, a line each: `FILE:LINE: 'key' what is wrong; what to do`. Keys of the top level stand above the
+first table. A worked example: [config-example.toml](config-example.toml).
 
 This page is written by `python -m monitor.configuration.config_page`.
 """

@@ -98,7 +98,7 @@ def vehicle_name(value: str) -> None:
 def vehicle_template(value: str) -> None:
     """Refuse a name without a place for the system id."""
     if "{system}" not in value:
-        raise ValueError(f"is '{value}', which is the same for all vehicles; put {{system}} where the id shall stand")
+        raise ValueError(f"is '{value}', which is the same for all vehicles; put {{system}} where the id belongs")
     vehicle_name(value.replace("{system}", "1"))
 
 

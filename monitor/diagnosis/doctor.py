@@ -83,15 +83,15 @@ def run_doctor(args: argparse.Namespace) -> int:
     """Run ``fauio doctor``."""
     checks = diagnose(_needs(args))
     if args.json:
-        said = {"status": worst(checks), "checks": [asdict(check) for check in checks]}
-        sys.stdout.write(json.dumps(said) + "\n")
+        report = {"status": worst(checks), "checks": [asdict(check) for check in checks]}
+        sys.stdout.write(json.dumps(report) + "\n")
     else:
         sys.stdout.write(checks_text(checks))
     return FAILED if worst(checks) == "failed" else 0
 
 
 def diagnose(needs: Needs) -> list[DoctorCheck]:
-    """Return what all checks found."""
+    """Run all checks."""
     from monitor.diagnosis.doctor_machine import buffer_check, clock_checks, disk_check, folder_check, serial_checks
     from monitor.diagnosis.doctor_network import (
         mavlink_check,
@@ -120,21 +120,23 @@ def version_checks() -> list[DoctorCheck]:
     """Check that libraries are there and new enough, and say which extras are."""
     from monitor.diagnosis.versions import libraries
 
-    found = libraries()
-    needed = [one for one in found if not one.extra]
-    said = ", ".join(f"{one.name} {one.installed}" for one in needed if one.installed)
+    known = libraries()
+    needed = [library for library in known if not library.extra]
+    installed = ", ".join(f"{library.name} {library.installed}" for library in needed if library.installed)
     checks = [
         DoctorCheck("version", "ok", f"fauio {version('fauio')}, Python {platform.python_version()}"),
-        DoctorCheck("libraries", "ok", said),
+        DoctorCheck("libraries", "ok", installed),
     ]
-    for one in needed:
-        if not one.will_do:
-            what = "is not installed" if one.installed is None else f"{one.installed} is too old"
-            advice = f"pip install '{one.name}>={one.least}'" if one.least else f"pip install {one.name}"
-            checks.append(DoctorCheck("libraries", "failed", f"{one.name} {what}", advice))
-    extras = dict.fromkeys(one.extra for one in found if one.extra)
+    for library in needed:
+        if not library.will_do:
+            what = "is not installed" if library.installed is None else f"{library.installed} is too old"
+            advice = (
+                f"pip install '{library.name}>={library.least}'" if library.least else f"pip install {library.name}"
+            )
+            checks.append(DoctorCheck("libraries", "failed", f"{library.name} {what}", advice))
+    extras = dict.fromkeys(library.extra for library in known if library.extra)
     for extra in extras:
-        missing = [one.name for one in found if one.extra == extra and not one.will_do]
+        missing = [library.name for library in known if library.extra == extra and not library.will_do]
         state = f"without {', '.join(missing)}: pip install 'fauio[{extra}]' where it is wanted" if missing else "there"
         checks.append(DoctorCheck("extra", "ok", f"{extra}: {state}"))
     return checks
@@ -147,7 +149,8 @@ def profile_check(folder: Path) -> DoctorCheck:
     try:
         read_profile(folder)
     except (ValueError, OSError) as error:
-        return DoctorCheck("profile", "failed", str(error), "name the folder that 'fauio fit' made, or make it anew")
+        mistakes = "; ".join(str(error).splitlines())
+        return DoctorCheck("profile", "failed", mistakes, "name the folder that 'fauio fit' made, or make it anew")
     return DoctorCheck("profile", "ok", f"{folder} can be used")
 
 

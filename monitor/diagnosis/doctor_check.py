@@ -1,4 +1,4 @@
-"""One finding about the machine: all right, or what to do about it."""
+"""The result of one check of the machine, with what to do about it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ VERDICTS: tuple[DoctorVerdict, ...] = ("ok", "warning", "failed")
 
 @dataclass(frozen=True, slots=True)
 class DoctorCheck:
-    """What one check found.
+    """The result of one check.
 
     Parameters
     ----------
@@ -20,7 +20,7 @@ class DoctorCheck:
     verdict : {"ok", "warning", "failed"}
         ``failed``: the monitor will not run, or not here; ``warning``: it will, with less than it could have.
     found : str
-        What was found.
+        The result, for people.
     advice : str
         What to do about it; empty where nothing is to be done.
     """

@@ -100,7 +100,7 @@ def metrics_check(address: str) -> DoctorCheck:
 
 
 def round_trip_check() -> DoctorCheck:
-    """Check that two Zenoh sessions on loopback hear each other, and how fast."""
+    """Check that a Zenoh session on loopback receives from another, and how fast."""
     name = "zenoh"
     try:
         endpoint = f"tcp/127.0.0.1:{_free_port()}"
@@ -122,8 +122,8 @@ def round_trip_check() -> DoctorCheck:
 
 def _round_trips(ours: zenoh.Session, theirs: zenoh.Session) -> tuple[list[float], bool]:
     """Return how long samples took from one session to the other, seconds, and whether a query was answered."""
-    heard = threading.Event()
-    subscriber: Any = ours.declare_subscriber("fauio-doctor/put", lambda sample: heard.set())
+    received = threading.Event()
+    subscriber: Any = ours.declare_subscriber("fauio-doctor/put", lambda sample: received.set())
     queryable: Any = ours.declare_queryable("fauio-doctor/get", lambda query: query.reply("fauio-doctor/get", b"here"))
     publisher: Any = theirs.declare_publisher("fauio-doctor/put")
     until = time.monotonic() + _PATIENCE_S
@@ -131,10 +131,10 @@ def _round_trips(ours: zenoh.Session, theirs: zenoh.Session) -> tuple[list[float
         time.sleep(0.01)
     latencies = []
     for _ in range(_ROUNDS):
-        heard.clear()
+        received.clear()
         started = time.perf_counter()
         publisher.put(b"there")
-        if not heard.wait(max(0.0, until - time.monotonic())):
+        if not received.wait(max(0.0, until - time.monotonic())):
             break
         latencies.append(time.perf_counter() - started)
     answered = False
