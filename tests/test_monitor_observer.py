@@ -149,6 +149,19 @@ def test_what_is_no_number_stays_where_it_can_matter() -> None:
     assert np.isnan(run.residual[10:]).all()
 
 
+def test_arrays_that_do_not_fit_are_refused(delayed: tuple[Gains, ...]) -> None:
+    u, y = driven(delayed, 0)
+    for wrong in (
+        (u[:, :1], y),
+        (u, y[:, :1]),
+        (u, y[:-1]),
+        (u, y, np.ones(3, np.bool_)),
+        (u, y, None, np.ones(3, np.bool_)),
+    ):
+        with pytest.raises(ValueError, match=r"differ in length|inputs and"):
+            AffineObserver(delayed).run(*wrong)
+
+
 @given(seed=st.integers(0, 10**6), degree=st.integers(1, 4), inputs=st.integers(1, 6))
 def test_the_effect_of_a_command_is_the_curves_polynomial(seed: int, degree: int, inputs: int) -> None:
     rng = np.random.default_rng(seed)

@@ -104,6 +104,14 @@ cdef class Choice:
         measured nor a restart teaches nothing: the choice stays.
         """
         cdef Py_ssize_t k, i, count = x.shape[0], states = x.shape[2], p = residual.shape[2], a = self.shown.shape[0]
+        if not count == fault.shape[0] == residual.shape[0]:
+            raise ValueError("x, fault and residual differ in length")
+        if not count == measured.shape[0] == complete.shape[0] == restart.shape[0]:
+            raise ValueError("x, measured, complete and restart differ in length")
+        if x.shape[1] != self.J.shape[0] or residual.shape[1] != self.J.shape[0] or p != self.residual.shape[1]:
+            raise ValueError("x and residual are not of the bank's hypotheses and outputs")
+        if fault.shape[1] != self.fault.shape[0]:
+            raise ValueError(f"{fault.shape[1]} faults, not {self.fault.shape[0]}")
         results = (
             np.empty((count, states)), np.empty((count, a)), np.empty((count, p)), np.empty((count, a)),
             np.empty((count, a), np.bool_), np.empty((count, a)), np.empty(count),
@@ -294,6 +302,8 @@ cdef class EdgeDetector:
     def run(self, const double[:] estimates, const double[:] J, const unsigned char[:] complete):
         """Return what :meth:`update` returns for each of n rows (n,)."""
         cdef Py_ssize_t k
+        if not estimates.shape[0] == J.shape[0] == complete.shape[0]:
+            raise ValueError("estimates, J and complete differ in length")
         result = np.empty(estimates.shape[0])
         cdef double[::1] given = result
         for k in range(estimates.shape[0]):
@@ -424,6 +434,8 @@ cdef class IndependentIsolation:
     def run(self, const double[:, :] fault, const unsigned char[:] measured, const unsigned char[:] restart):
         """Return the evidence of each of n rows (n, a); one that is neither measured nor a restart changes nothing."""
         cdef Py_ssize_t k, i, a = self.smoothed.shape[0]
+        if fault.shape[1] != a or not fault.shape[0] == measured.shape[0] == restart.shape[0]:
+            raise ValueError(f"fault, measured and restart do not fit together or are not of {a} channels")
         result = np.empty((fault.shape[0], a))
         cdef double[:, ::1] evidence = result
         for k in range(fault.shape[0]):

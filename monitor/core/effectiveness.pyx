@@ -59,6 +59,8 @@ cdef class Follower:
         cdef Py_ssize_t k, count = times_ns.shape[0]
         cdef bint afresh
         cdef Verdict verdict
+        if not count == restart.shape[0] == armed.shape[0] == fault.shape[0] == command.shape[0] == full.shape[0]:
+            raise ValueError("the columns differ in length")
         result = np.full((8, count), NAN)
         cdef double[:, ::1] columns = result
         for k in range(count):
@@ -243,5 +245,5 @@ cdef double share_of(Verdict* verdict) noexcept:
 
 
 cdef bint plausible(double loss, double error) noexcept:
-    """Return whether a loss can be one: no actuator loses more than everything, or delivers much more than commanded."""
+    """Return whether a loss can be one: none is more than everything, or makes an actuator deliver far too much."""
     return error < INFINITY and LEAST_LOSS <= loss <= LARGEST_LOSS + ACQUITTAL * error

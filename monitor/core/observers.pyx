@@ -111,6 +111,10 @@ cdef class AffineMap:
         u (n, s) and y (n, p) in the order of the gains; the first row ever restarts.
         """
         cdef Py_ssize_t k, i, count = u.shape[0]
+        if u.shape[1] != self.inputs or y.shape[1] != self.outputs:
+            raise ValueError(f"{u.shape[1]} inputs and {y.shape[1]} outputs, not {self.inputs} and {self.outputs}")
+        if not count == y.shape[0] == measured.shape[0] == restart.shape[0]:
+            raise ValueError("u, y, measured and restart differ in length")
         result = np.empty((count, self.estimates))
         cdef double[:, ::1] given = result
         for k in range(count):
@@ -210,6 +214,8 @@ cdef class ErrorCovariance:
         cdef Py_ssize_t k, i, count = measured.shape[0], faults = self.owner.shape[0]
         cdef int kind
         cdef bint seen
+        if count != restart.shape[0]:
+            raise ValueError("measured and restart differ in length")
         result = np.empty((count, faults))
         cdef double[:, ::1] sd = result
         for k in range(count):
@@ -297,6 +303,10 @@ cdef class CommandScale:
         """Return fault, evidence and sd in command units (n, a), and the smoothed commands (len(inputs), n)."""
         cdef Py_ssize_t k, i, channel, count = u.shape[0], faults = self.channel.shape[0]
         cdef double keep = self.keep, size, upper
+        if u.shape[1] != self.curves.shape[0] or not count == restart.shape[0] == fault.shape[0]:
+            raise ValueError("u, restart and fault do not fit together")
+        if not (same_shape(fault, evidence) and same_shape(fault, sd)) or fault.shape[1] != faults:
+            raise ValueError(f"fault, evidence and sd are not of {faults} channels each")
         results = np.empty((count, faults)), np.empty((count, faults)), np.empty((count, faults))
         smoothed = np.empty((self.inputs.shape[0], count))
         cdef double[:, ::1] scaled_fault = results[0], scaled_evidence = results[1], scaled_sd = results[2]
@@ -327,12 +337,18 @@ cdef class CommandScale:
 def effects(const double[:, ::1] curves, const double[:, :] u):
     """Return v_j = curve_j(u_j) (n, s) of commands (n, s)."""
     cdef Py_ssize_t k, j
+    if u.shape[1] != curves.shape[0]:
+        raise ValueError(f"{u.shape[1]} commands, not {curves.shape[0]}")
     result = np.empty((u.shape[0], u.shape[1]))
     cdef double[:, ::1] v = result
     for k in range(u.shape[0]):
         for j in range(u.shape[1]):
             v[k, j] = effect(curves, j, u[k, j])
     return result
+
+
+cdef bint same_shape(const double[:, :] a, const double[:, :] b) noexcept:
+    return a.shape[0] == b.shape[0] and a.shape[1] == b.shape[1]
 
 
 cdef double effect(const double[:, ::1] curves, Py_ssize_t j, double u) noexcept:
@@ -364,8 +380,8 @@ cdef double fault_in_command(const double[:, ::1] curves, Py_ssize_t j, double f
         return fault / curves[j, 0]
     target = effect(curves, j, u) + fault
     if curves.shape[1] == 2:
-        # The root of c2 u^2 + c1 u = target in the form that does not cancel, 2 target / (c1 + sqrt(c1^2 + 4 c2 target));
-        # below zero the root stays at that of zero, which is the extrapolation.
+        # The root of c2 u^2 + c1 u = target in the form without cancellation: 2 target / (c1 + sqrt(c1^2 + 4 c2 target)).
+        # Below zero the square root stays at that of zero, which is the extrapolation.
         linear, square = curves[j, 0], curves[j, 1]
         root = sqrt(at_least(linear * linear + 4.0 * square * at_least(target, 0.0), 0.0))
         return 2.0 * target / at_least(linear + root, SMALLEST_SLOPE) - u
