@@ -27,7 +27,7 @@ _LOOKED_AT = 20_000
 """Records after which it is decided in any case."""
 _PATIENCE_NS = 1_000_000_000
 """How long a message waits for the records it is joined with, and the longest gap that is interpolated across.
-Chosen: five times the interval of the slowest record that the built-in tables interpolate (attitude at 5 Hz).
+Chosen: ten intervals of the slowest record that the built-in tables interpolate (ArduPilot's ATT, logged at 10 Hz).
 """
 _MOST_WAITING = 2_000
 """Messages that wait at most: two seconds of the fastest records there are (1 kHz); bounds memory where times stand."""
@@ -35,6 +35,7 @@ _TURN: Final = 2.0 * np.pi
 _LARGEST_QUATERNION = 2.0
 """A rotation is of length one; NaN is no number at all and not below this either."""
 _SEARCHED = 64
+"""Records among which to look first for the one where a state is due again; then among twice as many, and so on."""
 
 Integers = NDArray[np.int64]
 

@@ -39,7 +39,9 @@ _CHECKED_FOOTER_BYTES = 25
 _DATA_END = RECORD_HEAD.pack(Opcode.DATA_END, 4)
 _CHECKSUM_BYTES = 4
 _MOST_SUMMARY_BYTES = 1 << 24
-"""Where a summary is looked for at most, from the file's end. Chosen: that of a day's recording has some 5 MB."""
+"""How far from the file's end a summary is searched for that does not begin where the footer says. Chosen: enough for
+hours of recording; without a summary only the topics that a damaged chunk defines are missed.
+"""
 _BATCH_BYTES = 1 << 24
 """Payload in a batch at most: recordings of others hold images. Chosen: five times what as many messages of telemetry
 take, so that it bounds memory and nothing else.

@@ -20,8 +20,8 @@ from adapters.message import LATEST_NS, Message
 from adapters.source import Source
 
 READ_AHEAD_BYTES: Final = 1 << 22
-"""Bytes of a log in a batch, some 70,000 records. Chosen: from 1 MB on the cost per batch no longer shows (100 MB of
-a PX4 log read in 1.3 s with 1, 4 and 16 MB), and what is decoded of it takes some ten times as much memory.
+"""Bytes of a log in a batch, some 70,000 records. Measured on a log of PX4 of 105 MB: reading it takes 2.7 s with 64 kB,
+0.88 s with 1 MB, 0.74 s with 4 MB and with 16 MB.
 """
 
 FieldValues: TypeAlias = "NDArray[np.generic] | list[Any]"
