@@ -12,16 +12,19 @@ import tomli_w
 
 from adapters.errors import InfeasibleError, ModelError, TelemetryError, UsageError
 from adapters.output_file import write_file
-from monitor.fitting.capability import capability
 from monitor.fitting.fit_report import draw_comparison
 from monitor.fitting.fitted import BatchSource, FitRequest, Fitted
 from monitor.fitting.survey import Survey, survey
-from monitor.profile import PROFILE_FILE, profile_table
+from monitor.profile import PROFILE_FILE, Profile, profile_table
 from monitor.sampling.gate import GateRule
 from monitor.sampling.slow_telemetry import slow_messages, slow_text
 from monitor.vehicles.base import VehicleKind, load
 from monitor.vehicles.inertial.fit import fit_inertial
 from monitor.vehicles.kinds import kind_named
+from replay.sensitivity.capability import measure_capability
+
+_NEVER_S = 1e6
+"""Silence after which telemetry would be stale while faults are tried: recordings have gaps that say nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +105,8 @@ def fit_profile(
         except (TelemetryError, ModelError, InfeasibleError) as error:
             notes.append(f"inertial: {error}")
     warnings = (*_slow(vehicle, surveys, observers), *_of_several(vehicle_types)) if surveys else ()
-    report = FitReport(kind, tuple(_measured(fitted, gate) for fitted in observers), tuple(notes), warnings)
+    measured = tuple(_measured(fitted, request, kind, gate) for fitted in observers)
+    report = FitReport(kind, measured, tuple(notes), warnings)
     [vehicle_type] = vehicle_types if len(vehicle_types) == 1 else ("",)
     return replace(report, set_aside=write_profile(folder, name, kind, gate, report, vehicle_type))
 
@@ -153,8 +157,20 @@ def _of_several(vehicle_types: frozenset[str]) -> tuple[str, ...]:
     return (f"recordings of different vehicles ({told}): a profile is of one; fit each from its own recordings",)
 
 
-def _measured(fitted: Fitted, gate: GateRule) -> Fitted:
-    """Return the observer with what it will detect, where it brings healthy samples to measure that on."""
-    if not fitted.flights:
+def _measured(fitted: Fitted, request: FitRequest, kind: str, gate: GateRule) -> Fitted:
+    """Return the observer with what it will detect, where its kind asks for it."""
+    if not fitted.measured:
         return fitted
-    return replace(fitted, capability=capability(fitted.profile(), fitted.plant, fitted.flights, gate), flights=())
+    observer = replace(fitted.profile(), model=fitted.plant)
+    profile = Profile(
+        name=request.name,
+        vehicle=kind,
+        system=0,
+        gate=gate,
+        stale_s=_NEVER_S,
+        observers=(observer,),
+        excuses=(),
+        files={},
+        digest="",
+    )
+    return replace(fitted, capability=measure_capability(profile, request.logs))

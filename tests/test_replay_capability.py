@@ -1,6 +1,8 @@
 """What will be detected: delays measured on healthy flights beforehand are those of real faults later."""
 
+from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,17 +13,11 @@ from hypothesis import strategies as st
 from adapters.logs.recordings import packed, read_batches, read_recording
 from adapters.simulation.arm import SCENARIOS, TORQUES, simulate_arm
 from adapters.simulation.arm_source import arm_messages
-from gains.plants.model_file import builtin_model, read_model
-from monitor.fitting.capability import (
-    Capability,
-    Detection,
-    capability,
-    capability_text,
-    step_sizes,
-)
-from monitor.fitting.flights import Flight, flight_samples
+from monitor.fitting.capability import Capability, Detection, capability_text
+from monitor.fitting.fitted import BatchSource
 from monitor.profile import Profile
 from replay.player import play
+from replay.sensitivity.capability import measure_capability, step_sizes
 
 LONG = pytest.mark.long
 
@@ -63,31 +59,21 @@ def test_the_text_names_each_size_once_with_its_shortest_delay() -> None:
     )
 
 
-@pytest.fixture(scope="module")
-def healthy(quad_profile: Profile, data: Path) -> list[Flight]:
-    observer = quad_profile.observers[0]
-    return [
-        flight_samples(
-            read_batches(data / f"copter_healthy_{name}.tlog.xz"),
-            observer.source,
-            observer.rate_hz,
-            quad_profile.gate,
-        )
-        for name in ("square", "vel_gusty")
-    ]
+def measured(profile: Profile, logs: Sequence[BatchSource], channels: Collection[str] = ()) -> dict[str, Capability]:
+    observer = profile.observers[0]
+    rules = tuple(rule for rule in observer.alarms if not channels or rule.channel in channels)
+    alone = replace(profile, observers=(replace(observer, alarms=rules),), excuses=())
+    return {one.channel: one for one in measure_capability(alone, logs)}
 
 
 @pytest.fixture(scope="module")
-def quad(quad_profile: Profile, quad_folder: Path, healthy: list[Flight]) -> dict[str, Capability]:
-    model = read_model(quad_folder / "motors.model.toml")
-    observer = quad_profile.observers[0]
-    measured = capability(
-        replace(observer, alarms=tuple(rule for rule in observer.alarms if rule.channel in MOTORS)),
-        model,
-        healthy,
-        quad_profile.gate,
-    )
-    return {one.channel: one for one in measured}
+def logs(data: Path) -> list[BatchSource]:
+    return [partial(read_batches, data / f"copter_healthy_{name}.tlog.xz") for name in ("square", "vel_gusty")]
+
+
+@pytest.fixture(scope="module")
+def quad(quad_profile: Profile, logs: list[BatchSource]) -> dict[str, Capability]:
+    return measured(quad_profile, logs, MOTORS)
 
 
 @pytest.mark.long
@@ -117,35 +103,22 @@ def test_a_real_loss_is_detected_as_soon_as_measured_beforehand(
     assert actual == pytest.approx(min(smaller), abs=0.1)
 
 
-def test_the_same_samples_give_the_same_answer(
-    quad: dict[str, Capability], quad_profile: Profile, quad_folder: Path, healthy: list[Flight]
-) -> None:
-    observer = quad_profile.observers[0]
-    only = replace(observer, alarms=tuple(rule for rule in observer.alarms if rule.channel == "motor3"))
-    model = read_model(quad_folder / "motors.model.toml")
-    (again,) = capability(only, model, healthy, quad_profile.gate)
-    assert again == quad["motor3"]
-
-
-def test_flights_too_short_for_an_onset_say_so(quad_profile: Profile, quad_folder: Path, healthy: list[Flight]) -> None:
-    model = read_model(quad_folder / "motors.model.toml")
-    found = capability(quad_profile.observers[0], model, [healthy[0].part(0, 500)], quad_profile.gate)
+def test_a_flight_too_short_for_an_onset_says_so(quad_profile: Profile, data: Path) -> None:
+    found = measured(quad_profile, [partial(read_batches, data / "copter_5s.tlog.xz")])
     assert len(found) == 7
-    assert all("not measured" in capability_text(one) for one in found)
+    assert all("not measured" in capability_text(one) for one in found.values())
 
 
 @pytest.mark.long
 def test_faults_that_scale_no_command_worth_losing_are_steps_in_their_own_units(arm_profile: Profile) -> None:
-    (observer,) = arm_profile.observers
-    runs = [simulate_arm(SCENARIOS["healthy"], 30.0, observer.rate_hz, torque) for torque in TORQUES]
-    flights = [
-        flight_samples(packed(arm_messages(run, 10**18)), observer.source, observer.rate_hz, arm_profile.gate)
-        for run in runs
+    runs = [simulate_arm(SCENARIOS["healthy"], 30.0, arm_profile.observers[0].rate_hz, torque) for torque in TORQUES]
+    found = measured(arm_profile, [lambda run=run: packed(arm_messages(run, 10**18)) for run in runs])
+    assert [(one.channel, one.unit, one.loss) for one in found.values()] == [
+        ("motor", "N m", False),
+        ("encoder", "rad", False),
     ]
-    found = capability(observer, builtin_model("arm-disturbed"), flights, arm_profile.gate)
-    assert [(one.channel, one.unit, one.loss) for one in found] == [("motor", "N m", False), ("encoder", "rad", False)]
-    thresholds = {rule.channel: rule.threshold for rule in observer.alarms}
-    for one in found:
+    thresholds = {rule.channel: rule.threshold for rule in arm_profile.observers[0].alarms}
+    for one in found.values():
         within_a_second = dict(one.smallest)[1.0]
         assert within_a_second is not None
         assert 0.5 * thresholds[one.channel] < within_a_second < 3.0 * thresholds[one.channel]

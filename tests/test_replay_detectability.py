@@ -28,8 +28,8 @@ from replay.attacks.attack import Attack
 from replay.sensitivity.detectability import Detectability, Row, Sweep, detectability
 from replay.sensitivity.detectability_plot import plot_detectability
 from replay.sensitivity.detectability_text import result_lines
+from replay.sensitivity.healthy import free_spans, onsets, play_healthy
 from replay.sensitivity.trial import Task, run_task
-from replay.sensitivity.windows import onsets, stamps, window
 
 LOG = Path(__file__).parent / "data" / "copter_healthy_square.tlog.xz"
 ROW = Row("motor1", "loss", 0.1, "share of the command", 5, 0, 1, 0.2, None, 0.5, ("motor2",), 0.01)
@@ -104,15 +104,13 @@ def test_sensors_of_a_users_own_plant_are_swept_around_their_threshold(arm_folde
     assert any("motor" in reason and "nonlinear" in reason for reason in result.skipped)
 
 
-def test_a_window_that_raises_by_itself_says_nothing_about_the_fault(
-    quad_profile: Profile, quad_folder: Path, data: Path
-) -> None:
+def test_a_window_that_raises_by_itself_says_nothing_about_the_fault(quad_profile: Profile, data: Path) -> None:
     messages = tuple(read_recording(data / "copter_motor2_080.tlog.xz"))
     start_ns = 115_000_000_000
     late = Attack("motor1", "loss", start_ns, start_ns + 10**9, size=0.2)
     early = replace(late, channel="motor2", start_ns=111_000_000_000)
     for attack, delay in ((late, None), (early, pytest.approx(0.2, abs=0.2))):
-        (outcome,) = run_task(Task(quad_profile, quad_folder, "motors", 1, messages, (attack,)))
+        (outcome,) = run_task(Task(quad_profile, "motors", 1, messages, (attack,)))
         assert outcome.delay_s == delay
 
 
@@ -146,7 +144,10 @@ def test_every_window_is_watched_and_holds_no_alarm(
         spans.append(((end + gap) * second, (end + gap + length) * second))
         end += gap + length + 1
     alarms_ns = [alarm * second for alarm in alarms]
-    found = onsets(spans, alarms_ns, before * second, after * second, count)
+    free = free_spans(spans, alarms_ns, before * second, after * second)
+    places = onsets([(), free], count)
+    found = [onset for _, onset in places]
+    assert {recording for recording, _ in places} <= {1}
     assert len(found) <= count
     assert found == sorted(set(found))
     millisecond = 1_000_000
@@ -157,8 +158,7 @@ def test_every_window_is_watched_and_holds_no_alarm(
 
 
 def test_a_window_knows_the_phase_of_flight_from_before(quad_profile: Profile) -> None:
-    messages = list(read_recording(LOG))
-    cut = window(messages, stamps(quad_profile, messages), 80_100_000_000, 80_150_000_000)
+    cut = play_healthy(quad_profile, read_recording(LOG)).window(80_100_000_000, 80_150_000_000)
     assert {message.name for message in cut[:2]} == {"HEARTBEAT", "EXTENDED_SYS_STATE"}
     times = [m.fields["time_boot_ms"] for m in cut if m.name == "ATTITUDE"]
     assert len(times) == 5

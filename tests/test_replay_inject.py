@@ -22,11 +22,12 @@ from adapters.logs.mcap_reader import read_mcap_metadata
 from adapters.logs.recordings import read_recording
 from adapters.message import Message
 from adapters.source import MAVLINK, ZENOH
+from gains.plants.plant import Fault, Nonlinearity, Plant
 from monitor.profile import Profile
 from replay.attacks.attack import ATTACK_KINDS, Attack
 from replay.attacks.injector import Injector, inject, plan
 from replay.attacks.instruments import INSTRUMENTS, metres_per_degree, pressure_altitude
-from replay.attacks.plant_response import PlantResponse, find_fault
+from replay.attacks.plant_response import PlantResponse, States, find_fault
 from replay.player import play
 
 LOG = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
@@ -329,19 +330,17 @@ def test_nothing_outside_the_attack_is_altered_and_the_truth_is_exact(
         assert truth["on"] is truth["off"] is None
 
 
-def loss(profile: Profile, folder: Path, log: Path, **options: Any) -> tuple[list[Message], dict[str, Any]]:
+def loss(profile: Profile, log: Path, **options: Any) -> tuple[list[Message], dict[str, Any]]:
     messages = list(read_recording(log))
     wanted = attack("motor3", "loss", **({"start_ns": 90 * 10**9, "end_ns": 95 * 10**9} | options))
-    made = plan(wanted, {message.name for message in messages}, profile, folder)
+    made = plan(wanted, {message.name for message in messages}, profile)
     injector = Injector(wanted, made, 1, {})
     return list(inject(messages, injector)), injector.truth()
 
 
-def test_a_lost_motor_is_named_within_two_points_and_clears_when_it_is_back(
-    quad_profile: Profile, quad_folder: Path, data: Path
-) -> None:
+def test_a_lost_motor_is_named_within_two_points_and_clears_when_it_is_back(quad_profile: Profile, data: Path) -> None:
     log = data / "copter_healthy_square.tlog.xz"
-    messages, truth = loss(quad_profile, quad_folder, log, size=0.1)
+    messages, truth = loss(quad_profile, log, size=0.1)
     events = [event for event in play(quad_profile, messages).events if event.observer == "motors"]
     assert {event.channel for event in events} == {"motor3"}
     raised, cleared = events[0], events[-1]
@@ -353,12 +352,10 @@ def test_a_lost_motor_is_named_within_two_points_and_clears_when_it_is_back(
     assert 0 < cleared.vehicle_time_ms - truth["off"]["time_boot_ms"] < 5_000
 
 
-def test_the_autopilot_answers_a_loss_and_nothing_but_the_motor_alarms(
-    quad_profile: Profile, quad_folder: Path, data: Path
-) -> None:
+def test_the_autopilot_answers_a_loss_and_nothing_but_the_motor_alarms(quad_profile: Profile, data: Path) -> None:
     log = data / "copter_healthy_square.tlog.xz"
     before = list(read_recording(log))
-    messages, _ = loss(quad_profile, quad_folder, log, size=0.05, start_ns=80 * 10**9, end_ns=110 * 10**9)
+    messages, _ = loss(quad_profile, log, size=0.05, start_ns=80 * 10**9, end_ns=110 * 10**9)
     assert {event.channel for event in play(quad_profile, messages).events} == {"motor3"}
     for a, b in zip(before, messages, strict=True):
         if a != b:
@@ -367,11 +364,9 @@ def test_the_autopilot_answers_a_loss_and_nothing_but_the_motor_alarms(
             assert 0.95 * answer == pytest.approx(command, abs=0.0005)
 
 
-def test_what_full_command_cannot_hold_shows_in_every_gyro_alike(
-    quad_profile: Profile, quad_folder: Path, data: Path
-) -> None:
+def test_what_full_command_cannot_hold_shows_in_every_gyro_alike(quad_profile: Profile, data: Path) -> None:
     log = data / "copter_healthy_square.tlog.xz"
-    messages, _ = loss(quad_profile, quad_folder, log, size=0.6)
+    messages, _ = loss(quad_profile, log, size=0.6)
     before = list(read_recording(log))
     moved: dict[str, list[tuple[float, float]]] = {"ATTITUDE": [], "HIGHRES_IMU": []}
     for a, b in zip(before, messages, strict=True):
@@ -391,10 +386,8 @@ def test_what_full_command_cannot_hold_shows_in_every_gyro_alike(
 
 @pytest.mark.parametrize("size", [0.2, 0.6])
 @pytest.mark.parametrize("held", [True, False])
-def test_the_answer_of_a_plant_is_that_of_its_equations(
-    size: float, held: bool, quad_profile: Profile, quad_folder: Path
-) -> None:
-    found = find_fault(quad_profile, quad_folder, "motor2")
+def test_the_answer_of_a_plant_is_that_of_its_equations(size: float, held: bool, quad_profile: Profile) -> None:
+    found = find_fault(quad_profile, "motor2")
     assert found is not None
     observer, plant, fault = found
     name = "SERVO_OUTPUT_RAW" if held else "somebody/outputs"
@@ -525,3 +518,38 @@ def test_the_help_lists_every_kind_and_every_channel(capsys: pytest.CaptureFixtu
     for channel in INSTRUMENTS:
         axis = channel.removesuffix("_y").removesuffix("_z")
         assert axis in said
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-5.0, 5.0))
+def test_the_answer_of_a_nonlinear_plant_follows_the_states_along_the_recording(seed: int, push: float) -> None:
+    anywhere = np.array([[-np.inf, np.inf]])
+    swing = Nonlinearity("sin(v)", ("v",), np.array([[1.0, 0.5]]), np.array([[-1.0, 1.0]]), anywhere)
+    fault = Fault("push", "actuator", np.array([0.0, 1.0]))
+    plant = Plant(
+        name="toy",
+        domain="discrete",
+        rate_hz=100.0,
+        states=("a", "b"),
+        inputs=("drive",),
+        outputs=("a", "sum"),
+        A=np.array([[0.9, 0.1], [-0.2, 0.8]]),
+        B=np.array([[0.1], [0.3]]),
+        C=np.array([[1.0, 0.0], [1.0, 1.0]]),
+        G=np.array([[0.0], [0.3]]),
+        nonlinearities=(swing,),
+        faults=(fault,),
+    )
+    commands = np.random.default_rng(seed).uniform(0.0, 1.0, 40)
+
+    def run(pushed: float) -> np.ndarray:
+        states = [np.array([0.3, -0.4])]
+        for u in commands:
+            x = states[-1]
+            swinging = plant.G @ np.sin(swing.rows @ x)
+            states.append(plant.A @ x + plant.B @ [u] + fault.column * pushed + swinging)
+        return np.stack(states)
+
+    healthy, ticks = run(0.0), np.arange(41) * 10_000_000
+    response = PlantResponse(plant, plant.faults[0], (), lambda _: push, States(ticks, healthy))
+    given_y = [response.at(stamp_ns) for stamp_ns in ticks.tolist()]
+    np.testing.assert_allclose(given_y, (run(push) - healthy) @ plant.C.T, atol=1e-9)

@@ -20,7 +20,6 @@ from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.isolation_rule import BankRule, IsolationRule, gains_file_names
 from monitor.fitting.capability import Capability, capability_text
 from monitor.fitting.fit_report import Comparison
-from monitor.fitting.flights import Flight
 from monitor.fitting.survey import Survey
 from monitor.fitting.thresholds import Calibrated, Times, calibrated, healthy_levels, plain_only
 from monitor.profile import UNEXPLAINED, ObserverProfile, fault_channels, observer_table
@@ -87,8 +86,8 @@ class Fitted:
         More for people, for ``fit.txt`` alone.
     comparison : Comparison | None
         Prediction against measurement on data kept back, for ``fit.png``.
-    flights : Sequence[Flight]
-        Healthy samples to measure on what will be detected; not written. Empty: it is not measured.
+    measured : bool
+        Whether to measure on the recordings what will be detected.
     capability : tuple[Capability, ...]
         What will be detected, and how fast.
     excuses : tuple[ExcuseRule, ...]
@@ -108,7 +107,7 @@ class Fitted:
     settle_s: float = 0.0
     details: tuple[str, ...] = ()
     comparison: Comparison | None = None
-    flights: Sequence[Flight] = ()
+    measured: bool = False
     capability: tuple[Capability, ...] = ()
     excuses: tuple[ExcuseRule, ...] = ()
 

@@ -107,9 +107,9 @@ def inject_recording(
     earlier = _earlier(log) if kind == "mcap" else []
     senders = survey_senders(track(read_recording(log), f"surveying {log.name}"), clocks)
     names = {name for sender in senders.values() for name in sender.names}
-    system = choose_system(senders, plan(draft, names, known, profile), order, log)
+    system = choose_system(senders, plan(draft, names, known), order, log)
     attack = _timed(order, senders[system], log)
-    injector = Injector(attack, plan(attack, names, known, profile), system, clocks)
+    injector = Injector(attack, plan(attack, names, known), system, clocks)
     try:
         with MessageLogWriter(out) as writer:
             for message in inject(track(read_recording(log), f"writing {out.name}"), injector):

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from adapters.channels import Channel, parse_channel
 from adapters.errors import TelemetryError, UsageError
 from adapters.message import Message
+from gains.plants.plant import Fault, Plant
 from monitor.core.sampling import VehicleClock
-from monitor.profile import Profile
+from monitor.profile import ObserverProfile, Profile
 from replay.attacks.attack import Attack, AttackSignal, Change
 from replay.attacks.instruments import INSTRUMENTS, SPOOFED, AttackScene, Quantity, alike, channel_quantity, unit_of
-from replay.attacks.plant_response import PlantResponse, find_fault, output_signals
+from replay.attacks.plant_response import PlantResponse, States, find_fault, output_signals
 
 _MALFORMED = (KeyError, TypeError, ValueError, OverflowError)
 _ANY_CLOCK = Channel("clock", "", ("",))
@@ -117,7 +117,7 @@ class Plan:
         return frozenset(target.quantity.message for target in self.targets)
 
 
-def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, folder: Path | None = None) -> Plan:
+def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, states: States | None = None) -> Plan:
     """Find out what an attack has to alter.
 
     Parameters
@@ -128,8 +128,8 @@ def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, f
         Messages of the recording, to tell ``MESSAGE`` from ``field``.
     profile : Profile | None
         Gives the plant for faults of actuators, and its own names of channels.
-    folder : Path | None
-        Where the profile stands.
+    states : States | None
+        States along the recording, for faults of actuators of nonlinear plants.
 
     Raises
     ------
@@ -140,9 +140,9 @@ def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, f
     channel, known = attack.channel, frozenset(names)
     if channel in INSTRUMENTS:
         return _instrument_plan(attack, INSTRUMENTS[channel])
-    fault = find_fault(profile, folder, channel) if profile is not None and folder is not None else None
+    fault = find_fault(profile, channel) if profile is not None else None
     if fault is not None:
-        return _plant_plan(attack, *fault)
+        return _plant_plan(attack, *fault, states)
     mapped = _field(channel, known, profile_clocks(profile))
     if mapped is not None:
         return _instrument_plan(attack, (channel_quantity(mapped),))
@@ -191,7 +191,7 @@ def _instrument_plan(attack: Attack, quantities: Iterable[Quantity]) -> Plan:
     return Plan(tuple(AttackTarget(quantity, attack.change(quantity.from_home)) for quantity in quantities), unit=grows)
 
 
-def _plant_plan(attack: Attack, observer: Any, plant: Any, fault: Any) -> Plan:
+def _plant_plan(attack: Attack, observer: ObserverProfile, plant: Plant, fault: Fault, states: States | None) -> Plan:
     """Return what a fault of a profile's plant alters: the outputs that it moves, and the command that answers it."""
     channel, kind = attack.channel, attack.kind
     response, targets = None, list[AttackTarget]()
@@ -205,9 +205,9 @@ def _plant_plan(attack: Attack, observer: Any, plant: Any, fault: Any) -> Plan:
         if size is None or (fault.input is None) == (kind == "loss"):
             use = "bias, ramp or noise" if fault.input is None else "loss"
             raise UsageError(f"--kind {kind} does not go with {channel} of the profile; use {use}")
-        if plant.nonlinearities:
+        if plant.nonlinearities and states is None:
             raise UsageError(f"--channel {channel}: {plant.name} is nonlinear; only its sensors can be put at fault")
-        response = PlantResponse(plant, fault, observer.source.inputs, _within(attack, size))
+        response = PlantResponse(plant, fault, observer.source.inputs, _within(attack, size), states)
         moves = output_signals(plant, fault, response.at)
         if response.command is not None:
             targets.append(AttackTarget(channel_quantity(response.command), response.answer))

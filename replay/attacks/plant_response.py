@@ -6,7 +6,8 @@ With the plant in discrete time, the deviation from the recorded flight obeys
 
 where a loss l of an actuator with the command u and the static curve v(u) has phi = v((1 - l) u) - v(u), as if its
 command were multiplied by 1 - l behind the recorded one; other faults have phi = f. That is exact for what an observer
-of a linear plant sees, whatever the commands are.
+of a linear plant sees, whatever the commands are. Nonlinearities add G (g(H (x + dx)) - g(H x)) to dx(k+1), as good as
+the state x is known along the recording.
 
 An autopilot holds the vehicle against a loss: it commands more until the motor delivers what the flight needs. Without
 that the rates of a multirotor would grow to turns per second, and neither attitude nor velocity would fit them. So of
@@ -23,7 +24,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ from adapters.channels import Channel
 from adapters.errors import UsageError
 from adapters.message import Message
 from gains.plants.discretise import discretise
-from gains.plants.model_file import read_model
+from gains.plants.expression import compile_expression
 from gains.plants.plant import Fault, Plant
 from monitor.estimation.input_curve import effect_of_command
 from monitor.profile import ObserverProfile, Profile
@@ -45,19 +46,42 @@ _FULL_COMMAND = 1.0
 """Commands are fractions of full throw."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class States:
+    """States along a recording.
+
+    Parameters
+    ----------
+    times_ns : NDArray[np.int64]
+        Vehicle nanoseconds, ascending (N,).
+    x : NDArray[np.float64]
+        State at each time (N, n).
+    """
+
+    times_ns: NDArray[np.int64]
+    x: NDArray[np.float64]
+
+    def at(self, stamp_ns: int) -> NDArray[np.float64]:
+        """Return the newest state by a time, the first one before it."""
+        row = int(np.searchsorted(self.times_ns, stamp_ns, side="right")) - 1
+        return np.asarray(self.x[max(row, 0)])
+
+
 class PlantResponse:
     """State of the deviation.
 
     Parameters
     ----------
     plant : Plant
-        Discrete and linear.
+        Discrete plant; without ``states`` its nonlinearities are left out.
     fault : Fault
         An actuator fault of it.
     inputs : Sequence[Channel]
         Where the commands come from.
     size : AttackSignal
         Loss or fault over time, vehicle nanoseconds.
+    states : States | None
+        States along the recording, which the deviation of a nonlinear plant depends on.
 
     Attributes
     ----------
@@ -67,8 +91,12 @@ class PlantResponse:
         Stamps of the first and the last command behind which the fault acted.
     """
 
-    def __init__(self, plant: Plant, fault: Fault, inputs: Sequence[Channel], size: AttackSignal) -> None:
+    def __init__(
+        self, plant: Plant, fault: Fault, inputs: Sequence[Channel], size: AttackSignal, states: States | None = None
+    ) -> None:
         self._A, self._C, self._column = plant.A, plant.C, fault.column
+        self._G, self._states = plant.G, states
+        self._g = [(compile_expression(g.expression, g.arguments), g.rows) for g in plant.nonlinearities]
         self._step_ns = 1e9 / (plant.rate_hz or 1.0)
         self._taps = np.array(plant.taps)
         self._size = size
@@ -130,6 +158,11 @@ class PlantResponse:
         self._effects.appendleft(self._effect(round(self._tick * self._step_ns)))
         self._before = self._after
         self._after = self._A @ self._before + self._column * float(self._taps @ np.array(self._effects))
+        if self._g and self._states is not None:
+            # G (g(H (x + dx)) - g(H x))
+            x = self._states.at(round(self._tick * self._step_ns))
+            changes = [g(*rows @ (x + self._before)) - g(*rows @ x) for g, rows in self._g]
+            self._after = self._after + self._G @ np.array(changes)
         self._tick += 1
 
     def _effect(self, stamp_ns: int) -> float:
@@ -150,21 +183,11 @@ class PlantResponse:
         self.last_ns = stamp_ns if self.last_ns is None else max(self.last_ns, stamp_ns)
 
 
-def find_fault(profile: Profile, folder: Path, channel: str) -> tuple[ObserverProfile, Plant, Fault] | None:
-    """Return the observer that estimates a fault, its plant sampled at the observer's rate, and the fault.
-
-    Parameters
-    ----------
-    profile : Profile
-        The profile.
-    folder : Path
-        Where it stands; the plants are read from there.
-    channel : str
-        Name of the fault.
-    """
+def find_fault(profile: Profile, channel: str) -> tuple[ObserverProfile, Plant, Fault] | None:
+    """Return the observer that estimates a fault, its plant sampled at the observer's rate, and the fault."""
     for observer in profile.observers:
-        if any(fault.name == channel for fault in observer.faults):
-            plant = discretise(read_model(folder / f"{observer.name}.model.toml"), observer.rate_hz)
+        if observer.model is not None and any(fault.name == channel for fault in observer.faults):
+            plant = discretise(observer.model, observer.rate_hz)
             return observer, plant, next(fault for fault in plant.faults if fault.name == channel)
     return None
 

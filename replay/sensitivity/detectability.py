@@ -13,27 +13,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adapters.errors import UsageError
 from adapters.logs.recordings import read_recording
-from adapters.message import Message
 from monitor.alarms.alarm import AlarmRule
-from monitor.estimate import Estimate
 from monitor.pipeline import Pipeline
 from monitor.profile import ObserverProfile, Profile, read_profile
-from monitor.sampling.phase import FlightPhase
 from replay.attacks.attack import ATTACK_KINDS, Attack
 from replay.attacks.injector import plan
-from replay.sensitivity import windows
+from replay.sensitivity.healthy import Healthy, free_spans, onsets, play_healthy
 from replay.sensitivity.trial import Outcome, Task, run_task
 
 _SECOND_NS = 1_000_000_000
 _STEPS = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
+"""Sizes to try, in units of the size that raises the alarm: from what has to be missed to what is plain."""
 _RATES = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""Rates of ramps, in such units per second: they reach the size within a quarter of a second to four seconds."""
 _SPOOF_RATES = (0.5, 1.0, 2.0, 5.0)
+"""Final speeds of spoofs, m/s: from the drift of a receiver to the pace of a vehicle."""
 _SCALES = (0.5, 0.8, 0.9, 1.1, 1.2, 1.5)
+"""Factors on a measurement, within half of it up and down."""
 _DELAYS_S = (0.05, 0.1, 0.2, 0.5, 1.0)
+"""Delays of measurements, from those of slow links to those of an operator's reaction, seconds."""
+_SMALLEST_COMMAND = 0.05
+"""Least mean command, of full command, that a threshold is divided by: below it a loss would be no size to try."""
 _SIZELESS = ("freeze", "drop", "replay")
 _SCENE_MESSAGES = frozenset({"ATTITUDE", "GPS_RAW_INT"})
 
@@ -140,15 +143,6 @@ class Detectability:
 
 
 @dataclass(frozen=True, slots=True)
-class _Healthy:
-    """The recording as it is: by observer, spans of watched flight and the mean command (s,); times of alarms."""
-
-    spans_ns: dict[str, list[tuple[int, int]]]
-    command: dict[str, NDArray[np.float64]]
-    alarms_ns: list[int]
-
-
-@dataclass(frozen=True, slots=True)
 class _Subject:
     """A channel to attack: its observer, its alarm, and the attacks, whose times are still open."""
 
@@ -186,48 +180,42 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lam
     if unknown:
         raise UsageError(f"--kinds {unknown[0]}: no such kind; use some of {', '.join(ATTACK_KINDS)}")
     wanted = Pipeline(profile).interests | _SCENE_MESSAGES
-    everything = list(track(read_recording(log, wanted), f"reading {log.name}"))
-    system = _system(profile, everything)
-    messages = [message for message in everything if message.system == system]
-    names = frozenset(message.name for message in messages)
-    healthy = _play_healthy(profile, track(messages, "healthy flight"))
+    healthy = play_healthy(profile, track(read_recording(log, wanted), f"reading {log.name}"))
+    names = frozenset(message.name for message in healthy.messages)
     skipped: list[str] = []
     subjects = [
         _Subject(observer, rule, attacks)
         for observer, rule in chosen
-        if (attacks := _attacks(profile, folder, observer, rule, sweep, healthy, names, skipped))
+        if (attacks := _attacks(profile, observer, rule, sweep, healthy, names, skipped))
     ]
     if not subjects:
         raise UsageError(skipped[0] if skipped else f"{folder}: the profile has no alarm to test")
-    onsets = {s.observer.name: _onsets(s.observer.name, healthy, sweep, log) for s in subjects}
-    times_ns = windows.stamps(profile, messages)
+    onsets_ns = {s.observer.name: _onsets(s.observer.name, healthy, sweep, log) for s in subjects}
     before_ns, after_ns = round(sweep.before_s * _SECOND_NS), round(sweep.after_s * _SECOND_NS)
     cut = {
-        onset: windows.window(messages, times_ns, onset - before_ns, onset + after_ns)
-        for onset in sorted(set().union(*onsets.values()))
+        onset: healthy.window(onset - before_ns, onset + after_ns) for onset in sorted(set().union(*onsets_ns.values()))
     }
     tasks = [
         Task(
             profile=profile,
-            folder=folder,
             observer=subject.observer.name,
-            system=system,
+            system=healthy.system,
             messages=cut[onset],
             attacks=tuple(_at(attack, onset, onset + after_ns, sweep) for attack in subject.attacks),
         )
         for subject in subjects
-        for onset in onsets[subject.observer.name]
+        for onset in onsets_ns[subject.observer.name]
     ]
     outcomes = iter(list(track(_run(tasks, sweep.jobs), f"{len(tasks)} windows", "windows")))
     rows: list[Row] = []
     for subject in subjects:
-        found = [next(outcomes) for _ in onsets[subject.observer.name]]
+        found = [next(outcomes) for _ in onsets_ns[subject.observer.name]]
         for attack, trials in zip(subject.attacks, zip(*found, strict=True), strict=True):
             rows.append(_row(attack, _unit(attack, subject.rule), trials))
     return Detectability(
         profile=profile.name,
         log=log.name,
-        onsets_ms={name: tuple(onset // 1_000_000 for onset in found) for name, found in onsets.items()},
+        onsets_ms={name: tuple(onset // 1_000_000 for onset in found) for name, found in onsets_ns.items()},
         window_s=(sweep.before_s, sweep.after_s),
         healthy_alarms=len(healthy.alarms_ns),
         rows=tuple(rows),
@@ -252,42 +240,12 @@ def _chosen(profile: Profile, channels: Sequence[str]) -> list[tuple[ObserverPro
     return [(o, rule) for o, rule in found if not channels or rule.channel in channels]
 
 
-def _system(profile: Profile, messages: Sequence[Message]) -> int:
-    """Return the vehicle as the pipeline chooses it."""
-    wanted = Pipeline(profile).interests - FlightPhase.interests
-    return profile.system or next((message.system for message in messages if message.name in wanted), 0)
-
-
-def _play_healthy(profile: Profile, messages: Iterable[Message]) -> _Healthy:
-    pipeline = Pipeline(profile)
-    names = [observer.name for observer in profile.observers]
-    spans: dict[str, list[tuple[int, int]]] = {name: [] for name in names}
-    sums = {o.name: np.zeros(len(o.gains[0].inputs)) for o in profile.observers}
-    counts = dict.fromkeys(names, 0)
-    watched = dict.fromkeys(names, False)
-    alarms: list[int] = []
-    for message in messages:
-        for output in pipeline.feed(message):
-            if not isinstance(output, Estimate):
-                alarms += [output.vehicle_time_ms * 1_000_000] if output.state == "raised" else []
-                continue
-            name, now_ns = output.observer, output.sample.vehicle_time_ns
-            if output.armed:
-                start_ns = spans[name].pop()[0] if watched[name] and not output.sample.restart else now_ns
-                spans[name].append((start_ns, now_ns))
-                sums[name] += output.sample.u
-                counts[name] += 1
-            watched[name] = output.armed
-    return _Healthy(spans, {name: sums[name] / max(counts[name], 1) for name in names}, alarms)
-
-
 def _attacks(
     profile: Profile,
-    folder: Path,
     observer: ObserverProfile,
     rule: AlarmRule,
     sweep: Sweep,
-    healthy: _Healthy,
+    healthy: Healthy,
     names: frozenset[str],
     skipped: list[str],
 ) -> tuple[Attack, ...]:
@@ -295,14 +253,16 @@ def _attacks(
     threshold = rule.threshold or 1.0
     fault = next(fault for fault in observer.faults if fault.name == rule.channel)
     if rule.kind == "actuator" and fault.input is not None:
-        threshold /= max(abs(float(healthy.command[observer.name][fault.input])), 0.05)
+        flight = healthy.flights[observer.name]
+        commands = flight.samples.u[flight.armed, fault.input]
+        threshold /= max(abs(float(np.mean(commands))) if len(commands) else 0.0, _SMALLEST_COMMAND)
     usual = ("loss",) if fault.input is not None else ("bias", "ramp")
     found: list[Attack] = []
     for kind in sweep.kinds or usual:
         sizes: Sequence[float | None] = sweep.sizes or _sizes(kind, threshold)
         attacks = [_attack(rule.channel, kind, size) for size in (sizes if kind not in _SIZELESS else (None,))]
         try:
-            if not all(plan(attack, names, profile, folder).messages & names for attack in attacks):
+            if not all(plan(attack, names, profile).messages & names for attack in attacks):
                 raise UsageError(f"--channel {rule.channel}: no message of the log carries it")
         except UsageError as error:
             skipped.append(str(error))
@@ -339,11 +299,13 @@ def _sizes(kind: str, threshold: float) -> tuple[float, ...]:
     return tuple(dict.fromkeys(min(size, 1.0) if kind == "loss" else size for size in sizes))
 
 
-def _onsets(name: str, healthy: _Healthy, sweep: Sweep, log: Path) -> list[int]:
+def _onsets(name: str, healthy: Healthy, sweep: Sweep, log: Path) -> list[int]:
     before_ns, after_ns = round(sweep.before_s * _SECOND_NS), round(sweep.after_s * _SECOND_NS)
-    found = windows.onsets(healthy.spans_ns[name], healthy.alarms_ns, before_ns, after_ns, sweep.onsets)
+    spans_ns = healthy.spans_ns(name)
+    free = free_spans(spans_ns, healthy.alarms_ns, before_ns, after_ns)
+    found = [onset_ns for _, onset_ns in onsets([free], sweep.onsets)]
     if not found:
-        longest = max((b - a for a, b in healthy.spans_ns[name]), default=0) / _SECOND_NS
+        longest = max((b - a for a, b in spans_ns), default=0) / _SECOND_NS
         raise UsageError(
             f"{log}: no {sweep.before_s + sweep.after_s:g} s of watched flight without an alarm for '{name}' (longest "
             f"stretch {longest:.0f} s); give smaller --before and --after, or a longer healthy log"

@@ -103,7 +103,7 @@ def fit_custom(request: FitRequest) -> tuple[Fitted, GateRule]:
         lines=_lines(fit, alarms),
         details=_details(fit, plant, comparison),
         comparison=comparison,
-        flights=flights,
+        measured=True,
     )
     return fitted, gate
 

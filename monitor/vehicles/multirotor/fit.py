@@ -110,7 +110,7 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
             ),
         ),
         comparison=comparison,
-        flights=flights,
+        measured=True,
     )
     return fitted, gate
 
