@@ -214,7 +214,7 @@ def test_a_reload_changes_thresholds_without_losing_a_sample_and_a_wrong_one_cha
     try:
         subscriber = AlarmSubscriber(daemon.session)
         until(lambda: "first" in subscriber.live)
-        sender = daemon.send(data / "copter_motor2_080.tlog.xz", 1, speed=1.0)
+        sender = daemon.send(data / "copter_motor2_080.tlog.xz", 1)
         until(lambda: daemon.status("first")["samples"] > 0)
         daemon.config.write_text("inbox = -1\n")
         daemon.process.send_signal(signal.SIGHUP)

@@ -126,7 +126,7 @@ def test_the_monitor_of_the_readme_raises_motor1_and_the_terminal_beside_it_says
         )
         try:
             until(lambda: "monitor of quad is there" in (desk / "heard").read_text())
-            with Flight(desk / "flight.tlog", [udp_port], 0.0):
+            with Flight(desk / "flight.tlog", [udp_port], 4.0):  # the motor fails 8.6 s into it
                 until(lambda: '"raised"' in (desk / "heard").read_text())
         finally:
             for process in (terminal, monitor):

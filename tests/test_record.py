@@ -130,7 +130,7 @@ def test_a_full_disk_ends_it_with_a_line_and_what_was_recorded_stands(data: Path
     out = tmp_path / "monday.mcap"
     recording = Recording(out, "--mavlink", f"udpin:127.0.0.1:{port}")
     # no file may grow beyond this: writing fails as on a full disk
-    resource.prlimit(recording.process.pid, resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
+    resource.prlimit(recording.process.pid, resource.RLIMIT_FSIZE, (30_000, resource.RLIM_INFINITY))
     with Flight(data / "copter_healthy_square.tlog.xz", [port], 0.0):
         status, said = recording.end()
     assert (status, said) == (2, "")
