@@ -78,6 +78,18 @@ def test_a_new_file_begins_after_so_much_telemetry_time(tmp_path: Path) -> None:
     assert log.counts().files == 4
 
 
+@pytest.mark.parametrize("limits", [{"file_s": 10.0}, {"file_bytes": 200_000, "budget_bytes": 10_000_000}])
+def test_files_end_at_the_same_records_however_batches_are_cut(tmp_path: Path, limits: dict[str, Any]) -> None:
+    with recorder(tmp_path / "few", **limits) as few, recorder(tmp_path / "many", **limits) as many:
+        for number in range(100):
+            few.write(noise(number, 10_000))
+        for start in range(0, 100, 37):
+            many.write(*(noise(number, 10_000) for number in range(start, min(start + 37, 100))))
+    expected = [numbers(path) for path in files(tmp_path / "few")]
+    assert len(expected) > 3
+    assert [numbers(path) for path in files(tmp_path / "many")] == expected
+
+
 def test_each_file_is_complete_in_itself(tmp_path: Path) -> None:
     with recorder(tmp_path, file_s=2.0) as log:
         for number in range(4):

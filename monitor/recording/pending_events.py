@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Final
 
 from monitor.recording.encoded_record import EncodedRecord
@@ -25,16 +26,15 @@ class PendingEvents:
         """Return how many records wait for a file."""
         return len(self._waiting)
 
-    def sent(self, number: int, record: EncodedRecord) -> None:
-        """Note a record that is about to become the ``number``-th of the file in hand."""
-        self._sent.append((number, record))
+    def sent(self, number: int, records: Sequence[EncodedRecord]) -> None:
+        """Note records that are about to become the ``number``-th and following of the file in hand."""
+        self._sent.extend(enumerate(records, number))
 
-    def keep(self, record: EncodedRecord) -> bool:
-        """Keep a record while there is no file; return whether there was room."""
-        kept = len(self._waiting) < MAX_PENDING_RECORDS
-        if kept:
-            self._waiting.append(record)
-        return kept
+    def keep(self, records: Sequence[EncodedRecord]) -> int:
+        """Keep records while there is no file; return for how many there was room."""
+        kept = records[: MAX_PENDING_RECORDS - len(self._waiting)]
+        self._waiting.extend(kept)
+        return len(kept)
 
     def settle(self) -> None:
         """Forget the records that were sent: the file was flushed."""
@@ -47,9 +47,8 @@ class PendingEvents:
         self._sent.clear()
         return len(self._waiting) - before
 
-    def send(self, number: int) -> list[EncodedRecord]:
-        """Return the records that wait; they are about to become those from the ``number``-th on."""
+    def take(self) -> list[EncodedRecord]:
+        """Return the records that wait, and forget them."""
         records = list(self._waiting)
         self._waiting.clear()
-        self._sent.extend((number + k, record) for k, record in enumerate(records))
         return records

@@ -153,7 +153,7 @@ class Recorder:
         self._log: MessageLogWriter | None = None
         self._path: Path | None = None
         self._channels: dict[int, int | None] = {}
-        self._first_ns = 0
+        self._first_ns = self._given = 0
         self._arrived_ns: int | None = None
         self._pending = PendingEvents()
         self._closed = False
@@ -178,20 +178,23 @@ class Recorder:
         if self._closed:
             raise RuntimeError("the recorder is closed; make another one")
         self._records += len(records)
-        for record in records:
-            if telemetry:
-                self._arrived_ns = record[2]
-            log = None
+        while records:
+            log, count = None, len(records)
+            times_ns = [time_ns for _, _, time_ns in records] if telemetry else ()
             try:
-                log = self._log_for(record)
+                log = self._log_for(records, times_ns)
                 if log is not None:
-                    if keep:
-                        self._pending.sent(log.position + 1, record)
-                    self._write(log, record)
+                    # near the end of a file of a series ever fewer
+                    while count > 1 and not self._fits(log, records[:count], times_ns[:count]):
+                        count //= 2
+                    self._write(log, records[:count], keep)
             except (OSError, StorageError) as error:
                 self._fail(error)
-            if log is None and not (keep and self._pending.keep(record)):
-                self._dropped += 1
+            if log is None:
+                self._dropped += count - (self._pending.keep(records) if keep else 0)
+            if telemetry:
+                self._arrived_ns = times_ns[count - 1]
+            records = records[count:]
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
         """Add entries to the metadata of this file and of those that follow; a reader takes the latest of each key."""
@@ -209,7 +212,7 @@ class Recorder:
                 self._log.flush()
                 self._pending.settle()
             elif (self._log is not None or self._pending) and self._monotonic() >= self._retry_s:
-                self._continue(0)
+                self._continue(self._arrived_ns or 0)
         except (OSError, StorageError) as error:
             self._fail(error)
 
@@ -246,42 +249,47 @@ class Recorder:
     ) -> None:
         self.close()
 
-    def _write(self, log: MessageLogWriter, record: EncodedRecord) -> None:
-        number, data, time_ns = record
-        channel = self._channels.get(number)
-        if channel is None:
+    def _write(self, log: MessageLogWriter, records: Sequence[EncodedRecord], keep: bool) -> None:
+        """Give records to a file."""
+        for number in {number for number, _, _ in records} - self._channels.keys():
             topic = self._topics[number]
-            channel = self._channels[number] = log.channel(topic.name, topic.encoding, topic.schema)
-        if channel is None:
-            self._unrecordable += 1
-        else:
-            log.add(channel, data, time_ns)
+            self._channels[number] = log.channel(topic.name, topic.encoding, topic.schema)
+        channels = [self._channels[number] for number, _, _ in records]
+        if None in channels:
+            records = [record for record, channel in zip(records, channels, strict=True) if channel is not None]
+            self._unrecordable += len(channels) - len(records)
+        if keep:
+            self._pending.sent(self._given + 1, records)
+        self._given += len(records)
+        data, times_ns = [data for _, data, _ in records], [time_ns for _, _, time_ns in records]
+        log.add_all([channel for channel in channels if channel is not None], data, times_ns)
 
-    def _log_for(self, record: EncodedRecord) -> MessageLogWriter | None:
-        """Return the file that a record belongs into, None while there is none."""
+    def _log_for(self, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> MessageLogWriter | None:
+        """Return the file that the first of some records belongs into, None while there is none."""
         log = self._log
         if log is not None and not log.failed:
-            if self._series is None or not self._is_full(self._series, log, record):
+            if not self._given or self._fits(log, records[:1], times_ns[:1]):
                 return log
             self._end_file()
         if self._failed is not None and self._monotonic() < self._retry_s:
             return None
-        return self._continue(record[2])
+        return self._continue(times_ns[0] if times_ns else self._arrived_ns or records[0][2])
 
-    def _is_full(self, series: FileSeries, log: MessageLogWriter, record: EncodedRecord) -> bool:
-        """Return whether the next record begins a new file.
+    def _fits(self, log: MessageLogWriter, records: Sequence[EncodedRecord], times_ns: Sequence[int]) -> bool:
+        """Return whether records belong into a file, by its size and by the times of telemetry.
 
         Only telemetry tells the time: it is stamped by one clock, while the monitor's own records carry the
         vehicle's, and a file begun for each of two that disagree would be a flood of files.
         """
-        if not log.position:
-            return False
-        if self._arrived_ns is not None and abs(self._arrived_ns - self._first_ns) >= series.file_ns:
+        series = self._series
+        if series is None:
             return True
-        number, data, _ = record
-        schema = None if number in self._channels else self._topics[number].schema
-        schema_bytes = 0 if schema is None else 2 * len(schema.data)
-        return log.size + len(data) + schema_bytes + _RECORD_MARGIN > series.file_bytes
+        if any(abs(time_ns - self._first_ns) >= series.file_ns for time_ns in times_ns):
+            return False
+        new = {number for number, _, _ in records} - self._channels.keys()
+        schemas = [schema for number in new if (schema := self._topics[number].schema) is not None]
+        added = sum(len(data) + _RECORD_MARGIN for _, data, _ in records) + sum(2 * len(one.data) for one in schemas)
+        return log.size + added <= series.file_bytes
 
     def _continue(self, first_ns: int) -> MessageLogWriter:
         """Resume the file in hand, or begin the next; write the events that wait.
@@ -289,20 +297,20 @@ class Recorder:
         Parameters
         ----------
         first_ns : int
-            Time of the first record, for the file's name where no telemetry has told the time.
+            Time of the first telemetry, for the file's name.
         """
-        if self._series is not None:
-            self._first_ns = first_ns if self._arrived_ns is None else self._arrived_ns
-            log = self._start(self._series.next_path(self._first_ns))
-        elif self._log is not None:
-            log = self._log
+        log = self._log
+        if log is None and self._series is not None:
+            self._first_ns = first_ns
+            log = self._start(self._series.next_path(first_ns))
+        elif log is not None:
             log.resume()
+            self._given = log.written
             # metadata may have been lost with the failed write
             log.add_metadata(METADATA, self._metadata)
         else:
             raise RuntimeError("a recorder of one file has begun it")
-        for record in self._pending.send(log.position + 1):
-            self._write(log, record)
+        self._write(log, self._pending.take(), keep=True)
         log.flush()
         self._pending.settle()
         self._failed = None
@@ -312,6 +320,7 @@ class Recorder:
         self._log = start_log(path, self._metadata, self._profile_files)
         self._path = path
         self._channels = {}
+        self._given = 0
         self._files += 1
         return self._log
 
@@ -346,10 +355,9 @@ class Recorder:
                 raise
 
     def _count_lost(self, log: MessageLogWriter) -> None:
-        """Count the records that a file lacks, once for each failure; events wait for the next try."""
-        waiting = self._pending.fail(log.written)
-        if self._failed is None:
-            self._dropped += log.position - log.written - waiting
+        """Count the records that a file was given and lacks, without events, which wait for the next try."""
+        self._dropped += self._given - log.written - self._pending.fail(log.written)
+        self._given = log.written
 
     def _note(self, error: Exception) -> None:
         self._failures += 1
