@@ -260,16 +260,16 @@ cdef class ErrorCovariance:
 
 cdef void multiply_rows(const double[:, ::1] A, const double[:, ::1] B, double[:, ::1] out) noexcept:
     """Write A B, skipping the zeros of A."""
-    cdef Py_ssize_t i, j, l, size = B.shape[1]
+    cdef Py_ssize_t i, j, m, size = B.shape[1]
     cdef double factor
     for i in range(A.shape[0]):
         for j in range(size):
             out[i, j] = 0.0
-        for l in range(A.shape[1]):
-            factor = A[i, l]
+        for m in range(A.shape[1]):
+            factor = A[i, m]
             if factor != 0.0:
                 for j in range(size):
-                    out[i, j] += factor * B[l, j]
+                    out[i, j] += factor * B[m, j]
 
 
 cdef class CommandScale:
@@ -375,18 +375,18 @@ cdef double fault_in_command(const double[:, ::1] curves, Py_ssize_t j, double f
     Below zero command a curve is extrapolated along its slope at zero: an actuator that pushes the other way.
     """
     cdef double target, linear, square, root, u_eff
-    cdef int i
+    cdef int _
     if curves.shape[1] == 1:
         return fault / curves[j, 0]
     target = effect(curves, j, u) + fault
     if curves.shape[1] == 2:
-        # The root of c2 u^2 + c1 u = target in the form without cancellation: 2 target / (c1 + sqrt(c1^2 + 4 c2 target)).
+        # The root of c2 u^2 + c1 u = target without cancellation: 2 target / (c1 + sqrt(c1^2 + 4 c2 target)).
         # Below zero the square root stays at that of zero, which is the extrapolation.
         linear, square = curves[j, 0], curves[j, 1]
         root = sqrt(at_least(linear * linear + 4.0 * square * at_least(target, 0.0), 0.0))
         return 2.0 * target / at_least(linear + root, SMALLEST_SLOPE) - u
     u_eff = u + fault / slope(curves, j, u)
-    for i in range(NEWTON_STEPS):
+    for _ in range(NEWTON_STEPS):
         u_eff = at_least(u_eff, 0.0)
         u_eff = u_eff + (target - effect(curves, j, u_eff)) / slope(curves, j, u_eff)
     return u_eff - u
