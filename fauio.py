@@ -7,7 +7,7 @@ read_batches            the messages of a recording, as batches of columns
 read_recording          the same one by one
 read_profile, Profile   what is known of a vehicle: models, gains, channels, thresholds
 replay, Replay          look for faults in a recording
-Pipeline                the same for telemetry that is still coming
+Pipeline                the same for telemetry that is still coming; pack makes batches of messages
 fit, FitReport          learn a vehicle from recordings of healthy flights
 check, Check            which faults of a plant can be told apart
 design, Gains           design an observer for a plant; read_gains and write_gains keep it
@@ -52,12 +52,13 @@ from monitor.console.completion import add_completion
 from replay import commands as replay_commands
 
 if TYPE_CHECKING:
-    from adapters.batch import Batch
+    from adapters.batch import Batch, pack
     from adapters.logs.recordings import read_batches, read_recording
     from adapters.message import Message
+    from adapters.source import MAVLINK, ZENOH
     from adapters.zenoh.zenoh_session import open_session
     from gains.analysis.check import Check
-    from gains.plants.model_file import read_model, write_model
+    from gains.plants.model_file import load_model, read_model, write_model
     from gains.plants.plant import Plant
     from gains.synthesis.gains_file import Gains, read_gains, write_gains
     from monitor.bus.subscriber import AlarmSubscriber
@@ -72,6 +73,8 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "MAVLINK",
+    "ZENOH",
     "AlarmEvent",
     "AlarmSubscriber",
     "Batch",
@@ -97,7 +100,9 @@ __all__ = [
     "check",
     "design",
     "fit",
+    "load_model",
     "open_session",
+    "pack",
     "read_batches",
     "read_gains",
     "read_model",
@@ -109,12 +114,13 @@ __all__ = [
 ]
 
 _PLACES = {
-    "adapters.batch": ("Batch",),
+    "adapters.batch": ("Batch", "pack"),
     "adapters.logs.recordings": ("read_batches", "read_recording"),
     "adapters.message": ("Message",),
+    "adapters.source": ("MAVLINK", "ZENOH"),
     "adapters.zenoh.zenoh_session": ("open_session",),
     "gains.analysis.check": ("Check",),
-    "gains.plants.model_file": ("read_model", "write_model"),
+    "gains.plants.model_file": ("load_model", "read_model", "write_model"),
     "gains.plants.plant": ("Plant",),
     "gains.synthesis.gains_file": ("Gains", "read_gains", "write_gains"),
     "monitor.bus.subscriber": ("AlarmSubscriber",),

@@ -11,14 +11,9 @@ import numpy as np
 from arm_controller import LINK, Controller
 from numpy.typing import NDArray
 
-from adapters.batch import pack
-from adapters.message import Message
+import fauio
 from adapters.simulation.arm import ArmScenario, ArmState, fault_size, measure_arm, step_arm, tracking_reference
-from adapters.source import ZENOH
 from monitor.bus.payload import estimate_json
-from monitor.estimate import Estimates as EstimateRows
-from monitor.pipeline import Pipeline
-from monitor.profile import read_profile
 
 PROFILE = Path(__file__).parent / "arm"
 TELEMETRY = "arm/telemetry"
@@ -116,18 +111,18 @@ def in_process(controller: Controller, delay: int = 0) -> Exchange:
     delay : int
         Samples by which estimates come later than over a network without delay.
     """
-    pipeline = Pipeline(read_profile(PROFILE), "arm")
+    pipeline = fauio.Pipeline(fauio.read_profile(PROFILE), "arm")
     layouts = {layout.observer: layout for layout in pipeline.layouts}
     said: list[Estimates] = [None] * delay
 
     def exchange(now_s: float, torque: float, y: NDArray[np.float64]) -> tuple[float, Estimates]:
         time_ns = round(now_s * 1e9)
         fields = {"time_ns": time_ns, "u": [torque], "y": y.tolist()}
-        outputs = pipeline.run(pack([Message(ZENOH, TELEMETRY, 10**18 + time_ns, fields)]))
+        outputs = pipeline.run(fauio.pack([fauio.Message(fauio.ZENOH, TELEMETRY, 10**18 + time_ns, fields)]))
         found = [
             estimate_json(layouts[output.observer], output, -1)
             for output in outputs
-            if isinstance(output, EstimateRows)
+            if isinstance(output, fauio.Estimates)
         ]
         said.append(found[-1] if found else said[-1] if said else None)
         estimate = said.pop(0) if len(said) > delay else None

@@ -28,7 +28,7 @@ from arm_controller import Controller
 from closed_loop import PERIOD_S, PROFILE, TELEMETRY, Estimates
 from numpy.typing import NDArray
 
-from adapters.zenoh.zenoh_session import open_session
+from fauio import open_session
 
 COMMAND = "arm/command"
 ESTIMATE = "fauio/arm/estimate/arm"

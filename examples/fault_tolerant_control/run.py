@@ -20,7 +20,7 @@ from closed_loop import ACTUATOR, PERIOD_S, SENSOR, Plant, Run, alone, close_loo
 from numpy.typing import NDArray
 
 from adapters.simulation.arm import SCENARIOS, tracking_reference
-from gains.plants.model_file import builtin_model
+from fauio import load_model
 
 CASES = ("case1", "case2", "case3")
 DURATION_S = 50.0
@@ -39,7 +39,7 @@ WITHOUT, INTEGRAL, MOTOR_ONLY, BOTH = "nothing", "integral action", "motor", "mo
 
 def gain(*, integral: bool = False) -> NDArray[np.float64]:
     """Return the controller's gain for the arm that hangs."""
-    plant = builtin_model("arm")
+    plant = load_model("arm")
     A = np.array(plant.A)
     A[3, 2] -= _GRAVITY
     return feedback_gain(A, np.array(plant.B), PERIOD_S, integral=integral)
