@@ -1,7 +1,7 @@
-"""A stretch of telemetry by columns: what a recording holds of each message, as arrays, in the order of arrival.
+"""A batch of telemetry: consecutive messages as columns, one for each field, in the order of arrival.
 
-Recordings are read in blocks so that whatever is the same for thousands of messages is done once. A block says
-exactly what the messages say one by one: :func:`messages` gives them back, :func:`pack` makes blocks of messages.
+What is the same for all messages of a batch is done once. A batch holds exactly the same as its messages one by one:
+:func:`messages` gives them back, :func:`pack` makes a batch of messages.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ BATCH_MESSAGES: Final = 40_000
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """The m messages of one name and one sender in a block.
+    """The m messages of one name and one sender in a batch.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Columns:
     system, component : int
         MAVLink ids of the sender.
     position : NDArray[np.int64]
-        Place of each among all messages of the block (m,), ascending.
+        Index of each among all messages of the batch (m,), ascending.
     received_ns : NDArray[np.int64]
         Unix times of arrival, nanoseconds (m,).
     fields : Mapping[str, NDArray]
@@ -53,7 +53,7 @@ class Columns:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """A stretch of telemetry.
+    """Consecutive messages of all senders, as columns.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Batch:
     columns : tuple[Columns, ...]
         By name and sender; no two have both in common.
     others : Mapping[int, Message]
-        Messages that are no columns (texts, other kinds of source), by their place in the block.
+        Messages that are no columns (texts, other kinds of source), by their index in the batch.
     """
 
     count: int
@@ -70,15 +70,15 @@ class Batch:
     others: Mapping[int, Message]
 
 
-def messages(block: Batch) -> Iterator[Message]:
-    """Yield the messages of a block one by one, in the order of arrival."""
-    place: list[tuple[Columns, int] | Message | None] = [None] * block.count
-    for columns in block.columns:
+def messages(batch: Batch) -> Iterator[Message]:
+    """Yield the messages of a batch one by one, in the order of arrival."""
+    entries: list[tuple[Columns, int] | Message | None] = [None] * batch.count
+    for columns in batch.columns:
         for row, position in enumerate(columns.position.tolist()):
-            place[position] = columns, row
-    for position, message in block.others.items():
-        place[position] = message
-    for entry in place:
+            entries[position] = columns, row
+    for position, message in batch.others.items():
+        entries[position] = message
+    for entry in entries:
         if isinstance(entry, Message):
             yield entry
         elif entry is not None:
@@ -97,49 +97,49 @@ def one_message(columns: Columns, row: int) -> Message:
     )
 
 
-def cut(block: Batch, start: int, stop: int) -> Batch:
-    """Return the messages at places start <= place < stop as a block of their own."""
+def cut(batch: Batch, start: int, stop: int) -> Batch:
+    """Return the messages at indices start <= index < stop as a batch of their own."""
     columns = []
-    for one in block.columns:
-        first, last = np.searchsorted(one.position, (start, stop))
+    for group in batch.columns:
+        first, last = np.searchsorted(group.position, (start, stop))
         if first == last:
             continue
         part = slice(int(first), int(last))
         columns.append(
             Columns(
-                source=one.source,
-                name=one.name,
-                system=one.system,
-                component=one.component,
-                position=one.position[part] - start,
-                received_ns=one.received_ns[part],
-                fields={name: values[part] for name, values in one.fields.items()},
+                source=group.source,
+                name=group.name,
+                system=group.system,
+                component=group.component,
+                position=group.position[part] - start,
+                received_ns=group.received_ns[part],
+                fields={name: values[part] for name, values in group.fields.items()},
             )
         )
-    others = {place - start: message for place, message in block.others.items() if start <= place < stop}
+    others = {index - start: message for index, message in batch.others.items() if start <= index < stop}
     return Batch(stop - start, tuple(columns), others)
 
 
 def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Batch:
-    """Return columns and messages, all at places of their own, as a block; where there is none, places close up.
+    """Return columns and messages, no two at the same index, as a batch; indices without a message close up.
 
     Columns of a name and sender that came before become messages.
     """
     kept: dict[tuple[str, int, int], Columns] = {}
     others = dict(single)
-    for one in columns:
-        if one is not kept.setdefault((one.name, one.system, one.component), one):
-            others.update((int(one.position[row]), one_message(one, row)) for row in range(len(one.position)))
-    places = np.concatenate([np.array([*others], np.int64), *(one.position for one in kept.values())])
-    # places may be far apart: only their order counts
-    rank = np.empty(len(places), np.int64)
-    rank[np.argsort(places)] = np.arange(len(places))
+    for group in columns:
+        if group is not kept.setdefault((group.name, group.system, group.component), group):
+            others.update((int(group.position[row]), one_message(group, row)) for row in range(len(group.position)))
+    indices = np.concatenate([np.array([*others], np.int64), *(group.position for group in kept.values())])
+    # indices may be far apart: only their order counts
+    rank = np.empty(len(indices), np.int64)
+    rank[np.argsort(indices)] = np.arange(len(indices))
     closed = []
     start = len(others)
-    for one in kept.values():
-        closed.append(replace(one, position=rank[start : start + len(one.position)]))
-        start += len(one.position)
-    return Batch(len(places), tuple(closed), dict(zip(rank.tolist(), others.values(), strict=False)))
+    for group in kept.values():
+        closed.append(replace(group, position=rank[start : start + len(group.position)]))
+        start += len(group.position)
+    return Batch(len(indices), tuple(closed), dict(zip(rank.tolist(), others.values(), strict=False)))
 
 
 def joined(batches: Sequence[Batch]) -> Batch:
@@ -188,29 +188,29 @@ def _concatenated(alike: Sequence[tuple[int, Columns]]) -> Columns:
     )
 
 
-def pack(stretch: Sequence[Message]) -> Batch:
-    """Return messages as a block.
+def pack(received: Sequence[Message]) -> Batch:
+    """Return messages as a batch.
 
     Telemetry whose fields are numbers or lists of numbers, the same ones in each message of a name and sender and of
     the same Python type and length, becomes columns of int64, float64 or bool; all else stays as messages.
 
     Parameters
     ----------
-    stretch : Sequence[Message]
+    received : Sequence[Message]
         The messages, in the order of arrival.
     """
     groups: dict[tuple[str, int, int], list[int]] = {}
-    for position, message in enumerate(stretch):
+    for position, message in enumerate(received):
         groups.setdefault((message.name, message.system, message.component), []).append(position)
     columns: list[Columns] = []
     others: dict[int, Message] = {}
     for positions in groups.values():
-        found = _columns(positions, [stretch[position] for position in positions])
-        if found is None:
-            others.update((position, stretch[position]) for position in positions)
+        column = _columns(positions, [received[position] for position in positions])
+        if column is None:
+            others.update((position, received[position]) for position in positions)
         else:
-            columns.append(found)
-    return Batch(len(stretch), tuple(columns), others)
+            columns.append(column)
+    return Batch(len(received), tuple(columns), others)
 
 
 def _columns(positions: list[int], group: list[Message]) -> Columns | None:
@@ -220,8 +220,8 @@ def _columns(positions: list[int], group: list[Message]) -> Columns | None:
         return None
     if any(message.source is not first.source or tuple(message.fields) != names for message in group):
         return None
-    arrays = [_numbers([one.fields[name] for one in group]) for name in names]
-    received_ns = _numbers([one.received_ns for one in group])
+    arrays = [_numbers([message.fields[name] for message in group]) for name in names]
+    received_ns = _numbers([message.received_ns for message in group])
     if received_ns is None:
         return None
     fields = {name: array for name, array in zip(names, arrays, strict=True) if array is not None}
