@@ -106,7 +106,7 @@ class _Compiler:
 
     def _fields(self, fields: Sequence[MessageField]) -> tuple[_Read, int]:
         named = bool(fields)
-        # IDL knows no empty structure: one byte stands for it
+        # IDL knows no empty structure: one byte takes its place
         fields = fields or (MessageField("structure_needs_at_least_one_member", "uint8"),)
         steps: list[tuple[str | tuple[str, ...], _Read]] = []
         least = at = 0

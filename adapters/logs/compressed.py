@@ -20,8 +20,8 @@ _AUTO_GZIP = 31
 _DECOMPRESSOR_BYTES = 1 << 28
 
 ON_BYTES: ContextVar[Callable[[int], None] | None] = ContextVar("ON_BYTES", default=None)
-"""Who wants to know how many bytes of files have been read, before decompression: whoever shows progress. A variable
-of the context, for between them and the files stand the readers of all kinds of recordings.
+"""Callback for the number of bytes read from files, before decompression: progress bars set it. A variable of the
+context, because the readers of all kinds of recordings lie between them and the files.
 """
 
 

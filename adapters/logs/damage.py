@@ -15,7 +15,7 @@ class Damage:
     file : str
         Name of the file.
     found : tuple[str, ...]
-        What was found, each part of a sentence: ``"breaks off at byte 4711"``, ``"2 damaged blocks"``.
+        The findings, each part of a sentence: ``"breaks off at byte 4711"``, ``"2 damaged blocks"``.
     stopped_at : int | None
         Byte from which on nothing could be read; None where the file was read to its end.
     """
@@ -39,7 +39,7 @@ def counted(number: int, noun: str) -> str:
 
 
 class Scan(Protocol):
-    """Counts of a reader that goes from one record to the next that stands."""
+    """Counts of a reader that searches for the next intact record behind damage."""
 
     @property
     def damaged(self) -> int:

@@ -1,7 +1,7 @@
 """Onboard logs of ArduPilot (DataFlash .bin, plain or .xz / .gz): records in the order they were logged.
 
 A record is two bytes that mark it, its kind, and fields by the format that the log itself defines for that kind. There
-are no checksums: damage shows only where no record stands.
+are no checksums: damage shows only where there is no record.
 """
 
 from __future__ import annotations
@@ -248,14 +248,14 @@ class DataflashReader:
         return _Format(RecordKind(name, kind, wanted), length, tuple(names))
 
     def _stands(self, window: Window, ahead: int) -> bool:
-        """Return whether a record of a known kind, or the end, stands so many bytes ahead."""
+        """Return whether a record of a known kind, or the end, is so many bytes ahead."""
         if not window.fill(ahead + _HEAD_BYTES):
             return window.left == ahead
         at = window.at + ahead
         return window.data[at : at + _HEAD_BYTES] in self._heads
 
     def _standing(self, window: Window, searched: int) -> int | None:
-        """Return how many bytes ahead a record with another behind it stands."""
+        """Return how many bytes ahead the next record with another behind it begins."""
         start, at = window.at, window.at
         while (at := window.data.find(_MARK, at + 1, start + searched)) >= 0:
             form = self._heads.get(window.data[at : at + _HEAD_BYTES])
@@ -264,7 +264,7 @@ class DataflashReader:
         return None
 
     def _resume(self, window: Window, *, end: bool = False) -> bool:
-        """Move on to where records stand again; False where none do, and nothing is left but the end of the file."""
+        """Move on to the next records; return False where there are none up to the end of the file."""
         while True:
             more = window.fill(_SEARCHED_AT_ONCE + 2 * _LARGEST_RECORD)
             searched = _SEARCHED_AT_ONCE if more else window.left

@@ -51,11 +51,12 @@ class FieldRule:
     angle : {"roll", "pitch", "yaw"} | None
         The channel's place holds a quaternion (w, x, y, z), body to earth; this is its angle.
     values : Mapping[str, int] | None
-        What whole numbers stand for; without a message where one is not listed and nothing else stands for it.
+        The values that whole numbers of the log stand for; a number that is not listed makes no message unless
+        ``otherwise`` has one.
     constant : int | None
         The value.
     unknown : int | float
-        What stands where the log does not say.
+        The value where the log has none.
     required : bool
         The log has to have this place to fill the message.
     otherwise : FieldRule | None
@@ -95,7 +96,7 @@ class MessageRule:
     codes : str
         How they are packed: struct codes.
     repeat_ns : int | None
-        A state is told again after that long.
+        A state is repeated after that long.
     """
 
     message: str

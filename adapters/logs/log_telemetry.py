@@ -17,7 +17,7 @@ from adapters.logs.log_mapping import Angle, FieldRule, LogMapping, MessageRule
 from adapters.message import Message
 from adapters.source import MAVLINK
 
-# Ids of the vehicle: logs do not say, and autopilots are 1, 1 unless told otherwise.
+# Ids of the vehicle: logs do not hold them, and those of autopilots are 1, 1 unless configured otherwise.
 _SYSTEM = _COMPONENT = 1
 _LOOKED_AT_NS = 5_000_000_000
 """How much of a log is looked at before it is decided from which records messages are filled. Chosen: long enough to
@@ -30,7 +30,7 @@ _PATIENCE_NS = 1_000_000_000
 Chosen: ten intervals of the slowest record that the built-in tables interpolate (ArduPilot's ATT, logged at 10 Hz).
 """
 _MOST_WAITING = 2_000
-"""Messages that wait at most: two seconds of the fastest records there are (1 kHz); bounds memory where times stand."""
+"""Messages that wait at most, two seconds of the fastest records there are (1 kHz): bounds memory where clocks stop."""
 _TURN: Final = 2.0 * np.pi
 _LARGEST_QUATERNION = 2.0
 """A rotation is of length one; NaN is no number at all and not below this either."""
@@ -164,7 +164,7 @@ _FILLER = 1 << 16
 
 
 def _place(position: Any, stage: Any = 0, filler: int = 0, number: Any = 0) -> Any:
-    """Return where what a record at a position makes stands among everything, in numbers that only tell the order."""
+    """Return a sort key for messages that a record at a position makes: only the order of such keys has a meaning."""
     return position * _ROOM + stage * _STAGE + filler * _FILLER + number
 
 
@@ -296,12 +296,12 @@ class _Filler:
         records = _Recorded.of(batch, self._rule.topic)
         count = len(records.position)
         values: dict[str, NDArray[Any]] = {}
-        stands = np.ones(count, np.bool_)
+        valid = np.ones(count, np.bool_)
         for one in self._own:
             number, known = _values(one, records)
             values[one.name] = _carried(self._rule, one, number, known)
             if one.channel is not None and one.values is not None:
-                stands &= known
+                valid &= known
         for topic, fields in self._held.items():
             row, held = self._newest(batch, topic, fields, records.position)
             for one in fields:
@@ -310,7 +310,7 @@ class _Filler:
                 if len(held):
                     number, known = held.values[one.name][row], held.known[one.name][row] & known
                 values[one.name] = _carried(self._rule, one, number, known)
-        return _Series(records.position, records.received_ns, values, {}).rows(stands)
+        return _Series(records.position, records.received_ns, values, {}).rows(valid)
 
     def _newest(
         self, batch: Batch, topic: str, fields: Sequence[FieldRule], position: Integers
@@ -363,23 +363,23 @@ class _Filler:
         return _Series(made.position, made.received_ns, values, {})
 
     def _repeated(self, place: Integers, made: _Series, times_ns: Integers) -> list[_Piece]:
-        """Return a state again wherever that is due: so long after it was told last, on the record that shows it."""
+        """Return a state again on each record that arrives so long after the state was sent last."""
         every_ns = self._rule.repeat_ns or 0
         pieces: list[_Piece] = []
         start = 0
         for number, position in enumerate([*(place // _ROOM).tolist(), len(times_ns) - 1]):
             if self._last is not None:
-                told_ns, values = self._last
+                sent_ns, values = self._last
                 due = []
-                while (at := _due(times_ns, start, position + 1, told_ns, every_ns)) is not None:
-                    told_ns = int(times_ns[at])
+                while (at := _due(times_ns, start, position + 1, sent_ns, every_ns)) is not None:
+                    sent_ns = int(times_ns[at])
                     due.append(at)
                     start = at + 1
                 if due:
                     again = {name: np.repeat(value, len(due)) for name, value in values.items()}
                     at_once = np.array(due)
                     pieces.append((_place(at_once, _REPEATED, self._number), times_ns[at_once], again))
-                    self._last = told_ns, values
+                    self._last = sent_ns, values
             if number < len(made):
                 row = slice(number, number + 1)
                 self._last = int(made.received_ns[number]), {name: one[row] for name, one in made.values.items()}
@@ -387,12 +387,12 @@ class _Filler:
         return pieces
 
 
-def _due(times_ns: Integers, start: int, stop: int, told_ns: int, every_ns: int) -> int | None:
-    """Return the first of some positions whose time is so far from one that a state is told again, None without."""
+def _due(times_ns: Integers, start: int, stop: int, sent_ns: int, every_ns: int) -> int | None:
+    """Return the first of some positions whose time is so far from the last that a state is repeated, None without."""
     width = _SEARCHED
     while start < stop:
         # ever wider: what it costs is in proportion to how far the position is
-        far = np.abs(times_ns[start : min(stop, start + width)] - told_ns) >= every_ns
+        far = np.abs(times_ns[start : min(stop, start + width)] - sent_ns) >= every_ns
         if far.any():
             return start + int(far.argmax())
         start += width
@@ -552,7 +552,7 @@ class _Recorded:
         return cls(np.array(at, np.int64), times_ns, None, messages)
 
     def at(self, path: tuple[str | int, ...]) -> NDArray[Any] | None:
-        """Return what stands at a path: numbers (n,) or lists of numbers (n, length); None where there are none."""
+        """Return the values at a path: numbers (n,) or lists of numbers (n, length); None where there are none."""
         if self.columns is not None:
             first, *steps = path
             values = self.columns.fields.get(str(first)) if isinstance(first, str) else None
@@ -596,9 +596,9 @@ def _values(field: FieldRule, records: _Recorded) -> tuple[NDArray[Any], NDArray
         number, known = nothing[0].astype(np.int64), nothing[1]
         if values is not None and values.ndim == 1 and values.dtype.kind in "biu":
             for raw in np.unique(values).tolist():
-                stands = field.values.get(str(int(raw)))
-                if stands is not None:
-                    number[values == raw], known[values == raw] = stands, True
+                value = field.values.get(str(int(raw)))
+                if value is not None:
+                    number[values == raw], known[values == raw] = value, True
         if field.otherwise is None or known.all():
             return number, known
         other, also = _values(field.otherwise, records)

@@ -158,7 +158,7 @@ class MessageLogWriter:
             self._writer.flush()
 
     def resume(self) -> None:
-        """Go on after a write that failed, behind what stands in the file."""
+        """Go on after a write that failed, behind the last whole chunk of the file."""
         self._writer.resume()
 
     def close(self) -> None:

@@ -69,7 +69,7 @@ class ReaderStatistics:
     stopped_at : int | None
         Byte at which an unfinished or broken file could not be read on; None after a proper end.
     broken_off : bool
-        Whether something unreadable stands there; an unfinished file may end between two records.
+        Whether there is something unreadable there; an unfinished file may end between two records.
     unread : Mapping[str, str]
         Wanted topics that cannot be read, and why.
     """
@@ -140,21 +140,21 @@ class MessageLogReader:
 
     def damage(self) -> Damage | None:
         """Return what could not be read, None where all could; call it after the last message."""
-        said = self.statistics()
-        found = list(described(said.unread))
-        if said.broken_off:
-            found.append(f"cannot be read from byte {said.stopped_at} on")
-        elif said.stopped_at is not None:
-            found.append(f"was not finished, ends without an index at byte {said.stopped_at}")
-        if said.damaged_chunks:
-            found.append(counted(said.damaged_chunks, "damaged block"))
-        elif said.lost_ways > said.broken_off:
-            found.append(counted(said.lost_ways - said.broken_off, "damaged place"))
-        if said.damaged_records:
-            found.append(f"{counted(said.damaged_records, 'message')} cannot be decoded")
+        counts = self.statistics()
+        found = list(described(counts.unread))
+        if counts.broken_off:
+            found.append(f"cannot be read from byte {counts.stopped_at} on")
+        elif counts.stopped_at is not None:
+            found.append(f"was not finished, ends without an index at byte {counts.stopped_at}")
+        if counts.damaged_chunks:
+            found.append(counted(counts.damaged_chunks, "damaged block"))
+        elif counts.lost_ways > counts.broken_off:
+            found.append(counted(counts.lost_ways - counts.broken_off, "damaged place"))
+        if counts.damaged_records:
+            found.append(f"{counted(counts.damaged_records, 'message')} cannot be decoded")
         if self._expected is not None and (lost := self._expected - self._seen()) > 0:
             found.append(f"{lost} of {counted(self._expected, 'message')} lost")
-        return Damage(self._path.name, tuple(found), said.stopped_at) if found else None
+        return Damage(self._path.name, tuple(found), counts.stopped_at) if found else None
 
     def __iter__(self) -> Iterator[Message]:
         """Return the messages.
@@ -186,19 +186,19 @@ class MessageLogReader:
         Raises as iteration does.
         """
         data = self._data()
-        while stretch := list(_first(data, count)):
+        while records := list(_first(data, count)):
             by_topic: dict[int, tuple[_Topic, list[int]]] = {}
-            for place, (topic, *_) in enumerate(stretch):
+            for place, (topic, *_) in enumerate(records):
                 by_topic.setdefault(id(topic), (topic, []))[1].append(place)
             columns: list[Columns] = []
             places: list[int] = []
             for topic, group in by_topic.values():
-                found = self._columns(topic, [stretch[place] for place in group], group)
+                found = self._columns(topic, [records[place] for place in group], group)
                 columns += found or ()
                 places += () if found else group
             single = {}
             for place in sorted(places):
-                topic, time_ns, _, record = stretch[place]
+                topic, time_ns, _, record = records[place]
                 message = self._decoded(topic, time_ns, record)
                 if message is not None:
                     single[place] = message
@@ -216,13 +216,13 @@ class MessageLogReader:
         return found
 
     def records(self) -> Iterator[Record]:
-        """Return the wanted records as they stand in the file, readable or not; raises as iteration does."""
+        """Return the wanted records as they are in the file, readable or not; raises as iteration does."""
         for topic, time_ns, publish_ns, data in self._data():
             self._messages += 1
             yield Record(topic.topic, topic.encoding, topic.schema, data, time_ns, publish_ns=publish_ns)
 
     def payloads(self, topic: str) -> Iterator[bytes]:
-        """Return the records of one topic as they stand in the file; raises as iteration does."""
+        """Return the records of one topic as they are in the file; raises as iteration does."""
         self._topic = topic
         for *_, data in self._data():
             self._other_records += 1
@@ -231,7 +231,7 @@ class MessageLogReader:
     def metadata(self, *, ahead_only: bool = False) -> dict[str, dict[str, str]]:
         """Return the metadata records by name; later entries of the same name and key win.
 
-        With ``ahead_only``, those that stand ahead of all data, for which the file need not be read to its end.
+        With ``ahead_only``, those ahead of all data, for which the file need not be read to its end.
         """
         found: dict[str, dict[str, str]] = {}
         for opcode, body in self._records:

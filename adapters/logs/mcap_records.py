@@ -1,4 +1,4 @@
-"""The records of an MCAP file in the order they stand there, from unfinished and damaged files too.
+"""The records of an MCAP file in the order of the file, from unfinished and damaged files too.
 
 A record is trusted where its length leads to another record, a chunk where its own lengths agree and its checksum
 holds. Behind damage the next chunk is searched for by its shape (in files without chunks: two records, one right behind
@@ -80,7 +80,7 @@ class RecordStatistics(NamedTuple):
     stopped_at : int | None
         Byte from which on nothing could be read; None after a proper end.
     broken_off : bool
-        Whether something unreadable stands there.
+        Whether there is something unreadable there.
     """
 
     damaged_chunks: int
@@ -164,7 +164,7 @@ class McapRecords:
             return 0
         if len(self._window.peek(size, size + RECORD_HEAD.size)) < RECORD_HEAD.size or self._believable(size):
             return size
-        # the next one is damaged, or this one's length is wrong and what stands there looks like a record by chance
+        # the next one is damaged, or this one's length is wrong and its end looks like a record by chance
         at = 1
         while (found := self._window.search(self._pattern, at)) is not None and found < size:
             if self._believable(found):
@@ -261,7 +261,7 @@ class _Shape(NamedTuple):
 
 
 class _Window:
-    """The bytes of a file from where the reader stands, as far ahead as it looks."""
+    """The bytes of a file from the reader's position on, as far ahead as it looks."""
 
     def __init__(self, path: Path) -> None:
         self.offset = 0

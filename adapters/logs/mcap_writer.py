@@ -71,7 +71,7 @@ class McapWriter:
     ------
     OSError
         From every method that writes, and from then on from all of them but :meth:`finish` and :meth:`resume`: what
-        stands in the file is whole up to the last chunk, the records after it are lost.
+        is in the file is whole up to the last chunk, the records after it are lost.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -216,7 +216,7 @@ class McapWriter:
         self._definitions += self._schemas + self._channels
 
     def finish(self) -> None:
-        """Write what is left and the summary; after a failure the summary of what stands in the file."""
+        """Write what is left and the summary; after a failure the summary of what is in the file."""
         if self._failed is None:
             self._end_chunk()
         self._failed = None

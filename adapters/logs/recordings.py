@@ -146,7 +146,7 @@ class Recording:
         return telemetry(self._read(wanted, count), self._tables, self._only)
 
     def records(self, count: int = BATCH_MESSAGES) -> Iterator[Batch]:
-        """Return the messages as they stand in the files."""
+        """Return the messages as they are in the files, without telemetry made of them."""
         return self._read(self._only, count)
 
     def entries(self) -> Iterator[Batch | Record]:
@@ -244,8 +244,8 @@ def read_batches(
 def packed(source: Iterable[Message], count: int = BATCH_MESSAGES) -> Iterator[Batch]:
     """Return messages in batches of ``count``, the last one shorter."""
     remaining = iter(source)
-    while stretch := list(islice(remaining, count)):
-        yield pack(stretch)
+    while part := list(islice(remaining, count)):
+        yield pack(part)
 
 
 def onboard_source(path: str | os.PathLike[str]) -> str | None:
@@ -259,8 +259,8 @@ def onboard_source(path: str | os.PathLike[str]) -> str | None:
     kind = recording_kind(path)
     if kind in ("ulog", "dataflash"):
         return kind
-    said = recorded_metadata(path).get(ONBOARD_LOG)
-    return said if said in ("ulog", "dataflash") else None
+    source = recorded_metadata(path).get(ONBOARD_LOG)
+    return source if source in ("ulog", "dataflash") else None
 
 
 def recorded_alarms(path: str | os.PathLike[str]) -> list[dict[str, Any]]:

@@ -44,8 +44,8 @@ _MIN_RECORD = TIME_BYTES + HEAD_BYTES
 _MAX_RECORD = TIME_BYTES + MAX_PACKET_BYTES
 _MAGIC = re.compile(b"[\xfd\xfe]")
 _FEW = 200
-"""Below this number of records in a chain, looking at them one by one costs less. Measured: 200 records take 0.3 ms either
-way, of which 0.3 ms are needed for the first one where many are looked at together.
+"""Below this number of records in a chain, looking at them one by one costs less. Measured: 200 records take 0.3 ms
+either way, of which 0.3 ms are needed for the first one where many are looked at together.
 """
 _SHORT_REACH = 1 << 14
 """Bytes that are looked at together behind damage, twice as many after each whole chain: so damage costs no more."""
@@ -266,7 +266,7 @@ class TlogReader:
         packets = heads(data, chained + TIME_BYTES)
         unknown = packets.kind < 0
         right = intact(data, packets) & (_times_us(data, chained) < MAX_TIME_US)
-        # A packet of an unknown message is told by the one behind it.
+        # A packet of an unknown message is known by the one behind it.
         bad = np.flatnonzero(~np.where(unknown, chained != chained[-1], right))
         wanted = self._wanted[packets.kind] & ~unknown
         found: list[NDArray[np.int64]] = []
@@ -322,7 +322,7 @@ def _chain(buffer: bytes, at: int, last: int) -> tuple[list[int], int]:
 
 
 def _times_us(data: NDArray[np.uint8], starts: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Return the time stamps of records (n,), as they stand in the log."""
+    """Return the time stamps of records (n,), as they are in the log."""
     stamps = np.ndarray((len(data) - TIME_BYTES + 1,), ">u8", data, strides=(1,))
     return stamps[starts].astype(np.uint64)
 
@@ -359,7 +359,7 @@ def _groups(packets: Heads) -> Iterator[NDArray[np.int64]]:
 
 
 def last_record(size: int, final: bool) -> int:
-    """Return the last place in a buffer at which whether a record begins there can be told.
+    """Return the last place in a buffer at which it can be decided whether a record begins there.
 
     Parameters
     ----------

@@ -250,7 +250,7 @@ class UlogReader:
         self._skipped_bytes += taken
 
     def _stands(self, window: Window, ahead: int, behind: int = 0) -> bool:
-        """Return whether a topic's record, or the end, stands so many bytes ahead.
+        """Return whether a topic's record, or the end, is so many bytes ahead.
 
         A record of another known kind will do too, with so many such ``behind`` it: hardly more than one byte tells
         those from garbage.
@@ -267,7 +267,7 @@ class UlogReader:
         return topic is not None and topic.least <= size <= topic.most
 
     def _resume(self, window: Window, *, end: bool = False) -> bool:
-        """Move on to where records stand again, and return whether they do; ``end``: stay where none do."""
+        """Move on to the next records and return whether there are any; with ``end``, stay where there are none."""
         while True:
             more = window.fill(_SEARCHED_AT_ONCE + _LARGEST_RECORD)
             searched = _SEARCHED_AT_ONCE if more else window.left
@@ -282,7 +282,7 @@ class UlogReader:
         return ahead is not None
 
     def _standing(self, window: Window, searched: int) -> int | None:
-        """Return how many bytes ahead a topic's record with another behind it, or a mark, stands."""
+        """Return how many bytes ahead the next topic's record with another behind it, or a mark, begins."""
         start = window.at
         for found in _RESUMES.finditer(window.data, start + _HEAD.size, start + searched):
             ahead = found.start() - (_HEAD.size - 1) - start
@@ -321,7 +321,7 @@ class UlogReader:
     def _flag(self, body: bytes) -> None:
         _, needed, *places = _FLAGS.unpack_from(body)
         if self._records:
-            raise ValueError("flags stand first")
+            raise ValueError("flags come first")
         if any(needed[1:]) or needed[0] & ~_APPENDED:
             raise TelemetryError(f"{self._path}: is a ULog file of a newer kind than this program reads; update it")
         if needed[0]:

@@ -207,7 +207,7 @@ def _fit(kind: VehicleKind, found: Survey) -> dict[str, Any]:
 
 
 def _paths(fields: Mapping[str, Any]) -> list[str]:
-    """Return where the numbers in a message stand, as a profile's channels name them."""
+    """Return the places of the numbers in a message, as a profile's channels name them."""
     found: list[str] = []
 
     def go(value: Any, path: str, names: Any) -> None:

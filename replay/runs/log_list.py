@@ -158,7 +158,7 @@ def _below(folder: Path) -> list[Path]:
 
 
 def _inside(folder: Path, names: Sequence[str]) -> Iterator[Path]:
-    """Return the recordings that stand in a folder itself."""
+    """Return the recordings in a folder itself."""
     is_session = len(_session(folder)) > 1
     if is_session:
         yield folder

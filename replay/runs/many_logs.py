@@ -33,11 +33,11 @@ def replay_in_processes(files: Mapping[str, bytes], tasks: Sequence[LogTask], jo
     """
     workers = [_Worker(files) for _ in range(min(jobs, len(tasks)))]
     done: dict[int, LogOutcome] = {}
-    given = told = 0
+    given = yielded = 0
     try:
-        while told < len(tasks):
+        while yielded < len(tasks):
             for worker in workers:
-                if worker.at is None and given < min(len(tasks), told + AHEAD):
+                if worker.at is None and given < min(len(tasks), yielded + AHEAD):
                     worker.give(given, tasks[given])
                     given += 1
             busy = {worker.connection: worker for worker in workers if worker.at is not None}
@@ -47,9 +47,9 @@ def replay_in_processes(files: Mapping[str, bytes], tasks: Sequence[LogTask], jo
                 done[at] = outcome
                 if not worker.alive:
                     workers[workers.index(worker)] = _Worker(files)
-            while told in done:
-                yield done.pop(told)
-                told += 1
+            while yielded in done:
+                yield done.pop(yielded)
+                yielded += 1
     finally:
         for worker in workers:
             worker.end()

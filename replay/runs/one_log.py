@@ -43,7 +43,7 @@ class LogTask:
     mapping : Path | None
         From which records of an onboard log messages are made, where the guess is wrong.
     folder : Path | None
-        The profile's, in which a report looks for what the fit said.
+        The profile's, in which a report looks for the report of the fit.
     """
 
     log: str
@@ -72,9 +72,9 @@ class LogOutcome:
     log : str
         The log as the user named it.
     kind : str
-        Kind of recording; empty where that could not be told.
+        Kind of recording; empty where it is not known.
     error : str | None
-        Why nothing can be said about the log, one line that names it; None where something can.
+        Why the log could not be replayed, one line that names it; None where it could.
     verdict : str
         What was found, as a sentence.
     events : tuple[AlarmEvent, ...]
@@ -132,7 +132,7 @@ class Live(Protocol):
     """What lets a replay out into the world while it runs."""
 
     def messages(self, profile: Profile, task: LogTask, vehicle: str | None) -> Iterator[Message]:
-        """Return all messages of a log, each when it is due, after whoever listens live was told what it led to."""
+        """Return all messages of a log, each when it is due, after its events were published."""
 
 
 def replay_log(
@@ -143,7 +143,7 @@ def replay_log(
     live: Live | None = None,
     progress: bool = False,
 ) -> LogOutcome:
-    """Replay a log and write what was asked for; whatever goes wrong with this log is told, not raised.
+    """Replay a log and write what was asked for; an error of this log is returned, not raised.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def _replay(
     recording = Recording(task.path, None if task.record else interests(profile), task.mapping)
     span, meter = _Span(), RecordingMeter()
     if live is not None:
-        # One by one: what follows from a message is told before the next one is due.
+        # One by one: what follows from a message is published before the next one is due.
         batches = packed(live.messages(profile, task, vehicle), 1)
     else:
         batches = recording.batches()

@@ -41,7 +41,7 @@ _ROWS_AT_ONCE = 1000
 
 
 def summary_row(outcome: LogOutcome) -> dict[str, Any]:
-    """Return a log's row; what cannot be said is None.
+    """Return a log's row; values that are not known are None.
 
     ``status`` is ``ok``, ``unwatched`` (nothing wrong with the log, but the vehicle was never in flight) or ``failed``.
     """
@@ -77,7 +77,7 @@ def summary_row(outcome: LogOutcome) -> dict[str, Any]:
 
 
 class SummaryTable:
-    """Writes the table; what was added stands in the file after :meth:`close`, in a CSV file at once.
+    """Writes the table; rows are in the file after :meth:`close`, in a CSV file at once.
 
     Parameters
     ----------
