@@ -27,10 +27,19 @@ MARGIN = 2.0
 not show the largest score of the hours to come; a fault that no hypothesis explains exceeds it many times."""
 
 _SMOOTHING_S = 0.05
+"""Smoothing of estimates and residuals before hypotheses are compared, seconds. Chosen: five samples of a 100 Hz
+observer, a third of the time that evidence has to last (``raise_s``)."""
 _LONGEST_SETTLE_S = 60.0
+"""A wait of more than a minute would leave short flights unwatched."""
 _TOLERANCE = 0.2
+"""Share of the worst hypothesis' score that model error may leave on the right one. Chosen: effects of motors are known
+within one or two per cent, gusts and manoeuvres add more; a larger share names two motors where one failed."""
 _GAIN_PENALTY = 25.0
+"""How much larger J may be before an actuator is believed to deliver more than commanded: a score of five times.
+Motors fail towards less, so only plain evidence says otherwise."""
 _NOISE_SHARE = 0.1
+"""A residual that a sensor fault takes up altogether counts with a tenth of the noise: small enough to change no other
+residual, large enough that rounding does not decide."""
 
 
 def bank_rule(

@@ -13,6 +13,7 @@ from monitor.sampling.phase import FlightPhase
 _TURN = 6.283185307179586
 _G = 9.80665
 _ATTITUDE = "ATTITUDE"
+# Messages and the m/s^2 in their units: MAVLink gives milli-g where it is not SI.
 _IMU = (("HIGHRES_IMU", 1.0), ("SCALED_IMU", _G / 1000.0), ("RAW_IMU", _G / 1000.0))
 _ANGLES = {"roll": "roll", "pitch": "pitch", "yaw": "yaw"}
 _RATES = {"roll_rate": "rollspeed", "pitch_rate": "pitchspeed", "yaw_rate": "yawspeed"}
@@ -20,7 +21,10 @@ _FORCES = {"forward_acceleration": "xacc", "lateral_acceleration": "yacc", "vert
 EFFECT_MESSAGES = FlightPhase.interests | {MOTOR_MESSAGE, _ATTITUDE} | {message for message, _ in _IMU}
 """Messages of attitude, acceleration and servo outputs, and of the phase of flight."""
 _RATES_HZ = (100.0, 50.0, 40.0, 25.0, 20.0, 10.0)
+"""Rates of the grid, hertz: those that autopilots are asked for, so that samples fall on messages."""
 _NEARLY = 0.9
+"""A message counts as coming at a rate from 90 % of it on. Chosen: autopilots send a little less than they are asked
+for."""
 
 
 @dataclass(frozen=True, slots=True)

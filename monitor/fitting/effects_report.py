@@ -15,7 +15,9 @@ from gains.plants.plant import Plant
 from monitor.fitting.fit_report import Comparison, liveliest
 
 HORIZON_S = 0.2
+"""Prediction horizon, seconds: about the time in which an alarm has to be raised."""
 SHOWN_S = 20.0
+"""Seconds drawn: as many as show single manoeuvres over the width of a page."""
 
 EffectPair = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 

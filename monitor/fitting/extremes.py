@@ -30,16 +30,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 SEPARATION_S = 2.0
+"""Peaks within two seconds are one gust or manoeuvre; alarms that close are one to an operator."""
 SHAPE_LIMITS = (-0.25, 0.3)
 """Smallest and largest xi: a tail that is bounded at 4 sigma above the limit, and one without a fourth moment."""
 
 _SHAPE_STD = 0.15
+"""Standard deviation of the prior of xi. Chosen: half of the limits, so that data can reach them."""
 _SHARE = 0.5
+"""Share of the peaks taken as tail. Chosen: of minutes of flight fewer would leave too little to fit."""
 _FEWEST_PEAKS = 10
+"""The standard error of the scale of ten peaks is a third of it; fewer say nothing."""
 _SCALE_LIMITS = (1.0 / 3.0, 3.0)
+"""sigma within a factor of three of the mean excess: three standard errors of ten peaks above it, and as far below."""
 _GRID = (44, 60)
+"""Points of xi and of sigma. Measured on twelve random series: twice as many of both move the level by 0.2 % at
+most."""
 _FINEST = 0.01
+"""A statistic below a hundredth of its largest value decides no threshold."""
 _RUNGS = 480
+"""Sizes per two decades: 1 % apart, the rounding that :func:`standing` states."""
 
 
 @dataclass(frozen=True, slots=True)

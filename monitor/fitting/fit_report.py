@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.gridspec import GridSpec
 
+# Height of an output in the figure, inches.
 OUTPUT_IN = 1.7
 MODEL_UNIT = "model's unit"
 

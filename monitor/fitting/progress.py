@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 _SHOW_EVERY = 2000
+"""Messages between updates of the bar: some hundred updates per second would cost more than reading."""
 
 
 def track(

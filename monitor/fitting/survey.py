@@ -31,7 +31,7 @@ _ANY_CLOCK = Channel("clock", "", ("",))
 _UNKNOWN = 65_535
 """MAVLink's value of an unknown speed or course, and the largest that a servo output can hold."""
 _PULSES_US = (800, 2200)
-"""Pulses that servos and speed controllers accept: 1000 to 2000 us with the trims that autopilots allow."""
+"""Pulses of servos and speed controllers, microseconds. Chosen: 1000 to 2000 with room for trims."""
 _MANY_VALUES = 8
 """A motor in flight takes more values; an output that is off, at idle, or switched between positions takes a few."""
 

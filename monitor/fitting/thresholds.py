@@ -25,7 +25,10 @@ from monitor.profile import ObserverProfile
 from monitor.sampling.gate import GateRule
 
 FALSE_ALARMS_PER_HOUR = 0.1
+"""Rate granted to each observer: one false alarm in ten hours. Chosen: rare against the flights of a day; lower rates
+extrapolate further beyond minutes of healthy flight and raise every threshold."""
 _PATHS = 3
+"""Fast, plain and slow: each gets a third of a channel's rate."""
 _LEAD_S = 30.0
 """Longer than any observer takes to settle before a sample is evidence."""
 

@@ -15,10 +15,12 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
+# Panels of a line, and heights of delays and misses, inches: readable at the width of a page.
 COLUMNS = 4
 DELAY_IN = 1.3
 MISSED_IN = 0.45
 _SECOND_LINE = 32
+"""Characters that fit below a panel."""
 
 
 def plot_detectability(path: str | os.PathLike[str], found: Detectability) -> None:

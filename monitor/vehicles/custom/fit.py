@@ -45,10 +45,16 @@ from monitor.sampling.phase import FlightPhase
 from monitor.sampling.transform import SampleSource
 
 _SMOOTHING_S = 0.05
+"""Smoothing of estimates before they are evidence, seconds; as in a bank."""
 _LEAST_THRESHOLD = 1e-3
+"""Least threshold, in units of the error that matters: a thousandth of it is no fault."""
 _CRITICAL = 5.0
+"""A fault is critical at five times the level that healthy operation reaches."""
 _SHOWN_S = 20.0
+"""Seconds drawn: as many as show single manoeuvres over the width of a page."""
 _FORGET_S = 0.5
+"""Time constant of an observer's start, seconds. Chosen: a gap costs then 2.3 s (a hundredth is left), and faster poles
+let more noise through."""
 
 
 def fit_custom(request: FitRequest) -> tuple[Fitted, GateRule]:

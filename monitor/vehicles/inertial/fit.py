@@ -39,15 +39,28 @@ from monitor.vehicles.inertial.strapdown import Strapdown
 OBSERVER = "inertial"
 
 _RATE_HZ = 25.0
+"""Rate of the observer, hertz: GPS and barometer come at 5 to 25 Hz; means over 40 ms lose nothing of the others."""
 _FASTEST_HZ = 100.0
+"""Fastest raw rate, hertz: strapdown integrals gain nothing above the bandwidth of the attitude."""
 _WASHOUT_S = 30.0
+"""Positions and angles forget within half a minute. Chosen: drifts of receivers and barometers are slower, spoofs and
+failures faster."""
 _VELOCITY_WASHOUT_S = 10.0
+"""Velocity forgets within ten seconds: an attitude wrong by 10 mrad makes 1 m/s of gravity in that time, the smallest
+fault that is looked for."""
 _SMOOTHING_S = 0.12
+"""Smoothing before hypotheses are compared, seconds: three samples."""
 _SETTLE_S = 5.0
+"""Wait before samples are evidence, seconds. Chosen: a restarted washout and the first swings after take-off are
+over."""
+# Times of the alarms: two and five samples of 40 ms; the mean reaches over a few fixes of a GPS.
 _TIMES = Times(fast_s=0.08, raise_s=0.2, slow_s=4.0, clear_s=0.5)
 _TRIAL_DELAYS_S = tuple(0.04 * step for step in range(8))
+"""Delays to try, seconds, a sample apart. Chosen: receivers that are later than 0.28 s are rare."""
 _TRIAL_S = 90.0
+"""Seconds of each flight to try them on, from its middle. Chosen: several manoeuvres, in a trial of some seconds."""
 _CRITICAL = 5.0
+"""A fault is critical at five times the smallest that is worth an alarm."""
 
 _GYROS = ("gyro_x", "gyro_y", "gyro_z")
 _POSITION, _VELOCITY = ("gps_north", "gps_east"), ("gps_velocity_north", "gps_velocity_east")

@@ -36,9 +36,13 @@ Not the velocity: its washout is what keeps the error of a tilted attitude from 
 """
 
 _SMALLEST = 1e-4
+"""Least error of a state, in its unit: keeps the design finite where a simulator has no noise."""
 _H2_SHARE = 0.9
+"""Weight of the mean square of errors against their worst case. Chosen: what these observers see all day is healthy
+noise."""
 _GRAVITY = 9.80665
 _TILT = 0.01
+"""Error of the attitude of good autopilots, rad."""
 
 
 def inertial_plant(fit: InertialFit, name: str, gyro_bandwidth: float = 0.15, accel_rate: float = 0.1) -> Plant:

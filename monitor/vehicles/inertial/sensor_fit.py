@@ -20,13 +20,22 @@ HORIZONTAL = ("north", "east")
 BODY = ("x", "y", "z")
 
 _LEAST_S = 20.0
+"""Less healthy motion leaves too few independent spans of ``_SLOW_S`` to measure a drift on: five."""
 _SETTLE_S = 5.0
+"""Beginning of each segment that is left out, seconds, while the compared integrals begin at zero."""
 _FAST_S = 0.5
+"""Differences over half a second show noise. Chosen: drifts are too slow to matter in that time."""
 _SLOW_S = 4.0
+"""Differences over four seconds show drift; longer spans would be too few in short flights."""
 _SHOWN = 1.05
+"""Mean squares have to differ by 5 % for a delay to be read from them. Chosen: less may be chance in minutes of
+flight."""
 _EXCITED = 20.0
+"""A scale is read where the motion is twenty times what it leaves: it is then known within 5 %."""
 _LARGEST_SCALE_ERROR = 0.05
+"""The earth's ellipsoid against a sphere makes 0.7 % at most; a scale that is off by more than 5 % is no scale."""
 _SMALLEST = 1e-4
+"""Least noise and drift, in the unit of the output: keeps the design finite where a simulator has none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,6 +19,7 @@ MESSAGES = FlightPhase.interests | frozenset(
 _G = 9.80665
 _TURN = 6.283185307179586
 _LARGEST = 1.7e308
+"""Numbers up to here are floats without overflow."""
 _SELDOM = ("GPS_RAW_INT", "SCALED_PRESSURE")
 """Messages that no autopilot sends as fast as those of its IMU; the transform waits for them."""
 

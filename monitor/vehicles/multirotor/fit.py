@@ -35,12 +35,18 @@ from monitor.vehicles.multirotor.validation import Drift, MotorUncertainty, moto
 OBSERVER = "motors"
 
 _AIRBORNE_SHARE = 0.5
+"""Share of the mean command, which is that of hovering. Chosen: motors idle far below half of it, descents stay
+above."""
 _SMALLEST_LOSS = 0.015
+"""Smallest loss at hover worth an alarm. Measured on healthy flights: the standard errors of motors' effects are 0.5 to
+1.4 %, so that a smaller loss may be the model's own error."""
 _CRITICAL_LOSS = 0.25
+"""A loss that is critical. Chosen: a quadrotor has little control left in gusts without a quarter of a motor."""
 _SMALLEST_JUMP = 0.05
 """rad/s: an autopilot rides out a smaller jump of a gyro, and gusts make steps of that size."""
 _MOST_OF_JUMPS = 1.5
 """How many times the largest healthy step the level may be: steps are too rare for a tail to be fitted to them."""
+# A jump is seen at one sample; it needs no debounce.
 _JUMP = Times(fast_s=0.0, raise_s=0.0, clear_s=0.5)
 _AXES = ("roll", "pitch", "yaw")
 

@@ -15,7 +15,9 @@ from monitor.vehicles.multirotor.identify import RATE_AXES, MultirotorFit, ident
 from monitor.vehicles.multirotor.validation import explained_change, predict_rates
 
 HORIZON_S = 0.2
+"""Prediction horizon, seconds: about the time in which an alarm has to be raised."""
 SHOWN_S = 10.0
+"""Seconds drawn: as many as show single manoeuvres over the width of a page."""
 
 
 def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> tuple[Comparison | None, int | None]:

@@ -18,10 +18,11 @@ _GRAVITY = 9.80665
 _STILL_US = 0.5
 """An output whose standard deviation is less than half a microsecond, the unit of its messages, does not move."""
 _IDLE_US = 1050.0
-"""Motors of ArduPilot and PX4 idle below 5 % of their range: an output whose mean is not above it does not fly."""
+"""Chosen: an output whose mean is not above 5 % of the range lifts no vehicle."""
 _FEW_OUTSIDE = 0.01
 """Share of values that no pulse has from which on an output holds no pulses: fewer may be lost or damaged packets."""
 _PULSE_RANGE = (1000.0, 2000.0)
+"""Pulses of zero and of full command, microseconds, as ArduPilot and PX4 have them by default."""
 _GAZEBO_RANGE = (150.0, 1000.0)
 """SIM_GZ_EC_MIN and SIM_GZ_EC_MAX of PX4's gz_x500: what its commands 0 to 1 of motors become."""
 _FEWEST_MOTORS = 3
@@ -29,11 +30,13 @@ _FEWEST_MOTORS = 3
 _ALIKE = 2.0
 """How far an output's mean may be from the median of all that move, as a factor, to be one of the motors."""
 
+# Messages, fields and scales of body rates, the preferred ones first.
 _RATES = (
     ("ATTITUDE", ("rollspeed", "pitchspeed", "yawspeed"), 1.0),
     ("HIGHRES_IMU", ("xgyro", "ygyro", "zgyro"), 1.0),
     ("ATTITUDE_QUATERNION", ("rollspeed", "pitchspeed", "yawspeed"), 1.0),
 )
+# The same of vertical acceleration; MAVLink gives milli-g where it is not SI.
 _VERTICAL = (
     ("HIGHRES_IMU", "zacc", 1.0),
     ("SCALED_IMU", "zacc", _GRAVITY / 1000.0),

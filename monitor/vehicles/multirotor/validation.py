@@ -23,9 +23,13 @@ from monitor.vehicles.multirotor.identify import MultirotorFit, control_directio
 FloatArray = NDArray[np.float64]
 
 _BLOCK_S = 5.0
+"""Length of blocks whose errors are taken as independent, seconds: gusts and manoeuvres are shorter."""
 _FEWEST_BLOCKS = 20
+"""Fewer blocks leave a covariance of blocks without a use: its standard error exceeds a third of it."""
 _SURE = 3.0
+"""Standard errors from which on a drift is certain."""
 _MATTERS = 0.01
+"""A drift of less than a per cent over a flight is below every alarm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from monitor.fitting.survey import Survey
 from monitor.vehicles.base import Preview
 from monitor.vehicles.rover.transform import DriveInputs
 
+# Messages of velocity over ground and the m/s in their units, the preferred one first.
 _VELOCITIES = (("LOCAL_POSITION_NED", 1.0), ("GLOBAL_POSITION_INT", 0.01))
 
 MESSAGES = EFFECT_MESSAGES | {message for message, _ in _VELOCITIES}
