@@ -14,14 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sample import Sample, Samples, stacked
+from adapters.sample import Samples
 from monitor.alarms.alarm import Alarm, retuned
 from monitor.alarms.excuse import Excuses
 from monitor.command_units import CommandUnits
 from monitor.core.alarms import ChainRows, walk
 from monitor.core.sampling import VehicleClock
 from monitor.effectiveness_stage import EffectivenessStage
-from monitor.estimate import Estimate, Estimates, Layout
+from monitor.estimate import Estimates, Layout
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.effectiveness import EffectivenessRun
 from monitor.estimation.estimator import make_estimator
@@ -220,13 +220,6 @@ class ObserverChain:
             coasted_s=self._coasted_s(samples.vehicle_time_ns, measured),
         )
         return self._with_evidence(estimates, position, found, effects, shown.commands)
-
-    def step(self, sample: Sample, armed: bool) -> list[Estimate | AlarmEvent]:
-        """Process one sample: :meth:`estimate` with its estimate and events one by one."""
-        samples = stacked([sample], len(sample.u), len(sample.y))
-        run = self.estimate(samples, np.array([armed]))
-        self.smoothed, self.unexplained = run.smoothed[0], float(run.unexplained[0])
-        return [run.estimates.one(0), *alarm_events([run], self._excuses)]
 
     def _coasted_s(self, times_ns: NDArray[np.int64], measured: NDArray[np.bool_]) -> NDArray[np.float64]:
         if measured.all():

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sample import Sample, Samples
+from adapters.sample import Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,45 +36,8 @@ class Layout:
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
-    """Estimates at one sample.
-
-    Parameters
-    ----------
-    observer : str
-        The observer's name.
-    sample : Sample
-        The sample it was computed from.
-    x : NDArray[np.float64]
-        State estimate x^ (n,).
-    fault : NDArray[np.float64]
-        Joint fault estimate [f_a^; f_s^] (a1 + a2,) in the channels' units.
-    isolated : NDArray[np.float64]
-        What each fault channel is held responsible for after isolation (a1 + a2,), zero for the others.
-    residual : NDArray[np.float64]
-        Output error yt = y - Cb zeta^ (p,).
-    armed : bool
-        Whether alarms could be raised from this sample (in flight, observer settled, sample complete).
-    sd : NDArray[np.float64]
-        One standard deviation of ``fault`` (a1 + a2,) in the same units, not a number where it is not known.
-    coasted_s : float
-        Time since the last sample with measurements, seconds; 0 for one that has them.
-    """
-
-    observer: str
-    sample: Sample
-    x: NDArray[np.float64]
-    fault: NDArray[np.float64]
-    isolated: NDArray[np.float64]
-    residual: NDArray[np.float64]
-    armed: bool
-    sd: NDArray[np.float64]
-    coasted_s: float
-
-
-@dataclass(frozen=True, slots=True)
 class Estimates:
-    """Estimates at n consecutive samples of one observer as arrays, the fields those of :class:`Estimate`.
+    """Estimates at n consecutive samples of one observer as arrays, a row for each sample.
 
     Parameters
     ----------
@@ -82,12 +45,20 @@ class Estimates:
         The observer's name.
     samples : Samples
         The samples they were computed from.
-    x, fault, isolated, residual, sd : NDArray[np.float64]
-        One row per sample.
+    x : NDArray[np.float64]
+        State estimates x^ (n, states).
+    fault : NDArray[np.float64]
+        Joint fault estimates [f_a^; f_s^] (n, a1 + a2) in the channels' units.
+    isolated : NDArray[np.float64]
+        Size attributed to each fault channel by isolation (n, a1 + a2), zero for the others.
+    residual : NDArray[np.float64]
+        Output errors yt = y - Cb zeta^ (n, p).
     armed : NDArray[np.bool_]
-        (n,).
+        Whether alarms could be raised from the sample (n,): in flight, observer settled, sample complete.
+    sd : NDArray[np.float64]
+        One standard deviation of ``fault`` (n, a1 + a2) in the same units, not a number where it is not known.
     coasted_s : NDArray[np.float64]
-        (n,).
+        Time since the last sample with measurements, seconds (n,); 0 for one that has them.
     """
 
     observer: str
@@ -116,18 +87,4 @@ class Estimates:
             armed=self.armed[rows],
             sd=self.sd[rows],
             coasted_s=self.coasted_s[rows],
-        )
-
-    def one(self, row: int) -> Estimate:
-        """Return one of the estimates; its vectors are views."""
-        return Estimate(
-            observer=self.observer,
-            sample=self.samples.one(row),
-            x=self.x[row],
-            fault=self.fault[row],
-            isolated=self.isolated[row],
-            residual=self.residual[row],
-            armed=bool(self.armed[row]),
-            sd=self.sd[row],
-            coasted_s=float(self.coasted_s[row]),
         )

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, Columns, cut, pack
+from adapters.batch import Batch, Columns, cut
 from adapters.mavlink.vehicle_type import vehicle_type
 from adapters.message import SILENCE, Message
 from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR
@@ -30,7 +30,7 @@ from monitor.alarms.link_alarms import LinkAlarms
 from monitor.alarms.stale import StaleAlarm
 from monitor.chain import ObserverChain, alarm_events
 from monitor.core.sampling import VehicleClock, sample_batch
-from monitor.estimate import Estimate, Estimates, Layout
+from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent, is_seq, valid_event
 from monitor.profile import Profile
 from monitor.sampling.phase import FlightPhase
@@ -43,7 +43,6 @@ RULES = "rules"
 STANDING = "standing"
 """Name of the message with the alarms that were active before; recordings hold it."""
 
-Output = Estimate | AlarmEvent
 
 # Values that overflow are discarded later; NumPy's warnings about them would fill the log.
 _quiet_overflow = np.errstate(all="ignore")
@@ -314,16 +313,6 @@ class Pipeline:
         if self._stale.active:
             self._link.silent()
         return events
-
-    def feed(self, message: Message) -> list[Output]:
-        """Process one message: :meth:`run` with its estimates one by one."""
-        outputs: list[Output] = []
-        for output in self.run(pack([message])):
-            if isinstance(output, Estimates):
-                outputs += [output.one(row) for row in range(len(output))]
-            else:
-                outputs.append(output)
-        return outputs
 
     def _through_desk(self, events: Iterable[AlarmEvent]) -> list[AlarmEvent]:
         return [published for event in events for published in self._desk.process(event)]

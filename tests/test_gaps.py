@@ -101,15 +101,16 @@ def test_what_is_shown_while_coasting_says_so(quad_profile: Profile, gusty: list
     pipeline = Pipeline(quad_profile)
     outputs = [output for batch in packed(without(gusty, 12.0, 0.08)) for output in pipeline.run(batch)]
     parts = [output for output in outputs if isinstance(output, Estimates) and output.observer == "motors"]
-    found = [part.one(row) for part in parts for row in range(len(part))]
-    coasted = [k for k, estimate in enumerate(found) if not estimate.sample.measured]
+    sd, coasted_s = (np.concatenate([getattr(part, name) for part in parts]) for name in ("sd", "coasted_s"))
+    armed = np.concatenate([part.armed for part in parts])
+    coasted = np.flatnonzero(~np.concatenate([part.samples.measured for part in parts]))
     assert 5 <= len(coasted) <= 10
-    assert coasted == list(range(coasted[0], coasted[-1] + 1))
-    before, during, after = found[coasted[0] - 1], found[coasted[0] : coasted[-1] + 1], found[coasted[-1] + 400]
-    assert before.coasted_s == after.coasted_s == 0.0
-    assert [estimate.coasted_s for estimate in during] == pytest.approx([0.01 * (k + 1) for k in range(len(during))])
-    assert not any(estimate.armed for estimate in during)
-    assert np.all(np.diff([estimate.sd for estimate in during], axis=0) > 0.0)
-    assert np.all(during[-1].sd > 2.0 * before.sd)
+    assert coasted.tolist() == list(range(coasted[0], coasted[-1] + 1))
+    before, after = coasted[0] - 1, coasted[-1] + 400
+    assert coasted_s[before] == coasted_s[after] == 0.0
+    assert coasted_s[coasted] == pytest.approx(0.01 * np.arange(1, len(coasted) + 1))
+    assert not armed[coasted].any()
+    assert np.all(np.diff(sd[coasted], axis=0) > 0.0)
+    assert np.all(sd[coasted[-1]] > 2.0 * sd[before])
     # in command units it moves with the command
-    assert after.sd == pytest.approx(before.sd, rel=0.4)
+    assert sd[after] == pytest.approx(sd[before], rel=0.4)
