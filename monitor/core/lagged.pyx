@@ -122,7 +122,6 @@ cdef class LaggedMeans:
         cdef Py_ssize_t row, i, place, count = 0, most = 0, width = self._inputs + self._outputs
         cdef Py_ssize_t lagged = len(self._lags)
         cdef double value
-        cdef _Lag lag
         for row in range(index.shape[0]):
             most += index[row] % self._size == self._size - 1
         whole, marks, ends = np.empty((4, most), np.int64), np.ones((3, most), np.bool_), np.empty(most, np.intp)

@@ -1,8 +1,8 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
 """Strapdown kinematics tick by tick: the vehicle's motion by each of its raw signals, brought to one age.
 
-:mod:`monitor.vehicles.inertial.strapdown` tells its inputs and outputs, and why they are these. Sines, roots and powers are those
-of the C library, one tick after the other, so results do not depend on how a stream is cut into batches.
+:mod:`monitor.vehicles.inertial.strapdown` tells its inputs and outputs, and why they are these. Sines, roots and powers
+are those of the C library, one tick after the other, so results do not depend on how a stream is cut into batches.
 """
 
 import numpy as np
@@ -157,7 +157,7 @@ cdef class StrapdownCore:
         cdef const long long[:] time = samples.time_ns, known = samples.known_ns
         cdef const unsigned char[:] restart = samples.restart.view(np.uint8)
         cdef const unsigned char[:] measured = samples.measured.view(np.uint8)
-        cdef Py_ssize_t row, count = 0, most = 0, k
+        cdef Py_ssize_t row, count = 0, most = 0
         cdef double[_WIDEST] now
         cdef double[_WIDEST] places
         cdef int i
