@@ -20,8 +20,8 @@ from adapters.message import LATEST_NS, Message
 from adapters.source import Source
 
 READ_AHEAD_BYTES: Final = 1 << 22
-"""Bytes of a log in a batch, some 70,000 records. Measured on a log of PX4 of 105 MB: read in 2.7 s with 64 kB,
-0.88 s with 1 MB, 0.74 s with 4 MB and with 16 MB.
+"""Bytes of a log in a batch, some 70,000 records. Measured on a log of PX4 of 105 MB: read in 2.7 s with 64 kB, 0.88
+s with 1 MB, 0.74 s with 4 MB and with 16 MB.
 """
 
 FieldValues: TypeAlias = "NDArray[np.generic] | list[Any]"
