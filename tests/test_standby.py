@@ -1,4 +1,4 @@
-"""Two daemons on one flight, as the examples configure them: one speaks, and the other goes on when it is gone."""
+"""Two daemons on one flight, as the examples configure them: one is active, and the other takes over when it is gone."""
 
 from __future__ import annotations
 
@@ -49,21 +49,21 @@ class Pair:
 
     @property
     def voice(self) -> str | None:
-        """Which session has said last that it speaks."""
+        """Which session last said that it is active."""
         said = self.watcher.seen("/status")
         return said[-1].by if said else None
 
     @property
-    def speaker(self) -> str:
-        """Which of the two has logged last that it speaks."""
-        said = {name: [line["time_ns"] for line in one.log() if _speaks(line)] for name, one in self.running.items()}
+    def active(self) -> str:
+        """Which of the two logged last that it is active."""
+        said = {name: [line["time_ns"] for line in one.log() if _activated(line)] for name, one in self.running.items()}
         return max((times[-1], name) for name, times in said.items() if times)[1]
 
     def start(self, name: str) -> None:
         self.running[name] = DaemonProcess(self.configs[name])
 
     def back(self, name: str) -> None:
-        """Start one again and give it time to speak, if it would."""
+        """Start one again and give it time to activate, if it would."""
         self.start(name)
         until(lambda: self.candidates == 2)
         since = time.monotonic()
@@ -88,7 +88,7 @@ class Pair:
         return answer
 
     def takes_over(self, since: float, former: str | None) -> None:
-        """Wait until another than the former one speaks, is alive and answers; see that it did not last."""
+        """Wait until another than the former one is active, alive and answers; see that it did not last."""
         until(lambda: self.voice not in (None, former) and bool(self.watcher.live("/live")))
         until(lambda: len(self.watcher.ask(f"fauio/{VEHICLE}/alarms")) == 1)
         assert time.monotonic() - since < TAKEN_OVER_S
@@ -104,8 +104,8 @@ class Pair:
         self.watcher.close()
 
 
-def _speaks(line: dict[str, Any]) -> bool:
-    return line["event"] == "log" and line["message"].startswith("speaking for")
+def _activated(line: dict[str, Any]) -> bool:
+    return line["event"] == "log" and line["message"].startswith("active for")
 
 
 @pytest.fixture
@@ -119,7 +119,7 @@ def pair(quad_folder: Path, tmp_path: Path) -> Iterator[Pair]:
 
 
 def assert_one_history(pair: Pair) -> None:
-    """No event came twice, none has a number that another has, no alarm was raised twice; statuses say who speaks."""
+    """No event came twice, none has a number that another has, no alarm was raised twice; statuses say which is active."""
     events = pair.watcher.events()
     numbers = [event["seq"] for event in events]
     assert numbers == sorted(set(numbers))
@@ -132,7 +132,7 @@ def test_an_alarm_lives_on_under_its_id_whoever_is_killed_and_when(
     pair: Pair, data: Path, quad_profile: Profile
 ) -> None:
     """One is killed as the alarm is raised, one after it was acknowledged, and one stopped after it was shelved."""
-    watcher, first = pair.watcher, pair.speaker
+    watcher, first = pair.watcher, pair.active
     second = OTHER[first]
     flight = Flight(data / "copter_motor2_080.tlog.xz", pair.udp, start_s=3.0)
     until(lambda: bool(watcher.events(CHANNEL)))
@@ -149,11 +149,11 @@ def test_an_alarm_lives_on_under_its_id_whoever_is_killed_and_when(
 
     pair.back(first)
     assert len(pair.voices(killed, time.monotonic())) == 1
-    assert pair.speaker == second
+    assert pair.active == second
     pair.running[second].kill()
     killed, voice = time.monotonic(), pair.voice
     pair.takes_over(killed, voice)
-    assert pair.speaker == first
+    assert pair.active == first
     (standing,) = pair.active()
     assert (standing["id"], standing["acknowledged"]) == (raised["id"], True)
     assert "acknowledged" not in standing["message"]
@@ -186,7 +186,7 @@ def test_an_alarm_lives_on_under_its_id_whoever_is_killed_and_when(
 def test_a_fault_that_begins_before_the_other_takes_over_is_raised_once_and_standing_by_is_silent(
     pair: Pair, data: Path
 ) -> None:
-    watcher, first = pair.watcher, pair.speaker
+    watcher, first = pair.watcher, pair.active
     assert not pair.command("ack", channel=CHANNEL)["ok"]
     flight = Flight(data / "copter_motor2_080.tlog.xz", pair.udp, start_s=3.0)
     until(lambda: flight.at_s > ONSET_S - 0.3)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+from adapters.errors import UsageError
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.mavlink.message_rates import RateRequests
 from adapters.mavlink.requesting_link import RequestingLink
@@ -21,11 +24,83 @@ if TYPE_CHECKING:
     import zenoh
 
 _FIRST_NS = 5_000_000_000
-"""Chosen: autopilots send heartbeats once a second; five missing ones are worth a line."""
+"""Silence after which a link is reported: every vehicle sends a heartbeat a second, and discovery takes a few."""
+
+
+class TelemetryLink(Link, Counting, Protocol):
+    """An open link: yields batches and counts them."""
+
+    def close(self) -> None: ...  # noqa: D102
+
+
+@dataclass(frozen=True, slots=True)
+class LinkOptions:
+    """Settings of all links of a process.
+
+    Parameters
+    ----------
+    key : SigningKey | None
+        Key of MAVLink signatures; None verifies none.
+    require_signed, may_send : bool
+        Whether unsigned MAVLink packets are refused; whether links may send.
+    session : zenoh.Session | None
+        An open session, for links over Zenoh.
+    types : Mapping[str, str]
+        Types of telemetry over Zenoh by key expression.
+    definitions : Sequence[Path]
+        Folders of message definitions.
+    batch_s : float
+        Time from one batch to the next while telemetry comes, seconds.
+    """
+
+    key: SigningKey | None = None
+    require_signed: bool = False
+    may_send: bool = False
+    session: zenoh.Session | None = None
+    types: Mapping[str, str] = field(default_factory=dict)
+    definitions: Sequence[Path] = ()
+    batch_s: float = 0.0
+
+
+def _open_mavlink(url: str, options: LinkOptions) -> TelemetryLink:
+    return MavlinkLink(url, options.key, options.require_signed, options.may_send, options.batch_s)
+
+
+def _open_zenoh(url: str, options: LinkOptions) -> TelemetryLink:
+    if options.session is None:
+        raise UsageError(f"{url}: needs a Zenoh session")
+    decoder = PayloadDecoder(options.types, options.definitions)
+    return ZenohLink(options.session, url.removeprefix("zenoh:"), decoder, options.batch_s)
+
+
+_OPENERS: Mapping[str, Callable[[str, LinkOptions], TelemetryLink]] = {
+    **dict.fromkeys(("udp", "udpin", "udpout", "tcp", "tcpin", "serial"), _open_mavlink),
+    "zenoh": _open_zenoh,
+}
+"""What opens a link by the first part of its URL; a new source is a line here and a module that yields batches."""
+
+
+def open_link(url: str, options: LinkOptions) -> TelemetryLink:
+    """Open the link that a URL names.
+
+    Parameters
+    ----------
+    url : str
+        ``udpin:HOST:PORT`` and the other links of :func:`adapters.mavlink.byte_link.open_byte_link`, or
+        ``zenoh:KEYEXPR``.
+    options : LinkOptions
+        Settings of all links.
+
+    Raises
+    ------
+    TelemetryError
+        The link cannot be opened, or the URL is not understood.
+    """
+    return _OPENERS.get(url.partition(":")[0], _open_mavlink)(url, options)
 
 
 class OpenedLink(NamedTuple):
-    """An open link, what reads it, and the vehicle whose own it is."""
+    """An open link under its name in the configuration, its reader, and the vehicle whose own it is."""
 
     name: str
     link: Counting
@@ -34,7 +109,7 @@ class OpenedLink(NamedTuple):
 
 
 def open_links(config: Config, session: zenoh.Session | None, stack: ExitStack) -> list[OpenedLink]:
-    """Open all links; nobody reads them yet.
+    """Open all links of a configuration; nothing reads them yet.
 
     Parameters
     ----------
@@ -47,25 +122,28 @@ def open_links(config: Config, session: zenoh.Session | None, stack: ExitStack) 
 
     Raises
     ------
-    ProfileError, TelemetryError
+    UsageError, TelemetryError
         A link, the signing key or a message definition cannot be used.
     """
-    key = read_key(config.signing.key_file) if config.signing.key_file is not None else None
-    batch_s = config.batch_ms / 1e3
+    options = LinkOptions(
+        key=read_key(config.signing.key_file) if config.signing.key_file is not None else None,
+        require_signed=config.signing.require,
+        may_send=config.send.allow,
+        session=session,
+        types=config.zenoh_types,
+        definitions=() if config.definitions is None else (config.definitions,),
+        batch_s=config.batch_ms / 1e3,
+    )
+    named: list[tuple[str, str, Vehicle | None]] = [(url, url, None) for url in config.mavlink]
+    if session is not None:
+        named += [(keyexpr, f"zenoh:{keyexpr}", None) for keyexpr in config.zenoh]
+        named += [(own.zenoh, f"zenoh:{own.zenoh}", own) for own in config.vehicles if own.zenoh is not None]
     opened = []
-    for url in config.mavlink:
-        link = MavlinkLink(url, key, config.signing.require, may_send=config.send.allow, batch_s=batch_s)
+    for name, url, vehicle in named:
+        link = open_link(url, options)
         stack.callback(link.close)
-        opened.append(OpenedLink(url, link, _requesting(link, config, key)))
-    if session is None:
-        return opened
-    folders = () if config.definitions is None else (config.definitions,)
-    shared = [(keyexpr, None) for keyexpr in config.zenoh]
-    own = [(vehicle.zenoh, vehicle) for vehicle in config.vehicles if vehicle.zenoh is not None]
-    for keyexpr, vehicle in (*shared, *own):
-        zenoh_link = ZenohLink(session, keyexpr, PayloadDecoder(config.zenoh_types, folders), batch_s)
-        stack.callback(zenoh_link.close)
-        opened.append(OpenedLink(keyexpr, zenoh_link, zenoh_link, vehicle))
+        reader = _requesting(link, config, options.key) if isinstance(link, MavlinkLink) else link
+        opened.append(OpenedLink(name, link, reader, vehicle))
     return opened
 
 
