@@ -1,4 +1,4 @@
-"""Two daemons on one flight, as the examples configure them: one is active, and the other takes over when it is gone."""
+"""Two daemons on one flight, as the examples configure them: one is active, the other takes over when it is gone."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Pair:
         return said[-1].by if said else None
 
     @property
-    def active(self) -> str:
+    def leader(self) -> str:
         """Which of the two logged last that it is active."""
         said = {name: [line["time_ns"] for line in one.log() if _activated(line)] for name, one in self.running.items()}
         return max((times[-1], name) for name, times in said.items() if times)[1]
@@ -119,7 +119,7 @@ def pair(quad_folder: Path, tmp_path: Path) -> Iterator[Pair]:
 
 
 def assert_one_history(pair: Pair) -> None:
-    """No event came twice, none has a number that another has, no alarm was raised twice; statuses say which is active."""
+    """No event came twice, none has a number that another has, no alarm was raised twice; the active one says so."""
     events = pair.watcher.events()
     numbers = [event["seq"] for event in events]
     assert numbers == sorted(set(numbers))
@@ -132,7 +132,7 @@ def test_an_alarm_lives_on_under_its_id_whoever_is_killed_and_when(
     pair: Pair, data: Path, quad_profile: Profile
 ) -> None:
     """One is killed as the alarm is raised, one after it was acknowledged, and one stopped after it was shelved."""
-    watcher, first = pair.watcher, pair.active
+    watcher, first = pair.watcher, pair.leader
     second = OTHER[first]
     flight = Flight(data / "copter_motor2_080.tlog.xz", pair.udp, start_s=3.0)
     until(lambda: bool(watcher.events(CHANNEL)))
@@ -149,11 +149,11 @@ def test_an_alarm_lives_on_under_its_id_whoever_is_killed_and_when(
 
     pair.back(first)
     assert len(pair.voices(killed, time.monotonic())) == 1
-    assert pair.active == second
+    assert pair.leader == second
     pair.running[second].kill()
     killed, voice = time.monotonic(), pair.voice
     pair.takes_over(killed, voice)
-    assert pair.active == first
+    assert pair.leader == first
     (standing,) = pair.active()
     assert (standing["id"], standing["acknowledged"]) == (raised["id"], True)
     assert "acknowledged" not in standing["message"]
@@ -186,7 +186,7 @@ def test_an_alarm_lives_on_under_its_id_whoever_is_killed_and_when(
 def test_a_fault_that_begins_before_the_other_takes_over_is_raised_once_and_standing_by_is_silent(
     pair: Pair, data: Path
 ) -> None:
-    watcher, first = pair.watcher, pair.active
+    watcher, first = pair.watcher, pair.leader
     assert not pair.command("ack", channel=CHANNEL)["ok"]
     flight = Flight(data / "copter_motor2_080.tlog.xz", pair.udp, start_s=3.0)
     until(lambda: flight.at_s > ONSET_S - 0.3)
