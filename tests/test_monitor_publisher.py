@@ -13,7 +13,7 @@ from loopback import START_NS, Endpoint, event, matched, until
 from zenoh import ext
 
 from adapters.errors import UsageError
-from adapters.sample import Sample, stacked
+from adapters.sample import Samples
 from monitor.bus.publisher import HISTORY_EVENTS, Publisher
 from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent, event_from_json
@@ -23,15 +23,16 @@ LAYOUT = Layout("motors", 100.0, ("u",), ("r",), ("p",), ("motor1", "motor 2"), 
 
 def estimates(index: int, time_ns: int | None = None) -> Estimates:
     when = START_NS + index * 10_000_000 if time_ns is None else time_ns
-    sample = Sample(index, index * 10_000_000, when, np.zeros(1), np.zeros(1), False, True)
+    signals, yes = np.zeros((1, 1)), np.array([True])
+    times_ns = np.array([index * 10_000_000]), np.array([when])
     return Estimates(
         observer="motors",
-        samples=stacked([sample], 1, 1),
+        samples=Samples(np.array([index]), *times_ns, signals, signals, ~yes, yes, times_ns[0], yes),
         x=np.array([[0.5]]),
         fault=np.array([[-0.02, np.nan]]),
         isolated=np.zeros((1, 2)),
         residual=np.array([[1e-3]]),
-        armed=np.array([True]),
+        armed=yes,
         sd=np.array([[0.1, 0.2]]),
         coasted_s=np.zeros(1),
     )
