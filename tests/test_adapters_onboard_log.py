@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 import test_adapters_dataflash
@@ -21,6 +22,7 @@ from onboard_flights import messages_of
 from ulog_writer import UlogWriter
 
 from adapters.errors import TelemetryError
+from adapters.logs import compressed
 from adapters.logs.damage import scan_damage
 from adapters.logs.dataflash import DataflashReader
 from adapters.logs.onboard_log import OnboardLogStatistics
@@ -103,10 +105,14 @@ def test_only_the_wanted_records_are_read(kind: Kind, folder: Path) -> None:
     assert keys(found) == keys(wanted)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(size=st.integers(1, 3_000))
 def test_however_a_log_is_cut_into_batches_its_messages_are_the_same(kind: Kind, folder: Path, size: int) -> None:
-    assert keys(kind.read(folder, kind.flight, read_ahead_bytes=size)[0]) == whole(kind, folder)
+    expected = whole(kind, folder)
+    with mock.patch.object(compressed, "_PIECE_BYTES", size):
+        found, statistics = kind.read(folder, kind.flight, read_ahead_bytes=size)
+    assert keys(found) == expected
+    assert scan_damage("a", statistics) is None
 
 
 def test_numbers_are_columns_and_nothing_else_is(kind: Kind, folder: Path) -> None:

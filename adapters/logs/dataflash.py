@@ -199,11 +199,11 @@ class DataflashReader:
         form = self._heads.get(window.data[window.at : window.at + _HEAD_BYTES])
         if form is None:
             return self._resume(window)
-        held = window.data
         if not window.fill(form.length):
             return self._resume(window, end=True)
-        # the chain goes on where more bytes had to be read
-        return window.data is not held or self._resume(window)
+        # a record that defines nothing after all is damage; before any other one the chain only ran out of bytes
+        body = window.data[window.at + _HEAD_BYTES : window.at + form.length]
+        return not form.defines or self._learn(form, body) or self._resume(window)
 
     def _learn(self, form: _Format, body: bytes) -> bool:
         """Learn from a record what others look like; return whether it is one."""
