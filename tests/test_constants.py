@@ -24,9 +24,6 @@ SPEAKS_FOR_ITSELF = re.compile(
 )
 """Names of units, limits of types and constants of nature: their values are no choice."""
 
-PENDING = ("monitor/fitting/", "monitor/vehicles/", "replay/sensitivity/")
-"""Folders whose constants still lack reasons: a folder that has them all leaves this list."""
-
 
 class Constant(NamedTuple):
     """A number, or a collection of numbers, that a module names."""
@@ -119,8 +116,7 @@ def lines_of(constants: list[Constant]) -> list[str]:
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_constant_has_a_reason_beside_it(package: str) -> None:
-    lacking = lines_of(unexplained(ROOT / package))
-    assert [line for line in lacking if not line.startswith(PENDING)] == []
+    assert lines_of(unexplained(ROOT / package)) == []
 
 
 @pytest.mark.parametrize(
