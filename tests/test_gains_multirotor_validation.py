@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from gains.identification.segment import Segment
+from monitor.fitting.predictions import explained_change
 from monitor.vehicles.multirotor.identify import MultirotorFit, identify_multirotor, multirotor_plant
 from monitor.vehicles.multirotor.validation import (
-    explained_change,
     motor_effect,
     motor_uncertainty,
     predict_rates,

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from adapters.errors import ModelError
-from gains.identification.residuals import residual_statistics
 from gains.identification.segment import Segment
 from gains.identification.shooting import split_segments
 from gains.plants.plant import Plant
-from monitor.fitting.fit_report import Comparison, liveliest
+from monitor.fitting.fit_report import Comparison
+from monitor.fitting.predictions import Prediction, compared, horizon_samples
 
-HORIZON_S = 0.2
-"""Prediction horizon, seconds: about the time in which an alarm has to be raised."""
 SHOWN_S = 20.0
 """Seconds drawn: as many as show single manoeuvres over the width of a page."""
-
-EffectPair = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 def compare_effects(
@@ -51,40 +44,19 @@ def compare_effects(
     except ModelError:
         return None
     _, rest = split_segments(segments(parameters))
-    horizon = max(2, round(HORIZON_S * rate_hz))
+    horizon = horizon_samples(rate_hz)
     usable = [segment for segment in rest if len(segment.u) > horizon + rate_hz]
     if not usable:
         return None
-    one = [predict_ahead(plant, segment, 1) for segment in usable]
-    several = [predict_ahead(plant, segment, horizon) for segment in usable]
-    longest = max(range(len(several)), key=lambda i: len(several[i][1]))
-    _, measured, predicted = several[longest]
-    residual = (one[longest][1] - one[longest][2])[horizon - 1 :]
-    shown = liveliest(measured, round(SHOWN_S * rate_hz))
-    horizon_s = horizon / rate_hz
-    return Comparison(
-        names=plant.outputs,
-        units=tuple("m/s²" if name.endswith("acceleration") else "rad/s" for name in plant.outputs),
-        times=np.arange(len(measured))[shown] / rate_hz,
-        measured=measured[shown],
-        predicted=predicted[shown],
-        residuals=residual[shown],
-        explained={"one step ahead": _explained(one), f"{horizon_s:g} s ahead": _explained(several)},
-        statistics=residual_statistics(plant.outputs, [now - ahead for _, now, ahead in one]),
-        about=f"outputs predicted {horizon_s:g} s ahead, data kept back; residual one step ahead",
-    )
+    one_step = [predict_ahead(plant, segment, 1) for segment in usable]
+    ahead = [predict_ahead(plant, segment, horizon) for segment in usable]
+    return compared(plant.outputs, "outputs", one_step, ahead, rate_hz, SHOWN_S)
 
 
-def predict_ahead(plant: Plant, segment: Segment, steps: int) -> EffectPair:
+def predict_ahead(plant: Plant, segment: Segment, steps: int) -> Prediction:
     """Return outputs when a prediction was made, ``steps`` samples later, and as predicted (N - steps, p) each."""
     x = segment.y[:-steps]
     for step in range(steps):
         u = segment.u[step : len(segment.u) - steps + step]
         x = x @ plant.A.T + u @ plant.B.T + plant.c
-    return segment.y[:-steps], segment.y[steps:], x
-
-
-def _explained(pairs: Sequence[EffectPair]) -> NDArray[np.float64]:
-    missed = np.vstack([measured - predicted for _, measured, predicted in pairs])
-    change = np.vstack([measured - before for before, measured, _ in pairs])
-    return np.asarray(1.0 - (missed**2).mean(axis=0) / np.maximum((change**2).mean(axis=0), 1e-300))
+    return Prediction(segment.y[:-steps], segment.y[steps:], x)

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from adapters.errors import ModelError
-from gains.identification.residuals import residual_statistics
 from gains.identification.segment import Segment
 from gains.identification.shooting import split_segments
-from monitor.fitting.fit_report import Comparison, liveliest
-from monitor.vehicles.multirotor.identify import RATE_AXES, MultirotorFit, identify_multirotor
-from monitor.vehicles.multirotor.validation import explained_change, predict_rates
+from monitor.fitting.fit_report import Comparison
+from monitor.fitting.predictions import HORIZON_S, compared, horizon_samples
+from monitor.vehicles.multirotor.identify import RATE_AXES, identify_multirotor
+from monitor.vehicles.multirotor.validation import predict_rates
 
-HORIZON_S = 0.2
-"""Prediction horizon, seconds: about the time in which an alarm has to be raised."""
 SHOWN_S = 10.0
 """Seconds drawn: as many as show single manoeuvres over the width of a page."""
 
@@ -37,25 +33,8 @@ def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> t
     except ModelError:
         return None, None
     usable = [segment for segment in rest if len(segment.u) > (HORIZON_S + 1.0) * rate_hz + len(fit.taps)]
-    return (_compared(fit, usable) if usable else None), len(fit.taps)
-
-
-def _compared(fit: MultirotorFit, segments: Sequence[Segment]) -> Comparison:
-    horizon = max(2, round(HORIZON_S * fit.rate_hz))
-    one, several = predict_rates(fit, segments, 1), predict_rates(fit, segments, horizon)
-    longest = max(range(len(several)), key=lambda i: len(several[i].measured))
-    measured, predicted = several[longest].measured, several[longest].predicted
-    residual = (one[longest].measured - one[longest].predicted)[horizon - 1 :]
-    shown = liveliest(measured, round(SHOWN_S * fit.rate_hz))
-    horizon_s = horizon / fit.rate_hz
-    return Comparison(
-        names=RATE_AXES,
-        units=("rad/s",) * len(RATE_AXES),
-        times=np.arange(len(measured))[shown] / fit.rate_hz,
-        measured=measured[shown],
-        predicted=predicted[shown],
-        residuals=residual[shown],
-        explained={"one step ahead": explained_change(one), f"{horizon_s:g} s ahead": explained_change(several)},
-        statistics=residual_statistics(RATE_AXES, [found.measured - found.predicted for found in one]),
-        about=f"body rates (rad/s) predicted {horizon_s:g} s ahead, data kept back; residual one step ahead",
-    )
+    if not usable:
+        return None, len(fit.taps)
+    one_step, ahead = predict_rates(fit, usable, 1), predict_rates(fit, usable, horizon_samples(rate_hz))
+    comparison = compared(RATE_AXES, "body rates (rad/s)", one_step, ahead, rate_hz, SHOWN_S)
+    return comparison, len(fit.taps)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gains.identification.segment import Segment
+from monitor.fitting.predictions import Prediction
 from monitor.vehicles.multirotor.identify import MultirotorFit, control_directions
 
 FloatArray = NDArray[np.float64]
@@ -77,21 +78,6 @@ class Drift:
         return abs(self.per_minute) > _SURE * self.error and abs(self.per_minute) * self.minutes > _MATTERS
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
-    """One stretch of body rates beside their predictions ``steps`` samples ahead.
-
-    Parameters
-    ----------
-    before, measured, predicted : FloatArray
-        Measured when the prediction was made, measured then, and predicted (N, 3).
-    """
-
-    before: FloatArray
-    measured: FloatArray
-    predicted: FloatArray
-
-
 def motor_uncertainty(fit: MultirotorFit, segments: Sequence[Segment]) -> MotorUncertainty:
     """Return how far to trust the coefficients, from the segments they were fitted on."""
     now, effect, after = _equations(fit, segments)
@@ -126,13 +112,6 @@ def predict_rates(fit: MultirotorFit, segments: Sequence[Segment], steps: int) -
             predicted = fit.a * predicted + drive[ahead : ahead + count]
         found.append(Prediction(before, segment.y[start + steps : start + steps + count, :3], predicted))
     return found
-
-
-def explained_change(predictions: Sequence[Prediction]) -> FloatArray:
-    """Return the share of the body rates' changes over the predictions' horizon that these explain (3,)."""
-    missed = np.vstack([one.measured - one.predicted for one in predictions])
-    change = np.vstack([one.measured - one.before for one in predictions])
-    return np.asarray(1.0 - (missed**2).mean(axis=0) / np.maximum((change**2).mean(axis=0), 1e-300))
 
 
 def response_drift(fit: MultirotorFit, flights: Sequence[Sequence[Segment]]) -> Drift:
