@@ -45,8 +45,8 @@ def _tlog(folder: Path) -> Run:
         reader, batches = TlogReader(path), TlogReader(path)
         one_by_one, at_once = [], []
         with only(TelemetryError):
-            for time_ns, packet in reader.packets():
-                message = mavlink_types()[message_number(packet)].decode(packet, time_ns)
+            for time_ns, recorded in reader.packets():
+                message = mavlink_types()[message_number(recorded)].decode(recorded, time_ns)
                 encode(message)
                 one_by_one.append(repr(message))
         with only(TelemetryError), mock.patch.object(tlog, "_FEW", 1):

@@ -29,8 +29,7 @@ FLAGS = ("fauio_healthy", "fauio_vehicle_state", "fauio_recorder_trouble", "faui
 
 def health() -> Health:
     histogram = LatencyHistogram()
-    for milliseconds in (1, 2, 3, 40):
-        histogram.add(milliseconds * 1_000_000)
+    histogram.add(milliseconds * 1_000_000 for milliseconds in (1, 2, 3, 40))
     return Health(
         process=ProcessHealth(
             0.25, inbox_depth=3, inbox_capacity=10, inbox_dropped=4, resident_bytes=1 << 20, cpu_s=2.5
