@@ -156,7 +156,11 @@ def test_damage_costs_no_message_before_it_and_reading_goes_on_behind_it(
 ) -> None:
     place = data.draw(st.integers(kind.ends[kind.first], len(kind.flight) - 600))
     junk = data.draw(st.one_of(st.binary(min_size=1, max_size=300), st.integers(1, 300).map(bytes)))
-    found, statistics = kind.read(folder, kind.flight[:place] + junk + kind.flight[place + len(junk) :])
+    content = kind.flight[:place] + junk + kind.flight[place + len(junk) :]
+    found, statistics = kind.read(folder, content)
+    with mock.patch.object(compressed, "_PIECE_BYTES", 500):
+        again, counts = kind.read(folder, content, read_ahead_bytes=500)
+    assert (keys(again), counts) == (keys(found), statistics)
     before = kind.messages([kind.head, *(end for end in kind.ends if end <= place)])
     assert keys(found[:before]) == whole(kind, folder)[:before]
     assert repr(found[-1]) == whole(kind, folder)[-1]
