@@ -74,7 +74,7 @@ def flight_samples(batches: Iterable[Batch], source: SampleSource, rate_hz: floa
     found: list[Flight] = []
     for part, phase in _by_phase(batches):
         found.append(Flight(*sampler.sample(part, phase)))
-    return joined(found)
+    return joined_flights(found)
 
 
 def transformed(flight: Flight, transform: Transform) -> Flight:
@@ -109,7 +109,7 @@ def _chosen(samples: Samples, rows: NDArray[np.intp]) -> Samples:
     return Samples(**{column.name: getattr(samples, column.name)[rows] for column in fields(Samples)})
 
 
-def joined(flights: Sequence[Flight]) -> Flight:
+def joined_flights(flights: Sequence[Flight]) -> Flight:
     """Return the samples of flights one after the other."""
     columns = {
         column.name: np.concatenate([getattr(flight.samples, column.name) for flight in flights])

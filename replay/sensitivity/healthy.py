@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from adapters.logs.recordings import packed
 from adapters.message import Message
 from monitor.estimate import Estimates
-from monitor.fitting.flights import Flight, joined
+from monitor.fitting.flights import Flight, joined_flights
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.sampling.phase import FlightPhase
@@ -90,7 +90,9 @@ def play_healthy(profile: Profile, recorded: Iterable[Message]) -> Healthy:
         messages=messages,
         times_ns=_newest_ns(profile, messages),
         system=system,
-        flights={name: joined([Flight(run.samples, run.armed) for run in runs]) for name, runs in found.items()},
+        flights={
+            name: joined_flights([Flight(run.samples, run.armed) for run in runs]) for name, runs in found.items()
+        },
         states={name: np.concatenate([run.x for run in runs]) for name, runs in found.items()},
         alarms_ns=alarms_ns,
     )
