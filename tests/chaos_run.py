@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import signal
 import socket
@@ -18,8 +17,7 @@ from typing import Any
 import zenoh
 from chaos import KEY, Sufferer, send
 from loopback import free_port
-from mcap.exceptions import McapError
-from mcap.reader import NonSeekingReader
+from own_records import own_records
 
 from adapters.logs.recordings import read_recording, session_files
 from adapters.zenoh.zenoh_session import open_session
@@ -175,17 +173,6 @@ def suffer(folder: Path, sufferers: Sequence[Sufferer]) -> Run:
         monitor.hear()
         status = monitor.stop()
         return Run(monitor, {int(system): count for system, count in json.loads(said).items()}, status)
-
-
-def own_records(files: Sequence[Path]) -> dict[str, list[bytes]]:
-    """Return what a monitor recorded of its own conclusions, by topic, byte for byte; files may break off."""
-    found: dict[str, list[bytes]] = {}
-    for file in files:
-        with file.open("rb") as stream, contextlib.suppress(McapError):
-            for _, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
-                if channel.topic.startswith("/fauio/"):
-                    found.setdefault(channel.topic, []).append(message.data)
-    return found
 
 
 def assert_live_equals_replay(run: Run, system: int, folder: Path) -> None:

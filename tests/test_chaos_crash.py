@@ -12,7 +12,8 @@ from pathlib import Path
 import chaos
 import pytest
 from chaos import Sufferer
-from chaos_run import MOTOR1, QUAD, Monitor, monitoring, name_of, own_records, waits
+from chaos_run import MOTOR1, QUAD, Monitor, monitoring, name_of, waits
+from own_records import own_records
 
 from adapters.logs.recordings import read_recording
 from monitor.event import AlarmEvent

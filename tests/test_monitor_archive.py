@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from chaos_run import own_records
+from own_records import own_records
 from test_monitor_rotation import numbers
 
 FULL = """

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chaos_run import own_records
 from loopback import START_NS, event, until
 from mcap.reader import make_reader
+from own_records import own_records
 from test_monitor_recorder import Log, estimates
 
 from adapters.errors import StorageError
