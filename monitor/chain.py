@@ -23,9 +23,9 @@ from monitor.core.sampling import VehicleClock
 from monitor.effectiveness_stage import EffectivenessStage
 from monitor.estimate import Estimates, Layout
 from monitor.estimation.affine import AffineObserver
+from monitor.estimation.bank import EstimatorRun
 from monitor.estimation.effectiveness import EffectivenessRun
 from monitor.estimation.estimator import make_estimator
-from monitor.estimation.estimator_run import EstimatorRun
 from monitor.estimation.uncertainty import Uncertainty
 from monitor.event import AlarmEvent
 from monitor.profile import ObserverProfile

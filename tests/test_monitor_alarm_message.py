@@ -2,7 +2,7 @@
 
 import pytest
 
-from monitor.alarms.alarm_message import DEFLECTION, alarm_message
+from monitor.alarms.alarm import DEFLECTION, alarm_message
 from monitor.event import Kind
 
 

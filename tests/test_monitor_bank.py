@@ -11,8 +11,7 @@ from gains.synthesis.bank import compile_bank, design_bank
 from gains.synthesis.gains_file import Gains
 from monitor.core.bank import Choice
 from monitor.estimation.affine import AffineObserver
-from monitor.estimation.bank import Bank, whitening
-from monitor.estimation.estimator_run import EstimatorRun
+from monitor.estimation.bank import Bank, EstimatorRun, whitening
 from monitor.estimation.isolation_rule import BankRule
 
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-0.7, 0.7))

@@ -6,7 +6,7 @@ from cuts import cuts, same_bits
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.estimation.edge import edge_detector
+from monitor.estimation.bank import edge_detector
 
 RATE_HZ = 100.0
 

@@ -6,7 +6,7 @@ from cuts import cuts
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.estimation.isolation import independent_isolation, single_fault_isolation
+from monitor.estimation.estimator import independent_isolation, single_fault_isolation
 from monitor.estimation.isolation_rule import SingleRule
 
 GUST = np.ones(4) / 2

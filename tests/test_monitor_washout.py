@@ -10,7 +10,7 @@ from cuts import cuts, same_bits
 from hypothesis import given
 from hypothesis import strategies as st
 
-from monitor.estimation.washout import washout_inverse
+from monitor.estimation.bank import washout_inverse
 
 RATE, TAU, THRESHOLD = 25.0, 30.0, 0.5
 

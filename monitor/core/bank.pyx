@@ -22,9 +22,9 @@ cdef double EDGE_CANCELLED = 0.5
 # Share of bridged rows in the window up to which an edge is believed: lines across losses are flat and have corners.
 # Without it two of twelve healthy runs with 30 % of the messages lost raised a gyro.
 cdef double EDGE_BRIDGED = 0.6
-# Shares of the threshold and of the peak, explained in monitor.estimation.washout. Chosen: a smaller share of
-# the threshold would integrate errors of healthy operation, a larger one cuts off more of a slow fault; a tenth of the
-# peak is what an error of a tenth in scale or time constant leaves of a fault that has ended.
+# Shares of the threshold and of the peak, explained at Washout. Chosen: a smaller share of the threshold would
+# integrate errors of healthy operation, a larger one cuts off more of a slow fault; a tenth of the peak is what an
+# error of a tenth in scale or time constant leaves of a fault that has ended.
 cdef double WASHOUT_QUIET = 0.5
 cdef double WASHOUT_OVER = 0.1
 # Least weight of a channel beside the suspects, relative to its own: below it the channel is a combination of theirs
@@ -265,7 +265,15 @@ cdef class Choice:
 
 
 cdef class EdgeDetector:
-    """Watches one sensor fault's estimate for edges; see :mod:`monitor.estimation.edge`.
+    """Watches one sensor fault's estimate for edges: a jump of the sensor, not a fault of the plant, which ramps.
+
+    A sensor fault is estimated without any assumption about how it moves, so it can explain whatever its output does:
+    the estimate of a gyro bias takes up a failing motor as well. A jump of the sensor makes an edge, which a push on
+    the plant cannot make: flat, then another level within a few samples, then flat again, while the hypothesis of this
+    sensor leaves no more unexplained than healthy flight does. The size of the edge is held until an opposite one
+    cancels it, at most ``hold_s``: how large the bias is afterwards only another sensor can tell. Lines that bridge
+    lost measurements are flat and have corners: where more than three in five of the samples around an edge are
+    bridged, it does not count.
 
     Parameters
     ----------
@@ -366,7 +374,20 @@ cdef class EdgeDetector:
 
 
 cdef class Washout:
-    """Inverse of the washout of one fault channel; see :mod:`monitor.estimation.washout`.
+    """Inverse of the washout of one fault channel: what washing out takes from a fault that lasts.
+
+    An observer of washed-out positions and angles sees a fault f through the same washout,
+
+        f_w' = f' - f_w / tau,     whose exact inverse is     f = f_w + (1/tau) * integral of f_w dt,
+
+    so a step fades and, when the fault ends, swings to the other side. Integrated for ever the inverse would grow with
+    every error of healthy operation; it is integrated only while |f_w| is large:
+
+    - no fault (integral zero) and |f_w| <= threshold / 2: f = f_w;
+    - |f_w| > threshold / 2: the integral runs (by the trapezoidal rule), and f = f_w + integral / tau;
+    - |f_w| <= threshold / 2 again while f is still large: the fault lasts, fully washed out; the integral is held;
+    - |f| back within the threshold, or within a tenth of its peak (errors of a tenth leave as much): the fault is over,
+      and zero is given until |f_w| has settled too, when everything is forgotten.
 
     Parameters
     ----------
@@ -454,7 +475,19 @@ cdef class IndependentIsolation:
 
 
 cdef class SingleFaultIsolation(IndependentIsolation):
-    """Holds one channel responsible at a time; see :mod:`monitor.estimation.isolation`.
+    """Holds one channel responsible at a time: generalised least squares with the healthy covariance.
+
+    The joint estimate f^ of all fault channels carries disturbance along directions that healthy flight shows (a gust
+    looks like all motors at once). With Sigma its healthy covariance, the size of a fault of channel i alone is
+
+        theta_i = e_i' Sigma^-1 f^ / (e_i' Sigma^-1 e_i),        J_i = theta_i^2 e_i' Sigma^-1 e_i,
+
+    J_i being the drop of the misfit when channel i is held responsible. The channel with the largest J is the suspect;
+    gain_penalty is how much larger J must be to believe that a channel delivers more than commanded, rather than that
+    another one delivers less: motors fail towards less. Others are held responsible beside it one after the other, each
+    for the largest drop of what the suspects so far leave unexplained, and only while that drop is beyond healthy
+    flight (score_floor) and beyond what model error makes of the first suspect (tolerance, a share of its score
+    sqrt(J)); the sizes of all suspects are then fitted together.
 
     Parameters
     ----------

@@ -14,9 +14,10 @@ so far stays until another is clearly better (half its J), so noise does not mak
 data no fault is named, and the score sqrt(min J) is reported as unexplained.
 
 A hypothesis of a sensor fault that would explain anything (a gyro bias against the motors) may be set apart: it takes
-no part in the comparison, and its fault is evidence where its estimate has an edge (:mod:`monitor.estimation.edge`).
+no part in the comparison, and its fault is evidence where its estimate has an edge
+(:class:`monitor.core.bank.EdgeDetector`).
 
-A fault whose estimate is washed out is given back (:mod:`monitor.estimation.washout`), and while that memory holds it
+A fault whose estimate is washed out is given back (:class:`monitor.core.bank.Washout`), and while that memory holds it
 its hypothesis is not left for another that explains the data as well.
 
 All observers run all the time and none is ever reset by another's verdict: when a fault has gone, its residuals return
@@ -28,18 +29,99 @@ The rules themselves, row after row, are :class:`monitor.core.bank.Choice`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import nan
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adapters.sample import Samples
-from monitor.core.bank import Choice
-from monitor.estimation.edge import edge_detector
-from monitor.estimation.estimator_run import EstimatorRun
+from monitor.core.bank import Choice, EdgeDetector, Washout
 from monitor.estimation.isolation_rule import BankRule
 from monitor.estimation.observer import FaultSet, Observer
 from monitor.estimation.smoothing import keep_share
-from monitor.estimation.washout import washout_inverse
+
+
+class EstimatorRun(NamedTuple):
+    """Estimates and evidence after each of N samples.
+
+    Parameters
+    ----------
+    x, fault, residual : NDArray[np.float64]
+        State estimate (N, n), each fault as estimated (N, a), in a bank under its smallest hypothesis, and residual
+        (N, p), not smoothed; x and residual are those of the hypothesis believed.
+    evidence : NDArray[np.float64]
+        Size of each fault that is held responsible (N, a), zero for all others.
+    counted : NDArray[np.bool_]
+        Channels whose evidence counts (N, a): in a bank not those that are compared where no hypothesis explains the
+        data.
+    smoothed : NDArray[np.float64]
+        Smoothed estimate of each fault (N, a), in a bank under its smallest hypothesis, whichever is believed.
+    unexplained : NDArray[np.float64]
+        Score sqrt(min J) where no hypothesis explains the data, else zero (N,).
+    """
+
+    x: NDArray[np.float64]
+    fault: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    evidence: NDArray[np.float64]
+    counted: NDArray[np.bool_]
+    smoothed: NDArray[np.float64]
+    unexplained: NDArray[np.float64]
+
+
+def washout_inverse(tau: float, rate_hz: float, threshold: float) -> Washout:
+    """Return the inverse of the washout of one fault channel; :meth:`Washout.run` takes n rows.
+
+    It is given the smoothed estimate of the channel under its own hypothesis, every sample, whichever hypothesis is
+    believed: switching it off and on would cut pieces out of the integral.
+
+    Parameters
+    ----------
+    tau : float
+        Time constant of the washout, seconds.
+    rate_hz : float
+        Samples per second.
+    threshold : float
+        Alarm threshold of the channel, in its unit.
+    """
+    return Washout(share=0.5 / (tau * rate_hz), threshold=threshold)
+
+
+_MEAN_S = 0.03
+"""Span of the running mean, seconds. Chosen: three samples at 100 Hz, so that noise of one sample is no level."""
+_GAP_S = 0.03
+"""Time that the estimate may take to jump, seconds. Chosen: as long as the mean needs to follow."""
+_FLAT_S = 0.1
+"""Time for which a level has to last, seconds. Chosen: with gap and mean an edge is known within 0.2 s of the jump."""
+HOLD_S = 10.0
+"""How long an edge is held, seconds. Chosen: a longer one shows an old bias whose present size this sensor alone cannot
+tell, a shorter one clears alarms that still hold."""
+
+
+def edge_detector(rate_hz: float, limit: float, smallest: float | None, hold_s: float = HOLD_S) -> EdgeDetector:
+    """Return a detector of edges in one sensor fault's estimate; :meth:`EdgeDetector.run` takes n rows.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Samples per second.
+    limit : float
+        Largest J = r' S^-1 r of the sensor's own hypothesis with which it is believed.
+    smallest : float | None
+        Smallest edge that is held, in the unit of the estimate; None: edges only show.
+    hold_s : float
+        How long an edge is held at most, seconds.
+    """
+    return EdgeDetector(
+        mean=max(1, round(_MEAN_S * rate_hz)),
+        gap=max(1, round(_GAP_S * rate_hz)),
+        flat=max(2, round(_FLAT_S * rate_hz)),
+        longest=round(hold_s * rate_hz),
+        limit=limit,
+        smallest=nan if smallest is None else smallest,
+    )
+
 
 _HEALTHY = 3.5
 """J / p up to which a hypothesis with an edge is believed: one healthy sample in a thousand has more, for p = 4."""

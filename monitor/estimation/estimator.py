@@ -5,13 +5,43 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adapters.sample import Samples
-from monitor.estimation.bank import Bank
-from monitor.estimation.estimator_run import EstimatorRun
-from monitor.estimation.isolation import independent_isolation, single_fault_isolation
+from monitor.core.bank import IndependentIsolation, SingleFaultIsolation
+from monitor.estimation.bank import Bank, EstimatorRun
 from monitor.estimation.isolation_rule import BankRule, IndependentRule, IsolationRule, SingleRule
 from monitor.estimation.observer import Observer
+from monitor.estimation.smoothing import keep_share
+
+
+def single_fault_isolation(rule: SingleRule, rate_hz: float, scales: NDArray[np.bool_]) -> SingleFaultIsolation:
+    """Return the stage that smooths joint estimates and holds one channel responsible at a time.
+
+    Parameters
+    ----------
+    rule : SingleRule
+        Isolation part of the profile.
+    rate_hz : float
+        Samples per second.
+    scales : NDArray[np.bool_]
+        Channels (a,) that scale an input: they fail towards less.
+    """
+    return SingleFaultIsolation(
+        information=np.asarray(np.linalg.inv(rule.covariance), np.float64),
+        penalty=np.where(scales, rule.gain_penalty, 0.0),
+        keep=keep_share(rule.smoothing_s, rate_hz),
+        tolerance=rule.tolerance,
+        floor=rule.score_floor,
+    )
+
+
+def independent_isolation(channels: int, smoothing_s: float, rate_hz: float) -> IndependentIsolation:
+    """Return the stage in which every channel's smoothed estimate is its own evidence.
+
+    For plants whose faults are well told apart by the observer.
+    """
+    return IndependentIsolation(channels, keep_share(smoothing_s, rate_hz))
 
 
 class JointEstimator:

@@ -23,7 +23,7 @@ class IndependentRule:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SingleRule:
-    """One channel is held responsible at a time: see :mod:`monitor.estimation.isolation`.
+    """One channel is held responsible at a time: see :class:`monitor.core.bank.SingleFaultIsolation`.
 
     Parameters
     ----------

@@ -30,9 +30,40 @@ from monitor.profile import read_profile
 from monitor.trace import Trace
 from monitor.views.rerun_view import write_rrd
 from replay.demonstration.arm_profile import write_arm_profile
-from replay.demonstration.truth import Truth
 from replay.player import Replay, play
 from replay.reports.plot import plot_png
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """One injected fault.
+
+    Parameters
+    ----------
+    channel : str
+        The fault channel it should show up on.
+    start_s, stop_s : float
+        When it acts, seconds of the vehicle's clock.
+    signal : Callable[[float], float]
+        Its size over time.
+    relative : bool
+        Whether the size is a share of the command.
+    """
+
+    channel: str
+    start_s: float
+    stop_s: float
+    signal: Callable[[float], float]
+    relative: bool = False
+
+    def at(self, time_s: float) -> float:
+        """Return the size at a time, zero while it does not act."""
+        return self.signal(time_s) if self.start_s <= time_s < self.stop_s else 0.0
+
+    def course(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the sizes at many times (N,)."""
+        return np.array([self.at(float(time_s)) for time_s in times_s])
+
 
 _DATA = Path(__file__).parent.parent / "data"
 _START_TIMEOUT_S = 30.0
