@@ -18,6 +18,9 @@ from heapq import merge
 from pathlib import Path
 from typing import Any
 
+# Also where it runs as a process of its own.
+sys.path.insert(0, str(Path(__file__).parent / "tools"))
+
 from fleet_sender import Due, fleet_packets, read_flight, send_fleet
 from packet_edit import checksummed, signed
 from pymavlink.dialects.v20 import ardupilotmega
