@@ -1,4 +1,4 @@
-"""Messages per second out of a telemetry log: pymavlink, the reader message by message, and blocks of columns.
+"""Messages per second out of a telemetry log: pymavlink, ours as messages, and in batches of columns.
 
     python bench/decode.py [LOG] [--repeat N] [--json]
 
@@ -51,9 +51,9 @@ def agree(path: Path) -> int:
         They differ.
     """
     theirs = (one for one in by_pymavlink(path) if not one.get_type().startswith(_NO_MESSAGE))
-    blocks = (message for block in read_batches(path) for message in messages(block))
+    batched = (message for batch in read_batches(path) for message in messages(batch))
     count = 0
-    for their, our, packed in zip(theirs, read_tlog(path), blocks, strict=True):
+    for their, our, packed in zip(theirs, read_tlog(path), batched, strict=True):
         count += 1
         assert repr(our) == repr(packed)
         fields = their.to_dict()
@@ -84,9 +84,9 @@ def main() -> None:
     arguments = parser.parse_args()
     readers: dict[str, Callable[[Path], Iterator[Any]]] = {
         "pymavlink recv_msg": by_pymavlink,
-        "message by message": read_tlog,
-        "blocks": read_batches,
-        "blocks, wanted": lambda path: read_batches(path, WANTED),
+        "as messages": read_tlog,
+        "batches": read_batches,
+        "batches, wanted": lambda path: read_batches(path, WANTED),
     }
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.tlog"

@@ -40,6 +40,7 @@ def by_us(records: Sequence[Record], path: Path) -> None:
     channels: dict[tuple[str, str], int] = {}
     with path.open("wb", buffering=0) as stream:
         writer = McapWriter(stream)
+        numbers: list[int] = []
         for record in records:
             channel = channels.get((record.topic, record.encoding))
             if channel is None:
@@ -48,7 +49,8 @@ def by_us(records: Sequence[Record], path: Path) -> None:
                 channel = channels[record.topic, record.encoding] = writer.add_channel(
                     record.topic, record.encoding, number
                 )
-            writer.add_message(channel, record.time_ns, record.data)
+            numbers.append(channel)
+        writer.add_messages(numbers, [record.time_ns for record in records], [record.data for record in records])
         writer.finish()
 
 
@@ -130,8 +132,8 @@ def same_messages(path: Path) -> None:
     AssertionError
         They do not.
     """
-    blocks = (message for block in read_batches(path) for message in messages(block))
-    for our, packed, their in zip(read_mcap_messages(path), blocks, decoded(path), strict=True):
+    batched = (message for batch in read_batches(path) for message in messages(batch))
+    for our, packed, their in zip(read_mcap_messages(path), batched, decoded(path), strict=True):
         assert repr(our) == repr(packed)
         assert our.received_ns == their.message.log_time
         for name, value in our.fields.items():
@@ -147,8 +149,8 @@ def measure(log: Path, repeat: int) -> dict[str, Any]:
         count = agree(path)
         parsing = {
             "pymavlink recv_msg": count / seconds(by_pymavlink, path, repeat),
-            "ours, message by message": count / seconds(read_tlog, path, repeat),
-            "ours, blocks": count / seconds(read_batches, path, repeat),
+            "ours, as messages": count / seconds(read_tlog, path, repeat),
+            "ours, batches": count / seconds(read_batches, path, repeat),
         }
         records = [encode(message) for message in read_tlog(path)]
         writers: dict[str, Writing] = {"mcap": by_mcap, "foxglove-sdk": by_foxglove, "ours": by_us}
@@ -168,8 +170,8 @@ def measure(log: Path, repeat: int) -> dict[str, Any]:
             "mcap, time-ordered, raw": time_ordered,
             "mcap, non-seeking, raw": non_seeking,
             "mcap, non-seeking, decoded": decoded,
-            "ours, message by message, decoded": read_mcap_messages,
-            "ours, blocks, decoded": read_batches,
+            "ours, as messages, decoded": read_mcap_messages,
+            "ours, batches, decoded": read_batches,
         }
         reading = {name: len(records) / seconds(read, file, repeat) for name, read in readers.items()}
     return {
