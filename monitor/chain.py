@@ -3,7 +3,7 @@
 A sample whose outputs were lost (``measured`` of :class:`adapters.sample.Samples`) is coasted: the model goes on alone,
 the hypothesis believed stays, the uncertainty grows. After a gap that is too long for that the observer starts afresh,
 and its samples are evidence again when the effect of a wrong start on its estimates has died away
-(:mod:`monitor.estimation.settling`).
+(:mod:`monitor.estimation.affine`).
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, cut
-from adapters.mavlink.vehicle_type import vehicle_type
+from adapters.mavlink.heartbeat import vehicle_type
 from adapters.message import SILENCE, Message
 from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR
 from monitor.alarms import link_alarms, stale

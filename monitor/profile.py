@@ -23,8 +23,7 @@ from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, read_gains
 from monitor.alarms.alarm import AlarmRule
 from monitor.alarms.excuse import ExcuseRule, excuse_tables, read_excuses
-from monitor.estimation.effectiveness import EffectivenessRule
-from monitor.estimation.effectiveness_rule import effectiveness_table, read_effectiveness
+from monitor.estimation.effectiveness import EffectivenessRule, effectiveness_table, read_effectiveness
 from monitor.estimation.isolation_rule import (
     IsolationRule,
     gains_file_names,
@@ -113,7 +112,7 @@ class ObserverProfile:
         What raises alarms.
     settle_s : float
         Wait before its samples are evidence, seconds, where that is longer than the gate's; 0: as long as its gains
-        take to forget a wrong start (:mod:`monitor.estimation.settling`).
+        take to forget a wrong start (:mod:`monitor.estimation.affine`).
     effectiveness : Mapping[str, EffectivenessRule]
         Faults whose evidence is read against the deflection at which they arise, by name.
     model : Plant | None

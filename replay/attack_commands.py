@@ -162,8 +162,7 @@ def run_detectability(args: argparse.Namespace) -> int:
     """Run ``fauio detectability``."""
     from monitor.fitting.progress import track
     from replay.runs.log_list import check_output
-    from replay.sensitivity.detectability import Sweep, detectability
-    from replay.sensitivity.detectability_text import result_json, result_lines
+    from replay.sensitivity.detectability import Sweep, detectability, result_json, result_lines
 
     if args.plot:
         check_output(args.plot)

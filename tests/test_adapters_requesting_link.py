@@ -8,8 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from adapters.mavlink.mavlink_link import MavlinkLink
-from adapters.mavlink.message_rates import RateRequests
-from adapters.mavlink.requesting_link import RequestingLink
+from adapters.mavlink.message_rates import RateRequests, RequestingLink
 
 PATIENCE_S = 20.0
 

@@ -6,7 +6,7 @@ from simulated_vehicles import DRIVE, RATE_HZ, STEERING, ride
 
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
-from monitor.vehicles.rover.identify import identify_drive
+from monitor.vehicles.rover.fit import identify_drive
 from monitor.vehicles.rover.transform import DriveInputs
 
 

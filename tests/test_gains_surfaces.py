@@ -13,7 +13,7 @@ from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.affine import AffineObserver
-from monitor.vehicles.plane.identify import identify_surfaces
+from monitor.vehicles.plane.fit import identify_surfaces
 from monitor.vehicles.plane.transform import SurfaceInputs
 
 

@@ -7,8 +7,7 @@ import pytest
 
 from adapters.errors import ProfileError
 from adapters.toml_tables import TomlFile
-from monitor.estimation.effectiveness import EffectivenessRule
-from monitor.estimation.effectiveness_rule import effectiveness_table, read_effectiveness
+from monitor.estimation.effectiveness import EffectivenessRule, effectiveness_table, read_effectiveness
 
 INPUTS = ("steering", "throttle", "speed")
 FAULTS = {"steering": 0, "throttle": 1, "gyro": None}

@@ -28,9 +28,9 @@ from monitor.bus.payload import ALARM_SCHEMA
 from monitor.estimate import Estimates, Layout
 from monitor.event import event_from_json
 from monitor.recording.archive import Archive
-from monitor.recording.file_series import FileSeries
 from monitor.recording.record_encoder import RecordEncoder
 from monitor.recording.recorder import Recorder, RecorderStatistics
+from monitor.recording.retention import FileSeries
 
 LAYOUT = Layout(
     observer="motors",

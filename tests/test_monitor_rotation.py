@@ -32,8 +32,8 @@ from adapters.source import ZENOH
 from monitor.estimate import Estimates
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
-from monitor.recording.file_series import FileSeries
 from monitor.recording.recorder import RETRY_S
+from monitor.recording.retention import FileSeries
 from replay.player import play
 
 SECOND = 1_000_000_000

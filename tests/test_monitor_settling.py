@@ -9,8 +9,7 @@ from test_monitor_coasting import plant
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
-from monitor.estimation.affine import AffineObserver
-from monitor.estimation.settling import settling_s
+from monitor.estimation.affine import AffineObserver, settling_s
 from monitor.profile import Profile
 
 

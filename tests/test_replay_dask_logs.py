@@ -76,8 +76,8 @@ def test_an_address_where_nobody_is_gets_one_line(data: Path) -> None:
     address = f"tcp://127.0.0.1:{free_ports(1)[0]}"
     command = ["replay", str(QUAD), str(data / "copter_5s.tlog.xz"), "--dask", address]
     code = f"""
-import replay.runs.dask_logs, sys, fauio
-replay.runs.dask_logs._CONNECT_S = 0.3
+import replay.runs.many_logs, sys, fauio
+replay.runs.many_logs._CONNECT_S = 0.3
 sys.exit(fauio.main({command!r}))
 """
     done = subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, capture_output=True, text=True, check=False)

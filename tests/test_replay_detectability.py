@@ -25,9 +25,8 @@ from adapters.source import MAVLINK
 from monitor.profile import Profile
 from monitor.views.palette import BLUE, PURPLE, rgba
 from replay.attacks.attack import Attack
-from replay.sensitivity.detectability import Detectability, Row, Sweep, detectability
+from replay.sensitivity.detectability import Detectability, Row, Sweep, detectability, result_lines
 from replay.sensitivity.detectability_plot import plot_detectability
-from replay.sensitivity.detectability_text import result_lines
 from replay.sensitivity.healthy import free_spans, onsets, play_healthy
 from replay.sensitivity.trial import Task, run_task
 

@@ -8,7 +8,7 @@ import pytest
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
 from gains.plants.plant import Plant
-from monitor.fitting.effects_report import compare_effects, predict_ahead
+from monitor.fitting.fit_effects import compare_effects, predict_ahead
 
 RATE_HZ = 50.0
 

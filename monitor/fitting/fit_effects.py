@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.errors import TelemetryError
+from adapters.errors import ModelError, TelemetryError
 from gains.identification.axes import AxesFit
 from gains.identification.segment import Segment
+from gains.identification.shooting import split_segments
 from gains.plants.plant import Plant
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
@@ -27,13 +28,64 @@ from monitor.estimation.isolation_rule import IndependentRule
 from monitor.fitting.calibrate import SETTLE_S
 from monitor.fitting.effect_signals import EffectSignals
 from monitor.fitting.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
-from monitor.fitting.effects_report import compare_effects
-from monitor.fitting.fit_report import comparison_lines
+from monitor.fitting.fit_report import Comparison, comparison_lines
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.predictions import Prediction, compared, horizon_samples
 from monitor.fitting.thresholds import Calibrated
 from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource, TransformRule, make_transform
+
+SHOWN_S = 20.0
+"""Seconds drawn: as many as show single manoeuvres over the width of a page."""
+
+
+def compare_effects(
+    learn: Callable[[Sequence[Segment]], tuple[Mapping[str, float], Plant]],
+    segments: Callable[[Mapping[str, float]], Sequence[Sequence[Segment]]],
+    rate_hz: float,
+) -> Comparison | None:
+    """Fit on most of the recordings and compare with the rest: the last of three or more, else the last quarter.
+
+    Parameters
+    ----------
+    learn : Callable[[Sequence[Segment]], tuple[Mapping[str, float], Plant]]
+        From training segments to the lags and delays of the actuators, and a discrete plant that measures all its
+        states and takes its inputs so delayed.
+    segments : Callable[[Mapping[str, float]], Sequence[Sequence[Segment]]]
+        Healthy segments of each recording, their inputs delayed by such parameters.
+    rate_hz : float
+        Samples per second.
+
+    Returns
+    -------
+    Comparison | None
+        The liveliest seconds of the rest and statistics of all of it; None where what is left to fit on excites too
+        little, or nothing long enough is left to compare with.
+    """
+    training, _ = split_segments(segments({}))
+    try:
+        parameters, plant = learn(training)
+    except ModelError:
+        return None
+    _, rest = split_segments(segments(parameters))
+    horizon = horizon_samples(rate_hz)
+    usable = [segment for segment in rest if len(segment.u) > horizon + rate_hz]
+    if not usable:
+        return None
+    one_step = [predict_ahead(plant, segment, 1) for segment in usable]
+    ahead = [predict_ahead(plant, segment, horizon) for segment in usable]
+    return compared(plant.outputs, "outputs", one_step, ahead, rate_hz, SHOWN_S)
+
+
+def predict_ahead(plant: Plant, segment: Segment, steps: int) -> Prediction:
+    """Return outputs when a prediction was made, ``steps`` samples later, and as predicted (N - steps, p) each."""
+    x = segment.y[:-steps]
+    for step in range(steps):
+        u = segment.u[step : len(segment.u) - steps + step]
+        x = x @ plant.A.T + u @ plant.B.T + plant.c
+    return Prediction(segment.y[:-steps], segment.y[steps:], x)
+
 
 _OBSERVER_HZ = 50.0
 """Fastest rate of the observer, hertz. Chosen: servos and vehicles answer within 50 ms and more."""

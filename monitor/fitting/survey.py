@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, cut, gathered, one_message
 from adapters.channels import Channel
-from adapters.mavlink.vehicle_type import vehicle_type
+from adapters.mavlink.heartbeat import vehicle_type
 from adapters.message import LATEST_NS, Message
 
 MOTOR_MESSAGE = "SERVO_OUTPUT_RAW"

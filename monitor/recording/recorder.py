@@ -15,7 +15,7 @@ from typing import Final, Self
 from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
 from monitor.recording.encoded_record import EncodedRecord, TopicTable
-from monitor.recording.file_series import FileSeries
+from monitor.recording.retention import FileSeries
 
 MAX_PENDING_RECORDS: Final = 10_000
 """Records that wait at most. Chosen: two an event, so a night of 5,000 events on a full disk, in 4 MB of memory."""

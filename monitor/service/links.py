@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from adapters.errors import UsageError
 from adapters.mavlink.mavlink_link import MavlinkLink
-from adapters.mavlink.message_rates import RateRequests
-from adapters.mavlink.requesting_link import RequestingLink
+from adapters.mavlink.message_rates import RateRequests, RequestingLink
 from adapters.mavlink.signing import SigningKey, read_key
 from adapters.zenoh.zenoh_link import ZenohLink
 from adapters.zenoh.zenoh_payload import PayloadDecoder

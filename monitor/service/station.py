@@ -22,10 +22,10 @@ from monitor.pipeline import Pipeline
 from monitor.profile import PROFILE_FILE, Profile, read_profile
 from monitor.recording.archive import Archive
 from monitor.recording.black_box import BlackBox
-from monitor.recording.file_series import FileSeries
 from monitor.recording.journal import Journal
 from monitor.recording.record_encoder import RecordEncoder
 from monitor.recording.recorder import Recorder
+from monitor.recording.retention import FileSeries
 from monitor.service.fleet import Fleet
 from monitor.service.health import Health, LinkHealth, ProcessHealth
 from monitor.service.inbox import Inbox

@@ -9,8 +9,7 @@ from typing import Any
 
 from adapters.errors import InfeasibleError, ModelError, TelemetryError
 from adapters.toml_tables import read_toml
-from gains.analysis.check import check_plant
-from gains.analysis.check_text import check_text
+from gains.analysis.check import check_plant, check_text
 from gains.identification.free_model import read_free_model
 from gains.plants.model_file import BUILTIN_MODELS, load_model
 from gains.plants.plant import Plant

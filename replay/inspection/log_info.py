@@ -12,8 +12,7 @@ from typing import Any
 from adapters.batch import Batch, Columns, one_message
 from adapters.errors import TelemetryError
 from adapters.logs.recordings import Recording, recorded_alarms, recorded_metadata, recording_kind
-from adapters.mavlink.heartbeat import is_autopilot_heartbeat
-from adapters.mavlink.vehicle_type import enumerated
+from adapters.mavlink.heartbeat import enumerated, is_autopilot_heartbeat
 from adapters.message import Message
 from adapters.source import MAVLINK, ZENOH
 from monitor.fitting.progress import track

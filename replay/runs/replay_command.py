@@ -211,7 +211,7 @@ def _outcomes(
 ) -> Generator[LogOutcome, None, None]:
     """Return what was found in each log, in their order."""
     if args.dask is not None:
-        from replay.runs.dask_logs import replay_on_dask
+        from replay.runs.many_logs import replay_on_dask
 
         yield from replay_on_dask(profile.files, tasks, args.dask)
     elif args.jobs is not None and args.jobs > 1 and len(tasks) > 1:

@@ -8,11 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.errors import ModelError
+from gains.identification.segment import Segment
+from gains.identification.shooting import split_segments
 from gains.synthesis.bank import compile_bank, design_bank
 from monitor.fitting.calibrate import SETTLE_S, bank_rule
-from monitor.fitting.fit_report import comparison_json, comparison_lines
+from monitor.fitting.fit_report import Comparison, comparison_json, comparison_lines
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule, unexplained_alarm
 from monitor.fitting.flights import flight_samples
+from monitor.fitting.predictions import HORIZON_S, compared, horizon_samples
 from monitor.fitting.survey import Survey, common_rate_hz
 from monitor.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
@@ -27,10 +31,43 @@ from monitor.fitting.thresholds import (
 from monitor.profile import FaultChannel
 from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource
-from monitor.vehicles.multirotor.identify import GYROS, MultirotorFit, identify_multirotor, multirotor_plant
-from monitor.vehicles.multirotor.report import compare_kept_back
+from monitor.vehicles.multirotor.identify import GYROS, RATE_AXES, MultirotorFit, identify_multirotor, multirotor_plant
 from monitor.vehicles.multirotor.signals import motor_commands, multirotor_channels, range_text
-from monitor.vehicles.multirotor.validation import Drift, MotorUncertainty, motor_uncertainty, response_drift
+from monitor.vehicles.multirotor.validation import (
+    Drift,
+    MotorUncertainty,
+    motor_uncertainty,
+    predict_rates,
+    response_drift,
+)
+
+SHOWN_S = 10.0
+"""Seconds drawn: as many as show single manoeuvres over the width of a page."""
+
+
+def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> tuple[Comparison | None, int | None]:
+    """Fit on most of the recordings and compare with the rest: the last of three or more, else the last quarter.
+
+    Returns
+    -------
+    comparison : Comparison | None
+        The liveliest seconds of the rest and statistics of all of it; None where what is left to fit on is too short
+        or excites too little, or nothing long enough is left to compare with.
+    taps : int | None
+        Number of taps of the model's lag that was found, None without a fit.
+    """
+    training, rest = split_segments(flights)
+    try:
+        fit = identify_multirotor(training, rate_hz)
+    except ModelError:
+        return None, None
+    usable = [segment for segment in rest if len(segment.u) > (HORIZON_S + 1.0) * rate_hz + len(fit.taps)]
+    if not usable:
+        return None, len(fit.taps)
+    one_step, ahead = predict_rates(fit, usable, 1), predict_rates(fit, usable, horizon_samples(rate_hz))
+    comparison = compared(RATE_AXES, "body rates (rad/s)", one_step, ahead, rate_hz, SHOWN_S)
+    return comparison, len(fit.taps)
+
 
 OBSERVER = "motors"
 

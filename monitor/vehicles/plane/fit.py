@@ -1,14 +1,71 @@
-"""The surfaces observer of a plane."""
+"""The surfaces observer of a plane: deflections, scaled by dynamic pressure, to body rates and thrust.
+
+The inputs come scaled and with the measured forces beside them (:class:`SurfaceInputs`), so for every axis
+
+    roll_rate+  = a roll_rate  + b aileron  + damping, coupling with yaw, side force, trim
+    pitch_rate+ = a pitch_rate + b elevator + damping, normal force, gravity, trim
+    yaw_rate+   = a yaw_rate   + b rudder   + damping, coupling with roll, side force, gravity, trim
+    forward_acceleration+ = b throttle + drag with dynamic pressure, and with lift
+
+has constant coefficients at every speed. Gusts act through sideslip and angle of attack, which the accelerometers
+feel: taking the measured forces as inputs leaves the gusts out of the residual. Each actuator answers for one axis; a
+rudder that is only mixed with the aileron cannot be learned beside it in roll.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from gains.identification.axes import AxesFit, fit_axes
+from gains.identification.regression import AxisModel
+from gains.identification.segment import Segment
 from monitor.fitting.calibrate import SETTLE_S
 from monitor.fitting.fit_effects import EffectKind, fit_effects
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.sampling.gate import GateRule
-from monitor.vehicles.plane.identify import identify_surfaces
 from monitor.vehicles.plane.signals import plane_signals
 from monitor.vehicles.plane.transform import SurfaceInputs
+
+AXES = (
+    AxisModel("roll_rate", "aileron", ("pressure", "roll_damping", "yaw_coupling", "side_force"), offset=False),
+    AxisModel("pitch_rate", "elevator", ("pressure", "pitch_damping", "normal_force", "normal_gravity"), offset=False),
+    AxisModel(
+        "yaw_rate",
+        "rudder",
+        ("pressure", "yaw_damping", "roll_coupling", "side_force", "side_gravity"),
+        rivals=("aileron",),
+        offset=False,
+    ),
+    AxisModel("forward_acceleration", "throttle", ("pressure", "normal_force", "lift_drag"), dynamic=False),
+)
+_MANOEUVRES = {
+    "aileron": "roll left and right briskly, ten times",
+    "elevator": "pull up and push over briskly, ten times",
+    "rudder": "yaw left and right with the rudder alone, ten times",
+    "throttle": "change between climb power and idle, ten times",
+}
+
+
+def identify_surfaces(segments: Sequence[Segment], rate_hz: float, inputs: Sequence[str]) -> AxesFit:
+    """Fit the model of the module's docstring.
+
+    Parameters
+    ----------
+    segments : Sequence[Segment]
+        Healthy flight in unbroken stretches: u as the transform gives it without delays and lags, y in the order
+        roll, pitch, yaw rate (rad/s), forward specific force (m/s^2).
+    rate_hz : float
+        Samples per second.
+    inputs : Sequence[str]
+        Names of the columns of u.
+
+    Raises
+    ------
+    ModelError
+        Too little flight, or no actuator whose effect could be learned.
+    """
+    return fit_axes(segments, rate_hz, inputs, AXES, _MANOEUVRES)
+
 
 _PLANE = EffectKind(
     observer=SurfaceInputs.kind,

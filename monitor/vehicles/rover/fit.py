@@ -1,17 +1,96 @@
-"""The drive observer of a rover."""
+"""The drive observer of a rover: steering times speed to yaw rate, throttle to forward specific force.
+
+    yaw_rate+             = a yaw_rate + b (steering + kappa steering^3) s + c        s = forward speed / reference
+    forward_acceleration+ = b throttle + b_v s + c
+
+Specific force, not speed, answers the throttle: a slope slows a rover down without being felt by its accelerometer.
+kappa is the curvature of turning rate over steering (linkage, tyres); it belongs to the transform.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gains.identification.axes import AxesFit, fit_axes
+from gains.identification.regression import AxisFit, AxisModel, fit_axis, lagged
+from gains.identification.segment import Segment
+from gains.plants.plant import FloatArray
 from monitor.fitting.calibrate import SETTLE_S
 from monitor.fitting.fit_effects import EffectKind, fit_effects
 from monitor.fitting.fitted import FitRequest, Fitted
 from monitor.sampling.gate import GateRule
-from monitor.vehicles.rover.identify import identify_drive
 from monitor.vehicles.rover.signals import rover_signals
 from monitor.vehicles.rover.transform import DriveInputs
+
+AXES = (
+    AxisModel("yaw_rate", "steering", ()),
+    AxisModel("forward_acceleration", "throttle", ("speed",), dynamic=False),
+)
+
+_CUBED = "steering_cubed"
+_MANOEUVRES = {
+    "steering": "drive slalom and full-lock turns both ways at several speeds",
+    "throttle": "accelerate and brake, ten times",
+}
+_CURVED_T = 5.0
+"""How many standard errors the steering's gain has to be from zero before a curve is read from the drives: the ratio of
+two coefficients of which the lower one is uncertain by more than a fifth has no useful value."""
+_STEEPEST = 1.0 / 3.0
+"""Largest size of kappa. d/du (u + kappa u^3) = 1 + 3 kappa u^2 stays positive up to full deflection for kappa > -1/3:
+turning rate always grows with steering. The same size bounds it above."""
+_SMALLEST_SPEED = 0.05
+"""Share of the reference speed below which the curve is not looked at: its effect is divided by the speed squared."""
+
+
+def identify_drive(segments: Sequence[Segment], rate_hz: float, inputs: Sequence[str]) -> AxesFit:
+    """Fit the model of the module's docstring.
+
+    Parameters
+    ----------
+    segments : Sequence[Segment]
+        Healthy driving in unbroken stretches above the minimum speed: u as the transform gives it without curve,
+        delays and lags, y = yaw rate (rad/s), forward specific force (m/s^2).
+    rate_hz : float
+        Samples per second.
+    inputs : Sequence[str]
+        Names of the columns of u: steering, throttle, speed.
+
+    Raises
+    ------
+    ModelError
+        Too little driving, or neither actuator could be learned.
+    """
+    yaw, outputs = AXES[0], tuple(axis.output for axis in AXES)
+    steering, speed = inputs.index("steering"), inputs.index("speed")
+    straight = fit_axis(segments, rate_hz, inputs, outputs, yaw)
+    cubes = [_cube(segment.u[:, steering], segment.u[:, speed]) for segment in segments]
+    widened = [
+        Segment(np.column_stack([s.u, lagged(cube, straight.delay_s, straight.lag_s, rate_hz)]), s.y)
+        for s, cube in zip(segments, cubes, strict=True)
+    ]
+    cubic = AxisModel(yaw.output, yaw.actuator, (_CUBED,))
+    kappa = _curve(fit_axis(widened, rate_hz, (*inputs, _CUBED), outputs, cubic))
+    curved = [
+        Segment(np.column_stack([s.u[:, :steering], s.u[:, steering] + kappa * cube, s.u[:, steering + 1 :]]), s.y)
+        for s, cube in zip(segments, cubes, strict=True)
+    ]
+    return fit_axes(curved, rate_hz, inputs, AXES, _MANOEUVRES, {"steering_cubic": kappa})
+
+
+def _cube(effect: FloatArray, s: FloatArray) -> FloatArray:
+    """Return steering^3 s from steering s, zero where the rover stands."""
+    rolls = np.abs(s) > _SMALLEST_SPEED
+    return np.where(rolls, effect**3 / np.where(rolls, s, 1.0) ** 2, 0.0)
+
+
+def _curve(axis: AxisFit) -> float:
+    """Return kappa, zero where the drives do not show it."""
+    kappa = float(axis.effects[0]) / axis.b if axis.b and axis.t_value >= _CURVED_T else 0.0
+    return min(max(kappa, -_STEEPEST), _STEEPEST)
+
 
 _NORTH, _EAST = (DriveInputs.signals.index(f"velocity_{axis}") for axis in ("north", "east"))
 
