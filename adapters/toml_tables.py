@@ -267,15 +267,6 @@ class Table:
             self.mistake(key, "is empty; give at least one number")
         return tuple(self.finite((key, k), item, **bounds) for k, item in enumerate(self._list(key, value)))
 
-    def numbers_by_name(self, key: str, names: Callable[[str], Any], **bounds: float) -> dict[str, float]:
-        """Return a table of finite numbers by name; ``names`` raises a ValueError where one cannot be."""
-        found = {}
-        table = self.table(key)
-        for name in table:
-            if table._checked((name,), name, names):
-                found[name] = table.number(name, **bounds)
-        return found
-
     def matrix(self, key: str, rows: int, columns: int) -> NDArray[np.float64]:
         """Return a finite matrix (rows, columns) from a list of rows; NaN where it is none."""
         # the command line reads no matrix, and starts without NumPy

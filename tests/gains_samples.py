@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import strategies as st
 
-from gains.plants.expression import Apply, Argument, Node, Number, binary
+from gains.identification.simulation import Dynamics, compile_vectorised
+from gains.plants.expression import Apply, Argument, Node, Number, binary, parse_expression
 from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Nonlinearity, Plant
 
 PRINTED = {
@@ -202,4 +203,23 @@ def flying_multirotor(rate_hz: float | None = None) -> Plant:
         disturbances=tuple(Disturbance(f"d_{states[i]}", unit[i], 0.5 if i < 9 else 1.0) for i in range(6, 12)),
         noises=tuple(Noise(f"n_{name}", unit[i], noise[i]) for i, name in enumerate(states)),
         state_errors=np.repeat([0.5, 0.02, 0.2, 0.1], 3),
+    )
+
+
+def dynamics_of(plant: Plant) -> Dynamics:
+    """Return the equations of a plant; its taps are not applied: delay the inputs beforehand."""
+    curves = np.zeros((len(plant.inputs), max((len(curve) for curve in plant.curves), default=1)))
+    for row, curve in zip(curves, plant.curves, strict=True):
+        row[: len(curve)] = curve
+    return Dynamics(
+        rate_hz=plant.rate_hz,
+        A=plant.A,
+        B=plant.B,
+        C=plant.C,
+        c=plant.c,
+        G=plant.G,
+        rows=tuple(g.rows for g in plant.nonlinearities),
+        functions=tuple(compile_vectorised(parse_expression(g.expression, g.arguments)) for g in plant.nonlinearities),
+        parameters=np.zeros(0),
+        curves=curves,
     )

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gains_samples import dynamics_of
 
 from adapters.errors import ModelError
 from gains.identification.free_model import FreeModel, read_free_model
-from gains.identification.simulation import dynamics_of
 from gains.plants.model_file import builtin_model, read_model, write_model
 
 TEXT = """

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gains_samples import dynamics_of
 
 from adapters.errors import ModelError
 from gains.identification.fitted_plant import fitted_plant, parameter_uncertainty
@@ -11,7 +12,7 @@ from gains.identification.free_model import FreeModel, read_free_model
 from gains.identification.output_error import OutputErrorFit, identify
 from gains.identification.segment import Segment
 from gains.identification.shooting import split_segments
-from gains.identification.simulation import Stepper, dynamics_of
+from gains.identification.simulation import Stepper
 
 RATE_HZ = 50.0
 LAG, GAIN = 0.15, 3.0

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gains_samples import dynamics_of
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from adapters.errors import ModelError
-from gains.identification.simulation import Stepper, dynamics_of, linearised
+from gains.identification.simulation import Stepper, linearised
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
 

@@ -115,9 +115,6 @@ class Difference:
     def settling_s(self) -> float:
         return 0.0
 
-    def slowest_s(self) -> float:
-        return 0.0
-
 
 def test_an_observer_of_another_kind_is_used_like_compiled_gains() -> None:
     samples = flight(np.random.default_rng(3), 30)

@@ -137,7 +137,7 @@ def test_a_restart_forgets_the_past(nonlinear: tuple[Gains, ...]) -> None:
 def test_inputs_of_the_past_are_kept_once(delayed: tuple[Gains, ...]) -> None:
     layout = stack_layout(delayed)
     assert layout.held == ((1, 0), (1, 1), (2, 0), (2, 1), (3, 0), (3, 1))
-    assert layout.cores == sum(len(one.initial_matrix) - 6 for one in delayed)
+    assert len(layout.initial) == sum(len(one.initial_matrix) - 6 for one in delayed)
 
 
 def test_what_is_no_number_stays_where_it_can_matter() -> None:

@@ -9,7 +9,7 @@ import pytest
 from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, trace
 
 from monitor.trace import TraceBuilder
-from monitor.views.panels import Panels, choose_panels, fault_limits, input_limits, same_scale
+from monitor.views.panels import Panels, choose_panels, fault_limits, same_scale
 
 ALL = (0, 1, 2, 3)
 
@@ -49,9 +49,9 @@ def test_few_channels_of_one_unit_share_their_scale_and_an_alarm_among_many_has_
 
 def test_what_happens_while_alarms_are_not_armed_sets_no_scale() -> None:
     run = trace()
-    before = fault_limits(run, ALL, THRESHOLDS, {}), input_limits(run)
-    run.isolated[:100], run.u[:100] = 30.0, -7.0
-    assert (fault_limits(run, ALL, THRESHOLDS, {}), input_limits(run)) == before
+    before = fault_limits(run, ALL, THRESHOLDS, {})
+    run.isolated[:100] = 30.0
+    assert fault_limits(run, ALL, THRESHOLDS, {}) == before
     run.armed[:] = False
     assert fault_limits(run, ALL, THRESHOLDS, {})[1] > 30.0
 
@@ -66,5 +66,5 @@ def test_thresholds_and_truth_are_inside_the_scale() -> None:
 
 def test_a_run_without_samples_has_a_scale() -> None:
     empty = TraceBuilder(replace(LAYOUT, inputs=(), fault_units=("m",) * 4)).build()
-    for low, high in (fault_limits(empty, ALL, {}, {}), input_limits(empty)):
-        assert low < 0.0 < high
+    low, high = fault_limits(empty, ALL, {}, {})
+    assert low < 0.0 < high

@@ -63,25 +63,6 @@ class Dynamics:
     curves: FloatArray
 
 
-def dynamics_of(plant: Plant) -> Dynamics:
-    """Return the equations of a plant; its taps are not applied: delay the inputs beforehand."""
-    curves = np.zeros((len(plant.inputs), max((len(curve) for curve in plant.curves), default=1)))
-    for row, curve in zip(curves, plant.curves, strict=True):
-        row[: len(curve)] = curve
-    return Dynamics(
-        rate_hz=plant.rate_hz,
-        A=plant.A,
-        B=plant.B,
-        C=plant.C,
-        c=plant.c,
-        G=plant.G,
-        rows=tuple(g.rows for g in plant.nonlinearities),
-        functions=tuple(compile_vectorised(parse_expression(g.expression, g.arguments)) for g in plant.nonlinearities),
-        parameters=np.zeros(0),
-        curves=curves,
-    )
-
-
 def compile_vectorised(node: Node) -> Vectorised:
     """Return an expression as a function of a sequence of arrays that broadcast; NaN where it has no value."""
     if isinstance(node, Number):

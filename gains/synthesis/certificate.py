@@ -62,8 +62,6 @@ class Certificate:
         infinite where it is unstable.
     norm_hz : float
         Frequency of that peak.
-    norm_slopes : tuple[float, ...]
-        Those slopes.
     poles_max_abs : float
         Largest pole of the error system over those slopes.
     h2 : float
@@ -77,7 +75,6 @@ class Certificate:
     margin: float
     norm: float
     norm_hz: float
-    norm_slopes: tuple[float, ...]
     poles_max_abs: float
     h2: float
 
@@ -104,9 +101,7 @@ def certify(plant: Plant, design: Design) -> Certificate:
     injection = np.vstack([design.K + augmentation.L1 @ discrete.E_f @ design.L_p, design.L_i])
     C_e, D_e = model.output(design.L_p)
     B_e = model.B - injection @ model.D
-    slopes, dynamics = model.slopes, model.A
-    if free:
-        slopes, dynamics = np.vstack([model.mean_slopes, slopes]), np.concatenate([model.mean[None], dynamics])
+    dynamics = np.concatenate([model.mean[None], model.A]) if free else model.A
     closed = dynamics - injection @ model.C
     margin = _margin(model, injection, design)
     poles = float(np.max(np.abs(np.linalg.eigvals(closed))))
@@ -125,7 +120,6 @@ def certify(plant: Plant, design: Design) -> Certificate:
         margin=margin,
         norm=norms[worst].lower,
         norm_hz=norms[worst].omega * design.rate_hz / (2.0 * math.pi),
-        norm_slopes=tuple(slopes[worst].tolist()),
         poles_max_abs=poles,
         h2=math.sqrt(max(float(np.sum(B_e * (design.P @ B_e)) + np.sum(D_e**2)), 0.0)) * (1.0 + _CONSISTENCY),
     )

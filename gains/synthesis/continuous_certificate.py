@@ -46,8 +46,6 @@ class ContinuousCertificate:
         infinite where it is unstable.
     norm_hz : float
         Frequency of that peak; infinite where the direct path has it.
-    norm_slopes : tuple[float, ...]
-        Slopes of that vertex.
     poles_max_re : float
         Largest real part of a pole of the error system over the vertices, rad/s.
     poles_min_re : float
@@ -58,7 +56,6 @@ class ContinuousCertificate:
     margin: float
     norm: float
     norm_hz: float
-    norm_slopes: tuple[float, ...]
     poles_max_re: float
     poles_min_re: float
 
@@ -92,7 +89,6 @@ def certify_continuous(plant: Plant, design: ContinuousDesign) -> ContinuousCert
         margin=margin,
         norm=norms[worst].lower,
         norm_hz=norms[worst].omega / (2.0 * math.pi),
-        norm_slopes=tuple(model.slopes[worst].tolist()),
         poles_max_re=float(np.max(poles)),
         poles_min_re=float(np.min(poles)),
     )

@@ -14,7 +14,6 @@ zeros cost nothing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf, log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -222,16 +221,3 @@ class AffineObserver:
     def settling_s(self) -> float:
         """Return the time after which a wrong start has no effect on fault estimates any more, seconds."""
         return max(settling_s(single) for single in self.gains)
-
-    def slowest_s(self) -> float:
-        """Return the time constant of the slowest mode of the error, seconds; infinite where one does not decay."""
-        radius = max(float(np.abs(np.linalg.eigvals(M_ss)).max(initial=0.0)) for M_ss in map(_state_matrix, self.gains))
-        if radius >= 1.0:
-            return inf
-        return -1.0 / (self.rate_hz * log(radius)) if radius > 0.0 else 0.0
-
-
-def _state_matrix(gains: Gains) -> NDArray[np.float64]:
-    """Return M_ss of s+ = M_ss s + ..."""
-    ns = len(gains.initial_matrix)
-    return gains.step_matrix[:ns, :ns]

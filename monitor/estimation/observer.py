@@ -105,6 +105,3 @@ class Observer(Protocol):
 
     def settling_s(self) -> float:
         """Return the time after which a wrong start has no effect on fault estimates any more, seconds."""
-
-    def slowest_s(self) -> float:
-        """Return the time constant of the slowest mode of the error, seconds; infinite where one does not decay."""

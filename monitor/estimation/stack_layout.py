@@ -31,8 +31,6 @@ class StackLayout:
 
     Parameters
     ----------
-    cores : int
-        Length of c.
     held : tuple[Held, ...]
         What past v holds, by delay.
     faults : tuple[int, ...]
@@ -45,7 +43,6 @@ class StackLayout:
         c = initial [v; past v; y; 1] at a restart.
     """
 
-    cores: int
     held: tuple[Held, ...]
     faults: tuple[int, ...]
     step: StepMap
@@ -96,7 +93,7 @@ def stack_layout(gains: Sequence[Gains]) -> StackLayout:
         initial[np.ix_(c, np.concatenate([v, y]) - cores)] = observer.initial_matrix[own[k]]
     step, coast, resume = maps
     step = StepMap(step.step[:, : width + at_g[-1]], step.arguments[:, :width])
-    return StackLayout(cores, held, tuple(len(observer.faults) for observer in gains), step, coast, resume, initial)
+    return StackLayout(held, tuple(len(observer.faults) for observer in gains), step, coast, resume, initial)
 
 
 def _states(gains: Gains) -> int:

@@ -44,8 +44,8 @@ class LiveViewStatistics:
     ----------
     showing : bool
         Whether a Rerun process is there.
-    batches, sent_bytes : int
-        What it was sent.
+    batches : int
+        Batches it was sent.
     dropped : int
         Rows and events dropped because it did not read them in time.
     failures : int
@@ -54,7 +54,6 @@ class LiveViewStatistics:
 
     showing: bool
     batches: int
-    sent_bytes: int
     dropped: int
     failures: int
 
@@ -95,7 +94,7 @@ class LiveView:
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._process: RerunProcess | None = None
-        self._batches = self._sent_bytes = self._failures = 0
+        self._batches = self._failures = 0
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
         self._thread.start()
 
@@ -111,7 +110,7 @@ class LiveView:
     def statistics(self) -> LiveViewStatistics:
         """Return the counts so far."""
         dropped = sum(view.dropped for view in self._vehicles.values())
-        return LiveViewStatistics(self._process is not None, self._batches, self._sent_bytes, dropped, self._failures)
+        return LiveViewStatistics(self._process is not None, self._batches, dropped, self._failures)
 
     def close(self) -> None:
         """Send the rest if that is quickly done, and end; a second call does nothing."""
@@ -155,7 +154,6 @@ class LiveView:
                     if data:
                         process.write(data)
                         self._batches += 1
-                        self._sent_bytes += len(data)
                     if self._mode == "serve" and process.resident_mb() > 2 * self._memory_mb + _OWN_MB:
                         raise MemoryError("a viewer holds up the server")
             finally:

@@ -95,11 +95,6 @@ def fault_limits(trace: Trace, places: Iterable[int], thresholds: Thresholds, tr
     return _padded(ends)
 
 
-def input_limits(trace: Trace) -> tuple[float, float]:
-    """Return the ends of a vertical axis that shows the inputs where alarms could be raised."""
-    return _padded([end for column in trace.u.T for end in _range(evidence(trace, column))] or [0.0])
-
-
 def evidence(trace: Trace, values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the finite values at samples that alarms could be raised from, else of all."""
     used = values[trace.armed] if trace.armed.any() else values

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from operator import itemgetter
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from adapters.batch import pack
@@ -114,9 +113,7 @@ class LiveReplay:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _sent(self, items: Iterable[Message | bytes]) -> Iterator[Message]:
