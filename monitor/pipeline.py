@@ -21,13 +21,12 @@ from adapters.batch import Batch, Columns, cut
 from adapters.mavlink.heartbeat import vehicle_type
 from adapters.message import SILENCE, Message
 from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR
-from monitor.alarms import link_alarms, stale
+from monitor.alarms import link_alarms
 from monitor.alarms.alarm import TUNABLE
 from monitor.alarms.desk import AlarmDesk
 from monitor.alarms.desk_rule import DeskRule, desk_rule, rule_fields
 from monitor.alarms.excuse import Excuses
-from monitor.alarms.link_alarms import LinkAlarms
-from monitor.alarms.stale import StaleAlarm
+from monitor.alarms.link_alarms import LinkAlarms, StaleAlarm
 from monitor.chain import ObserverChain, alarm_events
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.estimate import Estimates, Layout
@@ -113,7 +112,7 @@ class Pipeline:
         link = (link_alarms.SIGNING, link_alarms.HEARTBEAT)
         return frozenset(
             {(chain.layout.observer, channel) for chain in self._chains for channel in chain.channels}
-            | {(stale.OBSERVER, stale.CHANNEL)}
+            | {(link_alarms.OBSERVER, link_alarms.TELEMETRY)}
             | {(link_alarms.OBSERVER, name) for name in link}
         )
 
@@ -322,8 +321,8 @@ class Pipeline:
         for event in events:
             if event.latched:
                 continue
-            if event.observer == stale.OBSERVER:
-                (self._stale if event.channel == stale.CHANNEL else self._link).adopt(event)
+            if event.observer == link_alarms.OBSERVER:
+                (self._stale if event.channel == link_alarms.TELEMETRY else self._link).adopt(event)
             for chain in self._chains:
                 if chain.layout.observer == event.observer:
                     chain.adopt(event)

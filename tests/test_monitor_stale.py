@@ -1,6 +1,6 @@
 """Silence becomes stale after its limit, once, at the same moment live and replayed."""
 
-from monitor.alarms.stale import StaleAlarm
+from monitor.alarms.link_alarms import StaleAlarm
 
 SECOND = 1_000_000_000
 T0 = 1_795_251_917 * SECOND
