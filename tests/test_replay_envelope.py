@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from replay.reports.envelope import band, envelope
+from replay.reports.plot_panels import band, envelope
 
 
 @given(

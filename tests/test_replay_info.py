@@ -18,7 +18,7 @@ from adapters.logs.tlog import read_tlog
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
 from monitor.profile import Profile
-from replay.inspection.first_raised import first_raised
+from replay.inspection.log_info import first_raised
 from replay.player import play
 
 FLIGHT = Path(__file__).parent / "data" / "copter_5s.tlog.xz"
@@ -220,7 +220,7 @@ def test_anything_else_is_one_line(
 
 
 def test_an_alarm_id_in_a_foreign_recording_may_be_anything() -> None:
-    from replay.inspection.first_raised import first_raised
+    from replay.inspection.log_info import first_raised
 
     events = [{"state": "raised", "id": ["a"]}, {"state": "raised", "id": ["a"]}, {"state": "raised", "id": {}}]
     assert first_raised(events) == [events[0], events[2]]

@@ -65,8 +65,8 @@ class ErrorModel:
         Slope of each argument of each nonlinearity at each vertex (vertices, arguments), or at some of them.
     A : FloatArray
         A_a at each of these (vertices, na, na), na = nz + a1, or nz + 2 a1 with integrators of order 2.
-    mean, mean_slopes : FloatArray
-        A_a at the mean slopes (na, na), and these (arguments,).
+    mean : FloatArray
+        A_a at the mean slopes (na, na).
     G, H : FloatArray
         Gs (na, k) and Hs (k, na) of the k slopes that vary.
     B, C, D : FloatArray
@@ -81,7 +81,6 @@ class ErrorModel:
     slopes: FloatArray
     A: FloatArray
     mean: FloatArray
-    mean_slopes: FloatArray
     G: FloatArray
     H: FloatArray
     B: FloatArray
@@ -185,7 +184,6 @@ def error_model(
         slopes=slopes,
         A=A,
         mean=mean,
-        mean_slopes=middle,
         G=G,
         H=H,
         B=B,

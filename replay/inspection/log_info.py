@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from adapters.batch import Batch, Columns, one_message
 from adapters.errors import TelemetryError
@@ -15,12 +15,34 @@ from adapters.logs.recordings import Recording, recorded_alarms, recorded_metada
 from adapters.mavlink.heartbeat import enumerated, is_autopilot_heartbeat
 from adapters.message import Message
 from adapters.source import MAVLINK, ZENOH
+from monitor.event import AlarmEvent
 from monitor.fitting.progress import track
 from monitor.fitting.survey import Survey, of_one_vehicle, survey
 from monitor.sampling.slow_telemetry import slow_messages
 from monitor.vehicles.base import Preview, VehicleKind, likely_kind, load
 from monitor.vehicles.kinds import KINDS
-from replay.inspection.first_raised import first_raised
+
+Event = TypeVar("Event", AlarmEvent, dict[str, Any])
+
+
+def first_raised(events: Iterable[Event]) -> list[Event]:
+    """Return the first event of each alarm that was raised: an alarm is raised again when an operator unshelves it.
+
+    Parameters
+    ----------
+    events : Iterable[AlarmEvent] | Iterable[dict]
+        Alarm events, or their JSON objects from a recording, which may hold anything where it is damaged.
+    """
+    found: dict[str, Event] = {}
+    for event in events:
+        if isinstance(event, Mapping):
+            state, number = event.get("state"), repr(event.get("id"))
+        else:
+            state, number = event.state, event.id
+        if state == "raised":
+            found.setdefault(number, event)
+    return list(found.values())
+
 
 _ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED."""

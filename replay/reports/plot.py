@@ -20,9 +20,9 @@ from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.views.palette import DARK, LIGHT, Theme
 from monitor.views.panels import Panels, Thresholds, TrueSizes, choose_panels, same_scale
 from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
-from replay.reports.envelope import BINS
 from replay.reports.plot_panels import (
     BAND_ALPHA,
+    BINS,
     DOUBT_ALPHA,
     DOUBT_DEVIATIONS,
     SPAN_ALPHA,
