@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core.observers import CommandScale
-from monitor.estimation.smoothing import keep_share
+from monitor.estimation.isolation_rule import keep_share
 from monitor.profile import ObserverProfile
 
 

@@ -16,7 +16,7 @@ from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
 from adapters.source import MAVLINK
 from replay.attacks.attack import Attack
-from replay.reports.known_truth import known_truth
+from replay.attacks.inject import known_truth
 
 RUN = trace(600)
 GPS = replace(RUN, layout=replace(LAYOUT, faults=("gps_north", "motor1", "x", "y"), inputs=("motor1", "b", "c", "d")))

@@ -37,9 +37,8 @@ from numpy.typing import NDArray
 
 from adapters.sample import Samples
 from monitor.core.bank import Choice, EdgeDetector, Washout
-from monitor.estimation.isolation_rule import BankRule
+from monitor.estimation.isolation_rule import BankRule, keep_share
 from monitor.estimation.observer import FaultSet, Observer
-from monitor.estimation.smoothing import keep_share
 
 
 class EstimatorRun(NamedTuple):

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from adapters.sample import Samples
 from monitor.core.bank import IndependentIsolation, SingleFaultIsolation
 from monitor.estimation.bank import Bank, EstimatorRun
-from monitor.estimation.isolation_rule import BankRule, IndependentRule, IsolationRule, SingleRule
+from monitor.estimation.isolation_rule import BankRule, IndependentRule, IsolationRule, SingleRule, keep_share
 from monitor.estimation.observer import Observer
-from monitor.estimation.smoothing import keep_share
 
 
 def single_fault_isolation(rule: SingleRule, rate_hz: float, scales: NDArray[np.bool_]) -> SingleFaultIsolation:

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import exp
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adapters.toml_tables import Table
+
+
+def keep_share(smoothing_s: float, rate_hz: float) -> float:
+    """Return the share of m that a row leaves in m <- keep m + (1 - keep) value: e^(-T / time constant)."""
+    return exp(-1.0 / (smoothing_s * rate_hz)) if smoothing_s > 0.0 else 0.0
+
 
 METHODS = ("single", "independent", "bank")
 

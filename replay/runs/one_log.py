@@ -18,9 +18,9 @@ from monitor.event import AlarmEvent
 from monitor.fitting.progress import recording_bytes, track
 from monitor.profile import Profile
 from monitor.views.panels import TrueSizes
+from replay.attacks.inject import known_truth
 from replay.inspection.log_info import first_raised
 from replay.player import Replay, interests, play_batches
-from replay.reports.known_truth import known_truth
 from replay.reports.recording_facts import RecordingMeter
 
 
