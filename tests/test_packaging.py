@@ -24,6 +24,7 @@ PACKAGES = ("adapters", "gains", "monitor", "replay")
 ALONGSIDE = (".ci", "bench", "docs", "examples", "systemd", "tests")
 FILES = (
     "fauio.py",
+    "setup.py",
     "pyproject.toml",
     "MANIFEST.in",
     "README.md",
