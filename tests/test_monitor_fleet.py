@@ -65,6 +65,13 @@ def test_a_vehicle_without_a_system_id_takes_the_first_that_sends_its_channels(p
     assert one.pipeline.system == 7
 
 
+def test_a_channel_in_a_message_with_text_tells_the_system_too(arm_profile: Profile) -> None:
+    arm = monitor(arm_profile, "arm", 0)
+    fields = {"time_usec": 1, "name": "arm", "array_id": 0, "data": [0.0] * 4}
+    assert route(Fleet([arm]), arrival(Message(MAVLINK, "DEBUG_FLOAT_ARRAY", 0, fields, 5, 1))) is arm
+    assert arm.pipeline.system == 5
+
+
 def test_an_unknown_autopilot_is_asked_about_once_and_nobody_else_is(profile: Profile) -> None:
     asked: list[int] = []
 

@@ -106,7 +106,8 @@ class Fleet:
         if system in self._refused:
             return None
         for vehicle in self._vehicles.values():
-            if vehicle.pipeline.system == 0 and any(vehicle.pipeline.accepts(columns) for columns in batch.columns):
+            entries: list[Columns | Message] = [*batch.columns, *batch.others.values()]
+            if vehicle.pipeline.system == 0 and any(vehicle.pipeline.accepts(entry) for entry in entries):
                 self._by_system[system] = vehicle
                 return vehicle
         if self._new_vehicle is None or not any(
