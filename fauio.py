@@ -66,8 +66,8 @@ if TYPE_CHECKING:
     from monitor.event import AlarmEvent
     from monitor.pipeline import Pipeline
     from monitor.profile import Profile, read_profile
+    from replay.api import check, design, fit, replay
     from replay.fit import FitReport
-    from replay.library import check, design, fit, replay
     from replay.player import Replay
 
     __version__: str
@@ -129,7 +129,7 @@ _PLACES = {
     "monitor.pipeline": ("Pipeline",),
     "monitor.profile": ("Profile", "read_profile"),
     "replay.fit": ("FitReport",),
-    "replay.library": ("check", "design", "fit", "replay"),
+    "replay.api": ("check", "design", "fit", "replay"),
     "replay.player": ("Replay",),
 }
 """Modules of the library's names; each is imported when one of its names is first asked for."""

@@ -11,7 +11,7 @@ import pytest
 import typed_api
 
 import fauio
-import replay.library
+import replay.api
 from gains.plants.model_file import load_model
 
 ROOT = Path(__file__).parent.parent
@@ -69,4 +69,4 @@ def test_the_page_names_all_of_it_and_its_examples_are_right(
 
 def test_the_examples_of_docstrings_are_right(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    assert doctest.testmod(replay.library, extraglobs={"fauio": fauio}).failed == 0
+    assert doctest.testmod(replay.api, extraglobs={"fauio": fauio}).failed == 0
