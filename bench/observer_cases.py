@@ -95,7 +95,7 @@ def linear_case(count: int, states: int = 12, actuators: int = 5, sensors: int =
         P=np.eye(len(L)),
         mu=math.inf,
     )
-    unproven = Certificate(True, "vertices", 0, math.nan, math.nan, math.nan, (), math.nan, math.nan)
+    unproven = Certificate(True, "vertices", 0, math.nan, math.nan, math.nan, math.nan, math.nan)
     rng = np.random.default_rng(0)
     u, y = rng.normal(size=(count, actuators)), rng.normal(size=(count, states))
     name = f"linear, {states} states, {actuators + sensors} faults"
