@@ -87,9 +87,10 @@ def test_a_subscriber_gets_every_event_on_its_channels_key(endpoint: Endpoint, p
     found = collect(endpoint.client(), "fauio/copter-1/alarm/**")
     events = [event(1), event(2, "motor 2"), event(3, state="updated"), event(4, state="cleared")]
     until(lambda: matched(endpoint, "fauio/copter-1/alarm/motors/motor1"))
-    for one in events:
+    for count, one in enumerate(events, 1):
         publisher.event(one)
-    until(lambda: len(found) == 4)
+        # one after the other: of a burst a busy machine may drop some on the way to a plain subscriber
+        until(lambda count=count: len(found) >= count)
     assert [key for key, _, _ in found] == [
         "fauio/copter-1/alarm/motors/motor1",
         "fauio/copter-1/alarm/motors/motor_2",
