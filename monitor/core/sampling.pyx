@@ -123,6 +123,14 @@ cdef enum:
     _STEPS = 31
 
 
+cdef void* _resized(void* buffer, size_t size) except NULL:
+    """Return a buffer with its content, as large as asked for."""
+    cdef void* resized = PyMem_Realloc(buffer, size)
+    if resized == NULL:
+        raise MemoryError
+    return resized
+
+
 cdef inline wide _floor_div(wide dividend, wide divisor) noexcept:
     """Return the quotient rounded down; the divisor is positive."""
     cdef wide quotient = dividend / divisor
@@ -493,14 +501,8 @@ cdef class Lane:
 
     cdef int grow(self, Py_ssize_t room) except -1:
         """Make room for so many measurements."""
-        cdef void* grown = PyMem_Realloc(self._stamps, room * sizeof(nanoseconds))
-        if grown == NULL:
-            raise MemoryError
-        self._stamps = <nanoseconds*>grown
-        grown = PyMem_Realloc(self._rows, room * self.width * sizeof(double))
-        if grown == NULL:
-            raise MemoryError
-        self._rows = <double*>grown
+        self._stamps = <nanoseconds*>_resized(self._stamps, room * sizeof(nanoseconds))
+        self._rows = <double*>_resized(self._rows, room * self.width * sizeof(double))
         self.room = room
         return 0
 
@@ -881,8 +883,13 @@ cdef class SamplerCore:
         cdef Tick* tick
         cdef double* vector
         cdef Lane lane
+        cdef Py_ssize_t room
         cdef int i
-        self.make_room()
+        if self._count == self._room:
+            room = 2 * self._room if self._room else 8
+            self._ticks = <Tick*>_resized(self._ticks, room * sizeof(Tick))
+            self._vectors = <double*>_resized(self._vectors, room * self._size * sizeof(double))
+            self._room = room
         tick, vector = self._ticks + self._count, self._vectors + self._count * self._size
         tick.complete = tick.measured = True
         tick.known = due
@@ -918,24 +925,6 @@ cdef class SamplerCore:
         self._restarting = False
         self._last_tick = due
         self.go_to(self._next_tick + 1)
-        return 0
-
-    cdef int make_room(self) except -1:
-        """Make room for one more sample."""
-        cdef void* grown
-        cdef Py_ssize_t room
-        if self._count < self._room:
-            return 0
-        room = 2 * self._room if self._room else 8
-        grown = PyMem_Realloc(self._ticks, room * sizeof(Tick))
-        if grown == NULL:
-            raise MemoryError
-        self._ticks = <Tick*>grown
-        grown = PyMem_Realloc(self._vectors, room * self._size * sizeof(double))
-        if grown == NULL:
-            raise MemoryError
-        self._vectors = <double*>grown
-        self._room = room
         return 0
 
     cdef void skip_to(self, nanoseconds time) noexcept:
