@@ -36,33 +36,18 @@ from monitor.sampling.sampler import Sampler, SamplerStatistics
 
 @dataclass(frozen=True, slots=True)
 class ChainRun:
-    """Estimates of one observer over n samples, and the evidence of its A alarms in them.
-
-    Parameters
-    ----------
-    estimates : Estimates
-        Estimates at the samples.
-    rows : ChainRows
-        Evidence, as the alarms process it.
-    alarms : Sequence[Alarm]
-        The alarms, in the order of the evidence's columns.
-    commands : Mapping[int, NDArray[np.float64]]
-        By alarm: what its size takes its share of (n,), where that makes sense.
-    relative : Mapping[int, NDArray[np.float64]]
-        By alarm: that share, where it is known in another way (n,); not a number in rows where it is not known.
-    smoothed : NDArray[np.float64]
-        Smoothed estimate of each fault under its own hypothesis, whichever is believed (n, a), effect units.
-    unexplained : NDArray[np.float64]
-        Score of what no hypothesis explains (n,), zero where one does.
-    """
+    """Estimates of one observer over n samples, and the evidence of its A alarms in them."""
 
     estimates: Estimates
-    rows: ChainRows
-    alarms: Sequence[Alarm]
+    rows: ChainRows  # evidence, as the alarms process it
+    alarms: Sequence[Alarm]  # the alarms, in the order of the evidence's columns
+    # by alarm: what its size takes its share of (n,), where that makes sense
     commands: Mapping[int, NDArray[np.float64]]
+    # by alarm: that share, where it is known in another way (n,); not a number in rows where it is not known
     relative: Mapping[int, NDArray[np.float64]]
+    # smoothed estimate of each fault under its own hypothesis, whichever is believed (n, a), effect units
     smoothed: NDArray[np.float64]
-    unexplained: NDArray[np.float64]
+    unexplained: NDArray[np.float64]  # score of what no hypothesis explains (n,), zero where one does
 
     def event(self, row: int, alarm: int, code: int) -> AlarmEvent:
         """Return the event that a row caused in an alarm."""

@@ -12,27 +12,16 @@ from adapters.sample import Samples
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Names and units of one observer's vectors, in order.
+    """Names and units of one observer's vectors, in order."""
 
-    Parameters
-    ----------
-    observer : str
-        The observer's name in the profile (``"motors"``).
-    rate_hz : float
-        Samples per second of the vehicle's clock.
-    inputs, outputs, states, faults : tuple[str, ...]
-        Channel names of u, y, x and of the faults (actuator faults f_a first, then sensor faults f_s).
-    fault_units : tuple[str, ...]
-        Unit of each fault estimate.
-    """
-
-    observer: str
-    rate_hz: float
+    observer: str  # the observer's name in the profile (``"motors"``)
+    rate_hz: float  # samples per second of the vehicle's clock
+    # channel names of u, y, x and of the faults (actuator faults f_a first, then sensor faults f_s)
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     states: tuple[str, ...]
     faults: tuple[str, ...]
-    fault_units: tuple[str, ...]
+    fault_units: tuple[str, ...]  # unit of each fault estimate
 
 
 @dataclass(frozen=True, slots=True)

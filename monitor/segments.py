@@ -20,24 +20,12 @@ from monitor.sampling.phase import FlightPhase
 
 @dataclass(frozen=True, slots=True)
 class Arrivals:
-    """The messages of a batch in the order of arrival.
+    """The messages of a batch in the order of arrival."""
 
-    Parameters
-    ----------
-    received_ns : NDArray[np.int64]
-        Times of arrival (count,).
-    wanted : NDArray[np.bool_]
-        Which of them carry a channel (count,).
-    heartbeats : NDArray[np.intp]
-        Indices of the heartbeats of an autopilot, ascending.
-    phases : NDArray[np.intp]
-        Indices of the messages that say something new about the flight phase, ascending.
-    """
-
-    received_ns: NDArray[np.int64]
-    wanted: NDArray[np.bool_]
-    heartbeats: NDArray[np.intp]
-    phases: NDArray[np.intp]
+    received_ns: NDArray[np.int64]  # times of arrival (count,)
+    wanted: NDArray[np.bool_]  # which of them carry a channel (count,)
+    heartbeats: NDArray[np.intp]  # indices of the heartbeats of an autopilot, ascending
+    phases: NDArray[np.intp]  # indices of the messages that say something new about the flight phase, ascending
 
 
 def arrivals_of(batch: Batch, wanted: Collection[str], phase: FlightPhase) -> Arrivals:

@@ -19,25 +19,13 @@ MAX_ROWS = 4_000_000
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """Samples and estimates of one observer over a run of N samples.
+    """Samples and estimates of one observer over a run of N samples."""
 
-    Parameters
-    ----------
-    layout : Layout
-        Names of the columns.
-    vehicle_ns, unix_ns : NDArray[np.int64]
-        Vehicle's clock and Unix time of the samples (N,).
-    u, y, x, fault, isolated, residual, sd : NDArray[np.float64]
-        One row per sample, as in :class:`~adapters.sample.Samples` and :class:`~monitor.estimate.Estimates`.
-    armed : NDArray[np.bool_]
-        Whether alarms could be raised from the sample (N,).
-    restart : NDArray[np.bool_]
-        Whether the observer restarted at the sample (N,): earlier samples have no influence on it.
-    """
-
-    layout: Layout
+    layout: Layout  # names of the columns
+    # vehicle's clock and Unix time of the samples (N,)
     vehicle_ns: NDArray[np.int64]
     unix_ns: NDArray[np.int64]
+    # one row per sample, as in :class:`~adapters.sample.Samples` and :class:`~monitor.estimate.Estimates`
     u: NDArray[np.float64]
     y: NDArray[np.float64]
     x: NDArray[np.float64]
@@ -45,7 +33,8 @@ class Trace:
     isolated: NDArray[np.float64]
     residual: NDArray[np.float64]
     sd: NDArray[np.float64]
-    armed: NDArray[np.bool_]
+    armed: NDArray[np.bool_]  # whether alarms could be raised from the sample (N,)
+    # whether the observer restarted at the sample (N,): earlier samples have no influence on it
     restart: NDArray[np.bool_]
 
 
@@ -150,25 +139,16 @@ class TraceBuilder:
 
 @dataclass(frozen=True, slots=True)
 class AlarmSpan:
-    """Time during which an alarm was active.
+    """Time during which an alarm was active."""
 
-    Parameters
-    ----------
-    observer, channel : str
-        Observer and channel of the alarm.
-    severity : {"warning", "critical"}
-        The worst severity it had.
-    start_ns, start_vehicle_ns : int
-        Unix time and vehicle's time of the event that raised it.
-    end_ns, end_vehicle_ns : int | None
-        The same of the event that cleared it, None while it is active.
-    """
-
+    # observer and channel of the alarm
     observer: str
     channel: str
-    severity: Severity
+    severity: Severity  # the worst severity it had
+    # Unix time and vehicle's time of the event that raised it
     start_ns: int
     start_vehicle_ns: int
+    # the same of the event that cleared it, None while it is active
     end_ns: int | None
     end_vehicle_ns: int | None
 

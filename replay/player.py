@@ -27,25 +27,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """How one observer fared over a recording.
-
-    Parameters
-    ----------
-    samples : int
-        Samples it took.
-    evidence, coasted : int
-        Those among them from which alarms could be raised, and those without measurements, stepped by its model alone.
-    rate_hz : float
-        Samples per second.
-    sampling : SamplerStatistics
-        What became of its messages.
-    """
+    """How one observer fared over a recording."""
 
     samples: int
-    evidence: int
-    coasted: int
+    evidence: int  # samples from which alarms could be raised
+    coasted: int  # samples without measurements, stepped by its model alone
     rate_hz: float
-    sampling: SamplerStatistics
+    sampling: SamplerStatistics  # what became of its messages
 
     @property
     def watched_s(self) -> float:

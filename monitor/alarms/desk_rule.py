@@ -11,20 +11,11 @@ MAX_FLOOD = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class DeskRule:
-    """What the desk does with which channels; a channel is written ``observer/channel``.
+    """What the desk does with which channels; a channel is written ``observer/channel``."""
 
-    Parameters
-    ----------
-    latched, out_of_service : frozenset[str]
-        Channels whose alarms stay until reset, and channels that say nothing.
-    flood_raised : int
-        Number of alarms raised within ``flood_s`` from which on there is a flood; 0: never.
-    flood_s : float
-        That time, seconds.
-    """
-
-    latched: frozenset[str] = frozenset()
-    out_of_service: frozenset[str] = frozenset()
+    latched: frozenset[str] = frozenset()  # channels whose alarms stay until reset
+    out_of_service: frozenset[str] = frozenset()  # channels that say nothing
+    # number of alarms raised within ``flood_s`` seconds from which on there is a flood; 0: never
     flood_raised: int = 10
     flood_s: float = 60.0
 

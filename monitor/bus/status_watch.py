@@ -26,21 +26,11 @@ _FIGURES = re.compile(r"[0-9.]+")
 
 @dataclass(frozen=True, slots=True)
 class VehicleStatus:
-    """A vehicle's status in short.
-
-    Parameters
-    ----------
-    vehicle : str
-        The vehicle's name.
-    state : str
-        ``starting``, ``monitoring``, ``degraded`` or ``stale``.
-    reasons : tuple[str, ...]
-        What keeps it from being watched as it should.
-    """
+    """A vehicle's status in short."""
 
     vehicle: str
-    state: str = "starting"
-    reasons: tuple[str, ...] = ()
+    state: str = "starting"  # ``starting``, ``monitoring``, ``degraded`` or ``stale``
+    reasons: tuple[str, ...] = ()  # what keeps it from being watched as it should
 
     @property
     def kind(self) -> tuple[str, ...]:

@@ -23,17 +23,10 @@ RowKey = tuple[str, str, str]
 
 @dataclass(frozen=True, slots=True)
 class AlarmRow:
-    """One alarm as text, without control characters.
+    """One alarm as text, without control characters."""
 
-    Parameters
-    ----------
-    group : {"active", "shelved", "cleared"}
-        What speaks, what is kept silent, what was there until a moment ago.
-    severity, vehicle, channel, size, brief, age, peak, state, message : str
-        The columns; ``channel`` with its observer, ``brief`` the size in per cent where that makes sense.
-    """
-
-    group: Group
+    group: Group  # what speaks, what is kept silent, what was there until a moment ago
+    # the columns; ``channel`` with its observer, ``brief`` the size in per cent where that makes sense
     severity: str
     vehicle: str
     channel: str

@@ -23,35 +23,15 @@ FAILED = 2
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """What a monitor needs of the machine.
+    """What a monitor needs of the machine."""
 
-    Parameters
-    ----------
-    listen : Sequence[str]
-        Zenoh endpoints to listen on.
-    mavlink : Sequence[str]
-        MAVLink links.
-    folders : Sequence[Path]
-        Folders to write to; they need not exist yet.
-    metrics : str | None
-        HOST:PORT to serve metrics at.
-    connect : Sequence[str]
-        Zenoh endpoints to connect to, where ``zenoh_config`` names none.
-    zenoh_config : Path | None
-        Zenoh's own configuration, with which to listen.
-    zenoh_mode : Mode
-        Zenoh's mode where that does not say.
-    profiles : Sequence[Path]
-        Profile folders.
-    """
-
-    listen: Sequence[str] = ("tcp/127.0.0.1:7447",)
-    mavlink: Sequence[str] = ("udpin:127.0.0.1:14550",)
-    folders: Sequence[Path] = (Path(),)
-    metrics: str | None = None
-    connect: Sequence[str] = ()
-    zenoh_config: Path | None = None
-    zenoh_mode: Mode = "peer"
+    listen: Sequence[str] = ("tcp/127.0.0.1:7447",)  # Zenoh endpoints to listen on
+    mavlink: Sequence[str] = ("udpin:127.0.0.1:14550",)  # MAVLink links
+    folders: Sequence[Path] = (Path(),)  # folders to write to; they need not exist yet
+    metrics: str | None = None  # HOST:PORT to serve metrics at
+    connect: Sequence[str] = ()  # Zenoh endpoints to connect to, where ``zenoh_config`` names none
+    zenoh_config: Path | None = None  # Zenoh's own configuration, with which to listen
+    zenoh_mode: Mode = "peer"  # Zenoh's mode where that does not say
     profiles: Sequence[Path] = ()
 
 

@@ -11,21 +11,10 @@ VERDICTS: tuple[DoctorVerdict, ...] = ("ok", "warning", "failed")
 
 @dataclass(frozen=True, slots=True)
 class DoctorCheck:
-    """The result of one check.
-
-    Parameters
-    ----------
-    name : str
-        What was checked.
-    verdict : {"ok", "warning", "failed"}
-        ``failed``: the monitor will not run, or not here; ``warning``: it will, with less than it could have.
-    found : str
-        The result, for people.
-    advice : str
-        What to do about it; empty where nothing is to be done.
-    """
+    """The result of one check."""
 
     name: str
+    # ``failed``: the monitor will not run, or not here; ``warning``: it will, with less than it could have
     verdict: DoctorVerdict
     found: str
-    advice: str = ""
+    advice: str = ""  # what to do about it; empty where nothing is to be done

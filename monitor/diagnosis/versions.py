@@ -15,24 +15,12 @@ _REQUIREMENT = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """A library that this program uses.
+    """A library that this program uses."""
 
-    Parameters
-    ----------
-    name : str
-        Its distribution.
-    extra : str
-        Extra that it belongs to; empty where it is always needed.
-    least : str
-        Least version that will do; empty where any does.
-    installed : str | None
-        Version that is installed; None where none is.
-    """
-
-    name: str
-    extra: str
-    least: str
-    installed: str | None
+    name: str  # its distribution
+    extra: str  # extra that it belongs to; empty where it is always needed
+    least: str  # least version that will do; empty where any does
+    installed: str | None  # version that is installed; None where none is
 
     @property
     def will_do(self) -> bool:

@@ -15,19 +15,11 @@ from monitor.recording.recorder import Recorder
 
 @dataclass(frozen=True, slots=True)
 class ArchiveStatistics:
-    """Counts of an archive so far.
+    """Counts of an archive so far."""
 
-    Parameters
-    ----------
-    records, lost : int
-        Records taken by the recording, and those that could not be encoded or written.
-    trouble : str | None
-        The reason why nothing can be written at present; None where all is well.
-    """
-
-    records: int = 0
-    lost: int = 0
-    trouble: str | None = None
+    records: int = 0  # taken by the recording
+    lost: int = 0  # that could not be encoded or written
+    trouble: str | None = None  # the reason why nothing can be written at present; None where all is well
 
 
 class Archive:

@@ -37,37 +37,18 @@ _MOST_RAISED = 256
 
 @dataclass(frozen=True, slots=True)
 class BlackBoxStatistics:
-    """Records that a black box holds, and counts so far.
+    """Records that a black box holds, and counts so far."""
 
-    Parameters
-    ----------
-    held_records, held_bytes : int
-        Records kept for alarms to come.
-    open : int
-        Clips being made, those that wait for the disk included.
-    written : int
-        Clips completed.
-    covered : int
-        Alarms raised while :data:`MAX_OPEN_CLIPS` were open already, which they cover.
-    dropped : int
-        Records left out of a clip that could not keep up, or was as large as a clip may be.
-    failures : int
-        Clips given up because they could not be written.
-    failed : str | None
-        The error with which a clip could not be written; None once the disk takes clips again.
-    deleted : int
-        Clips deleted to stay within the budget.
-    """
-
+    # records kept for alarms to come
     held_records: int
     held_bytes: int
-    open: int
+    open: int  # clips being made, those that wait for the disk included
     written: int
-    covered: int
-    dropped: int
-    failures: int
-    failed: str | None
-    deleted: int
+    covered: int  # alarms raised while :data:`MAX_OPEN_CLIPS` were open already, which they cover
+    dropped: int  # records left out of a clip that could not keep up, or was as large as a clip may be
+    failures: int  # clips given up because they could not be written
+    failed: str | None  # the error with which a clip could not be written; None once the disk takes clips again
+    deleted: int  # clips deleted to stay within the budget
 
 
 @dataclass(slots=True)

@@ -18,14 +18,9 @@ EncodedRecord: TypeAlias = tuple[int, bytes, int]
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """What all records of one sender on one topic have in common.
+    """What all records of one sender on one topic have in common."""
 
-    Parameters
-    ----------
-    name, encoding, schema, component
-        As ``topic``, ``encoding``, ``schema`` and ``component`` of :class:`~adapters.encoding.record.Record`.
-    """
-
+    # as ``topic``, ``encoding``, ``schema`` and ``component`` of :class:`~adapters.encoding.record.Record`
     name: str
     encoding: str
     schema: Schema | None

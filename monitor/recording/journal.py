@@ -128,39 +128,19 @@ SELECT number, body FROM event WHERE vehicle = ? AND time_ns >= ? ORDER BY time_
 
 @dataclass(frozen=True, slots=True)
 class JournalStatistics:
-    """What a journal did since it was opened.
-
-    Parameters
-    ----------
-    written : int
-        Events committed.
-    duplicates : int
-        Events given again, not written again.
-    conflicts : int
-        Events not written because another event has their vehicle and number.
-    rejected : int
-        Events and freeze frames that no row can hold: numbers beyond 64 bits, frames that are no JSON or too large.
-    pending : int
-        Events in memory that wait for the disk.
-    dropped : int
-        Events lost because too many were waiting.
-    pruned : int
-        Old events deleted to keep the bound.
-    open : bool
-        Whether the file is open; where it cannot be at the start, every :meth:`Journal.retry` tries again.
-    last_error : str | None
-        The last error; it stays when it has passed.
-    """
+    """What a journal did since it was opened."""
 
     written: int = 0
-    duplicates: int = 0
-    conflicts: int = 0
+    duplicates: int = 0  # events given again, not written again
+    conflicts: int = 0  # events not written because another event has their vehicle and number
+    # events and freeze frames that no row can hold: numbers beyond 64 bits, frames that are no JSON or too large
     rejected: int = 0
-    pending: int = 0
-    dropped: int = 0
-    pruned: int = 0
+    pending: int = 0  # events in memory that wait for the disk
+    dropped: int = 0  # events lost because too many were waiting
+    pruned: int = 0  # old events deleted to keep the bound
+    # whether the file is open; where it cannot be at the start, every :meth:`Journal.retry` tries again
     open: bool = True
-    last_error: str | None = None
+    last_error: str | None = None  # the last error; it stays when it has passed
 
 
 class Journal:

@@ -117,37 +117,18 @@ def start_log(
 
 @dataclass(frozen=True, slots=True)
 class RecorderStatistics:
-    """Counts of a recorder so far.
-
-    Parameters
-    ----------
-    records : int
-        Records taken.
-    unrecordable : int
-        Records left out because their file has too many topics.
-    dropped : int
-        Records lost because no file could be written, those of the chunk on which a write failed included; alarm events
-        that wait for a file are not.
-    failures : int
-        Times that opening or writing a file failed.
-    failed : str | None
-        The error, while nothing is recorded because of it; None while recording works.
-    files : int
-        Files begun.
-    deleted : int
-        Files deleted to stay within the budget.
-    path : Path | None
-        The file being written.
-    """
+    """Counts of a recorder so far."""
 
     records: int
-    unrecordable: int
+    unrecordable: int  # records left out because their file has too many topics
+    # records lost because no file could be written, those of the chunk on which a write failed included; alarm events
+    # that wait for a file are not
     dropped: int
-    failures: int
-    failed: str | None
+    failures: int  # times that opening or writing a file failed
+    failed: str | None  # the error, while nothing is recorded because of it; None while recording works
     files: int
-    deleted: int
-    path: Path | None
+    deleted: int  # files deleted to stay within the budget
+    path: Path | None  # the file being written
 
 
 class Recorder:

@@ -29,151 +29,75 @@ def resident_bytes() -> int:
 
 @dataclass(frozen=True, slots=True)
 class ObserverHealth:
-    """One observer of a vehicle.
-
-    Parameters
-    ----------
-    name : str
-        The observer's name.
-    samples : int
-        Samples it was fed.
-    losses : Mapping[str, int]
-        Measurements it did without, by reason (``late``, ``invalid``, ``skipped`` ...).
-    """
+    """One observer of a vehicle."""
 
     name: str
-    samples: int = 0
+    samples: int = 0  # samples it was fed
+    # measurements it did without, by reason (``late``, ``invalid``, ``skipped`` ...)
     losses: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class RecorderHealth:
-    """The recording of a vehicle.
-
-    Parameters
-    ----------
-    records : int
-        Records written.
-    lost : int
-        Records that could not be written.
-    trouble : str | None
-        Why nothing can be written at present; None where all is well.
-    """
+    """The recording of a vehicle."""
 
     records: int = 0
-    lost: int = 0
-    trouble: str | None = None
+    lost: int = 0  # records that could not be written
+    trouble: str | None = None  # why nothing can be written at present; None where all is well
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleHealth:
-    """One vehicle.
-
-    Parameters
-    ----------
-    name : str
-        The vehicle's name.
-    state : {"starting", "monitoring", "degraded", "stale"}
-        As in its status topic.
-    messages, dropped : int
-        Messages that its pipeline took; messages for it that were dropped before.
-    events : int
-        Alarm events.
-    active : Mapping[str, int]
-        Active alarms by severity.
-    observers : tuple[ObserverHealth, ...]
-        Its observers.
-    latency : LatencyStatistics
-        From arrival of a message to what follows from it, over the last interval.
-    latency_buckets : LatencyBuckets | None
-        The same since the start.
-    recorder : RecorderHealth | None
-        Its recording; None where nothing is recorded.
-    """
+    """One vehicle."""
 
     name: str
-    state: VehicleState
+    state: VehicleState  # as in its status topic
+    # messages that its pipeline took; messages for it that were dropped before
     messages: int = 0
     dropped: int = 0
     events: int = 0
-    active: Mapping[str, int] = field(default_factory=dict)
+    active: Mapping[str, int] = field(default_factory=dict)  # active alarms by severity
     observers: tuple[ObserverHealth, ...] = ()
+    # from arrival of a message to what follows from it, over the last interval
     latency: LatencyStatistics = field(default_factory=LatencyStatistics)
-    latency_buckets: LatencyBuckets | None = None
-    recorder: RecorderHealth | None = None
+    latency_buckets: LatencyBuckets | None = None  # the same since the start
+    recorder: RecorderHealth | None = None  # its recording; None where nothing is recorded
 
 
 @dataclass(frozen=True, slots=True)
 class LinkHealth:
-    """One link.
+    """One link."""
 
-    Parameters
-    ----------
-    name : str
-        Its URL or key expression.
-    connected : bool
-        Whether it is open; a UDP socket always is.
-    messages : int
-        Messages received.
-    losses : Mapping[str, int]
-        What was lost or refused, by reason (``lost``, ``damaged``, ``unknown`` ...).
-    lost_by_system : Mapping[int, int]
-        Packets missing by their sequence numbers, of each MAVLink system that lost any.
-    """
-
-    name: str
-    connected: bool = True
+    name: str  # its URL or key expression
+    connected: bool = True  # whether it is open; a UDP socket always is
     messages: int = 0
+    # what was lost or refused, by reason (``lost``, ``damaged``, ``unknown`` ...)
     losses: Mapping[str, int] = field(default_factory=dict)
+    # packets missing by their sequence numbers, of each MAVLink system that lost any
     lost_by_system: Mapping[int, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessHealth:
-    """The process.
+    """The process."""
 
-    Parameters
-    ----------
-    loop_age_s : float
-        Time since the main loop last came round, seconds.
-    inbox_depth, inbox_capacity : int
-        Messages between the links and the main loop, and the most there can be.
-    inbox_dropped : int
-        Messages dropped because there were more.
-    resident_bytes : int
-        Resident memory; 0 where unknown.
-    cpu_s : float
-        Processor time used so far, seconds.
-    """
-
-    loop_age_s: float = 0.0
+    loop_age_s: float = 0.0  # time since the main loop last came round, seconds
+    # messages between the links and the main loop, and the most there can be
     inbox_depth: int = 0
     inbox_capacity: int = 0
-    inbox_dropped: int = 0
-    resident_bytes: int = field(default_factory=resident_bytes)
-    cpu_s: float = field(default_factory=time.process_time)
+    inbox_dropped: int = 0  # messages dropped because there were more
+    resident_bytes: int = field(default_factory=resident_bytes)  # resident memory; 0 where unknown
+    cpu_s: float = field(default_factory=time.process_time)  # processor time used so far, seconds
 
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """Everything at one moment.
-
-    Parameters
-    ----------
-    process : ProcessHealth
-        The process.
-    vehicles : tuple[VehicleHealth, ...]
-        The vehicles.
-    links : tuple[LinkHealth, ...]
-        The links.
-    journal : JournalStatistics | None
-        The journal; None where none is kept.
-    """
+    """Everything at one moment."""
 
     process: ProcessHealth
     vehicles: tuple[VehicleHealth, ...] = ()
     links: tuple[LinkHealth, ...] = ()
-    journal: JournalStatistics | None = None
+    journal: JournalStatistics | None = None  # the journal; None where none is kept
 
 
 def problems(health: Health) -> list[str]:

@@ -39,22 +39,12 @@ class Arrival(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class InboxStatistics:
-    """What went through an inbox so far.
+    """What went through an inbox so far."""
 
-    Parameters
-    ----------
-    arrived, dropped : int
-        Messages put in, and those dropped because the monitor did not keep up.
-    waiting : int
-        Messages in it now.
-    errors : int
-        Exceptions of links; they went on afterwards.
-    """
-
-    arrived: int
-    dropped: int
-    waiting: int
-    errors: int
+    arrived: int  # messages put in
+    dropped: int  # those among them that were dropped because the monitor did not keep up
+    waiting: int  # messages in it now
+    errors: int  # exceptions of links; they went on afterwards
 
 
 class Inbox:

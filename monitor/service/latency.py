@@ -21,41 +21,22 @@ _EXPORTED_EXPONENTS = range(14, 35)
 
 @dataclass(frozen=True, slots=True)
 class LatencyStatistics:
-    """Latencies of a span of time; quantiles are never below the truth and at most 6.3 % above.
-
-    Parameters
-    ----------
-    count : int
-        How many were added.
-    p50_s, p99_s : float
-        Median and 99th percentile, seconds; 0 where there is none.
-    max_s : float
-        The largest, exactly.
-    """
+    """Latencies of a span of time; quantiles are never below the truth and at most 6.3 % above."""
 
     count: int = 0
+    # median and 99th percentile, seconds; 0 where there is none
     p50_s: float = 0.0
     p99_s: float = 0.0
-    max_s: float = 0.0
+    max_s: float = 0.0  # the largest, exactly
 
 
 @dataclass(frozen=True, slots=True)
 class LatencyBuckets:
-    """A cumulative histogram as Prometheus knows it.
+    """A cumulative histogram as Prometheus knows it."""
 
-    Parameters
-    ----------
-    bounds_s : tuple[float, ...]
-        Upper bounds, seconds, without the last (infinity).
-    counts : tuple[int, ...]
-        How many latencies are below each bound; one more entry for all of them.
-    sum_s : float
-        Sum of all latencies, seconds.
-    """
-
-    bounds_s: tuple[float, ...]
-    counts: tuple[int, ...]
-    sum_s: float
+    bounds_s: tuple[float, ...]  # upper bounds, seconds, without the last (infinity)
+    counts: tuple[int, ...]  # how many latencies are below each bound; one more entry for all of them
+    sum_s: float  # sum of all latencies, seconds
 
 
 class LatencyHistogram:

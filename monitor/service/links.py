@@ -34,31 +34,15 @@ class TelemetryLink(Link, Counting, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class LinkOptions:
-    """Settings of all links of a process.
+    """Settings of all links of a process."""
 
-    Parameters
-    ----------
-    key : SigningKey | None
-        Key of MAVLink signatures; None verifies none.
-    require_signed, may_send : bool
-        Whether unsigned MAVLink packets are refused; whether links may send.
-    session : zenoh.Session | None
-        An open session, for links over Zenoh.
-    types : Mapping[str, str]
-        Types of telemetry over Zenoh by key expression.
-    definitions : Sequence[Path]
-        Folders of message definitions.
-    batch_s : float
-        Time from one batch to the next while telemetry comes, seconds.
-    """
-
-    key: SigningKey | None = None
-    require_signed: bool = False
+    key: SigningKey | None = None  # key of MAVLink signatures; None verifies none
+    require_signed: bool = False  # whether unsigned MAVLink packets are refused
     may_send: bool = False
-    session: zenoh.Session | None = None
-    types: Mapping[str, str] = field(default_factory=dict)
-    definitions: Sequence[Path] = ()
-    batch_s: float = 0.0
+    session: zenoh.Session | None = None  # an open session, for links over Zenoh
+    types: Mapping[str, str] = field(default_factory=dict)  # types of telemetry over Zenoh by key expression
+    definitions: Sequence[Path] = ()  # folders of message definitions
+    batch_s: float = 0.0  # time from one batch to the next while telemetry comes, seconds
 
 
 def _open_mavlink(url: str, options: LinkOptions) -> TelemetryLink:

@@ -35,21 +35,11 @@ _RESERVED = ("time_ns", "level", "event", "suppressed")
 
 @dataclass(frozen=True, slots=True)
 class ServiceLogStatistics:
-    """What became of the lines.
-
-    Parameters
-    ----------
-    written : int
-        Lines written.
-    suppressed : int
-        Lines left out because there were too many of their name.
-    dropped : int
-        Lines that could not be written.
-    """
+    """What became of the lines."""
 
     written: int = 0
-    suppressed: int = 0
-    dropped: int = 0
+    suppressed: int = 0  # lines left out because there were too many of their name
+    dropped: int = 0  # lines that could not be written
 
 
 class ServiceLog:

@@ -24,26 +24,13 @@ MetricValues = Iterable[tuple[tuple[str, ...], float]]
 
 @dataclass(frozen=True, slots=True)
 class MetricRow:
-    """One metric.
-
-    Parameters
-    ----------
-    name : str
-        Its name in Prometheus.
-    kind : {"counter", "gauge", "histogram"}
-        Its type.
-    labels : tuple[str, ...]
-        Names of its labels.
-    help : str
-        What it counts.
-    values : Callable[[Health], MetricValues]
-        Label values and number of each series; not asked of a histogram.
-    """
+    """One metric."""
 
     name: str
     kind: Literal["counter", "gauge", "histogram"]
     labels: tuple[str, ...]
-    help: str
+    help: str  # what it counts
+    # label values and number of each series; not asked of a histogram
     values: Callable[[Health], MetricValues] = lambda health: ()
 
 

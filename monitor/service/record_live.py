@@ -29,34 +29,16 @@ _SECOND_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class LiveRecording:
-    """What was recorded.
+    """What was recorded."""
 
-    Parameters
-    ----------
-    messages : int
-        Messages in the file.
-    names : int
-        Different names among them.
-    systems : tuple[int, ...]
-        MAVLink systems among their senders.
-    seconds : float
-        From the first message to the last.
-    dropped, unrecordable : int
-        Messages that there was no time for; messages that no record can hold.
-    interrupted : bool
-        Whether SIGINT ended it.
-    links : str
-        What was listened to.
-    """
-
-    messages: int
-    names: int
-    systems: tuple[int, ...]
-    seconds: float
-    dropped: int
-    unrecordable: int
-    interrupted: bool
-    links: str
+    messages: int  # messages in the file
+    names: int  # different names among them
+    systems: tuple[int, ...]  # MAVLink systems among their senders
+    seconds: float  # from the first message to the last
+    dropped: int  # messages that there was no time for
+    unrecordable: int  # messages that no record can hold
+    interrupted: bool  # whether SIGINT ended it
+    links: str  # what was listened to
 
 
 def record_live(config: Config, path: Path, seconds: float | None = None, *, as_json: bool = False) -> LiveRecording:

@@ -51,28 +51,16 @@ class PastEvents(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ServiceRule:
-    """How a vehicle's monitor publishes and which commands it obeys.
+    """How a vehicle's monitor publishes and which commands it obeys."""
 
-    Parameters
-    ----------
-    prefix : str
-        What all keys begin with.
-    estimate_rate_hz : float
-        Largest rate of published estimates.
-    commands : Collection[str]
-        Operators' verbs that are carried out.
-    shelve_minutes, max_shelve_minutes : float
-        How long an alarm is shelved where the command does not say, and at most.
-    standby_s : float | None
-        Another monitor of the same vehicle may be active; this one is on standby until that has been gone for this
-        time, seconds. None: there is no other.
-    """
-
-    prefix: str
-    estimate_rate_hz: float
-    commands: Collection[str] = ()
+    prefix: str  # what all keys begin with
+    estimate_rate_hz: float  # largest rate of published estimates
+    commands: Collection[str] = ()  # operators' verbs that are carried out
+    # how long an alarm is shelved where the command does not say, and at most
     shelve_minutes: float = 60.0
     max_shelve_minutes: float = 480.0
+    # Another monitor of the same vehicle may be active; this one is on standby until that has been gone for this time,
+    # seconds. None: there is no other.
     standby_s: float | None = None
 
 

@@ -42,24 +42,12 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class RawBatch:
-    """A message's numeric fields over some time.
-
-    Parameters
-    ----------
-    message : str
-        Its name.
-    fields : tuple[str, ...]
-        Names of the fields, those of the first message of that name.
-    unix_ns : NDArray[np.int64]
-        Times of arrival (N,).
-    values : NDArray[np.float64]
-        One row per message (N, fields); NaN where a message lacks a field.
-    """
+    """A message's numeric fields over some time."""
 
     message: str
-    fields: tuple[str, ...]
-    unix_ns: NDArray[np.int64]
-    values: NDArray[np.float64]
+    fields: tuple[str, ...]  # names of the fields, those of the first message of that name
+    unix_ns: NDArray[np.int64]  # times of arrival (N,)
+    values: NDArray[np.float64]  # one row per message (N, fields); NaN where a message lacks a field
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,24 +38,12 @@ _OWN_MB = 128
 
 @dataclass(frozen=True, slots=True)
 class LiveViewStatistics:
-    """Counts so far.
+    """Counts so far."""
 
-    Parameters
-    ----------
-    showing : bool
-        Whether a Rerun process is there.
-    batches : int
-        Batches it was sent.
-    dropped : int
-        Rows and events dropped because it did not read them in time.
-    failures : int
-        How often it went away, grew too large or could not be started.
-    """
-
-    showing: bool
-    batches: int
-    dropped: int
-    failures: int
+    showing: bool  # whether a Rerun process is there
+    batches: int  # batches it was sent
+    dropped: int  # rows and events dropped because it did not read them in time
+    failures: int  # how often it went away, grew too large or could not be started
 
 
 class LiveView:

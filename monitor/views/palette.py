@@ -26,22 +26,12 @@ ANY_GROUND = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION)
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """The same colours for a light or a dark ground; the k-th colour of either means the same.
+    """The same colours for a light or a dark ground; the k-th colour of either means the same."""
 
-    Parameters
-    ----------
-    paper, ink, muted : str
-        The ground; text and axes; and lines in the background.
-    series : tuple[str, ...]
-        Series by number; the first is an estimate, the third a residual.
-    severity : Mapping[Severity, str]
-        Alarms.
-    """
-
-    paper: str
-    ink: str
-    muted: str
-    series: tuple[str, ...]
+    paper: str  # the ground
+    ink: str  # text and axes
+    muted: str  # lines in the background
+    series: tuple[str, ...]  # series by number; the first is an estimate, the third a residual
     severity: Mapping[Severity, str]
 
     @property

@@ -25,17 +25,10 @@ AXIS_MARGIN = 0.06
 
 @dataclass(frozen=True, slots=True)
 class Panels:
-    """Panels of one observer's fault channels.
+    """Panels of one observer's fault channels."""
 
-    Parameters
-    ----------
-    alone : tuple[int, ...]
-        Places of the channels that get a panel each.
-    together : tuple[int, ...]
-        Places of the quiet channels that share one panel, each in units of its own alarm threshold.
-    """
-
-    alone: tuple[int, ...]
+    alone: tuple[int, ...]  # places of the channels that get a panel each
+    # places of the quiet channels that share one panel, each in units of its own alarm threshold
     together: tuple[int, ...]
 
 

@@ -54,38 +54,20 @@ _MEANINGS = {
 
 @dataclass(frozen=True, slots=True)
 class Attack:
-    """One fault or attack; times are the vehicle's own, sizes in the channel's unit.
+    """One fault or attack; times are the vehicle's own, sizes in the channel's unit."""
 
-    Parameters
-    ----------
-    channel : str
-        Channel of the contract, ``MESSAGE.field``, or fault of a profile's plant.
-    kind : AttackKind
-        What is done to it.
-    start_ns, end_ns : int
-        It acts on measurements with start_ns <= stamp < end_ns, vehicle clock.
-    size : float | None
-        bias: offset; ramp: where it stops growing; scale: factor; noise: standard deviation; delay: seconds;
-        drop: share of messages lost (1); loss: share of the command.
-    rate : float | None
-        ramp: growth per second; spoof: final velocity, m/s; loss: growth per second (at once).
-    acceleration : float | None
-        spoof: largest acceleration, m/s^2.
-    source_ns : int | None
-        replay: where the segment begins that is repeated, up to ``start_ns``, over and over.
-    seed : int
-        Of noise and of lost messages.
-    """
-
-    channel: str
+    channel: str  # channel of the contract, ``MESSAGE.field``, or fault of a profile's plant
     kind: AttackKind
+    # it acts on measurements with start_ns <= stamp < end_ns, vehicle clock
     start_ns: int
     end_ns: int
+    # bias: offset; ramp: where it stops growing; scale: factor; noise: standard deviation; delay: seconds; drop: share
+    # of messages lost (1); loss: share of the command
     size: float | None = None
-    rate: float | None = None
-    acceleration: float | None = None
-    source_ns: int | None = None
-    seed: int = 0
+    rate: float | None = None  # ramp: growth per second; spoof: final velocity, m/s; loss: growth per second (at once)
+    acceleration: float | None = None  # spoof: largest acceleration, m/s^2
+    source_ns: int | None = None  # replay: where the segment begins that is repeated, up to ``start_ns``, over and over
+    seed: int = 0  # of noise and of lost messages
 
     @property
     def magnitude(self) -> float | None:

@@ -31,40 +31,21 @@ AttackTrack = Callable[[Iterable[Message], str], Iterable[Message]]
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What a user asks for; seconds count from the first stamp of the vehicle in the recording.
+    """What a user asks for; seconds count from the first stamp of the vehicle in the recording."""
 
-    Parameters
-    ----------
-    channel : str
-        See :class:`replay.attacks.attack.Attack`, as are ``kind``, ``size``, ``rate``, ``acceleration`` and ``seed``.
-    kind : AttackKind
-        Kind of attack.
-    start_s : float | None
-        When it begins; None where ``at_ms`` says it.
-    at_ms : int | None
-        When it begins, milliseconds of the vehicle's own clock.
-    end_s : float | None
-        When it ends; None: ``duration_s`` after its beginning, or with the recording.
-    duration_s : float | None
-        How long it lasts.
-    source_s : float | None
-        Where the segment begins that is replayed.
-    system : int
-        The vehicle's MAVLink system; 0 takes the profile's, or the first one that sends the channel.
-    """
-
+    # see :class:`replay.attacks.attack.Attack`, as are ``kind``, ``size``, ``rate``, ``acceleration`` and ``seed``
     channel: str
     kind: AttackKind
-    start_s: float | None = None
-    at_ms: int | None = None
-    end_s: float | None = None
+    start_s: float | None = None  # when it begins; None where ``at_ms`` says it
+    at_ms: int | None = None  # when it begins, milliseconds of the vehicle's own clock
+    end_s: float | None = None  # when it ends; None: ``duration_s`` after its beginning, or with the recording
     duration_s: float | None = None
     size: float | None = None
     rate: float | None = None
     acceleration: float | None = None
-    source_s: float | None = None
+    source_s: float | None = None  # where the segment begins that is replayed
     seed: int = 0
-    system: int = 0
+    system: int = 0  # the vehicle's MAVLink system; 0 takes the profile's, or the first one that sends the channel
 
 
 def inject_recording(

@@ -47,17 +47,10 @@ class VehicleTime:
 
 @dataclass(slots=True)
 class Senders:
-    """What one vehicle of a recording sends.
-
-    Attributes
-    ----------
-    names : set[str]
-        Messages.
-    first_ns, last_ns : int | None
-        First and newest time on its clock.
-    """
+    """What one vehicle of a recording sends."""
 
     names: set[str]
+    # first and newest time on its clock
     first_ns: int | None = None
     last_ns: int | None = None
 
@@ -95,21 +88,11 @@ class AttackTarget:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """All that one attack alters.
+    """All that one attack alters."""
 
-    Parameters
-    ----------
-    targets : tuple[Target, ...]
-        Quantities to alter; the messages to lose where the kind is ``drop``.
-    response : PlantResponse | None
-        The plant's answer, where there is one.
-    unit : str
-        Unit of the attack's size.
-    """
-
-    targets: tuple[AttackTarget, ...]
-    response: PlantResponse | None = None
-    unit: str = ""
+    targets: tuple[AttackTarget, ...]  # quantities to alter; the messages to lose where the kind is ``drop``
+    response: PlantResponse | None = None  # the plant's answer, where there is one
+    unit: str = ""  # unit of the attack's size
 
     @property
     def messages(self) -> frozenset[str]:

@@ -30,18 +30,12 @@ _DEGE7 = 1e-7
 
 @dataclass(slots=True)
 class AttackScene:
-    """What the other messages say that reading a compass or a position needs.
+    """What the other messages say that reading a compass or a position needs."""
 
-    Attributes
-    ----------
-    roll, pitch : float
-        Newest attitude, radians.
-    metres : tuple[float, float] | None
-        Metres per degree of latitude and of longitude at the first GPS fix; None before it.
-    """
-
+    # newest attitude, radians
     roll: float = 0.0
     pitch: float = 0.0
+    # metres per degree of latitude and of longitude at the first GPS fix; None before it
     metres: tuple[float, float] | None = None
 
     def feed(self, message: Message) -> None:
@@ -54,33 +48,17 @@ class AttackScene:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One physical value in one message.
-
-    Parameters
-    ----------
-    message : str
-        Name of the message.
-    read : Callable[[Fields, AttackScene], float | None]
-        Its value in the channel's unit; None where the message does not hold one.
-    write : Callable[[Fields, float, AttackScene], dict[str, Any]]
-        All fields of the message with another value there.
-    path : tuple[str | int, ...]
-        Where it stands, if it is a plain field.
-    scale : float
-        Channel's unit per count of that field.
-    from_home : bool
-        Whether its zero means nothing, so that a scale factor counts from the first value.
-    circular : bool
-        Whether it is an angle that wraps.
-    """
+    """One physical value in one message."""
 
     message: str
+    # its value in the channel's unit; None where the message does not hold one
     read: Callable[[MessageFields, AttackScene], float | None]
+    # all fields of the message with another value there
     write: Callable[[MessageFields, float, AttackScene], dict[str, Any]]
-    path: tuple[str | int, ...] = field(default=())
-    scale: float = 1.0
-    from_home: bool = False
-    circular: bool = False
+    path: tuple[str | int, ...] = field(default=())  # where it stands, if it is a plain field
+    scale: float = 1.0  # channel's unit per count of that field
+    from_home: bool = False  # whether its zero means nothing, so that a scale factor counts from the first value
+    circular: bool = False  # whether it is an angle that wraps
 
 
 def channel_quantity(channel: Channel, from_home: bool = False) -> Quantity:

@@ -48,18 +48,10 @@ _FULL_COMMAND = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class States:
-    """States along a recording.
+    """States along a recording."""
 
-    Parameters
-    ----------
-    times_ns : NDArray[np.int64]
-        Vehicle nanoseconds, ascending (N,).
-    x : NDArray[np.float64]
-        State at each time (N, n).
-    """
-
-    times_ns: NDArray[np.int64]
-    x: NDArray[np.float64]
+    times_ns: NDArray[np.int64]  # vehicle nanoseconds, ascending (N,)
+    x: NDArray[np.float64]  # state at each time (N, n)
 
     def at(self, stamp_ns: int) -> NDArray[np.float64]:
         """Return the newest state by a time, the first one before it."""

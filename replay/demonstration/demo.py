@@ -36,25 +36,14 @@ from replay.reports.plot import plot_png
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """One injected fault.
+    """One injected fault."""
 
-    Parameters
-    ----------
-    channel : str
-        The fault channel it should show up on.
-    start_s, stop_s : float
-        When it acts, seconds of the vehicle's clock.
-    signal : Callable[[float], float]
-        Its size over time.
-    relative : bool
-        Whether the size is a share of the command.
-    """
-
-    channel: str
+    channel: str  # the fault channel it should show up on
+    # when it acts, seconds of the vehicle's clock
     start_s: float
     stop_s: float
-    signal: Callable[[float], float]
-    relative: bool = False
+    signal: Callable[[float], float]  # its size over time
+    relative: bool = False  # whether the size is a share of the command
 
     def at(self, time_s: float) -> float:
         """Return the size at a time, zero while it does not act."""
@@ -76,23 +65,11 @@ _STOP_TIMEOUT_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class DemoScene:
-    """What is demonstrated.
+    """What is demonstrated."""
 
-    Parameters
-    ----------
-    title : str
-        One sentence for the user.
-    profile : Path
-        The vehicle's profile folder.
-    sender : Callable[[str, float], list[str]]
-        Command line of the sender for an address ``host:port`` and a speed.
-    truth : tuple[Truth, ...]
-        The injected faults.
-    """
-
-    title: str
+    title: str  # one sentence for the user
     profile: Path
-    sender: Callable[[str, float], list[str]]
+    sender: Callable[[str, float], list[str]]  # command line of the sender for an address ``host:port`` and a speed
     truth: tuple[Truth, ...]
 
 

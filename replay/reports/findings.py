@@ -26,103 +26,62 @@ _SAME_SIZE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One alarm from its raising to its end.
+    """One alarm from its raising to its end."""
 
-    Parameters
-    ----------
-    observer, channel, kind, unit, severity
-        As of :class:`monitor.event.AlarmEvent`; the severity is the worst it had.
-    sentence : str
-        What it said when it was largest.
-    start_ns, start_vehicle_ms : int
-        When it was raised: Unix time, vehicle's clock.
-    end_ns, end_vehicle_ms : int | None
-        When it cleared, None where it stood at the end.
-    peak, threshold : float | None
-        Largest estimate, and what it had to exceed.
-    relative : float | None
-        Estimate over command when it was largest.
-    typical, deviation : float | None
-        Median estimate while it stood, and one standard deviation of the estimate then; None where not known.
-    rival : tuple[str, float] | None
-        The observer's channel that was held responsible for most beside it meanwhile, in shares of its own threshold.
-    effect : EffectivenessRule | None
-        When it is believed, where that is not for its threshold but for the certainty of a lost effect.
-    """
-
+    # as of :class:`monitor.event.AlarmEvent`; the severity is the worst it had
     observer: str
     channel: str
     kind: Kind
     unit: str
     severity: Severity
-    sentence: str
+    sentence: str  # what it said when it was largest
+    # when it was raised: Unix time, vehicle's clock
     start_ns: int
     start_vehicle_ms: int
+    # when it cleared, None where it stood at the end
     end_ns: int | None
     end_vehicle_ms: int | None
+    # largest estimate, and what it had to exceed
     peak: float | None
     threshold: float
-    relative: float | None
+    relative: float | None  # estimate over command when it was largest
+    # median estimate while it stood, and one standard deviation of the estimate then; None where not known
     typical: float | None
     deviation: float | None
+    # the observer's channel that was held responsible for most beside it meanwhile, in shares of its own threshold
     rival: tuple[str, float] | None
+    # when it is believed, where that is not for its threshold but for the certainty of a lost effect
     effect: EffectivenessRule | None
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What a threshold rests on.
+    """What a threshold rests on."""
 
-    Parameters
-    ----------
-    level, low, high : float | None
-        Size that healthy evidence exceeds at the granted rate of false alarms, with its confidence limits; None where
-        healthy evidence is zero by what was calibrated before it.
-    hours : float | None
-        Hours of healthy evidence it comes from.
-    """
-
+    # size that healthy evidence exceeds at the granted rate of false alarms, with its confidence limits; None where
+    # healthy evidence is zero by what was calibrated before it
     level: float | None
     low: float | None
     high: float | None
-    hours: float | None
+    hours: float | None  # hours of healthy evidence it comes from
 
 
 @dataclass(frozen=True, slots=True)
 class WatchedChannel:
-    """One channel with an alarm, over a run.
+    """One channel with an alarm, over a run."""
 
-    Parameters
-    ----------
-    observer, channel, kind, unit
-        As of :class:`monitor.alarms.alarm.AlarmRule`.
-    threshold : float
-        What the evidence has to exceed.
-    sees : str
-        What size of fault it sees how fast, as the profile says; empty where it does not.
-    calibration : Calibration | None
-        None where the threshold was never calibrated, or changed since.
-    watched_s : float
-        How long alarms could be raised.
-    peak : float | None
-        Largest evidence meanwhile by size; None where there is none, or it is not recorded.
-    alarms : int
-        How many alarms it raised.
-    effect : EffectivenessRule | None
-        As of :class:`Finding`.
-    """
-
+    # as of :class:`monitor.alarms.alarm.AlarmRule`
     observer: str
     channel: str
     kind: Kind
     unit: str
     threshold: float
-    sees: str
-    calibration: Calibration | None
-    watched_s: float
-    peak: float | None
-    alarms: int
-    effect: EffectivenessRule | None
+    sees: str  # what size of fault it sees how fast, as the profile says; empty where it does not
+    calibration: Calibration | None  # none where the threshold was never calibrated, or changed since
+    watched_s: float  # how long alarms could be raised
+    peak: float | None  # largest evidence meanwhile by size; None where there is none, or it is not recorded
+    alarms: int  # how many alarms it raised
+    effect: EffectivenessRule | None  # as of :class:`Finding`
 
     @property
     def share(self) -> float | None:

@@ -110,30 +110,14 @@ TICKS = 4
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How a picture is drawn.
-
-    Parameters
-    ----------
-    theme : Theme
-        Its colours.
-    bins : int
-        Into how many runs a series is thinned.
-    without_sd : Collection[tuple[str, str]]
-        Channels, by observer and name, whose standard deviation is not drawn.
-    origin_ns : int
-        Zero of the axis of time, vehicle's clock.
-    end_s : float
-        Its end.
-    headed : bool
-        Whether a heading above the panels names their observer, so that their titles need not.
-    """
+    """How a picture is drawn."""
 
     theme: Theme
-    bins: int
-    without_sd: Collection[tuple[str, str]] = ()
-    origin_ns: int = 0
-    end_s: float = 0.0
-    headed: bool = False
+    bins: int  # into how many runs a series is thinned
+    without_sd: Collection[tuple[str, str]] = ()  # by observer and name: whose standard deviation is not drawn
+    origin_ns: int = 0  # zero of the axis of time, vehicle's clock
+    end_s: float = 0.0  # its end
+    headed: bool = False  # whether a heading above the panels names their observer, so that their titles need not
 
 
 def draw_alarms(panel: Axes, look: Look, spans: Sequence[AlarmSpan]) -> None:

@@ -29,63 +29,34 @@ StreamKey = tuple[Source, str, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Time without a message that comes regularly.
+    """Time without a message that comes regularly."""
 
-    Parameters
-    ----------
-    start_ns : int
-        Unix time of the last message before it.
-    seconds : float
-        How long it was.
-    """
-
-    start_ns: int
-    seconds: float
+    start_ns: int  # Unix time of the last message before it
+    seconds: float  # how long it was
 
 
 @dataclass(frozen=True, slots=True)
 class StreamFacts:
-    """One message of one sender.
-
-    Parameters
-    ----------
-    source : Source
-    name : str
-        As of :class:`adapters.message.Message`.
-    system, component : int
-        MAVLink ids of the sender.
-    count : int
-        How many there were.
-    rate_hz : float
-        How many per second there were outside of gaps; 0 where there was but one.
-    gaps : tuple[Gap, ...]
-        Where it failed to come, the first :data:`MOST_GAPS`.
-    """
+    """One message of one sender."""
 
     source: Source
-    name: str
+    name: str  # as of :class:`adapters.message.Message`
+    # MAVLink ids of the sender
     system: int
     component: int
-    count: int
-    rate_hz: float
-    gaps: tuple[Gap, ...]
+    count: int  # how many there were
+    rate_hz: float  # how many per second there were outside of gaps; 0 where there was but one
+    gaps: tuple[Gap, ...]  # where it failed to come, the first :data:`MOST_GAPS`
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingFacts:
-    """A recording.
+    """A recording."""
 
-    Parameters
-    ----------
-    first_ns, last_ns : int | None
-        Unix times of the first and the last arrival, None where there was no message.
-    streams : tuple[StreamFacts, ...]
-        Its messages by name and sender.
-    """
-
+    # Unix times of the first and the last arrival, None where there was no message
     first_ns: int | None
     last_ns: int | None
-    streams: tuple[StreamFacts, ...]
+    streams: tuple[StreamFacts, ...]  # its messages by name and sender
 
     @property
     def duration_s(self) -> float:

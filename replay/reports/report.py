@@ -40,39 +40,17 @@ _LIBRARIES = ("numpy", "scipy", "pymavlink", "mcap", "matplotlib")
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A run to report on.
-
-    Parameters
-    ----------
-    profile : Profile
-        The vehicle's profile.
-    folder : Path
-        Where it stands.
-    log : Path
-        The recording.
-    vehicle : str
-        The vehicle's name in events.
-    verdict : str
-        What was found, in a sentence.
-    replay : Replay
-        What came out, with traces.
-    recording : RecordingFacts
-        What went in.
-    damage : tuple[Damage, ...]
-        What of the recording could not be read.
-    truth : TrueSizes
-        What is known to have been injected, by channel.
-    """
+    """A run to report on."""
 
     profile: Profile
-    folder: Path
+    folder: Path  # where it stands
     log: Path
     vehicle: str
-    verdict: str
-    replay: Replay
-    recording: RecordingFacts
-    damage: tuple[Damage, ...] = ()
-    truth: TrueSizes = field(default_factory=dict)
+    verdict: str  # what was found, in a sentence
+    replay: Replay  # what came out, with traces
+    recording: RecordingFacts  # what went in
+    damage: tuple[Damage, ...] = ()  # what of the recording could not be read
+    truth: TrueSizes = field(default_factory=dict)  # what is known to have been injected, by channel
 
 
 def write_report(path: str | os.PathLike[str], run: Run) -> None:

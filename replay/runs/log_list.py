@@ -15,18 +15,11 @@ PLACE = "{log}"
 
 @dataclass(frozen=True, slots=True)
 class LogFile:
-    """A recording.
+    """A recording."""
 
-    Parameters
-    ----------
-    path : Path
-        File, or folder of a session.
-    name : str
-        What files about it are called: its own name without suffixes, with the folders below the one that was given;
-        no two recordings of a list share it.
-    """
-
-    path: Path
+    path: Path  # file, or folder of a session
+    # what files about it are called: its own name without suffixes, with the folders below the one that was given; no
+    # two recordings of a list share it
     name: str
 
 

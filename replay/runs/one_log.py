@@ -26,36 +26,19 @@ from replay.reports.recording_facts import RecordingMeter
 
 @dataclass(frozen=True, slots=True)
 class LogTask:
-    """A log to replay, and the files to write about it.
+    """A log to replay, and the files to write about it."""
 
-    Parameters
-    ----------
-    log : str
-        The log as the user named it, for reports.
-    path : Path
-        Where it is.
-    vehicle : str | None
-        Name in events; None: as recorded by a monitor, else the profile's.
-    record, plot, rrd, report : Path | None
-        MCAP recording, plot, Rerun recording and page to write.
-    dark : bool
-        Whether to plot on a dark ground.
-    mapping : Path | None
-        From which records of an onboard log messages are made, where the guess is wrong.
-    folder : Path | None
-        The profile's, in which a report looks for the report of the fit.
-    """
-
-    log: str
+    log: str  # the log as the user named it, for reports
     path: Path
-    vehicle: str | None = None
+    vehicle: str | None = None  # name in events; None: as recorded by a monitor, else the profile's
+    # MCAP recording, plot, Rerun recording and page to write
     record: Path | None = None
     plot: Path | None = None
     rrd: Path | None = None
     report: Path | None = None
-    dark: bool = False
-    mapping: Path | None = None
-    folder: Path | None = None
+    dark: bool = False  # whether to plot on a dark ground
+    mapping: Path | None = None  # from which records of an onboard log messages are made, where the guess is wrong
+    folder: Path | None = None  # the profile's, in which a report looks for the report of the fit
 
     @property
     def targets(self) -> tuple[Path, ...]:
@@ -65,50 +48,25 @@ class LogTask:
 
 @dataclass(frozen=True, slots=True)
 class LogOutcome:
-    """What the replay of one log found.
+    """What the replay of one log found."""
 
-    Parameters
-    ----------
-    log : str
-        The log as the user named it.
-    kind : str
-        Kind of recording; empty where it is not known.
-    error : str | None
-        Why the log could not be replayed, one line that names it; None where it could.
-    verdict : str
-        What was found, as a sentence.
-    events : tuple[AlarmEvent, ...]
-        Alarm events in order.
-    start_ns, end_ns : int
-        Unix times of the first and the last message that mattered, nanoseconds.
-    samples, evidence : int
-        Samples the observers took, and those from which alarms could be raised.
-    watched_s : float
-        Time over which alarms could be raised, seconds.
-    lacking : Mapping[str, tuple[str, ...]]
-        Messages that the log lacks, by observer that therefore watched nothing.
-    mismatch : str | None
-        What says that it is of another vehicle than the profile's.
-    damage : tuple[Damage, ...]
-        What of it could not be read.
-    processor_s : float
-        Processor time of the replay with all of its outputs, seconds.
-    """
-
-    log: str
-    kind: str = ""
-    error: str | None = None
-    verdict: str = ""
-    events: tuple[AlarmEvent, ...] = ()
+    log: str  # the log as the user named it
+    kind: str = ""  # kind of recording; empty where it is not known
+    error: str | None = None  # why the log could not be replayed, one line that names it; None where it could
+    verdict: str = ""  # what was found, as a sentence
+    events: tuple[AlarmEvent, ...] = ()  # alarm events in order
+    # Unix times of the first and the last message that mattered, nanoseconds
     start_ns: int = 0
     end_ns: int = 0
+    # samples the observers took, and those from which alarms could be raised
     samples: int = 0
     evidence: int = 0
-    watched_s: float = 0.0
+    watched_s: float = 0.0  # time over which alarms could be raised, seconds
+    # messages that the log lacks, by observer that therefore watched nothing
     lacking: Mapping[str, tuple[str, ...]] | None = None
-    mismatch: str | None = None
-    damage: tuple[Damage, ...] = ()
-    processor_s: float = 0.0
+    mismatch: str | None = None  # what says that it is of another vehicle than the profile's
+    damage: tuple[Damage, ...] = ()  # what of it could not be read
+    processor_s: float = 0.0  # processor time of the replay with all of its outputs, seconds
 
     @property
     def raised(self) -> tuple[AlarmEvent, ...]:
