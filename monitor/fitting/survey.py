@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, cut, gathered, one_message
 from adapters.channels import Channel
+from adapters.logs.log_parameters import PARAMETER_MESSAGES, parameter
 from adapters.mavlink.heartbeat import vehicle_type
 from adapters.message import LATEST_NS, Message
 
@@ -25,6 +26,8 @@ _GPS_MESSAGE = "GPS_RAW_INT"
 _HEARTBEAT = "HEARTBEAT"
 _NO_AUTOPILOT = 8
 """MAV_AUTOPILOT_INVALID: the sender of such a heartbeat is no autopilot."""
+_PX4 = 12
+"""MAV_AUTOPILOT_PX4."""
 _ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED of ``base_mode``."""
 _ANY_CLOCK = Channel("clock", "", ("",))
@@ -76,6 +79,8 @@ class Survey:
         Fields of the last message of each name while armed; of the GPS, the last that knew speed and course.
     vehicle_types : frozenset[str]
         What the autopilot's heartbeats say it is (``quadrotor``).
+    parameters : Mapping[str, float]
+        The vehicle's parameters by name, as far as the recording holds them, each with the last value that it had.
     """
 
     counts: dict[str, int]
@@ -83,6 +88,7 @@ class Survey:
     outputs: dict[int, MotorOutput]
     examples: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     vehicle_types: frozenset[str] = frozenset()
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 def survey(batches: Iterable[Batch]) -> Survey:
@@ -112,12 +118,17 @@ class _Surveyor:
         self._tallies: dict[int, _Tally] = {}
         self._examples: dict[str, Mapping[str, Any]] = {}
         self._types: set[int] = set()
+        self._autopilot: int | None = None
+        self._parameters: dict[str, Message] = {}
         self._armed = True
 
     def add(self, batch: Batch) -> None:
         """Count the messages of a batch."""
         groups = [*map(_group, batch.columns), *(_single(*place) for place in batch.others.items())]
         armed = self._armed_at(batch.count, [group for group in groups if group.name == _HEARTBEAT])
+        for _, message in sorted(batch.others.items()):
+            if message.name in PARAMETER_MESSAGES and (known := parameter(message)) is not None:
+                self._parameters[known[0]] = message
         newest: dict[str, int] = {}
         stamps: dict[str, list[tuple[int, int]]] = {}
         for group in groups:
@@ -144,7 +155,11 @@ class _Surveyor:
         }
         outputs = {number: tally.output() for number, tally in sorted(self._tallies.items())}
         vehicle_types = frozenset(map(vehicle_type, self._types)) - {""}
-        return Survey(dict(self._counts), rates, outputs, self._examples, vehicle_types)
+        # whether integers are sent byte by byte is known once the autopilot has said what it is
+        parameters = dict(
+            filter(None, (parameter(one, px4=self._autopilot == _PX4) for one in self._parameters.values()))
+        )
+        return Survey(dict(self._counts), rates, outputs, self._examples, vehicle_types, parameters)
 
     def _armed_at(self, count: int, heartbeats: Sequence[_Group]) -> NDArray[np.bool_]:
         """Return whether the vehicle was armed when each message arrived (count,), and follow its heartbeats."""
@@ -159,6 +174,7 @@ class _Surveyor:
             self._armed = isinstance(mode, int) and bool(mode & _ARMED)
             if isinstance(kind := fields.get("type"), int):
                 self._types.add(kind)
+            self._autopilot = fields.get("autopilot", self._autopilot)
         armed[start:] = self._armed
         return armed
 
@@ -229,20 +245,33 @@ class _Tally:
 
 
 def of_one_vehicle(batches: Iterable[Batch], names: Collection[str] = MOTION_MESSAGES) -> Iterator[Batch]:
-    """Yield the messages of the first system that sends one of these messages, from then on."""
+    """Yield the messages of the first system that sends one of these messages, from then on.
+
+    Its parameters come along from before, too: logs begin with them.
+    """
     system: int | None = None
+    early: list[Message] = []
     for batch in batches:
         first = 0
         if system is None:
             senders = [(int(columns.position[0]), columns.system) for columns in batch.columns if columns.name in names]
             senders += [(at, message.system) for at, message in batch.others.items() if message.name in names]
+            first = min(senders)[0] if senders else batch.count
+            early += [m for at, m in sorted(batch.others.items()) if at < first and m.name in PARAMETER_MESSAGES]
             if not senders:
                 continue
-            first, system = min(senders)
-        rest = cut(batch, first, batch.count)
-        columns = [columns for columns in rest.columns if columns.system == system]
-        others = {index: message for index, message in rest.others.items() if message.system == system}
+            system = min(senders)[1]
+            if kept := [message for message in early if _is_of(message, system)]:
+                yield Batch(len(kept), (), dict(enumerate(kept)))
+        remaining = cut(batch, first, batch.count)
+        columns = [columns for columns in remaining.columns if columns.system == system]
+        others = {index: message for index, message in remaining.others.items() if _is_of(message, system)}
         yield gathered(columns, others)
+
+
+def _is_of(message: Message, system: int) -> bool:
+    """Return whether a message is of a system; a log's parameters carry no ids."""
+    return message.system == system or (message.source.is_onboard_log and message.name in PARAMETER_MESSAGES)
 
 
 def common_rate_hz(surveys: Sequence[Survey], channels: Sequence[Channel]) -> float:

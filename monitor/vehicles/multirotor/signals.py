@@ -8,11 +8,12 @@ from math import log10
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
+from adapters.logs.log_parameters import PARAMETER_MESSAGES
 from monitor.fitting.survey import MAX_OUTPUTS, MOTION_MESSAGES, MOTOR_MESSAGE, MotorOutput, Survey, common_rate_hz
 from monitor.sampling.phase import FlightPhase
 from monitor.vehicles.base import Preview
 
-MESSAGES = MOTION_MESSAGES | FlightPhase.interests
+MESSAGES = MOTION_MESSAGES | FlightPhase.interests | PARAMETER_MESSAGES
 
 _GRAVITY = 9.80665
 _STILL_US = 0.5
