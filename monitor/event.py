@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields
-from typing import Any, Literal, TypeGuard
+from types import UnionType
+from typing import Annotated, Any, Final, Literal, NamedTuple, TypeGuard, get_args, get_origin, get_type_hints
 
 Kind = Literal["actuator", "sensor", "residual", "stale", "security", "system"]
 State = Literal["raised", "updated", "acknowledged", "shelved", "cleared"]
@@ -14,10 +15,6 @@ Severity = Literal["warning", "critical"]
 UNNUMBERED = 0
 """Sequence number of an event that the vehicle's alarm desk has not seen yet."""
 
-_TEXTS = ("id", "vehicle", "observer", "channel", "kind", "state", "severity", "unit", "message")
-_COUNTS = ("time_ns", "vehicle_time_ms", "since_ns")
-_NUMBERS = ("estimate", "relative", "threshold", "peak")
-_FLAGS = ("acknowledged", "latched", "creeping", "recurring")
 # Beyond any time or size, and within what floats can express; numbers of events leave room to count on in 64 bits.
 _LARGEST = 1 << 100
 _LARGEST_SEQ = 1 << 62
@@ -26,74 +23,30 @@ _CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 
 @dataclass(frozen=True, slots=True)
 class AlarmEvent:
-    """One change of state of one alarm.
+    """One change of state of one alarm; its JSON Schema and its protobuf message are made of these fields."""
 
-    Parameters
-    ----------
-    id : str
-        ULID, the same from raised to cleared.
-    vehicle, observer, channel : str
-        What the alarm is about.
-    kind : {"actuator", "sensor", "residual", "stale", "security", "system"}
-        What sort of trouble; ``system``: the monitor's own.
-    state : {"raised", "updated", "acknowledged", "shelved", "cleared"}
-        The state entered by this event.
-    severity : {"warning", "critical"}
-        How bad.
-    estimate : float | None
-        Size of the fault now, in ``unit``; None for a stale alarm.
-    relative : float | None
-        Estimate over command where that makes sense (loss of effectiveness), else None.
-    unit : str
-        Unit of ``estimate``, ``threshold`` and ``peak``.
-    threshold : float
-        What the estimate has to exceed to raise the alarm.
-    time_ns : int
-        Unix time of the sample that caused the event, nanoseconds.
-    vehicle_time_ms : int
-        The same on the vehicle's own clock, milliseconds.
-    since_ns : int
-        Unix time of the sample that raised the alarm.
-    peak : float | None
-        Largest estimate (by size) since it was raised.
-    message : str
-        One sentence for a person.
-    seq : int
-        Counts the vehicle's events from 1.
-    acknowledged : bool
-        Whether an operator has acknowledged it.
-    latched : bool
-        Whether the alarm stays active although its cause is gone, until an operator resets it.
-    shelved_until_ns : int | None
-        Unix time at which shelving ends; None where the alarm is not shelved.
-    creeping : bool
-        Whether only the mean over seconds shows it: ``estimate`` is that mean.
-    recurring : bool
-        Whether it comes and goes, and clears only after a long quiet.
-    """
-
-    id: str
+    id: Annotated[str, "ULID, the same from raised to cleared"]
     vehicle: str
     observer: str
     channel: str
-    kind: Kind
+    kind: Kind  # ``system``: trouble of the monitor's own
     state: State
     severity: Severity
-    estimate: float | None
-    relative: float | None
+    estimate: Annotated[float | None, "size of the fault now, in unit"]
+    relative: Annotated[float | None, "estimate over command, where that makes sense"]
     unit: str
-    threshold: float
-    time_ns: int
-    vehicle_time_ms: int
-    since_ns: int
-    peak: float | None
-    message: str
-    seq: int
-    acknowledged: bool = False
-    latched: bool = False
-    shelved_until_ns: int | None = None
-    creeping: bool = False
-    recurring: bool = False
+    threshold: Annotated[float, "what the estimate has to exceed"]
+    time_ns: Annotated[int, "Unix time of the sample that caused the event"]
+    vehicle_time_ms: Annotated[int, "the same on the vehicle's own clock"]
+    since_ns: Annotated[int, "Unix time of the sample that raised the alarm"]
+    peak: Annotated[float | None, "largest estimate since it was raised"]
+    message: Annotated[str, "one sentence for a person"]
+    seq: Annotated[int, "counts the vehicle's events from 1"]
+    acknowledged: Annotated[bool, "somebody has said that they know"] = False
+    latched: Annotated[bool, "it stays active although its cause is gone, until it is reset"] = False
+    shelved_until_ns: Annotated[int | None, "Unix time at which shelving ends"] = None
+    creeping: Annotated[bool, "only the mean over seconds shows it; estimate is that mean"] = False
+    recurring: Annotated[bool, "it comes and goes, and clears only after a long quiet"] = False
 
     def to_json(self) -> dict[str, Any]:
         """Return the event as the JSON object of the contract."""
@@ -122,15 +75,12 @@ def valid_event(payload: Any) -> AlarmEvent | None:
         event = event_from_json(payload)
     except ValueError:
         return None
-    right = (
-        all(isinstance(getattr(event, name), str) for name in _TEXTS)
-        and all(_is_count(getattr(event, name)) for name in _COUNTS)
-        and all(_is_number(getattr(event, name)) for name in _NUMBERS)
-        and all(type(getattr(event, name)) is bool for name in _FLAGS)
-        and (event.shelved_until_ns is None or _is_count(event.shelved_until_ns))
-        and is_seq(event.seq)
+    sound = all(
+        (value is None and known.optional) or _IS_SOUND[known.kind](value)
+        for name, known in ALARM_FIELDS.items()
+        for value in (getattr(event, name),)
     )
-    return event if right else None
+    return event if sound and is_seq(event.seq) else None
 
 
 def is_seq(value: object) -> TypeGuard[int]:
@@ -146,6 +96,33 @@ def _is_number(value: object) -> bool:
     return value is None or type(value) is float or _is_count(value)
 
 
+_IS_SOUND: Mapping[type, Callable[[Any], bool]] = {
+    str: lambda value: isinstance(value, str),
+    bool: lambda value: type(value) is bool,
+    int: _is_count,
+    float: _is_number,
+}
+
+
+class AlarmField(NamedTuple):
+    """What is known of a field of an event."""
+
+    kind: type  # str, int, float or bool; JSON has null for a float that it cannot write
+    optional: bool  # whether it may be None
+    choices: tuple[str, ...]  # the texts that it can be; empty: any
+    description: str
+
+
+def _field(hint: Any) -> AlarmField:
+    hint, *words = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+    choices = get_args(hint) if get_origin(hint) is Literal else ()
+    kind = get_args(hint)[0] if isinstance(hint, UnionType) else hint
+    return AlarmField(str if choices else kind, isinstance(hint, UnionType), choices, "".join(words))
+
+
+ALARM_FIELDS: Final = {name: _field(hint) for name, hint in get_type_hints(AlarmEvent, include_extras=True).items()}
+
+
 def alarm_id(vehicle: str, observer: str, channel: str, since_ns: int) -> str:
     """Return the ULID of an alarm: its time in milliseconds and 80 bits that depend on nothing but the alarm.
 
@@ -154,3 +131,42 @@ def alarm_id(vehicle: str, observer: str, channel: str, since_ns: int) -> str:
     digest = hashlib.blake2b(f"{vehicle}/{observer}/{channel}@{since_ns}".encode(), digest_size=10).digest()
     number = (since_ns // 1_000_000 & (1 << 48) - 1) << 80 | int.from_bytes(digest)
     return "".join(_CROCKFORD[number >> shift & 31] for shift in range(125, -1, -5))
+
+
+def fixed_rule_event(
+    vehicle: str,
+    observer: str,
+    channel: str,
+    *,
+    kind: Kind,
+    state: State,
+    unit: str,
+    threshold: float,
+    time_ns: int,
+    vehicle_time_ms: int,
+    message: str,
+    since_ns: int | None = None,
+    severity: Severity = "warning",
+    estimate: float | None = None,
+) -> AlarmEvent:
+    """Return an event of an alarm that no profile calibrates; ``since_ns`` None: it begins with this event."""
+    since_ns = time_ns if since_ns is None else since_ns
+    return AlarmEvent(
+        id=alarm_id(vehicle, observer, channel, since_ns),
+        vehicle=vehicle,
+        observer=observer,
+        channel=channel,
+        kind=kind,
+        state=state,
+        severity=severity,
+        estimate=estimate,
+        relative=None,
+        unit=unit,
+        threshold=threshold,
+        time_ns=time_ns,
+        vehicle_time_ms=vehicle_time_ms,
+        since_ns=since_ns,
+        peak=estimate,
+        message=message,
+        seq=UNNUMBERED,
+    )

@@ -24,7 +24,7 @@ from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages, read
 from adapters.message import Message
 from adapters.sample import Samples
 from adapters.source import MAVLINK, ZENOH
-from monitor.bus.payload import ALARM_SCHEMA
+from monitor.bus.schemas import ALARM_SCHEMA
 from monitor.estimate import Estimates, Layout
 from monitor.event import event_from_json
 from monitor.recording.archive import Archive

@@ -23,7 +23,7 @@ from types import MappingProxyType
 from typing import Any
 
 from monitor.alarms.desk_rule import DeskRule
-from monitor.event import UNNUMBERED, AlarmEvent, alarm_id
+from monitor.event import AlarmEvent, alarm_id, fixed_rule_event
 
 OBSERVER = "monitor"
 FLOOD = "flood"
@@ -292,25 +292,18 @@ class AlarmDesk:
         self._flood_until_ns = now_ns + within_ns
         if FLOOD_KEY in self._active or _text(FLOOD_KEY) in self.rule.out_of_service:
             return []
-        first = AlarmEvent(
-            id=alarm_id(self._vehicle, OBSERVER, FLOOD, now_ns),
-            vehicle=self._vehicle,
-            observer=OBSERVER,
-            channel=FLOOD,
+        first = fixed_rule_event(
+            self._vehicle,
+            OBSERVER,
+            FLOOD,
             kind="system",
             state="raised",
-            severity="warning",
-            estimate=None,
-            relative=None,
             unit="alarms",
             threshold=float(self.rule.flood_raised),
             time_ns=now_ns,
             vehicle_time_ms=event.vehicle_time_ms,
-            since_ns=now_ns,
-            peak=None,
             message=f"more than {self.rule.flood_raised} alarms in {self.rule.flood_s:g} s: "
             "further warnings are shelved until it is over; look at the first ones",
-            seq=UNNUMBERED,
         )
         return [self._enter(FLOOD_KEY, first)]
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import Message
 from adapters.source import LINK, MAVLINK
-from monitor.event import UNNUMBERED, AlarmEvent, Kind, Severity, State, alarm_id
+from monitor.event import UNNUMBERED, AlarmEvent, Kind, Severity, State, fixed_rule_event
 
 OBSERVER = "link"
 SIGNING = "signing"
@@ -145,26 +145,21 @@ class LinkAlarms:
     def _raise(
         self, channel: str, kind: Kind, severity: Severity, now_ns: int, size: float | None, unit: str, text: str
     ) -> AlarmEvent:
-        first = AlarmEvent(
-            id=alarm_id(self._vehicle, OBSERVER, channel, now_ns),
-            vehicle=self._vehicle,
-            observer=OBSERVER,
-            channel=channel,
+        event = self._active[channel] = fixed_rule_event(
+            self._vehicle,
+            OBSERVER,
+            channel,
             kind=kind,
             state="raised",
             severity=severity,
             estimate=size,
-            relative=None,
             unit=unit,
             threshold=1.0 if channel == SIGNING else _HEARTBEAT_NS / 1e9,
             time_ns=now_ns,
             vehicle_time_ms=self._vehicle_ms,
-            since_ns=now_ns,
-            peak=size,
             message=text,
-            seq=UNNUMBERED,
         )
-        return self._event(channel, first, "raised", now_ns, size, text)
+        return event
 
     def _clear(self, channel: str, now_ns: int, text: str) -> AlarmEvent:
         active = self._active[channel]
@@ -290,23 +285,16 @@ class StaleAlarm:
             self._carried_ns = event.since_ns - self._limit_ns
 
     def _event(self, state: State, time_ns: int, vehicle_ns: int, message: str) -> AlarmEvent:
-        since_ns = self._since_ns if self._since_ns is not None else time_ns
-        return AlarmEvent(
-            id=alarm_id(self._vehicle, OBSERVER, TELEMETRY, since_ns),
-            vehicle=self._vehicle,
-            observer=OBSERVER,
-            channel=TELEMETRY,
+        return fixed_rule_event(
+            self._vehicle,
+            OBSERVER,
+            TELEMETRY,
             kind="stale",
             state=state,
-            severity="warning",
-            estimate=None,
-            relative=None,
             unit="s",
             threshold=self._limit_ns / 1e9,
             time_ns=time_ns,
             vehicle_time_ms=vehicle_ns // 1_000_000,
-            since_ns=since_ns,
-            peak=None,
+            since_ns=self._since_ns,
             message=message,
-            seq=UNNUMBERED,
         )

@@ -12,27 +12,42 @@ from typing import Any
 
 from adapters.errors import UsageError
 from adapters.output_file import write_file
-from monitor.bus.payload import ALARM_SCHEMA
+from monitor.event import ALARM_FIELDS, AlarmField
 
 _DIALECT = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
 _BY_NAME = {"type": "object", "additionalProperties": {"type": ["number", "null"]}}
 _COUNT = {"type": "integer", "minimum": 0}
 _AMOUNT = {"type": "number", "minimum": 0}
 _TIME = {"type": "integer", "description": "Unix time, nanoseconds"}
-_ALARM = {key: value for key, value in ALARM_SCHEMA.items() if key != "$schema"}
 
 
-def _object(title: str, description: str, required: dict[str, Any], optional: dict[str, Any]) -> dict[str, Any]:
+def _object(
+    title: str, description: str, required: dict[str, Any], optional: dict[str, Any] | None = None
+) -> dict[str, Any]:
     """Return the schema of an object that may have further properties: readers have to ignore what they do not know."""
     return {
         **_DIALECT,
         "title": f"fauio.{title}",
         "description": description,
         "type": "object",
-        "properties": required | optional,
+        "properties": required | (optional or {}),
         "required": list(required),
     }
 
+
+def _alarm_field(field: AlarmField) -> dict[str, Any]:
+    name = {str: "string", bool: "boolean", int: "integer", float: "number"}[field.kind]
+    kind = [name, "null"] if field.optional or field.kind is float else name
+    schema: dict[str, Any] = {"enum": list(field.choices)} if field.choices else {"type": kind}
+    return schema | ({"description": field.description} if field.description else {})
+
+
+ALARM_SCHEMA = _object(
+    "Alarm",
+    "One change of state of one alarm.",
+    {name: _alarm_field(field) for name, field in ALARM_FIELDS.items()},
+)
+_ALARM = {key: value for key, value in ALARM_SCHEMA.items() if key != "$schema"}
 
 _ESTIMATE = _object(
     "Estimate",
@@ -122,14 +137,12 @@ _COMMAND_REPLY = _object(
     "CommandReply",
     "Reply to a command that was carried out; others get an error reply, see fauio.CommandError.",
     {"ok": {"const": True}, "event": _ALARM | {"description": "the event it caused"}},
-    {},
 )
 
 _COMMAND_ERROR = _object(
     "CommandError",
     "Error reply to a command or a query.",
     {"error": {"type": "string", "description": "what was wrong, one line"}},
-    {},
 )
 
 SCHEMAS: dict[str, dict[str, Any]] = {

@@ -13,123 +13,27 @@ from adapters.batch import Batch, Columns, one_message
 from adapters.encoding.log_schema import columns_class
 from adapters.encoding.mavlink_schema import mavlink_class
 from adapters.encoding.message_record import encode
-from adapters.encoding.protobuf_types import TIMESTAMP, Field, descriptor_set, identifiers, message_class
+from adapters.encoding.protobuf_types import (
+    TIMESTAMP,
+    Field,
+    ProtobufScalar,
+    descriptor_set,
+    identifiers,
+    message_class,
+)
 from adapters.encoding.record import Schema
 from adapters.message import Message
 from adapters.sample import Samples
 from adapters.source import MAVLINK
-from monitor.bus.payload import ALARM_SCHEMA, to_json
+from monitor.bus.payload import to_json
+from monitor.bus.schemas import ALARM_SCHEMA
 from monitor.core.protobuf_rows import RowEncoder
 from monitor.estimate import Estimates, Layout
-from monitor.event import AlarmEvent
+from monitor.event import ALARM_FIELDS, AlarmEvent
 from monitor.recording.encoded_record import EncodedRecord, Topic, TopicTable
 
 _TIMES = (Field("time", TIMESTAMP), Field("vehicle_time_ns", "int64"), Field("index", "int64"))
 _SECOND_NS = 1_000_000_000
-
-
-class SampleType:
-    """``fauio.<observer>.Sample``: the (u, y) that one observer was fed.
-
-    Parameters
-    ----------
-    layout : Layout
-        Names of the observer's channels; characters that protobuf does not take become underscores.
-    """
-
-    def __init__(self, layout: Layout) -> None:
-        flags = (Field("restart", "bool"), Field("complete", "bool"), Field("measured", "bool"))
-        fields = (*_TIMES, Field("u", _numbers(layout.inputs)), Field("y", _numbers(layout.outputs)), *flags)
-        self.pb_class = message_class(_package(layout), "Sample", fields)
-        self._rows = RowEncoder(self.pb_class)
-
-    def rows(self, samples: Samples) -> list[bytes]:
-        """Return the serialized messages of samples."""
-        columns = (*_times(samples), samples.u, samples.y, samples.restart, samples.complete, samples.measured)
-        return self._rows.encode(columns, len(samples))
-
-
-class EstimateType:
-    """``fauio.<observer>.Estimate``: states, faults and residuals of one observer.
-
-    Parameters
-    ----------
-    layout : Layout
-        Names of the observer's channels; characters that protobuf does not take become underscores.
-    """
-
-    def __init__(self, layout: Layout) -> None:
-        faults = _numbers(layout.faults)
-        fields = (
-            *_TIMES,
-            Field("x", _numbers(layout.states)),
-            Field("fault", faults),
-            Field("isolated", faults),
-            Field("residual", _numbers(layout.outputs)),
-            Field("armed", "bool"),
-            Field("sd", faults),
-            Field("coasted_s", "double"),
-        )
-        self.pb_class = message_class(_package(layout), "Estimate", fields)
-        self._rows = RowEncoder(self.pb_class)
-
-    def rows(self, estimates: Estimates) -> list[bytes]:
-        """Return the serialized messages of estimates."""
-        columns = (
-            *_times(estimates.samples),
-            estimates.x,
-            estimates.fault,
-            estimates.isolated,
-            estimates.residual,
-            estimates.armed,
-            estimates.sd,
-            estimates.coasted_s,
-        )
-        return self._rows.encode(columns, len(estimates))
-
-
-def alarm_record(event: AlarmEvent) -> Any:
-    """Return the protobuf message ``fauio.Alarm`` of an event; fields that are None in the event are absent."""
-    return _alarm_class()(**event.to_json())
-
-
-@functools.cache
-def _alarm_class() -> Any:
-    texts = ("id", "vehicle", "observer", "channel", "kind", "state", "severity")
-    fields = (
-        *(Field(name, "string") for name in texts),
-        Field("estimate", "double", optional=True),
-        Field("relative", "double", optional=True),
-        Field("unit", "string"),
-        Field("threshold", "double"),
-        Field("time_ns", "int64"),
-        Field("vehicle_time_ms", "int64"),
-        Field("since_ns", "int64"),
-        Field("peak", "double", optional=True),
-        Field("message", "string"),
-        Field("seq", "int64"),
-        Field("acknowledged", "bool"),
-        Field("latched", "bool"),
-        Field("shelved_until_ns", "int64", optional=True),
-        Field("creeping", "bool"),
-        Field("recurring", "bool"),
-    )
-    return message_class("fauio", "Alarm", fields)
-
-
-def _package(layout: Layout) -> str:
-    return f"fauio.{identifiers((layout.observer,))[0]}"
-
-
-def _numbers(names: Sequence[str]) -> tuple[Field, ...]:
-    return tuple(Field(name, "double") for name in identifiers(names))
-
-
-def _times(samples: Samples) -> tuple[Any, ...]:
-    """Return the columns of the fields that samples and estimates begin with."""
-    timestamps = np.empty((len(samples), 2), np.int64)
-    np.divmod(samples.time_ns, _SECOND_NS, out=(timestamps[:, 0], timestamps[:, 1]))
-    return timestamps, samples.vehicle_time_ns, samples.index
 
 
 OWN_TOPICS: Final = "/fauio/"
@@ -137,6 +41,54 @@ OWN_TOPICS: Final = "/fauio/"
 _ALARM_JSON = Topic(
     f"{OWN_TOPICS}alarm_json", "json", Schema("fauio.Alarm", "jsonschema", json.dumps(ALARM_SCHEMA).encode())
 )
+
+
+class _RowType:
+    """``fauio.<observer>.<name>``: an observer's rows, each their times and fields named like the columns behind them.
+
+    Characters that protobuf does not take become underscores.
+    """
+
+    def __init__(self, layout: Layout, name: str, fields: Sequence[Field]) -> None:
+        self.pb_class = message_class(f"fauio.{identifiers((layout.observer,))[0]}", name, (*_TIMES, *fields))
+        self._columns = [field.name for field in fields]
+        self._rows = RowEncoder(self.pb_class)
+
+    def rows(self, samples: Samples, values: Samples | Estimates) -> list[bytes]:
+        """Return the serialized messages of the values at samples."""
+        timestamps = np.empty((len(samples), 2), np.int64)
+        np.divmod(samples.time_ns, _SECOND_NS, out=(timestamps[:, 0], timestamps[:, 1]))
+        columns = (getattr(values, name) for name in self._columns)
+        return self._rows.encode((timestamps, samples.vehicle_time_ns, samples.index, *columns), len(samples))
+
+
+def _types(layout: Layout) -> tuple[_RowType, _RowType]:
+    """Return the types of the (u, y) that an observer was fed, and of its states, faults and residuals."""
+    faults, outputs = _numbers(layout.faults), _numbers(layout.outputs)
+    u_y = (Field("u", _numbers(layout.inputs)), Field("y", outputs))
+    flags = (Field("restart", "bool"), Field("complete", "bool"), Field("measured", "bool"))
+    estimate = (
+        Field("x", _numbers(layout.states)),
+        Field("fault", faults),
+        Field("isolated", faults),
+        Field("residual", outputs),
+        Field("armed", "bool"),
+        Field("sd", faults),
+        Field("coasted_s", "double"),
+    )
+    return _RowType(layout, "Sample", (*u_y, *flags)), _RowType(layout, "Estimate", estimate)
+
+
+def _numbers(names: Sequence[str]) -> tuple[Field, ...]:
+    return tuple(Field(name, "double") for name in identifiers(names))
+
+
+@functools.cache
+def _alarm_class() -> Any:
+    """Return ``fauio.Alarm``; fields that are None in an event are absent."""
+    kinds: dict[type, ProtobufScalar] = {str: "string", bool: "bool", int: "int64", float: "double"}
+    fields = [Field(name, kinds[field.kind], optional=field.optional) for name, field in ALARM_FIELDS.items()]
+    return message_class("fauio", "Alarm", fields)
 
 
 class RecordEncoder:
@@ -163,7 +115,7 @@ class RecordEncoder:
     def __init__(self, layouts: Sequence[Layout]) -> None:
         self.topics = TopicTable()
         self.unrecordable = 0
-        self._types = {layout.observer: (SampleType(layout), EstimateType(layout)) for layout in layouts}
+        self._types = {layout.observer: _types(layout) for layout in layouts}
         self._numbers: dict[tuple[str, Any, int], int] = {}
 
     def batch(self, batch: Batch) -> list[EncodedRecord]:
@@ -189,8 +141,8 @@ class RecordEncoder:
         sample_topic = self._topic(f"{OWN_TOPICS}{name}/sample", sample_type.pb_class)
         estimate_topic = self._topic(f"{OWN_TOPICS}{name}/estimate", estimate_type.pb_class)
         records: list[EncodedRecord] = []
-        rows = zip(samples.time_ns.tolist(), sample_type.rows(samples), estimate_type.rows(estimates), strict=True)
-        for time_ns, sample, estimate in rows:
+        taken, estimated = sample_type.rows(samples, samples), estimate_type.rows(samples, estimates)
+        for time_ns, sample, estimate in zip(samples.time_ns.tolist(), taken, estimated, strict=True):
             if time_ns < 0:
                 self.unrecordable += 1
                 continue
@@ -203,7 +155,7 @@ class RecordEncoder:
         try:
             if time_ns < 0:
                 raise ValueError("MCAP has no times before 1970")
-            record = alarm_record(event)
+            record = _alarm_class()(**event.to_json())
         except ValueError:
             self.unrecordable += 1
             return []
