@@ -7,15 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from math import isfinite
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from adapters.errors import TelemetryError
 from adapters.toml_tables import Table, TomlFile
 
-Interpolation = Literal["linear", "previous"]
+Interpolation = Literal["linear", "previous", "mean"]
 
 _STEP = re.compile(r"([^.\[\]]+)|\[(?:(\d+)|([^\[\]]+))\]")
-_INTERPOLATIONS = ("linear", "previous")
+_INTERPOLATIONS: tuple[Interpolation, ...] = get_args(Interpolation)
 CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
 """The usual names of clock fields and the nanoseconds they count, the first one that a message has being its clock."""
 MAX_VALUE = 1e12
@@ -51,8 +51,9 @@ class Channel:
         none.
     clock_unit_ns : int | None
         Nanoseconds per count of that field; None: known from the usual names.
-    interpolation : {"linear", "previous"}
-        How values between two measurements are interpolated.
+    interpolation : {"linear", "previous", "mean"}
+        The value at a tick of the grid: on the straight line between two measurements, that of the newest, or the mean
+        of those lines since the tick before.
     period : float | None
         Of a value that wraps, in the channel's unit: an angle of 359 degrees and one of 1 degree (period 360) are 2
         degrees apart. Interpolation goes the shorter way round and may leave the range.
@@ -169,9 +170,7 @@ def read_channel(name: str, table: Table) -> Channel:
         where=tuple(selection.items()),
         clock=table.optional_text("clock"),
         clock_unit_ns=table.integer("clock_unit_ns", at_least=1) if table.has("clock_unit_ns") else None,
-        interpolation="previous"
-        if table.choice("interpolation", _INTERPOLATIONS, "linear") == "previous"
-        else "linear",
+        interpolation=table.choice("interpolation", _INTERPOLATIONS, "linear"),
         period=table.number("period", above=0.0) if table.has("period") else None,
     )
     table.done()

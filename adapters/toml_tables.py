@@ -13,7 +13,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from adapters.errors import FauioError
 from adapters.toml_lines import KeyPath, key_lines, line_of
@@ -21,6 +21,8 @@ from adapters.toml_lines import KeyPath, key_lines, line_of
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+_Choice = TypeVar("_Choice", bound=str)
 
 LARGEST_BYTES = 1 << 20
 """Largest file that is read; chosen: fifty times the largest model or configuration here, and parsed in a second."""
@@ -222,12 +224,12 @@ class Table:
             return (self._text((key,), value, check),)
         return tuple(self._text((key, k), item, check) for k, item in enumerate(self._list(key, value)))
 
-    def choice(self, key: str, choices: Sequence[str], default: str | None = None) -> str:
+    def choice(self, key: str, choices: Sequence[_Choice], default: _Choice | None = None) -> _Choice:
         """Return one of some texts."""
         value = self._get(key, default)
         return choices[0] if value is None else self._choice((key,), value, choices)
 
-    def choices(self, key: str, choices: Sequence[str]) -> tuple[str, ...]:
+    def choices(self, key: str, choices: Sequence[_Choice]) -> tuple[_Choice, ...]:
         """Return a list of some texts, empty where the key is absent."""
         value = self._list(key, self._get(key, []))
         return tuple(self._choice((key, k), item, choices) for k, item in enumerate(value))
@@ -309,9 +311,9 @@ class Table:
             return False
         return True
 
-    def _choice(self, at: KeyPath, value: Any, choices: Sequence[str]) -> str:
+    def _choice(self, at: KeyPath, value: Any, choices: Sequence[_Choice]) -> _Choice:
         if value in choices:
-            return str(value)
+            return choices[choices.index(value)]
         quoted = [f"'{choice}'" for choice in choices]
         known = " or ".join([", ".join(quoted[:-1])] * (len(quoted) > 1) + quoted[-1:])
         self.mistake(at, f"is {_shown(value)}; it must be {known}")

@@ -24,7 +24,7 @@ NAMES = st.text("abcdefgh_0123", min_size=1, max_size=8).filter(lambda name: not
     where=st.dictionaries(NAMES, st.one_of(st.integers(), NAMES), max_size=2),
     clock=st.none() | NAMES,
     unit=st.none() | st.integers(1, 10**9),
-    interpolation=st.sampled_from(["linear", "previous"]),
+    interpolation=st.sampled_from(["linear", "previous", "mean"]),
 )
 def test_a_channel_survives_the_way_through_its_table(message: str, path: list[Any], head: str, **rest: Any) -> None:
     channel = Channel(
@@ -52,7 +52,7 @@ def test_a_channel_survives_the_way_through_its_table(message: str, path: list[A
         ({"message": "A", "field": "a", "where": {"port": 1.5}}, "'where' is not a table"),
         ({"message": "A", "field": "a", "clock": 1}, "'clock' is 1, which is not text in quotes"),
         ({"message": "A", "field": "a", "clock_unit_ns": 0}, "'clock_unit_ns' is 0; it must be at least 1"),
-        ({"message": "A", "field": "a", "interpolation": "cubic"}, "it must be 'linear' or 'previous'"),
+        ({"message": "A", "field": "a", "interpolation": "cubic"}, "it must be 'linear', 'previous' or 'mean'"),
     ],
 )
 def test_a_wrong_table_is_reported_in_one_line_that_names_it(table: dict[str, Any], said: str) -> None:

@@ -77,6 +77,10 @@ def message(name: str, time_us: int, delay_ns: int = 0, **fields: Any) -> Messag
 
 WAVES = [Channel("a", "A", ("a",), 0.5, -1.0), Channel("turn", "A", ("turn",), period=6.25)]
 HELD = Channel("b", "B", ("b",), 3.0, interpolation="previous")
+MEANS = [
+    Channel("mean", "B", ("b",), interpolation="mean"),
+    Channel("turned", "A", ("turn",), interpolation="mean", period=6.25),
+]
 SLOW = Channel("c", "C", ("data", 1), 1e-3)
 WIND = Channel("wind", "W", ("wind",))
 PORTS = [Channel(f"p{port}", "P", ("p",), where=(("port", port),)) for port in (0, 1)]
@@ -85,6 +89,7 @@ SETUPS = (
     ([*WAVES, SLOW, WIND], [], 33.3),
     ([HELD, PORTS[0]], [PORTS[1], WAVES[0]], 250.0),
     ([Channel("any", "P", ("port",))], [PORTS[0]], 29.97),
+    (MEANS, [WAVES[0]], 4.0),
 )
 
 

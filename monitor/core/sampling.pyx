@@ -13,10 +13,12 @@ their order count:
    as its stamp lies after the last tick given out or skipped; otherwise it is late: dropped and counted.
 3. The grid starts when four measurements of every channel are there. Tick k is given out as soon as every
    channel has a measurement at or after t_k: ``linear`` channels are interpolated between the two
-   measurements around t_k, ``previous`` ones hold the newest at or before it. So a sample comes at most one
-   period of the slowest channel after its time.
+   measurements around t_k, ``previous`` ones hold the newest at or before it, ``mean`` ones take the mean over
+   (t_k-1, t_k] of the straight lines between measurements (what a quick command did between two ticks of a slow
+   grid; it needs a measurement at or before t_k-1, too). So a sample comes at most one period of the slowest
+   channel after its time.
 4. A channel's nominal period is the median of its last 31 steps from stamp to stamp. If the measurements
-   around t_k are more than 1.5 periods apart (1 ms or a quarter of a period, whichever is less, is granted
+   around t_k (with ``mean``: any two neighbours whose line is used) are more than 1.5 periods apart (1 ms or a quarter of a period, whichever is less, is granted
    for jitter), some were lost in between and the sample is marked ``complete=False``: an estimate, no
    evidence. If three or more of an output's are missing, of one that comes at least at every second tick, it
    is marked ``measured=False`` too: the observer coasts, for over such a distance its model is better than a
@@ -384,6 +386,7 @@ cdef enum Kind:
     _LINEAR
     _WRAPPING
     _PREVIOUS
+    _MEAN
 
 
 cdef struct Column:
@@ -412,6 +415,8 @@ cdef class Lane:
 
     cdef Column* columns
     cdef int width
+    # Whether any of them is a mean over the time since the tick before.
+    cdef bint averages
     cdef nanoseconds max_gap, slow, line_periods
     # Measurements start <= i < start + count of buffers with room for `room`.
     cdef nanoseconds* _stamps
@@ -533,10 +538,56 @@ cdef class Lane:
             if column.kind == _LINEAR:
                 vector[column.place] = left[i] + (right[i] - left[i]) * fraction
             elif column.kind == _WRAPPING:
-                step = _modulo(right[i] - left[i] + 0.5 * column.period, column.period) - 0.5 * column.period
-                vector[column.place] = left[i] + step * fraction
-            else:
+                vector[column.place] = left[i] + _turned(left[i], right[i], column.period) * fraction
+            elif column.kind == _PREVIOUS:
                 vector[column.place] = left[i]
+
+    cdef void copy(self, double* vector) noexcept:
+        """Write the values of the oldest measurement into [u; y]."""
+        cdef int i
+        for i in range(self.width):
+            if self.columns[i].kind != _MEAN:
+                vector[self.columns[i].place] = self.row(0)[i]
+
+    cdef nanoseconds longest_step(self, nanoseconds due, nanoseconds* after_gap) noexcept:
+        """Return the longest step from the oldest measurement to the first at or after a tick.
+
+        ``after_gap`` becomes the measurement after the last gap, if there is any.
+        """
+        cdef nanoseconds* stamps = self.stamps()
+        cdef nanoseconds longest = 0
+        cdef Py_ssize_t i = 0
+        while stamps[i] < due:
+            i += 1
+            longest = max(longest, stamps[i] - stamps[i - 1])
+            if stamps[i] - stamps[i - 1] > self.gap:
+                after_gap[0] = stamps[i]
+        return longest
+
+    cdef void average(self, nanoseconds since, nanoseconds due, double* vector) noexcept:
+        """Write the means over (since, due] of the lines from measurement to measurement into [u; y]."""
+        cdef nanoseconds* stamps = self.stamps()
+        cdef nanoseconds first, last
+        cdef Column* column
+        cdef double total, value, step, width
+        cdef Py_ssize_t k
+        cdef int i
+        for i in range(self.width):
+            column = self.columns + i
+            if column.kind != _MEAN:
+                continue
+            # Sums of differences from the oldest value: exact for a constant, and an angle may go on over its range.
+            total, value, k = 0.0, 0.0, 0
+            while stamps[k] < due:
+                width = <double>(stamps[k + 1] - stamps[k])
+                step = _turned(self.row(k)[i], self.row(k + 1)[i], column.period)
+                first, last = max(since, stamps[k]), min(due, stamps[k + 1])
+                total += <double>(last - first) * (
+                    value + step * (0.5 * (<double>(first - stamps[k]) + <double>(last - stamps[k])) / width)
+                )
+                value += step
+                k += 1
+            vector[column.place] = self.row(0)[i] + total / <double>(due - since)
 
     cdef Lane part(self, const double* values, bint missing):
         """Return a lane with the same past of the columns whose value in a stream's row is there, or is missing."""
@@ -546,6 +597,7 @@ cdef class Lane:
         for i in range(self.width):
             width += (values[self.columns[i].source] != values[self.columns[i].source]) == missing
         part = Lane.__new__(Lane, width, self.max_gap, self.slow)
+        part.averages = self.averages
         if self.count:
             part.grow(self.count + 1)
         width = 0
@@ -570,6 +622,11 @@ cdef inline double _modulo(double value, double period) noexcept:
     return remainder + period if remainder < 0.0 else remainder
 
 
+cdef inline double _turned(double start, double end, double period) noexcept:
+    """Return the step from a value to the next, of one that wraps (a period above zero) the shorter way round."""
+    return end - start if period == 0.0 else _modulo(end - start + 0.5 * period, period) - 0.5 * period
+
+
 cdef class Stream:
     """Channels that share message, selection and clock.
 
@@ -591,11 +648,14 @@ cdef class Stream:
         for i, (place, channel) in enumerate(group):
             column = lane.columns + i
             column.source, column.place = i, place
-            column.kind, column.period = _LINEAR, 0.0
-            if channel.interpolation == "previous":
+            column.kind, column.period = _LINEAR, channel.period or 0.0
+            if channel.interpolation == "mean":
+                column.kind = _MEAN
+                lane.averages = True
+            elif channel.interpolation == "previous":
                 column.kind = _PREVIOUS
             elif channel.period is not None:
-                column.kind, column.period = _WRAPPING, channel.period
+                column.kind = _WRAPPING
         self.lanes = [lane]
 
     cdef bint knows(self, nanoseconds stamp) noexcept:
@@ -841,7 +901,7 @@ cdef class SamplerCore:
     cdef int give_out(self) except -1:
         """Give out all ticks for which every lane has a measurement at or after them."""
         cdef Lane lane, waiting
-        cdef nanoseconds latest
+        cdef nanoseconds first
         while True:
             waiting = self.find_waiting()
             if waiting is not None:
@@ -850,12 +910,12 @@ cdef class SamplerCore:
             if self._started:
                 self.tick()
                 continue
-            latest = 0
+            first = 0
             for lane in self._lanes:
                 lane.settle()
-                latest = max(latest, lane.stamps()[0])
+                first = max(first, self.first_tick(lane, lane.stamps()[0]))
             self._started = True
-            self.go_to(self._grid.index_at(latest))
+            self.go_to(first)
 
     cdef Lane find_waiting(self):
         """Return a lane without a measurement at or after the next tick; before the first, one not ready."""
@@ -877,14 +937,17 @@ cdef class SamplerCore:
         self._next_tick = index
         self._due = self._grid.time_ns(index)
 
+    cdef inline nanoseconds first_tick(self, Lane lane, nanoseconds stamp) noexcept:
+        """Return the first tick that needs nothing of a lane from before a stamp."""
+        return self._grid.index_at(stamp) + lane.averages
+
     cdef int tick(self) except -1:
         """Give out the next tick, or skip the ticks of the gap it lies in."""
-        cdef nanoseconds due = self._due, left, right, width
+        cdef nanoseconds due = self._due, left, right, width, since, after_gap
         cdef Tick* tick
         cdef double* vector
         cdef Lane lane
         cdef Py_ssize_t room
-        cdef int i
         if self._count == self._room:
             room = 2 * self._room if self._room else 8
             self._ticks = <Tick*>_resized(self._ticks, room * sizeof(Tick))
@@ -894,22 +957,33 @@ cdef class SamplerCore:
         tick.complete = tick.measured = True
         tick.known = due
         for lane in self._lanes:
+            if lane.averages:
+                since = self._grid.time_ns(self._next_tick - 1)
+                lane.pass_to(since)
+                if lane.stamps()[0] > since:
+                    self.skip_to(self.first_tick(lane, lane.stamps()[0]))
+                    return 0
+                width = lane.longest_step(due, &after_gap)
+                if width > lane.gap:
+                    self.skip_to(self.first_tick(lane, after_gap))
+                    return 0
+                tick.complete &= width <= lane.loss
+                lane.average(since, due, vector)
             if lane.count > 1 and lane.stamps()[1] <= due:
                 lane.pass_to(due)
             left = lane.stamps()[0]
             if left == due:
-                for i in range(lane.width):
-                    vector[lane.columns[i].place] = lane.row(0)[i]
+                lane.copy(vector)
                 continue
             if left > due:
-                self.skip_to(left)
+                self.skip_to(self.first_tick(lane, left))
                 return 0
             right = lane.stamps()[1]
             width = right - left
             tick.known = max(tick.known, right)
             if width > lane.loss:
                 if width > lane.gap:
-                    self.skip_to(right)
+                    self.skip_to(self.first_tick(lane, right))
                     return 0
                 tick.complete = False
                 if width > lane.line and lane.columns[lane.width - 1].place >= self._first_measured:
@@ -927,13 +1001,9 @@ cdef class SamplerCore:
         self.go_to(self._next_tick + 1)
         return 0
 
-    cdef void skip_to(self, nanoseconds time) noexcept:
-        """Skip the ticks before a time."""
-        cdef nanoseconds index
-        if not self._started:
-            return
-        index = self._grid.index_at(time)
-        if index > self._next_tick:
+    cdef void skip_to(self, nanoseconds index) noexcept:
+        """Skip the ticks before one."""
+        if self._started and index > self._next_tick:
             self._skipped += index - self._next_tick
             self._last_tick = self._grid.time_ns(index - 1)
             self._restarting = True
@@ -945,7 +1015,7 @@ cdef class SamplerCore:
         cdef Lane other
         if lane.count and lane.newest() >= horizon:
             return
-        self.skip_to(horizon)
+        self.skip_to(self._grid.index_at(horizon))
         for other in self._lanes:
             if other.count > 1 and other.stamps()[1] <= horizon:
                 other.pass_to(horizon)
