@@ -39,18 +39,10 @@ class Command(NamedTuple):
 
 
 class Operators:
-    """The commands of one vehicle.
+    """The commands of one vehicle, of which the allowed verbs are carried out.
 
-    Parameters
-    ----------
-    session : zenoh.Session
-        An open session; left open by :meth:`close`.
-    root : str
-        What the vehicle's keys begin with.
-    allowed : Collection[str]
-        Verbs that are carried out; the others are refused.
-    shelve_minutes, max_shelve_minutes : float
-        How long an alarm is shelved where the command does not say, and at most.
+    An alarm is shelved for ``shelve_minutes`` where the command does not say, and ``max_shelve_minutes`` at most. The
+    session is left open by :meth:`close`.
     """
 
     def __init__(

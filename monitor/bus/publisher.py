@@ -24,30 +24,19 @@ HEARTBEAT_S = 1.0
 
 
 class Publisher:
-    """Publishes what the monitor says, in the key space of the contract.
+    """Publishes what the monitor says, in the key space of the contract; the session is left open by :meth:`close`.
 
-    Events go out with :class:`zenoh.ext.AdvancedPublisher`, so that an advanced subscriber gets the current
-    state when it joins and recovers what it missed; a plain client gets the same with a ``get`` on the alarm
-    keys. Nothing here waits for a slow client: what does not fit its queue is dropped for it.
+    Events go out with :class:`zenoh.ext.AdvancedPublisher`, so that an advanced subscriber gets the current state when
+    it joins and recovers what it missed; a plain client gets the same with a ``get`` on the alarm keys. Nothing here
+    waits for a slow client: what does not fit its queue is dropped for it.
 
-    Parameters
-    ----------
-    session : zenoh.Session
-        An open session with timestamping; left open by :meth:`close`.
-    vehicle : str
-        The vehicle's name, one chunk of the keys.
-    layouts : Sequence[Layout]
-        The observers whose estimates will be published.
-    prefix : str
-        What the keys begin with.
-    estimate_rate_hz : float
-        Largest rate of estimates per observer, on the samples' own time; 0 publishes none.
-    journal : Callable[[int], Sequence[AlarmEvent]] | None
-        Returns all past events from a Unix time in nanoseconds on; None: what was published here, a bounded number.
+    At most ``estimate_rate_hz`` estimates a second go out per observer, on the samples' own time; 0 publishes none.
+    ``journal`` returns all past events from a Unix time in nanoseconds on; without it a bounded number of those that
+    were published here is kept.
 
     Raises
     ------
-    ProfileError
+    UsageError
         The vehicle's name or the prefix cannot be part of a key.
     """
 

@@ -59,20 +59,11 @@ def valid_status(vehicle: str, payload: Any) -> VehicleStatus | None:
 
 
 class StatusWatch:
-    """Keeps the latest status of each vehicle.
-
-    Parameters
-    ----------
-    session : zenoh.Session
-        An open session; left open by :meth:`close`.
-    vehicle : str
-        Name of the vehicle, ``"*"`` for all.
-    prefix : str
-        What the keys begin with.
+    """Keeps the latest status of a vehicle, or of all; the session is left open by :meth:`close`.
 
     Raises
     ------
-    ProfileError
+    UsageError
         The vehicle's name or the prefix cannot be part of a key.
     """
 

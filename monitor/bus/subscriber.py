@@ -47,7 +47,7 @@ class AlarmSubscriber:
 
     Raises
     ------
-    ProfileError
+    UsageError
         The vehicle's name or the prefix cannot be part of a key.
     """
 

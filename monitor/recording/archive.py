@@ -25,16 +25,8 @@ class ArchiveStatistics:
 class Archive:
     """Records what one monitor receives and computes in a recording and a black box, either of which may be absent.
 
-    A disk that fails stops neither the monitor nor the other of the two.
-
-    Parameters
-    ----------
-    encoder : RecordEncoder
-        Encodes for both, which have its table of topics.
-    recorder : Recorder | None
-        The recording, if any.
-    black_box : BlackBox | None
-        The black box, if any.
+    The encoder works for both, which have its table of topics. A disk that fails stops neither the monitor nor the
+    other of the two.
     """
 
     def __init__(

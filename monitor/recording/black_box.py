@@ -75,24 +75,15 @@ class BlackBox:
 
     A clip is complete in itself: profile, metadata (``alarm_id``, ``alarm_channel``, ``alarm_observer``, and
     ``alarm_ids`` of all alarms raised in its span), telemetry, estimates and alarms. It begins with the vehicle's last
-    messages about its flight phase before that, so that a replay knows it armed. Time is that of telemetry's arrival.
-    A clip that the disk refuses is begun again from memory, every :data:`~monitor.recording.recorder.RETRY_S` seconds
-    up to :data:`MAX_TRIES` times.
-    Nothing is written but by :meth:`work` and :meth:`close`; no method raises after construction.
-    Not for several threads at once.
+    messages about its flight phase before that, so that a replay knows it armed. Time is that of telemetry's arrival. A
+    clip that the disk refuses is begun again from memory, every :data:`~monitor.recording.recorder.RETRY_S` seconds up
+    to :data:`MAX_TRIES` times. Nothing is written but by :meth:`work` and :meth:`close`; no method raises after
+    construction. Not for several threads at once.
 
     Parameters
     ----------
-    folder : str | PathLike
-        Where the clips go; created where it does not exist.
-    vehicle : str
-        The vehicle's name.
-    topics : TopicTable
-        Topics of the records.
-    metadata : Mapping[str, str]
-        Entries of the metadata record ``fauio`` of each clip.
-    profile_files : Mapping[str, bytes]
-        The profile's files by name, attached to each clip.
+    folder, vehicle, topics, metadata, profile_files
+        As of :class:`~monitor.recording.recorder.Recorder`; the folder is created where it does not exist.
     before_s, after_s : float
         Span of a clip around the moment its alarm was raised, seconds.
     budget_bytes : int
@@ -150,12 +141,7 @@ class BlackBox:
     def record(self, records: Sequence[EncodedRecord], *, telemetry: bool = False) -> None:
         """Hold records for alarms to come, and give them to the open clips.
 
-        Parameters
-        ----------
-        records : Sequence[EncodedRecord]
-            The records, in the order of recording.
-        telemetry : bool
-            Whether their time is that of their arrival, which is the time of the black box.
+        Those of ``telemetry`` have the time of their arrival, which is the time of the black box.
         """
         for record in records:
             _, data, time_ns = record
@@ -194,19 +180,9 @@ class BlackBox:
         self._clips.append(_Clip(path, now, now + self._after_ns, self._metadata | alarm, waiting, alarms))
 
     def work(self, max_records: int, now_ns: int | None = None) -> int:
-        """Write some of the records that wait; call it on each turn of the loop.
+        """Write up to so many of the records that wait, on each turn of the loop; return how many were written.
 
-        Parameters
-        ----------
-        max_records : int
-            How many records to write at most.
-        now_ns : int | None
-            Unix time, which ends clips also while no telemetry arrives.
-
-        Returns
-        -------
-        int
-            How many were written.
+        Unix time ends clips also while no telemetry arrives.
         """
         if now_ns is not None:
             self._pass_time(now_ns)

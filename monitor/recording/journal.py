@@ -149,19 +149,8 @@ class Journal:
     No trouble of the disk raises from :meth:`write`, :meth:`retry`, :meth:`sync` or :meth:`close`: events wait in
     memory, in order, until :meth:`retry` (called once a second) can write them. Queries give the events on disk, each
     over a connection of its own, so readers and writer do not wait for each other. Beyond ``max_events`` the oldest
-    events are deleted, a few with each new one, but never the latest event of an alarm that is not cleared.
-
-    Parameters
-    ----------
-    path : str | PathLike
-        The database file; created where there is none.
-    max_events : int
-        Events kept.
-
-    Attributes
-    ----------
-    set_aside : Path | None
-        Path that a damaged journal was moved to at the start; this one began empty.
+    events are deleted, a few with each new one, but never the latest event of an alarm that is not cleared. A damaged
+    journal is moved to the path ``set_aside`` at the start, and this one begins empty.
 
     Raises
     ------
@@ -188,13 +177,8 @@ class Journal:
     def write(self, event: AlarmEvent, frame: Mapping[str, Any] | None = None) -> None:
         """Commit an event, once however often it is given; keep it in memory if the disk does not take it.
 
-        Parameters
-        ----------
-        event : AlarmEvent
-            The event, identified by its vehicle and ``seq``.
-        frame : Mapping[str, Any] | None
-            Freeze frame, kept by the alarm's id: inputs, outputs, estimates and thresholds at the moment. The first
-            one of an alarm stays.
+        An event is identified by its vehicle and ``seq``. The first freeze frame of an alarm (inputs, outputs,
+        estimates and thresholds at the moment) is kept by its id.
         """
         with self._lock:
             row = self._row(event, frame)
@@ -276,16 +260,9 @@ class Journal:
         return int(rows[0][0]) if rows else 0
 
     def events(self, vehicle: str | None = None, since_ns: int = 0, limit: int = 1000) -> list[AlarmEvent]:
-        """Return the newest events, in the order they were written.
+        """Return the newest events of a vehicle, or of all, in the order they were written.
 
-        Parameters
-        ----------
-        vehicle : str | None
-            Whose events; None for all.
-        since_ns : int
-            None from before this Unix time.
-        limit : int
-            At most so many, and never more than :data:`MAX_ANSWER`.
+        None is from before the Unix time ``since_ns``, and there are never more than :data:`MAX_ANSWER`.
         """
         since_ns, limit = bounded(since_ns), max(0, min(limit, MAX_ANSWER))
         if vehicle is None:

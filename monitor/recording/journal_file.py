@@ -102,13 +102,8 @@ def open_database(path: Path) -> sqlite3.Connection:
 def read_connection(path: Path, alone: bool = False) -> sqlite3.Connection:
     """Return a connection for one query of any thread.
 
-    Parameters
-    ----------
-    path : Path
-        The database file.
-    alone : bool
-        Whether no one has it open, not even our own writer: then it is read without creating a file, as is necessary
-        on a full disk. Such a connection could write; others cannot.
+    ``alone`` says that no one has the file open, not even our own writer: then it is read without creating a file, as
+    is necessary on a full disk. Such a connection could write; others cannot.
     """
     uri = f"{path.absolute().as_uri()}?mode={'rw' if alone else 'ro'}"
     connection = sqlite3.connect(uri, uri=True, timeout=READ_BUSY_S, isolation_level=None)

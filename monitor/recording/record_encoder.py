@@ -94,22 +94,11 @@ def _alarm_class() -> Any:
 class RecordEncoder:
     """Encodes one vehicle's messages, estimates and alarm events.
 
-    Topics: ``/mavlink/<MESSAGE>`` and ``/zenoh/<key>`` telemetry as received (and ``/link``, ``/operator`` and the
-    like for the pipeline's other inputs); ``/fauio/<observer>/sample`` and ``/fauio/<observer>/estimate``;
-    ``/fauio/alarm`` (protobuf) and ``/fauio/alarm_json``. The time of a record is the time of arrival for telemetry
-    and the Unix time of the sample for the monitor's results.
-
-    Parameters
-    ----------
-    layouts : Sequence[Layout]
-        The observers whose estimates will be encoded.
-
-    Attributes
-    ----------
-    topics : TopicTable
-        The topics of the records.
-    unrecordable : int
-        Messages, estimates and events that no record can hold: values no JSON knows, clocks that run out of 63 bits.
+    Topics: ``/mavlink/<MESSAGE>`` and ``/zenoh/<key>`` telemetry as received (and ``/link``, ``/operator`` and the like
+    for the pipeline's other inputs); ``/fauio/<observer>/sample`` and ``/fauio/<observer>/estimate``; ``/fauio/alarm``
+    (protobuf) and ``/fauio/alarm_json``. The time of a record is the time of arrival for telemetry and the Unix time of
+    the sample for the monitor's results. ``unrecordable`` counts what no record can hold: values no JSON knows, clocks
+    that run out of 63 bits.
     """
 
     def __init__(self, layouts: Sequence[Layout]) -> None:

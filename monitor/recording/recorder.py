@@ -77,16 +77,7 @@ _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml"}
 def start_log(
     path: str | os.PathLike[str], metadata: Mapping[str, str], profile_files: Mapping[str, bytes]
 ) -> MessageLogWriter:
-    """Create a recording with its metadata and profile, and hand it to the operating system.
-
-    Parameters
-    ----------
-    path : str | PathLike
-        File to create.
-    metadata : Mapping[str, str]
-        Entries of the metadata record ``fauio``.
-    profile_files : Mapping[str, bytes]
-        The profile's files by name; each becomes the attachment ``profile/<name>``.
+    """Create a recording, its profile as attachments ``profile/<name>``, and hand it to the operating system.
 
     Raises
     ------
@@ -134,10 +125,10 @@ class RecorderStatistics:
 class Recorder:
     """Writes one vehicle's records into one file, or into a series of files for weeks.
 
-    Each file is complete in itself; the files of a series, read in lexical order, are one recording. The caller
-    flushes on a timer: everything flushed survives ``kill -9``. After a write that failed, everything flushed stays
-    readable, and recording is tried again every :data:`RETRY_S` seconds, in the same file or, of a series, in the next;
-    it continues with the alarm events that no file has. Not for several threads at once.
+    Each file is complete in itself; the files of a series, read in lexical order, are one recording. The caller flushes
+    on a timer: everything flushed survives ``kill -9``. After a write that failed, everything flushed stays readable,
+    and recording is tried again every :data:`RETRY_S` seconds, in the same file or, of a series, in the next; it
+    continues with the alarm events that no file has. Not for several threads at once.
 
     Parameters
     ----------
@@ -151,8 +142,6 @@ class Recorder:
         The profile's files by name, attached to each file.
     strict : bool
         Whether a write that fails raises OSError and is not tried again: for commands whose result the file is.
-    monotonic : Callable[[], float]
-        Clock of the retries, seconds.
 
     Raises
     ------
@@ -192,14 +181,8 @@ class Recorder:
     def record(self, records: Sequence[EncodedRecord], *, telemetry: bool = False, keep: bool = False) -> None:
         """Write records.
 
-        Parameters
-        ----------
-        records : Sequence[EncodedRecord]
-            The records.
-        telemetry : bool
-            Whether their time is that of their arrival: a series looks at it to begin a new file.
-        keep : bool
-            Whether they wait in memory while no file can be written, as alarm events do; others are dropped.
+        The time of ``telemetry`` is that of its arrival: a series looks at it to begin a new file. What is to ``keep``,
+        alarm events, waits in memory while no file can be written; other records are dropped.
         """
         if self._closed:
             raise RuntimeError("the recorder is closed; make another one")
@@ -316,12 +299,8 @@ class Recorder:
         return log.size + added <= series.file_bytes
 
     def _continue(self, first_ns: int) -> MessageLogWriter:
-        """Resume the file in hand, or begin the next; write the events that wait.
-
-        Parameters
-        ----------
-        first_ns : int
-            Time of the first telemetry, for the file's name.
+        """Resume the file in hand, or begin the next, named by the time of its first telemetry; write the events that
+        wait.
         """
         log = self._log
         if log is None and self._series is not None:

@@ -19,18 +19,9 @@ _LATEST_S = 253_402_300_799
 class FileSeries:
     """Files ``<folder>/<vehicle>-<UTC>-<number>.mcap``, whose lexical order is the order of recording.
 
-    Parameters
-    ----------
-    folder : str | PathLike
-        Folder of the files; created where it does not exist.
-    vehicle : str
-        The vehicle's name.
-    file_bytes, file_s : int, float
-        Size, and time between the arrivals of first and last telemetry, after which a new file begins. Defaults chosen:
-        ten minutes, 25 MB for a copter of 500 records a second
-        (measured), open at once in a viewer; the size bounds the files of faster ones.
-    budget_bytes : int
-        Bytes of all the vehicle's files together, the one being written included.
+    A new file begins after a size and a time between the arrivals of first and last telemetry. Defaults chosen: ten
+    minutes, 25 MB for a copter of 500 records a second (measured), open at once in a viewer; the size bounds the files
+    of faster ones. ``budget_bytes`` are those of all the vehicle's files together, the one being written included.
 
     Raises
     ------
@@ -66,13 +57,9 @@ class FileSeries:
         return self._retention.deleted
 
     def next_path(self, time_ns: int) -> Path:
-        """Return the path of the next file, with room for it in the budget.
+        """Return the path of the next file, whose first telemetry has this Unix time, with room for it in the budget.
 
-        Parameters
-        ----------
-        time_ns : int
-            Unix time of the first telemetry in it. A clock that was set back continues with the last file's time, so
-            that names stay in order.
+        A clock that was set back continues with the last file's time, so that names stay in order.
         """
         self._retention.make_room(self.file_bytes)
         seconds = min(max(time_ns, 0) // 1_000_000_000, _LATEST_S)
@@ -97,17 +84,7 @@ def file_stem(name: str) -> str:
 
 
 class Retention:
-    """The files of a folder whose names match, the oldest first.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    name : re.Pattern[str]
-        Matches the whole names of these files; their lexical order is that of their age.
-    budget_bytes : int
-        Bytes that they may take together.
-    """
+    """The files of a folder whose whole names match, the oldest first, which is their lexical order."""
 
     def __init__(self, folder: Path, name: re.Pattern[str], budget_bytes: int) -> None:
         self._folder = folder

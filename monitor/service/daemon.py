@@ -25,20 +25,9 @@ _EVERY_NS = 50_000_000
 class Daemon:
     """Runs the vehicles of one process on live links.
 
-    Parameters
-    ----------
-    inbox : Inbox
-        Where messages come from.
-    fleet : Fleet
-        Which vehicle they belong to.
-    services : Callable[[], Sequence[VehicleService]]
-        The vehicles' services; they may become more.
-    troubles : Callable[[], Sequence[str]]
-        What is wrong with links and disks, for the status.
-    every_turn : Callable[[int], None]
-        Called about twenty times a second with Unix time: reloads, retries.
-    batch_s : float
-        How long links let telemetry wait to form batches, seconds.
+    ``services`` returns the vehicles' services, which may become more; ``troubles`` what is wrong with links and disks,
+    for the status; ``every_turn`` is called about twenty times a second with Unix time, for reloads and retries.
+    ``batch_s`` is how long links let telemetry wait to form batches.
     """
 
     def __init__(

@@ -18,22 +18,13 @@ beside another.
 
 
 class Election:
-    """One monitor's candidacy for a vehicle.
+    """One monitor's candidacy for a vehicle whose keys begin with ``root``; the session is left open by :meth:`close`.
 
     Every candidate holds the liveliness token ``<root>/candidate/<start time>-<random>``; the smallest name that is
     alive leads. A monitor that is killed or cannot be reached loses its token, at once where its connection breaks,
-    otherwise with the session's lease; the next one leads ``takeover_s`` later, unless the token is back by then. One
-    that stops says so with a ``put`` on its token's key, and the next one leads at once. One that was started anew is
-    younger and waits. Where a network was split and is whole again, the younger of two leaders steps down.
-
-    Parameters
-    ----------
-    session : zenoh.Session
-        An open session; left open by :meth:`close`.
-    root : str
-        What the vehicle's keys begin with.
-    takeover_s : float
-        How long a candidate has to be gone before it counts as gone, seconds.
+    otherwise with the session's lease; the next one leads ``takeover_s`` seconds later, unless the token is back by
+    then. One that stops says so with a ``put`` on its token's key, and the next one leads at once. One that was started
+    anew is younger and waits. Where a network was split and is whole again, the younger of two leaders steps down.
     """
 
     def __init__(self, session: zenoh.Session, root: str, takeover_s: float = 0.5) -> None:

@@ -19,18 +19,10 @@ NewVehicle = Callable[[int], VehicleMonitor | None]
 class Fleet:
     """The vehicles of one monitor.
 
-    Parameters
-    ----------
-    vehicles : Sequence[VehicleMonitor]
-        Vehicles known from the start. One whose pipeline has no system id yet takes the first that fits.
-    new_vehicle : NewVehicle | None
-        Makes the monitor of a system id that belongs to none of them, or returns None where there shall be none;
-        asked once for each. None: there are no others.
-
-    Attributes
-    ----------
-    foreign : int
-        Messages that belong to no vehicle: of ground stations, other components and systems nobody asked for.
+    A vehicle whose pipeline has no system id yet takes the first that fits. ``new_vehicle`` makes the monitor of a
+    system id that belongs to none of them, or returns None where there shall be none; it is asked once for each.
+    ``foreign`` counts messages that belong to no vehicle: of ground stations, other components and systems nobody asked
+    for.
     """
 
     def __init__(self, vehicles: Sequence[VehicleMonitor], new_vehicle: NewVehicle | None = None) -> None:
@@ -57,13 +49,7 @@ class Fleet:
             self._by_system[vehicle.pipeline.system] = vehicle
 
     def routed(self, arrivals: Sequence[Arrival]) -> list[tuple[VehicleMonitor, Batch]]:
-        """Return each vehicle with its messages as one batch; those that belong to none are counted.
-
-        Parameters
-        ----------
-        arrivals : Sequence[Arrival]
-            Batches in order of arrival.
-        """
+        """Return each vehicle with its messages of these arrivals as one batch; those that belong to none are counted."""
         parts: dict[str, tuple[VehicleMonitor, list[Batch]]] = {}
         for arrival in arrivals:
             for vehicle, batch in self._split(arrival):

@@ -48,13 +48,7 @@ class InboxStatistics:
 
 
 class Inbox:
-    """Collects the batches of all links, in the order in which they arrive.
-
-    Parameters
-    ----------
-    limit : int
-        Largest number of messages waiting, in all batches together.
-    """
+    """Collects the batches of all links in the order in which they arrive, ``limit`` messages in all at most."""
 
     def __init__(self, limit: int) -> None:
         self._queue: deque[Arrival] = deque()
@@ -66,16 +60,9 @@ class Inbox:
         self._waiting = self._arrived = self._dropped = self._errors = 0
 
     def listen(self, name: str, link: Link, vehicle: str | None = None) -> None:
-        """Read a link in a thread of its own until the inbox is closed.
+        """Read a link in a thread of its own until the inbox is closed; closing the link afterwards is the caller's.
 
-        Parameters
-        ----------
-        name : str
-            The link's name, for :meth:`stuck`.
-        link : Link
-            The link; closing it afterwards is the caller's.
-        vehicle : str | None
-            Name of the vehicle whose own link it is.
+        ``name`` is the link's for :meth:`stuck`, ``vehicle`` the name of the vehicle whose own link it is.
         """
         thread = threading.Thread(target=self._read, args=(name, link, vehicle), name=f"link {name}", daemon=True)
         self._threads.append(thread)

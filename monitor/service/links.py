@@ -64,15 +64,7 @@ _OPENERS: Mapping[str, Callable[[str, LinkOptions], TelemetryLink]] = {
 
 
 def open_link(url: str, options: LinkOptions) -> TelemetryLink:
-    """Open the link that a URL names.
-
-    Parameters
-    ----------
-    url : str
-        ``udpin:HOST:PORT`` and the other links of :func:`adapters.mavlink.byte_link.open_byte_link`, or
-        ``zenoh:KEYEXPR``.
-    options : LinkOptions
-        Settings of all links.
+    """Open the link that a URL names: one of :func:`adapters.mavlink.byte_link.open_byte_link`, or ``zenoh:KEYEXPR``.
 
     Raises
     ------
@@ -92,16 +84,7 @@ class OpenedLink(NamedTuple):
 
 
 def open_links(config: Config, session: zenoh.Session | None, stack: ExitStack) -> list[OpenedLink]:
-    """Open all links of a configuration; nothing reads them yet.
-
-    Parameters
-    ----------
-    config : Config
-        Names them.
-    session : zenoh.Session | None
-        An open session; None leaves links over Zenoh out.
-    stack : ExitStack
-        Closes them.
+    """Open all links of a configuration, those over Zenoh where there is a session; nothing reads them yet.
 
     Raises
     ------

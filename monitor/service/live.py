@@ -34,21 +34,10 @@ _FINISH_S = 1.0
 
 
 def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool = False) -> int:
-    """Monitor vehicles until SIGINT or SIGTERM.
+    """Monitor vehicles until SIGINT or SIGTERM; return the exit status, 130 after SIGINT.
 
-    Parameters
-    ----------
-    config : Config
-        Where telemetry comes from and where results go.
-    read_again : Callable[[], Config]
-        Reads the configuration anew when SIGHUP asks for it.
-    as_json : bool
-        Whether log lines on stderr are JSON objects, whatever the configuration says.
-
-    Returns
-    -------
-    int
-        Exit status: 0 after SIGTERM, 130 after SIGINT.
+    ``read_again`` reads the configuration anew when SIGHUP asks for it; ``as_json`` asks for log lines as JSON objects,
+    whatever the configuration says.
 
     Raises
     ------

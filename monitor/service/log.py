@@ -46,17 +46,11 @@ class ServiceLog:
     """The daemon's log; one per process.
 
     Of each event name, and of each alarm channel, ten lines come at once and then one a second; the next line that
-    comes says how many did not.
+    comes says how many did not. Lines are JSON objects (``time_ns``, ``level``, ``event`` and its fields), or for
+    people, without control characters: what came over a network shall not drive the terminal.
 
-    Parameters
-    ----------
-    as_json : bool
-        Whether lines are JSON objects: ``time_ns``, ``level``, ``event`` and its fields. Otherwise they are for
-        people, without control characters: what came over a network shall not drive the terminal.
-    stream : TextIO | None
-        Where lines go; None takes ``sys.stderr`` as it is at the time.
-    clock : Callable[[], int]
-        Monotonic time for the rate limit, nanoseconds.
+    They go to ``stream``; None takes ``sys.stderr`` as it is at the time. ``clock`` gives the rate limit's monotonic
+    time in nanoseconds.
     """
 
     def __init__(
@@ -69,17 +63,7 @@ class ServiceLog:
         logging.getLogger().addHandler(self._handler)
 
     def say(self, name: str, *, level: Level = "info", **details: Any) -> None:
-        """Write a line.
-
-        Parameters
-        ----------
-        name : str
-            What happened, in a word or two.
-        level : {"debug", "info", "warning", "error"}
-            How bad it is.
-        **details : Any
-            Its fields.
-        """
+        """Write a line: what happened, in a word or two, how bad it is, and its fields."""
         self._write(name, level, name, details, None)
 
     def event(self, event: AlarmEvent) -> None:

@@ -35,27 +35,13 @@ class MetricRow:
 
 
 def render(health: Health, accept: str = "") -> tuple[bytes, str]:
-    """Return all metrics as text, and its content type.
-
-    Parameters
-    ----------
-    health : Health
-        The snapshot.
-    accept : str
-        The ``Accept`` header of the request: OpenMetrics for whoever asks for it, else Prometheus text.
-    """
+    """Return all metrics as text and its content type: OpenMetrics for an ``Accept`` header that asks for it."""
     encode, content_type = choose_encoder(accept)
     return encode(HealthCollector(lambda: health)), content_type
 
 
 class HealthCollector(Collector):
-    """What a registry of prometheus-client, or one of its encoders, collects metrics from.
-
-    Parameters
-    ----------
-    snapshot : Callable[[], Health]
-        Gives the present health.
-    """
+    """What a registry of prometheus-client, or one of its encoders, collects metrics from."""
 
     def __init__(self, snapshot: Callable[[], Health]) -> None:
         self._snapshot = snapshot

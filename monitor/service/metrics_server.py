@@ -27,24 +27,11 @@ _TEXT = "text/plain; charset=utf-8"
 
 
 class MetricsServer:
-    """Answers GET and HEAD until closed; each connection serves one request.
+    """Answers GET and HEAD at ``"host:port"`` on loopback until closed; each connection serves one request.
 
     Whoever is slow, sends too much or stays connected is cut off after :data:`REQUEST_S`; connections beyond
-    :data:`MAX_CONNECTIONS` are closed at once.
-
-    Parameters
-    ----------
-    address : str
-        ``"host:port"`` on loopback; port 0 takes a free one. ``"[::1]:9464"`` for IPv6.
-    snapshot : Callable[[], Health]
-        Gives the present health; called in the server's thread for each request. Where it raises, the answer is 503.
-
-    Attributes
-    ----------
-    port : int
-        The port it listens on.
-    refused : int
-        Connections closed because there were too many, or because they were no proper request in time.
+    :data:`MAX_CONNECTIONS` are closed at once. ``refused`` counts both. ``snapshot`` is called in the server's thread
+    for each request; where it raises, the answer is 503. Port 0 takes a free one, which ``port`` names.
 
     Raises
     ------

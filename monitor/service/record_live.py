@@ -42,18 +42,9 @@ class LiveRecording:
 
 
 def record_live(config: Config, path: Path, seconds: float | None = None, *, as_json: bool = False) -> LiveRecording:
-    """Record what the links bring, of all senders, until SIGINT, SIGTERM or enough time.
+    """Record what the links bring, of all senders, until SIGINT, SIGTERM or so many seconds after the first message.
 
-    Parameters
-    ----------
-    config : Config
-        Where telemetry comes from, and which message rates are asked of the vehicle, if any.
-    path : Path
-        MCAP file to make. What is older than a second survives a crash.
-    seconds : float | None
-        Time from the first message on; None: until a signal.
-    as_json : bool
-        Whether log lines on stderr are JSON objects, whatever the configuration says.
+    What is older than a second survives a crash. ``as_json`` asks for log lines as JSON objects.
 
     Raises
     ------

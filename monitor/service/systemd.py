@@ -14,17 +14,9 @@ _MAX_STATUS = 500
 class Notifier:
     """Datagrams to the service manager; does nothing where there is none. No trouble of the socket raises.
 
-    Parameters
-    ----------
-    environment : Mapping[str, str]
-        Environment of the process: ``NOTIFY_SOCKET``, ``WATCHDOG_USEC`` and ``WATCHDOG_PID``.
-
-    Attributes
-    ----------
-    watchdog_ns : int | None
-        Within which time the watchdog wants to be fed, nanoseconds; None where nobody watches.
-    failed : int
-        Datagrams that could not be sent.
+    ``environment`` is that of the process: ``NOTIFY_SOCKET``, ``WATCHDOG_USEC`` and ``WATCHDOG_PID``. ``watchdog_ns``
+    is the time within which the watchdog wants to be fed, None where nobody watches; ``failed`` counts datagrams that
+    could not be sent.
     """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
@@ -55,14 +47,10 @@ class Notifier:
         self._send("STOPPING=1")
 
     def feed(self, alive: bool, now_ns: int | None = None) -> bool:
-        """Feed the watchdog, at most three times as often as it wants; return whether it was fed.
+        """Feed the watchdog while every part of the daemon is alive, at most three times as often as it wants.
 
-        Parameters
-        ----------
-        alive : bool
-            Whether every part of the daemon answers. If not, nothing is sent, and systemd will restart it.
-        now_ns : int | None
-            Any steadily growing time, nanoseconds; None takes the monotonic clock.
+        If a part does not answer nothing is sent, and systemd will restart the daemon. ``now_ns`` is any steadily
+        growing time; None takes the monotonic clock. Return whether the watchdog was fed.
         """
         if not alive or self.watchdog_ns is None:
             return False

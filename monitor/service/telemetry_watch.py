@@ -19,21 +19,10 @@ _SET_BACK_NS = 1_000_000_000
 
 
 class TelemetryWatch:
-    """Follows which messages come and which observers sample.
+    """Follows which messages come and which observers sample, from Unix time ``now_ns`` on.
 
-    Parameters
-    ----------
-    observers : Sequence[ObserverProfile]
-        The vehicle's observers.
-    needs : Mapping[str, frozenset[str]]
-        Names of the messages that each observer's channels come from.
-    now_ns : int
-        Unix time of the start.
-
-    Attributes
-    ----------
-    heard_ns : int
-        When a message that an observer needs came last; the start while none did.
+    ``needs`` names the messages that each observer's channels come from; ``heard_ns`` is when one of them came last,
+    the start while none did.
     """
 
     def __init__(self, observers: Sequence[ObserverProfile], needs: Mapping[str, frozenset[str]], now_ns: int) -> None:

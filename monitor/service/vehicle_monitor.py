@@ -74,18 +74,8 @@ class _Second:
 class VehicleMonitor:
     """State of one monitored vehicle.
 
-    Parameters
-    ----------
-    pipeline : Pipeline
-        The vehicle's pipeline.
-    archives : Sequence[BatchSink]
-        Recording with black box, live view.
-    journal : EventSink | None
-        Alarm events for ever; None keeps none.
-    on_event : Callable[[AlarmEvent], None]
-        Called with every event that this monitor publishes, for the log.
-    now_ns : int
-        Unix time of the start.
+    ``archives`` record and show it, ``journal`` keeps its alarm events for ever, ``on_event`` is called with every
+    event that this monitor publishes. ``now_ns`` is the Unix time of the start.
     """
 
     def __init__(
@@ -132,18 +122,9 @@ class VehicleMonitor:
     ) -> None:
         """Begin to publish, continuing the active alarms of an earlier run or of another monitor.
 
-        Parameters
-        ----------
-        outlet : Outlet
-            Where to publish; closed by :meth:`deactivate`.
-        now_ns : int
-            Unix time.
-        alarms : Sequence[AlarmEvent]
-            Last events of the active alarms in the journal; those received from another monitor are known already.
-        seq : int
-            Number of the journal's last event.
-        shelved : Mapping[str, int]
-            Channels in the journal that operators had shelved, and until when.
+        ``alarms`` are the last events of the active alarms in the journal, ``seq`` is the number of its last event,
+        ``shelved`` says which channels operators had shelved in it, and until when. Events received from another
+        monitor are known already. :meth:`deactivate` closes the outlet.
         """
         self._outlet = outlet
         received = [event for event in self._peer_events.values() if event.state != "cleared"]
@@ -183,12 +164,8 @@ class VehicleMonitor:
     def process(self, batch: Batch, clock: Callable[[], int] | None = None) -> list[AlarmEvent]:
         """Run a batch through the pipeline, record and publish the results; return the published events.
 
-        Parameters
-        ----------
-        batch : Batch
-            Messages in order of arrival, of this vehicle or of others.
-        clock : Callable[[], int] | None
-            Gives Unix time, to measure how late messages and events are; None measures nothing.
+        Messages are in order of arrival, of this vehicle or of others. ``clock`` gives Unix time, to measure how late
+        messages and events are.
         """
         outputs = self.pipeline.run(batch)
         own = self._own(batch)
@@ -258,14 +235,8 @@ class VehicleMonitor:
     def status(self, now_ns: int, troubles: Sequence[str] = (), links: Sequence[LinkHealth] = ()) -> dict[str, Any]:
         """Return the status object and begin the next interval.
 
-        Parameters
-        ----------
-        now_ns : int
-            Unix time.
-        troubles : Sequence[str]
-            What is wrong around the vehicle: links, disks.
-        links : Sequence[LinkHealth]
-            The links that its telemetry may come over.
+        ``troubles`` say what is wrong around the vehicle (links, disks), ``links`` are those that its telemetry may
+        come over.
         """
         self._note_shelved()
         elapsed_s = max((now_ns - self._second.started_ns) / 1e9, 1e-9)
