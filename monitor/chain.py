@@ -65,18 +65,8 @@ class ChainRun:
 class ObserverChain:
     """State of one observer of one vehicle.
 
-    Parameters
-    ----------
-    profile : ObserverProfile
-        The observer's part of the profile.
-    vehicle : str
-        The vehicle's name in events.
-    gate : GateRule
-        When samples count as evidence.
-    clock : VehicleClock
-        The vehicle's clock, shared by its observers.
-    excuses : Excuses | None
-        Which alarms explain which, shared by the vehicle's observers; None: no alarm explains another.
+    Clock and excuses (which alarms explain which) are shared by the vehicle's observers; the gate says when samples
+    count as evidence.
     """
 
     def __init__(
@@ -156,16 +146,10 @@ class ObserverChain:
         self._sampler.enter(phase)
 
     def run(self, samples: Samples, position: NDArray[np.int64], phase: FlightPhase) -> ChainRun:
-        """Process samples: estimates, and the evidence from which :func:`alarm_events` makes events.
+        """Process n samples of :attr:`sampler`: estimates, and evidence for :func:`alarm_events` to make events of.
 
-        Parameters
-        ----------
-        samples : Samples
-            n samples of :attr:`sampler`.
-        position : NDArray[np.int64]
-            Place in the batch of the message that completed each (n,).
-        phase : FlightPhase
-            The vehicle's phase, the same for all of them and entered before.
+        ``position`` is the place in the batch of the message that completed each (n,); the vehicle's phase is the same
+        for all of them and was entered before.
         """
         samples, rows = self._sampler.run(samples)
         return self.estimate(samples, self._sampler.admitted(samples, phase), position[rows])
@@ -173,16 +157,9 @@ class ObserverChain:
     def estimate(
         self, samples: Samples, armed: NDArray[np.bool_], position: NDArray[np.int64] | None = None
     ) -> ChainRun:
-        """Process samples of the observer itself; use :meth:`run` for those of :attr:`sampler`.
+        """Process n samples (u, y) of the observer itself; use :meth:`run` for those of :attr:`sampler`.
 
-        Parameters
-        ----------
-        samples : Samples
-            n samples (u, y).
-        armed : NDArray[np.bool_]
-            Whether each is evidence (n,).
-        position : NDArray[np.int64] | None
-            Place in the batch of the message that completed each (n,); None: their index.
+        ``armed`` says whether each is evidence (n,); ``position`` is as in :meth:`run`, None for their index.
         """
         if position is None:
             position = np.arange(len(samples))
@@ -248,12 +225,7 @@ class ObserverChain:
 def alarm_events(runs: Sequence[ChainRun], excuses: Excuses) -> list[AlarmEvent]:
     """Return the events of all of a vehicle's observers over the same messages, in the order in which they arise.
 
-    Parameters
-    ----------
-    runs : Sequence[ChainRun]
-        What each observer made of the messages, in order.
-    excuses : Excuses
-        Which alarms explain which: an event takes effect on all rows after it, also those of other observers.
+    An event takes effect on what is excused in all rows after it, also those of other observers.
     """
     events = []
 

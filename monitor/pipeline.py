@@ -355,16 +355,8 @@ def handover_message(
 ) -> Message:
     """Return the message that lets a pipeline go on where another one stopped.
 
-    Parameters
-    ----------
-    alarms : Sequence[AlarmEvent]
-        The last event of each active alarm.
-    seq : int
-        The last number given to an event.
-    now_ns : int
-        Unix time.
-    shelved : Mapping[str, int]
-        Channels (``observer/channel``) that operators had shelved, and the Unix times at which shelving ends.
+    It holds the last event of each active alarm, the last number given to an event, and the channels
+    (``observer/channel``) that operators had shelved with the Unix times at which shelving ends.
     """
     fields = {"seq": seq, "alarms": [event.to_json() for event in alarms], "shelved": dict(shelved)}
     return Message(JOURNAL, STANDING, now_ns, fields)

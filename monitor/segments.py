@@ -31,14 +31,7 @@ class Arrivals:
 def arrivals_of(batch: Batch, wanted: Collection[str], phase: FlightPhase) -> Arrivals:
     """Return when the messages of a batch arrived, and which of them need a closer look.
 
-    Parameters
-    ----------
-    batch : Batch
-        The batch.
-    wanted : Collection[str]
-        Names of the messages that carry a channel.
-    phase : FlightPhase
-        The phase before the batch.
+    ``wanted`` names the messages that carry a channel; the phase is that before the batch.
     """
     received_ns = np.zeros(batch.count, np.int64)
     is_wanted = np.zeros(batch.count, np.bool_)

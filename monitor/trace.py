@@ -41,15 +41,8 @@ class Trace:
 class TraceBuilder:
     """Collects one observer's estimates in bounded memory.
 
-    At ``max_rows`` every second sample is dropped, and from then on only every second sample is kept, then every fourth
-    and so on, so that a run of any length is covered from end to end.
-
-    Parameters
-    ----------
-    layout : Layout
-        Names of the observer's vectors.
-    max_rows : int
-        Largest number of samples kept, an even number.
+    At ``max_rows``, an even number, every second sample is dropped, and from then on only every second sample is kept,
+    then every fourth and so on, so that a run of any length is covered from end to end.
     """
 
     def __init__(self, layout: Layout, max_rows: int = MAX_ROWS) -> None:

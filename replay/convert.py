@@ -18,18 +18,10 @@ _NO_CHANNEL = 0
 
 
 def convert(entries: Iterable[Batch | Record], source: str, target: Path, onboard: str | None = None) -> int:
-    """Write all messages to an MCAP file; return how many were written.
+    """Write all messages to an MCAP file, made once the recording has shown that it can be read; return how many.
 
-    Parameters
-    ----------
-    entries : Iterable[Message | Record]
-        The recording; a record is written as it is.
-    source : str
-        Name of the recording, kept in the file's metadata.
-    target : Path
-        File to create, once the recording has shown that it can be read.
-    onboard : str | None
-        Kind of onboard log, where the recording is one: a reader has to know what its records stand for.
+    A record is written as it is. ``source``, the recording's name, is kept in the file's metadata, and so is the kind
+    of onboard log, where it is one: a reader has to know what its records stand for.
 
     Raises
     ------

@@ -41,23 +41,7 @@ _AXES = {"north": ("north", "south"), "east": ("east", "west"), "down": ("below"
 def alarm_message(
     observer: str, channel: str, kind: Kind, unit: str, state: State, size: float, relative: float | None
 ) -> str:
-    """Return the sentence.
-
-    Parameters
-    ----------
-    observer, channel : str
-        What the alarm watches.
-    kind : Kind
-        Sort of trouble.
-    unit : str
-        Unit of ``size``.
-    state : State
-        The alarm's state.
-    size : float
-        Signed size of the fault.
-    relative : float | None
-        Its share of the command, where there is one.
-    """
+    """Return the sentence about a fault of a signed size in ``unit``, or of a share of the command where it has one."""
     if state == "cleared":
         return f"{channel} is back to normal"
     if kind == "residual":
@@ -193,19 +177,8 @@ def retuned(rule: AlarmRule, values: Mapping[str, object]) -> AlarmRule:
 class Alarm:
     """One channel's alarm: its rule, its state and the events that it causes.
 
-    Parameters
-    ----------
-    rule : AlarmRule
-        Sizes and times.
-    vehicle : str
-        The vehicle's name in events.
-
-    Attributes
-    ----------
-    rule : AlarmRule
-        Sizes and times; :meth:`set_rule` changes them.
-    state : AlarmState
-        What the rule keeps from row to row; :func:`monitor.core.alarms.walk` moves it on.
+    :meth:`set_rule` changes the rule; ``state`` is what it keeps from row to row, moved on by
+    :func:`monitor.core.alarms.walk`.
     """
 
     def __init__(self, rule: AlarmRule, vehicle: str) -> None:
@@ -241,20 +214,10 @@ class Alarm:
     def event(
         self, code: int, samples: Samples, row: int, command: float | None = None, relative: float | None = None
     ) -> AlarmEvent:
-        """Return the event that the latest row caused.
+        """Return the event that the latest row, one of the observer's samples, caused.
 
-        Parameters
-        ----------
-        code : {RAISED, UPDATED, CLEARED}
-            What the rule returned for the row.
-        samples : Samples
-            The observer's samples, for the row's times.
-        row : int
-            The row.
-        command : float | None
-            What the fault takes its share of, where that makes sense.
-        relative : float | None
-            That share, where it is known in another way and ``command`` is None.
+        ``code`` (RAISED, UPDATED or CLEARED) is what the rule returned for the row. ``command`` is what the fault takes
+        its share of, where that makes sense; ``relative`` that share, where it is known in another way.
         """
         rule, now = self.rule, self.state
         vehicle_ns, time_ns = int(samples.vehicle_time_ns[row]), int(samples.time_ns[row])

@@ -45,15 +45,7 @@ class _Active:
 
 
 class AlarmDesk:
-    """State of one vehicle's alarms as operators see them.
-
-    Parameters
-    ----------
-    vehicle : str
-        The vehicle's name in events.
-    rule : DeskRule
-        What holds at the start.
-    """
+    """State of one vehicle's alarms as operators see them."""
 
     def __init__(self, vehicle: str, rule: DeskRule) -> None:
         self.rule = rule
@@ -204,22 +196,10 @@ class AlarmDesk:
     ) -> list[AlarmEvent]:
         """Go on from alarms that another run of the monitor, or another monitor, left active.
 
-        Parameters
-        ----------
-        alarms : Sequence[AlarmEvent]
-            The last event of each, in the order of their numbers.
-        watched : Collection[ChannelKey]
-            Channels that can still clear by themselves.
-        now_ns : int
-            Unix time.
-        shelved : Mapping[str, int]
-            Channels that are shelved, also without one of these alarms, and until when.
-
-        Returns
-        -------
-        list[AlarmEvent]
-            Every alarm once more: as updated where it was known, as raised where only this desk knew of it, as cleared
-            where its channel is no longer watched.
+        ``alarms`` are the last event of each, in the order of their numbers; ``watched`` the channels that can still
+        clear by themselves; ``shelved`` says which channels are shelved, also without one of these alarms, and until
+        when. Return every alarm once more: as updated where it was known, as raised where only this desk knew of it, as
+        cleared where its channel is no longer watched.
         """
         alarms = [replace(event, message=event.message.removesuffix(_AS_BEFORE)) for event in alarms]
         known = {(event.observer, event.channel): event for event in alarms}

@@ -38,13 +38,7 @@ class ExcuseRule:
 
 
 class Excuses:
-    """Follows a vehicle's alarms and tells the alarms that they excuse.
-
-    Parameters
-    ----------
-    rules : Sequence[ExcuseRule]
-        The profile's rules.
-    """
+    """Follows a vehicle's alarms and tells the alarms that they excuse by the profile's rules."""
 
     def __init__(self, rules: Sequence[ExcuseRule]) -> None:
         self._rules: dict[str, list[ExcuseRule]] = {}

@@ -37,11 +37,6 @@ class LinkAlarms:
     ``signing`` is raised by the first packet whose signature is forged, replayed or missing where one is required,
     reports once a second how many there were, and clears after 10 s without another. ``link`` is raised where other
     telemetry goes on but the autopilot's heartbeat has not come for 10 s.
-
-    Parameters
-    ----------
-    vehicle : str
-        The vehicle's name in events.
     """
 
     def __init__(self, vehicle: str) -> None:
@@ -73,12 +68,8 @@ class LinkAlarms:
     def first_due(self, received_ns: NDArray[np.int64], heartbeats: NDArray[np.intp]) -> int:
         """Return the index of the first message that may cause an event here, the number of messages if there is none.
 
-        Parameters
-        ----------
-        received_ns : NDArray[np.int64]
-            Times of arrival of m messages (m,).
-        heartbeats : NDArray[np.intp]
-            Indices of the heartbeats of the autopilot among them, ascending.
+        Messages arrive at ``received_ns`` (m,); ``heartbeats`` are the indices of the autopilot's among them,
+        ascending.
         """
         count = len(received_ns)
         first = count
@@ -197,15 +188,8 @@ def _count(value: object) -> int:
 class StaleAlarm:
     """State of the stale alarm of one vehicle: silence of the telemetry, never mixed with a fault of the vehicle.
 
-    The alarm is raised ``stale_s`` after the last message that carried a channel, and cleared by the next one; a replay
-    finds the same two moments in the recording.
-
-    Parameters
-    ----------
-    vehicle : str
-        The vehicle's name in events.
-    stale_s : float
-        Silence after which telemetry is stale, seconds.
+    The alarm is raised ``stale_s`` seconds after the last message that carried a channel, and cleared by the next one;
+    a replay finds the same two moments in the recording.
     """
 
     def __init__(self, vehicle: str, stale_s: float) -> None:
@@ -223,12 +207,7 @@ class StaleAlarm:
     def follow(self, received_ns: int, vehicle_ns: int) -> list[AlarmEvent]:
         """Process a message that carries a channel; return the events that a silence before it and its end cause.
 
-        Parameters
-        ----------
-        received_ns : int
-            Unix time of arrival.
-        vehicle_ns : int
-            Newest known time of the vehicle's clock.
+        It arrived at Unix time ``received_ns``; ``vehicle_ns`` is the newest known time of the vehicle's clock.
         """
         events = self.silence(received_ns)
         if self._since_ns is not None:
@@ -256,12 +235,7 @@ class StaleAlarm:
     def first_silent(self, received_ns: NDArray[np.int64], wanted: NDArray[np.bool_]) -> int:
         """Return the index of the first message that may cause an event here, the number of messages if there is none.
 
-        Parameters
-        ----------
-        received_ns : NDArray[np.int64]
-            Times of arrival of m messages (m,).
-        wanted : NDArray[np.bool_]
-            Whether they carry a channel (m,).
+        Messages arrive at ``received_ns`` (m,); those ``wanted`` carry a channel (m,).
         """
         count = len(received_ns)
         if self._since_ns is not None or self._carried_ns is None or not count:

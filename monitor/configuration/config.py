@@ -387,22 +387,11 @@ def _homes() -> dict[str, tuple[str, ...]]:
 
 
 def read_config(path: str | Path | None, given: Mapping[str, Any] | None = None, *, links_only: bool = False) -> Config:
-    """Read a configuration file and check all of it.
+    """Read a configuration file, if one is named, and check all of it; paths become relative to the working directory.
 
-    Parameters
-    ----------
-    path : str | Path | None
-        The TOML file; None for none.
-    given : Mapping[str, Any] | None
-        Keys of the top level from the command line, which override the file's. A text is a path relative to the
-        file also here; give a :class:`pathlib.Path` for one relative to the working directory.
-    links_only : bool
-        Whether only links matter: there may be no vehicle yet, and profiles may not have been made.
-
-    Returns
-    -------
-    Config
-        With paths relative to the file made relative to the working directory.
+    ``given`` are keys of the top level from the command line, which override the file's. A text is a path relative to
+    the file also here; give a :class:`pathlib.Path` for one relative to the working directory. With ``links_only``
+    there may be no vehicle yet, and profiles may not have been made.
 
     Raises
     ------

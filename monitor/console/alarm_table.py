@@ -39,13 +39,7 @@ class AlarmRow:
 
 
 class AlarmTable:
-    """Keeps the latest event of each channel.
-
-    Parameters
-    ----------
-    kept_cleared_s : float
-        How long an alarm is shown after it cleared.
-    """
+    """Keeps the latest event of each channel, and cleared ones for ``kept_cleared_s`` seconds."""
 
     def __init__(self, kept_cleared_s: float = KEPT_CLEARED_S) -> None:
         self._kept_ns = round(kept_cleared_s * 1e9)
@@ -53,16 +47,9 @@ class AlarmTable:
         self._cleared_ns: dict[RowKey, int] = {}
 
     def take(self, event: AlarmEvent, now_ns: int) -> None:
-        """Take an event; one that is older than what is known of its channel changes nothing.
+        """Take an event that arrived at a Unix time; one older than what is known of its channel changes nothing.
 
         An alarm that had cleared before it was ever seen is not shown.
-
-        Parameters
-        ----------
-        event : AlarmEvent
-            The event.
-        now_ns : int
-            Unix time of its arrival, nanoseconds.
         """
         key = (event.vehicle, event.observer, event.channel)
         known = self._latest.pop(key, None)

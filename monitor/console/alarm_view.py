@@ -53,18 +53,9 @@ def can_redraw() -> bool:
 
 
 def watch(subscriber: AlarmSubscriber, statuses: StatusWatch, endpoints: Sequence[str], until: float) -> None:
-    """Draw the alarms that stand, again and again, and which vehicles are not watched as they should be.
+    """Draw the active alarms, again and again, and which vehicles are not watched as they should be.
 
-    Parameters
-    ----------
-    subscriber : AlarmSubscriber
-        Where events come from.
-    statuses : StatusWatch
-        How the vehicles' monitors are doing.
-    endpoints : Sequence[str]
-        What its session connects to, for the header where no monitor is there.
-    until : float
-        Monotonic time at which to stop, seconds.
+    ``endpoints`` are named where no monitor is there; ``until`` is the monotonic time at which to stop, seconds.
     """
     table = AlarmTable()
     console = Console()

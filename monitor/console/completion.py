@@ -35,17 +35,10 @@ def _run_completion(parser: argparse.ArgumentParser, args: argparse.Namespace) -
 
 
 def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
-    """Return the script that completes a command line.
+    """Return the script that completes a command line in a shell.
 
     What an argument takes is read off its metavar: ``LOG`` is a recording, ``PROFILE`` a folder, ``OUT.mcap`` a file
-    with that suffix.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        The command line; its arguments are marked with what completes them.
-    shell : str
-        One of ``SHELLS``.
+    with that suffix. The parser's arguments are marked with what completes them.
     """
     import shtab
 

@@ -39,21 +39,10 @@ class _Answer(NamedTuple):
 
 
 def find_target(session: zenoh.Session, text: str, prefix: str, vehicle: str, endpoints: Sequence[str]) -> Target:
-    """Return which alarm a text means.
+    """Return which alarm a text means: an id, ``OBSERVER/CHANNEL`` or ``CHANNEL``.
 
     An id, or ``OBSERVER/CHANNEL``, of a named vehicle is taken as it stands. Everything else is looked up among the
-    active alarms of all monitors.
-
-    Parameters
-    ----------
-    session : zenoh.Session
-        An open session.
-    text : str
-        Id of an alarm, ``OBSERVER/CHANNEL`` or ``CHANNEL``.
-    prefix, vehicle : str
-        What the keys begin with; the vehicle's name, ``"*"`` for all.
-    endpoints : Sequence[str]
-        What the session connects to, for the message.
+    active alarms of all monitors; ``endpoints`` are named where none answers.
 
     Raises
     ------

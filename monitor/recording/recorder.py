@@ -299,9 +299,7 @@ class Recorder:
         return log.size + added <= series.file_bytes
 
     def _continue(self, first_ns: int) -> MessageLogWriter:
-        """Resume the file in hand, or begin the next, named by the time of its first telemetry; write the events that
-        wait.
-        """
+        """Resume the file in hand, or begin the next, named by its first telemetry's time; write the pending events."""
         log = self._log
         if log is None and self._series is not None:
             self._first_ns = first_ns

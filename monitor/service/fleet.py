@@ -49,7 +49,7 @@ class Fleet:
             self._by_system[vehicle.pipeline.system] = vehicle
 
     def routed(self, arrivals: Sequence[Arrival]) -> list[tuple[VehicleMonitor, Batch]]:
-        """Return each vehicle with its messages of these arrivals as one batch; those that belong to none are counted."""
+        """Return each vehicle with its messages of these arrivals as one batch; messages of none are counted."""
         parts: dict[str, tuple[VehicleMonitor, list[Batch]]] = {}
         for arrival in arrivals:
             for vehicle, batch in self._split(arrival):

@@ -68,19 +68,8 @@ class _Raw:
 class VehicleView:
     """Collects what one vehicle's monitor receives and computes, as an archive does; another thread drains it.
 
-    Estimates are thinned to :data:`MAX_RATE_HZ` per observer, telemetry to the same rate per message name and sender.
-    Whatever happens to the viewer, no call takes longer than an append.
-
-    Parameters
-    ----------
-    vehicle : str
-        The vehicle's name.
-    layouts : Sequence[Layout]
-        Its observers.
-    thresholds : Mapping[tuple[str, str], float]
-        Alarm thresholds by observer and channel.
-    messages : Collection[str]
-        Names of the messages to show.
+    Estimates are thinned to :data:`MAX_RATE_HZ` per observer, telemetry of the ``messages`` to be shown to the same
+    rate per message name and sender. Whatever happens to the viewer, no call takes longer than an append.
     """
 
     def __init__(

@@ -49,17 +49,9 @@ class LiveViewStatistics:
 class LiveView:
     """Shows vehicles in one Rerun recording, a tab each, all alarms below.
 
-    A server that dies, or that grows beyond its memory because one of its viewers stalls, is started afresh; a viewer
-    whose window was closed stays closed.
-
-    Parameters
-    ----------
-    mode : {"serve", "spawn"}
-        Serve on loopback to ``rerun rerun+http://127.0.0.1:PORT/proxy``, or open a viewer.
-    port : int
-        Port to serve on.
-    memory_mb : int
-        Memory for data that were shown; the oldest are dropped.
+    It serves on a port of loopback to ``rerun rerun+http://127.0.0.1:PORT/proxy``, or opens a viewer, with so much
+    memory for data that were shown; the oldest are dropped. A server that dies, or that grows beyond its memory because
+    one of its viewers stalls, is started afresh; a viewer whose window was closed stays closed.
 
     Raises
     ------

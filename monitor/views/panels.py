@@ -38,18 +38,7 @@ def choose_panels(
     """Return each observer's panels.
 
     Up to :data:`FEW` channels in all get a panel each. Of more, only those do that had an alarm, whose truth is known,
-    or that have no threshold to be measured in.
-
-    Parameters
-    ----------
-    layouts : Sequence[Layout]
-        One per observer.
-    alarmed : Collection[tuple[str, str]]
-        Observer and channel of every alarm of the run.
-    known : Collection[str]
-        Channels whose truth is known.
-    thresholds : Mapping[tuple[str, str], float]
-        Alarm threshold by observer and channel.
+    or that have no threshold to be measured in. ``alarmed`` and ``thresholds`` are by observer and channel.
     """
     few = sum(len(layout.faults) for layout in layouts) <= FEW
     chosen = []

@@ -27,16 +27,8 @@ def blueprint(
 ) -> rrb.Blueprint:
     """Return the layout of the viewer: tabs above the states and texts of all alarms.
 
-    Parameters
-    ----------
-    tabs : Sequence[Vertical | Tabs | Grid]
-        From :func:`observer_tab` and :func:`raw_tab`, or tabs of those.
-    roots : Sequence[tuple[str, ...]]
-        Beginning of the entity paths of each vehicle.
-    follow : bool
-        Whether the viewer follows the newest Unix time; otherwise it shows the vehicle's time.
-    active : int
-        Which tab is open.
+    ``roots`` are the beginnings of each vehicle's entity paths. The viewer follows the newest Unix time, or shows the
+    vehicle's time; ``active`` says which tab is open.
     """
     alarms = rrb.Horizontal(
         rrb.StateTimelineView(
@@ -73,18 +65,9 @@ def observer_tab(
 ) -> rrb.Vertical:
     """Return an observer's views, one below the other.
 
-    Parameters
-    ----------
-    layout : Layout
-        Names of the observer's channels.
-    panels : Panels
-        Which of them get a view of their own.
-    limits : Mapping[int, tuple[float, float]]
-        Ends of the vertical axis by place of the channel; others scale by themselves.
-    quiet_limits : tuple[float, float] | None
-        The same of the channels that share a view, in units of their thresholds.
-    root : tuple[str, ...]
-        Beginning of the entity paths.
+    ``limits`` are the ends of the vertical axis by place of the channel, others scale by themselves; ``quiet_limits``
+    those of the channels that share a view, in units of their thresholds. ``root`` is the beginning of the entity
+    paths.
     """
     base = f"/{entity_path(*root, layout.observer)}"
 

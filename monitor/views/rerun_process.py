@@ -33,16 +33,10 @@ _LEAVE_S = 0.3
 
 
 class RerunProcess:
-    """A Rerun server without a window, or a viewer, that shows the ``.rrd`` bytes written to it.
+    """A Rerun server on a port of loopback, or a viewer on this machine's screen, showing the ``.rrd`` bytes it is
+    given.
 
-    Parameters
-    ----------
-    mode : {"serve", "spawn"}
-        A server on loopback that viewers connect to, or a viewer on this machine's screen.
-    port : int
-        Port of the server; a viewer uses any free one.
-    memory_mb : int
-        Memory of the server, for viewers that connect later, or of the viewer; the oldest data are dropped.
+    ``memory_mb`` is that of the server, for viewers that connect later, or of the viewer; the oldest data are dropped.
     """
 
     def __init__(self, mode: ViewMode, port: int, memory_mb: int) -> None:

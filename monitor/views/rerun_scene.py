@@ -33,18 +33,11 @@ def entity_path(*parts: str) -> str:
 class RerunScene:
     """Sends a run to a Rerun recording; the looks of an entity are sent once, before its first values.
 
-    Time lines are ``vehicle_time`` (seconds of the vehicle's clock) and ``unix_time``. Entities per observer:
-    ``<observer>/fault``, ``/residual``, ``/state``, ``/input`` and ``/output`` with one series per channel,
+    Time lines are ``vehicle_time`` (seconds of the vehicle's clock) and ``unix_time``. Entities per observer, all below
+    ``root``: ``<observer>/fault``, ``/residual``, ``/state``, ``/input`` and ``/output`` with one series per channel,
     ``/isolated/<channel>``, ``/threshold/<channel>``, ``/span/<channel>``, ``/truth/<channel>``, and ``/quiet`` for the
     channels that share a view; alarms are states in ``alarms/<observer>/<channel>`` and lines of text in ``log``;
     telemetry is in ``raw/<message>``, on ``unix_time`` only.
-
-    Parameters
-    ----------
-    recording : RecordingStream
-        The recording.
-    root : tuple[str, ...]
-        Beginning of all entity paths.
     """
 
     def __init__(self, recording: rr.RecordingStream, root: tuple[str, ...] = ()) -> None:

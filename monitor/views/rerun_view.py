@@ -30,21 +30,9 @@ def write_rrd(
     """Write a run to an ``.rrd`` file with its blueprint inside; ``RerunScene`` names its entities.
 
     No viewer is needed. The blueprint has a tab per observer that had a sample, that of the first alarm open, with the
-    thresholds of faults as lines that are thick while an alarm is active, scaled by the estimates while alarms were
-    armed; below are all alarms as states over time.
-
-    Parameters
-    ----------
-    path : str | PathLike
-        File to write.
-    traces : Sequence[Trace]
-        One per observer.
-    events : Sequence[AlarmEvent]
-        All alarm events of the run.
-    thresholds : Mapping[tuple[str, str], float]
-        Alarm threshold by observer and fault channel.
-    truth : Mapping[str, tuple[NDArray, NDArray]] | None
-        By fault channel: times on the vehicle's clock (s) and the true size at them.
+    thresholds of faults (by observer and channel) as lines that are thick while an alarm is active, scaled by the
+    estimates while alarms were armed; below are all alarms as states over time. ``truth`` holds by fault channel times
+    on the vehicle's clock (s) and the true size at them.
 
     Raises
     ------

@@ -205,12 +205,8 @@ class _Scaled:
 class _Past:
     """Shows the value measured closest to another time: in step with the clock, jitter or not.
 
-    Parameters
-    ----------
-    time : Callable[[int], int]
-        The time whose value is shown at a time.
-    until_ns : int
-        Values from then on are not kept; the first one always is.
+    ``time`` returns the time whose value is shown at a time. Values from ``until_ns`` on are not kept; the first one
+    always is.
     """
 
     def __init__(self, time: Callable[[int], int], until_ns: int) -> None:

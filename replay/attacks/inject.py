@@ -53,23 +53,8 @@ def inject_recording(
 ) -> dict[str, Any]:
     """Write a recording with a fault or attack to MCAP, and the truth to ``OUT.truth.json`` and into its metadata.
 
-    Parameters
-    ----------
-    log : Path
-        The recording; what was injected into it before stays known.
-    out : Path
-        MCAP file to write.
-    order : Order
-        The attack.
-    profile : Path | None
-        Profile folder, for faults of actuators.
-    track : AttackTrack
-        Shows progress.
-
-    Returns
-    -------
-    dict[str, Any]
-        The truth, as it is written.
+    What was injected into it before stays known. Faults of actuators need a profile's folder. Return the truth as it is
+    written.
 
     Raises
     ------
@@ -195,14 +180,8 @@ def known_truth(log: Path, traces: Sequence[Trace]) -> Courses:
     """Return by fault channel times (s, vehicle's clock) and true sizes of what ``fauio inject`` put on a recording.
 
     Kinds whose size follows from time alone are known: bias, ramp, spoof, and the loss of an actuator, in units of its
-    command. Several on one channel add up. A recording that says nothing readable of it has none.
-
-    Parameters
-    ----------
-    log : Path
-        The recording.
-    traces : Sequence[Trace]
-        The observers' samples: on which channels and at which times.
+    command. Several on one channel add up. A recording that says nothing readable of it has none. The observers'
+    samples say on which channels and at which times.
     """
     courses: Courses = {}
     for fault in _faults(log):

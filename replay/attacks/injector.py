@@ -24,10 +24,7 @@ _ANY_CLOCK = Channel("clock", "", ("",))
 class VehicleTime:
     """Gives messages of one vehicle their time on its clock: their own stamp, or the newest one where they have none.
 
-    Parameters
-    ----------
-    clocks : Mapping[str, Channel]
-        By message: a channel that knows which field is its clock, where the name does not tell.
+    ``clocks`` holds by message a channel that knows which field is its clock, where the name does not tell.
     """
 
     def __init__(self, clocks: Mapping[str, Channel]) -> None:
@@ -101,18 +98,11 @@ class Plan:
 
 
 def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, states: States | None = None) -> Plan:
-    """Find out what an attack has to alter.
+    """Find out what an attack, which is checked, has to alter.
 
-    Parameters
-    ----------
-    attack : Attack
-        What is asked for; it is checked.
-    names : Iterable[str]
-        Messages of the recording, to tell ``MESSAGE`` from ``field``.
-    profile : Profile | None
-        Gives the plant for faults of actuators, and its own names of channels.
-    states : States | None
-        States along the recording, for faults of actuators of nonlinear plants.
+    ``names`` are the messages of the recording, to tell ``MESSAGE`` from ``field``. The profile gives the plant for
+    faults of actuators, and its own names of channels; ``states`` along the recording are needed for those of nonlinear
+    plants.
 
     Raises
     ------
@@ -212,23 +202,9 @@ def _plus(signal: AttackSignal, factor: float = 1.0) -> Change:
 
 
 class Injector:
-    """State of one attack on one vehicle's messages.
+    """State of one attack on the messages of one vehicle, MAVLink ``system``, 0 for telemetry without ids.
 
-    Parameters
-    ----------
-    attack : Attack
-        What to do.
-    made : Plan
-        What it alters.
-    system : int
-        The vehicle's MAVLink system; 0 for telemetry without ids.
-    clocks : Mapping[str, Channel]
-        See :class:`VehicleTime`.
-
-    Attributes
-    ----------
-    altered : int
-        Messages altered or dropped so far.
+    ``altered`` counts the messages altered or dropped so far; ``clocks`` are those of :class:`VehicleTime`.
     """
 
     def __init__(self, attack: Attack, made: Plan, system: int, clocks: Mapping[str, Channel]) -> None:

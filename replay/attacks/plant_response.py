@@ -60,27 +60,12 @@ class States:
 
 
 class PlantResponse:
-    """State of the deviation.
+    """State of the deviation of a discrete plant with an actuator fault.
 
-    Parameters
-    ----------
-    plant : Plant
-        Discrete plant; without ``states`` its nonlinearities are left out.
-    fault : Fault
-        An actuator fault of it.
-    inputs : Sequence[Channel]
-        Where the commands come from.
-    size : AttackSignal
-        Loss or fault over time, vehicle nanoseconds.
-    states : States | None
-        States along the recording, which the deviation of a nonlinear plant depends on.
-
-    Attributes
-    ----------
-    command : Channel | None
-        Where the autopilot's answer stands; None where nobody answers.
-    first_ns, last_ns : int | None
-        Stamps of the first and the last command behind which the fault acted.
+    ``inputs`` say where the commands come from, ``size`` is the loss or fault over time (vehicle nanoseconds). The
+    deviation of a nonlinear plant depends on the states along the recording; without them its nonlinearities are left
+    out. ``command`` is where the autopilot's answer stands, None where nobody answers; ``first_ns`` and ``last_ns`` are
+    the stamps of the first and the last command behind which the fault acted.
     """
 
     def __init__(

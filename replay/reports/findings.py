@@ -125,18 +125,7 @@ def watched_channels(
 ) -> list[WatchedChannel]:
     """Return every channel of the profile that has an alarm.
 
-    Parameters
-    ----------
-    profile : Profile
-        The vehicle's profile.
-    folder : Path
-        Where it stands; what its thresholds rest on is read from there.
-    traces : Sequence[Trace]
-        Estimates by observer.
-    watched_s : Mapping[str, float]
-        How long each observer watched.
-    found : Sequence[Finding]
-        The run's alarms.
+    What its thresholds rest on is read from the profile's folder; ``watched_s`` says how long each observer watched.
     """
     said, rests_on, by_effect = _said(profile), _calibrations(folder), effects(profile)
     by_name = {trace.layout.observer: trace for trace in traces}

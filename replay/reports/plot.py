@@ -87,36 +87,20 @@ def plot_png(
     dark: bool = False,
     without_sd: Collection[tuple[str, str]] = (),
 ) -> None:
-    """Draw a run.
+    """Draw a run as a PNG, 8 inches wide; up to 16 high, panels of faults shrink to 0.4 before it grows beyond.
 
     Per observer, under its name where there are several: a panel for each fault channel that had an alarm or whose
     truth is known, with its estimate within two standard deviations, its alarm threshold as a dotted band, the truth
-    dashed, and its alarms as shaded spans; one panel of lanes for the quiet channels, each over its own threshold;
-    then the residuals and the inputs in lanes, each over its own size. Where all observers together have few channels,
-    each has its panel. Where several channels had alarms, lanes at the top say when. An observer without any sample has
-    no panel. Time counts from the first sample; the axis says when that was. Where no alarm could be raised, gaps
-    between samples among it, panels are hatched, and what is drawn there sets no scale; an estimate beyond its panel
-    is marked at the edge. Long recordings are drawn as the envelope of their smallest and largest values: no peak is
-    lost.
+    dashed, and its alarms as shaded spans; one panel of lanes for the quiet channels, each over its own threshold; then
+    the residuals and the inputs in lanes, each over its own size. Where all observers together have few channels, each
+    has its panel. Where several channels had alarms, lanes at the top say when. An observer without any sample has no
+    panel. Time counts from the first sample; the axis says when that was. Where no alarm could be raised, gaps between
+    samples among it, panels are hatched, and what is drawn there sets no scale; an estimate beyond its panel is marked
+    at the edge. Long recordings are drawn as the envelope of their smallest and largest values: no peak is lost.
 
-    Parameters
-    ----------
-    path : str | PathLike
-        PNG to write, 8 inches wide; up to 16 high, panels of faults shrink to 0.4 before it grows beyond.
-    traces : Sequence[Trace]
-        One per observer.
-    events : Sequence[AlarmEvent]
-        All alarm events of the run.
-    thresholds : Mapping[tuple[str, str], float]
-        Alarm threshold by observer and fault channel.
-    truth : Mapping[str, tuple[NDArray, NDArray]] | None
-        By fault channel: times on the vehicle's clock (s) and the true size at them.
-    title : str
-        Stands above.
-    dark : bool
-        Whether the ground is dark.
-    without_sd : Collection[tuple[str, str]]
-        Channels, by observer and name, whose evidence is not the estimate that the standard deviation belongs to.
+    ``thresholds`` are by observer and fault channel; ``truth`` holds by fault channel times on the vehicle's clock (s)
+    and the true size at them; ``without_sd`` are the channels, by observer and name, whose evidence is not the estimate
+    that the standard deviation belongs to.
     """
     with _drawing(_style(DARK if dark else LIGHT)):
         figure = run_figure(

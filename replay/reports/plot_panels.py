@@ -25,19 +25,10 @@ BINS = 1500
 def envelope(
     times: NDArray[np.float64], values: NDArray[np.float64], restart: NDArray[np.bool_], bins: int = BINS
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return fewer points that draw the same line.
+    """Return fewer points that draw the same line as a series (N,).
 
-    Runs of samples become their smallest and largest value in the order they occurred. The line is broken (by
+    ``bins`` runs of samples become their smallest and largest value in the order they occurred. The line is broken (by
     NaN) where the observer started afresh.
-
-    Parameters
-    ----------
-    times, values : NDArray[np.float64]
-        The series (N,).
-    restart : NDArray[np.bool_]
-        Where it starts afresh (N,).
-    bins : int
-        Number of runs, for the whole series.
     """
     size = -(-len(values) // bins)
     edges = np.union1d(np.flatnonzero(restart), [0, len(values)])

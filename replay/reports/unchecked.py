@@ -32,21 +32,7 @@ def unchecked(
     found: Sequence[Finding],
     damage: Sequence[Damage] = (),
 ) -> list[Unchecked]:
-    """Return what a run could not check, the gravest first.
-
-    Parameters
-    ----------
-    profile : Profile
-        The vehicle's profile.
-    replay : Replay
-        What came out.
-    facts : RecordingFacts
-        What went in.
-    found : Sequence[Finding]
-        The run's alarms.
-    damage : Sequence[Damage]
-        What of the recording could not be read.
-    """
+    """Return what a run could not check, the gravest first, from what went in (facts, damage) and what came out."""
     return [
         *([Unchecked("everything that was found or not found", replay.mismatch)] if replay.mismatch else []),
         *(Unchecked(f"what is missing of {one.file}", "; ".join(one.found)) for one in damage),

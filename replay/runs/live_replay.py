@@ -37,18 +37,9 @@ _SUBSCRIBER_S = 2.0
 class LiveReplay:
     """Lets a replay out into the world: use it as a context, for one log after the other.
 
-    Parameters
-    ----------
-    speed : float | None
-        Times real time, by the times of arrival; None: as fast as possible.
-    connect, listen : Sequence[str]
-        Zenoh endpoints to publish at; without any nothing is published.
-    prefix : str
-        What the keys begin with.
-    udp : str | None
-        ``udp:HOST:PORT`` to send the packets of telemetry logs to.
-    on_event : Callable[[AlarmEvent], None] | None
-        Called with each event when it is published.
+    ``speed`` is in times real time, by the times of arrival; None: as fast as possible. Without Zenoh endpoints to
+    connect to or to listen on nothing is published. Packets of telemetry logs go to ``udp``, ``udp:HOST:PORT``;
+    ``on_event`` is called with each event when it is published.
 
     Raises
     ------

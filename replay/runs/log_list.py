@@ -57,19 +57,8 @@ def find_logs(arguments: Sequence[Path]) -> list[LogFile]:
 def target(option: str, given: str | None, log: LogFile, suffix: str, *, many: bool) -> Path | None:
     """Return the file to write about a log; None where nothing was asked for.
 
-    Parameters
-    ----------
-    option : str
-        The option, for the message.
-    given : str | None
-        What the user gave: a file; a folder; or a name with ``{log}`` in the log's name's place. Among many logs a
-        name without suffix is a folder, too.
-    log : LogFile
-        The log.
-    suffix : str
-        Suffix of files in a folder.
-    many : bool
-        Whether there are several logs.
+    ``given`` is what the user gave to the option: a file; a folder, whose files have this suffix; or a name with
+    ``{log}`` in the log's name's place. Among many logs a name without suffix is a folder, too.
 
     Raises
     ------

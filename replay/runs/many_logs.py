@@ -30,20 +30,11 @@ Files = tuple[tuple[str, bytes], ...]
 
 
 def replay_on_dask(files: Mapping[str, bytes], tasks: Sequence[LogTask], address: str) -> Iterator[LogOutcome]:
-    """Replay logs on a cluster, and return what was found in the order of the logs.
+    """Replay logs on the cluster of a scheduler, and return what was found in the order of the logs.
 
-    Workers need this package in the same version and the paths of the tasks, and share nothing else. A worker that
-    dies is replaced by another; the log that kills them all fails alone. What is not done is taken back when the
-    iteration ends.
-
-    Parameters
-    ----------
-    files : Mapping[str, bytes]
-        The profile's files by name.
-    tasks : Sequence[LogTask]
-        The logs, with absolute paths.
-    address : str
-        The scheduler's (``tcp://127.0.0.1:8786``).
+    Workers need this package in the same version and the paths of the tasks, which are absolute, and share nothing
+    else. A worker that dies is replaced by another; the log that kills them all fails alone. What is not done is taken
+    back when the iteration ends.
 
     Raises
     ------
@@ -103,15 +94,6 @@ def replay_in_processes(files: Mapping[str, bytes], tasks: Sequence[LogTask], jo
     """Replay logs in processes, and return what was found in the order of the logs.
 
     A process that dies fails its log alone. When the iteration ends, however it ends, so do all processes.
-
-    Parameters
-    ----------
-    files : Mapping[str, bytes]
-        The profile's files by name.
-    tasks : Sequence[LogTask]
-        The logs.
-    jobs : int
-        Number of processes, at least 1.
     """
     workers = [_Worker(files) for _ in range(min(jobs, len(tasks)))]
     done: dict[int, LogOutcome] = {}
@@ -166,14 +148,8 @@ def deaf_to_interrupts() -> Iterator[None]:
 class _Worker:
     """A process that replays one log after the other.
 
-    Attributes
-    ----------
-    connection : Connection
-        Becomes readable when a log is done, or the process.
-    at : int | None
-        Index of the log it is at.
-    alive : bool
-        Whether it can take another.
+    ``connection`` becomes readable when a log is done, or the process; ``at`` is the index of the log it is at,
+    ``alive`` says whether it can take another.
     """
 
     def __init__(self, files: Mapping[str, bytes]) -> None:

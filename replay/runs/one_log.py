@@ -103,18 +103,8 @@ def replay_log(
 ) -> LogOutcome:
     """Replay a log and write what was asked for; an error of this log is returned, not raised.
 
-    Parameters
-    ----------
-    profile : Profile
-        The vehicle's profile.
-    task : LogTask
-        The log.
-    on_event : Callable[[AlarmEvent], None] | None
-        Called with each event as it arises.
-    live : Live | None
-        Where the log is replayed as if live.
-    progress : bool
-        Whether to show on a terminal how far it has got.
+    ``on_event`` is called with each event as it arises, ``live`` replays the log as if live, ``progress`` shows on a
+    terminal how far it has got.
     """
     started_s = time.thread_time()
     try:

@@ -76,19 +76,12 @@ def summary_row(outcome: LogOutcome) -> dict[str, Any]:
 
 
 class SummaryTable:
-    """Writes the table; rows are in the file after :meth:`close`, in a CSV file at once.
-
-    Parameters
-    ----------
-    path : Path
-        File to write, ``.csv`` or ``.parquet``.
+    """Writes the table, ``.csv`` or ``.parquet``; rows are in the file after :meth:`close`, in a CSV file at once.
 
     Raises
     ------
-    TelemetryError
-        Another suffix.
     UsageError
-        Parquet was asked for, and pyarrow is not installed.
+        Another suffix, or Parquet was asked for, and pyarrow is not installed.
     OSError
         The file cannot be written (any method).
     """
