@@ -53,7 +53,7 @@ class Channel:
         Nanoseconds per count of that field; None: known from the usual names.
     interpolation : {"linear", "previous", "mean"}
         The value at a tick of the grid: on the straight line between two measurements, that of the newest, or the mean
-        of those lines since the tick before.
+        of those lines until the next tick.
     period : float | None
         Of a value that wraps, in the channel's unit: an angle of 359 degrees and one of 1 degree (period 360) are 2
         degrees apart. Interpolation goes the shorter way round and may leave the range.

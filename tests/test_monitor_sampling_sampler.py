@@ -110,7 +110,7 @@ def commands(times_us: Sequence[int], values: Sequence[float]) -> list[Message]:
     st.lists(st.tuples(st.integers(1_000, 900_000), st.floats(-100.0, 100.0)), min_size=20, max_size=60),
     st.sampled_from([0.2, 0.7, 1.0, 2.0]),
 )
-def test_a_mean_is_that_of_the_lines_between_measurements_since_the_tick_before(
+def test_a_mean_is_that_of_the_lines_between_measurements_until_the_next_tick(
     measured: list[tuple[int, float]], rate: float
 ) -> None:
     times = np.cumsum([step for step, _ in measured])
@@ -118,7 +118,7 @@ def test_a_mean_is_that_of_the_lines_between_measurements_since_the_tick_before(
     samples = feed(sampler([MEAN], rate=rate), commands(times.tolist(), values.tolist()))
     assert all(sample.complete for sample in samples) or np.diff(times).max() > 1.5 * np.median(np.diff(times))
     for sample in samples:
-        begin, end = (round(k * 1e9 / rate) / 1e3 for k in (sample.index - 1, sample.index))
+        begin, end = (round(k * 1e9 / rate) / 1e3 for k in (sample.index, sample.index + 1))
         assert times[0] <= begin
         at = np.unique([begin, *times[(begin < times) & (times < end)], end])
         expected = np.trapezoid(np.interp(at, times, values), at) / (end - begin)
@@ -130,25 +130,25 @@ def test_the_mean_of_an_angle_goes_the_shorter_way_round() -> None:
     samples = feed(sampler([COURSE], rate=0.5), commands(times, [(0.04 * t / 1_000.0) % 360.0 for t in times]))
     assert len(samples) == 3
     for sample in samples:
-        truth = 0.04 * (sample.vehicle_time_ns / 1e6 - 1_000.0)
+        truth = 0.04 * (sample.vehicle_time_ns / 1e6 + 1_000.0)
         assert (sample.u[0] - truth + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize(("lost", "incomplete"), [(range(0), []), (range(24, 25), [3]), (range(24, 33), [3, 4])])
-def test_a_mean_is_complete_where_no_measurement_is_missing_since_the_tick_before(
+@pytest.mark.parametrize(("lost", "incomplete"), [(range(0), []), (range(24, 25), [2]), (range(24, 33), [2, 3])])
+def test_a_mean_is_complete_where_no_measurement_is_missing_until_the_next_tick(
     lost: range, incomplete: list[int]
 ) -> None:
     times = [50_000 + 100_000 * i for i in range(80) if i not in lost]
     samples = feed(sampler([MEAN], rate=1.0), commands(times, [1.0] * len(times)))
     assert [sample.index for sample in samples if not sample.complete] == incomplete
-    assert [sample.index for sample in samples] == list(range(2, 8))
+    assert [sample.index for sample in samples] == list(range(1, 7))
     assert all(sample.u[0] == 1.0 for sample in samples)
 
 
-def test_a_mean_needs_no_measurement_from_before_a_gap() -> None:
+def test_a_mean_needs_no_measurement_from_beyond_a_gap() -> None:
     times = [50_000 + 100_000 * i for i in range(80) if i not in range(24, 36)]
     samples = feed(sampler([MEAN], rate=1.0), commands(times, [float(i) for i, _ in enumerate(times)]))
-    assert [(sample.index, sample.restart) for sample in samples] == [(2, True), (5, True), (6, False), (7, False)]
+    assert [(sample.index, sample.restart) for sample in samples] == [(1, True), (4, True), (5, False), (6, False)]
 
 
 def test_a_sample_comes_as_soon_as_every_channel_has_reached_its_tick() -> None:

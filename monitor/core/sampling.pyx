@@ -14,9 +14,9 @@ their order count:
 3. The grid starts when four measurements of every channel are there. Tick k is given out as soon as every
    channel has a measurement at or after t_k: ``linear`` channels are interpolated between the two
    measurements around t_k, ``previous`` ones hold the newest at or before it, ``mean`` ones take the mean over
-   (t_k-1, t_k] of the straight lines between measurements (what a quick command did between two ticks of a slow
-   grid; it needs a measurement at or before t_k-1, too). So a sample comes at most one period of the slowest
-   channel after its time.
+   t_k to t_k+1 of the straight lines between measurements (what a quick command did until the next tick of a slow
+   grid, which has to be waited for). So a sample comes at most one period of the slowest channel after its time,
+   or after the next tick.
 4. A channel's nominal period is the median of its last 31 steps from stamp to stamp. If the measurements
    around t_k (with ``mean``: any two neighbours whose line is used) are more than 1.5 periods apart (1 ms or a quarter of a period, whichever is less, is granted
    for jitter), some were lost in between and the sample is marked ``complete=False``: an estimate, no
@@ -415,7 +415,7 @@ cdef class Lane:
 
     cdef Column* columns
     cdef int width
-    # Whether any of them is a mean over the time since the tick before.
+    # Whether any of them is a mean over the time until the next tick.
     cdef bint averages
     cdef nanoseconds max_gap, slow, line_periods
     # Measurements start <= i < start + count of buffers with room for `room`.
@@ -549,23 +549,23 @@ cdef class Lane:
             if self.columns[i].kind != _MEAN:
                 vector[self.columns[i].place] = self.row(0)[i]
 
-    cdef nanoseconds longest_step(self, nanoseconds due, nanoseconds* after_gap) noexcept:
-        """Return the longest step from the oldest measurement to the first at or after a tick.
+    cdef nanoseconds longest_step(self, nanoseconds until, nanoseconds* after_gap) noexcept:
+        """Return the longest step from the oldest measurement to the first at or after a time.
 
         ``after_gap`` becomes the measurement after the last gap, if there is any.
         """
         cdef nanoseconds* stamps = self.stamps()
         cdef nanoseconds longest = 0
         cdef Py_ssize_t i = 0
-        while stamps[i] < due:
+        while stamps[i] < until:
             i += 1
             longest = max(longest, stamps[i] - stamps[i - 1])
             if stamps[i] - stamps[i - 1] > self.gap:
                 after_gap[0] = stamps[i]
         return longest
 
-    cdef void average(self, nanoseconds since, nanoseconds due, double* vector) noexcept:
-        """Write the means over (since, due] of the lines from measurement to measurement into [u; y]."""
+    cdef void average(self, nanoseconds due, nanoseconds until, double* vector) noexcept:
+        """Write the means over the time from due until the next tick of the lines from measurement to measurement into [u; y]."""
         cdef nanoseconds* stamps = self.stamps()
         cdef nanoseconds first, last
         cdef Column* column
@@ -578,16 +578,16 @@ cdef class Lane:
                 continue
             # Sums of differences from the oldest value: exact for a constant, and an angle may go on over its range.
             total, value, k = 0.0, 0.0, 0
-            while stamps[k] < due:
+            while stamps[k] < until:
                 width = <double>(stamps[k + 1] - stamps[k])
                 step = _turned(self.row(k)[i], self.row(k + 1)[i], column.period)
-                first, last = max(since, stamps[k]), min(due, stamps[k + 1])
+                first, last = max(due, stamps[k]), min(until, stamps[k + 1])
                 total += <double>(last - first) * (
                     value + step * (0.5 * (<double>(first - stamps[k]) + <double>(last - stamps[k])) / width)
                 )
                 value += step
                 k += 1
-            vector[column.place] = self.row(0)[i] + total / <double>(due - since)
+            vector[column.place] = self.row(0)[i] + total / <double>(until - due)
 
     cdef Lane part(self, const double* values, bint missing):
         """Return a lane with the same past of the columns whose value in a stream's row is there, or is missing."""
@@ -720,7 +720,7 @@ cdef class SamplerCore:
     cdef double* _held_row
     # The next tick and its time; the last tick given out or skipped; the last one given out and its Unix time.
     cdef bint _started, _restarting, _has_unix
-    cdef nanoseconds _next_tick, _due, _last_tick, _unix_tick, _unix
+    cdef nanoseconds _next_tick, _due, _until, _last_tick, _unix_tick, _unix
     cdef nanoseconds _messages, _duplicates, _late, _invalid, _untimed, _doubted
     cdef nanoseconds _clock_restarts, _samples, _incomplete, _restarts, _skipped
     # The samples of the batch.
@@ -899,7 +899,7 @@ cdef class SamplerCore:
         return 0
 
     cdef int give_out(self) except -1:
-        """Give out all ticks for which every lane has a measurement at or after them."""
+        """Give out all ticks for which every lane has what it needs."""
         cdef Lane lane, waiting
         cdef nanoseconds first
         while True:
@@ -913,37 +913,37 @@ cdef class SamplerCore:
             first = 0
             for lane in self._lanes:
                 lane.settle()
-                first = max(first, self.first_tick(lane, lane.stamps()[0]))
+                first = max(first, lane.stamps()[0])
             self._started = True
-            self.go_to(first)
+            self.go_to(self._grid.index_at(first))
 
     cdef Lane find_waiting(self):
-        """Return a lane without a measurement at or after the next tick; before the first, one not ready."""
+        """Return a lane that lacks a measurement for the next tick; before the first, one not ready."""
         cdef Lane lane
         if not self._started:
             for lane in self._lanes:
                 if not lane.ready():
                     return lane
             return None
-        if self._waiting is None or self._waiting.newest() >= self._due:
+        if self._waiting is None or self._waiting.newest() >= self.needed(self._waiting):
             self._waiting = None
             for lane in self._lanes:
-                if lane.newest() < self._due:
+                if lane.newest() < self.needed(lane):
                     self._waiting = lane
                     break
         return self._waiting
 
     cdef void go_to(self, nanoseconds index) noexcept:
         self._next_tick = index
-        self._due = self._grid.time_ns(index)
+        self._due, self._until = self._grid.time_ns(index), self._grid.time_ns(index + 1)
 
-    cdef inline nanoseconds first_tick(self, Lane lane, nanoseconds stamp) noexcept:
-        """Return the first tick that needs nothing of a lane from before a stamp."""
-        return self._grid.index_at(stamp) + lane.averages
+    cdef inline nanoseconds needed(self, Lane lane) noexcept:
+        """Return the time at or after which the next tick needs a measurement of a lane."""
+        return self._until if lane.averages else self._due
 
     cdef int tick(self) except -1:
         """Give out the next tick, or skip the ticks of the gap it lies in."""
-        cdef nanoseconds due = self._due, left, right, width, since, after_gap
+        cdef nanoseconds due = self._due, left, right, width, after_gap
         cdef Tick* tick
         cdef double* vector
         cdef Lane lane
@@ -957,33 +957,29 @@ cdef class SamplerCore:
         tick.complete = tick.measured = True
         tick.known = due
         for lane in self._lanes:
-            if lane.averages:
-                since = self._grid.time_ns(self._next_tick - 1)
-                lane.pass_to(since)
-                if lane.stamps()[0] > since:
-                    self.skip_to(self.first_tick(lane, lane.stamps()[0]))
-                    return 0
-                width = lane.longest_step(due, &after_gap)
-                if width > lane.gap:
-                    self.skip_to(self.first_tick(lane, after_gap))
-                    return 0
-                tick.complete &= width <= lane.loss
-                lane.average(since, due, vector)
             if lane.count > 1 and lane.stamps()[1] <= due:
                 lane.pass_to(due)
             left = lane.stamps()[0]
+            if left > due:
+                self.skip_to(left)
+                return 0
+            if lane.averages:
+                width = lane.longest_step(self._until, &after_gap)
+                if width > lane.gap:
+                    self.skip_to(after_gap)
+                    return 0
+                tick.known = max(tick.known, self._until)
+                tick.complete &= width <= lane.loss
+                lane.average(due, self._until, vector)
             if left == due:
                 lane.copy(vector)
                 continue
-            if left > due:
-                self.skip_to(self.first_tick(lane, left))
-                return 0
             right = lane.stamps()[1]
             width = right - left
             tick.known = max(tick.known, right)
             if width > lane.loss:
                 if width > lane.gap:
-                    self.skip_to(self.first_tick(lane, right))
+                    self.skip_to(right)
                     return 0
                 tick.complete = False
                 if width > lane.line and lane.columns[lane.width - 1].place >= self._first_measured:
@@ -1001,9 +997,13 @@ cdef class SamplerCore:
         self.go_to(self._next_tick + 1)
         return 0
 
-    cdef void skip_to(self, nanoseconds index) noexcept:
-        """Skip the ticks before one."""
-        if self._started and index > self._next_tick:
+    cdef void skip_to(self, nanoseconds time) noexcept:
+        """Skip the ticks before a time."""
+        cdef nanoseconds index
+        if not self._started:
+            return
+        index = self._grid.index_at(time)
+        if index > self._next_tick:
             self._skipped += index - self._next_tick
             self._last_tick = self._grid.time_ns(index - 1)
             self._restarting = True
@@ -1015,7 +1015,7 @@ cdef class SamplerCore:
         cdef Lane other
         if lane.count and lane.newest() >= horizon:
             return
-        self.skip_to(self._grid.index_at(horizon))
+        self.skip_to(horizon)
         for other in self._lanes:
             if other.count > 1 and other.stamps()[1] <= horizon:
                 other.pass_to(horizon)
