@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 from prometheus_client import CollectorRegistry
 from prometheus_client.parser import text_string_to_metric_families
 
+from monitor.recording.archive import ArchiveStatistics
 from monitor.recording.journal import JournalStatistics
 from monitor.service.health import (
     Health,
     LinkHealth,
     ObserverHealth,
     ProcessHealth,
-    RecorderHealth,
     VehicleHealth,
     health_json,
     problems,
@@ -45,7 +45,7 @@ def health() -> Health:
                 observers=(ObserverHealth("motors", 90, {"late": 5}), ObserverHealth("inertial", 80)),
                 latency=histogram.end_interval(),
                 latency_buckets=histogram.buckets(),
-                recorder=RecorderHealth(50, 1),
+                recorder=ArchiveStatistics(50, 1),
             ),
             VehicleHealth("rover", "stale"),
         ),
@@ -132,7 +132,9 @@ def test_openmetrics_is_given_to_whoever_asks_for_it() -> None:
         (Health(ProcessHealth(loop_age_s=7.0)), "the main loop has stood still for 7 s"),
         (Health(ProcessHealth(inbox_depth=5, inbox_capacity=5)), "the inbox is full (5 messages)"),
         (
-            Health(ProcessHealth(), (VehicleHealth("rover", "stale", recorder=RecorderHealth(trouble="disk full")),)),
+            Health(
+                ProcessHealth(), (VehicleHealth("rover", "stale", recorder=ArchiveStatistics(trouble="disk full")),)
+            ),
             "rover is not recorded: disk full",
         ),
         (

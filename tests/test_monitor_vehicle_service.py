@@ -9,11 +9,12 @@ import pytest
 from loopback import Endpoint, until
 
 from monitor.alarms.desk_rule import DeskRule
+from monitor.configuration.config import Config, Standby
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.service.election import Election
 from monitor.service.vehicle_monitor import VehicleMonitor
-from monitor.service.vehicle_service import ServiceRule, VehicleService
+from monitor.service.vehicle_service import VehicleService
 
 VEHICLE = "copter-1"
 SECOND_NS = 1_000_000_000
@@ -29,7 +30,7 @@ def endpoint() -> Iterator[Endpoint]:
 @pytest.fixture
 def service(endpoint: Endpoint, arm_profile: Profile) -> Iterator[VehicleService]:
     monitor = VehicleMonitor(Pipeline(arm_profile, VEHICLE), (), None, lambda _: None, time.time_ns())
-    one = VehicleService(monitor, DeskRule(), endpoint.session, ServiceRule("fauio", 10.0, standby_s=0.5))
+    one = VehicleService(monitor, DeskRule(), endpoint.session, Config(standby=Standby(True, 0.5)))
     yield one
     one.close()
 

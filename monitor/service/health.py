@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from monitor.recording.archive import ArchiveStatistics
 from monitor.recording.journal import JournalStatistics
 from monitor.service.latency import LatencyBuckets, LatencyStatistics
 
@@ -16,6 +17,7 @@ VehicleState = Literal["starting", "monitoring", "degraded", "stale"]
 LOOP_LIMIT_S = 5.0
 """Chosen: far longer than any turn of the loop takes, sooner than systemd's watchdog (systemd/fauio@.service) acts."""
 
+_LINK_LOSSES = ("lost", "unknown", "damaged", "overruns", "dropped", "oversized", "malformed")
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 
@@ -38,30 +40,20 @@ class ObserverHealth:
 
 
 @dataclass(frozen=True, slots=True)
-class RecorderHealth:
-    """The recording of a vehicle."""
-
-    records: int = 0
-    lost: int = 0  # records that could not be written
-    trouble: str | None = None  # why nothing can be written at present; None where all is well
-
-
-@dataclass(frozen=True, slots=True)
 class VehicleHealth:
     """One vehicle."""
 
     name: str
     state: VehicleState  # as in its status topic
-    # messages that its pipeline took; messages for it that were dropped before
-    messages: int = 0
-    dropped: int = 0
+    messages: int = 0  # messages that its pipeline took
+    dropped: int = 0  # messages for it that were dropped before
     events: int = 0
     active: Mapping[str, int] = field(default_factory=dict)  # active alarms by severity
     observers: tuple[ObserverHealth, ...] = ()
     # from arrival of a message to what follows from it, over the last interval
     latency: LatencyStatistics = field(default_factory=LatencyStatistics)
     latency_buckets: LatencyBuckets | None = None  # the same since the start
-    recorder: RecorderHealth | None = None  # its recording; None where nothing is recorded
+    recorder: ArchiveStatistics | None = None  # its recording; None where nothing is recorded
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +67,15 @@ class LinkHealth:
     losses: Mapping[str, int] = field(default_factory=dict)
     # packets missing by their sequence numbers, of each MAVLink system that lost any
     lost_by_system: Mapping[int, int] = field(default_factory=dict)
+
+
+def link_health(name: str, statistics: Any) -> LinkHealth:
+    """Return the health of a link from what it counted."""
+    counts = asdict(statistics)
+    losses = {key: counts[key] for key in _LINK_LOSSES if key in counts}
+    losses |= {key: value for key, value in counts.get("signing", {}).items() if isinstance(value, int)}
+    connected = bool(counts.get("connected", counts.get("connections", 1)))
+    return LinkHealth(name, connected, counts.get("messages", 0), losses, counts.get("lost_by_system", {}))
 
 
 @dataclass(frozen=True, slots=True)

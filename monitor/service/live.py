@@ -25,7 +25,7 @@ from monitor.service.station import Station
 from monitor.service.systemd import Notifier
 
 if TYPE_CHECKING:
-    from monitor.views.view import View
+    from monitor.views.live_view import LiveView
 
 _SYNC_S = 1.0
 """Chosen: what a power cut costs of recordings and journal."""
@@ -132,7 +132,7 @@ def _open_journal(config: Config, log: ServiceLog, stack: ExitStack) -> Journal 
     return journal
 
 
-def _open_views(config: Config, log: ServiceLog, stack: ExitStack) -> list[View]:
+def _open_views(config: Config, log: ServiceLog, stack: ExitStack) -> list[LiveView]:
     """Open the views of the configuration; where one cannot be shown, monitoring continues without it."""
     if config.rerun.mode == "off":
         return []

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Literal, get_args
+from operator import attrgetter
+from typing import Any, Literal, NamedTuple, get_args
 
 from prometheus_client.exposition import choose_encoder
 from prometheus_client.metrics_core import (
@@ -17,21 +18,23 @@ from prometheus_client.metrics_core import (
 from prometheus_client.registry import Collector
 
 from monitor.event import Severity
-from monitor.service.health import Health, VehicleState, problems
-
-MetricValues = Iterable[tuple[tuple[str, ...], float]]
+from monitor.service.health import Health, VehicleHealth, VehicleState, problems
 
 
 @dataclass(frozen=True, slots=True)
 class MetricRow:
-    """One metric."""
+    """One metric: by the conventions of Prometheus a counter where its name ends in ``_total``."""
 
     name: str
-    kind: Literal["counter", "gauge", "histogram"]
     labels: tuple[str, ...]
     help: str  # what it counts
-    # label values and number of each series; not asked of a histogram
-    values: Callable[[Health], MetricValues] = lambda health: ()
+    # label values and number of each series; None: a histogram of the vehicles' latencies
+    values: Callable[[Health], Iterable[tuple[tuple[str, ...], float]]] | None = None
+
+    @property
+    def kind(self) -> Literal["counter", "gauge", "histogram"]:
+        """Its type in Prometheus."""
+        return "histogram" if self.values is None else "counter" if self.name.endswith("_total") else "gauge"
 
 
 def render(health: Health, accept: str = "") -> tuple[bytes, str]:
@@ -50,7 +53,7 @@ class HealthCollector(Collector):
         """Yield every metric of one snapshot."""
         health = self._snapshot()
         for row in METRICS:
-            if row.kind == "histogram":
+            if row.values is None:
                 yield _latency_histogram(row, health)
                 continue
             made = CounterMetricFamily if row.kind == "counter" else GaugeMetricFamily
@@ -72,13 +75,9 @@ def metrics_table() -> str:
 def _latency_histogram(row: MetricRow, health: Health) -> HistogramMetricFamily:
     family = HistogramMetricFamily(row.name, row.help, labels=row.labels)
     for vehicle in health.vehicles:
-        histogram = vehicle.latency_buckets
-        if histogram is None:
-            continue
-        bounds = [*map(repr, histogram.bounds_s), "+Inf"]
-        family.add_metric(
-            [_label(vehicle.name)], list(zip(bounds, histogram.counts, strict=True)), sum_value=histogram.sum_s
-        )
+        if (histogram := vehicle.latency_buckets) is not None:
+            buckets = zip([*map(repr, histogram.bounds_s), "+Inf"], histogram.counts, strict=True)
+            family.add_metric([_label(vehicle.name)], list(buckets), sum_value=histogram.sum_s)
     return family
 
 
@@ -86,204 +85,93 @@ def _label(text: str) -> str:
     return text.encode(errors="backslashreplace").decode()
 
 
-def _one(value: Callable[[Health], float]) -> Callable[[Health], MetricValues]:
-    return lambda health: [((), value(health))]
+class _Parts(NamedTuple):
+    """Parts of a snapshot of one kind, and the names of their labels."""
+
+    labels: tuple[str, ...]
+    of: Callable[[Health], Iterable[tuple[tuple[str, ...], Any]]]
+
+    def row(self, name: str, read: str | Callable[[Any], Any], about: str, label: str | None = None) -> MetricRow:
+        """Return the metric of an attribute of each; of a mapping each value has its key under one more label."""
+        get = attrgetter(read) if isinstance(read, str) else read
+
+        def values(health: Health) -> Iterator[tuple[tuple[str, ...], float]]:
+            for own, part in self.of(health):
+                found = get(part)
+                yield from [(own, found)] if label is None else (((*own, key), one) for key, one in found.items())
+
+        return MetricRow(name, self.labels if label is None else (*self.labels, label), about, values)
 
 
-def _journal(name: str) -> Callable[[Health], MetricValues]:
-    return lambda health: [] if health.journal is None else [((), getattr(health.journal, name))]
+def _states(vehicle: VehicleHealth) -> dict[str, float]:
+    return {state: float(vehicle.state == state) for state in get_args(VehicleState)}
 
 
-def _vehicle(name: str) -> Callable[[Health], MetricValues]:
-    return lambda health: [((vehicle.name,), getattr(vehicle, name)) for vehicle in health.vehicles]
+def _active(vehicle: VehicleHealth) -> dict[str, float]:
+    return {severity: vehicle.active.get(severity, 0) for severity in get_args(Severity)}
 
 
-def _recorder(name: str) -> Callable[[Health], MetricValues]:
-    return lambda health: [
-        ((vehicle.name,), getattr(vehicle.recorder, name)) for vehicle in health.vehicles if vehicle.recorder
-    ]
+def _quantiles(vehicle: VehicleHealth) -> dict[str, float]:
+    latency = vehicle.latency
+    return {"0.5": latency.p50_s, "0.99": latency.p99_s, "1": latency.max_s}
 
 
-def _link(name: str) -> Callable[[Health], MetricValues]:
-    return lambda health: [((link.name,), getattr(link, name)) for link in health.links]
-
-
-def _states(health: Health) -> MetricValues:
-    for vehicle in health.vehicles:
-        for state in get_args(VehicleState):
-            yield (vehicle.name, state), float(vehicle.state == state)
-
-
-def _active(health: Health) -> MetricValues:
-    for vehicle in health.vehicles:
-        for severity in get_args(Severity):
-            yield (vehicle.name, severity), vehicle.active.get(severity, 0)
-
-
-def _recent_latency(health: Health) -> MetricValues:
-    for vehicle in health.vehicles:
-        latency = vehicle.latency
-        for quantile, value in (("0.5", latency.p50_s), ("0.99", latency.p99_s), ("1", latency.max_s)):
-            yield (vehicle.name, quantile), value
-
-
-def _samples(health: Health) -> MetricValues:
-    for vehicle in health.vehicles:
-        for observer in vehicle.observers:
-            yield (vehicle.name, observer.name), observer.samples
-
-
-def _observer_losses(health: Health) -> MetricValues:
-    for vehicle in health.vehicles:
-        for observer in vehicle.observers:
-            for reason, count in observer.losses.items():
-                yield (vehicle.name, observer.name, reason), count
-
-
-def _link_losses(health: Health) -> MetricValues:
-    for link in health.links:
-        for reason, count in link.losses.items():
-            yield (link.name, reason), count
-
-
-def _recorder_trouble(health: Health) -> MetricValues:
-    for vehicle in health.vehicles:
-        if vehicle.recorder is not None:
-            yield (vehicle.name,), float(vehicle.recorder.trouble is not None)
-
-
-_OF_VEHICLE = ("vehicle",)
-_OF_OBSERVER = ("vehicle", "observer")
-_OF_LINK = ("link",)
+_HEALTH = _Parts((), lambda health: [((), health)])
+_JOURNAL = _Parts((), lambda health: [] if health.journal is None else [((), health.journal)])
+_LINK = _Parts(("link",), lambda health: [((link.name,), link) for link in health.links])
+_VEHICLE = _Parts(("vehicle",), lambda health: [((vehicle.name,), vehicle) for vehicle in health.vehicles])
+_RECORDER = _Parts(
+    ("vehicle",), lambda health: [((one.name,), one.recorder) for one in health.vehicles if one.recorder is not None]
+)
+_OBSERVER = _Parts(
+    ("vehicle", "observer"),
+    lambda health: [((one.name, observer.name), observer) for one in health.vehicles for observer in one.observers],
+)
 
 METRICS = (
-    MetricRow(
-        "fauio_build_info",
-        "gauge",
-        ("version",),
-        "1, with the version of fauio",
-        lambda health: [((version("fauio"),), 1.0)],
+    MetricRow("fauio_build_info", ("version",), "1, with the version of fauio", lambda _: [((version("fauio"),), 1.0)]),
+    _HEALTH.row("fauio_healthy", lambda health: float(not problems(health)), "1 while /healthz answers 200"),
+    _VEHICLE.row("fauio_vehicle_state", _states, "1 for the state the vehicle is in", "state"),
+    _VEHICLE.row("fauio_vehicle_messages_total", "messages", "messages that the vehicle's pipeline took"),
+    _VEHICLE.row(
+        "fauio_vehicle_messages_dropped_total", "dropped", "messages of the vehicle dropped before its pipeline"
     ),
-    MetricRow(
-        "fauio_healthy",
-        "gauge",
-        (),
-        "1 while /healthz answers 200",
-        _one(lambda health: float(not problems(health))),
-    ),
-    MetricRow("fauio_vehicle_state", "gauge", ("vehicle", "state"), "1 for the state the vehicle is in", _states),
-    MetricRow(
-        "fauio_vehicle_messages_total",
-        "counter",
-        _OF_VEHICLE,
-        "messages that the vehicle's pipeline took",
-        _vehicle("messages"),
-    ),
-    MetricRow(
-        "fauio_vehicle_messages_dropped_total",
-        "counter",
-        _OF_VEHICLE,
-        "messages of the vehicle dropped before its pipeline",
-        _vehicle("dropped"),
-    ),
-    MetricRow("fauio_vehicle_alarm_events_total", "counter", _OF_VEHICLE, "alarm events", _vehicle("events")),
-    MetricRow(
-        "fauio_vehicle_active_alarms", "gauge", ("vehicle", "severity"), "active alarms, by severity now", _active
-    ),
+    _VEHICLE.row("fauio_vehicle_alarm_events_total", "events", "alarm events"),
+    _VEHICLE.row("fauio_vehicle_active_alarms", _active, "active alarms, by severity now", "severity"),
     MetricRow(
         "fauio_vehicle_latency_seconds",
-        "histogram",
-        _OF_VEHICLE,
+        ("vehicle",),
         "from the arrival of a message to what follows from it, since the start",
     ),
-    MetricRow(
+    _VEHICLE.row(
         "fauio_vehicle_latency_recent_seconds",
-        "gauge",
-        ("vehicle", "quantile"),
+        _quantiles,
         "the same over the last interval: median, 99th percentile, largest",
-        _recent_latency,
+        "quantile",
     ),
-    MetricRow("fauio_observer_samples_total", "counter", _OF_OBSERVER, "samples fed to the observer", _samples),
-    MetricRow(
-        "fauio_observer_losses_total",
-        "counter",
-        (*_OF_OBSERVER, "reason"),
-        "measurements that the observer did without",
-        _observer_losses,
+    _OBSERVER.row("fauio_observer_samples_total", "samples", "samples fed to the observer"),
+    _OBSERVER.row("fauio_observer_losses_total", "losses", "measurements that the observer did without", "reason"),
+    _RECORDER.row("fauio_recorder_records_total", "records", "records written"),
+    _RECORDER.row("fauio_recorder_lost_total", "lost", "records that could not be written"),
+    _RECORDER.row(
+        "fauio_recorder_trouble",
+        lambda recorder: float(recorder.trouble is not None),
+        "1 while the vehicle cannot be recorded",
     ),
-    MetricRow("fauio_recorder_records_total", "counter", _OF_VEHICLE, "records written", _recorder("records")),
-    MetricRow(
-        "fauio_recorder_lost_total", "counter", _OF_VEHICLE, "records that could not be written", _recorder("lost")
-    ),
-    MetricRow(
-        "fauio_recorder_trouble", "gauge", _OF_VEHICLE, "1 while the vehicle cannot be recorded", _recorder_trouble
-    ),
-    MetricRow("fauio_link_connected", "gauge", _OF_LINK, "1 while the link is open", _link("connected")),
-    MetricRow("fauio_link_messages_total", "counter", _OF_LINK, "messages received", _link("messages")),
-    MetricRow(
-        "fauio_link_losses_total", "counter", ("link", "reason"), "what was lost on the link or refused", _link_losses
-    ),
-    MetricRow("fauio_journal_open", "gauge", (), "1 while the journal's file is open", _journal("open")),
-    MetricRow("fauio_journal_events_total", "counter", (), "alarm events committed", _journal("written")),
-    MetricRow("fauio_journal_pending_events", "gauge", (), "alarm events that wait for the disk", _journal("pending")),
-    MetricRow(
-        "fauio_journal_dropped_total",
-        "counter",
-        (),
-        "alarm events lost because too many were waiting",
-        _journal("dropped"),
-    ),
-    MetricRow(
-        "fauio_journal_conflicts_total",
-        "counter",
-        (),
-        "alarm events whose number another event has",
-        _journal("conflicts"),
-    ),
-    MetricRow(
-        "fauio_journal_rejected_total",
-        "counter",
-        (),
-        "alarm events and freeze frames that no row can hold",
-        _journal("rejected"),
-    ),
-    MetricRow("fauio_journal_pruned_total", "counter", (), "old events deleted to keep the bound", _journal("pruned")),
-    MetricRow(
-        "fauio_loop_age_seconds",
-        "gauge",
-        (),
-        "time since the main loop last came round",
-        _one(lambda health: health.process.loop_age_s),
-    ),
-    MetricRow(
-        "fauio_inbox_messages",
-        "gauge",
-        (),
-        "messages waiting for the main loop",
-        _one(lambda health: health.process.inbox_depth),
-    ),
-    MetricRow(
-        "fauio_inbox_capacity_messages",
-        "gauge",
-        (),
-        "the most that can wait",
-        _one(lambda health: health.process.inbox_capacity),
-    ),
-    MetricRow(
-        "fauio_inbox_dropped_total",
-        "counter",
-        (),
-        "messages dropped because more were waiting",
-        _one(lambda health: health.process.inbox_dropped),
-    ),
-    MetricRow(
-        "process_resident_memory_bytes",
-        "gauge",
-        (),
-        "resident memory",
-        _one(lambda health: health.process.resident_bytes),
-    ),
-    MetricRow(
-        "process_cpu_seconds_total", "counter", (), "processor time used", _one(lambda health: health.process.cpu_s)
-    ),
+    _LINK.row("fauio_link_connected", "connected", "1 while the link is open"),
+    _LINK.row("fauio_link_messages_total", "messages", "messages received"),
+    _LINK.row("fauio_link_losses_total", "losses", "what was lost on the link or refused", "reason"),
+    _JOURNAL.row("fauio_journal_open", "open", "1 while the journal's file is open"),
+    _JOURNAL.row("fauio_journal_events_total", "written", "alarm events committed"),
+    _JOURNAL.row("fauio_journal_pending_events", "pending", "alarm events that wait for the disk"),
+    _JOURNAL.row("fauio_journal_dropped_total", "dropped", "alarm events lost because too many were waiting"),
+    _JOURNAL.row("fauio_journal_conflicts_total", "conflicts", "alarm events whose number another event has"),
+    _JOURNAL.row("fauio_journal_rejected_total", "rejected", "alarm events and freeze frames that no row can hold"),
+    _JOURNAL.row("fauio_journal_pruned_total", "pruned", "old events deleted to keep the bound"),
+    _HEALTH.row("fauio_loop_age_seconds", "process.loop_age_s", "time since the main loop last came round"),
+    _HEALTH.row("fauio_inbox_messages", "process.inbox_depth", "messages waiting for the main loop"),
+    _HEALTH.row("fauio_inbox_capacity_messages", "process.inbox_capacity", "the most that can wait"),
+    _HEALTH.row("fauio_inbox_dropped_total", "process.inbox_dropped", "messages dropped because more were waiting"),
+    _HEALTH.row("process_resident_memory_bytes", "process.resident_bytes", "resident memory"),
+    _HEALTH.row("process_cpu_seconds_total", "process.cpu_s", "processor time used"),
 )

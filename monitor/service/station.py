@@ -6,7 +6,7 @@ import functools
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,6 @@ from adapters.zenoh.zenoh_session import endpoints
 from monitor.alarms.desk_rule import DeskRule
 from monitor.bus.status_watch import VehicleStatus
 from monitor.configuration.config import Config, Vehicle
-from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import PROFILE_FILE, Profile, read_profile
 from monitor.recording.archive import Archive
@@ -27,48 +26,28 @@ from monitor.recording.record_encoder import RecordEncoder
 from monitor.recording.recorder import Recorder
 from monitor.recording.retention import FileSeries
 from monitor.service.fleet import Fleet
-from monitor.service.health import Health, LinkHealth, ProcessHealth
+from monitor.service.health import Health, LinkHealth, ProcessHealth, link_health
 from monitor.service.inbox import Inbox
+from monitor.service.links import Counting
 from monitor.service.log import Level, ServiceLog
-from monitor.service.station_health import Links, take_health
 from monitor.service.vehicle_monitor import VehicleMonitor
-from monitor.service.vehicle_service import ServiceRule, VehicleService
+from monitor.service.vehicle_service import VehicleService
 
 if TYPE_CHECKING:
     import zenoh
 
-    from monitor.views.view import ShownVehicle, View
+    from monitor.views.live_buffer import VehicleView
+    from monitor.views.live_view import LiveView
 
 _SECOND_NS = 1_000_000_000
 _MEGABYTE = 1_000_000
 
 
 class Station:
-    """The vehicles of one daemon.
+    """The vehicles of one daemon; the session is left open by :meth:`close`.
 
-    Parameters
-    ----------
-    config : Config
-        What the daemon does.
-    read_again : Callable[[], Config]
-        Reads the configuration anew, for a reload.
-    session : zenoh.Session
-        An open session; left open by :meth:`close`.
-    inbox : Inbox
-        Where messages come from.
-    journal : Journal | None
-        The journal, if one is kept.
-    log : ServiceLog
-        The daemon's log.
-    links : Links
-        The links by name, for their counts.
-    views : Sequence[View]
-        Views that show the vehicles.
-
-    Attributes
-    ----------
-    reloads : int
-        Reloads that are over, failed ones included.
+    ``read_again`` reads the configuration anew, for a reload; ``links`` are asked for their counts, ``views`` show the
+    vehicles. ``reloads`` counts the reloads that are over, failed ones included.
 
     Raises
     ------
@@ -84,8 +63,8 @@ class Station:
         inbox: Inbox,
         journal: Journal | None,
         log: ServiceLog,
-        links: Links,
-        views: Sequence[View] = (),
+        links: Mapping[str, Counting],
+        views: Sequence[LiveView] = (),
     ) -> None:
         self._config = config
         self._read_again = read_again
@@ -96,13 +75,12 @@ class Station:
         self._links = links
         self._shared_links = frozenset((*config.mavlink, *config.zenoh))
         self._views = tuple(views)
-        self._shown: dict[str, list[ShownVehicle]] = {}
+        self._shown: dict[str, list[VehicleView]] = {}
         self._said: dict[str, tuple[str, ...]] = {}
         self._profiles: dict[Path, Profile] = {}
         self._services: dict[str, VehicleService] = {}
         self.reloads = 0
         self._new = 0
-        self._events: dict[str, int] = {}
         self._reloaded: queue.SimpleQueue[tuple[Config, dict[Path, Profile]] | str] = queue.SimpleQueue()
         self._turn_ns = self._second_ns = 0
         self._dropped_before = 0
@@ -151,7 +129,13 @@ class Station:
                 self._journal.retry()
             self._troubles = tuple(self._find_troubles())
             journal = None if self._journal is None else self._journal.statistics()
-            self._health = take_health(self.services, self._inbox, self._links, journal, self._events)
+            waiting = self._inbox.statistics()
+            self._health = Health(
+                ProcessHealth(0.0, waiting.waiting, self._inbox.limit, waiting.dropped),
+                tuple(service.health() for service in self.services),
+                tuple(link_health(name, link.statistics()) for name, link in self._links.items()),
+                journal,
+            )
             self._say_states()
 
     def reload(self) -> None:
@@ -230,24 +214,9 @@ class Station:
             ]
             self._shown[pipeline.vehicle] = shown
             archives += shown
-            monitor = VehicleMonitor(
-                pipeline,
-                archives,
-                self._journal,
-                self._say_event,
-                time.time_ns(),
-            )
-            rule = ServiceRule(
-                prefix=config.prefix,
-                estimate_rate_hz=config.estimate_rate_hz,
-                commands=config.commands.allow,
-                shelve_minutes=config.commands.default_shelve_minutes,
-                max_shelve_minutes=config.commands.max_shelve_minutes,
-                standby_s=config.standby.takeover_s if config.standby.enabled else None,
-            )
-            closers = stack.pop_all()
-            desk, links = self._desk(vehicle), functools.partial(self._links_of, vehicle)
-            service = VehicleService(monitor, desk, self._session, rule, self._journal, archive, [closers.close], links)
+            monitor = VehicleMonitor(pipeline, archives, self._journal, self._log.event, time.time_ns())
+            desk, links, recordings = self._desk(vehicle), functools.partial(self._links_of, vehicle), stack.pop_all()
+            service = VehicleService(monitor, desk, self._session, config, self._journal, archive, recordings, links)
         self._services[pipeline.vehicle] = service
         return service
 
@@ -325,10 +294,6 @@ class Station:
             flood_raised=flood.raised,
             flood_s=flood.within_s,
         )
-
-    def _say_event(self, event: AlarmEvent) -> None:
-        self._events[event.vehicle] = self._events.get(event.vehicle, 0) + 1
-        self._log.event(event)
 
     def _find_troubles(self) -> list[str]:
         found = [f"link {name} does not answer" for name in self._inbox.stuck()]

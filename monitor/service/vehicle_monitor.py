@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, get_args
 
 import numpy as np
 
@@ -19,11 +19,16 @@ from adapters.message import silence
 from adapters.source import JOURNAL, OPERATOR
 from monitor.bus.payload import estimate_json
 from monitor.estimate import Estimates
-from monitor.event import AlarmEvent
+from monitor.event import AlarmEvent, Severity
 from monitor.pipeline import Pipeline, handover_message
-from monitor.service.health import LinkHealth
+from monitor.recording.archive import ArchiveStatistics
+from monitor.service.health import LinkHealth, ObserverHealth, VehicleHealth, VehicleState
 from monitor.service.latency import LatencyHistogram
 from monitor.service.telemetry_watch import TelemetryWatch
+
+if TYPE_CHECKING:
+    from monitor.bus.publisher import Publisher
+    from monitor.recording.journal import Journal
 
 # read once: it stands in a file of the installation
 _VERSION = version("fauio")
@@ -35,31 +40,16 @@ _TAKEOVER_SEQ_GAP = 100
 at most ten alarm events at once of a channel; chosen: far above what one burst can hold."""
 _LARGEST_SEQ = 1 << 53
 _MOST_CHANNELS = 4096
+_LOSSES = ("late", "invalid", "untimed", "doubted", "incomplete", "skipped")
 
 
 class BatchSink(Protocol):
-    """Records everything of one vehicle."""
+    """Records or shows everything of one vehicle."""
 
     def batch(self, batch: Batch) -> None: ...  # noqa: D102
     def estimates(self, estimates: Estimates) -> None: ...  # noqa: D102
     def event(self, event: AlarmEvent) -> None: ...  # noqa: D102
     def flush(self) -> None: ...  # noqa: D102
-
-
-class EventSink(Protocol):
-    """Where alarm events are kept."""
-
-    def write(self, event: AlarmEvent, frame: Mapping[str, Any] | None = None) -> None: ...  # noqa: D102
-    def shelve(self, vehicle: str, channels: Mapping[str, int]) -> None: ...  # noqa: D102
-
-
-class Outlet(Protocol):
-    """Publishes for the vehicle while its monitor is active."""
-
-    def event(self, event: AlarmEvent) -> None: ...  # noqa: D102
-    def estimates(self, estimates: Estimates) -> None: ...  # noqa: D102
-    def status(self, status: Mapping[str, Any]) -> None: ...  # noqa: D102
-    def close(self) -> None: ...  # noqa: D102
 
 
 @dataclass(slots=True)
@@ -82,7 +72,7 @@ class VehicleMonitor:
         self,
         pipeline: Pipeline,
         archives: Sequence[BatchSink],
-        journal: EventSink | None,
+        journal: Journal | None,
         on_event: Callable[[AlarmEvent], None],
         now_ns: int,
     ) -> None:
@@ -92,7 +82,7 @@ class VehicleMonitor:
         self._archives = tuple(archives)
         self._journal = journal
         self._on_event = on_event
-        self._outlet: Outlet | None = None
+        self._outlet: Publisher | None = None
         self._peer_events: dict[tuple[str, str], AlarmEvent] = {}
         self._peer_seq = 0
         self._shelved: Mapping[str, int] = {}
@@ -100,7 +90,7 @@ class VehicleMonitor:
         self._latest: dict[str, Estimates] = {}
         self._watch = TelemetryWatch(pipeline.profile.observers, pipeline.needs, now_ns)
         self._second = _Second(now_ns)
-        self.messages = self.samples = 0
+        self.messages = self.samples = self.events = 0
 
     @property
     def name(self) -> str:
@@ -114,7 +104,7 @@ class VehicleMonitor:
 
     def activate(
         self,
-        outlet: Outlet,
+        outlet: Publisher,
         now_ns: int,
         alarms: Sequence[AlarmEvent] = (),
         seq: int = 0,
@@ -290,6 +280,24 @@ class VehicleMonitor:
             self._outlet.status(status)
         return status
 
+    def health(self, state: VehicleState, recorder: ArchiveStatistics | None) -> VehicleHealth:
+        """Return how it is doing in a state of its last status, with its recording, if any."""
+        severities = [event.severity for event in self.pipeline.desk.active]
+        return VehicleHealth(
+            name=self.name,
+            state=state,
+            messages=self.messages,
+            events=self.events,
+            active={severity: severities.count(severity) for severity in get_args(Severity)},
+            observers=tuple(
+                ObserverHealth(name, counts.samples, {key: getattr(counts, key) for key in _LOSSES})
+                for name, counts in self.pipeline.statistics().items()
+            ),
+            latency=self.latency.interval(),
+            latency_buckets=self.latency.buckets(),
+            recorder=recorder,
+        )
+
     def flush(self) -> None:
         """Hand everything recorded so far to the operating system."""
         for archive in self._archives:
@@ -318,6 +326,7 @@ class VehicleMonitor:
         if not events or outlet is None:
             return []
         self.flush()
+        self.events += len(events)
         for event in events:
             if self._journal is not None:
                 self._journal.write(event, self.freeze_frame(event) if event.state == "raised" else None)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 import logging
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
 
 from adapters.batch import pack
 from monitor.alarms.desk_rule import DeskRule
@@ -15,16 +15,19 @@ from monitor.bus.keys import vehicle_root
 from monitor.bus.operators import Operators
 from monitor.bus.publisher import Publisher
 from monitor.bus.subscriber import AlarmSubscriber
+from monitor.configuration.config import Config
 from monitor.event import AlarmEvent
 from monitor.pipeline import rules_message
 from monitor.profile import Profile
 from monitor.recording.archive import Archive
 from monitor.service.election import Election
-from monitor.service.health import LinkHealth
+from monitor.service.health import LinkHealth, VehicleHealth
 from monitor.service.vehicle_monitor import VehicleMonitor
 
 if TYPE_CHECKING:
     import zenoh
+
+    from monitor.recording.journal import Journal
 
 _STATUS_NS = 1_000_000_000
 """A status a second, as the interface promises."""
@@ -40,51 +43,11 @@ _PAST_EVENTS = 4096
 _CLIP_PORTION = 30
 
 
-class PastEvents(Protocol):
-    """A journal of past events of a vehicle."""
-
-    def active(self, vehicle: str) -> Sequence[AlarmEvent]: ...  # noqa: D102
-    def shelved(self, vehicle: str) -> Mapping[str, int]: ...  # noqa: D102
-    def last_seq(self, vehicle: str) -> int: ...  # noqa: D102
-    def events(self, vehicle: str, since_ns: int, limit: int) -> Sequence[AlarmEvent]: ...  # noqa: D102
-
-
-@dataclass(frozen=True, slots=True)
-class ServiceRule:
-    """How a vehicle's monitor publishes and which commands it obeys."""
-
-    prefix: str  # what all keys begin with
-    estimate_rate_hz: float  # largest rate of published estimates
-    commands: Collection[str] = ()  # operators' verbs that are carried out
-    # how long an alarm is shelved where the command does not say, and at most
-    shelve_minutes: float = 60.0
-    max_shelve_minutes: float = 480.0
-    # Another monitor of the same vehicle may be active; this one is on standby until that has been gone for this time,
-    # seconds. None: there is no other.
-    standby_s: float | None = None
-
-
 class VehicleService:
-    """Runs one vehicle's monitor in the daemon.
+    """Runs one vehicle's monitor in the daemon; the session is left open by :meth:`close`.
 
-    Parameters
-    ----------
-    monitor : VehicleMonitor
-        The monitor.
-    desk : DeskRule
-        The desk's rule at the start.
-    session : zenoh.Session
-        An open session; left open by :meth:`close`.
-    rule : ServiceRule
-        How it publishes and which commands it obeys.
-    journal : PastEvents | None
-        Keeps the alarms that were active before a restart.
-    archive : Archive | None
-        Records the vehicle.
-    closers : Sequence[Callable[[], None]]
-        Close the recordings, in order.
-    links : Callable[[], Sequence[LinkHealth]]
-        Health of the links that its telemetry may come over.
+    ``desk`` is the desk's rule at the start. The journal keeps the alarms that were active before a restart, the
+    archive records the vehicle, and ``recordings`` closes it. ``links`` are those that its telemetry may come over.
     """
 
     def __init__(
@@ -92,30 +55,30 @@ class VehicleService:
         monitor: VehicleMonitor,
         desk: DeskRule,
         session: zenoh.Session,
-        rule: ServiceRule,
-        journal: PastEvents | None = None,
+        config: Config,
+        journal: Journal | None = None,
         archive: Archive | None = None,
-        closers: Sequence[Callable[[], None]] = (),
+        recordings: ExitStack | None = None,
         links: Callable[[], Sequence[LinkHealth]] = tuple,
     ) -> None:
         self.monitor = monitor
         self.last_status: dict[str, Any] = {}
         self._session = session
-        self._rule = rule
+        self._config = config
         self._journal = journal
         self.archive = archive
-        self._closers = tuple(closers)
+        self._recordings = recordings
         self._links = links
         self._operators: Operators | None = None
         self._election: Election | None = None
         self._others: AlarmSubscriber | None = None
-        self._root = vehicle_root(rule.prefix, monitor.name)
+        self._root = vehicle_root(config.prefix, monitor.name)
         self._status_ns = self._flushed_ns = self._decided_ns = time.time_ns()
         monitor.process(pack([rules_message(desk, monitor.pipeline.profile, self._status_ns)]))
-        if rule.standby_s is not None:
+        if config.standby.enabled:
             # With history: events published while this monitor was not running belong in its journal too.
-            self._others = AlarmSubscriber(session, monitor.name, rule.prefix, history=True)
-            self._election = Election(session, self._root, rule.standby_s)
+            self._others = AlarmSubscriber(session, monitor.name, config.prefix, history=True)
+            self._election = Election(session, self._root, config.standby.takeover_s)
         else:
             self._activate(self._status_ns)
 
@@ -142,6 +105,11 @@ class VehicleService:
         """Write a little of the clips that are open; return whether there was anything."""
         return self.archive is not None and self.archive.work(_CLIP_PORTION, now_ns) > 0
 
+    def health(self) -> VehicleHealth:
+        """Return how the vehicle is doing."""
+        recorder = None if self.archive is None else self.archive.statistics()
+        return self.monitor.health(self.last_status.get("state", "starting"), recorder)
+
     def close(self) -> None:
         """Deactivate and finish the recordings."""
         if self._operators is not None:
@@ -151,8 +119,8 @@ class VehicleService:
             self._election.close()
         if self._others is not None:
             self._others.close()
-        for close in self._closers:
-            close()
+        if self._recordings is not None:
+            self._recordings.close()
 
     def _decide(self, now_ns: int) -> None:
         if self._election is None or self._others is None:
@@ -168,7 +136,7 @@ class VehicleService:
         if away_ns > _AWAY_NS and self.monitor.active:
             # After a freeze of the process another monitor may be active: elect anew before publishing.
             self._election.close()
-            self._election = Election(self._session, self._root, self._rule.standby_s or 0.0)
+            self._election = Election(self._session, self._root, self._config.standby.takeover_s)
         leads = self._election.leads
         if leads and not self.monitor.active:
             logging.getLogger(__name__).warning("active for %s from now on", self.monitor.name)
@@ -186,10 +154,11 @@ class VehicleService:
         monitor, journal = self.monitor, self._journal
         name, layouts = monitor.name, monitor.pipeline.layouts
         past = None if journal is None else functools.partial(journal.events, name, limit=_PAST_EVENTS)
-        outlet = Publisher(self._session, name, layouts, self._rule.prefix, self._rule.estimate_rate_hz, journal=past)
+        config, commands = self._config, self._config.commands
+        outlet = Publisher(self._session, name, layouts, config.prefix, config.estimate_rate_hz, journal=past)
         monitor.activate(outlet, now_ns, *_remembered(journal, name))
-        limits = (self._rule.shelve_minutes, self._rule.max_shelve_minutes)
-        self._operators = Operators(self._session, self._root, self._rule.commands, *limits)
+        limits = commands.default_shelve_minutes, commands.max_shelve_minutes
+        self._operators = Operators(self._session, self._root, commands.allow, *limits)
 
     def _answer(self, operators: Operators) -> None:
         desk = self.monitor.pipeline.desk
@@ -203,7 +172,7 @@ class VehicleService:
             operators.accept(command, events[-1] if events else None)
 
 
-def _remembered(journal: PastEvents | None, vehicle: str) -> tuple[Sequence[AlarmEvent], int, Mapping[str, int]]:
+def _remembered(journal: Journal | None, vehicle: str) -> tuple[Sequence[AlarmEvent], int, Mapping[str, int]]:
     """Return the active alarms of the journal, the number of its last event, the shelved channels."""
     if journal is None:
         return (), 0, {}

@@ -112,10 +112,6 @@ class VehicleView:
                 with self._lock:
                     self._keep(buffer, estimates.part(row, row + 1))
 
-    def work(self, max_records: int, now_ns: int) -> int:
-        """Do nothing, and return that nothing was written."""
-        return 0
-
     def event(self, event: AlarmEvent) -> None:
         """Keep an alarm event."""
         with self._lock:

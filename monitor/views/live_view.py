@@ -81,7 +81,7 @@ class LiveView:
     def vehicle(
         self, name: str, layouts: Sequence[Layout], thresholds: Thresholds, messages: Collection[str]
     ) -> VehicleView:
-        """Show one more vehicle; see :meth:`monitor.views.view.View.vehicle`."""
+        """Show one more vehicle; one of that name is replaced. Return what collects its data."""
         view = VehicleView(name, layouts, thresholds, messages)
         with self._lock:
             self._vehicles = self._vehicles | {name: view}

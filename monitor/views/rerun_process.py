@@ -33,8 +33,7 @@ _LEAVE_S = 0.3
 
 
 class RerunProcess:
-    """A Rerun server on a port of loopback, or a viewer on this machine's screen, showing the ``.rrd`` bytes it is
-    given.
+    """A Rerun server on a port of loopback, or a viewer on this machine's screen, fed with ``.rrd`` bytes.
 
     ``memory_mb`` is that of the server, for viewers that connect later, or of the viewer; the oldest data are dropped.
     """
