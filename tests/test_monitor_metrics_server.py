@@ -125,10 +125,8 @@ def test_many_idle_clients_take_no_threads_and_those_beyond_the_bound_are_closed
             client.close()
 
 
-@pytest.mark.parametrize(
-    "address", ["0.0.0.0:9464", "192.168.1.2:0", "9464", "127.0.0.1:", "127.0.0.1:99999", "::", "host:1"]
-)
-def test_an_address_that_is_not_loopback_is_refused_in_one_line(address: str) -> None:
+@pytest.mark.parametrize("address", ["192.0.2.1:0", "9464", "127.0.0.1:", "127.0.0.1:99999", "::", "host.invalid:1"])
+def test_an_address_that_cannot_be_listened_on_is_refused_in_one_line(address: str) -> None:
     with pytest.raises(UsageError, match="metrics address") as refused:
         MetricsServer(address, lambda: WELL)
     assert "\n" not in str(refused.value)

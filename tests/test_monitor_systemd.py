@@ -27,8 +27,8 @@ def test_each_state_of_the_daemon_is_one_datagram(manager: tuple[socket.socket, 
     with closing(Notifier({"NOTIFY_SOCKET": name})) as notifier:
         notifier.ready("monitoring 2 vehicles")
         assert server.recv(4096) == b"READY=1\nSTATUS=monitoring 2 vehicles"
-        notifier.status("copter-1: stale\nREADY=0")
-        assert server.recv(4096) == b"STATUS=copter-1: stale READY=0"
+        notifier.ready("copter-1: stale\nREADY=0")
+        assert server.recv(4096) == b"READY=1\nSTATUS=copter-1: stale READY=0"
         before = time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000
         notifier.reloading()
         first, second = server.recv(4096).decode().splitlines()
@@ -85,6 +85,6 @@ def test_a_service_manager_that_is_gone_or_reads_nothing_stops_nobody(tmp_path: 
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as deaf:
             deaf.bind(name)
             while notifier.failed == 1:
-                notifier.status("still here")
+                notifier.ready("still here")
         notifier.close()
         notifier.ready()

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from adapters.errors import UsageError
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.mavlink.message_rates import RateRequests, RequestingLink
 from adapters.mavlink.signing import SigningKey, read_key
@@ -31,54 +28,6 @@ class Counting(Protocol):
     def statistics(self) -> Any: ...  # noqa: D102
 
 
-class TelemetryLink(Link, Counting, Protocol):
-    """An open link: yields batches and counts them."""
-
-    def close(self) -> None: ...  # noqa: D102
-
-
-@dataclass(frozen=True, slots=True)
-class LinkOptions:
-    """Settings of all links of a process."""
-
-    key: SigningKey | None = None  # key of MAVLink signatures; None verifies none
-    require_signed: bool = False  # whether unsigned MAVLink packets are refused
-    may_send: bool = False
-    session: zenoh.Session | None = None  # an open session, for links over Zenoh
-    types: Mapping[str, str] = field(default_factory=dict)  # types of telemetry over Zenoh by key expression
-    definitions: Sequence[Path] = ()  # folders of message definitions
-    batch_s: float = 0.0  # time from one batch to the next while telemetry comes, seconds
-
-
-def _open_mavlink(url: str, options: LinkOptions) -> TelemetryLink:
-    return MavlinkLink(url, options.key, options.require_signed, options.may_send, options.batch_s)
-
-
-def _open_zenoh(url: str, options: LinkOptions) -> TelemetryLink:
-    if options.session is None:
-        raise UsageError(f"{url}: needs a Zenoh session")
-    decoder = PayloadDecoder(options.types, options.definitions)
-    return ZenohLink(options.session, url.removeprefix("zenoh:"), decoder, options.batch_s)
-
-
-_OPENERS: Mapping[str, Callable[[str, LinkOptions], TelemetryLink]] = {
-    **dict.fromkeys(("udp", "udpin", "udpout", "tcp", "tcpin", "serial"), _open_mavlink),
-    "zenoh": _open_zenoh,
-}
-"""What opens a link by the first part of its URL; a new source is a line here and a module that yields batches."""
-
-
-def open_link(url: str, options: LinkOptions) -> TelemetryLink:
-    """Open the link that a URL names: one of :func:`adapters.mavlink.byte_link.open_byte_link`, or ``zenoh:KEYEXPR``.
-
-    Raises
-    ------
-    TelemetryError
-        The link cannot be opened, or the URL is not understood.
-    """
-    return _OPENERS.get(url.partition(":")[0], _open_mavlink)(url, options)
-
-
 class OpenedLink(NamedTuple):
     """An open link under its name in the configuration, its reader, and the vehicle whose own it is."""
 
@@ -96,25 +45,21 @@ def open_links(config: Config, session: zenoh.Session | None, stack: ExitStack) 
     UsageError, TelemetryError
         A link, the signing key or a message definition cannot be used.
     """
-    options = LinkOptions(
-        key=read_key(config.signing.key_file) if config.signing.key_file is not None else None,
-        require_signed=config.signing.require,
-        may_send=config.send.allow,
-        session=session,
-        types=config.zenoh_types,
-        definitions=() if config.definitions is None else (config.definitions,),
-        batch_s=config.batch_ms / 1e3,
-    )
-    named: list[tuple[str, str, Vehicle | None]] = [(url, url, None) for url in config.mavlink]
-    if session is not None:
-        named += [(keyexpr, f"zenoh:{keyexpr}", None) for keyexpr in config.zenoh]
-        named += [(own.zenoh, f"zenoh:{own.zenoh}", own) for own in config.vehicles if own.zenoh is not None]
+    signing, batch_s = config.signing, config.batch_ms / 1e3
+    key = None if signing.key_file is None else read_key(signing.key_file)
     opened = []
-    for name, url, vehicle in named:
-        link = open_link(url, options)
+    for url in config.mavlink:
+        mavlink = MavlinkLink(url, key, signing.require, config.send.allow, batch_s)
+        stack.callback(mavlink.close)
+        opened.append(OpenedLink(url, mavlink, _requesting(mavlink, config, key)))
+    if session is None:
+        return opened
+    own = [(vehicle.zenoh, vehicle) for vehicle in config.vehicles if vehicle.zenoh is not None]
+    for keyexpr, vehicle in [*((shared, None) for shared in config.zenoh), *own]:
+        decoder = PayloadDecoder(config.zenoh_types, () if config.definitions is None else (config.definitions,))
+        link = ZenohLink(session, keyexpr, decoder, batch_s)
         stack.callback(link.close)
-        reader = _requesting(link, config, options.key) if isinstance(link, MavlinkLink) else link
-        opened.append(OpenedLink(name, link, reader, vehicle))
+        opened.append(OpenedLink(keyexpr, link, link, vehicle))
     return opened
 
 

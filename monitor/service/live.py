@@ -11,7 +11,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from adapters.errors import UsageError
 from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
 from monitor.recording.journal import Journal
@@ -44,10 +43,6 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
     UsageError, TelemetryError
         A profile, a link, a file or the session cannot be used.
     """
-    if not (config.mavlink or config.zenoh or any(vehicle.zenoh for vehicle in config.vehicles)):
-        raise UsageError("no telemetry to listen to: give --mavlink URL or --zenoh KEYEXPR, or set it in --config")
-    if not config.vehicles and config.new_vehicles.profile is None:
-        raise UsageError("no vehicle to monitor: give a PROFILE, or name vehicles in --config")
     json_lines = {"auto": not sys.stderr.isatty(), "json": True, "text": False}[config.log_format]
     # signals first: the default action of SIGHUP is to end a process
     with ExitStack() as stack, noted_signals() as received:

@@ -1,10 +1,9 @@
-"""``/metrics`` and ``/healthz`` over HTTP on loopback: one thread, few connections, little time for each."""
+"""``/metrics`` and ``/healthz`` over HTTP: one thread, few connections, little time for each."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import ipaddress
 import json
 import socket
 import threading
@@ -27,7 +26,7 @@ _TEXT = "text/plain; charset=utf-8"
 
 
 class MetricsServer:
-    """Answers GET and HEAD at ``"host:port"`` on loopback until closed; each connection serves one request.
+    """Answers GET and HEAD at ``"host:port"`` until closed; each connection serves one request.
 
     Whoever is slow, sends too much or stays connected is cut off after :data:`REQUEST_S`; connections beyond
     :data:`MAX_CONNECTIONS` are closed at once. ``refused`` counts both. ``snapshot`` is called in the server's thread
@@ -36,7 +35,7 @@ class MetricsServer:
     Raises
     ------
     UsageError
-        The address is none, is not on loopback, or is in use.
+        The address is none, or cannot be listened on.
     """
 
     def __init__(self, address: str, snapshot: Callable[[], Health]) -> None:
@@ -122,20 +121,12 @@ def _response(status: HTTPStatus, body: bytes, content_type: str, more: str = ""
 
 
 def _listen(address: str) -> socket.socket:
-    host, separator, port = address.rpartition(":")
-    host = host.removeprefix("[").removesuffix("]")
-    if not separator or not port.isdecimal() or int(port) > 65535:
+    host, _, port = address.rpartition(":")
+    host = host.strip("[]")
+    if not host or not port.isdecimal() or int(port) > 0xFFFF:
         raise UsageError(f"metrics address '{address}': is not HOST:PORT, for example 127.0.0.1:9464")
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        host = "127.0.0.1" if host == "localhost" else host
-        if not ipaddress.ip_address(host).is_loopback:
-            raise UsageError(f"metrics address '{address}': is not on loopback; take 127.0.0.1 or [::1]")
-    except UsageError:
-        raise
-    except ValueError as error:
-        raise UsageError(f"metrics address '{address}': host is no address; take 127.0.0.1 or [::1]") from error
-    try:
         return socket.create_server((host, int(port)), family=family, backlog=MAX_CONNECTIONS)
     except OSError as error:
         reason = error.strerror or error

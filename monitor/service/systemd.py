@@ -34,10 +34,6 @@ class Notifier:
         """Say that the start, or a reload, is over."""
         self._send("READY=1", *_status(status))
 
-    def status(self, status: str) -> None:
-        """Set the line that ``systemctl status`` shows."""
-        self._send(*_status(status))
-
     def reloading(self) -> None:
         """Say that the configuration is being read again; :meth:`ready` ends it."""
         self._send("RELOADING=1", f"MONOTONIC_USEC={time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000}")
