@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from adapters.errors import ModelError
+from gains.analysis.augment import slope_matrix
 from gains.plants.expression import compile_expression, compile_node, derivative, parse_expression
 from gains.plants.plant import FloatArray, Plant
-from gains.published.error_system import slope_matrix
 from gains.published.kalman import filter_model
 
 

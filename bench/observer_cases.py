@@ -23,7 +23,7 @@ from gains.plants.plant import Disturbance, Fault, Noise, Plant
 from gains.synthesis.certificate import Certificate, certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
-from gains.synthesis.design import Design
+from gains.synthesis.design import Design, observer_matrices
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.observer import ObserverRun
 
@@ -80,18 +80,10 @@ def linear_case(count: int, states: int = 12, actuators: int = 5, sensors: int =
         model.C @ Sigma @ model.C.T + model.D @ model.D.T, (model.A[0] @ Sigma @ model.C.T + model.B @ model.D.T).T
     ).T
     nz, p = augmentation.F.shape
-    K = L[:nz]
-    N = augmentation.L1 @ augmentation.A_z - K @ augmentation.C_b
     design = Design(
         method="convex",
         rate_hz=100.0,
-        K=K,
-        L_i=L[nz:],
-        L_p=np.zeros((actuators, p)),
-        L1=augmentation.L1,
-        F=augmentation.F,
-        N=N,
-        J=N @ augmentation.F + K,
+        gains=observer_matrices(augmentation, L[:nz], L[nz:], np.zeros((actuators, p))),
         P=np.eye(len(L)),
         mu=math.inf,
     )

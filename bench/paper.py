@@ -33,7 +33,12 @@ from gains.published.theorem import design_theorem
 from gains.published.zhang2008 import design_zhang2008
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
-from gains.synthesis.continuous_observer import ContinuousObserver, compile_continuous, fauio_observer
+from gains.synthesis.continuous_observer import (
+    ContinuousObserver,
+    compile_continuous,
+    designed_observer,
+    fauio_observer,
+)
 from gains.synthesis.continuous_synthesis import design_continuous
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
@@ -107,7 +112,7 @@ def printed_observer(plant: Plant) -> ContinuousObserver:
 
 
 def theorem2(plant: Plant) -> ContinuousObserver:
-    return design_theorem(plant, "theorem2", beta=BETA, epsilon=EPSILON, delta=DELTA).observer(plant)
+    return designed_observer(plant, design_theorem(plant, "theorem2", beta=BETA, epsilon=EPSILON, delta=DELTA))
 
 
 def convex_discrete(plant: Plant, rate_hz: float) -> Gains:
@@ -118,9 +123,9 @@ def convex_discrete(plant: Plant, rate_hz: float) -> Gains:
 def convex_continuous(plant: Plant, slow: Plant) -> dict[str, ContinuousObserver]:
     """Return the convex continuous design, of the slow plant where the solver finds none for fast faults."""
     try:
-        return {"convex, continuous": design_continuous(plant).observer(plant)}
+        return {"convex, continuous": designed_observer(plant, design_continuous(plant))}
     except InfeasibleError:
-        return {"convex, continuous, fault rate 1": design_continuous(slow).observer(slow)}
+        return {"convex, continuous, fault rate 1": designed_observer(slow, design_continuous(slow))}
 
 
 def running_methods() -> dict[str, Callable[[float], Gains]]:
@@ -190,12 +195,12 @@ def bound_rows() -> list[str]:
     row(
         "Theorem 1, corrected (no disturbance)",
         "2.5399e-4",
-        lambda: design_theorem(undisturbed, "theorem1", beta=BETA, epsilon=0.1).observer(undisturbed),
+        lambda: designed_observer(undisturbed, design_theorem(undisturbed, "theorem1", beta=BETA, epsilon=0.1)),
         noise_path="all",
     )
     row("Theorem 2, printed gains", "0.0324", lambda: printed_observer(arm), noise_path="all")
     row("Theorem 2, corrected, eps = 0.0112, delta = 5", "0.0324", lambda: theorem2(arm), noise_path="all")
-    row("convex, continuous", "", lambda: design_continuous(arm).observer(arm), noise_path="zeta")
+    row("convex, continuous", "", lambda: designed_observer(arm, design_continuous(arm)), noise_path="zeta")
     for sigma in (1.0, 10.0):
         row(
             f"Gao 2022 (reconstruction), sigma = {sigma:g}",

@@ -13,7 +13,7 @@ from adapters.errors import InaccurateError, InfeasibleError, ModelError, UsageE
 
 if TYPE_CHECKING:
     from gains.plants.plant import Plant
-    from gains.synthesis.continuous_design import ContinuousDesign
+    from gains.synthesis.design import Design
 
 
 def design_text(report: dict[str, Any], out: Path | None) -> str:
@@ -333,8 +333,8 @@ def _design_continuous(plant: Plant, args: argparse.Namespace, model_hash: str) 
     """Design in continuous time and compile for the rate, if one is given."""
     from dataclasses import replace
 
-    from gains.synthesis.continuous_certificate import certify_continuous, continuous_report
-    from gains.synthesis.continuous_observer import compile_continuous
+    from gains.synthesis.certificate import certify, design_report
+    from gains.synthesis.continuous_observer import compile_continuous, designed_observer
     from gains.synthesis.gains_file import write_gains
 
     if args.pole_radius != 1.0:
@@ -342,16 +342,15 @@ def _design_continuous(plant: Plant, args: argparse.Namespace, model_hash: str) 
     if args.out is not None and args.rate is None:
         raise UsageError(f"{plant.name}: gains that run need a rate in samples per second (--rate)")
     design = _continuous_design(plant, args)
-    certificate = certify_continuous(plant, design)
-    report = continuous_report(plant, design, certificate, args.rate)
+    report = design_report(plant, design, certify(plant, design), args.rate)
     if args.rate is not None:
-        gains = compile_continuous(design.observer(plant), args.rate, report)
+        gains = compile_continuous(designed_observer(plant, design), args.rate, report)
         if args.out is not None:
             write_gains(replace(gains, model_hash=model_hash), args.out)
     return report
 
 
-def _continuous_design(plant: Plant, args: argparse.Namespace) -> ContinuousDesign:
+def _continuous_design(plant: Plant, args: argparse.Namespace) -> Design:
     from gains.published.theorem import design_theorem
     from gains.synthesis.continuous_synthesis import design_continuous
 
@@ -368,37 +367,21 @@ def _continuous_design(plant: Plant, args: argparse.Namespace) -> ContinuousDesi
 
 def _failure(plant: Plant, args: argparse.Namespace, error: ValueError) -> dict[str, Any]:
     """Return the report of a design that does not exist, with the keys of one that does."""
+    from gains.synthesis.design import design_figures
+
     continuous = _continuous(args)
-    failure: dict[str, Any] = {
-        "model": plant.name,
-        "method": args.method,
-        "domain": "continuous" if continuous else "discrete",
-        "rate_hz": plant.rate_hz if args.rate is None else args.rate,
-        "status": "inaccurate" if isinstance(error, InaccurateError) else "infeasible",
-        "sqrt_mu": None,
-        "norm": None,
-        "norm_hz": None,
-        **(dict.fromkeys(("poles_max_re", "poles_min_re")) if continuous else {"poles_max_abs": None}),
-        "gain_max_abs": None,
-        "certificate": {"holds": False, "margin": None},
-        "solve_s": None,
-        "total_s": None,
-        "notes": [],
-        "floor": None,
-        "reason": str(error),
-    }
+    known: dict[str, Any] = {"status": "inaccurate" if isinstance(error, InaccurateError) else "infeasible"}
+    known |= dict.fromkeys(("poles_max_re", "poles_min_re") if continuous else ("poles_max_abs",))
     if args.method == "convex" and not continuous:
-        failure |= {
-            "integrator_order": args.integrator_order,
-            "h2": None,
-            "gain_weight": args.gain_weight,
-            "certificate": {"holds": False, "margin": None, "proof": None, "slopes": 0},
-        }
+        known |= {"integrator_order": args.integrator_order, "h2": None, "gain_weight": args.gain_weight}
+        known["certificate"] = {"holds": False, "margin": None, "proof": None, "slopes": 0}
     if args.method not in _BASELINES:
-        failure["fault_rate"] = {fault.name: fault.rate for fault in plant.actuator_faults}
+        known["fault_rate"] = {fault.name: fault.rate for fault in plant.actuator_faults}
     elif continuous:
-        del failure["poles_min_re"]
-    return failure
+        del known["poles_min_re"]
+    rate_hz = plant.rate_hz if args.rate is None else args.rate
+    domain = "continuous" if continuous else "discrete"
+    return design_figures(plant.name, args.method, domain, rate_hz, **known, floor=None, reason=str(error))
 
 
 def _floor(plant: Plant, report: dict[str, Any]) -> float | None:

@@ -32,7 +32,7 @@ def compiled(request: pytest.FixtureRequest) -> tuple[Plant, Design, Gains]:
     plant = PLANTS[request.param]
     order = ORDERS.get(request.param, 1)
     design = design_convex(plant, plant.rate_hz or 100.0, integrator_order=order)
-    assert len(design.L_i) == order * len(design.L_p)
+    assert len(design.gains.L_i) == order * len(design.gains.L_p)
     return plant, design, compile_gains(plant, design, certify(plant, design))
 
 
@@ -60,19 +60,19 @@ def run_textbook(plant: Plant, design: Design, u: FloatArray, y: FloatArray) -> 
     n, a2 = len(plant.states), len(plant.sensor_faults)
     T, C_b = np.eye(n, n + a2), np.hstack([plant.C, plant.D_f])
     v = np.array([effect(plant, u_k) for u_k in u]).reshape(len(u), len(plant.inputs))
-    eta, q, outputs = design.L1 @ np.linalg.pinv(plant.C) @ y[0], np.zeros(len(design.L_p)), []
-    rate, ramps = np.zeros(len(q)), len(design.L_i) > len(q)
+    eta, q, outputs = design.gains.L1 @ np.linalg.pinv(plant.C) @ y[0], np.zeros(len(design.gains.L_p)), []
+    rate, ramps = np.zeros(len(q)), len(design.gains.L_i) > len(q)
     for k, y_k in enumerate(y):
         filtered = sum((h * v[max(k - d, 0)] for d, h in enumerate(plant.taps)), start=np.zeros(len(plant.inputs)))
-        zeta = eta + design.F @ y_k
+        zeta = eta + design.gains.F @ y_k
         yt = y_k - C_b @ zeta
-        fa = q + design.L_p @ yt
+        fa = q + design.gains.L_p @ yt
         g = np.array([np.sin(item.rows @ T @ zeta)[0] for item in plant.nonlinearities]).reshape(-1)
         drive = plant.B @ filtered + plant.c + plant.G @ g + plant.E_f @ fa
-        eta = design.N @ eta + design.J @ y_k + design.L1 @ drive
-        q = q + rate / design.rate_hz + design.L_i[: len(q)] @ yt
+        eta = design.gains.N @ eta + design.gains.J @ y_k + design.gains.L1 @ drive
+        q = q + rate / design.rate_hz + design.gains.L_i[: len(q)] @ yt
         if ramps:
-            rate = rate + design.L_i[len(q) :] @ yt
+            rate = rate + design.gains.L_i[len(q) :] @ yt
         outputs.append(np.concatenate([zeta, fa, yt]))
     return np.array(outputs)
 

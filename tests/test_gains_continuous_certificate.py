@@ -10,33 +10,33 @@ from paper_gains import BETA, DISTURBED, UNDISTURBED, Printed
 from gains.analysis.augment import augment, error_model
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Plant
-from gains.synthesis.continuous_certificate import certify_continuous, continuous_report
-from gains.synthesis.continuous_design import ContinuousDesign, FaultState, closed_error_system
-from gains.synthesis.continuous_observer import fauio_gains
+from gains.synthesis.certificate import certify, closed_error_system, design_report
 from gains.synthesis.continuous_synthesis import design_continuous
+from gains.synthesis.design import Design, FaultState, observer_matrices
 
 
-def printed_design(printed: Printed) -> tuple[Plant, ContinuousDesign]:
+def printed_design(printed: Printed) -> tuple[Plant, Design]:
     plant = builtin_model(printed.model)
     L = BETA * printed.L2
-    return plant, ContinuousDesign("printed", fauio_gains(plant, printed.K, L, L), np.eye(6), 1.0, "error")
+    gains = observer_matrices(augment(plant), printed.K, L, L)
+    return plant, Design("printed", None, gains, np.eye(6), 1.0, fault_state="error")
 
 
 @pytest.mark.parametrize(("printed", "norm"), [(UNDISTURBED, 2.157e-4), (DISTURBED, 0.1878)])
 def test_the_printed_gains_have_their_true_norms_at_rest(printed: Printed, norm: float) -> None:
-    certificate = certify_continuous(*printed_design(printed))
+    certificate = certify(*printed_design(printed))
     assert certificate.norm == pytest.approx(norm, rel=5e-4)
     assert certificate.norm_hz == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_printed_poles_are_found() -> None:
-    certificate = certify_continuous(*printed_design(DISTURBED))
-    assert certificate.poles_min_re == pytest.approx(-33_280.0, rel=1e-3)
-    assert certificate.poles_max_re == pytest.approx(-0.13, abs=0.3)
+    certificate = certify(*printed_design(DISTURBED))
+    assert certificate.poles_min == pytest.approx(-33_280.0, rel=1e-3)
+    assert certificate.poles_max == pytest.approx(-0.13, abs=0.3)
 
 
 def test_a_p_that_proves_nothing_is_no_proof() -> None:
-    assert not certify_continuous(*printed_design(DISTURBED)).holds
+    assert not certify(*printed_design(DISTURBED)).holds
 
 
 def test_both_coordinates_are_one_system_for_real_signals() -> None:
@@ -57,7 +57,7 @@ def test_both_coordinates_are_one_system_for_real_signals() -> None:
 def test_the_norm_is_the_highest_gain_over_the_frequencies() -> None:
     plant = continuous_plant(5, 1, 1, nonlinear=1)
     design = design_continuous(plant)
-    certificate = certify_continuous(plant, design)
+    certificate = certify(plant, design)
     system = closed_error_system(error_model(plant, augment(plant)), design.gains, "integral")
     eye = np.eye(len(design.P))
     gains = [
@@ -73,22 +73,22 @@ def test_the_norm_is_the_highest_gain_over_the_frequencies() -> None:
 def test_a_design_that_was_tampered_with_is_rejected(what: str) -> None:
     plant = builtin_model("arm-disturbed")
     design = design_continuous(plant, gain_weight=0.01)
-    assert certify_continuous(plant, design).holds
+    assert certify(plant, design).holds
     gains = design.gains
     tampered = {
         "mu": replace(design, mu=0.98 * design.mu),
         "P": replace(design, P=design.P + 0.05 * np.trace(design.P) * np.eye(len(design.P))),
         "sign": replace(design, P=-design.P),
-        "K": replace(design, gains=fauio_gains(plant, -gains.K, gains.L_i, gains.L_p)),
+        "K": replace(design, gains=observer_matrices(augment(plant), -gains.K, gains.L_i, gains.L_p)),
         "N": replace(design, gains=replace(gains, N=gains.N + 1e-3)),
     }[what]
-    assert not certify_continuous(plant, tampered).holds
+    assert not certify(plant, tampered).holds
 
 
 def test_the_report_has_what_the_contract_names() -> None:
     plant = builtin_model("arm-disturbed")
     design = design_continuous(plant)
-    found = continuous_report(plant, design, certify_continuous(plant, design))
+    found = design_report(plant, design, certify(plant, design))
     assert (found["domain"], found["rate_hz"], found["status"]) == ("continuous", None, "optimal")
     assert found["poles_max_re"] < 0.0
     assert found["certificate"]["holds"] is True

@@ -28,7 +28,7 @@ def rmse(error: FloatArray) -> float:
 
 @pytest.mark.parametrize("printed", [UNDISTURBED, DISTURBED])
 def test_the_printed_gains_give_the_printed_n_and_j(printed: Printed) -> None:
-    gains = printed_observer(printed).gains
+    gains = printed_observer(printed).matrices
     assert gains is not None
     assert np.max(np.abs(gains.N - printed.N)) < 1.1e-4
     assert np.max(np.abs(gains.J - printed.J)) < 1.1e-4
@@ -105,26 +105,22 @@ def test_an_observer_of_another_structure_survives_the_file_too(tmp_path: Path) 
     eye = np.eye(8, 6)  # the same observer with two states more
     wide = replace(
         observer,
-        A=eye @ observer.A @ eye.T - np.diag([0.0] * 6 + [1.0] * 2),
-        B_y=eye @ observer.B_y,
-        B_v=eye @ observer.B_v,
-        B_g=eye @ observer.B_g,
-        b=eye @ observer.b,
-        C=observer.C @ eye.T,
-        C_nu=observer.C_nu @ eye.T,
-        start=np.zeros((0, 0)),
-        gains=None,
+        step=np.hstack([eye @ observer.A @ eye.T - np.diag([0.0] * 6 + [1.0] * 2), eye @ observer.B_y]),
+        output=np.hstack([observer.output[:, :6] @ eye.T, observer.output[:, 6:]]),
+        into=eye @ observer.into,
+        start=eye @ observer.start,
+        matrices=None,
     )
     write_gains(compile_continuous(wide, 100.0), tmp_path / "gains.json")
     found = AffineObserver([read_gains(tmp_path / "gains.json")])
     run = simulate_arm(SCENARIOS["case1"], 5.0, 100.0)
-    expected = AffineObserver([compile_continuous(replace(observer, start=np.zeros((0, 0))), 100.0)]).run(run.u, run.y)
+    expected = AffineObserver([compile_continuous(observer, 100.0)]).run(run.u, run.y)
     assert found.run(run.u, run.y).fault == pytest.approx(expected.fault, abs=1e-9)
 
 
 def test_a_rate_at_which_the_sampled_nonlinearity_is_unstable_is_refused() -> None:
     observer = printed_observer()
-    steep = replace(observer, B_g=observer.B_g * 1e4)
+    steep = replace(observer, plant=replace(observer.plant, G=1e4 * observer.plant.G))
     with pytest.raises(ModelError, match="printed observer is unstable at 1 Hz"):
         compile_continuous(steep, 1.0)
 

@@ -37,7 +37,7 @@ def test_a_decoupled_disturbance_does_not_touch_the_error() -> None:
 
 def test_a_sensor_fault_that_moves_is_a_disturbance_to_it() -> None:
     plant = builtin_model("arm-disturbed")
-    system = published_error_system(plant, design_gao2016(plant), np.array([0.0]), sensor_fault_rates=True)
+    system = published_error_system(plant, design_gao2016(plant), np.array([0.0]))
     assert np.max(np.abs(system.B[:, -1])) > 0.1
 
 

@@ -43,6 +43,6 @@ def test_a_discrete_model_is_refused() -> None:
 
 def test_the_law_is_that_of_the_form() -> None:
     observer = design_gao2022(builtin_model("arm-disturbed"), 10.0)
-    assert observer.gains is not None
-    assert observer.gains.L_i == pytest.approx(10.0 * observer.gains.L_p)
+    assert observer.matrices is not None
+    assert observer.matrices.L_i == pytest.approx(10.0 * observer.matrices.L_p)
     assert np.all(np.isfinite(observer.A))

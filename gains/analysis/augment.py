@@ -95,6 +95,11 @@ class ErrorModel:
         errors = 1.0 / self.weights
         return np.concatenate([errors, errors[len(errors) - self.a1 :]])[: len(self.B)]
 
+    def injection(self, K: FloatArray, L_i: FloatArray, L_p: FloatArray) -> FloatArray:
+        """Return [Kb; L_i] (na, p), Kb = K + L1 E_f L_p."""
+        nz = len(K)
+        return np.vstack([K + self.mean[:nz, nz : nz + self.a1] @ L_p, L_i])
+
     def output(self, L_p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return (C_e, D_e) of the weighted error e for the direct gain L_p (a1, p)."""
         (ne, nz), (na, nw) = (len(self.weights), len(self.weights) - self.a1), self.B.shape
@@ -154,11 +159,7 @@ def error_model(
     nz, n = L1.shape
     a1, p = len(plant.actuator_faults), len(plant.outputs)
     na = nz + a1 * integrator_order
-    disturbance = np.array([w.scale for w in plant.disturbances])
-    noise = np.array([w.scale for w in plant.noises])
-    E = np.hstack([plant.E_1 * disturbance, np.zeros((n, len(noise)))])
-    D = np.hstack([np.zeros((p, len(disturbance))), plant.D_1 * noise])
-    q = D.shape[1]
+    q = len(plant.disturbances) + len(plant.noises)
     # A_a = [L1 A_z, L1 E_f; 0, I]
     A_a = np.zeros((na, na))
     A_a[:nz, : nz + a1] = np.hstack([L1 @ augmentation.A_z, L1 @ plant.E_f])
@@ -166,9 +167,8 @@ def error_model(
         A_a[nz:, nz:] = integrators(a1, integrator_order, plant.rate_hz)
     # B = [L1 E, -F D, 0; 0, 0, I], each column in units of what drives it
     B = np.zeros((na, 2 * q + a1))
-    B[:nz, :q], B[:nz, q : 2 * q] = L1 @ E, -F @ D
+    B[:nz, :q], B[:nz, q : 2 * q] = L1 @ plant.E, -F @ plant.D
     B[na - a1 :, 2 * q :] = np.diag([fault.rate / (plant.rate_hz or 1.0) for fault in plant.actuator_faults])
-    errors = [fault.error for fault in (*plant.sensor_faults, *plant.actuator_faults)]
     slopes = sampled_vertices(plant) if sampled else slope_vertices(plant)
     # Gs and Hs: mean plus Gs diag(delta) Hs, without slopes that are constant or do not reach the error
     middle, half, into, rows = _slope_ranges(plant)
@@ -188,8 +188,8 @@ def error_model(
         H=H,
         B=B,
         C=np.hstack([augmentation.C_b, np.zeros((p, na - nz))]),
-        D=np.hstack([D, np.zeros((p, q + a1))]),
-        weights=1.0 / np.concatenate([plant.state_errors, errors]),
+        D=np.hstack([plant.D, np.zeros((p, q + a1))]),
+        weights=1.0 / plant.errors,
         a1=a1,
     )
 
@@ -255,5 +255,11 @@ def _slope_ranges(plant: Plant) -> tuple[FloatArray, FloatArray, FloatArray, Flo
     """Return the middle and half the width of each slope, and G (n, arguments) and H (arguments, n) of its argument."""
     low, high = np.vstack([np.zeros((0, 2)), *(g.slopes for g in plant.nonlinearities)]).T
     owner = [i for i, g in enumerate(plant.nonlinearities) for _ in g.arguments]
-    rows = np.vstack([np.zeros((0, len(plant.states))), *(g.rows for g in plant.nonlinearities)])
-    return 0.5 * (low + high), 0.5 * (high - low), plant.G[:, owner], rows
+    return 0.5 * (low + high), 0.5 * (high - low), plant.G[:, owner], plant.H
+
+
+def slope_matrix(plant: Plant, slopes: FloatArray) -> FloatArray:
+    """Return Delta (..., m, arguments) for slopes (..., arguments): g moves by Delta times the arguments' change."""
+    counts = [len(g.arguments) for g in plant.nonlinearities]
+    owner = np.repeat(np.eye(len(counts)), counts, axis=1)
+    return np.asarray(owner * slopes[..., None, :], dtype=np.float64)

@@ -123,14 +123,12 @@ def _floors(plant: Plant, A: FloatArray, omega: FloatArray, order: int) -> Float
     """Return the floor at each frequency."""
     n, p = plant.C.shape[1], len(plant.C)
     a1, a2 = len(plant.actuator_faults), len(plant.sensor_faults)
-    a, q1, q2 = a1 + a2, len(plant.disturbances), len(plant.noises)
-    errors = [fault.error for fault in (*plant.sensor_faults, *plant.actuator_faults)]
-    unit = np.concatenate([plant.state_errors, errors, np.ones(q1 + q2)])
-    constant = np.zeros((n + p, n + a + q1 + q2))
+    a, q = a1 + a2, len(plant.disturbances) + len(plant.noises)
+    unit = np.concatenate([plant.errors, np.ones(q)])
+    constant = np.zeros((n + p, n + a + q))
     constant[:n, :n], constant[n:, :n] = step_matrix(A, plant.domain), plant.C
     constant[n:, n : n + a2], constant[:n, n + a2 : n + a] = plant.D_f, plant.E_f
-    constant[:n, n + a : n + a + q1] = plant.E_1 * [w.scale for w in plant.disturbances]
-    constant[n:, n + a + q1 :] = plant.D_1 * [w.scale for w in plant.noises]
+    constant[:n, n + a :], constant[n:, n + a :] = plant.E, plant.D
     # exp(j omega h) - 1 without the cancellation that would cost the low frequencies their digits
     turn = 1j * omega if plant.rate_hz is None else np.expm1(1j * omega / plant.rate_hz)
     shift = 1j * omega if plant.rate_hz is None else 1.0 + turn

@@ -240,6 +240,29 @@ class Plant:
         """Directions of the noises (p, q2), not scaled."""
         return _stacked((w.column for w in self.noises), len(self.outputs))
 
+    @property
+    def E(self) -> FloatArray:
+        """[E_1 0] (n, q) for w = [w_1; w_2], each in units of its scale."""
+        scaled = self.E_1 * [w.scale for w in self.disturbances]
+        return np.hstack([scaled, np.zeros((len(self.states), len(self.noises)))])
+
+    @property
+    def D(self) -> FloatArray:
+        """[0 D_1] (p, q) for w = [w_1; w_2], each in units of its scale."""
+        scaled = self.D_1 * [w.scale for w in self.noises]
+        return np.hstack([np.zeros((len(self.outputs), len(self.disturbances))), scaled])
+
+    @property
+    def H(self) -> FloatArray:
+        """Arguments of all nonlinearities, one after the other: nu = H x (arguments, n)."""
+        return np.vstack([np.zeros((0, len(self.states))), *(g.rows for g in self.nonlinearities)])
+
+    @property
+    def errors(self) -> FloatArray:
+        """Errors that matter of [x; f_s; f_a] (n + a2 + a1,)."""
+        faults = [fault.error for fault in (*self.sensor_faults, *self.actuator_faults)]
+        return np.concatenate([self.state_errors, faults])
+
 
 def checked_array(value: ArrayLike, shape: tuple[int, ...], key: str, *path: str | int) -> FloatArray:
     """Return a read-only copy of ``value`` as floats of the given shape; ``path``: its key in a model file.

@@ -16,6 +16,7 @@ from gains.published.gao2022 import design_gao2022
 from gains.published.kalman import design_ekf
 from gains.published.zhang2008 import design_zhang2008
 from gains.synthesis.continuous_observer import ContinuousObserver, compile_continuous
+from gains.synthesis.design import design_figures
 from gains.synthesis.gains_file import Gains
 
 _DESIGNS: dict[str, Callable[[Plant], ContinuousObserver]] = {
@@ -53,45 +54,40 @@ def design_baseline(plant: Plant, method: str, rate_hz: float | None) -> tuple[G
         return _filter(plant, rate_hz)
     observer = _DESIGNS[method](plant)
     norm = error_norm(plant, observer, noise_path="all", inputs="disturbances" if method == "gao2016" else "all")
-    report = {
-        "model": plant.name,
-        "method": method,
-        "domain": "continuous",
-        "rate_hz": rate_hz,
-        "status": "optimal",
-        "sqrt_mu": observer.sqrt_mu,
-        "norm": norm.value,
-        "norm_hz": norm.hz if np.isfinite(norm.hz) else None,
-        "poles_max_re": norm.pole_max,
-        "gain_max_abs": float(np.max(np.abs(observer.B_y))),
-        "certificate": {
-            "holds": observer.sqrt_mu is not None and norm.confirms(observer.sqrt_mu),
-            "margin": None if observer.sqrt_mu is None else observer.sqrt_mu - norm.value,
+    bound = observer.sqrt_mu
+    report = design_figures(
+        plant.name,
+        method,
+        "continuous",
+        rate_hz,
+        sqrt_mu=bound,
+        norm=norm.value,
+        norm_hz=norm.hz if np.isfinite(norm.hz) else None,
+        poles_max_re=norm.pole_max,
+        gain_max_abs=float(np.max(np.abs(observer.B_y))),
+        certificate={
+            "holds": bound is not None and norm.confirms(bound),
+            "margin": None if bound is None else bound - norm.value,
         },
-        "solve_s": observer.solve_s,
-        "total_s": observer.total_s,
-        "notes": ["a reconstruction: the original text could not be had", *observer.notes],
-    }
+        solve_s=observer.solve_s,
+        total_s=observer.total_s,
+        notes=["a reconstruction: the original text could not be had", *observer.notes],
+    )
     return None if rate_hz is None else compile_continuous(observer, rate_hz, report), report
 
 
 def _filter(plant: Plant, rate_hz: float | None) -> tuple[Gains, dict[str, Any]]:
     started = time.perf_counter()
     gains = design_ekf(plant, rate_hz)
-    states = gains.initial_matrix.shape[0]
-    return gains, {
-        "model": plant.name,
-        "method": "ekf",
-        "domain": "discrete",
-        "rate_hz": gains.rate_hz,
-        "status": "optimal",
-        "sqrt_mu": None,
-        "norm": None,
-        "norm_hz": None,
-        "poles_max_abs": float(np.max(np.abs(np.linalg.eigvals(gains.step_matrix[:states, :states])))),
-        "gain_max_abs": float(np.max(np.abs(gains.step_matrix))),
-        "certificate": {"holds": False, "margin": None},
-        "solve_s": 0.0,
-        "total_s": time.perf_counter() - started,
-        "notes": ["a Kalman filter proves no bound; its poles are those of the linear part"],
-    }
+    states = len(gains.initial_matrix)
+    return gains, design_figures(
+        plant.name,
+        "ekf",
+        "discrete",
+        gains.rate_hz,
+        poles_max_abs=float(np.max(np.abs(np.linalg.eigvals(gains.step_matrix[:states, :states])))),
+        gain_max_abs=float(np.max(np.abs(gains.step_matrix))),
+        solve_s=0.0,
+        total_s=time.perf_counter() - started,
+        notes=["a Kalman filter proves no bound; its poles are those of the linear part"],
+    )

@@ -27,10 +27,9 @@ from dataclasses import replace
 import numpy as np
 
 from adapters.errors import InfeasibleError
-from gains.plants.plant import FloatArray, Plant
-from gains.published.error_system import argument_rows
-from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_constant, scaled, solve_lmi
-from gains.synthesis.continuous_observer import ContinuousObserver
+from gains.plants.plant import FloatArray, Plant, check_independence
+from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_constant, solve_lmi
+from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
 
 _RANK_TOLERANCE = 1e-9
 """As for directions of faults (gains.plants.plant)."""
@@ -67,11 +66,13 @@ def design_chen2006(plant: Plant, filter_s: float = 0.05) -> ContinuousObserver:
     import cvxpy as cp
 
     started = time.perf_counter()
-    s = scaled(plant)
-    p, (nz, n), a1 = len(plant.outputs), s.L1.shape, len(plant.actuator_faults)
+    check_continuous(plant)
+    check_independence(plant)
+    n, p, a1 = len(plant.states), len(plant.outputs), len(plant.actuator_faults)
+    nz = n + len(plant.sensor_faults)
     if not plant.faults:
         raise InfeasibleError(f"{plant.name}: chen2006 estimates faults, and the model has none")
-    C_b = s.C_b
+    C_b = np.hstack([plant.C, plant.D_f])
     Ad, Dd = np.zeros((nz, nz)), np.zeros((nz, a1 + nz - n))
     Ad[:n, :n], Dd[:n, :a1], Dd[n:, a1:] = plant.A, plant.E_f, np.eye(nz - n)
     seen = C_b @ Dd
@@ -131,27 +132,13 @@ def _observer(
     yt = y - np.hstack([plant.C, plant.D_f]) @ zeta
     solved = inverse @ plant.C
     step = np.vstack([N @ z + L @ y, -(solved @ plant.A @ zeta[:n] + fa) / tau])
-    output = np.vstack([zeta, fa, yt])
-    arguments = argument_rows(plant) @ zeta[:n]
-    ns = nz + a1
-
-    def driven(matrix: FloatArray) -> FloatArray:
-        return np.vstack([M[:, :n] @ matrix, -solved @ matrix / tau])
-
-    start = np.linalg.pinv(plant.C)
     return ContinuousObserver(
         plant=plant,
         method="chen2006",
-        A=step[:, :ns],
-        B_y=step[:, ns:],
-        B_v=driven(plant.B),
-        B_g=driven(plant.G),
-        b=driven(plant.c[:, None])[:, 0],
-        C=output[:, :ns],
-        D_y=output[:, ns:],
-        C_nu=arguments[:, :ns],
-        D_nu=arguments[:, ns:],
-        start=np.vstack([np.eye(nz, n) @ start + E_o, -inverse / tau]),
+        step=step,
+        output=np.vstack([zeta, fa, yt]),
+        into=np.vstack([M[:, :n], -solved / tau]),
+        start=np.vstack([np.eye(nz, n) @ np.linalg.pinv(plant.C) + E_o, -inverse / tau]),
         solve_s=seconds,
         notes=("reconstruction; f_a comes from an added filter, and no bound is claimed",),
     )

@@ -1,16 +1,16 @@
 """The error system of any linear observer with scalar nonlinearities, found from plant and observer alone.
 
-For the observer s' = A_o s + B_y y + B_v v + B_g g(nu) + b, [x^; f_s^; fa^] = C_e s + D_e y, nu = C_nu s + D_nu y
-the errors do not depend on x, u and constant faults exactly when X, Y_a and Y_s exist with
+For the observer s' = A_o s + B_y y + M (B v + G g(H x^) + c), [x^; f_s^; fa^] = C_e s + D_e y the errors do not depend
+on x, u and constant faults exactly when X, Y_a and Y_s exist with
 
-    A_o X + B_y C = X A          C_e X + D_e C   = [I; 0; 0]      C_nu X + D_nu C     = H
-    A_o Y_a = X E_f              C_e Y_a         = [0; 0; I]      C_nu Y_a            = 0
-    A_o Y_s + B_y D_f = 0        C_e Y_s + D_e D_f = [0; I; 0]    C_nu Y_s + D_nu D_f = 0
-    X B = B_v                    X G = B_g                        X c                 = b
+    A_o X + B_y C = X A          C_e X + D_e C   = [I; 0; 0]      X [B, G, c] = M [B, G, c]
+    A_o Y_a = X E_f              C_e Y_a         = [0; 0; I]
+    A_o Y_s + B_y D_f = 0        C_e Y_s + D_e D_f = [0; I; 0]
 
-Then xi = X x + Y_a f_a + Y_s f_s + Y_w w - s obeys, with slopes Delta of g, w = [w_1; w_2], E = [E_1 0], D = [0 D_1],
+Then xi = X x + Y_a f_a + Y_s f_s + Y_w w - s obeys, with slopes Delta of g, w = [w_1; w_2], E = [E_1 0], D = [0 D_1]
+and [C_x, D_x] the rows of [C_e, D_e] for x^,
 
-    xi' = (A_o + B_g Delta C_nu) xi + (X E - B_y D - A_o Y_w - B_g Delta (C_nu Y_w + D_nu D)) w
+    xi' = (A_o + M G Delta H C_x) xi + (X E - B_y D - A_o Y_w - M G Delta H (C_x Y_w + D_x D)) w
           + Y_w w' + Y_a fa' + Y_s fs'
     e   = C_e xi - (C_e Y_w + D_e D) w          e = [x~; f_s~; fa~]
 
@@ -28,7 +28,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from adapters.errors import ModelError
-from gains.analysis.augment import slope_vertices
+from gains.analysis.augment import slope_matrix, slope_vertices
 from gains.analysis.hinf import hinf_norm
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.continuous_observer import ContinuousObserver
@@ -78,12 +78,7 @@ class ErrorNorm:
 
 
 def published_error_system(
-    plant: Plant,
-    observer: ContinuousObserver,
-    slopes: FloatArray,
-    *,
-    noise_path: NoisePath = "zeta",
-    sensor_fault_rates: bool = False,
+    plant: Plant, observer: ContinuousObserver, slopes: FloatArray, *, noise_path: NoisePath = "zeta"
 ) -> StateSpace:
     """Return the scaled error system of an observer at given slopes.
 
@@ -97,44 +92,31 @@ def published_error_system(
         Slope of each argument of each nonlinearity (arguments,).
     noise_path : {"zeta", "all"}
         Which errors are freed of the direct path of the noise.
-    sensor_fault_rates : bool
-        Whether fs' is an input too (each in units of its rate); zero columns where no assumption is needed.
 
     Returns
     -------
     StateSpace
-        From [w; w'; fa'; (fs')], each divided by its scale or rate, to e = [x~; f_s~; fa~], each divided by the error
-        that matters.
+        From [w; w'; fa'; fs'], each divided by its scale or rate, to e = [x~; f_s~; fa~], each divided by the error
+        that matters. Columns of fs' are zero where an observer needs no assumption about f_s.
 
     Raises
     ------
     ModelError
         The observer's error depends on the state, the inputs or constant faults.
     """
-    n, p = len(plant.states), len(plant.outputs)
-    a1, a2 = len(plant.actuator_faults), len(plant.sensor_faults)
-    ne = n + a2 + a1
-    A_o, B_y, C_e, D_e = observer.A, observer.B_y, observer.C[:ne], observer.D_y[:ne]
-    rows = argument_rows(plant)
-    X, Y_a, Y_s = _coordinates(plant, observer, rows)
-    noise = np.array([w.scale for w in plant.noises])
-    disturbance = np.array([w.scale for w in plant.disturbances])
-    E = np.hstack([plant.E_1 * disturbance, np.zeros((n, len(noise)))])
-    D = np.hstack([np.zeros((p, len(disturbance))), plant.D_1 * noise])
+    n, a2, ne, ns = len(plant.states), len(plant.sensor_faults), len(plant.errors), len(observer.step)
+    A_o, B_y, C_e, D_e = observer.A, observer.B_y, observer.output[:ne, :ns], observer.output[:ne, ns:]
+    X, Y_a, Y_s = _coordinates(plant, observer)
     freed = n + a2 if noise_path == "zeta" else ne
-    Y_w = -np.linalg.pinv(C_e[:freed]) @ D_e[:freed] @ D
-    sloped = observer.B_g @ slope_matrix(plant, slopes)
-    B_w = X @ E - B_y @ D - A_o @ Y_w - sloped @ (observer.C_nu @ Y_w + observer.D_nu @ D)
-    rates = [fault.rate for fault in plant.actuator_faults]
-    inputs = [B_w, Y_w, Y_a * rates]
-    if sensor_fault_rates:
-        inputs.append(Y_s * [fault.rate for fault in plant.sensor_faults])
-    B = np.hstack(inputs)
+    Y_w = -np.linalg.pinv(C_e[:freed]) @ D_e[:freed] @ plant.D
+    sloped = observer.into @ plant.G @ slope_matrix(plant, slopes) @ plant.H
+    B_w = X @ plant.E - B_y @ plant.D - A_o @ Y_w - sloped @ (C_e[:n] @ Y_w + D_e[:n] @ plant.D)
+    moved = [Y * [fault.rate for fault in f] for Y, f in ((Y_a, plant.actuator_faults), (Y_s, plant.sensor_faults))]
+    B = np.hstack([B_w, Y_w, *moved])
     direct = np.zeros((ne, B.shape[1]))
-    direct[:, : D.shape[1]] = -(C_e @ Y_w + D_e @ D)
-    errors = [fault.error for fault in (*plant.sensor_faults, *plant.actuator_faults)]
-    weights = 1.0 / np.concatenate([plant.state_errors, errors])[:, None]
-    return StateSpace(A_o + sloped @ observer.C_nu, B, weights * C_e, weights * direct)
+    direct[:, : Y_w.shape[1]] = -(C_e @ Y_w + D_e @ plant.D)
+    weights = 1.0 / plant.errors[:, None]
+    return StateSpace(A_o + sloped @ C_e[:n], B, weights * C_e, weights * direct)
 
 
 def error_norm(
@@ -157,72 +139,37 @@ def error_norm(
         Too many slopes vary.
     """
     norms: list[ErrorNorm] = []
-    kept = 2 * (len(plant.disturbances) + len(plant.noises))
+    kept = 2 * plant.D.shape[1] + (len(plant.actuator_faults) if inputs == "all" else 0)
     for slopes in slope_vertices(plant):
         A, B, C, D = published_error_system(plant, observer, slopes, noise_path=noise_path)
-        used = slice(None) if inputs == "all" else slice(kept)
-        norm = hinf_norm(A, B[:, used], C, D[:, used], discrete=False)
+        norm = hinf_norm(A, B[:, :kept], C, D[:, :kept], discrete=False)
         pole = float(np.max(np.linalg.eigvals(A).real))
         norms.append(ErrorNorm(norm.lower, norm.omega / (2.0 * math.pi), tuple(slopes.tolist()), pole))
     worst = max(norms, key=lambda norm: norm.value)
     return replace(worst, pole_max=max(norm.pole_max for norm in norms))
 
 
-def argument_rows(plant: Plant) -> FloatArray:
-    """Return H: the arguments of all nonlinearities, one after the other, are H x (arguments, n)."""
-    return np.vstack([np.zeros((0, len(plant.states))), *(g.rows for g in plant.nonlinearities)])
-
-
-def slope_matrix(plant: Plant, slopes: FloatArray) -> FloatArray:
-    """Return Delta (m, arguments): g moves by Delta times the change of the arguments."""
-    counts = [len(g.arguments) for g in plant.nonlinearities]
-    owner = np.repeat(np.eye(len(counts)), counts, axis=1)
-    return np.asarray(owner * slopes, dtype=np.float64)
-
-
-def _coordinates(
-    plant: Plant, observer: ContinuousObserver, rows: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _coordinates(plant: Plant, observer: ContinuousObserver) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return X (ns, n), Y_a (ns, a1) and Y_s (ns, a2) of the module docstring."""
-    n, ns = len(plant.states), len(observer.A)
-    a1, a2 = len(plant.actuator_faults), len(plant.sensor_faults)
-    ne = n + a2 + a1
-    errors, I_n = np.eye(ne), np.eye(n)
-    seen = np.vstack([observer.C[:ne], observer.C_nu])
-    direct = np.vstack([observer.D_y[:ne], observer.D_nu])
-    wanted = np.vstack([errors[:, :n], rows])
+    n, ns, ne, a2 = len(plant.states), len(observer.step), len(plant.errors), len(plant.sensor_faults)
+    errors, I_n, I_s = np.eye(ne), np.eye(n), np.eye(ns)
+    C_e, D_e = observer.output[:ne, :ns], observer.output[:ne, ns:]
     driven = np.hstack([plant.B, plant.G, plant.c[:, None]])
     # vec(M X) = (M kron I) vec(X) and vec(X M) = (I kron M^T) vec(X) for X read row by row
+    products = [np.kron(observer.A, I_n) - np.kron(I_s, plant.A.T), np.kron(C_e, I_n), np.kron(I_s, driven.T)]
+    right = [-observer.B_y @ plant.C, errors[:, :n] - D_e @ plant.C, observer.into @ driven]
     X = _solved(
         plant,
         observer,
-        np.vstack(
-            [
-                np.kron(observer.A, I_n) - np.kron(np.eye(ns), plant.A.T),
-                np.kron(seen, I_n),
-                np.kron(np.eye(ns), driven.T),
-            ]
-        ),
-        np.concatenate(
-            [
-                -(observer.B_y @ plant.C).ravel(),
-                (wanted - direct @ plant.C).ravel(),
-                np.hstack([observer.B_v, observer.B_g, observer.b[:, None]]).ravel(),
-            ]
-        )[:, None],
+        np.vstack(products),
+        np.concatenate([side.ravel() for side in right])[:, None],
         "the states or the inputs",
     ).reshape(ns, n)
-    stacked = np.vstack([observer.A, seen])
-    no_rows = np.zeros((len(rows), a1))
-    Y_a = _solved(
-        plant,
-        observer,
-        stacked,
-        np.vstack([X @ plant.E_f, errors[:, n + a2 :], no_rows]),
-        "constant actuator faults",
-    )
-    through = np.vstack([errors[:, n : n + a2], np.zeros((len(rows), a2))]) - direct @ plant.D_f
-    Y_s = _solved(plant, observer, stacked, np.vstack([-observer.B_y @ plant.D_f, through]), "constant sensor faults")
+    stacked = np.vstack([observer.A, C_e])
+    constant = np.vstack([X @ plant.E_f, errors[:, n + a2 :]])
+    Y_a = _solved(plant, observer, stacked, constant, "constant actuator faults")
+    constant = np.vstack([-observer.B_y @ plant.D_f, errors[:, n : n + a2] - D_e @ plant.D_f])
+    Y_s = _solved(plant, observer, stacked, constant, "constant sensor faults")
     return X, Y_a, Y_s
 
 

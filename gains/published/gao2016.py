@@ -29,10 +29,9 @@ from dataclasses import replace
 import numpy as np
 
 from adapters.errors import InfeasibleError
-from gains.plants.plant import FloatArray, Plant
-from gains.published.error_system import argument_rows
-from gains.published.lmi import block_matrix, confirmed, gain_energy, reported_bound, scaled, solve_tempered
-from gains.synthesis.continuous_observer import ContinuousObserver
+from gains.plants.plant import FloatArray, Plant, check_independence
+from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_rows, reported_bound, solve_tempered
+from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
 
 _RANK_TOLERANCE = 1e-9
 """As for directions of faults (gains.plants.plant)."""
@@ -68,8 +67,10 @@ def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> 
     import cvxpy as cp
 
     started = time.perf_counter()
-    s = scaled(plant)
-    n, p, m, q = len(plant.states), len(plant.outputs), len(plant.nonlinearities), s.D.shape[1]
+    check_continuous(plant)
+    check_independence(plant)
+    D, rows = plant.D, lipschitz_rows(plant)
+    n, p, m, q = len(plant.states), len(plant.outputs), len(plant.nonlinearities), D.shape[1]
     a1, a2 = len(plant.actuator_faults), len(plant.sensor_faults)
     nf = a1 + a2
     if not nf:
@@ -79,16 +80,14 @@ def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> 
     Ab[:n, :n], Ab[:n, n + nf : n + nf + a1], Ab[n + nf :, n : n + nf] = plant.A, plant.E_f, np.eye(nf)
     Cb = np.hstack([plant.C, np.zeros((p, nf + a1)), plant.D_f])
 
-    def raised(matrix: FloatArray) -> FloatArray:
-        return np.vstack([matrix, np.zeros((2 * nf, matrix.shape[1]))])
-
-    Bd, Gb = raised(s.E), raised(plant.G)
+    raised = np.eye(size, n)
+    Bd, Gb = raised @ plant.E, raised @ plant.G
     H = _decoupling(Bd, Cb) if decouple else np.zeros((size, p))
     T_u = np.eye(size) - H @ Cb
     rates = [fault.rate for fault in (*plant.actuator_faults, *plant.sensor_faults)]
-    zeta = s.zeta_weights
-    weights = np.concatenate([zeta[:n], 1.0 / np.array(rates), s.fault_weights, zeta[n:]])
-    Lx = np.hstack([s.lipschitz, np.zeros((len(s.lipschitz), 2 * nf))])
+    x, f_s, f_a = np.split(plant.errors, [n, n + a2])
+    weights = 1.0 / np.concatenate([x, rates, f_a, f_s])
+    Lx = rows @ raised.T
     P, Q = cp.Variable((size, size), symmetric=True), cp.Variable((size, p))
     eps, mu = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
     S = P @ (T_u @ Ab) - Q @ Cb
@@ -98,8 +97,8 @@ def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> 
             [
                 S + S.T + np.diag(weights**2) + eps * (Lx.T @ Lx) + 2.0 * decay * P,
                 P @ (T_u @ Gb),
-                P @ (T_u @ Bd) - Q @ s.D,
-                -P @ (H @ s.D),
+                P @ (T_u @ Bd) - Q @ D,
+                -P @ (H @ D),
             ],
             [-eps * np.eye(m), zero((m, q)), zero((m, q))],
             [-mu * np.eye(q), zero((q, q))],
@@ -116,20 +115,14 @@ def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> 
     R = T_u @ Ab - L_1u @ Cb
     order = [*range(n), *range(n + nf + a1, size), *range(n + nf, n + nf + a1)]
     output = np.vstack([np.eye(size)[order], -Cb])
-    rows = argument_rows(plant)
+    direct = output @ H + np.vstack([zero((n + nf, p)), np.eye(p)])
     observer = ContinuousObserver(
         plant=plant,
         method="gao2016",
-        A=R,
-        B_y=L_1u + R @ H,
-        B_v=T_u @ raised(plant.B),
-        B_g=T_u @ Gb,
-        b=T_u @ raised(plant.c[:, None])[:, 0],
-        C=output,
-        D_y=output @ H + np.vstack([zero((n + nf, p)), np.eye(p)]),
-        C_nu=rows @ np.eye(n, size),
-        D_nu=rows @ H[:n],
-        start=raised(np.asarray(np.linalg.pinv(plant.C), dtype=np.float64)) - H,
+        step=np.hstack([R, L_1u + R @ H]),
+        output=np.hstack([output, direct]),
+        into=T_u @ raised,
+        start=raised @ np.linalg.pinv(plant.C) - H,
         sqrt_mu=reported_bound(mu),
         solve_s=seconds,
         notes=("reconstruction; the bound is against [w; w'] only and assumes f_a'' = f_s'' = 0",),

@@ -25,9 +25,10 @@ from dataclasses import replace
 import numpy as np
 
 from adapters.errors import InaccurateError, InfeasibleError
+from gains.analysis.augment import augment
 from gains.plants.plant import Plant
-from gains.published.lmi import block_matrix, confirmed, gain_energy, reported_bound, scaled, solve_tempered
-from gains.synthesis.continuous_observer import ContinuousObserver, fauio_observer
+from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_rows, reported_bound, solve_tempered
+from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous, fauio_observer
 
 SIGMAS = (1.0, 3.0, 10.0, 30.0, 100.0)
 """Of Young's inequality, which the source leaves open: half a decade apart, the best is taken."""
@@ -74,7 +75,8 @@ def design_gao2022(plant: Plant, sigmas: float | Sequence[float] = SIGMAS) -> Co
 def _design(plant: Plant, sigma: float) -> ContinuousObserver:
     import cvxpy as cp
 
-    s = scaled(plant)
+    check_continuous(plant)
+    s, E, D, rows = augment(plant), plant.E, plant.D, lipschitz_rows(plant)
     (nz, n), p, a1, m = s.L1.shape, len(plant.outputs), len(plant.actuator_faults), len(plant.nonlinearities)
     if not a1:
         raise InfeasibleError(f"{plant.name}: gao2022 estimates actuator faults, and the model has none")
@@ -83,16 +85,18 @@ def _design(plant: Plant, sigma: float) -> ContinuousObserver:
     P, Y = cp.Variable((nz, nz), symmetric=True), cp.Variable((nz, p))
     R, S = cp.Variable((a1, p)), cp.Variable((a1, a1), symmetric=True)
     eps, mu = cp.Variable(nonneg=True), cp.Variable(nonneg=True)
-    into, through, noise = s.L1 @ plant.E_f, s.L1 @ plant.G, s.F @ s.D
-    H = np.hstack([s.lipschitz, np.zeros((len(s.lipschitz), nz - n))])
+    into, through, noise = s.L1 @ plant.E_f, s.L1 @ plant.G, s.F @ D
+    H = rows @ np.eye(n, nz)
     PN = P @ (s.L1 @ s.A_z) - Y @ s.C_b
-    Pw = P @ (s.L1 @ s.E) - Y @ s.D
-    q = s.D.shape[1]
+    Pw = P @ (s.L1 @ E) - Y @ D
+    q = D.shape[1]
+    weights = 1.0 / plant.errors
+    rates = [fault.rate for fault in plant.actuator_faults]
     zero = np.zeros
     M = block_matrix(
         [
             [
-                PN + PN.T + eps * (H.T @ H) + np.diag(s.zeta_weights**2),
+                PN + PN.T + eps * (H.T @ H) + np.diag(weights[:nz] ** 2),
                 -(PN.T @ into) / sigma,
                 P @ through,
                 Pw,
@@ -100,11 +104,11 @@ def _design(plant: Plant, sigma: float) -> ContinuousObserver:
                 zero((nz, a1)),
             ],
             [
-                -(2.0 / sigma) * (into.T @ P @ into) + np.diag(s.fault_weights**2),
+                -(2.0 / sigma) * (into.T @ P @ into) + np.diag(weights[nz:] ** 2),
                 -(into.T @ P @ through) / sigma,
-                -(into.T @ Pw) / sigma - R @ s.D,
-                (into.T @ P @ noise - R @ s.D) / sigma,
-                S @ np.diag(s.rates) / sigma,
+                -(into.T @ Pw) / sigma - R @ D,
+                (into.T @ P @ noise - R @ D) / sigma,
+                S @ np.diag(rates) / sigma,
             ],
             [-eps * np.eye(m), zero((m, q)), zero((m, q)), zero((m, a1))],
             [-mu * np.eye(q), zero((q, q)), zero((q, a1))],
@@ -122,15 +126,6 @@ def _design(plant: Plant, sigma: float) -> ContinuousObserver:
     )
     K = np.linalg.solve(P.value, Y.value)
     L_p = np.linalg.solve(S.value, R.value)
-    return confirmed(
-        fauio_observer(
-            plant,
-            K,
-            sigma * L_p,
-            L_p,
-            "gao2022",
-            sqrt_mu=reported_bound(mu),
-            solve_s=seconds,
-            notes=(f"reconstruction; sigma = {sigma:g}",),
-        )
-    )
+    observer = fauio_observer(plant, K, sigma * L_p, L_p, "gao2022")
+    note = f"reconstruction; sigma = {sigma:g}"
+    return confirmed(replace(observer, sqrt_mu=reported_bound(mu), solve_s=seconds, notes=(note,)))

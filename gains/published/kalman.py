@@ -16,15 +16,15 @@ compiles to the same gains as every observer, in the current form x^(k|k).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from adapters.errors import InfeasibleError, ModelError
+from gains.analysis.augment import slope_matrix
 from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
-from gains.published.error_system import argument_rows, slope_matrix
-from gains.synthesis.compilation import plant_fields
+from gains.synthesis.compilation import common_fields, recursion, selection
+from gains.synthesis.design import ObserverMatrices, design_figures
 from gains.synthesis.gains_file import Gains
 
 FLOOR = 1e-2
@@ -80,24 +80,21 @@ def filter_model(plant: Plant, rate_hz: float | None = None) -> FilterModel:
     A, C, G = np.eye(na), np.zeros((p, na)), np.zeros((na, m))
     A[:n, :n], A[:n, nz:], G[:n] = discrete.A, discrete.E_f, discrete.G
     C[:, :n], C[:, n:nz] = discrete.C, discrete.D_f
-    E_1 = discrete.E_1 * [w.scale for w in discrete.disturbances]
-    D_1 = discrete.D_1 * [w.scale for w in discrete.noises]
-    Q = np.zeros((na, na))
-    Q[:n, :n] = E_1 @ E_1.T
+    Q, R = np.zeros((na, na)), discrete.D @ discrete.D.T
+    Q[:n, :n] = discrete.E @ discrete.E.T
     Q[n:, n:] = np.diag([(fault.rate / rate_hz) ** 2 for fault in faults])
-    spread = C @ (Q + A @ Q @ A.T) @ C.T + D_1 @ D_1.T
+    spread = C @ (Q + A @ Q @ A.T) @ C.T + R
     size = np.diag(spread)
     floor = np.where(size > 0.0, size, np.max(size, initial=0.0) or 1.0)
     Q[:n, :n] += FLOOR**2 * np.diag(np.diag((A @ Q @ A.T)[:n, :n]))
-    rows = argument_rows(plant)
     return FilterModel(
         plant=discrete,
         A=A,
         C=C,
         G=G,
-        H=np.hstack([rows, np.zeros((len(rows), na - n))]),
+        H=plant.H @ np.eye(n, na),
         Q=Q,
-        R=D_1 @ D_1.T + FLOOR**2 * np.diag(floor),
+        R=R + FLOOR**2 * np.diag(floor),
     )
 
 
@@ -145,46 +142,22 @@ def design_ekf(plant: Plant, rate_hz: float | None = None) -> Gains:
 
 def _compiled(plant: Plant, model: FilterModel, K: FloatArray) -> Gains:
     """Return the recursion s = [xa^(k|k-1); v(k-1); ...] with xa^ = s + K (y - Cb s)."""
-    discrete = model.plant
-    (na, p), n, s, m = K.shape, len(plant.states), len(plant.inputs), len(plant.nonlinearities)
-    a1, delays = len(plant.actuator_faults), len(discrete.taps) - 1
-    nz, ns = na - a1, na + s * delays
-    select = np.eye(ns + s + p + 1 + m)
-    predicted = select[:na]
-    past = [select[na + d * s : na + (d + 1) * s] for d in range(delays)]
-    v, y, one, g = np.split(select[ns:], np.cumsum([s, p, 1]))
-    innovation = y - model.C @ predicted
-    estimate = predicted + K @ innovation
-    effect = sum((h * v_d for h, v_d in zip(discrete.taps, [v, *past], strict=True)), start=np.zeros_like(v))
-    following = model.A @ estimate + model.G @ g
-    following[:n] += discrete.B @ effect + np.outer(discrete.c, one)
-    step = [following, *[v, *past][:delays], estimate, innovation]
+    discrete, na, n = model.plant, len(K), len(plant.states)
+    nz, rate_hz = na - len(plant.actuator_faults), float(discrete.rate_hz or 0.0)
+    z = selection(discrete, na)
+    innovation = z.y - model.C @ z.own
+    estimate = z.own + K @ innovation
+    moved = model.A @ estimate + np.eye(na, n) @ z.drive(discrete)
     closed = model.A @ (np.eye(na) - K @ model.C)
-    initial = np.zeros((ns, s + p + 1))
-    initial[:n, s : s + p] = np.linalg.pinv(plant.C)
-    initial[na:, :s] = np.vstack([np.zeros((0, s)), *[np.eye(s)] * delays])
-    report: dict[str, Any] = {
-        "model": plant.name,
-        "method": "ekf",
-        "domain": "discrete",
-        "rate_hz": discrete.rate_hz,
-        "sqrt_mu": None,
-        "notes": ["f_s is assumed to be a random walk of its rate; no bound is claimed"],
-    }
+    matrices = ObserverMatrices(
+        K=K[:nz], L_i=K[nz:], L_p=K[nz:], L1=np.eye(nz, n), F=K[:nz], N=closed[:nz, :nz], J=(model.A @ K)[:nz]
+    )
+    note = "f_s is assumed to be a random walk of its rate; no bound is claimed"
     return Gains(
-        **plant_fields(plant, discrete.taps),
+        **common_fields(plant, matrices),
+        **recursion(discrete, z, moved, np.vstack([estimate, innovation]), np.eye(na, n) @ np.linalg.pinv(plant.C)),
         method="ekf",
         domain="discrete",
-        rate_hz=float(discrete.rate_hz or 0.0),
-        step_matrix=np.vstack(step),
-        argument_matrix=model.H @ estimate[:, : ns + s + p + 1],
-        initial_matrix=initial,
-        K=K[:nz],
-        L_i=K[nz:],
-        L_p=K[nz:],
-        L1=np.eye(nz, n),
-        F=K[:nz],
-        N=closed[:nz, :nz],
-        J=(model.A @ K)[:nz],
-        report=report,
+        rate_hz=rate_hz,
+        report=design_figures(plant.name, "ekf", "discrete", rate_hz, notes=[note]),
     )

@@ -1,4 +1,4 @@
-"""What the reconstructed baselines share: scaled matrices of a continuous plant, Lipschitz rows and the solver.
+"""What the reconstructed baselines share: Lipschitz rows, the solver, the test of what it reports.
 
 The inequalities are written with E, D, the identity that weighs the errors and the unit rate of fa' replaced by their
 scaled versions, so that every bound speaks of the same [w; w'; fa'] and e as ours.
@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from adapters.errors import InaccurateError, InfeasibleError
-from gains.analysis.augment import augment
 from gains.plants.plant import FloatArray, Plant
-from gains.published.error_system import Inputs, NoisePath, argument_rows, error_norm
-from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
+from gains.published.error_system import Inputs, error_norm
+from gains.synthesis.continuous_observer import ContinuousObserver
 from gains.synthesis.solver import DEFAULT, solve_program
 
 SLACK = 1e-4
@@ -30,70 +28,12 @@ SMALLEST = 1e-3
 """Share of the error that matters: a bound below it is as good as that, and the solver's digits end."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ScaledPlant:
-    """Matrices of a continuous plant in units of its scales.
-
-    Parameters
-    ----------
-    L1, F, A_z, C_b : FloatArray
-        The augmentation of :mod:`gains.analysis.augment`.
-    E, D : FloatArray
-        (n, q) and (p, q) for w = [w_1; w_2], each in units of its scale.
-    zeta_weights, fault_weights : FloatArray
-        One over the error that matters of [x; f_s] and of f_a.
-    rates : FloatArray
-        Rate of each actuator fault (a1,).
-    lipschitz : FloatArray
-        Rows such that |g(H x) - g(H x^)| <= |rows (x - x^)| (arguments, n).
-    """
-
-    L1: FloatArray
-    F: FloatArray
-    A_z: FloatArray
-    C_b: FloatArray
-    E: FloatArray
-    D: FloatArray
-    zeta_weights: FloatArray
-    fault_weights: FloatArray
-    rates: FloatArray
-    lipschitz: FloatArray
-
-
-def scaled(plant: Plant) -> ScaledPlant:
-    """Return the scaled matrices of a plant.
-
-    Raises
-    ------
-    ModelError
-        The model is discrete.
-    """
-    check_continuous(plant)
-    augmentation = augment(plant)
-    n, p = len(plant.states), len(plant.outputs)
-    disturbance = np.array([w.scale for w in plant.disturbances])
-    noise = np.array([w.scale for w in plant.noises])
-    sensor_errors = [fault.error for fault in plant.sensor_faults]
-    return ScaledPlant(
-        L1=augmentation.L1,
-        F=augmentation.F,
-        A_z=augmentation.A_z,
-        C_b=augmentation.C_b,
-        E=np.hstack([plant.E_1 * disturbance, np.zeros((n, len(noise)))]),
-        D=np.hstack([np.zeros((p, len(disturbance))), plant.D_1 * noise]),
-        zeta_weights=1.0 / np.concatenate([plant.state_errors, sensor_errors]),
-        fault_weights=1.0 / np.array([fault.error for fault in plant.actuator_faults]),
-        rates=np.array([fault.rate for fault in plant.actuator_faults]),
-        lipschitz=lipschitz_rows(plant),
-    )
-
-
 def lipschitz_rows(plant: Plant) -> FloatArray:
     """Return H with each row times its largest slope, and times sqrt(k) where g_i has k arguments."""
     sizes = [
         math.sqrt(len(g.arguments)) * np.max(np.abs(g.slopes), axis=1) for g in plant.nonlinearities if len(g.slopes)
     ]
-    return np.concatenate([np.zeros(0), *sizes])[:, None] * argument_rows(plant)
+    return np.concatenate([np.zeros(0), *sizes])[:, None] * plant.H
 
 
 def lipschitz_constant(plant: Plant) -> float:
@@ -132,7 +72,7 @@ def solve_tempered(
 
     The minimum alone drives gains to infinity (1e7 on the arm), which no sampled run can use; bounds below
     ``SMALLEST`` of the error that matters are as good as that. Returns the seconds in
-    the solver; errors as :func:`solve`.
+    the solver; errors as :func:`solve_lmi`.
     """
     import cvxpy as cp
 
@@ -168,9 +108,7 @@ def reported_bound(mu: Any) -> float:
     return max(math.sqrt(max(float(mu.value), 0.0)) * (1.0 + SLACK), SMALLEST)
 
 
-def confirmed(
-    observer: ContinuousObserver, noise_path: NoisePath = "all", inputs: Inputs = "all"
-) -> ContinuousObserver:
+def confirmed(observer: ContinuousObserver, inputs: Inputs = "all") -> ContinuousObserver:
     """Return the observer if the norm of its gains is at or below the bound it reports.
 
     Raises
@@ -178,7 +116,7 @@ def confirmed(
     InaccurateError
         It is not: the bound is no bound.
     """
-    norm = error_norm(observer.plant, observer, noise_path=noise_path, inputs=inputs)
+    norm = error_norm(observer.plant, observer, noise_path="all", inputs=inputs)
     if not norm.confirms(math.inf if observer.sqrt_mu is None else observer.sqrt_mu):
         raise InaccurateError(
             f"{observer.plant.name}: the {observer.method} gains have the norm {norm.value:.6g}, above the bound "

@@ -52,9 +52,9 @@ from adapters.errors import InaccurateError, InfeasibleError, ModelError
 from gains.analysis.augment import ErrorModel, augment, error_model, slope_vertices
 from gains.analysis.existence import check_existence
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.continuous_certificate import certify_continuous
-from gains.synthesis.continuous_design import ContinuousDesign
-from gains.synthesis.continuous_observer import check_continuous, fauio_gains
+from gains.synthesis.certificate import certify
+from gains.synthesis.continuous_observer import check_continuous
+from gains.synthesis.design import Design, observer_matrices
 from gains.synthesis.solver import DEFAULT, ROBUST, solve_program
 
 Theorem = Literal["theorem1", "theorem2"]
@@ -134,7 +134,7 @@ def design_theorem(
     epsilon: float = EPSILON,
     delta: float = DELTA,
     smallest_sqrt_mu: float = SMALLEST_SQRT_MU,
-) -> ContinuousDesign:
+) -> Design:
     """Design the paper's observer with its own inequality, corrected, and prove it.
 
     First comes the least mu; what is below ``smallest_sqrt_mu`` is not pursued. In Theorem 1, whose least mu is
@@ -158,7 +158,7 @@ def design_theorem(
 
     Returns
     -------
-    ContinuousDesign
+    Design
         Gains whose certificate holds, with L_p = L_i = beta L2 and P in the paper's coordinates.
 
     Raises
@@ -208,10 +208,9 @@ def design_theorem(
         K = solution.K / units[:nz, None] / terms.outputs
         L = solution.L / units[nz:, None] / terms.outputs
         P = solution.P * units * units[:, None]
-        design = ContinuousDesign(
-            theorem, fauio_gains(plant, K, L, L), P, solution.mu, "error", solve_s=solve_s, notes=notes
-        )
-        if certify_continuous(plant, design).holds:
+        gains = observer_matrices(augmentation, K, L, L)
+        design = Design(theorem, None, gains, P, solution.mu, fault_state="error", solve_s=solve_s, notes=notes)
+        if certify(plant, design).holds:
             return replace(design, total_s=time.perf_counter() - started)
     raise InaccurateError(
         f"{plant.name}: the solver stopped short on the inequality of {theorem} and no gains it found could be "

@@ -24,9 +24,8 @@ from dataclasses import replace
 import numpy as np
 
 from adapters.errors import InfeasibleError
-from gains.analysis.augment import slope_vertices
+from gains.analysis.augment import slope_matrix, slope_vertices
 from gains.plants.plant import Plant
-from gains.published.error_system import argument_rows, slope_matrix
 from gains.published.lmi import block_matrix, confirmed, gain_energy, solve_lmi
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
 
@@ -77,13 +76,13 @@ def design_zhang2008(
         raise InfeasibleError(f"{plant.name}: zhang2008 estimates actuator faults, and the model has none")
     if not (sigma > 0.0 and mu_z > 0.0 and learning_rate > 0.0):
         raise InfeasibleError(f"{plant.name}: zhang2008 needs positive sigma, mu_z and learning rate")
-    C, E, rows = plant.C, plant.E_f, argument_rows(plant)
+    C, E = plant.C, plant.E_f
     P, Y, F_z = cp.Variable((n, n), symmetric=True), cp.Variable((n, p)), cp.Variable((a1, p))
     G_z = cp.Variable((a1, a1), symmetric=True)
     energy, energetic = gain_energy(P, Y)
     constraints = [P >> np.eye(n), G_z >> 0, F_z @ C == E.T @ P, energetic]
     for slopes in slope_vertices(plant):
-        A = plant.A + plant.G @ slope_matrix(plant, slopes) @ rows
+        A = plant.A + plant.G @ slope_matrix(plant, slopes) @ plant.H
         S = P @ A - Y @ C
         corner = -(2.0 / sigma) * (E.T @ P @ E) + G_z / (sigma * mu_z)
         M = block_matrix([[S + S.T + 2.0 * decay * P, -(S.T @ E) / sigma], [corner]])
@@ -96,20 +95,12 @@ def design_zhang2008(
     yt = y - C @ x
     fa = q + L_p @ yt
     step = np.vstack([plant.A @ x + E @ fa + L @ yt, sigma * L_p @ yt])
-    output = np.vstack([x, fa, yt])
-    ns = n + a1
     observer = ContinuousObserver(
         plant=plant,
         method="zhang2008",
-        A=step[:, :ns],
-        B_y=step[:, ns:],
-        B_v=np.vstack([plant.B, np.zeros((a1, plant.B.shape[1]))]),
-        B_g=np.vstack([plant.G, np.zeros((a1, plant.G.shape[1]))]),
-        b=np.concatenate([plant.c, np.zeros(a1)]),
-        C=output[:, :ns],
-        D_y=output[:, ns:],
-        C_nu=rows @ np.eye(n, ns),
-        D_nu=np.zeros((len(rows), p)),
+        step=step,
+        output=np.vstack([x, fa, yt]),
+        into=np.eye(n + a1, n),
         start=np.vstack([np.linalg.pinv(C), np.zeros((a1, p))]),
         solve_s=seconds,
         notes=("reconstruction; no bound is claimed",),

@@ -18,7 +18,7 @@ from gains.analysis.augment import augment
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.certificate import certify
 from gains.synthesis.convex import GAIN_WEIGHT, design_convex
-from gains.synthesis.design import Design
+from gains.synthesis.design import Design, observer_matrices
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,29 +94,22 @@ def design_blocks(plant: Plant, *, gain_weight: float = GAIN_WEIGHT, h2: float =
     nz = n + a2
     K, L_i, L_p = np.zeros((nz, p)), np.zeros((a1, p)), np.zeros((a1, p))
     P = np.zeros((nz + a1, nz + a1))
-    for block, design in zip(blocks, designs, strict=True):
+    for block, part in zip(blocks, designs, strict=True):
         zeta = [*block.states, *(n + k for k in block.sensor_faults)]
         whole = [*zeta, *(nz + k for k in block.actuator_faults)]
-        K[np.ix_(zeta, block.outputs)] = design.K
-        L_i[np.ix_(block.actuator_faults, block.outputs)] = design.L_i
-        L_p[np.ix_(block.actuator_faults, block.outputs)] = design.L_p
-        P[np.ix_(whole, whole)] = design.P
-    N = augmentation.L1 @ augmentation.A_z - K @ augmentation.C_b
+        K[np.ix_(zeta, block.outputs)] = part.gains.K
+        L_i[np.ix_(block.actuator_faults, block.outputs)] = part.gains.L_i
+        L_p[np.ix_(block.actuator_faults, block.outputs)] = part.gains.L_p
+        P[np.ix_(whole, whole)] = part.P
     design = Design(
         method="convex",
-        rate_hz=float(plant.rate_hz or 0.0),
-        K=K,
-        L_i=L_i,
-        L_p=L_p,
-        L1=augmentation.L1,
-        F=augmentation.F,
-        N=N,
-        J=N @ augmentation.F + K,
+        rate_hz=plant.rate_hz,
+        gains=observer_matrices(augmentation, K, L_i, L_p),
         P=P,
-        mu=max(block_design.mu for block_design in designs),
-        solve_s=sum(block_design.solve_s for block_design in designs),
+        mu=max(part.mu for part in designs),
+        solve_s=sum(part.solve_s for part in designs),
         total_s=time.perf_counter() - started,
-        notes=tuple(note for block_design in designs for note in block_design.notes),
+        notes=tuple(note for part in designs for note in part.notes),
     )
     if not certify(plant, design).holds:
         raise InaccurateError(f"{plant.name}: its blocks have certificates but the whole has none; check the scales")

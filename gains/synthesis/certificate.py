@@ -19,21 +19,30 @@ any vertex, the one inequality with the multipliers Lambda = diag(lambda) of a d
 
 for w = delta Hs x~, |delta_i| <= 1, adds sum lambda_i ((Hs x~)_i^2 - w_i^2) >= 0: the slopes may even move. Its first
 two rows and the fourth, with r^2 P for P, bound the poles by r in the same way.
+
+In continuous time P > 0 and, at every slope vertex,
+
+    [ P A_e + A_e^T P   P B_e    C_e^T ]
+    [ *                 -mu I    D_e^T ]  <= 0
+    [ *                 *        -I    ]
+
+say the same of the integrals, with w' and f_a' for w+ and df_a. Without P > 0 the inequality says nothing about
+stability.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from gains.analysis.augment import Augmentation, ErrorModel, augment, error_model, varying_slopes
+from gains.analysis.augment import ErrorModel, augment, error_model, varying_slopes
 from gains.analysis.hinf import hinf_norm
 from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.design import Design
+from gains.synthesis.design import Design, FaultState, ObserverMatrices, design_figures, observer_matrices
 
 _CONSISTENCY = 1e-9
 """Relative. The norm is enclosed to 2e-9, and N and J follow from K to rounding."""
@@ -55,18 +64,19 @@ class Certificate:
         At how many combinations of slopes the norm and the poles were computed: every vertex, or with multipliers
         the mean and at most ``SAMPLE_COUNT`` vertices.
     margin : float
-        Smallest eigenvalue, over the vertices, of the inequality scaled to unit diagonal, less a bound on the
-        rounding errors of forming and decomposing it.
+        Smallest eigenvalue, over the vertices, of the inequality (and of P in continuous time) scaled to unit diagonal,
+        less a bound on the rounding errors of forming and decomposing it.
     norm : float
         H-infinity norm of the scaled error system, worst of those slopes: a gain that it has, exact to nine digits;
         infinite where it is unstable.
     norm_hz : float
-        Frequency of that peak.
-    poles_max_abs : float
-        Largest pole of the error system over those slopes.
-    h2 : float
-        Bound of the H2 norm of the scaled error system at all slopes, sqrt(trace(B_e^T P B_e + D_e^T D_e)); it is
-        proven where the certificate holds, because P - A_e^T P A_e - C_e^T C_e >= 0 then.
+        Frequency of that peak; infinite where the direct path of a continuous design has it.
+    poles_max, poles_min : float
+        Largest and smallest pole of the error system over those slopes: by size, or in continuous time by its real
+        part, rad/s.
+    h2 : float | None
+        Bound of the H2 norm of the scaled discrete error system at all slopes, sqrt(trace(B_e^T P B_e + D_e^T D_e)); it
+        is proven where the certificate holds, because P - A_e^T P A_e - C_e^T C_e >= 0 then.
     """
 
     holds: bool
@@ -75,8 +85,18 @@ class Certificate:
     margin: float
     norm: float
     norm_hz: float
-    poles_max_abs: float
-    h2: float
+    poles_max: float
+    poles_min: float
+    h2: float | None = None
+
+
+class ClosedErrorSystem(NamedTuple):
+    """The closed error system: A at each combination of slopes (k, na, na), then B, C and D, weights applied."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
 
 
 def certify(plant: Plant, design: Design) -> Certificate:
@@ -94,64 +114,117 @@ def certify(plant: Plant, design: Design) -> Certificate:
     ModelError, InfeasibleError
         The plant cannot be sampled at the design's rate, or has too many vertices and the design no multipliers.
     """
-    discrete = discretise(plant, design.rate_hz)
-    augmentation = augment(discrete)
+    discrete, rate_hz = design.rate_hz is not None, design.rate_hz or 1.0
+    if discrete:
+        plant = discretise(plant, rate_hz)
+    augmentation, gains = augment(plant), design.gains
     free = design.multipliers is not None
-    model = error_model(discrete, augmentation, design.integrator_order, sampled=free)
-    injection = np.vstack([design.K + augmentation.L1 @ discrete.E_f @ design.L_p, design.L_i])
-    C_e, D_e = model.output(design.L_p)
-    B_e = model.B - injection @ model.D
-    dynamics = np.concatenate([model.mean[None], model.A]) if free else model.A
-    closed = dynamics - injection @ model.C
-    margin = _margin(model, injection, design)
-    poles = float(np.max(np.abs(np.linalg.eigvals(closed))))
-    norms = [hinf_norm(A_e, B_e, C_e, D_e, discrete=True) for A_e in closed]
-    worst = max(range(len(norms)), key=lambda vertex: norms[vertex].lower)
-    upper = max(norm.upper for norm in norms)
+    model = error_model(plant, augmentation, design.integrator_order, sampled=free)
+    system = closed_error_system(model, gains, design.fault_state, with_mean=free)
+    margin = _discrete_margin(model, design) if discrete else _continuous_margin(system, design.P, design.mu)
+    eigenvalues = np.linalg.eigvals(system.A)
+    poles = np.abs(eigenvalues) if discrete else eigenvalues.real
+    poles_max = float(np.max(poles))
+    norms = [hinf_norm(A_e, system.B, system.C, system.D, discrete=discrete) for A_e in system.A]
+    worst = max(norms, key=lambda norm: norm.lower)
+    energy = float(np.sum(system.B * (design.P @ system.B)) + np.sum(system.D**2)) if discrete else None
     return Certificate(
         holds=margin > 0.0
-        and poles < 1.0
-        and poles <= design.pole_radius
-        and design.gain_max_abs <= design.gain_bound
-        and upper <= design.sqrt_mu * (1.0 + _CONSISTENCY)
-        and _consistent(design, augmentation),
+        and (poles_max < 1.0 and poles_max <= design.pole_radius if discrete else poles_max < 0.0)
+        and gains.gain_max_abs <= design.gain_bound
+        and max(norm.upper for norm in norms) <= design.sqrt_mu * (1.0 + _CONSISTENCY)
+        and _consistent(gains, observer_matrices(augmentation, gains.K, gains.L_i, gains.L_p)),
         proof="multipliers" if free else "vertices",
-        slopes=len(closed),
+        slopes=len(system.A),
         margin=margin,
-        norm=norms[worst].lower,
-        norm_hz=norms[worst].omega * design.rate_hz / (2.0 * math.pi),
-        poles_max_abs=poles,
-        h2=math.sqrt(max(float(np.sum(B_e * (design.P @ B_e)) + np.sum(D_e**2)), 0.0)) * (1.0 + _CONSISTENCY),
+        norm=worst.lower,
+        norm_hz=worst.omega * rate_hz / (2.0 * math.pi),
+        poles_max=poles_max,
+        poles_min=float(np.min(poles)),
+        h2=None if energy is None else math.sqrt(max(energy, 0.0)) * (1.0 + _CONSISTENCY),
     )
 
 
-def design_report(plant: Plant, design: Design, certificate: Certificate) -> dict[str, Any]:
-    """Return what a design is worth as the JSON object of the command line and the gains file."""
-    return {
-        "model": plant.name,
-        "method": design.method,
-        "domain": "discrete",
-        "rate_hz": design.rate_hz,
-        "integrator_order": design.integrator_order,
-        "status": design.status,
-        "sqrt_mu": design.sqrt_mu,
-        "norm": certificate.norm,
-        "norm_hz": certificate.norm_hz,
-        "h2": certificate.h2,
-        "poles_max_abs": certificate.poles_max_abs,
-        "gain_max_abs": design.gain_max_abs,
-        "gain_weight": design.gain_weight,
-        "certificate": {
-            "holds": certificate.holds,
-            "margin": certificate.margin,
-            "proof": certificate.proof,
-            "slopes": certificate.slopes,
-        },
-        "fault_rate": {fault.name: fault.rate for fault in plant.actuator_faults},
-        "solve_s": design.solve_s,
-        "total_s": design.total_s,
-        "notes": [*design.notes, *_sample_note(plant, certificate)],
-    }
+def closed_error_system(
+    model: ErrorModel, gains: ObserverMatrices, fault_state: FaultState = "integral", *, with_mean: bool = False
+) -> ClosedErrorSystem:
+    """Close the error system of a plant.
+
+    With Kb = K + L1 E_f L_p the state [zeta~; z] obeys
+
+        [zeta~; z]+ = (A_a + vertex - [Kb; L_i] Ca) [zeta~; z] + (B - [Kb; L_i] D) [w; w+; df_a]
+        fa~ = z - L_p (Cb zeta~ + D w)
+
+    and the paper's state [zeta~; fa~], in continuous time, its (4.14), which differentiates yt:
+
+        fa~' = f_a' - L_i (Cb zeta~ + D w) - L_p (Cb zeta~' + D w')
+
+    They are one system for signals whose derivative is w'. A norm takes w and w' as independent, so there each has
+    its own.
+
+    Parameters
+    ----------
+    model : ErrorModel
+        Error model of the plant.
+    gains : ObserverMatrices
+        The gains.
+    fault_state : {"integral", "error"}
+        Which of the two.
+    with_mean : bool
+        Whether A at the mean slopes comes first, ahead of those at the model's vertices.
+    """
+    vertices = np.concatenate([model.mean[None], model.A]) if with_mean else model.A
+    if fault_state == "integral":
+        injection = model.injection(gains.K, gains.L_i, gains.L_p)
+        return ClosedErrorSystem(
+            vertices - injection @ model.C, model.B - injection @ model.D, *model.output(gains.L_p)
+        )
+    nz, q = len(gains.K), (model.B.shape[1] - model.a1) // 2
+    D_rate = np.roll(model.D, q, axis=1)
+    A, B = np.empty_like(vertices), np.empty_like(model.B)
+    A[:, :nz] = vertices[:, :nz] - gains.K @ model.C
+    B[:nz] = model.B[:nz] - gains.K @ model.D
+    C_b = model.C[:, :nz]
+    A[:, nz:] = -gains.L_i @ model.C - gains.L_p @ C_b @ A[:, :nz]
+    B[nz:] = model.B[nz:] - gains.L_i @ model.D - gains.L_p @ (C_b @ B[:nz] + D_rate)
+    return ClosedErrorSystem(A, B, np.diag(model.weights), np.zeros_like(B))
+
+
+def design_report(
+    plant: Plant, design: Design, certificate: Certificate, rate_hz: float | None = None
+) -> dict[str, Any]:
+    """Return what a design is worth as the JSON object of the command line and the gains file.
+
+    ``rate_hz`` is what a continuous design is compiled for, if it is.
+    """
+    figures: dict[str, Any] = {"holds": certificate.holds, "margin": certificate.margin}
+    if design.domain == "discrete":
+        rate_hz = design.rate_hz
+        figures |= {"proof": certificate.proof, "slopes": certificate.slopes}
+        own = {
+            "integrator_order": design.integrator_order,
+            "h2": certificate.h2,
+            "poles_max_abs": certificate.poles_max,
+            "gain_weight": design.gain_weight,
+        }
+    else:
+        own = {"poles_max_re": certificate.poles_max, "poles_min_re": certificate.poles_min}
+    return design_figures(
+        plant.name,
+        design.method,
+        design.domain,
+        rate_hz,
+        sqrt_mu=design.sqrt_mu,
+        norm=certificate.norm,
+        norm_hz=certificate.norm_hz if math.isfinite(certificate.norm_hz) else None,  # JSON has no infinity
+        gain_max_abs=design.gains.gain_max_abs,
+        certificate=figures,
+        solve_s=design.solve_s,
+        total_s=design.total_s,
+        notes=[*design.notes, *_sample_note(plant, certificate)],
+        fault_rate={fault.name: fault.rate for fault in plant.actuator_faults},
+        **own,
+    )
 
 
 def _sample_note(plant: Plant, certificate: Certificate) -> tuple[str, ...]:
@@ -164,44 +237,34 @@ def _sample_note(plant: Plant, certificate: Certificate) -> tuple[str, ...]:
     )
 
 
-def _margin(model: ErrorModel, injection: FloatArray, design: Design) -> float:
-    """Return the smallest margin of the inequalities that prove a design."""
+def _discrete_margin(model: ErrorModel, design: Design) -> float:
+    """Return the smallest margin of the inequalities that prove a discrete design."""
     if design.multipliers is None:
-        return min(_inequality_margin(model, A, injection, design, np.zeros(0)) for A in model.A)
+        return min(_inequality_margin(model, A, design, np.zeros(0)) for A in model.A)
     bound, decay = design.multipliers
-    margin = _inequality_margin(model, model.mean, injection, design, bound)
+    margin = _inequality_margin(model, model.mean, design, bound)
     if design.pole_radius < 1.0:
-        margin = min(margin, _inequality_margin(model, model.mean, injection, design, decay, decaying=True))
+        margin = min(margin, _inequality_margin(model, model.mean, design, decay, decaying=True))
     return margin
 
 
 def _inequality_margin(
-    model: ErrorModel,
-    A: FloatArray,
-    injection: FloatArray,
-    design: Design,
-    multipliers: FloatArray,
-    *,
-    decaying: bool = False,
+    model: ErrorModel, A: FloatArray, design: Design, multipliers: FloatArray, *, decaying: bool = False
 ) -> float:
-    """Return the smallest eigenvalue of the scaled inequality less the bound on its rounding error.
-
-    Without multipliers it is that of one vertex. ``decaying`` takes the inequality of the poles.
-    """
+    """Return the margin of one inequality: without multipliers that of one vertex; ``decaying``: that of the poles."""
+    gains = design.gains
+    injection = model.injection(gains.K, gains.L_i, gains.L_p)
     used = slice(0) if decaying else slice(None)
     P, (na, k), ne = design.P, (len(design.P), len(multipliers)), len(model.weights[used])
     B, D, G, H = model.B[:, used], model.D[:, used], model.G[:, :k], model.H[:k]
-    C_e, D_e = model.output(design.L_p)
+    C_e, D_e = model.output(gains.L_p)
     C_e, D_e = C_e[used], np.hstack([D_e[used, used], np.zeros((ne, k))])
     radius = design.pole_radius if decaying else 1.0
     PA, PB = P @ (A - injection @ model.C), np.hstack([P @ (B - injection @ D), P @ G])
     inequality = _layout(P, radius**2 * P - (H.T * multipliers) @ H, PA, PB, C_e, D_e)
     inequality += np.diag(np.concatenate([np.zeros(2 * na), np.full(B.shape[1], design.mu), multipliers, np.ones(ne)]))
-    diagonal = np.diag(inequality)
-    if np.any(diagonal <= 0.0):
-        return -math.inf
     gain, size = np.abs(injection), np.abs(P)
-    direct = model.weights[:, None] * np.vstack([np.zeros_like(design.K), np.abs(design.L_p)])
+    direct = model.weights[:, None] * np.vstack([np.zeros_like(gains.K), np.abs(gains.L_p)])
     own = model.weights[:, None] * np.eye(len(direct), na)
     rounding = _layout(
         np.zeros_like(P),
@@ -211,11 +274,7 @@ def _inequality_margin(
         (direct @ np.abs(model.C) + own)[used],
         np.hstack([(direct @ np.abs(model.D))[used, used], np.zeros((ne, k))]),
     )
-    scale = 1.0 / np.sqrt(diagonal)
-    eigenvalues = np.linalg.eigvalsh(inequality * scale * scale[:, None])
-    formed = (2 * na + len(model.C) + k + 4) * np.linalg.norm(rounding * scale * scale[:, None], np.inf)
-    decomposed = 10 * len(scale) * eigenvalues[-1]
-    return float(eigenvalues[0] - _UNIT_ROUNDOFF * (formed + decomposed))
+    return _scaled_margin(inequality, rounding, 2 * na + len(model.C) + k + 4)
 
 
 def _layout(
@@ -234,16 +293,45 @@ def _layout(
     )
 
 
-def _consistent(design: Design, augmentation: Augmentation) -> bool:
-    """Return whether N and J, which run, belong to K, which is certified."""
-    N = augmentation.L1 @ augmentation.A_z - design.K @ augmentation.C_b
-    pairs = (
-        (design.N, N),
-        (design.J, N @ augmentation.F + design.K),
-        (design.L1, augmentation.L1),
-        (design.F, augmentation.F),
-    )
+def _continuous_margin(system: ClosedErrorSystem, P: FloatArray, mu: float) -> float:
+    """Return the smallest margin of P and of the negated inequalities of a continuous design."""
+    na, nw = len(P), system.B.shape[1]
+    margin = _scaled_margin(P, np.zeros_like(P), 0)
+    PB, C, D = P @ system.B, system.C, system.D
+    for A in system.A:
+        PA, size = P @ A, np.abs(P) @ np.abs(A)
+        inequality = np.block([[-PA - PA.T, -PB, -C.T], [-PB.T, mu * np.eye(nw), -D.T], [-C, -D, np.eye(na)]])
+        size_B = np.abs(P) @ np.abs(system.B)
+        rounding = np.block(
+            [
+                [size + size.T, size_B, np.abs(C).T],
+                [size_B.T, np.zeros((nw, nw)), np.abs(D).T],
+                [np.abs(C), np.abs(D), np.zeros((na, na))],
+            ]
+        )
+        margin = min(margin, _scaled_margin(inequality, rounding, 3 * len(rounding) + 4))
+    return margin
+
+
+def _scaled_margin(matrix: FloatArray, rounding: FloatArray, operations: int) -> float:
+    """Return the smallest eigenvalue of a matrix scaled to unit diagonal, less what rounding can hide.
+
+    ``rounding`` is the sum of the sizes that each entry was formed of, in at most so many operations.
+    """
+    diagonal = np.diag(matrix)
+    if not (np.all(np.isfinite(matrix)) and np.all(diagonal > 0.0)):
+        return -math.inf
+    scale = 1.0 / np.sqrt(diagonal)
+    eigenvalues = np.linalg.eigvalsh(matrix * scale * scale[:, None])
+    formed = operations * np.linalg.norm(rounding * scale * scale[:, None], np.inf)
+    decomposed = 10 * len(scale) * eigenvalues[-1]
+    return float(eigenvalues[0] - _UNIT_ROUNDOFF * (formed + decomposed))
+
+
+def _consistent(gains: ObserverMatrices, expected: ObserverMatrices) -> bool:
+    """Return whether N and J, which run, belong to K, which is certified, and L1 and F to the plant."""
+    pairs = ((getattr(gains, name), getattr(expected, name)) for name in ("N", "J", "L1", "F"))
     return all(
-        bool(np.max(np.abs(actual - expected)) <= _CONSISTENCY * max(1.0, np.max(np.abs(expected))))
-        for actual, expected in pairs
+        bool(np.max(np.abs(a - b), initial=0.0) <= _CONSISTENCY * max(1.0, np.max(np.abs(b), initial=0.0)))
+        for a, b in pairs
     )

@@ -6,13 +6,14 @@ reads
     zeta^ = eta + F y                         yt  = y - Cb zeta^                      fa^ = q + L_p yt
     eta+  = N eta + J y + L1 (B vb + c + G g + E_f fa^)                               q+  = q + L_i yt
 
-and every line is linear in z = [s; v; y; 1; g]: the rows below are written as products with selections of z.
+and every line is linear in z = [s; v; y; 1; g]: each is written as a product with rows that select parts of z.
 Integrators of order 2 have q = [q1; q2], fa^ = q1 + L_p yt and q1+ = q1 + T q2 + ...
 """
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import fields
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from gains.plants.discretise import discretise
 from gains.plants.model_file import model_hash
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.certificate import Certificate, design_report
-from gains.synthesis.design import Design
+from gains.synthesis.design import Design, ObserverMatrices
 from gains.synthesis.gains_file import Gains, ScalarNonlinearity
 
 
@@ -45,68 +46,92 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
     """
     if not certificate.holds:
         raise InaccurateError(f"{plant.name}: the gains' certificate does not hold; they are not for use")
-    discrete = discretise(plant, design.rate_hz)
+    rate_hz, observer = float(design.rate_hz or 0.0), design.gains
+    discrete = discretise(plant, rate_hz)
     C_b = augment(discrete).C_b
-    n, s, p = len(plant.states), len(plant.inputs), len(plant.outputs)
-    a1, m = len(plant.actuator_faults), len(plant.nonlinearities)
-    nz, delays = n + len(plant.sensor_faults), len(discrete.taps) - 1
-    nq = a1 * design.integrator_order
-    ns = nz + nq + s * delays
-    # z = [s; v; y; 1; g]: products with these rows select its parts, so each line below reads as its equation.
-    select = np.eye(ns + s + p + 1 + m)
-    eta, q = select[:nz], select[nz : nz + nq]
-    past = [select[nz + nq + d * s : nz + nq + (d + 1) * s] for d in range(delays)]
-    v, y = select[ns : ns + s], select[ns + s : ns + s + p]
-    one, g = select[ns + s + p], select[ns + s + p + 1 :]
+    nz, a1 = len(observer.K), len(plant.actuator_faults)
+    z = selection(discrete, nz + a1 * design.integrator_order)
+    eta, q = z.own[:nz], z.own[nz:]
     # zeta^ = eta + F y, yt = y - Cb zeta^, fa^ = q + L_p yt
-    zeta = eta + design.F @ y
-    yt = y - C_b @ zeta
-    fa = q[:a1] + design.L_p @ yt
-    # eta+ = N eta + J y + L1 (B vb + c + G g + E_f fa^), q+ = q + L_i yt; then what is estimated
-    effect = sum((h * v_d for h, v_d in zip(discrete.taps, [v, *past], strict=True)), start=np.zeros_like(v))
-    force = discrete.B @ effect + np.outer(discrete.c, one) + discrete.G @ g + discrete.E_f @ fa
-    step = [
-        design.N @ eta + design.J @ y + design.L1 @ force,
-        integrators(a1, design.integrator_order, design.rate_hz) @ q + design.L_i @ yt,
-        *[v, *past][:delays],
-        zeta,
-        fa,
-        yt,
+    zeta = eta + observer.F @ z.y
+    yt = z.y - C_b @ zeta
+    fa = q[:a1] + observer.L_p @ yt
+    # eta+ = N eta + J y + L1 (B vb + c + G g + E_f fa^), q+ = q + L_i yt
+    moved = [
+        observer.N @ eta + observer.J @ z.y + observer.L1 @ (z.drive(discrete) + discrete.E_f @ fa),
+        integrators(a1, design.integrator_order, rate_hz) @ q + observer.L_i @ yt,
     ]
-    # Arguments of g, H x^: they know all of z but g itself.
-    rows = [nonlinearity.rows for nonlinearity in plant.nonlinearities]
-    arguments = np.vstack([*rows, np.zeros((0, n))]) @ zeta[:n, : ns + s + p + 1]
+    # a restart takes x = C^+ y without faults, hence eta = L1 x (zeta~ = L1 x - eta = 0)
+    start = np.zeros((len(z.own), len(plant.outputs)))
+    start[:nz] = observer.L1 @ np.linalg.pinv(discrete.C)
     return Gains(
-        **plant_fields(plant, discrete.taps),
+        **common_fields(plant, observer),
+        **recursion(discrete, z, np.vstack(moved), np.vstack([zeta, fa, yt]), start),
         method=design.method,
         domain="discrete",
-        rate_hz=design.rate_hz,
-        step_matrix=np.vstack(step),
-        argument_matrix=arguments,
-        initial_matrix=_initial_matrix(discrete, design, nq, delays),
-        K=design.K,
-        L_i=design.L_i,
-        L_p=design.L_p,
-        L1=design.L1,
-        F=design.F,
-        N=design.N,
-        J=design.J,
+        rate_hz=rate_hz,
         report=_provable(design_report(plant, design, certificate), design),
     )
 
 
-def plant_fields(plant: Plant, taps: tuple[float, ...]) -> dict[str, Any]:
-    """Return what compiled gains say about their plant, whatever the synthesis; faults of actuators come first.
+class Selection(NamedTuple):
+    """Rows that select the parts of z = [own; past; v; y; 1; g], past = [v(k-1); ...]: each equation is a product."""
+
+    own: FloatArray
+    past: FloatArray
+    v: FloatArray
+    y: FloatArray
+    one: FloatArray
+    g: FloatArray
+
+    def drive(self, plant: Plant) -> FloatArray:
+        """Return B vb + c + G g: what drives the states of a discrete plant."""
+        effect = np.kron(plant.taps, np.eye(len(self.v))) @ np.vstack([self.v, self.past])
+        return np.asarray(plant.B @ effect + plant.c[:, None] * self.one + plant.G @ self.g, dtype=np.float64)
+
+
+def selection(plant: Plant, own: int) -> Selection:
+    """Return the rows for an observer of a discrete plant with so many states of its own."""
+    s = len(plant.inputs)
+    sizes = [own, s * (len(plant.taps) - 1), s, len(plant.outputs), 1, len(plant.nonlinearities)]
+    return Selection(*np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1]))
+
+
+def recursion(plant: Plant, z: Selection, moved: FloatArray, outputs: FloatArray, start: FloatArray) -> dict[str, Any]:
+    """Return the compiled matrices of a discrete observer.
 
     Parameters
     ----------
     plant : Plant
-        The model.
-    taps : tuple[float, ...]
-        Delays of the inputs that are left to the runtime.
+        The discrete plant.
+    z : Selection
+        Its rows.
+    moved, outputs : FloatArray
+        The observer's own states one sample later, and [x^; f_s^; fa^; yt], by z.
+    start : FloatArray
+        Own states at a restart, from y (own, p).
+    """
+    s, delays = len(z.v), len(plant.taps) - 1
+    initial = np.zeros((len(z.own) + len(z.past), s + start.shape[1] + 1))
+    initial[: len(z.own), s:-1] = start
+    initial[len(z.own) :, :s] = np.tile(np.eye(s), (delays, 1))
+    return {
+        "step_matrix": np.vstack([moved, np.vstack([z.v, z.past])[: len(z.past)], outputs]),
+        # arguments of g, H x^: they know all of z but g itself
+        "argument_matrix": plant.H @ outputs[: len(plant.states), : z.g.shape[1] - len(z.g)],
+        "initial_matrix": initial,
+    }
+
+
+def common_fields(plant: Plant, matrices: ObserverMatrices | None) -> dict[str, Any]:
+    """Return what compiled gains say about their plant, whatever the synthesis; faults of actuators come first.
+
+    ``matrices`` are those for people, None where the observer has another structure.
     """
     faults = (*plant.actuator_faults, *plant.sensor_faults)
+    nothing = np.zeros((0, 0))
     return {
+        **{field.name: getattr(matrices, field.name, nothing) for field in fields(ObserverMatrices)},
         "model": plant.name,
         "model_hash": model_hash(plant),
         "states": plant.states,
@@ -116,7 +141,7 @@ def plant_fields(plant: Plant, taps: tuple[float, ...]) -> dict[str, Any]:
         "fault_kinds": ("actuator",) * len(plant.actuator_faults) + ("sensor",) * len(plant.sensor_faults),
         "fault_units": tuple(fault.unit for fault in faults),
         "fault_inputs": tuple(None if fault.input is None else plant.inputs.index(fault.input) for fault in faults),
-        "input_taps": taps,
+        "input_taps": plant.taps,
         "input_curves": _input_curves(plant),
         "nonlinearities": tuple(ScalarNonlinearity(g.expression, g.arguments) for g in plant.nonlinearities),
     }
@@ -166,14 +191,6 @@ def _provable(summary: dict[str, Any], design: Design) -> dict[str, Any]:
     """Return the report of a design with what proves it: P and, where it has them, the multipliers of the slopes."""
     multipliers = None if design.multipliers is None else design.multipliers.tolist()
     return {**summary, "certificate": {**summary["certificate"], "P": design.P.tolist(), "multipliers": multipliers}}
-
-
-def _initial_matrix(plant: Plant, design: Design, nq: int, delays: int) -> FloatArray:
-    """Return the state of a restart: x = C^+ y without faults, hence eta = L1 x (zeta~ = L1 x - eta = 0)."""
-    s, p = len(plant.inputs), len(plant.outputs)
-    select = np.eye(s + p + 1)
-    v, y = select[:s], select[s : s + p]
-    return np.vstack([design.L1 @ np.linalg.pinv(plant.C) @ y, np.zeros((nq, s + p + 1)), *[v] * delays])
 
 
 def _input_curves(plant: Plant) -> FloatArray:

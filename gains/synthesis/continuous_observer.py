@@ -1,6 +1,6 @@
 """A continuous observer with scalar nonlinearities, and its exact compilation for sampled telemetry.
 
-    s' = A s + B_y y + B_v v + B_g g(nu) + b,     nu = C_nu s + D_nu y
+    s' = A s + B_y y + M (B v + G g(H x^) + c)
     [x^; f_s^; fa^; yt] = C s + D_y y
 
 Every continuous design is brought to this form: the paper's structure by :func:`fauio_observer`, any other directly.
@@ -17,41 +17,24 @@ sample later, so it carries
     st = s - X1 r,        st(k+1) = Phi (st(k) + X1 r(k)) + X0 r(k) + c
 
 and adds X1 r(k) when the sample arrives. Only the arguments of g at that moment need g itself; they are predicted
-with the last value, nu = C_nu (st + X1 [y; v; g(k-1)]) + D_nu y, and g(k-1) is one more entry of the state. A restart
-starts it at zero, an error of X1 g that decays like every other.
+with the last value, s = st + X1 [y; v; g(k-1)], and g(k-1) is one more entry of the state. A restart starts it at zero,
+an error of X1 g that decays like every other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from adapters.errors import ModelError
-from gains.analysis.augment import augment, slope_vertices
+from gains.analysis.augment import augment, slope_matrix, slope_vertices
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.compilation import plant_fields
+from gains.synthesis.compilation import common_fields
+from gains.synthesis.design import Design, ObserverMatrices, design_figures, observer_matrices
 from gains.synthesis.gains_file import Gains
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FauioGains:
-    """Matrices of the paper's observer: symbols as in :mod:`gains.analysis.augment`, x' for x+."""
-
-    K: FloatArray
-    L_i: FloatArray
-    L_p: FloatArray
-    L1: FloatArray
-    F: FloatArray
-    N: FloatArray
-    J: FloatArray
-
-    @property
-    def gain_max_abs(self) -> float:
-        """Largest entry of K, L_i and L_p by size."""
-        return float(max(np.max(np.abs(gain), initial=0.0) for gain in (self.K, self.L_i, self.L_p)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,17 +47,17 @@ class ContinuousObserver:
         The continuous plant it estimates; v is its input effect, g its nonlinearities.
     method : str
         The synthesis.
-    A, B_y, B_v, B_g, b : FloatArray
-        (ns, ns), (ns, p), (ns, s), (ns, m) and (ns,).
-    C, D_y : FloatArray
-        (nz + a1 + p, ns) and (nz + a1 + p, p): [x^; f_s^; fa^; yt].
-    C_nu, D_nu : FloatArray
-        Arguments of all nonlinearities, one after the other, from s and y.
+    step : FloatArray
+        [A, B_y] (ns, ns + p).
+    output : FloatArray
+        [C, D_y] (nz + a1 + p, ns + p): [x^; f_s^; fa^; yt].
+    into : FloatArray
+        M (ns, n): how s moves with what drives the plant's states.
     start : FloatArray
-        s at a restart from y (ns, p); empty stands for zero.
+        s at a restart from y (ns, p).
     sqrt_mu : float | None
         The bound its synthesis reports, None where it reports none.
-    gains : FauioGains | None
+    matrices : ObserverMatrices | None
         The matrices of the paper's structure where the observer has it.
     solve_s, total_s : float
         Time in the solver and in all, seconds.
@@ -84,43 +67,29 @@ class ContinuousObserver:
 
     plant: Plant
     method: str
-    A: FloatArray
-    B_y: FloatArray
-    B_v: FloatArray
-    B_g: FloatArray
-    b: FloatArray
-    C: FloatArray
-    D_y: FloatArray
-    C_nu: FloatArray
-    D_nu: FloatArray
-    start: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    step: FloatArray
+    output: FloatArray
+    into: FloatArray
+    start: FloatArray
     sqrt_mu: float | None = None
-    gains: FauioGains | None = None
+    matrices: ObserverMatrices | None = None
     solve_s: float = 0.0
     total_s: float = 0.0
     notes: tuple[str, ...] = ()
 
+    @property
+    def A(self) -> FloatArray:
+        """How s moves by itself (ns, ns)."""
+        return self.step[:, : len(self.step)]
 
-def fauio_gains(plant: Plant, K: FloatArray, L_i: FloatArray, L_p: FloatArray) -> FauioGains:
-    """Return all matrices of the paper's observer for K (nz, p), L_i and L_p (a1, p)."""
-    augmentation = augment(plant)
-    N = augmentation.L1 @ augmentation.A_z - K @ augmentation.C_b
-    return FauioGains(K, L_i, L_p, augmentation.L1, augmentation.F, N, N @ augmentation.F + K)
+    @property
+    def B_y(self) -> FloatArray:
+        """How the outputs move s (ns, p)."""
+        return self.step[:, len(self.step) :]
 
 
-def fauio_observer(
-    plant: Plant,
-    K: FloatArray,
-    L_i: FloatArray,
-    L_p: FloatArray,
-    method: str,
-    *,
-    sqrt_mu: float | None = None,
-    solve_s: float = 0.0,
-    total_s: float = 0.0,
-    notes: tuple[str, ...] = (),
-) -> ContinuousObserver:
-    """Return the observer of the paper's structure for given gains.
+def fauio_observer(plant: Plant, K: FloatArray, L_i: FloatArray, L_p: FloatArray, method: str) -> ContinuousObserver:
+    """Return the observer of the paper's structure for given gains, as yet without a bound.
 
     eta' = N eta + J y + L1 (B v + c + G g(x^) + E_f fa^),  zeta^ = eta + F y,  yt = y - Cb zeta^
     q'   = L_i yt,  fa^ = q + L_p yt;  s = [eta; q]. The paper's law fa^' = beta L2 (yt + yt') is
@@ -134,8 +103,6 @@ def fauio_observer(
         (nz, p), (a1, p) and (a1, p).
     method : str
         Name of the synthesis.
-    sqrt_mu, solve_s, total_s, notes
-        As in :class:`ContinuousObserver`.
 
     Raises
     ------
@@ -143,45 +110,33 @@ def fauio_observer(
         The model is discrete.
     """
     check_continuous(plant)
-    C_b = augment(plant).C_b
-    gains = fauio_gains(plant, K, L_i, L_p)
+    augmentation = augment(plant)
+    matrices = observer_matrices(augmentation, K, L_i, L_p)
     n, p, a1 = len(plant.states), len(plant.outputs), len(plant.actuator_faults)
     nz = n + len(plant.sensor_faults)
-    select = np.eye(nz + a1 + p)
-    eta, q, y = select[:nz], select[nz : nz + a1], select[nz + a1 :]
+    eta, q, y = np.split(np.eye(nz + a1 + p), [nz, nz + a1])
     # zeta^ = eta + F y, yt = y - Cb zeta^, fa^ = q + L_p yt, as rows that multiply [eta; q; y]
-    zeta = eta + gains.F @ y
-    yt = y - C_b @ zeta
+    zeta = eta + matrices.F @ y
+    yt = y - augmentation.C_b @ zeta
     fa = q + L_p @ yt
-    # eta' without what is driven from outside, and q'
-    step = np.vstack([gains.N @ eta + gains.J @ y + gains.L1 @ plant.E_f @ fa, L_i @ yt])
-    output = np.vstack([zeta, fa, yt])
-    rows = np.vstack([np.zeros((0, n)), *(g.rows for g in plant.nonlinearities)])
-    arguments = rows @ zeta[:n]
-
-    def driven(matrix: FloatArray) -> FloatArray:
-        return np.vstack([gains.L1 @ matrix, np.zeros((a1, matrix.shape[1]))])
-
-    ns = nz + a1
+    into = np.vstack([matrices.L1, np.zeros((a1, n))])
     return ContinuousObserver(
         plant=plant,
         method=method,
-        A=step[:, :ns],
-        B_y=step[:, ns:],
-        B_v=driven(plant.B),
-        B_g=driven(plant.G),
-        b=driven(plant.c[:, None])[:, 0],
-        C=output[:, :ns],
-        D_y=output[:, ns:],
-        C_nu=arguments[:, :ns],
-        D_nu=arguments[:, ns:],
-        start=driven(np.asarray(np.linalg.pinv(plant.C), dtype=np.float64)),
-        sqrt_mu=sqrt_mu,
-        gains=gains,
-        solve_s=solve_s,
-        total_s=total_s,
-        notes=notes,
+        # eta' without what is driven from outside, and q'
+        step=np.vstack([matrices.N @ eta + matrices.J @ y + matrices.L1 @ plant.E_f @ fa, L_i @ yt]),
+        output=np.vstack([zeta, fa, yt]),
+        into=into,
+        start=into @ np.linalg.pinv(plant.C),
+        matrices=matrices,
     )
+
+
+def designed_observer(plant: Plant, design: Design) -> ContinuousObserver:
+    """Return the observer of a continuous design."""
+    gains = design.gains
+    observer = fauio_observer(plant, gains.K, gains.L_i, gains.L_p, design.method)
+    return replace(observer, sqrt_mu=design.sqrt_mu, solve_s=design.solve_s, total_s=design.total_s, notes=design.notes)
 
 
 def check_continuous(plant: Plant) -> None:
@@ -219,40 +174,23 @@ def compile_continuous(observer: ContinuousObserver, rate_hz: float, report: Map
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):
         raise ModelError(f"{plant.name}: a rate of {rate_hz} Hz is not positive")
     recursion = _recursion(observer, 1.0 / rate_hz)
-    growth = _largest_pole(observer, recursion)
+    growth = _largest_pole(plant, recursion)
     if not growth < 1.0:
         raise ModelError(
             f"{plant.name}: the {observer.method} observer is unstable at {rate_hz:g} Hz (pole of size {growth:.3g} "
             "with the nonlinearity sampled that slowly): take a higher rate"
         )
-    nothing = np.zeros((0, 0))
-    gains = observer.gains or FauioGains(nothing, nothing, nothing, nothing, nothing, nothing, nothing)
-    stated = {
-        "model": plant.name,
-        "method": observer.method,
-        "domain": "continuous",
-        "rate_hz": rate_hz,
-        "sqrt_mu": observer.sqrt_mu,
-        "solve_s": observer.solve_s,
-        "total_s": observer.total_s,
-        "notes": list(observer.notes),
-    }
+    if report is None:
+        report = design_figures(plant.name, observer.method, "continuous", rate_hz, sqrt_mu=observer.sqrt_mu)
     return Gains(
-        **plant_fields(plant, plant.taps),
+        **common_fields(plant, observer.matrices),
         method=observer.method,
         domain="continuous",
         rate_hz=float(rate_hz),
         step_matrix=recursion.step,
         argument_matrix=recursion.arguments,
         initial_matrix=recursion.initial,
-        K=gains.K,
-        L_i=gains.L_i,
-        L_p=gains.L_p,
-        L1=gains.L1,
-        F=gains.F,
-        N=gains.N,
-        J=gains.J,
-        report=dict(stated if report is None else report),
+        report=dict(report),
     )
 
 
@@ -266,7 +204,8 @@ class _Recursion(NamedTuple):
 
 def _recursion(observer: ContinuousObserver, period: float) -> _Recursion:
     """Return the sampled observer (module docstring)."""
-    (ns, p), s, m = observer.B_y.shape, observer.B_v.shape[1], observer.B_g.shape[1]
+    plant = observer.plant
+    (ns, p), s, m = observer.start.shape, len(plant.inputs), len(plant.nonlinearities)
     Phi, X0, X1, constant = _first_order_hold(observer, period)
     select = np.eye(ns + m + s + p + 1 + m)
     held, g_before, v, y, one, g = np.split(select, np.cumsum([ns, m, s, p, 1]))
@@ -275,13 +214,13 @@ def _recursion(observer: ContinuousObserver, period: float) -> _Recursion:
     step = [
         Phi @ state + X0 @ now + np.outer(constant, one),
         g,
-        observer.C @ state + observer.D_y @ y,
+        observer.output @ np.vstack([state, y]),
     ]
-    arguments = observer.C_nu @ (held + X1 @ before) + observer.D_nu @ y
-    start = observer.start if observer.start.size else np.zeros((ns, p))
+    # nu = H x^, with g of the sample before
+    arguments = plant.H @ observer.output[: len(plant.states)] @ np.vstack([held + X1 @ before, y])
     initial = np.zeros((ns + m, s + p + 1))
     initial[:ns, :s] = -X1[:, p : p + s]
-    initial[:ns, s : s + p] = start - X1[:, :p]
+    initial[:ns, s : s + p] = observer.start - X1[:, :p]
     return _Recursion(np.vstack(step), arguments[:, : len(select) - m], initial)
 
 
@@ -294,29 +233,26 @@ def _first_order_hold(
     """
     from scipy.linalg import expm
 
-    ns = len(observer.A)
-    B = np.hstack([observer.B_y, observer.B_v, observer.B_g])
-    nr = B.shape[1]
+    plant, ns = observer.plant, len(observer.step)
+    # [A, B_y, M B, M G]: s, then r
+    held = np.hstack([observer.step, observer.into @ plant.B, observer.into @ plant.G])
+    nr = held.shape[1] - ns
     exponent = np.zeros((ns + 2 * nr + 1,) * 2)
-    exponent[:ns, :ns] = observer.A * period
-    exponent[:ns, ns : ns + nr] = B * period
-    exponent[:ns, -1] = observer.b * period
+    exponent[:ns, : ns + nr] = held * period
+    exponent[:ns, -1] = observer.into @ plant.c * period
     exponent[ns : ns + nr, ns + nr : -1] = np.eye(nr)
     with np.errstate(all="ignore"):  # overflow is reported below
         blocks = expm(exponent)[:ns]
     if not np.all(np.isfinite(blocks)):
-        raise ModelError(f"{observer.plant.name}: the observer grows without bound within a sample of {period:g} s")
+        raise ModelError(f"{plant.name}: the observer grows without bound within a sample of {period:g} s")
     X1 = blocks[:, ns + nr : -1]
     return blocks[:, :ns], blocks[:, ns : ns + nr] - X1, X1, blocks[:, -1]
 
 
-def _largest_pole(observer: ContinuousObserver, recursion: _Recursion) -> float:
+def _largest_pole(plant: Plant, recursion: _Recursion) -> float:
     """Return the size of the largest pole of the recursion over the slope vertices."""
-    ns = len(recursion.initial)
-    m = observer.B_g.shape[1]
+    ns, m = len(recursion.initial), len(plant.nonlinearities)
     step, arguments = recursion.step[:ns], recursion.arguments[:, :ns]
-    slopes = slope_vertices(observer.plant)
-    counts = [len(g.arguments) for g in observer.plant.nonlinearities]
-    owner = np.repeat(np.eye(m), counts, axis=1)
-    closed = step[:, :ns] + step[:, step.shape[1] - m :] @ (owner * slopes[:, None, :]) @ arguments
+    Delta = slope_matrix(plant, slope_vertices(plant))
+    closed = step[:, :ns] + step[:, step.shape[1] - m :] @ Delta @ arguments
     return float(np.max(np.abs(np.linalg.eigvals(closed)), initial=0.0))

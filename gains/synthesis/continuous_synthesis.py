@@ -34,10 +34,10 @@ from gains.analysis.augment import ErrorModel, augment, error_model
 from gains.analysis.existence import check_existence
 from gains.analysis.hinf import hinf_norm
 from gains.plants.plant import FloatArray, Plant
+from gains.synthesis.certificate import ClosedErrorSystem, certify, closed_error_system
 from gains.synthesis.conditioning import FLOOR, Coordinates, doubled
-from gains.synthesis.continuous_certificate import certify_continuous
-from gains.synthesis.continuous_design import ContinuousDesign, ContinuousErrorSystem, closed_error_system
-from gains.synthesis.continuous_observer import check_continuous, fauio_gains
+from gains.synthesis.continuous_observer import check_continuous
+from gains.synthesis.design import Design, observer_matrices
 from gains.synthesis.solver import DEFAULT, ROBUST, bordered, solve_program
 
 GAIN_WEIGHT = 1e-4
@@ -73,7 +73,7 @@ def design_continuous(
     *,
     decay: tuple[float, float] = (0.0, math.inf),
     gain_weight: float = GAIN_WEIGHT,
-) -> ContinuousDesign:
+) -> Design:
     """Design a continuous observer for a plant and prove it.
 
     Parameters
@@ -87,7 +87,7 @@ def design_continuous(
 
     Returns
     -------
-    ContinuousDesign
+    Design
         Gains whose certificate holds.
 
     Raises
@@ -117,14 +117,14 @@ def design_continuous(
     nz = len(augmentation.L1)
     # K = Kb - L1 E_f L_p
     K = injection[:nz] - augmentation.L1 @ plant.E_f @ L_p
-    gains = fauio_gains(plant, K, injection[nz:], L_p)
-    system = closed_error_system(model, gains, "integral")
+    gains = observer_matrices(augmentation, K, injection[nz:], L_p)
+    system = closed_error_system(model, gains)
     # Then a P that proves these gains, as little above their least mu as passes the certificate
     for P, mu, seconds in proofs(system, scaled.coordinates.S):
         solve_s += seconds
-        design = ContinuousDesign("convex", gains, P, mu, solve_s=solve_s, notes=notes)
-        certificate = certify_continuous(plant, design)
-        kept = certificate.poles_max_re <= -low and certificate.poles_min_re >= -high
+        design = Design("convex", None, gains, P, mu, solve_s=solve_s, notes=notes)
+        certificate = certify(plant, design)
+        kept = certificate.poles_max <= -low and certificate.poles_min >= -high
         if certificate.holds and kept:
             return replace(design, total_s=time.perf_counter() - started)
     raise InaccurateError(
@@ -244,7 +244,7 @@ def _gains(
     return injection, np.sqrt(scaled.coordinates.mu) * L_p.value @ np.linalg.inv(Y) / weights, seconds
 
 
-def proofs(system: ContinuousErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArray, float, float]]:
+def proofs(system: ClosedErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArray, float, float]]:
     """Yield P, mu and seconds that prove a closed error system: the least mu, raised by more and more slack.
 
     With the gains fixed the bounded-real inequality is linear in P and mu. An optimum lies on its boundary, where
@@ -252,7 +252,7 @@ def proofs(system: ContinuousErrorSystem, S: FloatArray) -> Iterator[tuple[Float
 
     Parameters
     ----------
-    system : ContinuousErrorSystem
+    system : ClosedErrorSystem
         The closed error system.
     S : FloatArray
         Coordinates (na, na) in which its state is of size one.
@@ -262,7 +262,7 @@ def proofs(system: ContinuousErrorSystem, S: FloatArray) -> Iterator[tuple[Float
         return
     omega = float(np.exp(np.mean(np.log(np.abs(np.linalg.eigvals(system.A))))))
     inverse = np.linalg.inv(S)
-    own = ContinuousErrorSystem(
+    own = ClosedErrorSystem(
         inverse @ system.A @ S / omega, inverse @ system.B / omega, system.C @ S / norm, system.D / norm
     )
     least, _, total = _proof(own)
@@ -277,7 +277,7 @@ def proofs(system: ContinuousErrorSystem, S: FloatArray) -> Iterator[tuple[Float
             total = 0.0
 
 
-def _proof(system: ContinuousErrorSystem, mu_fixed: float | None = None) -> tuple[float | None, FloatArray, float]:
+def _proof(system: ClosedErrorSystem, mu_fixed: float | None = None) -> tuple[float | None, FloatArray, float]:
     """Minimise mu over P, or at a fixed mu find the P farthest inside; mu, P and seconds."""
     import cvxpy as cp
 

@@ -30,7 +30,7 @@ from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.bounded_real import Inequality, Solution, inequality, solve_bounded_real, user_gains
 from gains.synthesis.certificate import certify
 from gains.synthesis.conditioning import kalman_coordinates
-from gains.synthesis.design import Design
+from gains.synthesis.design import Design, observer_matrices
 
 GAIN_WEIGHT = 1e-3
 """Price of the gains. Measured on the disturbed arm at 100 Hz: sqrt(mu) is .2 % above the least (.14034, .14009) with
@@ -184,16 +184,16 @@ def _within(name: str, bound: float, bounded: Callable[..., Design], ladder: Ite
         None of them is.
     """
     design = bounded(np.inf)
-    smallest, solve_s = design.gain_max_abs, design.solve_s
+    smallest, solve_s = design.gains.gain_max_abs, design.solve_s
     for caution, looseness in ladder:
-        if design.gain_max_abs <= bound:
+        if design.gains.gain_max_abs <= bound:
             break
         try:
             design = bounded(bound, looseness, caution)
         except InfeasibleError:
             continue
-        smallest, solve_s = min(smallest, design.gain_max_abs), solve_s + design.solve_s
-    if design.gain_max_abs <= bound:
+        smallest, solve_s = min(smallest, design.gains.gain_max_abs), solve_s + design.solve_s
+    if design.gains.gain_max_abs <= bound:
         return replace(design, gain_bound=bound, solve_s=solve_s)
     raise InfeasibleError(
         f"{name}: no gains within {bound:g} were found; the smallest that were are {smallest:.3g}: allow these, narrow "
@@ -247,19 +247,12 @@ def _design(plant: Plant, augmentation: Augmentation, problem: Inequality, solut
     mu = problem.coordinates.mu
     # [Kb; L_i] = P^-1 R, then K = Kb - L1 E_f L_p
     K, L_i, L_p = user_gains(problem, np.linalg.solve(solution.P, solution.R), solution.L_p)
-    N = augmentation.L1 @ augmentation.A_z - K @ augmentation.C_b
     inverse = np.linalg.inv(problem.coordinates.S)
     P = mu * inverse.T @ solution.P @ inverse
     return Design(
         method="convex",
-        rate_hz=float(plant.rate_hz or 0.0),
-        K=K,
-        L_i=L_i,
-        L_p=L_p,
-        L1=augmentation.L1,
-        F=augmentation.F,
-        N=N,
-        J=N @ augmentation.F + K,
+        rate_hz=plant.rate_hz,
+        gains=observer_matrices(augmentation, K, L_i, L_p),
         P=0.5 * (P + P.T) if problem.P is None else problem.P,
         mu=mu * solution.mu * (1.0 + _SLACKS[0]),
         multipliers=mu * solution.multipliers / problem.balance if problem.multipliers else None,

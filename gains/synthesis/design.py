@@ -4,50 +4,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from gains.plants.plant import FloatArray
+from gains.analysis.augment import Augmentation
+from gains.plants.plant import Domain, FloatArray
 
-Method = Literal["convex"]
+FaultState = Literal["integral", "error"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Design:
-    """Gains of one observer, symbols as in :mod:`gains.analysis.augment`.
+class ObserverMatrices:
+    """Matrices of the observer, symbols as in :mod:`gains.analysis.augment` (x' for x+ in continuous time).
 
     Parameters
     ----------
-    method : {"convex"}
-        The synthesis.
-    rate_hz : float
-        Samples per second.
     K, L_i, L_p : FloatArray
         (nz, p), (a1, p) and (a1, p); integrators of order 2 have L_i = [L_i1; L_i2] (2 a1, p).
     L1, F, N, J : FloatArray
         (nz, n), (nz, p), (nz, nz) and (nz, p).
-    P : FloatArray
-        Matrix of the bounded-real inequality (na, na), na = nz + a1 times the order of the integrators.
-    mu : float
-        The bound: |e|^2 summed over time is at most mu times that of the scaled [w; w+; df_a].
-    multipliers : FloatArray | None
-        Multipliers of the slopes that vary (2, k) where they prove the bound, and the pole radius, in place of the
-        vertices.
-    pole_radius, gain_bound : float
-        What was asked for: the largest size of a pole, and of an entry of the gains.
-    gain_weight : float
-        The price of the gains that the design was found with.
-    status : {"optimal"}
-        A design exists only where its certificate holds; failures are errors.
-    solve_s, total_s : float
-        Time in the solver and in all, seconds.
-    notes : tuple[str, ...]
-        What a person should know about the faults of this model.
     """
 
-    method: Method
-    rate_hz: float
     K: FloatArray
     L_i: FloatArray
     L_p: FloatArray
@@ -55,16 +33,69 @@ class Design:
     F: FloatArray
     N: FloatArray
     J: FloatArray
+
+    @property
+    def gain_max_abs(self) -> float:
+        """Largest entry of K, L_i and L_p by size."""
+        return float(max(np.max(np.abs(gain), initial=0.0) for gain in (self.K, self.L_i, self.L_p)))
+
+
+def observer_matrices(augmentation: Augmentation, K: FloatArray, L_i: FloatArray, L_p: FloatArray) -> ObserverMatrices:
+    """Return all matrices of the observer for its gains: N = L1 A_z - K Cb, J = N F + K."""
+    L1, F = augmentation.L1, augmentation.F
+    N = L1 @ augmentation.A_z - K @ augmentation.C_b
+    return ObserverMatrices(K, L_i, L_p, L1, F, N, N @ F + K)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design:
+    """Gains of one observer, discrete or continuous, and what proves them.
+
+    Parameters
+    ----------
+    method : str
+        ``"convex"``, ``"theorem1"`` or ``"theorem2"``.
+    rate_hz : float | None
+        Samples per second; None in continuous time.
+    gains : ObserverMatrices
+        K, L_i, L_p and what follows from them.
+    P : FloatArray
+        Matrix of the bounded-real inequality (na, na), na = nz + a1 times the order of the integrators.
+    mu : float
+        The bound: |e|^2 summed (or integrated) over time is at most mu times that of the scaled [w; w+; df_a].
+    multipliers : FloatArray | None
+        Multipliers of the slopes that vary (2, k) where they prove the bound, and the pole radius, in place of the
+        vertices.
+    pole_radius, gain_bound : float
+        What was asked of a discrete design: the largest size of a pole, and of an entry of the gains.
+    gain_weight : float
+        The price of the gains that the design was found with.
+    fault_state : {"integral", "error"}
+        Coordinates of P: [zeta~; z] with z = f_a - q of the convex synthesis, or [zeta~; fa~] of the paper.
+    solve_s, total_s : float
+        Time in the solver and in all, seconds.
+    notes : tuple[str, ...]
+        What a person should know about the faults of this model.
+    """
+
+    method: str
+    rate_hz: float | None
+    gains: ObserverMatrices
     P: FloatArray
     mu: float
     multipliers: FloatArray | None = None
     pole_radius: float = 1.0
     gain_bound: float = math.inf
     gain_weight: float = 0.0
-    status: Literal["optimal"] = "optimal"
+    fault_state: FaultState = "integral"
     solve_s: float = 0.0
     total_s: float = 0.0
     notes: tuple[str, ...] = ()
+
+    @property
+    def domain(self) -> Domain:
+        """Whether x' or x+ stands on the left."""
+        return "continuous" if self.rate_hz is None else "discrete"
 
     @property
     def sqrt_mu(self) -> float:
@@ -74,9 +105,31 @@ class Design:
     @property
     def integrator_order(self) -> int:
         """1 where q integrates the actuator faults, 2 where it integrates them and their rates."""
-        return len(self.L_i) // len(self.L_p) if len(self.L_p) else 1
+        return len(self.gains.L_i) // len(self.gains.L_p) if len(self.gains.L_p) else 1
 
-    @property
-    def gain_max_abs(self) -> float:
-        """Largest entry of K, L_i and L_p by size."""
-        return float(max(np.max(np.abs(gain), initial=0.0) for gain in (self.K, self.L_i, self.L_p)))
+
+def design_figures(model: str, method: str, domain: str, rate_hz: float | None, **known: Any) -> dict[str, Any]:
+    """Return what a design is worth as the JSON object of the command line and the gains file.
+
+    Parameters
+    ----------
+    model, method, domain, rate_hz
+        The design: name of its model, synthesis, ``"continuous"`` or ``"discrete"``, samples per second.
+    **known
+        Figures that it has; those that every design is asked for are None where they are not known.
+    """
+    return {
+        "model": model,
+        "method": method,
+        "domain": domain,
+        "rate_hz": rate_hz,
+        "status": "optimal",
+        "sqrt_mu": None,
+        "norm": None,
+        "norm_hz": None,
+        "gain_max_abs": None,
+        "certificate": {"holds": False, "margin": None},
+        "solve_s": None,
+        "total_s": None,
+        "notes": [],
+    } | known
