@@ -132,16 +132,15 @@ class TraceBuilder:
 
 @dataclass(frozen=True, slots=True)
 class AlarmSpan:
-    """Time during which an alarm was active."""
+    """Time during which an alarm was active; ends are None while it is active."""
 
-    # observer and channel of the alarm
+    history: tuple[AlarmEvent, ...]
     observer: str
     channel: str
-    severity: Severity  # the worst severity it had
-    # Unix time and vehicle's time of the event that raised it
+    severity: Severity  # the worst it had
+    # Unix times and vehicle's times of the events that raised and cleared it
     start_ns: int
     start_vehicle_ns: int
-    # the same of the event that cleared it, None while it is active
     end_ns: int | None
     end_vehicle_ns: int | None
 
@@ -160,6 +159,7 @@ def alarm_spans(events: Iterable[AlarmEvent]) -> list[AlarmSpan]:
         cleared = last.state == "cleared"
         spans.append(
             AlarmSpan(
+                history=tuple(history),
                 observer=first.observer,
                 channel=first.channel,
                 severity="critical" if any(e.severity == "critical" for e in history) else "warning",

@@ -46,8 +46,9 @@ def run() -> Trace:
 
 def test_an_alarm_is_told_by_what_it_said_when_it_was_largest(profile: Profile) -> None:
     [found] = findings(profile, EVENTS, [run()])
-    assert (found.sentence, found.severity, found.relative, found.peak) == ("largest", "critical", -0.1, -0.07)
-    assert (found.start_vehicle_ms, found.end_vehicle_ms) == (10_200, 13_000)
+    assert (found.largest.message, found.largest.relative) == ("largest", -0.1)
+    assert (found.alarm.severity, found.peak) == ("critical", -0.07)
+    assert (found.alarm.start_vehicle_ns, found.alarm.end_vehicle_ns) == (10_200_000_000, 13_000_000_000)
     assert found.typical == pytest.approx(-0.05)
     assert found.deviation == pytest.approx(0.002)
     assert found.rival == ("motor2", pytest.approx(0.5))
@@ -55,7 +56,7 @@ def test_an_alarm_is_told_by_what_it_said_when_it_was_largest(profile: Profile) 
 
 def test_an_alarm_that_stands_at_the_end_has_none(profile: Profile) -> None:
     [found] = findings(profile, EVENTS[:2], [run()])
-    assert (found.end_ns, found.end_vehicle_ms) == (None, None)
+    assert (found.alarm.end_ns, found.alarm.end_vehicle_ns) == (None, None)
 
 
 @pytest.mark.parametrize("events", [[event(5, "cleared")], [event(5, "raised", estimate=None, peak=None)]])

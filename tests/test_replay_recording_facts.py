@@ -1,4 +1,4 @@
-"""Rates and gaps of a recording, the same message by message and by blocks."""
+"""Rates and gaps of a recording, however it is cut into batches."""
 
 from __future__ import annotations
 
@@ -18,11 +18,9 @@ def stream(name: str, times_s: list[float], system: int = 1) -> list[Message]:
 
 def measured(messages: list[Message], block: int | None = None) -> RecordingFacts:
     meter = RecordingMeter()
-    if block is None:
-        assert list(meter.watch(messages)) == messages
-    else:
-        blocks = [pack(messages[start : start + block]) for start in range(0, len(messages), block)]
-        assert list(meter.watch_blocks(blocks)) == blocks
+    size = block or max(len(messages), 1)
+    batches = [pack(messages[start : start + size]) for start in range(0, len(messages), size)]
+    assert list(meter.watch(batches)) == batches
     return meter.facts()
 
 

@@ -13,12 +13,13 @@ import pytest
 
 import fauio
 from adapters.logs.mcap_log import MessageLogWriter
+from adapters.logs.recordings import packed
 from adapters.message import Message
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
 from adapters.source import MAVLINK
 from monitor.profile import Profile
-from replay.player import play
+from replay.player import play_batches
 from replay.reports.recording_facts import RecordingMeter
 from replay.reports.report import Run, recording_report
 
@@ -75,7 +76,7 @@ def run_of(profile: Profile, folder: Path, messages: Iterator[Message]) -> Run:
     """Return a run over messages."""
     log, meter = folder / "arm.mcap", RecordingMeter()
     log.write_bytes(b"0123456789")
-    replay = play(profile, meter.watch(messages), keep_traces=True)
+    replay = play_batches(profile, meter.watch(packed(messages)), keep_traces=True)
     return Run(profile, folder, log, "arm-1", "what was found", replay, meter.facts())
 
 

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.toml_tables import is_number
+from monitor.alarms.alarm import AlarmRule
 from monitor.estimation.effectiveness import EffectivenessRule
-from monitor.event import AlarmEvent, Kind, Severity
+from monitor.event import AlarmEvent
 from monitor.profile import PROFILE_FILE, Profile
-from monitor.trace import Trace
+from monitor.trace import AlarmSpan, Trace, alarm_spans
 
 FIT_FILE = "fit.json"
 _SAME_SIZE = 1e-3
@@ -26,26 +27,12 @@ _SAME_SIZE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One alarm from its raising to its end."""
+    """One alarm of a run, and what the estimates say about it."""
 
-    # as of :class:`monitor.event.AlarmEvent`; the severity is the worst it had
-    observer: str
-    channel: str
-    kind: Kind
-    unit: str
-    severity: Severity
-    sentence: str  # what it said when it was largest
-    # when it was raised: Unix time, vehicle's clock
-    start_ns: int
-    start_vehicle_ms: int
-    # when it cleared, None where it stood at the end
-    end_ns: int | None
-    end_vehicle_ms: int | None
-    # largest estimate, and what it had to exceed
+    alarm: AlarmSpan
+    largest: AlarmEvent  # its event with the largest estimate
     peak: float | None
-    threshold: float
-    relative: float | None  # estimate over command when it was largest
-    # median estimate while it stood, and one standard deviation of the estimate then; None where not known
+    # median estimate while it was active, and one standard deviation of the estimate then; None where not known
     typical: float | None
     deviation: float | None
     # the observer's channel that was held responsible for most beside it meanwhile, in shares of its own threshold
@@ -70,14 +57,9 @@ class Calibration:
 class WatchedChannel:
     """One channel with an alarm, over a run."""
 
-    # as of :class:`monitor.alarms.alarm.AlarmRule`
-    observer: str
-    channel: str
-    kind: Kind
-    unit: str
-    threshold: float
+    rule: AlarmRule
     sees: str  # what size of fault it sees how fast, as the profile says; empty where it does not
-    calibration: Calibration | None  # none where the threshold was never calibrated, or changed since
+    calibration: Calibration | None  # None where the threshold was never calibrated, or changed since
     watched_s: float  # how long alarms could be raised
     peak: float | None  # largest evidence meanwhile by size; None where there is none, or it is not recorded
     alarms: int  # how many alarms it raised
@@ -86,8 +68,8 @@ class WatchedChannel:
     @property
     def share(self) -> float | None:
         """Peak over threshold, None where that says nothing."""
-        known = self.peak is not None and self.threshold and self.effect is None
-        return abs(self.peak or 0.0) / self.threshold if known else None
+        known = self.peak is not None and self.rule.threshold and self.effect is None
+        return abs(self.peak or 0.0) / self.rule.threshold if known else None
 
 
 def effects(profile: Profile) -> dict[tuple[str, str], EffectivenessRule]:
@@ -103,21 +85,11 @@ def effects(profile: Profile) -> dict[tuple[str, str], EffectivenessRule]:
 def findings(profile: Profile, events: Iterable[AlarmEvent], traces: Sequence[Trace]) -> list[Finding]:
     """Return each alarm of a run, in the order of their beginnings."""
     thresholds = {(rule.observer, rule.channel): rule.threshold for one in profile.observers for rule in one.alarms}
-    by_effect = effects(profile)
-    histories: dict[str, list[AlarmEvent]] = {}
-    for event in events:
-        histories.setdefault(event.id, []).append(event)
-    by_name = {trace.layout.observer: trace for trace in traces}
-    found = [
-        _finding(
-            history,
-            by_name.get(history[0].observer),
-            thresholds,
-            by_effect.get((history[0].observer, history[0].channel)),
-        )
-        for history in histories.values()
+    by_effect, by_name = effects(profile), {trace.layout.observer: trace for trace in traces}
+    return [
+        _finding(span, by_name.get(span.observer), thresholds, by_effect.get((span.observer, span.channel)))
+        for span in alarm_spans(events)
     ]
-    return sorted(found, key=lambda finding: finding.start_ns)
 
 
 def watched_channels(
@@ -131,16 +103,12 @@ def watched_channels(
     by_name = {trace.layout.observer: trace for trace in traces}
     return [
         WatchedChannel(
-            observer=rule.observer,
-            channel=rule.channel,
-            kind=rule.kind,
-            unit=rule.unit,
-            threshold=rule.threshold,
+            rule=rule,
             sees=said.get((rule.observer, rule.channel), ""),
             calibration=_calibration(rests_on.get((rule.observer, rule.channel)), rule.threshold),
             watched_s=watched_s.get(rule.observer, 0.0),
             peak=_peak(by_name.get(rule.observer), rule.channel),
-            alarms=sum((one.observer, one.channel) == (rule.observer, rule.channel) for one in found),
+            alarms=sum((one.alarm.observer, one.alarm.channel) == (rule.observer, rule.channel) for one in found),
             effect=by_effect.get((rule.observer, rule.channel)),
         )
         for observer in profile.observers
@@ -149,43 +117,23 @@ def watched_channels(
 
 
 def _finding(
-    history: Sequence[AlarmEvent],
+    alarm: AlarmSpan,
     trace: Trace | None,
     thresholds: Mapping[tuple[str, str], float],
     effect: EffectivenessRule | None,
 ) -> Finding:
-    first, last = history[0], history[-1]
-    standing = [event for event in history if event.state != "cleared"] or [first]
-    largest = max(standing, key=lambda event: abs(event.estimate or 0.0))
-    cleared = last.state == "cleared"
-    peaks = [event.peak for event in history if event.peak is not None]
+    active = [event for event in alarm.history if event.state != "cleared"] or [alarm.history[0]]
+    peaks = [event.peak for event in alarm.history if event.peak is not None]
     typical = deviation = rival = None
-    if trace is not None and first.channel in trace.layout.faults:
-        end_ms = last.vehicle_time_ms if cleared else math.inf
-        inside = (trace.vehicle_ns >= first.vehicle_time_ms * 1e6) & (trace.vehicle_ns < end_ms * 1e6) & trace.armed
-        place = trace.layout.faults.index(first.channel)
-        typical = _median(trace.isolated[inside, place])
-        deviation = _median(trace.sd[inside, place]) if effect is None else None
-        rival = _rival(trace, inside, first.channel, thresholds)
-    return Finding(
-        observer=first.observer,
-        channel=first.channel,
-        kind=first.kind,
-        unit=first.unit,
-        severity="critical" if any(event.severity == "critical" for event in history) else "warning",
-        sentence=largest.message,
-        start_ns=first.time_ns,
-        start_vehicle_ms=first.vehicle_time_ms,
-        end_ns=last.time_ns if cleared else None,
-        end_vehicle_ms=last.vehicle_time_ms if cleared else None,
-        peak=max(peaks, key=abs, default=None),
-        threshold=first.threshold,
-        relative=largest.relative,
-        typical=typical,
-        deviation=deviation,
-        rival=rival,
-        effect=effect,
-    )
+    if trace is not None and alarm.channel in trace.layout.faults:
+        end_ns = math.inf if alarm.end_vehicle_ns is None else alarm.end_vehicle_ns
+        inside = (trace.vehicle_ns >= alarm.start_vehicle_ns) & (trace.vehicle_ns < end_ns) & trace.armed
+        index = trace.layout.faults.index(alarm.channel)
+        typical = _median(trace.isolated[inside, index])
+        deviation = _median(trace.sd[inside, index]) if effect is None else None
+        rival = _rival(trace, inside, alarm.channel, thresholds)
+    largest = max(active, key=lambda event: abs(event.estimate or 0.0))
+    return Finding(alarm, largest, max(peaks, key=abs, default=None), typical, deviation, rival, effect)
 
 
 def _rival(

@@ -14,6 +14,7 @@ from adapters.errors import printable
 from monitor.trace import AlarmSpan, Trace
 from monitor.views.palette import Theme
 from monitor.views.panels import Thresholds, TrueSizes, evidence, fault_limits
+from replay.reports.recording_facts import GAP_PERIODS, GAP_S
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,9 +82,7 @@ SPAN_ALPHA: dict[str, float] = {"warning": 0.25, "critical": 0.42}
 UNWATCHED_ALPHA = 0.6
 UNWATCHED_HATCH = "//////"
 MODEL_UNIT = "model's unit"
-GAP_S = 0.5
 HELD_S = 0.5
-GAP_PERIODS = 10.0
 # a wide uncertainty may widen a panel this much of what else it shows, no more
 DOUBT_ROOM = 0.5
 # where an estimate leaves its panel, at most so many marks say so

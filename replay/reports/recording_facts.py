@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch
-from adapters.message import Message
 from adapters.source import Source
 
 GAP_S = 0.5
@@ -21,9 +20,6 @@ MOST_GAPS = 1000
 
 _PERIODS_KEPT = 2000
 """Chosen: enough for the usual period of a message, its median."""
-_PENDING = 512
-"""Messages that are looked at together: one by one costs more."""
-
 StreamKey = tuple[Source, str, int, int]
 
 
@@ -81,33 +77,22 @@ class RecordingMeter:
     def __init__(self) -> None:
         self._streams: dict[StreamKey, _Stream] = {}
 
-    def watch(self, messages: Iterable[Message]) -> Iterator[Message]:
-        """Yield the messages and take note of each."""
-        for message in messages:
-            self.take(message)
-            yield message
-
-    def watch_blocks(self, blocks: Iterable[Batch]) -> Iterator[Batch]:
-        """Yield the blocks and take note of their messages."""
-        for block in blocks:
-            self.take_block(block)
-            yield block
-
-    def take(self, message: Message) -> None:
-        """Take note of a message."""
-        self._stream((message.source, message.name, message.system, message.component)).one(message.received_ns)
-
-    def take_block(self, block: Batch) -> None:
-        """Take note of the messages of a block."""
-        for columns in block.columns:
-            key = (columns.source, columns.name, columns.system, columns.component)
-            self._stream(key).many(columns.received_ns)
-        for message in block.others.values():
-            self.take(message)
+    def watch(self, batches: Iterable[Batch]) -> Iterator[Batch]:
+        """Yield the batches, and measure their messages."""
+        for batch in batches:
+            times: dict[StreamKey, list[int]] = {}
+            for message in batch.others.values():
+                key = message.source, message.name, message.system, message.component
+                times.setdefault(key, []).append(message.received_ns)
+            for columns in batch.columns:
+                self._stream((columns.source, columns.name, columns.system, columns.component)).add(columns.received_ns)
+            for key, received_ns in times.items():
+                self._stream(key).add(np.array(received_ns, np.int64))
+            yield batch
 
     def facts(self) -> RecordingFacts:
         """Return what was measured so far."""
-        streams = [(key, stream) for key, stream in sorted(self._streams.items(), key=_in_order) if stream.flush()]
+        streams = [(key, stream) for key, stream in sorted(self._streams.items(), key=_in_order) if stream.count]
         return RecordingFacts(
             first_ns=min((stream.first_ns for _, stream in streams), default=None),
             last_ns=max((stream.last_ns for _, stream in streams), default=None),
@@ -118,10 +103,7 @@ class RecordingMeter:
         )
 
     def _stream(self, key: StreamKey) -> _Stream:
-        found = self._streams.get(key)
-        if found is None:
-            found = self._streams[key] = _Stream()
-        return found
+        return self._streams.setdefault(key, _Stream())
 
 
 class _Stream:
@@ -130,25 +112,9 @@ class _Stream:
     def __init__(self) -> None:
         self.count = 0
         self.first_ns = self.last_ns = 0
-        self._pending: list[int] = []
         self._periods = np.empty(0, np.int64)
         self._usual_ns = 0.0
         self._gaps: list[Gap] = []
-
-    def one(self, received_ns: int) -> None:
-        self._pending.append(received_ns)
-        if len(self._pending) >= _PENDING:
-            self.flush()
-
-    def flush(self) -> bool:
-        """Look at what waits; return whether there was any message at all."""
-        pending, self._pending = self._pending, []
-        self._extend(np.array(pending, np.int64))
-        return self.count > 0
-
-    def many(self, received_ns: NDArray[np.int64]) -> None:
-        self.flush()
-        self._extend(received_ns)
 
     def rate_hz(self) -> float:
         gaps = self.gaps()
@@ -159,7 +125,8 @@ class _Stream:
         # the first ones were found before it was known how often the message comes
         return tuple(gap for gap in self._gaps if gap.seconds * 1e9 > GAP_PERIODS * self._usual_ns)
 
-    def _extend(self, times: NDArray[np.int64]) -> None:
+    def add(self, times: NDArray[np.int64]) -> None:
+        """Measure the next times of arrival."""
         if not len(times):
             return
         if not self.count:

@@ -78,7 +78,7 @@ def recording_report(run: Run) -> str:
 
 
 def _header(run: Run, found: Sequence[Finding]) -> Html:
-    worst = {one.severity for one in found}
+    worst = {one.alarm.severity for one in found}
     mark = next((severity for severity in ("critical", "warning") if severity in worst), "")
     if not mark and _blind(run.replay):
         mark = "unknown"
@@ -94,13 +94,14 @@ def _header(run: Run, found: Sequence[Finding]) -> Html:
 def _found(run: Run, found: Sequence[Finding]) -> Iterator[Html]:
     if not found:
         yield element("p", _nothing_found(run))
-    zero_ms = _plots_zero_ms(run.replay)
+    # the vehicle's time of the first sample, from which the plots count
+    zero_ns = min((int(one.vehicle_ns[0]) for one in run.replay.traces if len(one.vehicle_ns)), default=None)
     for one in found:
         yield element(
             "article",
-            element("h3", f"{one.observer} / {one.channel}: {one.sentence}"),
-            facts(_of_finding(one, zero_ms)),
-            class_=one.severity,
+            element("h3", f"{one.alarm.observer} / {one.alarm.channel}: {one.largest.message}"),
+            facts(_of_finding(one, zero_ns)),
+            class_=one.alarm.severity,
         )
 
 
@@ -116,28 +117,29 @@ def _blind(replay: Replay) -> list[str]:
     return [name for name, watch in replay.watches.items() if not watch.evidence]
 
 
-def _of_finding(one: Finding, zero_ms: int | None) -> Iterator[tuple[str, object]]:
-    yield "when", _moment(one.start_ns, one.start_vehicle_ms, zero_ms)
-    if one.end_ns is None or one.end_vehicle_ms is None:
+def _of_finding(one: Finding, zero_ns: int | None) -> Iterator[tuple[str, object]]:
+    alarm, unit, threshold = one.alarm, one.largest.unit, one.alarm.history[0].threshold
+    yield "when", _moment(alarm.start_ns, alarm.start_vehicle_ns, zero_ns)
+    if alarm.end_ns is None or alarm.end_vehicle_ns is None:
         yield "how long", "until the end of the recording"
     else:
-        lasted_s = (one.end_vehicle_ms - one.start_vehicle_ms) / 1000
-        yield "how long", f"{_span(lasted_s)}, cleared {_moment(one.end_ns, one.end_vehicle_ms, zero_ms)}"
+        lasted_s = (alarm.end_vehicle_ns - alarm.start_vehicle_ns) / 1e9
+        yield "how long", f"{_span(lasted_s)}, cleared {_moment(alarm.end_ns, alarm.end_vehicle_ns, zero_ns)}"
     if one.typical is not None:
         if one.deviation is None:
-            yield "how large", f"{_size(one.typical, one.unit)} (median while it stood)"
+            yield "how large", f"{_size(one.typical, unit)} (median while it was active)"
         else:
-            size = f"{one.typical:.3g} ± {one.deviation:.2g} {one.unit}".rstrip()
-            yield "how large", f"{size} (median while it stood ± one standard deviation)"
+            size = f"{one.typical:.3g} ± {one.deviation:.2g} {unit}".rstrip()
+            yield "how large", f"{size} (median while it was active ± one standard deviation)"
     if one.peak is not None:
-        share = f", {100 * one.relative:+.0f} % of the command" if one.relative is not None else ""
-        yield "peak", f"{_size(one.peak, one.unit)}{share}"
-    yield "severity", one.severity
+        share = f", {100 * one.largest.relative:+.0f} % of the command" if one.largest.relative is not None else ""
+        yield "peak", f"{_size(one.peak, unit)}{share}"
+    yield "severity", alarm.severity
     if one.effect is not None:
         yield "how sure", f"said only where it is {_certain(one.effect)}"
-    elif one.threshold and one.peak is not None:
-        times = abs(one.peak) / one.threshold
-        yield "threshold it passed", f"{_size(one.threshold, one.unit)}; the peak is {times:.3g} times as large"
+    elif threshold and one.peak is not None:
+        times = abs(one.peak) / threshold
+        yield "threshold it passed", f"{_size(threshold, unit)}; the peak is {times:.3g} times as large"
     if one.rival is not None:
         name, share_of = one.rival
         yield (
@@ -156,12 +158,12 @@ def _how_sure(run: Run, found: Sequence[Finding], watched: Sequence[WatchedChann
         "that rate healthy flight exceeds the healthy level. The level is known only as well as those flights allow; "
         "where its upper confidence limit is bold it is above the threshold, and false alarms may come more often.",
     )
-    for observer in dict.fromkeys(one.observer for one in watched):
-        own = [one for one in watched if one.observer == observer]
+    for observer in dict.fromkeys(one.rule.observer for one in watched):
+        own = [one for one in watched if one.rule.observer == observer]
         watched_s = own[0].watched_s
         yield element("h3", f"{observer}, " + (f"watched for {_span(watched_s)}" if watched_s else "never watched"))
         yield table(_WATCHED_HEADS, map(_of_channel, own), numbers=range(2, 9))
-    others = sorted({one.observer for one in found} - {observer.name for observer in run.profile.observers})
+    others = sorted({one.alarm.observer for one in found} - {observer.name for observer in run.profile.observers})
     if others:
         yield element("p", f"Alarms of {', '.join(others)} come from fixed rules, not from calibration.", class_="note")
 
@@ -171,14 +173,14 @@ def _of_channel(one: WatchedChannel) -> tuple[object, ...]:
     high = calibration.high
     limit: object = "" if high is None else f"{high:.2g}"
     return (
-        one.channel,
-        one.unit,
+        one.rule.channel,
+        one.rule.unit,
         "" if one.peak is None else f"{one.peak:.3g}",
-        f"{one.threshold:.3g}" if one.effect is None else "",
+        f"{one.rule.threshold:.3g}" if one.effect is None else "",
         "" if one.share is None else f"{100 * one.share:.0f} %",
         one.alarms or "",
         "" if calibration.level is None else f"{calibration.level:.2g}",
-        element("strong", limit) if high is not None and high > one.threshold else limit,
+        element("strong", limit) if high is not None and high > one.rule.threshold else limit,
         "" if calibration.hours is None else f"{60 * calibration.hours:.0f} min",
         one.sees or _why_no_words(one),
     )
@@ -302,15 +304,9 @@ def _made(run: Run) -> Html:
     )
 
 
-def _plots_zero_ms(replay: Replay) -> int | None:
-    """Return the vehicle's time of the first sample, from which the plots count."""
-    starts = [int(trace.vehicle_ns[0]) for trace in replay.traces if len(trace.vehicle_ns)]
-    return min(starts) // 1_000_000 if starts else None
-
-
-def _moment(unix_ns: int, vehicle_ms: int, zero_ms: int | None) -> str:
-    shown = "" if zero_ms is None else f"{(vehicle_ms - zero_ms) / 1000:.1f} s in the plots, "
-    return f"{utc(unix_ns)} ({shown}vehicle's clock {vehicle_ms / 1000:.1f} s)"
+def _moment(unix_ns: int, vehicle_ns: int, zero_ns: int | None) -> str:
+    shown = "" if zero_ns is None else f"{(vehicle_ns - zero_ns) / 1e9:.1f} s in the plots, "
+    return f"{utc(unix_ns)} ({shown}vehicle's clock {vehicle_ns / 1e9:.1f} s)"
 
 
 def _sentence(words: str) -> str:

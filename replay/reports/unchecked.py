@@ -166,7 +166,7 @@ def _exclusive(names: Sequence[str], hypotheses: Sequence[set[str]]) -> list[lis
 
 def _excused(profile: Profile, found: Sequence[Finding]) -> Iterator[Unchecked]:
     """Say which channels were not believed while another alarm explained them."""
-    raised = {one.channel for one in found}
+    raised = {one.alarm.channel for one in found}
     for rule in profile.excuses:
         causes = [name for name in rule.by if name in raised]
         if causes:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from adapters.batch import Batch
 from adapters.errors import FauioError
 from adapters.logs.damage import Damage
 from adapters.logs.recordings import Recording, packed, recorded_vehicle, recording_kind
@@ -124,7 +123,7 @@ def _replay(
     kind = recording_kind(task.path)
     vehicle = task.vehicle or recorded_vehicle(task.path)
     recording = Recording(task.path, None if task.record else interests(profile), task.mapping)
-    span, meter = _Span(), RecordingMeter()
+    meter = RecordingMeter()
     if live is not None:
         # One by one: what follows from a message is published before the next one is due.
         batches = packed(live.messages(profile, task, vehicle), 1)
@@ -133,16 +132,15 @@ def _replay(
         if progress:
             size = recording_bytes(task.path)
             batches = track(batches, Path(task.log).name, total_bytes=size, weigh=lambda batch: batch.count)
-    batches = span.watch(batches)
     found = play_batches(
         profile,
-        meter.watch_blocks(batches) if task.report else batches,
+        meter.watch(batches),
         vehicle=vehicle,
         record=task.record,
         keep_traces=bool(task.plot or task.rrd or task.report),
         on_event=on_event,
     )
-    verdict = _verdict(found, profile)
+    verdict, facts = _verdict(found, profile), meter.facts()
     truth = known_truth(task.path, found.traces) if task.plot or task.rrd or task.report else {}
     _write(profile, task, found, truth, f"{Path(task.log).name}: {verdict}")
     if task.report:
@@ -155,7 +153,7 @@ def _replay(
             vehicle=vehicle or profile.name,
             verdict=verdict,
             replay=found,
-            recording=meter.facts(),
+            recording=facts,
             damage=recording.damage(),
             truth=truth,
         )
@@ -167,8 +165,8 @@ def _replay(
         error=None if found.samples else verdict,
         verdict=verdict,
         events=found.events,
-        start_ns=span.start_ns,
-        end_ns=span.end_ns,
+        start_ns=facts.first_ns or 0,
+        end_ns=facts.last_ns or 0,
         samples=found.samples,
         evidence=found.evidence,
         watched_s=found.watched_s,
@@ -199,23 +197,6 @@ def _write(profile: Profile, task: LogTask, found: Replay, truth: TrueSizes, tit
         from monitor.views.rerun_view import write_rrd
 
         write_rrd(task.rrd, found.traces, found.events, found.thresholds, truth)
-
-
-class _Span:
-    """First and last time of arrival of the batches that pass."""
-
-    def __init__(self) -> None:
-        self.start_ns = self.end_ns = 0
-
-    def watch(self, batches: Iterable[Batch]) -> Iterator[Batch]:
-        for batch in batches:
-            others = [message.received_ns for message in batch.others.values()]
-            firsts = [int(columns.received_ns[0]) for columns in batch.columns]
-            lasts = [int(columns.received_ns[-1]) for columns in batch.columns]
-            if others or firsts:
-                self.start_ns = self.start_ns or min([*firsts, *others])
-                self.end_ns = max([*lasts, *others])
-            yield batch
 
 
 def _verdict(found: Replay, profile: Profile) -> str:
