@@ -7,15 +7,14 @@ that passes, what the link found out, an operator's command, other thresholds, a
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, cut
 from adapters.mavlink.heartbeat import vehicle_type
@@ -26,15 +25,15 @@ from monitor.alarms.alarm import TUNABLE
 from monitor.alarms.desk import AlarmDesk
 from monitor.alarms.desk_rule import DeskRule, desk_rule, rule_fields
 from monitor.alarms.excuse import Excuses
-from monitor.alarms.link_alarms import LinkAlarms, StaleAlarm
+from monitor.alarms.link_alarms import HEARTBEAT_NS, LinkAlarms, StaleAlarm
 from monitor.chain import ObserverChain, alarm_events
+from monitor.core.arrivals import Arrivals
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent, is_seq, valid_event
 from monitor.profile import Profile
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import SamplerStatistics
-from monitor.segments import Arrivals, arrivals_of, message_at, selected
 
 AUTOPILOT = 1
 """MAV_COMP_ID_AUTOPILOT1."""
@@ -178,55 +177,39 @@ class Pipeline:
         outputs: list[Estimates | AlarmEvent] = []
         if self._system == 0:
             batch = self._run_unidentified(batch, outputs)
-        self._run_accepted(self._accepted(batch), outputs)
+        self._run_accepted(batch, outputs)
         return outputs
 
     def _run_unidentified(self, batch: Batch, outputs: list[Estimates | AlarmEvent]) -> Batch:
         """Process the messages before the one that tells the system to monitor; return the others."""
-        first = batch.count
-        for columns in batch.columns:
-            if self._identifies(columns):
-                first = min(first, int(columns.position[0]))
-        for index, message in batch.others.items():
-            if self._identifies(message):
-                first = min(first, index)
-        before, rest = cut(batch, 0, first), cut(batch, first, batch.count)
-        self._run_accepted(self._accepted(before), outputs)
-        if rest.count:
-            self.accepts(message_at(rest, 0))
-        return rest
+        senders: list[tuple[int, Message | Columns]] = list(batch.others.items())
+        senders += [(int(columns.position[0]), columns) for columns in batch.columns]
+        identifying = [(index, sender) for index, sender in senders if self._identifies(sender)]
+        first, sender = min(identifying, key=itemgetter(0), default=(batch.count, None))
+        self._run_accepted(cut(batch, 0, first), outputs)
+        if sender is not None:
+            self.accepts(sender)
+        return cut(batch, first, batch.count)
 
     def _identifies(self, sender: Message | Columns) -> bool:
         """Return whether the vehicle to monitor is the one that sent this."""
         ours = sender.source.has_ids and sender.source.is_telemetry and self._component in (0, sender.component)
         return ours and sender.name in self._wanted and sender.system != 0
 
-    def _accepted(self, batch: Batch) -> Batch:
-        """Return the messages that matter, and count those of other senders."""
-        self.foreign += sum(
-            len(columns.position)
-            for columns in batch.columns
-            if columns.source.has_ids
-            and (columns.system != self._system or self._component not in (0, columns.component))
-        )
-        self.foreign += sum(not self.accepts(message) for message in batch.others.values())
-        return selected(batch, self._interests, self._system, self._component)
-
     def _run_accepted(self, batch: Batch, outputs: list[Estimates | AlarmEvent]) -> None:
-        arrivals = arrivals_of(batch, self._wanted, self._phase)
-        own = sorted(index for index, message in batch.others.items() if not message.source.is_telemetry)
+        """Process the messages of a batch that matter, and count those of other senders."""
+        arrivals = Arrivals(batch, self._interests, self._wanted, self._system, self._component, self._phase)
+        self.foreign += arrivals.foreign
         index = 0
-        while index < batch.count:
-            message = message_at(batch, index)
+        while index < arrivals.batch.count:
+            message = arrivals.message(index)
             outputs.extend(self._desk.tick(message.received_ns))
             if not message.source.is_telemetry:
                 outputs.extend(self._run_own(message))
                 index += 1
                 continue
             outputs.extend(self._through_desk(self._before(message)))
-            stop = self._segment_end(arrivals, own, index)
-            self._run_segment(batch, arrivals, index, stop, outputs)
-            index = stop
+            index = self._run_segment(arrivals, index, message.received_ns, outputs)
 
     def _before(self, message: Message) -> list[AlarmEvent]:
         """Return the events that the first message of a segment causes before its measurements are looked at."""
@@ -238,60 +221,39 @@ class Pipeline:
             events += self._stale.follow(now_ns, vehicle_ns)
         return events
 
-    def _segment_end(self, arrivals: Arrivals, own: Sequence[int], start: int) -> int:
-        """Return the index of the first message after ``start`` that does more than bring measurements."""
-        after = start + 1
-        rest = slice(after, None)
-        received_ns = arrivals.received_ns[rest]
-        heartbeats = arrivals.heartbeats[np.searchsorted(arrivals.heartbeats, after) :] - after
-        quiet = min(
-            self._stale.first_silent(received_ns, arrivals.wanted[rest]),
-            self._link.first_due(received_ns, heartbeats),
-            self._first_desk_due(int(arrivals.received_ns[start]), received_ns),
-        )
-        ends: list[int] = [after + quiet, *own[bisect_left(own, after) :][:1]]
-        ends += arrivals.phases[np.searchsorted(arrivals.phases, after) :][:1].tolist()
-        return min(ends)
-
-    def _first_desk_due(self, start_ns: int, received_ns: NDArray[np.int64]) -> int:
-        """Return the index of the first message at which shelving or a flood may end, else the number of messages."""
+    def _run_segment(self, arrivals: Arrivals, start: int, start_ns: int, outputs: list[Estimates | AlarmEvent]) -> int:
+        """Process messages that only bring measurements, after what the first of them changed; return their end."""
         # A flood that begins in the segment lasts for flood_s.
-        until_ns = start_ns + round(self._desk.rule.flood_s * 1e9)
-        if (due_ns := self._desk.due_ns) is not None:
-            until_ns = min(until_ns, due_ns)
-        if not len(received_ns) or int(received_ns.max()) < until_ns:
-            return len(received_ns)
-        return int(np.argmax(received_ns >= until_ns))
-
-    def _run_segment(
-        self, batch: Batch, arrivals: Arrivals, start: int, stop: int, outputs: list[Estimates | AlarmEvent]
-    ) -> None:
-        """Process messages that only bring measurements, after what the first of them changed."""
+        flood_ns = start_ns + round(self._desk.rule.flood_s * 1e9)
+        shelved_ns = self._desk.due_ns
+        segment = arrivals.segment(
+            start,
+            min(flood_ns, self._link.due_ns, flood_ns if shelved_ns is None else shelved_ns),
+            self._stale.carried_ns,
+            self._stale.limit_ns,
+            self._link.heartbeat_ns,
+            HEARTBEAT_NS,
+            self._link.awaits_heartbeat,
+        )
         before_ns = self._clock.newest_ns
         for chain in self._chains:
             chain.enter(self._phase)
-        segment = batch if stop - start == batch.count else cut(batch, start, stop)
-        taken = sample_batch(self._clock, [chain.sampler for chain in self._chains], segment)
-        self._follow_arrivals(arrivals, start, stop, np.concatenate(((before_ns,), taken.newest_ns)))
+        taken = sample_batch(
+            self._clock, [chain.sampler for chain in self._chains], cut(arrivals.batch, start, segment.stop)
+        )
+        # Its newest time before a message is the one after the message before.
+        if segment.carrier >= 0:
+            at = segment.carrier - start
+            self._stale.pass_over(segment.carried_ns, int(taken.newest_ns[at - 1]) if at else before_ns)
+        last = segment.stop - start - 1
+        self._link.pass_over(segment.heartbeat_ns, int(taken.newest_ns[last - 1]) if last else before_ns)
         runs = [
             chain.run(samples, position, self._phase)
             for chain, samples, position in zip(self._chains, taken.samples, taken.position, strict=True)
         ]
         outputs.extend(run.estimates for run in runs if len(run.estimates))
         outputs.extend(self._through_desk(alarm_events(runs, self._excuses)))
-
-    def _follow_arrivals(self, arrivals: Arrivals, start: int, stop: int, newest_ns: NDArray[np.int64]) -> None:
-        """Let the alarms of silence and of heartbeats follow a segment in which they have nothing to say.
-
-        ``newest_ns`` is the vehicle's newest time before each message of the segment, and after the last.
-        """
-        carriers = np.flatnonzero(arrivals.wanted[start:stop])
-        if len(carriers):
-            latest_ns = int(arrivals.received_ns[start:stop][carriers].max())
-            self._stale.pass_over(latest_ns, int(newest_ns[carriers[-1]]))
-        first, last = np.searchsorted(arrivals.heartbeats, (start, stop))
-        beat_ns = int(arrivals.received_ns[arrivals.heartbeats[last - 1]]) if last > first else None
-        self._link.pass_over(beat_ns, int(newest_ns[stop - start - 1]))
+        return segment.stop
 
     def _run_own(self, message: Message) -> list[AlarmEvent]:
         """Process a message that is no telemetry."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, Columns
+from adapters.batch import Batch, Columns, RecordFields
 from adapters.mavlink.mavlink_message import (
     MAGIC_1,
     MAX_PACKET_BYTES,
@@ -212,9 +212,7 @@ def columns(
     content : bytes | NDArray[np.uint8]
         Their payloads, each as long as the definition has it, one after the other.
     """
-    layout = payload_layout(kind)
-    record = np.frombuffer(content, layout)
-    fields = {name: np.ascontiguousarray(record[name]) for name in kind.table.fieldnames}
+    fields = RecordFields(np.frombuffer(content, payload_layout(kind)))
     return Columns(MAVLINK, kind.name, *sender, position, received_ns, fields)
 
 

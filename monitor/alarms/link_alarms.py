@@ -7,11 +7,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
-from adapters.message import Message
+from adapters.message import LATEST_NS, Message
 from adapters.source import LINK, MAVLINK
 from monitor.event import UNNUMBERED, AlarmEvent, Kind, Severity, State, fixed_rule_event
 
@@ -22,7 +19,7 @@ TELEMETRY = "telemetry"
 
 _QUIET_NS = 10_000_000_000
 """Time without a wrong signature after which an attack is over; chosen, as long as the heartbeat's."""
-_HEARTBEAT_NS = 10_000_000_000
+HEARTBEAT_NS = 10_000_000_000
 """Ten heartbeats at MAVLink's rate of one a second. A link that loses 10 % at random misses ten in a row once in 350
 years, one that loses 30 % once in three days."""
 _MOST_PACKETS = 1 << 62
@@ -60,37 +57,30 @@ class LinkAlarms:
                 self._heartbeat_ns = now_ns
                 if HEARTBEAT in self._active:
                     events.append(self._clear(HEARTBEAT, now_ns, "the autopilot's heartbeat is back"))
-            elif HEARTBEAT not in self._active and now_ns - (self._heartbeat_ns or now_ns) >= _HEARTBEAT_NS:
+            elif HEARTBEAT not in self._active and now_ns - (self._heartbeat_ns or now_ns) >= HEARTBEAT_NS:
                 text = "no heartbeat of the autopilot for 10 s while other telemetry goes on"
                 events.append(self._raise(HEARTBEAT, "stale", "warning", now_ns, None, "s", text))
         return events
 
-    def first_due(self, received_ns: NDArray[np.int64], heartbeats: NDArray[np.intp]) -> int:
-        """Return the index of the first message that may cause an event here, the number of messages if there is none.
+    @property
+    def heartbeat_ns(self) -> int:
+        """When the autopilot's last heartbeat came; 0 while there was none."""
+        return self._heartbeat_ns or 0
 
-        Messages arrive at ``received_ns`` (m,); ``heartbeats`` are the indices of the autopilot's among them,
-        ascending.
-        """
-        count = len(received_ns)
-        first = count
-        if SIGNING in self._active:
-            first = _first(received_ns - self._attacked_ns >= _QUIET_NS)
-        if HEARTBEAT in self._active:
-            return min(first, int(heartbeats[0])) if len(heartbeats) else first
-        beats = received_ns[heartbeats]
-        latest_ns = int(received_ns.max()) if count else 0
-        oldest_ns = min([*([self._heartbeat_ns] if self._heartbeat_ns else []), *beats.tolist()], default=latest_ns)
-        if latest_ns - oldest_ns < _HEARTBEAT_NS:
-            return first
-        known_ns = np.concatenate(([self._heartbeat_ns or 0], beats))
-        before_ns = known_ns[np.searchsorted(heartbeats, np.arange(count), side="right")]
-        return min(first, _first((before_ns > 0) & (received_ns - before_ns >= _HEARTBEAT_NS)))
+    @property
+    def awaits_heartbeat(self) -> bool:
+        """Whether the alarm of missing heartbeats is active."""
+        return HEARTBEAT in self._active
 
-    def pass_over(self, heartbeat_ns: int | None, vehicle_ns: int) -> None:
-        """Follow messages that cause nothing: their newest heartbeat, the vehicle's time at the last of them."""
+    @property
+    def due_ns(self) -> int:
+        """Unix time from which any message may cause an event here."""
+        return self._attacked_ns + _QUIET_NS if SIGNING in self._active else LATEST_NS
+
+    def pass_over(self, heartbeat_ns: int, vehicle_ns: int) -> None:
+        """Follow messages that cause nothing: the newest heartbeat, the vehicle's time at the last of them."""
         self._vehicle_ms = vehicle_ns // 1_000_000
-        if heartbeat_ns is not None:
-            self._heartbeat_ns = heartbeat_ns
+        self._heartbeat_ns = heartbeat_ns or self._heartbeat_ns
 
     def quiet(self, now_ns: int) -> list[AlarmEvent]:
         """Let Unix time come to ``now_ns``; return the events that this causes."""
@@ -145,7 +135,7 @@ class LinkAlarms:
             severity=severity,
             estimate=size,
             unit=unit,
-            threshold=1.0 if channel == SIGNING else _HEARTBEAT_NS / 1e9,
+            threshold=1.0 if channel == SIGNING else HEARTBEAT_NS / 1e9,
             time_ns=now_ns,
             vehicle_time_ms=self._vehicle_ms,
             message=text,
@@ -175,11 +165,6 @@ class LinkAlarms:
         return event
 
 
-def _first(due: NDArray[np.bool_]) -> int:
-    """Return the first index that is due, the number of them where none is."""
-    return int(np.argmax(due)) if due.any() else len(due)
-
-
 def _count(value: object) -> int:
     """Return a count as a recording may hold it: whole, and no larger than any link counts to."""
     return min(value, _MOST_PACKETS) if isinstance(value, int) and not isinstance(value, bool) and value > 0 else 0
@@ -190,11 +175,16 @@ class StaleAlarm:
 
     The alarm is raised ``stale_s`` seconds after the last message that carried a channel, and cleared by the next one;
     a replay finds the same two moments in the recording.
+
+    Attributes
+    ----------
+    limit_ns : int
+        ``stale_s`` in nanoseconds.
     """
 
     def __init__(self, vehicle: str, stale_s: float) -> None:
         self._vehicle = vehicle
-        self._limit_ns = round(stale_s * 1e9)
+        self.limit_ns = round(stale_s * 1e9)
         self._carried_ns: int | None = None
         self._vehicle_ns = 0
         self._since_ns: int | None = None
@@ -203,6 +193,11 @@ class StaleAlarm:
     def active(self) -> bool:
         """Whether telemetry is stale."""
         return self._since_ns is not None
+
+    @property
+    def carried_ns(self) -> int | None:
+        """When a channel was carried last; None before the first time and while telemetry is stale."""
+        return None if self.active else self._carried_ns
 
     def follow(self, received_ns: int, vehicle_ns: int) -> list[AlarmEvent]:
         """Process a message that carries a channel; return the events that a silence before it and its end cause.
@@ -220,32 +215,17 @@ class StaleAlarm:
 
     def silence(self, now_ns: int) -> list[AlarmEvent]:
         """Let Unix time come to ``now_ns``; return the event of telemetry going stale, once."""
-        if self._since_ns is not None or self._carried_ns is None or now_ns - self._carried_ns < self._limit_ns:
+        if self._since_ns is not None or self._carried_ns is None or now_ns - self._carried_ns < self.limit_ns:
             return []
-        self._since_ns = self._carried_ns + self._limit_ns
+        self._since_ns = self._carried_ns + self.limit_ns
         return [
             self._event(
                 "raised",
                 self._since_ns,
-                self._vehicle_ns + self._limit_ns,
-                f"no telemetry for {self._limit_ns / 1e9:g} s: nothing is being watched",
+                self._vehicle_ns + self.limit_ns,
+                f"no telemetry for {self.limit_ns / 1e9:g} s: nothing is being watched",
             )
         ]
-
-    def first_silent(self, received_ns: NDArray[np.int64], wanted: NDArray[np.bool_]) -> int:
-        """Return the index of the first message that may cause an event here, the number of messages if there is none.
-
-        Messages arrive at ``received_ns`` (m,); those ``wanted`` carry a channel (m,).
-        """
-        count = len(received_ns)
-        if self._since_ns is not None or self._carried_ns is None or not count:
-            return 0
-        if int(received_ns.max()) - self._carried_ns < self._limit_ns:
-            return count
-        carried_ns = np.maximum.accumulate(np.where(wanted, received_ns, self._carried_ns))
-        before_ns = np.concatenate(([self._carried_ns], np.maximum(carried_ns[:-1], self._carried_ns)))
-        silent = received_ns - before_ns >= self._limit_ns
-        return int(np.argmax(silent)) if silent.any() else count
 
     def pass_over(self, received_ns: int, vehicle_ns: int) -> None:
         """Follow messages without a silence: the newest with a channel, the vehicle's time at the last of them."""
@@ -256,7 +236,7 @@ class StaleAlarm:
         """Go on from an event that another run of the monitor, or another monitor, made."""
         self._since_ns = None if event.state == "cleared" else event.since_ns
         if self._carried_ns is None:
-            self._carried_ns = event.since_ns - self._limit_ns
+            self._carried_ns = event.since_ns - self.limit_ns
 
     def _event(self, state: State, time_ns: int, vehicle_ns: int, message: str) -> AlarmEvent:
         return fixed_rule_event(
@@ -266,7 +246,7 @@ class StaleAlarm:
             kind="stale",
             state=state,
             unit="s",
-            threshold=self._limit_ns / 1e9,
+            threshold=self.limit_ns / 1e9,
             time_ns=time_ns,
             vehicle_time_ms=vehicle_ns // 1_000_000,
             since_ns=self._since_ns,

@@ -1,0 +1,274 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+"""The messages of a batch that matter to a vehicle's pipeline, in the order of arrival, and how far a segment reaches.
+
+A segment is what a pipeline works through at once: a message, and those after it that only bring measurements.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from adapters.batch import Batch, Columns, one_message
+from adapters.mavlink.heartbeat import is_autopilot_heartbeat
+from adapters.message import Message
+from monitor.sampling.phase import FlightPhase
+
+from cpython.buffer cimport PyBUF_STRIDES, Py_buffer, PyBuffer_Release, PyObject_GetBuffer
+from cpython.mem cimport PyMem_Calloc, PyMem_Free
+from libc.stdint cimport int64_t
+from libc.string cimport memcpy
+
+cdef enum:
+    # What a message is: it carries a channel; an autopilot's heartbeat; one that begins a segment.
+    CARRIES = 1
+    HEARTBEAT = 2
+    BEGINS = 4
+
+cdef struct Arrival:
+    int64_t received
+    int owner
+    char marks
+
+
+cdef class Arrivals:
+    """The messages that matter, and what is known of each.
+
+    Parameters
+    ----------
+    batch : Batch
+        Messages of any sender.
+    names : Collection[str]
+        Names of the messages that matter.
+    wanted : Collection[str]
+        Those among them that carry a channel.
+    system, component : int
+        MAVLink ids of the vehicle; component 0: any.
+    phase : FlightPhase
+        The flight phase before the batch.
+
+    Attributes
+    ----------
+    batch : Batch
+        The messages that matter, counted anew.
+    foreign : int
+        Messages of other senders.
+    """
+
+    cdef readonly object batch
+    cdef readonly Py_ssize_t foreign
+    cdef Py_ssize_t _count
+    cdef Arrival* _arrivals
+    cdef list _owners
+    cdef dict _reports
+
+    def __init__(self, batch, names, wanted, int system, int component, phase):
+        cdef Py_ssize_t count = batch.count, i, kept = 0
+        self.batch, self._count = batch, count
+        self._owners, self._reports = [], {}
+        self._arrivals = <Arrival*>PyMem_Calloc(count + 1, sizeof(Arrival))
+        if self._arrivals == NULL:
+            raise MemoryError
+        for i in range(count):
+            self._arrivals[i].owner = -1
+        for columns in batch.columns:
+            if not _is_of(columns, system, component):
+                self.foreign += len(columns.position)
+            elif columns.name in names:
+                self._add_columns(columns, columns.name in wanted)
+        for i, message in batch.others.items():
+            if not _is_of(message, system, component):
+                self.foreign += 1
+            elif message.name in names:
+                self._add(i, message.received_ns, message.name in wanted)
+                self._owners.append(message)
+                if not message.source.is_telemetry:
+                    self._arrivals[i].marks |= BEGINS
+                elif message.name in FlightPhase.interests:
+                    self._reports[i] = message
+        self._mark_reports(phase)
+        for i in range(count):
+            kept += self._arrivals[i].owner >= 0
+        if kept < count:
+            self._close_up(kept)
+
+    def __dealloc__(self):
+        PyMem_Free(self._arrivals)
+
+    def __len__(self):
+        return self._count
+
+    cdef int _add(self, Py_ssize_t i, int64_t received, bint carries) except -1:
+        if not 0 <= i < self._count:
+            raise IndexError("a message lies outside of its batch")
+        self._arrivals[i] = Arrival(received, <int>len(self._owners), CARRIES if carries else 0)
+        return 0
+
+    cdef int _add_columns(self, columns, bint carries) except -1:
+        cdef Py_buffer position, received
+        cdef Py_ssize_t row, i
+        cdef bint reports = columns.name in FlightPhase.interests
+        PyObject_GetBuffer(columns.position, &position, PyBUF_STRIDES)
+        try:
+            PyObject_GetBuffer(columns.received_ns, &received, PyBUF_STRIDES)
+            try:
+                for row in range(position.shape[0]):
+                    i = _whole(&position, row)
+                    self._add(i, _whole(&received, row), carries)
+                    if reports:
+                        self._reports[i] = one_message(columns, row)
+            finally:
+                PyBuffer_Release(&received)
+        finally:
+            PyBuffer_Release(&position)
+        self._owners.append(columns)
+        return 0
+
+    cdef int _mark_reports(self, phase) except -1:
+        """Mark heartbeats, and the messages that say something new about the flight phase."""
+        if not self._reports:
+            return 0
+        follower = phase.copy()
+        for i in sorted(self._reports):
+            message = self._reports[i]
+            if is_autopilot_heartbeat(message):
+                self._arrivals[<Py_ssize_t>i].marks |= HEARTBEAT
+            before = follower.copy()
+            follower.feed(message)
+            if follower != before:
+                self._arrivals[<Py_ssize_t>i].marks |= BEGINS
+        return 0
+
+    cdef int _close_up(self, Py_ssize_t kept) except -1:
+        """Number the messages that matter without the others between them."""
+        cdef Py_ssize_t i, k = 0, first = 0
+        cdef Py_ssize_t[::1] ends
+        cdef int64_t[::1] places
+        position, others, reports = np.empty(kept, np.int64), {}, {}
+        ends, places = np.zeros(len(self._owners) + 1, np.intp), position
+        for i in range(self._count):
+            if self._arrivals[i].owner >= 0:
+                ends[self._arrivals[i].owner + 1] += 1
+        for i in range(ends.shape[0] - 1):
+            ends[i + 1] += ends[i]
+        for i in range(self._count):
+            if self._arrivals[i].owner < 0:
+                continue
+            places[ends[self._arrivals[i].owner]] = k
+            ends[self._arrivals[i].owner] += 1
+            if i in self._reports:
+                reports[k] = self._reports[i]
+            self._arrivals[k] = self._arrivals[i]
+            k += 1
+        columns = []
+        for i, owner in enumerate(self._owners):
+            if isinstance(owner, Columns):
+                here = position[first : ends[i]]
+                ids = owner.system, owner.component
+                columns.append(Columns(owner.source, owner.name, *ids, here, owner.received_ns, owner.fields))
+            else:
+                others[int(places[first])] = owner
+            first = ends[i]
+        self._count, self._reports = kept, reports
+        self.batch = Batch(kept, tuple(columns), others)
+        return 0
+
+    def message(self, Py_ssize_t i):
+        """Return a message; one of columns without its fields where it says nothing of the flight phase."""
+        cdef Arrival* arrival = self._arrivals + i
+        owner = self._owners[arrival.owner]
+        if isinstance(owner, Message):
+            return owner
+        report = self._reports.get(i)
+        if report is None:
+            return Message(owner.source, owner.name, arrival.received, {}, owner.system, owner.component)
+        return report
+
+    def segment(
+        self,
+        Py_ssize_t start,
+        int64_t due_ns,
+        carried_ns,
+        int64_t silent_ns,
+        int64_t heartbeat_ns,
+        int64_t without_heartbeat_ns,
+        bint awaits_heartbeat,
+    ):
+        """Return how far the segment that a message begins reaches.
+
+        It ends before the next message that does more than bring measurements: one from which something follows by its
+        kind, by its time, or by the silence before it.
+
+        Parameters
+        ----------
+        start : int
+            Index of the message, which was processed already.
+        due_ns : int
+            Time from which a message does more.
+        carried_ns : int | None
+            When a channel was carried last; None: each message does more.
+        silent_ns : int
+            Time without a channel after which a message does more.
+        heartbeat_ns, without_heartbeat_ns : int
+            When the last heartbeat came (0: none), and the time without one after which a message does more.
+        awaits_heartbeat : bool
+            Whether a heartbeat does more.
+        """
+        cdef int64_t carried = 0 if carried_ns is None else carried_ns
+        cdef Py_ssize_t stop = start + 1, carrier = start if self._arrivals[start].marks & CARRIES else -1
+        cdef Arrival* arrival
+        while carried_ns is not None and stop < self._count:
+            arrival = self._arrivals + stop
+            if arrival.marks & BEGINS or arrival.received >= due_ns or arrival.received - carried >= silent_ns:
+                break
+            if awaits_heartbeat:
+                if arrival.marks & HEARTBEAT:
+                    break
+            elif arrival.marks & HEARTBEAT:
+                heartbeat_ns = arrival.received
+            elif heartbeat_ns and arrival.received - heartbeat_ns >= without_heartbeat_ns:
+                break
+            if arrival.marks & CARRIES:
+                carried = max(carried, arrival.received)
+                carrier = stop
+            stop += 1
+        return Segment(stop, carried, carrier, heartbeat_ns)
+
+
+class Segment(NamedTuple):
+    """How far a segment reaches, and what is known at its end.
+
+    Parameters
+    ----------
+    stop : int
+        Index of the first message behind it.
+    carried_ns : int
+        When a channel was carried last.
+    carrier : int
+        Index of the last message that carries one; -1 where none of the segment does.
+    heartbeat_ns : int
+        When the last heartbeat came; 0: none.
+    """
+
+    stop: int
+    carried_ns: int
+    carrier: int
+    heartbeat_ns: int
+
+
+cdef bint _is_of(entry, int system, int component):
+    """Return whether a message (or columns) comes from the vehicle."""
+    source = entry.source
+    if not source.has_ids:
+        return True
+    if entry.system != system:
+        return False
+    return not source.is_telemetry or component in (0, entry.component)
+
+
+cdef int64_t _whole(const Py_buffer* column, Py_ssize_t row) except? -1:
+    """Return a number of a column of int64."""
+    cdef int64_t number
+    if column.itemsize != sizeof(int64_t):
+        raise TypeError("positions and times of arrival have to be columns of int64")
+    memcpy(&number, <const char*>column.buf + row * column.strides[0], sizeof(int64_t))
+    return number
