@@ -11,6 +11,7 @@
         ├── InfeasibleError       no design of the asked kind exists; the command line returns 3
         │   └── InaccurateError   a solver's answer that no certificate confirms
         ├── TelemetryError        a link or a recording
+        │   └── OtherVehicleError     telemetry of another vehicle than the one that is meant
         ├── PayloadError          one received message; the receiver counts it and goes on
         │   └── UndefinedTypeError    a message of a type whose definition is not known here
         └── StorageError          a place to write to: a journal, a folder of recordings, an output
@@ -84,6 +85,10 @@ class InaccurateError(InfeasibleError):
 
 class TelemetryError(FauioError):
     """A link or a recording that cannot be used, or that lacks the messages that are needed."""
+
+
+class OtherVehicleError(TelemetryError):
+    """Telemetry that says it is of another vehicle than the profile, or than the kind that was asked for."""
 
 
 class PayloadError(FauioError):

@@ -66,6 +66,9 @@ def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     run.add_argument("--config", type=Path, metavar="FILE.toml", help="configuration; options given here override it")
     run.add_argument("--vehicle", metavar="NAME", help="name in topics (default: the profile's)")
     _add_endpoints(run)
+    run.add_argument(
+        "--force", action="store_true", help="watch also a vehicle that says it is another than the profile's"
+    )
     run.add_argument("--prefix", metavar="KEY", help="what the keys begin with (fauio)")
     run.add_argument("--record", type=Path, metavar="OUT.mcap", help="record telemetry, estimates and alarms")
     run.add_argument(
@@ -146,5 +149,7 @@ def run_run(args: argparse.Namespace) -> int:
     given = _given(args, names)
     if args.rerun is not None:
         given["rerun"] = {"mode": args.rerun}
+    if args.force:
+        given["force"] = True
     read = functools.partial(read_config, args.config, given)
-    return run_live(read(), read, as_json=args.json)
+    return run_live(read(), read, as_json=args.json, refuse=args.config is None)

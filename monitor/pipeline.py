@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from adapters.batch import Batch, Columns, cut
-from adapters.mavlink.heartbeat import vehicle_type
 from adapters.message import SILENCE, Message
 from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR
 from monitor.alarms import link_alarms
@@ -32,6 +31,7 @@ from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent, is_seq, valid_event
 from monitor.profile import Profile
+from monitor.sampling.identity import Identity
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import SamplerStatistics
 
@@ -59,15 +59,23 @@ class Pipeline:
         MAVLink system id to monitor, None takes the profile's; 0: the first that sends the profile's channels.
     component : int
         MAVLink component of that system to listen to; 0: any.
+    force : bool
+        Whether to watch also a vehicle that says it is another than the profile's.
     """
 
     def __init__(
-        self, profile: Profile, vehicle: str | None = None, system: int | None = None, component: int = AUTOPILOT
+        self,
+        profile: Profile,
+        vehicle: str | None = None,
+        system: int | None = None,
+        component: int = AUTOPILOT,
+        *,
+        force: bool = False,
     ) -> None:
         self.vehicle = vehicle or profile.name
         self.profile = profile
         self._clock = VehicleClock()
-        self._phase = FlightPhase()
+        self._phase = FlightPhase(None if force else profile.identity)
         self._excuses = Excuses(profile.excuses)
         self._chains = [
             ObserverChain(observer, self.vehicle, profile.gate, self._clock, self._excuses)
@@ -128,10 +136,17 @@ class Pipeline:
     @property
     def mismatch(self) -> str | None:
         """What says that the vehicle is another than the profile's; None where nothing does."""
-        found, fitted = vehicle_type(self._phase.vehicle_type), self.profile.vehicle_type
-        if not found or not fitted or found == fitted:
-            return None
-        return f"another vehicle than the profile's: it says it is a {found}, the profile was fitted to a {fitted}"
+        return self._phase.reports.identity.contradiction(self.profile.identity)
+
+    @property
+    def identified(self) -> bool:
+        """Whether the vehicle has said anything of what it is."""
+        return self._phase.reports.identity != Identity()
+
+    @property
+    def refused(self) -> str | None:
+        """Why the vehicle is not watched: what of :attr:`mismatch` nobody has forced."""
+        return self._phase.contradiction
 
     @property
     def desk(self) -> AlarmDesk:

@@ -32,6 +32,7 @@ from monitor.estimation.isolation_rule import (
     read_isolation,
 )
 from monitor.sampling.gate import GateRule, read_gate
+from monitor.sampling.identity import Identity
 from monitor.sampling.transform import SampleSource, TransformRule, make_transform
 
 
@@ -159,8 +160,8 @@ class Profile:
         Contents of the profile's files, by name, for recordings.
     digest : str
         SHA-256 over those files.
-    vehicle_type : str
-        HEARTBEAT.type of the fitted recordings (``quadrotor``, ``fixed wing``); empty where that is not known.
+    identity : Identity
+        Which vehicle the fitted recordings are of, as far as they say so.
     """
 
     name: str
@@ -172,7 +173,7 @@ class Profile:
     excuses: tuple[ExcuseRule, ...]
     files: Mapping[str, bytes]
     digest: str
-    vehicle_type: str = ""
+    identity: Identity = field(default_factory=Identity)
 
 
 def read_profile(folder: str | Path) -> Profile:
@@ -210,7 +211,12 @@ def read_profile(folder: str | Path) -> Profile:
         excuses=read_excuses(root.tables("excuses"), [rule.channel for one in observers for rule in one.alarms]),
         files=files,
         digest=_digest(files),
-        vehicle_type=root.text("vehicle_type", ""),
+        identity=Identity(
+            vehicle_type=root.text("vehicle_type", ""),
+            autopilot=root.text("autopilot", ""),
+            frame=root.text("frame", ""),
+            motors=root.integer("motors", 0, at_least=0),
+        ),
     )
     root.done()
     file.check()
@@ -268,7 +274,7 @@ def profile_table(
     vehicle: str,
     gate: GateRule,
     observers: Mapping[str, dict[str, Any]],
-    vehicle_type: str = "",
+    identity: Identity = Identity(),  # noqa: B008 - frozen
     system: int = 0,
     excuses: Sequence[ExcuseRule] = (),
 ) -> dict[str, Any]:
@@ -277,7 +283,7 @@ def profile_table(
         "format": FORMAT,
         "name": name,
         "vehicle": vehicle,
-        **({"vehicle_type": vehicle_type} if vehicle_type else {}),
+        **identity.table(),
         "system": system,
         "stale_s": 2.0,
         "phase": asdict(gate),

@@ -16,7 +16,6 @@ from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.event import AlarmEvent
-from monitor.fitting.survey import of_one_vehicle
 from monitor.profile import Profile, read_profile
 from monitor.vehicles.custom.fit import custom_messages
 from monitor.vehicles.kinds import fit_messages
@@ -32,6 +31,7 @@ def replay(
     record: str | os.PathLike[str] | None = None,
     keep_traces: bool = False,
     on_event: Callable[[AlarmEvent], None] | None = None,
+    force: bool = False,
 ) -> Replay:
     """Look for faults in a recording.
 
@@ -52,11 +52,13 @@ def replay(
         Whether to keep all estimates, as :attr:`Replay.traces`.
     on_event : Callable[[AlarmEvent], None] | None
         Called with each alarm event as it arises.
+    force : bool
+        Whether to go on where the vehicle says it is another than the profile's.
 
     Raises
     ------
     ProfileError, TelemetryError
-        The profile or the recording cannot be used.
+        The profile or the recording cannot be used, or the recording says it is of another vehicle.
 
     Examples
     --------
@@ -72,7 +74,9 @@ def replay(
     else:
         batches = recording
     target = None if record is None else Path(record)
-    return play_batches(used, batches, vehicle=vehicle, record=target, keep_traces=keep_traces, on_event=on_event)
+    return play_batches(
+        used, batches, vehicle=vehicle, record=target, keep_traces=keep_traces, on_event=on_event, force=force
+    )
 
 
 def fit(
@@ -82,6 +86,7 @@ def fit(
     *,
     name: str | None = None,
     model: str | os.PathLike[str] | None = None,
+    force: bool = False,
 ) -> FitReport:
     """Learn a vehicle from recordings of healthy flights and write its profile, as ``fauio fit`` does.
 
@@ -99,6 +104,8 @@ def fit(
         Name of the profile; None takes the folder's.
     model : str | PathLike | None
         Plant model with free parameters; for ``custom``, and for no other kind.
+    force : bool
+        Whether to go on where a recording says it is of another kind of vehicle, or of another vehicle than the first.
 
     Raises
     ------
@@ -112,13 +119,10 @@ def fit(
     own_model = None if model is None else Path(model)
     wanted = fit_messages() if own_model is None else custom_messages(own_model)
 
-    def log(path: str | os.PathLike[str]) -> Iterable[Batch]:
-        recording = Recording(path, wanted)
-        batches = recording.batches()
-        return batches if own_model is not None else of_one_vehicle(batches)
-
-    logs = [lambda path=path: log(path) for path in recordings]
-    return fit_profile(kind, logs, Path(folder), name or Path(folder).resolve().name, own_model)
+    logs = [lambda path=path: Recording(path, wanted).batches() for path in recordings]
+    called = name or Path(folder).resolve().name
+    names = [os.fspath(path) for path in recordings]
+    return fit_profile(kind, logs, Path(folder), called, own_model, log_names=names, force=force)
 
 
 def check(model: Plant | str | os.PathLike[str], rate_hz: float | None = None) -> Check:

@@ -62,6 +62,11 @@ def _add_fit(subparsers: Any) -> None:
     parser.add_argument("-o", "--out", required=True, type=Path, metavar="PROFILE", help="profile folder to write")
     parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=MAPPING_HELP)
     parser.add_argument("--name", metavar="NAME", help="name of the vehicle in topics (default: the folder's name)")
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="go on where a log says it is of another kind of vehicle, or of another vehicle than the first",
+    )
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
     parser.set_defaults(handler=run_fit)
 
@@ -104,7 +109,6 @@ def run_fit(args: argparse.Namespace) -> int:
     from adapters.errors import InfeasibleError, ModelError, TelemetryError
     from adapters.logs.recordings import Recording, recording_kind
     from monitor.fitting.progress import track
-    from monitor.fitting.survey import of_one_vehicle
     from monitor.profile import PROFILE_FILE
     from monitor.vehicles.custom.fit import custom_messages
     from replay.fit import fit_profile
@@ -120,13 +124,14 @@ def run_fit(args: argparse.Namespace) -> int:
     def log(path: Path) -> Iterator[Batch]:
         recording = Recording(path, wanted, args.mapping)
         batches = track(recording.batches(), f"reading {path.name}", weigh=lambda batch: batch.count)
-        yield from batches if args.model else of_one_vehicle(batches)
+        yield from batches
         damage[path] = recording.damage()
 
     damage: dict[Path, tuple[Damage, ...]] = {}
     logs = [lambda path=path: log(path) for path in args.logs]
     try:
-        report = fit_profile(args.vehicle, logs, args.out, name, args.model)
+        names = [str(path) for path in args.logs]
+        report = fit_profile(args.vehicle, logs, args.out, name, args.model, log_names=names, force=args.force)
     except (TelemetryError, ModelError, InfeasibleError) as error:
         raise type(error)(_about_logs(str(error), args.logs, args.model)) from error
     found = _warn(one for path in args.logs for one in damage.get(path, ()))

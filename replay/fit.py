@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
-from adapters.errors import InfeasibleError, ModelError, TelemetryError, UsageError
+from adapters.batch import Batch
+from adapters.errors import InfeasibleError, ModelError, OtherVehicleError, TelemetryError, UsageError
 from adapters.output_file import write_file
 from monitor.fitting.fit_report import draw_comparison
 from monitor.fitting.fitted import BatchSource, FitRequest, Fitted
-from monitor.fitting.survey import Survey, survey
+from monitor.fitting.flights import phase_reports
+from monitor.fitting.survey import Survey, of_one_vehicle, survey
 from monitor.profile import PROFILE_FILE, Profile, profile_table
 from monitor.sampling.gate import GateRule
+from monitor.sampling.identity import Identity, Reports, common_identity
 from monitor.sampling.slow_telemetry import slow_messages, slow_text
-from monitor.vehicles.base import VehicleKind, load
+from monitor.vehicles.base import VehicleKind, likely_kinds, load
 from monitor.vehicles.inertial.fit import fit_inertial
-from monitor.vehicles.kinds import kind_named
+from monitor.vehicles.kinds import KINDS, kind_named
 from replay.sensitivity.capability import measure_capability
 
 _NEVER_S = 1e6
@@ -68,7 +71,14 @@ class FitReport:
 
 
 def fit_profile(
-    kind: str, logs: Sequence[BatchSource], folder: Path, name: str, model: Path | None = None
+    kind: str,
+    logs: Sequence[BatchSource],
+    folder: Path,
+    name: str,
+    model: Path | None = None,
+    *,
+    log_names: Sequence[str] = (),
+    force: bool = False,
 ) -> FitReport:
     """Write a profile.
 
@@ -84,18 +94,31 @@ def fit_profile(
         Name of the vehicle and its models.
     model : Path | None
         Model file of a custom vehicle.
+    log_names : Sequence[str]
+        What the recordings are called; empty: by their numbers.
+    force : bool
+        Whether to go on where a recording says it is of another kind of vehicle, or of another vehicle than the first.
 
     Raises
     ------
+    OtherVehicleError
+        A recording says so, and nothing forces it.
     TelemetryError, ModelError, InfeasibleError
         The recordings do not hold what is needed, do not excite an axis, or allow no certified design.
     """
     vehicle = kind_named(kind)
     if vehicle.needs_model != (model is not None):
         raise UsageError(f"--vehicle {kind}: {'needs' if model is None else 'takes no'} --model MODEL.toml")
-    surveys = () if vehicle.needs_model else tuple(survey(log()) for log in logs)
+    names = tuple(log_names) or tuple(f"recording {number}" for number in range(1, len(logs) + 1))
+    surveyed: list[SurveyedLog] = []
+    if not vehicle.needs_model:
+        for log, log_name in zip(logs, names, strict=True):
+            surveyed.append(survey_log(log_name, log))
+            if not force:
+                check_vehicle(vehicle, surveyed)
+        logs = [lambda log=log: of_one_vehicle(log()) for log in logs]  # type: ignore[misc]
+    surveys = tuple(one.survey for one in surveyed)
     request = FitRequest(name, logs, surveys, model)
-    vehicle_types = frozenset[str]().union(*(found.vehicle_types for found in surveys))
     own, gate = load(vehicle.fit)(request)
     observers: list[Fitted] = [own]
     notes: list[str] = []
@@ -104,15 +127,71 @@ def fit_profile(
             observers.append(fit_inertial(request, gate))
         except (TelemetryError, ModelError, InfeasibleError) as error:
             notes.append(f"inertial: {error}")
-    warnings = (*_slow(vehicle, surveys, observers), *_of_several(vehicle_types)) if surveys else ()
+    warnings = _slow(vehicle, surveys, observers) if surveys else ()
     measured = tuple(_measured(fitted, request, kind, gate) for fitted in observers)
     report = FitReport(kind, measured, tuple(notes), warnings)
-    [vehicle_type] = vehicle_types if len(vehicle_types) == 1 else ("",)
-    return replace(report, set_aside=write_profile(folder, name, kind, gate, report, vehicle_type))
+    identity = common_identity(one.identity for one in surveyed)
+    return replace(report, set_aside=write_profile(folder, name, kind, gate, report, identity))
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyedLog:
+    """A recording's name, what it holds, and which vehicle it says it is of."""
+
+    name: str
+    survey: Survey
+    identity: Identity
+
+
+def survey_log(name: str, log: BatchSource) -> SurveyedLog:
+    """Go through a recording once, for the vehicle that sends what is fitted."""
+    reports: dict[int, Reports] = {}
+    systems: set[int] = set()
+
+    def followed(batches: Iterable[Batch]) -> Iterator[Batch]:
+        for batch in batches:
+            for _, message in phase_reports(batch):
+                reports[message.system] = reports.get(message.system, Reports()).after(message)
+            yield batch
+
+    def chosen(batches: Iterable[Batch]) -> Iterator[Batch]:
+        for batch in batches:
+            systems.update(columns.system for columns in batch.columns)
+            systems.update(message.system for message in batch.others.values())
+            yield batch
+
+    found = survey(chosen(of_one_vehicle(followed(log()))))
+    # an onboard log's own records have no system
+    said = reports.get(0, Reports()).joined(reports.get(max(systems, default=0), Reports()))
+    return SurveyedLog(name, found, said.identity)
+
+
+def check_vehicle(kind: VehicleKind, surveyed: Sequence[SurveyedLog]) -> None:
+    """Make sure that the last of some recordings is of a kind of vehicle, and of the same vehicle as the others.
+
+    Raises
+    ------
+    OtherVehicleError
+        It says it is not.
+    """
+    last = surveyed[-1]
+    says = last.identity.vehicle_type
+    kinds = [one.name for one in likely_kinds(KINDS, says)]
+    if says and kind.type_words and kind.name not in kinds:
+        mend = "".join(f"fit it with --vehicle {name}, " for name in kinds)
+        raise OtherVehicleError(
+            f"{last.name}: says it is a {says}, which is no {kind.name}; {mend}or go on with --force"
+        )
+    for other in surveyed[:-1]:
+        if (unlike := last.identity.difference(other.identity)) is not None:
+            raise OtherVehicleError(
+                f"{last.name}: says it is {unlike[0]}, {other.name} that it is {unlike[1]}; a profile is of one "
+                "vehicle: fit each from its own recordings, or go on with --force"
+            )
 
 
 def write_profile(
-    folder: Path, name: str, kind: str, gate: GateRule, report: FitReport, vehicle_type: str = ""
+    folder: Path, name: str, kind: str, gate: GateRule, report: FitReport, identity: Identity
 ) -> Path | None:
     """Write what was fitted as a profile folder; return where another profile.toml went that stood there."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -122,9 +201,7 @@ def write_profile(
     known = {found.rule.channel for fitted in report.observers for found in fitted.alarms}
     rules = (rule for fitted in report.observers for rule in fitted.excuses)
     excuses = [rule for rule in rules if known.issuperset((*rule.channels, *rule.by))]
-    content = profile_table(
-        name=name, vehicle=kind, vehicle_type=vehicle_type, gate=gate, observers=tables, excuses=excuses
-    )
+    content = profile_table(name=name, vehicle=kind, identity=identity, gate=gate, observers=tables, excuses=excuses)
     set_aside = replace_kept(folder / PROFILE_FILE, tomli_w.dumps(content, multiline_strings=False))
     write_file(folder / "fit.json", json.dumps(report.to_json(), indent=1) + "\n")
     write_file(folder / "fit.txt", "\n".join([f"{name} ({kind})", *report.text(details=True)]) + "\n")
@@ -148,13 +225,6 @@ def _slow(kind: VehicleKind, surveys: Sequence[Survey], observers: Sequence[Fitt
     messages = {channel.message for fitted in observers for channel in fitted.source.channels}
     slow = slow_messages([found.rate_hz for found in surveys], messages, kind.wanted_hz)
     return (slow_text(slow, kind.wanted_hz),) if slow else ()
-
-
-def _of_several(vehicle_types: frozenset[str]) -> tuple[str, ...]:
-    if len(vehicle_types) < 2:
-        return ()
-    told = ", ".join(sorted(vehicle_types))
-    return (f"recordings of different vehicles ({told}): a profile is of one; fit each from its own recordings",)
 
 
 def _measured(fitted: Fitted, request: FitRequest, kind: str, gate: GateRule) -> Fitted:

@@ -12,6 +12,7 @@ import numpy as np
 
 from adapters.batch import Batch, cut, one_message, pack
 from adapters.batch import messages as messages_of
+from adapters.errors import OtherVehicleError
 from adapters.logs.recordings import packed
 from adapters.message import Message
 from monitor.estimate import Estimates
@@ -97,6 +98,7 @@ def play_batches(
     record: Path | None = None,
     keep_traces: bool = False,
     on_event: Callable[[AlarmEvent], None] | None = None,
+    force: bool = False,
 ) -> Replay:
     """Run a recording through the pipeline.
 
@@ -114,8 +116,15 @@ def play_batches(
         Whether to keep the estimates for plots.
     on_event : Callable[[AlarmEvent], None] | None
         Called with each event as it arises.
+    force : bool
+        Whether to go on where the vehicle says it is another than the profile's.
+
+    Raises
+    ------
+    OtherVehicleError
+        It says so, and nothing forces it; no file is left of ``record``.
     """
-    pipeline = Pipeline(profile, vehicle)
+    pipeline = Pipeline(profile, vehicle, force=force)
     builders = {layout.observer: TraceBuilder(layout) for layout in pipeline.layouts} if keep_traces else {}
     events: list[AlarmEvent] = []
     count = 0
@@ -130,7 +139,13 @@ def play_batches(
             seen.update(message.name for message in block.others.values())
             if recorder is not None:
                 _record(recorder, pipeline, block)
-            for output in pipeline.run(block):
+            outputs = pipeline.run(block)
+            if pipeline.refused is not None:
+                if record is not None:
+                    stack.pop_all().close()
+                    record.unlink(missing_ok=True)
+                raise OtherVehicleError(f"{pipeline.refused}; take its own profile, or go on with --force")
+            for output in outputs:
                 if isinstance(output, Estimates):
                     samples[output.observer] += len(output)
                     watched[output.observer] += int(np.count_nonzero(output.armed))

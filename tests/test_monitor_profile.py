@@ -57,7 +57,7 @@ def test_the_digest_follows_every_edit(folder: Path) -> None:
         (r"^format = 1", "format = 7", "'format' is not 1"),
         (r"^format = 1", "format = 1\ncolour = 3", "'colour' is not a key"),
         (r"^name = .*", 'name = "a/b"', "'name' is 'a/b'"),
-        (r"^system = 0", 'system = "one"', "profile.toml:5: 'system' is \"one\", which is not a whole number"),
+        (r"^system = 0", 'system = "one"', "profile.toml:6: 'system' is \"one\", which is not a whole number"),
         (r"^settle_s = .*", "settle_s = -1.0", "'phase.settle_s' is -1"),
         (r"^require_armed = true", "require_armed = 1", "'phase.require_armed' is 1, which is not true or false"),
         (r"^threshold = .*", "threshold = nan", "threshold' is nan, which is not a finite number"),

@@ -11,6 +11,7 @@ from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
+from monitor.sampling.identity import Identity
 from monitor.service.telemetry_watch import TelemetryWatch
 from monitor.service.vehicle_monitor import VehicleMonitor
 
@@ -108,9 +109,12 @@ def test_the_status_says_that_the_vehicle_is_another_than_the_profile_s(quad_pro
     monitor.process(pack([heartbeat(2)]))
     assert monitor.status(START_NS + SECOND_NS)["reasons"] == []
     monitor.process(pack([heartbeat(1, 1)]))
-    [said] = monitor.status(START_NS + 2 * SECOND_NS)["reasons"]
+    status = monitor.status(START_NS + 2 * SECOND_NS)
+    assert status["state"] == "degraded"
+    [said] = status["reasons"]
     assert said == (
-        "another vehicle than the profile's: it says it is a fixed wing, the profile was fitted to a quadrotor"
+        "not watched: another vehicle than the profile's: it says it is a fixed wing, "
+        "the profile was fitted to a quadrotor"
     )
 
 
@@ -122,6 +126,6 @@ def test_what_says_nothing_of_the_vehicle_is_no_mismatch(quad_profile: Profile, 
 
 
 def test_a_profile_that_does_not_know_its_vehicle_s_type_takes_any(quad_profile: Profile) -> None:
-    pipeline = Pipeline(replace(quad_profile, vehicle_type=""), system=1)
+    pipeline = Pipeline(replace(quad_profile, identity=Identity()), system=1)
     pipeline.run(pack([heartbeat(1)]))
     assert pipeline.mismatch is None

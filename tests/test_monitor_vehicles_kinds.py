@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from monitor.vehicles.base import VehicleKind, likely_kind, load
+from monitor.vehicles.base import VehicleKind, likely_kinds, load
 from monitor.vehicles.kinds import KINDS, fit_messages, kind_named, transform_classes
 
 ROOT = Path(__file__).parent.parent
@@ -29,11 +29,18 @@ def test_the_readme_names_every_kind() -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "name"), [("quadrotor", "multirotor"), ("fixed_wing", "plane"), ("ground_rover", "rover"), ("gcs", None)]
+    ("said", "names"),
+    [
+        ("quadrotor", ["multirotor"]),
+        ("fixed_wing", ["plane"]),
+        ("fixed wing", ["plane"]),
+        ("ground_rover", ["rover"]),
+        ("vtol_fixedrotor", ["plane", "multirotor"]),
+        ("gcs", []),
+    ],
 )
-def test_the_autopilot_says_which_kind_is_likely(said: str, name: str | None) -> None:
-    found = likely_kind(KINDS, said)
-    assert (found and found.name) == name
+def test_the_autopilot_says_which_kind_is_likely(said: str, names: list[str]) -> None:
+    assert [kind.name for kind in likely_kinds(KINDS, said)] == names
 
 
 def test_transforms_and_messages_of_all_kinds_are_known() -> None:

@@ -28,6 +28,7 @@ from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.isolation_rule import METHODS, BankRule, SingleRule
 from monitor.profile import ObserverProfile, Profile, read_profile
 from monitor.sampling.gate import GateRule
+from monitor.sampling.identity import Identity
 from monitor.sampling.transform import TransformRule
 from monitor.vehicles.inertial.strapdown import DEFAULTS, Strapdown
 from monitor.vehicles.kinds import transform_classes
@@ -73,7 +74,7 @@ def profile_page() -> str:
     minimal = _minimal_profile()
     (observer,) = minimal.observers
     rule = observer.alarms[0]
-    top = {key: getattr(minimal, key) for key in ("vehicle_type", "system", "stale_s")}
+    top = {**dataclasses.asdict(minimal.identity), "system": minimal.system, "stale_s": minimal.stale_s}
     isolation = {key: getattr(observer.isolation, key) for key in ("smoothing_s", "tolerance", "gain_penalty")}
     single = parameters_of(SingleRule)
     bank = {key: (single[key][0], _BANK.get(key, single[key][1])) for key in single if key in _SHARED}
@@ -82,7 +83,13 @@ def profile_page() -> str:
         _PROFILE_HEAD,
         "## Top level\n",
         _rows(
-            [("format", "integer", "1, the version of this format"), *_named(Profile, ("name", "vehicle", *top))], top
+            [
+                ("format", "integer", "1, the version of this format"),
+                *_named(Profile, ("name", "vehicle")),
+                *_named(Identity),
+                *_named(Profile, ("system", "stale_s")),
+            ],
+            top,
         ),
         "\n## `[phase]`\n\nSamples are evidence while the vehicle is armed, in the air and settled.\n",
         _rows(_named(GateRule), dataclasses.asdict(minimal.gate)),

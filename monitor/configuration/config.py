@@ -122,6 +122,9 @@ class Vehicle:
         "Channels whose alarms stay active after their cause is gone, until `fauio alarms reset`.",
         ["inertial/gps_north"],
     )
+    force: bool = _key(
+        False, _truth, "Whether to watch it also where it says that it is another vehicle than the profile's.", True
+    )
 
 
 @dataclass(frozen=True)
@@ -313,6 +316,12 @@ class Config:
     )
     definitions: Path | None = _key(
         None, _path, "Folder of message definitions (`.msg`) of further types.", "px4_msgs/"
+    )
+    force: bool = _key(
+        False,
+        _truth,
+        "Whether to watch all vehicles, also those that say they are others than their profiles'; `--force` sets it.",
+        True,
     )
     prefix: str = _key(DEFAULT_PREFIX, _text(check.key_chunks), "What all topics begin with.", "fauio")
     estimate_rate_hz: float = _key(

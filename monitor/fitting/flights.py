@@ -88,7 +88,7 @@ def _by_phase(batches: Iterable[Batch]) -> Iterator[tuple[Batch, FlightPhase]]:
     phase = FlightPhase()
     for batch in batches:
         start, current = 0, copy(phase)
-        for index, message in _phase_reports(batch):
+        for index, message in phase_reports(batch):
             phase.feed(message)
             if (phase.armed, phase.landed) != (current.armed, current.landed):
                 if index > start:
@@ -97,7 +97,8 @@ def _by_phase(batches: Iterable[Batch]) -> Iterator[tuple[Batch, FlightPhase]]:
         yield cut(batch, start, batch.count), current
 
 
-def _phase_reports(batch: Batch) -> list[tuple[int, Message]]:
+def phase_reports(batch: Batch) -> list[tuple[int, Message]]:
+    """Return the messages of a batch that tell the phase of flight or which vehicle it is, with their indices."""
     reports = [(index, message) for index, message in batch.others.items() if message.name in FlightPhase.interests]
     for columns in batch.columns:
         if columns.name in FlightPhase.interests:

@@ -141,7 +141,7 @@ class GatedSampler:
 
 
 def _allowed(rule: GateRule, phase: FlightPhase) -> bool:
-    """Return whether the reported flight phase allows evidence; unknown states do not block."""
-    if rule.require_armed and phase.armed is False:
+    """Return whether the reported flight phase allows evidence; unknown states do not block, another vehicle does."""
+    if phase.contradiction is not None or (rule.require_armed and phase.armed is False):
         return False
     return not rule.require_airborne or phase.landed in (None, "air")

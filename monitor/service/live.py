@@ -11,6 +11,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
+from adapters.errors import OtherVehicleError
 from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
 from monitor.recording.journal import Journal
@@ -32,16 +33,17 @@ _FINISH_S = 1.0
 """For what still waits at the end: a monitor that could not keep up may have more than there is time for."""
 
 
-def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool = False) -> int:
+def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool = False, refuse: bool = False) -> int:
     """Monitor vehicles until SIGINT or SIGTERM; return the exit status, 130 after SIGINT.
 
     ``read_again`` reads the configuration anew when SIGHUP asks for it; ``as_json`` asks for log lines as JSON objects,
-    whatever the configuration says.
+    whatever the configuration says. With ``refuse`` it ends where the first vehicle to say what it is says it is
+    another than its profile's; without, such a vehicle is not watched, its status says so, and the daemon goes on.
 
     Raises
     ------
     UsageError, TelemetryError
-        A profile, a link, a file or the session cannot be used.
+        A profile, a link, a file or the session cannot be used; or, with ``refuse``, the vehicle is another.
     """
     json_lines = {"auto": not sys.stderr.isatty(), "json": True, "text": False}[config.log_format]
     # signals first: the default action of SIGHUP is to end a process
@@ -67,11 +69,12 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         notifier = Notifier()
         stack.callback(notifier.close)
         heeded = 0
+        undecided, other = refuse, None
 
         first_look = FirstLook({one.name: one.link for one in links}, log)
 
         def every_turn(now_ns: int) -> None:
-            nonlocal heeded
+            nonlocal heeded, undecided, other
             new = received[heeded:]
             heeded += len(new)
             if signal.SIGHUP in new:
@@ -79,6 +82,10 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
                 station.reload()
             if signal.SIGINT in new or signal.SIGTERM in new:
                 daemon.stop()
+            if undecided and (first := station.first_identified()) is not None:
+                undecided, other = False, first.refused
+                if other is not None:
+                    daemon.stop()
             reloads = station.reloads
             station.turn(now_ns)
             if station.reloads != reloads:
@@ -101,6 +108,8 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         for service in station.services:
             monitor = service.monitor
             log.say("stopped", vehicle=monitor.name, messages=monitor.messages, samples=monitor.samples)
+        if other is not None:
+            raise OtherVehicleError(f"{other}; take its own profile, or go on with --force")
         return 130 if signal.SIGINT in received else 0
 
 

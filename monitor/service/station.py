@@ -102,6 +102,11 @@ class Station:
         folder = vehicle.profile
         return vehicle.name or (self._profiles[folder].name if folder is not None else "")
 
+    def first_identified(self) -> Pipeline | None:
+        """Return the pipeline of a vehicle that has said what it is, None where none has."""
+        pipelines = (service.monitor.pipeline for service in self.services)
+        return next((pipeline for pipeline in pipelines if pipeline.identified), None)
+
     def announce(self) -> None:
         """Log which vehicles are monitored from the start, once everything is open."""
         for vehicle in self._config.vehicles:
@@ -202,7 +207,8 @@ class Station:
         if folder not in self._profiles:
             self._profiles[folder] = read_profile(folder)
         profile = self._profiles[folder]
-        pipeline = Pipeline(profile, vehicle.name, vehicle.system or None, vehicle.component)
+        force = vehicle.force or config.force
+        pipeline = Pipeline(profile, vehicle.name, vehicle.system or None, vehicle.component, force=force)
         if pipeline.vehicle in self._services:
             raise UsageError(f"two vehicles are called '{pipeline.vehicle}'; give each a name of its own")
         with ExitStack() as stack:

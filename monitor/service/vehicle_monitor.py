@@ -241,11 +241,11 @@ class VehicleMonitor:
         if behind:
             reasons.append(f"the monitor does not keep up: {recent.p99_s:.1f} s behind")
         if (mismatch := self.pipeline.mismatch) is not None:
-            reasons.append(mismatch)
+            reasons.insert(0, f"not watched: {mismatch}" if self.pipeline.refused else mismatch)
         state = "starting"
         if self.pipeline.stale:
             state = "stale"
-        elif self.samples:
+        elif self.samples or self.pipeline.refused:
             state = "degraded" if reasons else "monitoring"
         active = self.pipeline.desk.active
         status = {

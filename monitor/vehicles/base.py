@@ -97,6 +97,7 @@ def load(reference: str) -> Any:
     return getattr(import_module(module), name)
 
 
-def likely_kind(kinds: Sequence[VehicleKind], vehicle_type: str) -> VehicleKind | None:
-    """Return the kind of a vehicle that names itself by a ``MAV_TYPE``; None where no kind has such a word."""
-    return next((kind for kind in kinds if any(word in vehicle_type for word in kind.type_words)), None)
+def likely_kinds(kinds: Sequence[VehicleKind], vehicle_type: str) -> tuple[VehicleKind, ...]:
+    """Return the kinds of a vehicle that names itself by a ``MAV_TYPE``, the likeliest first: a VTOL flies as two."""
+    name = vehicle_type.replace(" ", "_")
+    return tuple(kind for kind in reversed(kinds) if any(word in name for word in kind.type_words))

@@ -15,7 +15,7 @@ KINDS = (
         fit="monitor.vehicles.multirotor.fit:fit_multirotor",
         preview="monitor.vehicles.multirotor.signals:preview",
         messages="monitor.vehicles.multirotor.signals:MESSAGES",
-        type_words=("rotor", "copter"),
+        type_words=("rotor", "copter", "vtol"),
     ),
     VehicleKind(
         "plane",

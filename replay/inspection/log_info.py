@@ -19,7 +19,7 @@ from monitor.event import AlarmEvent
 from monitor.fitting.progress import track
 from monitor.fitting.survey import Survey, of_one_vehicle, survey
 from monitor.sampling.slow_telemetry import slow_messages
-from monitor.vehicles.base import Preview, VehicleKind, likely_kind, load
+from monitor.vehicles.base import Preview, VehicleKind, likely_kinds, load
 from monitor.vehicles.kinds import KINDS
 
 Event = TypeVar("Event", AlarmEvent, dict[str, Any])
@@ -208,10 +208,10 @@ def _fits(found: Survey, tally: _Tally) -> dict[str, Any] | None:
     if sender is None:
         return None
     says = _enumerated("MAV_TYPE", sender.type) or ""
-    likely = likely_kind(KINDS, says)
+    likely = likely_kinds(KINDS, says)
     return {
         "system": tally.watched,
-        "likely": likely and likely.name,
+        "likely": likely[0].name if likely else None,
         "fits": {kind.name: _fit(kind, found) for kind in KINDS if kind.preview},
     }
 

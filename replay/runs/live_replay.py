@@ -95,7 +95,7 @@ class LiveReplay:
                 raise UsageError(f"{task.log}: --udp sends packets as they came, which only .tlog files hold")
             source = heapq.merge(TlogReader(task.path).packets(), source, key=itemgetter(0))
         due = (item for _, item in source) if self._speed is None else paced(source, self._speed)
-        return self._told(self._sent(due), Pipeline(profile, vehicle))
+        return self._told(self._sent(due), Pipeline(profile, vehicle, force=task.force))
 
     def close(self) -> None:
         """Close session and socket."""

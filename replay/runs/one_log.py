@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from adapters.errors import FauioError
+from adapters.errors import FauioError, OtherVehicleError
 from adapters.logs.damage import Damage
 from adapters.logs.recordings import Recording, packed, recorded_vehicle, recording_kind
 from adapters.message import Message
@@ -38,6 +38,7 @@ class LogTask:
     dark: bool = False  # whether to plot on a dark ground
     mapping: Path | None = None  # from which records of an onboard log messages are made, where the guess is wrong
     folder: Path | None = None  # the profile's, in which a report looks for the report of the fit
+    force: bool = False  # whether to go on where the vehicle says it is another than the profile's
 
     @property
     def targets(self) -> tuple[Path, ...]:
@@ -109,7 +110,8 @@ def replay_log(
     try:
         return _replay(profile, task, on_event, live, progress, started_s)
     except Exception as error:
-        return LogOutcome(log=task.log, error=_reason(task, error), processor_s=time.thread_time() - started_s)
+        spent_s, mismatch = time.thread_time() - started_s, str(error) if isinstance(error, OtherVehicleError) else None
+        return LogOutcome(log=task.log, error=_reason(task, error), mismatch=mismatch, processor_s=spent_s)
 
 
 def _replay(
@@ -139,6 +141,7 @@ def _replay(
         record=task.record,
         keep_traces=bool(task.plot or task.rrd or task.report),
         on_event=on_event,
+        force=task.force,
     )
     verdict, facts = _verdict(found, profile), meter.facts()
     truth = known_truth(task.path, found.traces) if task.plot or task.rrd or task.report else {}

@@ -78,6 +78,9 @@ def add_replay(subparsers: Any) -> None:
         help="replay logs on the Dask cluster of this scheduler; its workers have to reach logs and outputs under the "
         "same paths",
     )
+    parser.add_argument(
+        "--force", action="store_true", help="go on where a log says it is of another vehicle than the profile's"
+    )
     parser.add_argument("--fail-on-alarm", action="store_true", help="exit with 4 where an alarm was raised")
     parser.add_argument("--json", action="store_true", help="print one JSON object per log")
     live = parser.add_argument_group("as if live")
@@ -181,6 +184,7 @@ def _tasks(args: argparse.Namespace, logs: Sequence[LogFile]) -> list[LogTask]:
                 dark=args.dark,
                 mapping=mapping,
                 folder=folder,
+                force=args.force,
             )
         )
     targets = [path for task in tasks for path in task.targets]

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from adapters.errors import UsageError
+from adapters.errors import OtherVehicleError, UsageError
 from adapters.logs.recordings import read_recording
 from monitor.alarms.alarm import AlarmRule
 from monitor.pipeline import Pipeline
@@ -180,7 +180,10 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lam
     if unknown:
         raise UsageError(f"--kinds {unknown[0]}: no such kind; use some of {', '.join(ATTACK_KINDS)}")
     wanted = Pipeline(profile).interests | _SCENE_MESSAGES
-    healthy = play_healthy(profile, track(read_recording(log, wanted), f"reading {log.name}"))
+    try:
+        healthy = play_healthy(profile, track(read_recording(log, wanted), f"reading {log.name}"))
+    except OtherVehicleError as error:
+        raise OtherVehicleError(f"{log.name}: {error}") from error
     names = frozenset(message.name for message in healthy.messages)
     skipped: list[str] = []
     subjects = [

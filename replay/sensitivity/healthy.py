@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.errors import OtherVehicleError
 from adapters.logs.recordings import packed
 from adapters.message import Message
 from monitor.estimate import Estimates
@@ -71,7 +72,13 @@ class Healthy:
 
 
 def play_healthy(profile: Profile, recorded: Iterable[Message]) -> Healthy:
-    """Run a healthy recording through a profile's pipeline; it follows the vehicle that the pipeline chooses."""
+    """Run a healthy recording through a profile's pipeline; it follows the vehicle that the pipeline chooses.
+
+    Raises
+    ------
+    OtherVehicleError
+        The recording says it is of another vehicle than the profile.
+    """
     pipeline = Pipeline(profile)
     recorded = list(recorded)
     wanted = pipeline.interests - FlightPhase.interests
@@ -80,7 +87,10 @@ def play_healthy(profile: Profile, recorded: Iterable[Message]) -> Healthy:
     estimates: dict[str, list[Estimates]] = {observer.name: [] for observer in profile.observers}
     alarms_ns: list[int] = []
     for batch in packed(messages):
-        for output in pipeline.run(batch):
+        outputs = pipeline.run(batch)
+        if pipeline.refused is not None:
+            raise OtherVehicleError(f"{pipeline.refused}; take its own profile")
+        for output in outputs:
             if isinstance(output, Estimates):
                 estimates[output.observer].append(output)
             elif output.state == "raised":
