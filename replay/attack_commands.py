@@ -60,23 +60,23 @@ def _add_inject(subparsers: Any) -> None:
     parser.add_argument("--channel", required=True, metavar="NAME", help="what is attacked (see above)")
     parser.add_argument("--kind", required=True, metavar="KIND", help=", ".join(_KINDS))
     begin = parser.add_mutually_exclusive_group(required=True)
-    begin.add_argument("--start", type=_finite, metavar="S", help="begin, seconds since the log's first stamp")
+    begin.add_argument("--start", type=float, metavar="S", help="begin, seconds since the log's first stamp")
     begin.add_argument("--at-ms", type=int, metavar="MS", help="begin, milliseconds of the vehicle's clock")
     finish = parser.add_mutually_exclusive_group()
-    finish.add_argument("--end", type=_finite, metavar="S", help="end, counted as --start (default: the log's end)")
-    finish.add_argument("--for", type=_finite, metavar="S", dest="duration", help="how long it lasts, seconds")
+    finish.add_argument("--end", type=float, metavar="S", help="end, counted as --start (default: the log's end)")
+    finish.add_argument("--for", type=float, metavar="S", dest="duration", help="how long it lasts, seconds")
     parser.add_argument(
         "--size",
-        type=_finite,
+        type=float,
         metavar="X",
         help="how large, in the channel's unit (see above); of a delay: seconds; of a loss: a share",
     )
     parser.add_argument(
-        "--rate", type=_finite, metavar="X", help="how fast it grows, channel's unit per second; of a spoof: m/s"
+        "--rate", type=float, metavar="X", help="how fast it grows, channel's unit per second; of a spoof: m/s"
     )
-    parser.add_argument("--accel", type=_finite, metavar="X", help="largest acceleration of a spoof, m/s^2 (0.5)")
+    parser.add_argument("--accel", type=float, metavar="X", help="largest acceleration of a spoof, m/s^2 (0.5)")
     parser.add_argument(
-        "--from", type=_finite, metavar="S", dest="source", help="begin of the segment replayed, seconds as --start"
+        "--from", type=float, metavar="S", dest="source", help="begin of the segment replayed, seconds as --start"
     )
     parser.add_argument("--seed", type=_whole, default=0, metavar="N", help="of noise and lost messages (0)")
     parser.add_argument("--system", type=_whole, default=0, metavar="N", help="MAVLink system (default: first sender)")
@@ -117,10 +117,10 @@ def _add_detectability(subparsers: Any) -> None:
     )
     parser.add_argument("--onsets", type=_positive, default=5, metavar="N", help="times of onset for each (5)")
     parser.add_argument(
-        "--before", type=_finite, default=10.0, metavar="S", help="healthy flight before each onset, seconds (10)"
+        "--before", type=float, default=10.0, metavar="S", help="healthy flight before each onset, seconds (10)"
     )
     parser.add_argument(
-        "--after", type=_finite, default=10.0, metavar="S", help="what is not seen within these seconds is missed (10)"
+        "--after", type=float, default=10.0, metavar="S", help="what is not seen within these seconds is missed (10)"
     )
     parser.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes (1)")
     parser.add_argument("--plot", type=Path, metavar="OUT.png", help="plot delay and miss rate against size")
@@ -131,22 +131,11 @@ def _add_detectability(subparsers: Any) -> None:
 def run_inject(args: argparse.Namespace) -> int:
     """Run ``fauio inject``."""
     from monitor.fitting.progress import track
+    from replay.attacks.attack import Attack
     from replay.attacks.inject import Order, inject_recording, truth_path
 
-    order = Order(
-        channel=args.channel,
-        kind=args.kind,
-        start_s=args.start,
-        at_ms=args.at_ms,
-        end_s=args.end,
-        duration_s=args.duration,
-        size=args.size,
-        rate=args.rate,
-        acceleration=args.accel,
-        source_s=args.source,
-        seed=args.seed,
-        system=args.system,
-    )
+    attack = Attack(args.channel, args.kind, 0, 0, args.size, args.rate, args.accel, seed=args.seed)
+    order = Order(attack, args.start, args.at_ms, args.end, args.duration, args.source, args.system)
     truth = inject_recording(args.log, args.out, order, args.profile, track)
     if args.json:
         _say(json.dumps(truth))

@@ -7,10 +7,10 @@ need to know what came before; what it returns counts only while the attack last
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import isfinite
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -24,31 +24,28 @@ Change = Callable[[int, float], float]
 
 DEFAULT_ACCELERATION = 0.5
 """m/s^2. Chosen: gentler than any manoeuvre, so that what is seen is the spoof and not its start."""
-_NEEDED = {
-    "bias": ("size",),
-    "ramp": ("rate",),
-    "scale": ("size",),
-    "freeze": (),
-    "replay": ("source_ns",),
-    "noise": ("size",),
-    "delay": ("size",),
-    "drop": (),
-    "spoof": ("rate",),
-    "loss": ("size",),
-}
-_ALLOWED = {"ramp": ("size",), "drop": ("size",), "spoof": ("acceleration",), "loss": ("rate",)}
 _FLAGS = {"size": "--size", "rate": "--rate", "acceleration": "--accel", "source_ns": "--from"}
-_MEANINGS = {
-    "bias": "adds {size:g}",
-    "ramp": "adds {rate:g} per second",
-    "scale": "multiplies by {size:g}",
-    "freeze": "holds the last value",
-    "replay": "repeats an earlier segment of the recording",
-    "noise": "adds noise with standard deviation {size:g}",
-    "delay": "shows the value of {size:g} s ago",
-    "drop": "loses messages",
-    "spoof": "moves position and velocity together, up to {rate:g} m/s",
-    "loss": "delivers {size:g} of the command less than commanded",
+
+
+class _KindRule(NamedTuple):
+    """What a kind does, in words, and which numbers it needs and allows."""
+
+    meaning: str
+    needed: tuple[str, ...] = ()
+    allowed: tuple[str, ...] = ()
+
+
+_RULES: Mapping[AttackKind, _KindRule] = {
+    "bias": _KindRule("adds {size:g}", ("size",)),
+    "ramp": _KindRule("adds {rate:g} per second", ("rate",), ("size",)),
+    "scale": _KindRule("multiplies by {size:g}", ("size",)),
+    "freeze": _KindRule("holds the last value"),
+    "replay": _KindRule("repeats an earlier segment of the recording", ("source_ns",)),
+    "noise": _KindRule("adds noise with standard deviation {size:g}", ("size",)),
+    "delay": _KindRule("shows the value of {size:g} s ago", ("size",)),
+    "drop": _KindRule("loses messages", (), ("size",)),
+    "spoof": _KindRule("moves position and velocity together, up to {rate:g} m/s", ("rate",), ("acceleration",)),
+    "loss": _KindRule("delivers {size:g} of the command less than commanded", ("size",), ("rate",)),
 }
 
 
@@ -79,7 +76,7 @@ class Attack:
         """A sentence for people."""
         growth = f", growing by {self.rate:g} per second" if self.kind == "loss" and self.rate else ""
         bound = f" up to {self.size:g}" if self.kind == "ramp" and self.size is not None else ""
-        return _MEANINGS[self.kind].format(size=self.size, rate=self.rate) + growth + bound
+        return _RULES[self.kind].meaning.format(size=self.size, rate=self.rate) + growth + bound
 
     def check(self) -> None:
         """Check that what the kind needs is there, makes sense, and nothing else is.
@@ -91,12 +88,12 @@ class Attack:
         """
         if self.kind not in ATTACK_KINDS:
             raise UsageError(f"--kind {self.kind}: no such kind; use one of {', '.join(ATTACK_KINDS)}")
-        needed = _NEEDED[self.kind]
+        rule = _RULES[self.kind]
         for name, flag in _FLAGS.items():
             value = getattr(self, name)
-            if value is None and name in needed:
+            if value is None and name in rule.needed:
                 raise UsageError(f"--kind {self.kind} needs {flag}")
-            if value is not None and name not in needed and name not in _ALLOWED.get(self.kind, ()):
+            if value is not None and name not in (*rule.needed, *rule.allowed):
                 raise UsageError(f"{flag} means nothing to --kind {self.kind}; leave it out")
             if value is not None and not isfinite(value):
                 raise UsageError(f"{flag} is {value}; give a finite number")

@@ -20,7 +20,7 @@ from adapters.message import Message
 from adapters.output_file import write_file
 from monitor.profile import read_profile
 from monitor.trace import Trace
-from replay.attacks.attack import Attack, AttackKind, AttackSignal
+from replay.attacks.attack import Attack, AttackSignal
 from replay.attacks.injector import Injector, Plan, Senders, inject, plan, profile_clocks, survey_senders
 
 TRUTH = "truth"
@@ -33,18 +33,12 @@ AttackTrack = Callable[[Iterable[Message], str], Iterable[Message]]
 class Order:
     """What a user asks for; seconds count from the first stamp of the vehicle in the recording."""
 
-    # see :class:`replay.attacks.attack.Attack`, as are ``kind``, ``size``, ``rate``, ``acceleration`` and ``seed``
-    channel: str
-    kind: AttackKind
+    attack: Attack  # without its times
     start_s: float | None = None  # when it begins; None where ``at_ms`` says it
     at_ms: int | None = None  # when it begins, milliseconds of the vehicle's own clock
     end_s: float | None = None  # when it ends; None: ``duration_s`` after its beginning, or with the recording
-    duration_s: float | None = None
-    size: float | None = None
-    rate: float | None = None
-    acceleration: float | None = None
+    duration_s: float | None = None  # how long it lasts
     source_s: float | None = None  # where the segment begins that is replayed
-    seed: int = 0
     system: int = 0  # the vehicle's MAVLink system; 0 takes the profile's, or the first one that sends the channel
 
 
@@ -66,9 +60,8 @@ def inject_recording(
     kind = recording_kind(log)
     if out.resolve() == log.resolve():
         raise StorageError(f"{out}: is the recording itself; write to another file")
-    draft = Attack(
-        order.channel, order.kind, 0, 1 << 63, source_ns=None if order.source_s is None else -1, **_sizes(order)
-    )
+    # before everything that is replayed
+    draft = replace(order.attack, start_ns=0, end_ns=1 << 63, source_ns=None if order.source_s is None else -1)
     draft.check()
     known = read_profile(profile) if profile is not None else None
     if known is not None and not order.system:
@@ -93,7 +86,7 @@ def inject_recording(
     if not injector.altered:
         out.unlink()
         raise UsageError(
-            f"{log}: --kind {order.kind} altered nothing on {order.channel}; give a larger --size or another time"
+            f"{log}: --kind {attack.kind} altered nothing on {attack.channel}; give a larger --size or another time"
         )
     write_file(truth_path(out), json.dumps(truth, indent=1) + "\n")
     return truth
@@ -118,14 +111,10 @@ def choose_system(senders: Mapping[int, Senders], made: Plan, order: Order, log:
         able = [number for number in able if number == order.system]
     if not able:
         whose = f" of system {order.system}" if order.system else ""
-        raise UsageError(f"{log}: --channel {order.channel} needs {' or '.join(wanted)}{whose}, not in this log")
+        raise UsageError(f"{log}: --channel {order.attack.channel} needs {' or '.join(wanted)}{whose}, not in this log")
     if senders[able[0]].first_ns is None:
         raise UsageError(f"{log}: no message of the vehicle has a time stamp; --start cannot be counted")
     return able[0]
-
-
-def _sizes(order: Order) -> dict[str, Any]:
-    return {"size": order.size, "rate": order.rate, "acceleration": order.acceleration, "seed": order.seed}
 
 
 def _timed(order: Order, sender: Senders, log: Path) -> Attack:
@@ -147,7 +136,7 @@ def _timed(order: Order, sender: Senders, log: Path) -> Attack:
             f"{first_ns // 1_000_000} to {last_ns // 1_000_000} ms of the vehicle's clock"
         )
     source_ns = None if order.source_s is None else from_first(order.source_s)
-    attack = Attack(order.channel, order.kind, start_ns, end_ns, source_ns=source_ns, **_sizes(order))
+    attack = replace(order.attack, start_ns=start_ns, end_ns=end_ns, source_ns=source_ns)
     attack.check()
     return attack
 
