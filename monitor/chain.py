@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,21 +18,106 @@ from numpy.typing import NDArray
 from adapters.sample import Samples
 from monitor.alarms.alarm import Alarm, retuned
 from monitor.alarms.excuse import Excuses
-from monitor.command_units import CommandUnits
 from monitor.core.alarms import ChainRows, walk
+from monitor.core.observers import CommandScale
 from monitor.core.sampling import VehicleClock
-from monitor.effectiveness_stage import EffectivenessStage
 from monitor.estimate import Estimates, Layout
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.bank import EstimatorRun
-from monitor.estimation.effectiveness import EffectivenessRun
+from monitor.estimation.effectiveness import EffectivenessEstimator, EffectivenessRule, EffectivenessRun
 from monitor.estimation.estimator import make_estimator
+from monitor.estimation.isolation_rule import keep_share
 from monitor.estimation.uncertainty import Uncertainty
 from monitor.event import AlarmEvent
-from monitor.profile import ObserverProfile
+from monitor.profile import FaultChannel, ObserverProfile
 from monitor.sampling.gate import GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler, SamplerStatistics
+
+
+class CommandRun(NamedTuple):
+    """n samples in command units: fault, isolated and sd (n, a); the smoothed command that each fault scales (n,)."""
+
+    fault: NDArray[np.float64]
+    isolated: NDArray[np.float64]
+    sd: NDArray[np.float64]
+    commands: Mapping[int, NDArray[np.float64]]
+
+
+class CommandUnits:
+    """Takes fault estimates of actuators from effect units to command units, at the smoothed command.
+
+    The command is smoothed like the estimates: else their ratio would mean nothing.
+    """
+
+    def __init__(self, profile: ObserverProfile) -> None:
+        gains = profile.gains[0]
+        inputs = sorted({channel.input for channel in profile.faults if channel.input is not None})
+        channel = [-1 if fault.input is None else inputs.index(fault.input) for fault in profile.faults]
+        self._scale = CommandScale(
+            gains.input_curves,
+            np.array(inputs, np.intp),
+            np.array(channel, np.intp),
+            keep_share(profile.isolation.smoothing_s, gains.rate_hz),
+        )
+        self._channels = [(fault, entry) for fault, entry in enumerate(channel) if entry >= 0]
+
+    def run(
+        self,
+        u: NDArray[np.float64],
+        restart: NDArray[np.bool_],
+        fault: NDArray[np.float64],
+        evidence: NDArray[np.float64],
+        sd: NDArray[np.float64],
+    ) -> CommandRun:
+        """Return n samples in command units where a fault scales an input; the smoothed command restarts at its own.
+
+        Commands ``u`` are (n, s); fault estimates, evidence and standard deviations (n, a) are in effect units.
+        """
+        scaled, isolated, deviation, commands = self._scale.run(u, restart.view(np.uint8), fault, evidence, sd)
+        return CommandRun(scaled, isolated, deviation, {index: commands[entry] for index, entry in self._channels})
+
+
+class EffectivenessStage:
+    """Estimators of those among an observer's faults that are read against their actuators' deflection."""
+
+    def __init__(
+        self,
+        rules: Mapping[str, EffectivenessRule],
+        faults: Sequence[FaultChannel],
+        inputs: Sequence[str],
+        rate_hz: float,
+    ) -> None:
+        self._channels = [
+            (
+                index,
+                channel.input,
+                None if (full := rules[channel.name].full) is None else inputs.index(full),
+                EffectivenessEstimator(rules[channel.name], rate_hz),
+            )
+            for index, channel in enumerate(faults)
+            if channel.name in rules and channel.input is not None
+        ]
+
+    def run(
+        self, samples: Samples, fault: NDArray[np.float64], armed: NDArray[np.bool_]
+    ) -> dict[int, EffectivenessRun]:
+        """Process n samples; return the effectiveness of each of these faults' actuators, by index of the fault.
+
+        Samples give the commands and the effects of full deflections; ``fault`` (n, a) is in effect units, not
+        smoothed.
+        """
+        return {
+            index: estimator.run(
+                samples.vehicle_time_ns,
+                samples.restart,
+                armed,
+                fault[:, index],
+                samples.u[:, command],
+                np.ones(len(samples)) if full is None else samples.u[:, full],
+            )
+            for index, command, full, estimator in self._channels
+        }
 
 
 @dataclass(frozen=True, slots=True)

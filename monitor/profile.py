@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -21,7 +21,7 @@ from adapters.toml_tables import Table, parse_toml
 from gains.plants.model_file import model_hash, read_model
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, read_gains
-from monitor.alarms.alarm import AlarmRule
+from monitor.alarms.alarm import LEAST, AlarmRule
 from monitor.alarms.excuse import ExcuseRule, excuse_tables, read_excuses
 from monitor.estimation.effectiveness import EffectivenessRule, effectiveness_table, read_effectiveness
 from monitor.estimation.isolation_rule import (
@@ -362,6 +362,7 @@ def fault_channels(gains: Sequence[Gains]) -> tuple[FaultChannel, ...]:
 def _alarms(table: Table, observer: str, faults: Sequence[FaultChannel]) -> tuple[AlarmRule, ...]:
     rules = []
     known = {channel.name: channel for channel in faults}
+    defaults: dict[str, float] = {key.name: key.default for key in fields(AlarmRule) if key.default is not MISSING}
     for name in table:
         channel = known.get(name)
         if channel is None and name != UNEXPLAINED:
@@ -369,22 +370,23 @@ def _alarms(table: Table, observer: str, faults: Sequence[FaultChannel]) -> tupl
             continue
         entry = table.table(name)
         threshold = entry.number("threshold", at_least=0.0)
+        values = {
+            key: entry.number(key, default, at_least=LEAST.get(key, 0.0))
+            for key, default in {
+                "clear": threshold / 2,
+                "critical": 5 * threshold,
+                "raise_s": 0.15,
+                "clear_s": 0.5,
+                **defaults,
+            }.items()
+        }
         rule = AlarmRule(
             observer=observer,
             channel=name,
             kind="residual" if channel is None else channel.kind,
             unit="times healthy" if channel is None else channel.unit,
             threshold=threshold,
-            clear=entry.number("clear", threshold / 2, at_least=0.0),
-            critical=entry.number("critical", 5 * threshold, at_least=0.0),
-            raise_s=entry.number("raise_s", 0.15, at_least=0.0),
-            clear_s=entry.number("clear_s", 0.5, at_least=0.0),
-            fast=max(threshold, entry.number("fast", math.inf, at_least=0.0)),
-            fast_s=entry.number("fast_s", 0.05, at_least=0.0),
-            slow=entry.number("slow", math.inf, at_least=0.0),
-            slow_s=entry.number("slow_s", 2.0, at_least=0.01),
-            latch_s=entry.number("latch_s", 0.0, at_least=0.0),
-            critical_ahead_s=entry.number("critical_ahead_s", 5.0, at_least=0.0),
+            **values | {"fast": max(threshold, values["fast"])},
         )
         entry.optional_text("sees")
         entry.done()

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from monitor.command_units import CommandUnits
+from monitor.chain import CommandUnits
 from monitor.core.observers import CommandScale
 from monitor.profile import ObserverProfile, Profile, read_profile
 

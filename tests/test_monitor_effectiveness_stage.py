@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from adapters.sample import Samples
-from monitor.effectiveness_stage import EffectivenessStage
+from monitor.chain import EffectivenessStage
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.profile import FaultChannel
 

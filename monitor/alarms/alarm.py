@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 from adapters.sample import Samples
 from monitor.core.alarms import CLEARED, RAISED, UPDATED, AlarmState
@@ -93,7 +93,7 @@ def _size(value: float, unit: str) -> str:
     return f"{value:+.3g} {unit}".rstrip()
 
 
-_LEAST = {"slow_s": 0.01}
+LEAST: Mapping[str, float] = {"slow_s": 0.01}
 """A mean over one sample of a 100 Hz observer is none; a time constant of zero would divide by zero."""
 _LARGEST = 1e300
 """Twice as much is still a finite number, as the rule needs it."""
@@ -146,19 +146,7 @@ class AlarmRule:
     """Time that a pilot needs to land or to let go: chosen."""
 
 
-TUNABLE = (
-    "threshold",
-    "clear",
-    "critical",
-    "raise_s",
-    "clear_s",
-    "fast",
-    "fast_s",
-    "slow",
-    "slow_s",
-    "latch_s",
-    "critical_ahead_s",
-)
+TUNABLE = tuple(key.name for key in fields(AlarmRule) if key.type == "float")
 """Keys of a rule that may change while the monitor runs."""
 
 
@@ -169,7 +157,7 @@ def retuned(rule: AlarmRule, values: Mapping[str, object]) -> AlarmRule:
         for key in TUNABLE
         if isinstance(value := values.get(key), int | float)
         and not isinstance(value, bool)
-        and (_LEAST.get(key, 0.0) <= value <= _LARGEST or value == math.inf)
+        and (LEAST.get(key, 0.0) <= value <= _LARGEST or value == math.inf)
     }
     return replace(rule, **valid)  # type: ignore[arg-type]
 
