@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.channels import Channel
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
 from gains.identification.shooting import split_segments
@@ -15,9 +17,9 @@ from gains.synthesis.bank import compile_bank, design_bank
 from monitor.fitting.calibrate import SETTLE_S, bank_rule
 from monitor.fitting.fit_report import Comparison, comparison_json, comparison_lines
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule, unexplained_alarm
-from monitor.fitting.flights import flight_samples
+from monitor.fitting.flights import Flight, flight_samples
 from monitor.fitting.predictions import HORIZON_S, compared, horizon_samples
-from monitor.fitting.survey import Survey, common_rate_hz
+from monitor.fitting.survey import MOTOR_MESSAGE, Survey, common_rate_hz
 from monitor.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
     Calibrated,
@@ -31,8 +33,16 @@ from monitor.fitting.thresholds import (
 from monitor.profile import FaultChannel
 from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource
+from monitor.vehicles.multirotor.frames import Frame, frame_of
 from monitor.vehicles.multirotor.identify import GYROS, RATE_AXES, MultirotorFit, identify_multirotor, multirotor_plant
 from monitor.vehicles.multirotor.signals import motor_commands, multirotor_channels, range_text
+from monitor.vehicles.multirotor.trim import (
+    COMMANDS_PER_TICK,
+    SLOW_COMMANDS_HZ,
+    choose_frame,
+    identify_trim,
+    slow_times,
+)
 from monitor.vehicles.multirotor.validation import (
     Drift,
     MotorUncertainty,
@@ -97,53 +107,105 @@ def multirotor_gate(surveys: Sequence[Survey]) -> GateRule:
     return GateRule(settle_s=SETTLE_S, airborne_command=_AIRBORNE_SHARE * mean)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Identified:
+    """A model of the motors, what it rests on, and what there is to say about it.
+
+    ``relative_error`` is each motor's effect's (s,), ``doubt`` what the uncertainty of the coefficients puts into the next
+    body rates (3,).
+    """
+
+    model: MultirotorFit
+    source: SampleSource
+    flights: Sequence[Flight]
+    segments: Sequence[Segment]
+    doubt: NDArray[np.float64]
+    gyros: bool
+    times: Times
+    findings: Mapping[str, object]
+    line: str
+    details: tuple[str, ...]
+    comparison: Comparison | None = None
+
+
 def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
     """Identify the motors' model on healthy recordings, design its bank, calibrate its alarms.
+
+    Where motor commands come slower than :data:`SLOW_COMMANDS_HZ`, the observer compares mean command and mean motion.
 
     Raises
     ------
     TelemetryError, ModelError, InfeasibleError
-        The recordings do not hold what is needed, do not excite an axis, or allow no certified design.
+        The recordings do not hold what is needed, or allow no certified design.
     """
-    logs, surveys = request.logs, request.surveys
+    surveys = request.surveys
     gate = multirotor_gate(surveys)
     inputs, outputs = multirotor_channels(surveys)
-    source = SampleSource(inputs, outputs)
-    rate_hz = common_rate_hz(surveys, source.channels)
-    flights = [flight_samples(log(), source, rate_hz, gate) for log in logs]
-    stretches = [flight.segments() for flight in flights]
-    segments = [segment for flight in stretches for segment in flight]
-    comparison, taps = compare_kept_back(stretches, rate_hz)
-    model = identify_multirotor(segments, rate_hz, taps)
-    uncertainty, drift = motor_uncertainty(model, segments), response_drift(model, stretches)
+    slow = min(survey.rate_hz[MOTOR_MESSAGE] for survey in surveys) < SLOW_COMMANDS_HZ
+    found = (_slow if slow else _fast)(request, gate, inputs, outputs)
+    model, segments = found.model, found.segments
     motors = tuple(channel.name for channel in inputs)
-    plant = multirotor_plant(model, request.name, motors, doubt=uncertainty.drive)
-    gains = compile_bank(plant, design_bank(plant, rate_hz))
+    plant = multirotor_plant(model, request.name, motors, doubt=found.doubt, gyros=found.gyros)
+    gains = compile_bank(plant, design_bank(plant, model.rate_hz))
     rule = bank_rule(gains, segments, edges=GYROS)
-    bare = Fitted(OBSERVER, plant, gains, source, rule)
+    bare = Fitted(OBSERVER, plant, gains, found.source, rule)
     channels = bare.profile().faults
-    evidence = healthy_evidence(bare.profile(), gate, flights)
+    evidence = healthy_evidence(bare.profile(), gate, found.flights)
     hover = np.median(np.concatenate([segment.u for segment in segments]), axis=0)
-    alarms = _alarms(channels, evidence, hover, rate_hz, rule.score_floor)
+    alarms = _alarms(channels, evidence, hover, model.rate_hz, rule.score_floor, found.times)
     commands = motor_commands(surveys)
     ranges = {} if commands.pulses else {"command_range": {"none": commands.stop, "full": commands.full}}
     fitted = Fitted(
         name=OBSERVER,
         plant=plant,
         gains=gains,
-        source=source,
+        source=found.source,
         isolation=rule,
         alarms=tuple(alarms),
-        flight_s=sum(len(segment.u) for segment in segments) / rate_hz,
+        flight_s=sum(len(segment.u) for segment in segments) / model.rate_hz,
         findings={
-            **_findings(model, motors, hover.tolist(), uncertainty, drift),
+            "rate_hz": model.rate_hz,
+            "motors": list(motors),
+            "hover_command": dict(zip(motors, hover.tolist(), strict=True)),
+            "effectiveness": {motor: model.B[:3, i].tolist() for i, motor in enumerate(motors)},
+            **found.findings,
             **ranges,
-            "validation": None if comparison is None else comparison_json(comparison),
+            "validation": None if found.comparison is None else comparison_json(found.comparison),
         },
         lines=(
             *([] if commands.pulses else [range_text(commands, surveys)]),
-            *_lines(model, motors, hover.tolist(), alarms),
+            found.line,
+            *_lines(motors, hover.tolist(), alarms),
         ),
+        details=found.details,
+        comparison=found.comparison,
+        measured=True,
+    )
+    return fitted, gate
+
+
+def _fast(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], outputs: Sequence[Channel]) -> _Identified:
+    """Identify how the body rates answer the commands, sample by sample."""
+    source = SampleSource(tuple(inputs), tuple(outputs))
+    rate_hz = common_rate_hz(request.surveys, source.channels)
+    flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]
+    stretches = [flight.segments() for flight in flights]
+    segments = [segment for flight in stretches for segment in flight]
+    comparison, taps = compare_kept_back(stretches, rate_hz)
+    model = identify_multirotor(segments, rate_hz, taps)
+    uncertainty, drift = motor_uncertainty(model, segments), response_drift(model, stretches)
+    motors = tuple(channel.name for channel in inputs)
+    explained = ", ".join(f"{axis} {100 * share:.1f} %" for axis, share in zip(_AXES, model.explained, strict=True))
+    return _Identified(
+        model=model,
+        source=source,
+        flights=flights,
+        segments=segments,
+        doubt=uncertainty.drive,
+        gyros=True,
+        times=Times(),
+        findings=_findings(model, motors, uncertainty, drift),
+        line=f"model {rate_hz:g} Hz, explains {explained} of each rate's changes",
         details=(
             *_details(motors, uncertainty, drift),
             *(
@@ -153,9 +215,68 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
             ),
         ),
         comparison=comparison,
-        measured=True,
     )
-    return fitted, gate
+
+
+def _slow(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], outputs: Sequence[Channel]) -> _Identified:
+    """Identify which mean commands the vehicle flies with: its trim."""
+    commands_hz = min(survey.rate_hz[MOTOR_MESSAGE] for survey in request.surveys)
+    rates = tuple(outputs[: len(RATE_AXES)])
+    source = SampleSource(tuple(replace(channel, interpolation="mean") for channel in inputs), rates)
+    rate_hz = min(float(f"{commands_hz / COMMANDS_PER_TICK:.3g}"), common_rate_hz(request.surveys, rates))
+    flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]
+    frame, origin = _frame(request, gate, inputs, rates)
+    model = identify_trim([segment for flight in flights for segment in flight.segments()], rate_hz, frame)
+    if len(model.a) < len(rates):
+        source = replace(source, outputs=rates[: len(model.a)])
+        flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]
+    segments = [segment for flight in flights for segment in flight.segments()]
+    return _Identified(
+        model=model,
+        source=source,
+        flights=flights,
+        segments=segments,
+        doubt=np.zeros(len(model.a)),
+        gyros=False,
+        times=slow_times(rate_hz),
+        findings={
+            "frame": frame.name,
+            "frame_from": origin,
+            "commands_hz": commands_hz,
+            "lag_taps": model.taps.tolist(),
+        },
+        line=f"motor commands come at {commands_hz:.3g} Hz: mean command against mean motion, every {1 / rate_hz:.2g} s; "
+        f"{frame.name} (from {origin})"
+        + ("" if len(model.a) == len(rates) else "; yaw is not used, the flights never turned"),
+        details=(),
+    )
+
+
+def _frame(
+    request: FitRequest, gate: GateRule, inputs: Sequence[Channel], rates: Sequence[Channel]
+) -> tuple[Frame, str]:
+    """Return the vehicle's frame, and what tells it: the parameters, or which standard frame goes with the motion.
+
+    Raises
+    ------
+    ModelError
+        Neither does.
+    """
+    outputs = [int(channel.name.removeprefix("motor")) for channel in inputs]
+    for survey in request.surveys:
+        if (frame := frame_of(survey.parameters, outputs)) is not None:
+            return frame, "the vehicle's parameters"
+    source = SampleSource(tuple(replace(channel, interpolation="previous") for channel in inputs), tuple(rates))
+    rate_hz = min(common_rate_hz(request.surveys, rates), SLOW_COMMANDS_HZ)
+    segments = [segment for log in request.logs for segment in flight_samples(log(), source, rate_hz, gate).segments()]
+    frame = choose_frame(segments, rate_hz)
+    if frame is None:
+        raise ModelError(
+            f"which way its {len(inputs)} motors turn the vehicle is not known: no parameters in the logs (CA_ROTOR* of "
+            "PX4, FRAME_CLASS of ArduPilot), and no standard frame goes with the motion; fit on a log of the autopilot "
+            "itself, or on a flight with brisk roll, pitch and yaw"
+        )
+    return frame, "the motion"
 
 
 def _alarms(
@@ -164,6 +285,7 @@ def _alarms(
     hover: NDArray[np.float64],
     rate_hz: float,
     score_floor: float,
+    times: Times,
 ) -> list[Calibrated]:
     """Return the alarms: motors pooled relative to their hover commands, gyros pooled, and what nothing explains."""
     share = FALSE_ALARMS_PER_HOUR / (len(channels) + 1)
@@ -173,36 +295,29 @@ def _alarms(
         series = [stretch[:, at] / (commands[at] or 1.0) for at in places for stretch in evidence]
         return healthy_levels(series, rate_hz, share, times, most)
 
-    of_motors = levels([at for at, command in enumerate(commands) if command is not None], Times())
-    of_gyros = levels([at for at, command in enumerate(commands) if command is None], _JUMP, _MOST_OF_JUMPS)
+    of_motors = levels([at for at, command in enumerate(commands) if command is not None], times)
+    gyros = [at for at, command in enumerate(commands) if command is None]
+    of_gyros = levels(gyros, _JUMP, _MOST_OF_JUMPS) if gyros else None
     alarms = []
     for channel, command in zip(channels, commands, strict=True):
         bare = bare_rule(OBSERVER, channel.name, channel.kind, channel.unit)
-        if command is None:
+        if command is not None:
+            floor, critical = _SMALLEST_LOSS * command, _CRITICAL_LOSS * command
+            alarms.append(calibrated(bare, of_motors, command, floor=floor, critical=critical, times=times))
+        elif of_gyros is not None:
             jump = calibrated(bare, of_gyros, 1.0, floor=_SMALLEST_JUMP, critical=4 * _SMALLEST_JUMP, times=_JUMP)
             alarms.append(plain_only(jump))
-        else:
-            floor, critical = _SMALLEST_LOSS * command, _CRITICAL_LOSS * command
-            alarms.append(calibrated(bare, of_motors, command, floor=floor, critical=critical, times=Times()))
     return [*alarms, unexplained_alarm(OBSERVER, evidence, rate_hz, share, score_floor)]
 
 
 def _findings(
-    model: MultirotorFit,
-    motors: Sequence[str],
-    hover: Sequence[float],
-    uncertainty: MotorUncertainty,
-    drift: Drift,
+    model: MultirotorFit, motors: Sequence[str], uncertainty: MotorUncertainty, drift: Drift
 ) -> dict[str, object]:
     return {
-        "rate_hz": model.rate_hz,
-        "motors": list(motors),
         "explained": dict(zip(_AXES, model.explained.tolist(), strict=True)),
         "t_value": dict(zip(_AXES, model.t_value.tolist(), strict=True)),
         "lag_taps": model.taps.tolist(),
         "thrust_curvature": model.kappa,
-        "hover_command": dict(zip(motors, hover, strict=True)),
-        "effectiveness": {motor: model.B[:3, i].tolist() for i, motor in enumerate(motors)},
         "effectiveness_error": {motor: uncertainty.B_error[:, i].tolist() for i, motor in enumerate(motors)},
         "effectiveness_relative_error": dict(zip(motors, uncertainty.relative.tolist(), strict=True)),
         "response_drift_per_minute": {"value": drift.per_minute, "standard_error": drift.error},
@@ -219,16 +334,10 @@ def _details(motors: Sequence[str], uncertainty: MotorUncertainty, drift: Drift)
     )
 
 
-def _lines(
-    model: MultirotorFit, motors: Sequence[str], hover: Sequence[float], alarms: Sequence[Calibrated]
-) -> tuple[str, ...]:
-    explained = ", ".join(f"{axis} {100 * share:.1f} %" for axis, share in zip(_AXES, model.explained, strict=True))
+def _lines(motors: Sequence[str], hover: Sequence[float], alarms: Sequence[Calibrated]) -> tuple[str, ...]:
     rules = {found.rule.channel: found.rule for found in alarms}
-    return (
-        f"model {model.rate_hz:g} Hz, explains {explained} of each rate's changes",
-        *(
-            f"{motor} alarm from {100 * rules[motor].threshold / command:.1f} % loss at hover (command {command:.2f}, "
-            f"threshold {rules[motor].threshold:g} of full command)"
-            for motor, command in zip(motors, hover, strict=True)
-        ),
+    return tuple(
+        f"{motor} alarm from {100 * rules[motor].threshold / command:.1f} % loss at hover (command {command:.2f}, "
+        f"threshold {rules[motor].threshold:g} of full command)"
+        for motor, command in zip(motors, hover, strict=True)
     )

@@ -50,15 +50,15 @@ class MultirotorFit:
     a : NDArray[np.float64]
         Rate coefficients a_o per step (3,).
     B : NDArray[np.float64]
-        Effect of each motor's v on the four outputs per step (4, s).
+        Effect of each motor's v on the outputs per step (4, s); (3, s) without vertical specific force.
     c : NDArray[np.float64]
-        Constant offsets per step (4,).
+        Constant offsets per step (4,) or (3,).
     taps : NDArray[np.float64]
         Motor lag and delay h (L,), sum 1.
     kappa : float
         Curvature of thrust over command.
     residual_std : NDArray[np.float64]
-        One-step prediction error (4,), in the units of y.
+        One-step prediction error (4,) or (3,), in the units of y.
     explained : NDArray[np.float64]
         Share of the variance of the one-step change of each body rate that the model explains (3,).
     t_value : NDArray[np.float64]
@@ -145,6 +145,7 @@ def multirotor_plant(
     motors: Sequence[str],
     fault_rate: float = 0.5,
     doubt: Sequence[float] | NDArray[np.float64] = (0.0, 0.0, 0.0),
+    gyros: bool = True,
 ) -> Plant:
     """Return the fitted model as a plant with one actuator fault per motor and one sensor fault per gyro axis.
 
@@ -164,11 +165,13 @@ def multirotor_plant(
         How fast a loss may develop, in units of full command per second: the bandwidth knob.
     doubt : Sequence[float]
         What the uncertainty of the coefficients puts into the next body rates (3,), rad/s.
+    gyros : bool
+        Whether faults of the gyros are told from those of motors; over ticks of seconds they are not.
     """
-    states = (*RATE_AXES, VERTICAL)
     n, s = fit.B.shape
+    states = (*RATE_AXES, VERTICAL)[:n]
     identity = np.eye(n)
-    disturbed = fit.residual_std + np.append(doubt, 0.0)
+    disturbed = fit.residual_std + np.append(doubt, 0.0)[:n]
     full = 1.0 + fit.kappa
     curve = np.array([1.0, fit.kappa]) / full
     return Plant(
@@ -178,7 +181,7 @@ def multirotor_plant(
         states=states,
         inputs=tuple(motors),
         outputs=states,
-        A=np.diag(np.append(fit.a, 0.0)),
+        A=np.diag(np.append(fit.a, 0.0)[:n]),
         B=fit.B * full,
         c=fit.c,
         C=identity,
@@ -198,7 +201,7 @@ def multirotor_plant(
         )
         + tuple(
             Fault(name=gyro, kind="sensor", column=identity[:, o], error=float(fit.residual_std[o]), unit="rad/s")
-            for o, gyro in enumerate(GYROS)
+            for o, gyro in enumerate(GYROS if gyros else ())
         ),
         disturbances=tuple(
             Disturbance(name=f"disturbance_{state}", column=identity[:, o], scale=float(disturbed[o]))

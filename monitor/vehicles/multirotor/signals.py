@@ -96,10 +96,6 @@ def multirotor_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...],
     vertical = next((source for source in _VERTICAL if source[0] in common), None)
     if rates is None:
         raise TelemetryError(f"no body rates in every log; record one of {', '.join(s[0] for s in _RATES)} at 50 Hz+")
-    if vertical is None:
-        raise TelemetryError(
-            f"no vertical acceleration in every log; record one of {', '.join(s[0] for s in _VERTICAL)} at 50 Hz+"
-        )
     if MOTOR_MESSAGE not in common:
         raise TelemetryError(f"no motor commands in every log; record {MOTOR_MESSAGE} at 50 Hz or more")
     commands = motor_commands(surveys)
@@ -120,6 +116,8 @@ def multirotor_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...],
     outputs = tuple(
         Channel(name, rates[0], (field,), scale=rates[2]) for name, field in zip(names, rates[1], strict=True)
     )
+    if vertical is None:
+        return inputs, outputs
     message, field, scale = vertical
     return inputs, (*outputs, Channel("vertical_acceleration", message, (field,), scale=scale))
 

@@ -1,0 +1,127 @@
+"""How much each motor of a multirotor turns the vehicle about its axes: from its parameters, or a standard frame.
+
+A motor at (x, y) before and right of the centre of gravity, pushing up, turns the vehicle by -y about the roll axis, by
+x about the pitch axis and, by its drag, about the yaw axis against its own sense of rotation. The effects of a frame
+are these numbers relative to each other, of each axis for itself: how much thrust a command gives, and how much a
+torque turns the vehicle, the flights say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import cos, radians, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+_PX4_ROTORS = 12
+"""``CA_ROTOR0`` to ``CA_ROTOR11``: as many as PX4's control allocation has."""
+_MOTOR_FUNCTIONS = {**{33 + i: i for i in range(8)}, **{82 + i: 8 + i for i in range(4)}}
+"""ArduPilot's SERVOn_FUNCTION of motors 1 to 12, and their index from 0."""
+_PX4_FUNCTIONS = {101 + i: i for i in range(_PX4_ROTORS)}
+"""PX4's PWM_MAIN_FUNCn (and those of other drivers) of motors 1 to 12, and their index from 0."""
+
+CCW, CW = 1.0, -1.0
+"""Yaw by the drag of a motor that turns counter-clockwise or clockwise, seen from above."""
+
+# Standard frames as ArduPilot numbers their motors (AP_MotorsMatrix): for each motor its angle from the nose, degrees
+# clockwise, and its sense of rotation; PX4 numbers the quad x alike. The keys are FRAME_CLASS and FRAME_TYPE.
+_STANDARD: Mapping[tuple[int, int], tuple[str, tuple[tuple[float, float], ...]]] = {
+    (1, 1): ("quad x", ((45, CCW), (-135, CCW), (-45, CW), (135, CW))),
+    (1, 0): ("quad +", ((90, CCW), (-90, CCW), (0, CW), (180, CW))),
+    (1, 3): ("quad h", ((45, CW), (-135, CW), (-45, CCW), (135, CCW))),
+    (1, 12): ("quad x, Betaflight's order", ((135, CW), (45, CCW), (-135, CCW), (-45, CW))),
+    (1, 18): ("quad x, Betaflight's order reversed", ((135, CCW), (45, CW), (-135, CW), (-45, CCW))),
+    (1, 13): ("quad x, DJI's order", ((45, CCW), (-45, CW), (-135, CCW), (135, CW))),
+    (1, 14): ("quad x, clockwise order", ((45, CCW), (135, CW), (-135, CCW), (-45, CW))),
+    (2, 1): ("hexa x", ((90, CW), (-90, CCW), (-30, CW), (150, CCW), (30, CCW), (-150, CW))),
+    (2, 0): ("hexa +", ((0, CW), (180, CCW), (-120, CW), (60, CCW), (-60, CCW), (120, CW))),
+    (2, 13): ("hexa x, DJI's order", ((30, CCW), (-30, CW), (-90, CCW), (-150, CW), (150, CCW), (90, CW))),
+    (2, 14): ("hexa x, clockwise order", ((30, CCW), (90, CW), (150, CCW), (-150, CW), (-90, CCW), (-30, CW))),
+    (3, 1): (
+        "octa x",
+        ((22.5, CW), (-157.5, CW), (67.5, CCW), (157.5, CCW), (-22.5, CCW), (-112.5, CCW), (-67.5, CW), (112.5, CW)),
+    ),
+    (3, 0): ("octa +", ((0, CW), (180, CW), (45, CCW), (135, CCW), (-45, CCW), (-135, CCW), (-90, CW), (90, CW))),
+    (4, 1): (
+        "octa quad x",
+        ((45, CCW), (-45, CW), (-135, CCW), (135, CW), (-45, CCW), (45, CW), (135, CCW), (-135, CW)),
+    ),
+    (4, 0): ("octa quad +", ((0, CCW), (-90, CW), (180, CCW), (90, CW), (-90, CCW), (0, CW), (90, CCW), (180, CW))),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """How the motors of a vehicle turn it.
+
+    Parameters
+    ----------
+    name : str
+        For people: ``quad x``.
+    effects : NDArray[np.float64]
+        Relative effect of each motor about roll, pitch and yaw (3, s), the largest of an axis 1; zeros for an axis
+        that no motor turns.
+    """
+
+    name: str
+    effects: NDArray[np.float64]
+
+
+def frame_of(parameters: Mapping[str, float], outputs: Sequence[int]) -> Frame | None:
+    """Return the frame that an autopilot's parameters describe, None where they do not.
+
+    Parameters
+    ----------
+    parameters : Mapping[str, float]
+        The autopilot's: ``CA_ROTOR*`` of PX4; ``FRAME_CLASS`` and ``FRAME_TYPE`` of ArduPilot; functions of outputs
+        of both.
+    outputs : Sequence[int]
+        Numbers of the servo outputs that are motors (s,).
+    """
+    if parameters.get("CA_ROTOR_COUNT", 0) >= len(outputs):
+        return _of_px4(parameters, outputs)
+    standard = _STANDARD.get((int(parameters.get("FRAME_CLASS", 0)), int(parameters.get("FRAME_TYPE", 0))))
+    if standard is None:
+        return None
+    name, motors = standard
+    functions = {n: _MOTOR_FUNCTIONS.get(int(parameters.get(f"SERVO{n}_FUNCTION", -1)), n - 1) for n in outputs}
+    return _chosen(name, _effects(motors), [functions[n] for n in outputs])
+
+
+def standard_frames(motors: int) -> Iterator[Frame]:
+    """Yield the standard frames with a number of motors whose outputs are in the order of the motors."""
+    for name, places in _STANDARD.values():
+        if len(places) == motors:
+            yield Frame(name, _effects(places))
+
+
+def _of_px4(parameters: Mapping[str, float], outputs: Sequence[int]) -> Frame | None:
+    """Return the frame of PX4's control allocation; motors are in the order of its rotors."""
+    rotors = range(int(min(parameters["CA_ROTOR_COUNT"], _PX4_ROTORS)))
+    rows = [[parameters.get(f"CA_ROTOR{i}_{key}", default) for i in rotors] for key, default in _PX4_DEFAULTS]
+    px, py, km = np.array(rows)
+    order = [_PX4_FUNCTIONS.get(int(parameters.get(f"PWM_MAIN_FUNC{n}", -1)), n - 1) for n in outputs]
+    return _chosen(f"{len(rotors)} rotors as the parameters place them", _scaled(np.stack([-py, px, km])), order)
+
+
+_PX4_DEFAULTS = (("PX", 0.0), ("PY", 0.0), ("KM", 0.05))
+"""Parameters of a rotor that turns the vehicle: metres forward and right, and drag over thrust; PX4's defaults."""
+
+
+def _chosen(name: str, effects: NDArray[np.float64], order: Sequence[int]) -> Frame | None:
+    """Return the frame with its motors in the order of the outputs."""
+    if len(set(order)) < len(order) or not all(0 <= index < effects.shape[1] for index in order):
+        return None
+    return Frame(name, effects[:, list(order)])
+
+
+def _effects(motors: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
+    angles = [radians(angle) for angle, _ in motors]
+    return _scaled(np.array([[-sin(a) for a in angles], [cos(a) for a in angles], [yaw for _, yaw in motors]]))
+
+
+def _scaled(effects: NDArray[np.float64]) -> NDArray[np.float64]:
+    largest = np.abs(effects).max(axis=1, keepdims=True)
+    return np.asarray(np.round(effects / np.where(largest > 0.0, largest, 1.0), 12))

@@ -1,0 +1,148 @@
+"""Frames, and the trim of a multirotor whose motor commands come slowly: known truth from a simulated rate loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from adapters.errors import ModelError
+from gains.identification.segment import Segment
+from monitor.vehicles.multirotor.frames import Frame, frame_of, standard_frames
+from monitor.vehicles.multirotor.trim import choose_frame, identify_trim, slow_times
+
+STEP_S = 0.01
+AUTHORITY = np.array([300.0, 250.0, 20.0])
+"""rad/s^2 that a torque of one gives."""
+DAMPING = np.array([0.8, 0.8, 0.5])
+"""Rates decay with, 1/s."""
+LAG_S = 0.05
+HOVER = 0.5
+FRAMES = [frame for motors in (4, 6, 8) for frame in standard_frames(motors)]
+
+
+def fly(
+    frame: Frame, seconds: float, *, turns: float = 0.6, lost: Sequence[float] = (), seed: int = 1
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return commands (N, s) and body rates (N, 3) every 10 ms of a rate loop that follows demanded rates in gusts."""
+    random = np.random.default_rng(seed)
+    count, motors = round(seconds / STEP_S), frame.effects.shape[1]
+    mixer = np.linalg.pinv(frame.effects / motors)
+    kept = 1.0 - np.array(lost) if len(lost) else np.ones(motors)
+    rate, integral, gust, thrust = np.zeros(3), np.zeros(3), np.zeros(3), np.full(motors, HOVER)
+    u, y = np.empty((count, motors)), np.empty((count, 3))
+    demand = np.zeros(3)
+    for k in range(count):
+        if k % 70 == 0:
+            demand = turns * random.uniform(-1.0, 1.0, 3)
+        error = demand - rate
+        integral += error * STEP_S
+        u[k] = HOVER + mixer @ ((8.0 * error + 6.0 * integral) / AUTHORITY)
+        y[k] = rate
+        thrust += (u[k] * kept - thrust) * STEP_S / LAG_S
+        gust += -gust * STEP_S + 0.002 * random.standard_normal(3) * np.sqrt(STEP_S)
+        torque = frame.effects @ thrust / motors + gust
+        rate = rate + (AUTHORITY * torque - DAMPING * rate) * STEP_S
+    return u, y
+
+
+def slow(u: NDArray[np.float64], y: NDArray[np.float64], hz: float, commands_hz: float) -> Segment:
+    """Return ticks with the mean of the commands that were sent until the next one."""
+    t, at = np.arange(len(u)) * STEP_S, np.arange(0.0, len(u) * STEP_S - STEP_S, 1.0 / commands_hz)
+    ticks = np.arange(1.0, at[-1] - 1.0 / hz, 1.0 / hz)
+    whole = np.concatenate([[0.0], np.cumsum(np.diff(at))])
+    means = []
+    for column in u.T:
+        sent = np.interp(at, t, column)
+        area = np.concatenate([[0.0], np.cumsum((sent[1:] + sent[:-1]) / 2.0 * np.diff(whole))])
+        fine = np.interp(np.append(ticks, ticks[-1] + 1.0 / hz), at, area)
+        means.append(np.diff(fine) * hz)
+    return Segment(np.stack(means, axis=1), np.stack([np.interp(ticks, t, column) for column in y.T], axis=1))
+
+
+@pytest.mark.parametrize("frame", FRAMES, ids=lambda frame: frame.name)
+def test_no_motor_of_a_standard_frame_turns_it_as_another_does(frame: Frame) -> None:
+    distinct = np.unique(frame.effects.round(9), axis=1).shape[1]
+    assert distinct == frame.effects.shape[1]
+    assert np.allclose(frame.effects.sum(axis=1), 0.0)
+    assert np.allclose(np.abs(frame.effects).max(axis=1), 1.0)
+
+
+def test_parameters_of_ardupilot_name_the_frame_and_the_order_of_its_outputs() -> None:
+    plain = frame_of({"FRAME_CLASS": 1, "FRAME_TYPE": 1}, (1, 2, 3, 4))
+    assert plain is not None and plain.name == "quad x"
+    assert plain.effects.tolist() == [[-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1]]
+    swapped = {"SERVO1_FUNCTION": 34, "SERVO2_FUNCTION": 33, "SERVO3_FUNCTION": 35, "SERVO4_FUNCTION": 36}
+    other = frame_of({"FRAME_CLASS": 1, "FRAME_TYPE": 1} | swapped, (1, 2, 3, 4))
+    assert other is not None
+    assert other.effects.tolist() == [[1, -1, 1, -1], [-1, 1, 1, -1], [1, 1, -1, -1]]
+
+
+def test_parameters_of_px4_place_the_rotors() -> None:
+    places = [(1, 1, 0.05), (-1, -1, 0.05), (1, -1, -0.05), (-1, 1, -0.05)]
+    parameters = {
+        f"CA_ROTOR{i}_{key}": value
+        for i, place in enumerate(places)
+        for key, value in zip(("PX", "PY", "KM"), place, strict=True)
+    }
+    frame = frame_of({"CA_ROTOR_COUNT": 4.0, **parameters}, (1, 2, 3, 4))
+    assert frame is not None
+    assert frame.effects.tolist() == [[-1, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1]]
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [{}, {"FRAME_CLASS": 77.0}, {"CA_ROTOR_COUNT": 2.0}, {"FRAME_CLASS": 1, "FRAME_TYPE": 1, "SERVO1_FUNCTION": 34}],
+)
+def test_parameters_that_do_not_describe_these_motors_give_no_frame(parameters: dict[str, float]) -> None:
+    assert frame_of(parameters, (1, 2, 3, 4)) is None
+
+
+@pytest.mark.parametrize("frame", [*standard_frames(4), *standard_frames(6)], ids=lambda frame: frame.name)
+def test_the_motion_tells_the_frame(frame: Frame) -> None:
+    u, y = fly(frame, 60.0)
+    every = 10
+    chosen = choose_frame([Segment(np.repeat(u[::20], 2, axis=0)[: len(y[::every])], y[::every])], 1.0 / STEP_S / every)
+    assert chosen is not None and chosen.name == frame.name
+
+
+def test_motion_that_follows_no_frame_tells_none() -> None:
+    random = np.random.default_rng(3)
+    assert choose_frame([Segment(random.normal(size=(600, 4)), random.normal(size=(600, 3)))], 10.0) is None
+    assert choose_frame([], 10.0) is None
+
+
+@pytest.mark.parametrize(("commands_hz", "hz"), [(10.0, 5.0), (10.0, 3.33), (2.0, 1.0)])
+def test_the_trim_shows_how_large_a_lost_share_is(commands_hz: float, hz: float) -> None:
+    frame = next(iter(standard_frames(4)))
+    fit = identify_trim([slow(*fly(frame, 120.0), hz, commands_hz)], hz, frame)
+    faulty = slow(*fly(frame, 40.0, lost=(0.0, 0.15, 0.0, 0.0), seed=2), hz, commands_hz)
+    v = fit.taps[0] * faulty.u[1:-1] + (1.0 - fit.taps[0]) * faulty.u[:-2]
+    missing = faulty.y[2:, :2] - fit.a[:2] * faulty.y[1:-1, :2] - v @ fit.B[:2].T - fit.c[:2]
+    lost = np.linalg.lstsq(-fit.B[:2, [1]], missing.mean(axis=0), rcond=None)[0][0]
+    assert lost == pytest.approx(0.15 * faulty.u[:, 1].mean(), rel=0.15)
+
+
+def test_the_torque_of_a_turn_is_learned_where_one_was_flown() -> None:
+    frame = next(iter(standard_frames(4)))
+    fit = identify_trim([slow(*fly(frame, 120.0), 5.0, 10.0)], 5.0, frame)
+    assert fit.B[2, 0] * 4.0 * 5.0 == pytest.approx(AUTHORITY[2], rel=0.1)
+    assert fit.a[2] == pytest.approx(np.exp(-DAMPING[2] / 5.0), abs=0.05)
+
+
+def test_hovering_without_a_turn_leaves_yaw_out() -> None:
+    frame = next(iter(standard_frames(4)))
+    fit = identify_trim([slow(*fly(frame, 120.0, turns=0.0), 5.0, 10.0)], 5.0, frame)
+    assert fit.B.shape == (2, 4) and len(fit.a) == 2
+
+
+def test_too_short_a_flight_is_refused() -> None:
+    frame = next(iter(standard_frames(4)))
+    with pytest.raises(ModelError, match="only 1. s of healthy flight"):
+        identify_trim([slow(*fly(frame, 15.0), 5.0, 10.0)], 5.0, frame)
+
+
+def test_evidence_lasts_for_ticks_of_a_slow_grid() -> None:
+    assert slow_times(0.5).raise_s == 6.0
