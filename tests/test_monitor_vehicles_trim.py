@@ -140,7 +140,7 @@ def test_hovering_without_a_turn_leaves_yaw_out() -> None:
 
 def test_too_short_a_flight_is_refused() -> None:
     frame = next(iter(standard_frames(4)))
-    with pytest.raises(ModelError, match="only 1. s of healthy flight"):
+    with pytest.raises(ModelError, match=r"only 1. s of healthy flight"):
         identify_trim([slow(*fly(frame, 15.0), 5.0, 10.0)], 5.0, frame)
 
 

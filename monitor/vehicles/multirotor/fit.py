@@ -111,8 +111,8 @@ def multirotor_gate(surveys: Sequence[Survey]) -> GateRule:
 class _Identified:
     """A model of the motors, what it rests on, and what there is to say about it.
 
-    ``relative_error`` is each motor's effect's (s,), ``doubt`` what the uncertainty of the coefficients puts into the next
-    body rates (3,).
+    ``doubt`` is what the uncertainty of the coefficients puts into the next body rates (n,), ``times`` how long
+    evidence has to last.
     """
 
     model: MultirotorFit
@@ -245,8 +245,8 @@ def _slow(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], output
             "commands_hz": commands_hz,
             "lag_taps": model.taps.tolist(),
         },
-        line=f"motor commands come at {commands_hz:.3g} Hz: mean command against mean motion, every {1 / rate_hz:.2g} s; "
-        f"{frame.name} (from {origin})"
+        line=f"motor commands come at {commands_hz:.3g} Hz: mean command against mean motion, every "
+        f"{1 / rate_hz:.2g} s; {frame.name} (from {origin})"
         + ("" if len(model.a) == len(rates) else "; yaw is not used, the flights never turned"),
         details=(),
     )
@@ -272,9 +272,9 @@ def _frame(
     frame = choose_frame(segments, rate_hz)
     if frame is None:
         raise ModelError(
-            f"which way its {len(inputs)} motors turn the vehicle is not known: no parameters in the logs (CA_ROTOR* of "
-            "PX4, FRAME_CLASS of ArduPilot), and no standard frame goes with the motion; fit on a log of the autopilot "
-            "itself, or on a flight with brisk roll, pitch and yaw"
+            f"which way its {len(inputs)} motors turn the vehicle is not known: no parameters in the logs (CA_ROTOR* "
+            "of PX4, FRAME_CLASS of ArduPilot), and no standard frame goes with the motion; fit on a log of the "
+            "autopilot itself, or on a flight with brisk roll, pitch and yaw"
         )
     return frame, "the motion"
 

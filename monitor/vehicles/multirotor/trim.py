@@ -14,8 +14,8 @@ y' = (e_o - p_0 - p_2 y) / p_1, it gives the discrete model of the observer
 
     y_o(k+1) = a_o y_o(k) + B_o v(k) + c_o,     a_o = exp(-T p_2 / p_1),     B_o = (1 - a_o) / p_2  g_o / s.
 
-The size of a lost share does not depend on p_1: without a change of motion e_o alone tells it. So the frame and two minutes
-of hovering are enough; p_1 says how much torque a manoeuvre asks for.
+The size of a lost share does not depend on p_1: without a change of motion e_o alone tells it. So the frame and two
+minutes of hovering are enough; p_1 says how much torque a manoeuvre asks for.
 """
 
 from __future__ import annotations
@@ -35,20 +35,21 @@ from monitor.vehicles.multirotor.identify import MultirotorFit
 FloatArray = NDArray[np.float64]
 
 SLOW_COMMANDS_HZ = 25.0
-"""Motor commands slower than this are taken as means. At 25 Hz two samples fall into the lag of a motor (50 to 100 ms with
-its link), fewer cannot show how it answers."""
+"""Motor commands slower than this are taken as means. At 25 Hz two samples fall into the lag of a motor (50 to
+100 ms with its link), fewer cannot show how it answers."""
 COMMANDS_PER_TICK = 2
-"""Commands in a tick, at least. Measured on ArduPilot and PX4 at 10 Hz and on radios at 2 Hz: two see a motor with 12 to 15 %
-less after 0.6 to 4 s, three after 0.5 to 11 s, with as few false alarms; more are later still."""
+"""Commands in a tick, at least. Measured on ArduPilot and PX4 at 10 Hz and on radios at 2 Hz: two see a motor with
+12 to 15 % less after 0.6 to 4 s, three after 0.5 to 11 s, with as few false alarms; more are later still."""
 _USUAL = (450.0, 450.0, 22.0)
-"""rad/s^2 that a torque e of one gives about roll, pitch and yaw, where the flights do not tell p_1: the geometric mean of
-two quads of 1 and 3 kg (PX4's SIH 175, 175, 13.5; ArduPilot's simulator 1200, 1200, 37)."""
+"""rad/s^2 that a torque e of one gives about roll, pitch and yaw, where the flights do not tell p_1: the geometric
+mean of two quads of 1 and 3 kg (PX4's SIH 175, 175, 13.5; ArduPilot's simulator 1200, 1200, 37)."""
 _SHOWS = 0.5
 """Share of the torque's variance that motion explains, from which on p_1 is taken from the flights as it is. Below, it
 lies between the regressions of either on the other, which are further apart than a factor of two."""
 _TURNED = 0.3
-"""rad/s of yaw that have to have been flown for the yaw axis to count. A turn asks for torque as no manoeuvre about another axis
-does (p_1 is 13 to 32 times larger), and hovering does not show how much: at 0.3 rad/s^2 for as much as a motor that lost 15 %."""
+"""rad/s of yaw that have to have been flown for the yaw axis to count. A turn asks for more torque than manoeuvres
+about other axes do (p_1 is 13 to 32 times larger), and hovering does not show how much: at 0.3 rad/s^2 as much as a
+motor that lost 15 %."""
 _FEWEST_S = 20.0
 """Least healthy flight to learn the trim from, seconds."""
 _LAGS = np.linspace(0.0, 0.9, 10)
@@ -62,8 +63,8 @@ _TELLS = 3.0
 def slow_times(rate_hz: float) -> Times:
     """Return how long evidence has to last on a slow grid.
 
-    Measured on four healthy flights at 10 Hz in ticks of 0.3 s: the level that is exceeded once in 150 hours falls from 19 % of a
-    motor's command where evidence lasts one tick to 9, 4.5 and 2.6 % for two, three and four.
+    Measured on four healthy flights at 10 Hz in ticks of 0.3 s: the level that is exceeded once in 150 hours falls
+    from 19 % of a motor's command where evidence lasts one tick to 9, 4.5 and 2.6 % for two, three and four.
     """
     tick_s = 1.0 / rate_hz
     return Times(fast_s=tick_s, raise_s=3 * tick_s, slow_s=10 * tick_s, clear_s=3 * tick_s)
@@ -105,7 +106,8 @@ def identify_trim(segments: Sequence[Segment], rate_hz: float, frame: Frame) -> 
     samples = sum(len(segment.u) - 2 for segment in usable)
     if samples < _FEWEST_S * rate_hz:
         raise ModelError(
-            f"only {samples / rate_hz:.0f} s of healthy flight in the logs; at least {_FEWEST_S:.0f} s in the air are needed"
+            f"only {samples / rate_hz:.0f} s of healthy flight in the logs; at least {_FEWEST_S:.0f} s in the air "
+            "are needed"
         )
     turned = max(float(np.abs(segment.y[:, 2]).max()) for segment in usable) > _TURNED
     g = frame.effects[: 3 if turned else 2] / frame.effects.shape[1]
@@ -140,15 +142,16 @@ def choose_frame(segments: Sequence[Segment], rate_hz: float) -> Frame | None:
     Parameters
     ----------
     segments : Sequence[Segment]
-        Healthy flight on a grid about as fast as the body rates: u the newest commands at the tick (N, s), y body rates.
+        Healthy flight on a grid about as fast as the body rates: u the newest commands at the tick (N, s), y body
+        rates.
     rate_hz : float
         Ticks per second.
 
     Notes
     -----
-    The commanded torque of the right frame grows with the angular acceleration some ticks later and, by damping, with the
-    rate. Each axis of a frame counts with the squared t-values of both coefficients, negative where their sign is wrong.
-    Only ticks with new commands count: an older one says nothing of the motion now.
+    The commanded torque of the right frame grows with the angular acceleration some ticks later and, by damping, with
+    the rate. Each axis of a frame counts with the squared t-values of both coefficients, negative where their sign is
+    wrong. Only ticks with new commands count: an older one says nothing of the motion now.
     """
     usable = [segment for segment in segments if len(segment.u) > _LATEST + 2]
     if not usable:
@@ -207,8 +210,8 @@ def _axes(
 def _torque_per_motion(axis: _Axis, usual: float) -> float:
     """Return p_1: as the flights show it, else the usual one within what they allow.
 
-    Where gusts move a vehicle more than its pilot, torque follows gust and not motion, and the regression shrinks p_1; that
-    of motion on torque enlarges it by one over the share explained.
+    Where gusts move a vehicle more than its pilot, torque follows gust and not motion, and the regression shrinks
+    p_1; that of motion on torque enlarges it by one over the share explained.
     """
     least = max(axis.p[1], 0.0)
     if axis.explained >= _SHOWS and least > 0.0:
