@@ -21,7 +21,6 @@ from adapters.channels import parse_channel
 from adapters.encoding.cdr import CdrDecoder
 from adapters.encoding.message_definition import SHIPPED, find_definition, parse_definitions
 from adapters.encoding.message_record import decoder, encode
-from adapters.encoding.record import Schema
 from adapters.errors import PayloadError, TelemetryError, UndefinedTypeError
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink import mavlink_link
@@ -146,17 +145,11 @@ def _mavlink(folder: Path) -> Run:
         pieces.waiting = [(sender, part, START_NS + step_ns) for part in parts]
         for message in messages(link.receive(0.0)):
             record = encode(message)
-            decode = decoder(record.topic, record.encoding, schema_of(record.schema))
-            assert decode is not None
+            decode = decoder(record.topic, record.encoding, record.schema)
             decode(record.data, record.time_ns)
         link.statistics()
 
     return run
-
-
-def schema_of(schema: Schema | None) -> tuple[str, bytes] | None:
-    """Return a schema as :func:`decoder` takes it."""
-    return None if schema is None else (schema.name, schema.data)
 
 
 def _stream_seeds() -> list[bytes]:

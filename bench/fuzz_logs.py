@@ -49,8 +49,7 @@ def as_recorded(messages: Iterable[Message]) -> None:
     for message in messages:
         record = encode(message)
         assert (record.encoding == "protobuf") >= (message.source == MAVLINK), message
-        decode = decoder(record.topic, record.encoding, (record.schema.name, record.schema.data))
-        assert decode is not None
+        decode = decoder(record.topic, record.encoding, record.schema)
         assert repr(decode(record.data, record.time_ns)) == repr(message)
 
 

@@ -186,13 +186,10 @@ def _record(folder: Path) -> Run:
         if schema is not None and draw.number() % 4 == 0:
             schema = schema[0], draw.edited(schema[1])
         payload, time_ns = draw.rest(), draw.number(8)
-        with only(ValueError):
-            decode = decoder(topic, encoding, schema)
-            if decode is not None:
-                _plain_message(decode(payload, time_ns))
         found = None if schema is None else Schema(schema[0], "ros2msg", schema[1])
-        with only(ValueError):
-            _plain_message(foreign_decoder(topic, encoding, found)(payload, time_ns))
+        for reader in (decoder, foreign_decoder):
+            with only(ValueError):
+                _plain_message(reader(topic, encoding, found)(payload, time_ns))
 
     return run
 

@@ -13,7 +13,7 @@ from adapters.errors import InaccurateError, InfeasibleError, ModelError, UsageE
 
 if TYPE_CHECKING:
     from gains.plants.plant import Plant
-    from gains.synthesis.design import Design
+    from gains.synthesis.gains_file import Gains
 
 
 def design_text(report: dict[str, Any], out: Path | None) -> str:
@@ -175,21 +175,25 @@ def run_design(args: argparse.Namespace) -> int:
         plant = replace(model, faults=tuple(rated))
     if args.faults is not None:
         plant = _only(plant, args.faults)
-    if args.rate is None and plant.rate_hz is None and args.method != "all" and not _continuous(args):
+    if args.method == "all":
+        return _compare(plant, args)
+    if args.rate is None and plant.rate_hz is None and not _continuous(args):
         args.rate = _RATE_HZ
         sys.stderr.write(
             f"fauio: {plant.name}: designed for {_RATE_HZ:g} samples per second; --rate HZ sets another rate, "
             "--continuous needs none\n"
         )
     try:
-        if args.method == "all":
-            return _compare(plant, args, model_hash(model))
-        report = _design(plant, args, model_hash(model))
+        report, gains = _design(plant, args)
     except InfeasibleError as error:
         if args.json:
             _print_json(_failure(plant, args, error))
         raise
-    report |= {"floor": _floor(plant, report), "reason": None}
+    if args.out is not None and gains is not None:
+        from gains.synthesis.gains_file import write_gains
+
+        # The monitor compares the hash with that of the model file, which --fault-rate does not change.
+        write_gains(replace(gains, model_hash=model_hash(model)), args.out)
     if args.json:
         _print_json(report)
     else:
@@ -214,7 +218,7 @@ def _only(plant: Plant, names: str) -> Plant:
     return restricted(plant, wanted)
 
 
-def _compare(plant: Plant, args: argparse.Namespace, model_hash: str) -> int:
+def _compare(plant: Plant, args: argparse.Namespace) -> int:
     """Design with every method and print a line (or JSON line) for each; what is infeasible says why."""
     if args.out is not None:
         raise UsageError(f"{plant.name}: -o takes the gains of one method; leave out --method all")
@@ -226,8 +230,7 @@ def _compare(plant: Plant, args: argparse.Namespace, model_hash: str) -> int:
             continue
         case = argparse.Namespace(**{**vars(args), "method": method, "continuous": continuous})
         try:
-            report = _design(plant, case, model_hash)
-            report |= {"floor": _floor(plant, report), "reason": None}
+            report, _ = _design(plant, case)
         except (InfeasibleError, ModelError) as error:
             report = _failure(plant, case, error)
         if args.json:
@@ -269,25 +272,38 @@ def run_check(args: argparse.Namespace) -> int:
     return 0 if check.estimable else InfeasibleError.exit_status
 
 
-def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str, Any]:
-    """Design, certify, write the file that was asked for and return the report."""
+def _design(plant: Plant, args: argparse.Namespace) -> tuple[dict[str, Any], Gains | None]:
+    """Design and certify; return the report, and the compiled gains where there is a rate to compile them for."""
     if args.method in _BASELINES or _continuous(args):
         for option, default in _DISCRETE_OPTIONS.items():
             if getattr(args, option) != default:
                 raise UsageError(f"{plant.name}: --{option.replace('_', '-')} belongs to the discrete convex synthesis")
+    if args.out is not None and args.rate is None and _continuous(args):
+        raise UsageError(f"{plant.name}: gains that run need a rate in samples per second (--rate)")
     if args.method in _BASELINES:
-        return _design_baseline(plant, args, model_hash)
-    if _continuous(args):
-        return _design_continuous(plant, args, model_hash)
-    if stray := [name for name in ("decay_rates", *_SCALARS) if getattr(args, name) is not None]:
-        raise UsageError(f"{plant.name}: --{stray[0].replace('_', '-')} belongs to a continuous design (--continuous)")
-    from dataclasses import replace
+        from gains.published.catalogue import design_baseline
 
+        gains, report = design_baseline(plant, args.method, args.rate)
+    elif _continuous(args):
+        report, gains = _design_continuous(plant, args)
+    else:
+        report, gains = _design_discrete(plant, args)
+    return report | {"floor": _floor(plant, report), "reason": None}, gains
+
+
+def _continuous(args: argparse.Namespace) -> bool:
+    """Return whether a design in continuous time is asked for: all but convex and the filter know no other."""
+    return args.continuous or args.method not in ("convex", "ekf")
+
+
+def _design_discrete(plant: Plant, args: argparse.Namespace) -> tuple[dict[str, Any], Gains]:
     from gains.synthesis.certificate import certify, design_report
     from gains.synthesis.compilation import common_matrix, compile_gains
     from gains.synthesis.convex import GAIN_WEIGHT, design_convex
-    from gains.synthesis.gains_file import read_gains, write_gains
+    from gains.synthesis.gains_file import read_gains
 
+    if stray := [name for name in ("decay_rates", *_SCALARS) if getattr(args, name) is not None]:
+        raise UsageError(f"{plant.name}: --{stray[0].replace('_', '-')} belongs to a continuous design (--continuous)")
     P = None
     if args.common_p is not None:
         P = common_matrix(plant, args.rate, read_gains(args.common_p), str(args.common_p))
@@ -303,66 +319,31 @@ def _design(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str
         P=P,
     )
     certificate = certify(plant, design)
-    if args.out is not None:
-        # The monitor compares the hash with that of the model file, which --fault-rate does not change.
-        write_gains(replace(compile_gains(plant, design, certificate), model_hash=model_hash), args.out)
-    return design_report(plant, design, certificate)
+    return design_report(plant, design, certificate), compile_gains(plant, design, certificate)
 
 
-def _continuous(args: argparse.Namespace) -> bool:
-    """Return whether a design in continuous time is asked for: all but convex and the filter know no other."""
-    return args.continuous or args.method not in ("convex", "ekf")
-
-
-def _design_baseline(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str, Any]:
-    """Design a baseline and compile it for the rate, if one is given."""
-    from dataclasses import replace
-
-    from gains.published.catalogue import design_baseline
-    from gains.synthesis.gains_file import write_gains
-
-    gains, report = design_baseline(plant, args.method, args.rate)
-    if args.out is not None:
-        if gains is None:
-            raise UsageError(f"{plant.name}: gains that run need a rate in samples per second (--rate)")
-        write_gains(replace(gains, model_hash=model_hash), args.out)
-    return report
-
-
-def _design_continuous(plant: Plant, args: argparse.Namespace, model_hash: str) -> dict[str, Any]:
-    """Design in continuous time and compile for the rate, if one is given."""
-    from dataclasses import replace
-
+def _design_continuous(plant: Plant, args: argparse.Namespace) -> tuple[dict[str, Any], Gains | None]:
+    from gains.published.theorem import design_theorem
     from gains.synthesis.certificate import certify, design_report
     from gains.synthesis.continuous_observer import compile_continuous, designed_observer
-    from gains.synthesis.gains_file import write_gains
+    from gains.synthesis.continuous_synthesis import design_continuous
 
     if args.pole_radius != 1.0:
         raise UsageError(f"{plant.name}: a pole radius belongs to a discrete design; use --decay-rates")
-    if args.out is not None and args.rate is None:
-        raise UsageError(f"{plant.name}: gains that run need a rate in samples per second (--rate)")
-    design = _continuous_design(plant, args)
-    report = design_report(plant, design, certify(plant, design), args.rate)
-    if args.rate is not None:
-        gains = compile_continuous(designed_observer(plant, design), args.rate, report)
-        if args.out is not None:
-            write_gains(replace(gains, model_hash=model_hash), args.out)
-    return report
-
-
-def _continuous_design(plant: Plant, args: argparse.Namespace) -> Design:
-    from gains.published.theorem import design_theorem
-    from gains.synthesis.continuous_synthesis import design_continuous
-
     scalars = {name: value for name in _SCALARS if (value := getattr(args, name)) is not None}
     if args.method == "convex":
         if scalars:
             raise UsageError(f"{plant.name}: --{next(iter(scalars))} belongs to theorem1 and theorem2")
         low, high = args.decay_rates or (0.0, math.inf)
-        return design_continuous(plant, decay=(low, high))
-    if args.decay_rates is not None:
+        design = design_continuous(plant, decay=(low, high))
+    elif args.decay_rates is not None:
         raise UsageError(f"{plant.name}: --decay-rates belongs to the convex synthesis")
-    return design_theorem(plant, args.method, **scalars)
+    else:
+        design = design_theorem(plant, args.method, **scalars)
+    report = design_report(plant, design, certify(plant, design), args.rate)
+    if args.rate is None:
+        return report, None
+    return report, compile_continuous(designed_observer(plant, design), args.rate, report)
 
 
 def _failure(plant: Plant, args: argparse.Namespace, error: ValueError) -> dict[str, Any]:

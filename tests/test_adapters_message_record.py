@@ -29,7 +29,6 @@ def test_a_message_comes_back_with_its_ids(message: Message) -> None:
     record = encode(message)
     decode = decoder(record.topic, "json", None)
     assert record.encoding == "json"
-    assert decode is not None
     assert decode(record.data, 5) == message
 
 
@@ -51,7 +50,6 @@ def test_what_a_link_found_survives_a_recording(tmp_path: Path) -> None:
 )
 def test_a_finding_that_is_no_record_of_ours_is_refused(data: bytes) -> None:
     decode = decoder("/link/signing", "json", None)
-    assert decode is not None
     with pytest.raises(ValueError):
         decode(data, 0)
 
@@ -68,6 +66,5 @@ def test_a_finding_that_is_no_record_of_ours_is_refused(data: bytes) -> None:
 )
 def test_a_mavlink_message_that_is_no_record_of_ours_is_refused(data: bytes) -> None:
     decode = decoder("/mavlink/ATTITUDE", "json", None)
-    assert decode is not None
     with pytest.raises(ValueError, match="record of ATTITUDE"):
         decode(data, 0)

@@ -13,7 +13,7 @@ from typing import Any
 
 from adapters.encoding.cdr import CdrDecoder
 from adapters.encoding.message_definition import canonical_type, find_definition
-from adapters.encoding.protobuf_types import class_from_descriptor_set
+from adapters.encoding.protobuf_types import class_from_schema
 from adapters.encoding.record import Schema
 from adapters.errors import TelemetryError
 from adapters.message import Message
@@ -55,7 +55,7 @@ def _fields(encoding: str, schema: Schema | None) -> FieldDecoder:
     if encoding == "cdr" and schema is not None:
         return CdrDecoder(schema.name, _definition(schema)).decode
     if encoding == "protobuf" and schema is not None:
-        return ProtobufFields(class_from_descriptor_set(schema.data, schema.name)).decode
+        return ProtobufFields(class_from_schema(schema)).decode
     if encoding in ("cdr", "protobuf"):
         raise ValueError(f"{encoding} without a schema")
     raise ValueError(f"encoding '{encoding}' is not known; cdr, json and protobuf are")
@@ -82,8 +82,8 @@ def json_object(data: bytes) -> dict[str, Any]:
     """
     try:
         found = json.loads(data)
-    except RecursionError as error:
-        raise ValueError("nested too deeply") from error
+    except (ValueError, RecursionError) as error:
+        raise ValueError("not JSON") from error
     if not isinstance(found, dict):
         raise ValueError("not a JSON object")
     return found

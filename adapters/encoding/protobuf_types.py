@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory, timestamp_pb2
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto
+
+from adapters.encoding.record import Schema
 
 ProtobufScalar = Literal["bool", "double", "float", "int32", "uint32", "int64", "uint64", "string"]
 TIMESTAMP: Final = "google.protobuf.Timestamp"
@@ -74,15 +77,16 @@ def _describe(proto: Any, full_name: str, fields: Sequence[Field]) -> None:
             entry.proto3_optional = True
 
 
-def descriptor_set(pb_class: Any) -> bytes:
-    """Return the class's FileDescriptorSet with all it depends on: the schema of an MCAP channel."""
+@functools.lru_cache(maxsize=4096)
+def protobuf_schema(pb_class: Any) -> Schema:
+    """Return the schema of a topic of such records: the class's FileDescriptorSet with all it depends on."""
     files = descriptor_pb2.FileDescriptorSet()
     for file in (*pb_class.DESCRIPTOR.file.dependencies, pb_class.DESCRIPTOR.file):
         file.CopyToProto(files.file.add())
-    return bytes(files.SerializeToString(deterministic=True))
+    return Schema(str(pb_class.DESCRIPTOR.full_name), "protobuf", bytes(files.SerializeToString(deterministic=True)))
 
 
-def class_from_descriptor_set(data: bytes, full_name: str) -> Any:
+def class_from_schema(schema: Schema) -> Any:
     """Return the protobuf class that a recording's schema describes.
 
     Raises
@@ -92,11 +96,11 @@ def class_from_descriptor_set(data: bytes, full_name: str) -> Any:
     """
     pool = descriptor_pool.DescriptorPool()
     try:
-        for file in descriptor_pb2.FileDescriptorSet.FromString(data).file:
+        for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
             pool.Add(file)
-        return message_factory.GetMessageClass(pool.FindMessageTypeByName(full_name))
+        return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
     except (KeyError, TypeError, message.Error) as error:
-        raise ValueError(f"schema of {full_name} cannot be used: {error}") from error
+        raise ValueError(f"schema of {schema.name} cannot be used: {error}") from error
 
 
 def identifiers(names: Sequence[str]) -> tuple[str, ...]:

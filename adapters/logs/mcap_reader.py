@@ -22,9 +22,10 @@ from mcap.records import Schema as McapSchema
 from mcap.writer import MCAP0_MAGIC
 
 from adapters.batch import BATCH_MESSAGES, Batch, Columns, gathered, messages, pack
-from adapters.encoding.foreign_record import described, foreign_decoder, foreign_name
-from adapters.encoding.message_record import Decode, LogRecords, MavlinkRecords, decoder, recorded_name
+from adapters.encoding.foreign_record import described, foreign_name
+from adapters.encoding.message_record import Decode, decoder, recorded_name
 from adapters.encoding.record import Record, Schema
+from adapters.encoding.typed_record import TypedRecords
 from adapters.logs.damage import Damage, counted
 from adapters.logs.mcap_records import RECORD_HEAD, UNREADABLE, McapRecords
 from adapters.message import LATEST_NS, Message
@@ -126,7 +127,7 @@ class MessageLogReader:
 
     def statistics(self) -> ReaderStatistics:
         """Return the counts so far."""
-        found = self._records.statistics()
+        found = self._records
         return ReaderStatistics(
             messages=self._messages,
             other_records=self._other_records,
@@ -208,7 +209,7 @@ class MessageLogReader:
     def _columns(self, topic: _Topic, group: Sequence[_Raw], places: Sequence[int]) -> list[Columns] | None:
         """Return the messages of a topic and count them, None where they have to be taken one by one."""
         decode = topic.decode or self._decoder(topic)
-        if not isinstance(decode, MavlinkRecords | LogRecords):
+        if not isinstance(decode, TypedRecords):
             return None
         times_ns = np.array([time_ns for _, time_ns, _, _ in group], np.int64)
         found = decode.columns([data for *_, data in group], times_ns, np.array(places))
@@ -300,16 +301,14 @@ class MessageLogReader:
         if self._topic is not None:
             wanted = topic == self._topic
         else:
-            name = recorded_name(topic, encoding, schema.name if schema else None) or foreign_name(topic)
+            name = recorded_name(topic, encoding, schema) or foreign_name(topic)
             wanted = not topic.startswith(_OUR_RESULTS) and (self._only is None or name in self._only)
         self._topics[channel.id] = _Topic(topic, encoding, schema, wanted)
 
     def _decoder(self, topic: _Topic) -> Decode | None:
         """Make what decodes a topic; where that is not possible the topic is wanted no more."""
-        schema = topic.schema
         try:
-            own = decoder(topic.topic, topic.encoding, None if schema is None else (schema.name, schema.data))
-            topic.decode = own or foreign_decoder(topic.topic, topic.encoding, schema)
+            topic.decode = decoder(topic.topic, topic.encoding, topic.schema)
         except UNREADABLE as error:
             self._unread[topic.topic] = str(error)
             topic.wanted = False

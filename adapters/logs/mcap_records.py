@@ -66,30 +66,6 @@ _RECORDS = re.compile(rb"[\x01-\x0f].{4}\0{4}", re.DOTALL)
 _LONGEST_MATCH = 64
 
 
-class RecordStatistics(NamedTuple):
-    """What was found in a file's structure.
-
-    Parameters
-    ----------
-    damaged_chunks : int
-        Chunks whose checksum or compression does not hold.
-    lost_ways : int
-        How often the next record had to be searched for.
-    skipped_bytes : int
-        Bytes passed over in these searches.
-    stopped_at : int | None
-        Byte from which on nothing could be read; None after a proper end.
-    broken_off : bool
-        Whether there is something unreadable there.
-    """
-
-    damaged_chunks: int
-    lost_ways: int
-    skipped_bytes: int
-    stopped_at: int | None
-    broken_off: bool
-
-
 class McapRecords:
     """Iterates once over (opcode, body) of a file's records; the body of a chunk is its records, decompressed.
 
@@ -97,20 +73,19 @@ class McapRecords:
     ----------
     path : Path
         The file; ``.xz`` and ``.gz`` are decompressed.
+
+    Attributes
+    ----------
+    damaged_chunks, lost_ways, stopped_at, broken_off
+        What was found so far, as of :class:`adapters.logs.mcap_reader.ReaderStatistics`.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._window = _Window(path)
-        self._damaged_chunks = self._lost_ways = self._skipped_bytes = 0
-        self._stopped_at: int | None = 0
-        self._broken_off = self._chunked = False
-
-    def statistics(self) -> RecordStatistics:
-        """Return the counts so far."""
-        return RecordStatistics(
-            self._damaged_chunks, self._lost_ways, self._skipped_bytes, self._stopped_at, self._broken_off
-        )
+        self.damaged_chunks = self.lost_ways = 0
+        self.stopped_at: int | None = 0
+        self.broken_off = self._chunked = False
 
     def __iter__(self) -> Iterator[tuple[int, bytes]]:
         """Return the records.
@@ -126,10 +101,10 @@ class McapRecords:
         elif not self._search(0):
             raise TelemetryError(f"{self._path}: not an MCAP file although its name says so; check where it came from")
         while True:
-            self._stopped_at = window.offset
+            self.stopped_at = window.offset
             head = window.peek(0, RECORD_HEAD.size)
             if len(head) < RECORD_HEAD.size:
-                self._broken_off |= bool(head)
+                self.broken_off |= bool(head)
                 return
             opcode, length = RECORD_HEAD.unpack(head)
             size = RECORD_HEAD.size + length
@@ -142,12 +117,12 @@ class McapRecords:
             if body is not None:
                 yield opcode, body
             if opcode == Opcode.FOOTER and body is not None:
-                self._stopped_at = None
+                self.stopped_at = None
                 return
             if size:
                 window.drop(size)
             elif not self._search(1):
-                self._broken_off = True
+                self.broken_off = True
                 return
 
     def _record(self, opcode: int, size: int) -> tuple[bytes | None, int]:
@@ -168,7 +143,7 @@ class McapRecords:
         at = 1
         while (found := self._window.search(self._pattern, at)) is not None and found < size:
             if self._believable(found):
-                self._lost_ways += 1
+                self.lost_ways += 1
                 return found
             at = found + 1
         return size
@@ -187,7 +162,7 @@ class McapRecords:
             except ImportError as error:
                 raise TelemetryError(f"{self._path}: needs {shape.compression}, which is not installed") from error
             except UNREADABLE:
-                self._damaged_chunks += 1
+                self.damaged_chunks += 1
         behind = self._window.peek(size, size + RECORD_HEAD.size)
         if cut or (data.endswith(_ZEROS) and not behind.strip(b"\0")):
             return _beginning(shape, data.rstrip(b"\0") if not cut else data), 0
@@ -223,8 +198,8 @@ class McapRecords:
     def _search(self, start: int) -> bool:
         """Go to the next record at least ``start`` bytes ahead; return whether there is one."""
         window = self._window
-        self._lost_ways += 1
-        passed, at = window.offset, start
+        self.lost_ways += 1
+        at = start
         while True:
             found = window.search(self._pattern, at)
             if found is None:
@@ -234,7 +209,6 @@ class McapRecords:
                     return False
             elif self._believable(found):
                 window.drop(found)
-                self._skipped_bytes += window.offset - passed
                 return True
             else:
                 at = found + 1

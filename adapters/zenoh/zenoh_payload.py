@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from adapters.encoding.cdr import CdrDecoder
+from adapters.encoding.foreign_record import json_object
 from adapters.encoding.message_definition import canonical_type, find_definition
 from adapters.errors import PayloadError, TelemetryError, UndefinedTypeError
 
@@ -71,7 +71,7 @@ class PayloadDecoder:
         """
         name, kind = self._look_up(key, encoding)
         if kind is None:
-            return name, _json_object(payload)
+            return name, _fields(payload)
         decoder = self._decoders.get(kind)
         if decoder is None:
             raise UndefinedTypeError(f"CDR, and no definition of {kind}" if kind else "CDR of a type that nobody told")
@@ -111,13 +111,10 @@ class PayloadDecoder:
         self._decoders[canonical_type(type_name)] = CdrDecoder(type_name, find_definition(type_name, self._folders))
 
 
-def _json_object(payload: bytes) -> dict[str, Any]:
+def _fields(payload: bytes) -> dict[str, Any]:
     try:
-        fields = json.loads(payload)
-    except (ValueError, RecursionError) as error:
+        return json_object(payload)
+    except ValueError as error:
         # the first byte of CDR, and none that JSON begins with
         cdr = "; if it is CDR, name its type in [zenoh_types]" if payload[:1] == b"\0" else ""
-        raise PayloadError(f"not JSON{cdr}") from error
-    if not isinstance(fields, dict):
-        raise PayloadError("not a JSON object")
-    return fields
+        raise PayloadError(f"{error}{cdr}") from error

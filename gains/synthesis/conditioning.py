@@ -111,7 +111,10 @@ def _riccati(A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: Floa
 
 
 def doubled(X: FloatArray, G: FloatArray, H: FloatArray) -> FloatArray:
-    """Return the limit of H in the structured doubling algorithm: a Riccati equation's stabilising solution."""
+    """Return the limit of H in the structured doubling algorithm: a Riccati equation's stabilising solution.
+
+    SciPy's solvers order a generalised Schur form, and give up on the continuous arm without noise.
+    """
     for _ in range(_DOUBLINGS):
         W = np.linalg.inv(np.eye(len(X)) + G @ H)
         step = X.T @ H @ W @ X

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -14,16 +13,13 @@ from numpy.typing import NDArray
 
 from adapters.errors import ModelError
 from adapters.output_file import write_file
+from adapters.toml_tables import is_number
 from gains.plants.expression import compile_expression
 
 FORMAT = 1
 """Number of the layout: a reader refuses what it does not know."""
 _LARGEST_FILE = 16 << 20
 """Bytes. A quadrotor has 10,000, the sensors of a vehicle 26,000; a file from elsewhere shall not fill the memory."""
-_TEXT_KEYS = ("model", "model_hash", "method", "domain")
-_NAME_KEYS = ("states", "inputs", "outputs", "faults", "fault_kinds", "fault_units")
-_COMPILED_KEYS = ("input_curves", "step_matrix", "argument_matrix", "initial_matrix")
-_MATRIX_KEYS = (*_COMPILED_KEYS, "K", "L_i", "L_p", "L1", "F", "N", "J")
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,19 +130,10 @@ def read_gains(path: str | Path) -> Gains:
     if missing:
         raise ModelError(f"{path}: '{missing[0]}' is missing; make the file again with 'fauio design'")
     try:
-        texts: dict[str, Any] = {key: _text(document, key) for key in _TEXT_KEYS}
-        names: dict[str, Any] = {key: _names(document, key) for key in _NAME_KEYS}
-        matrices: dict[str, Any] = {key: _matrix(document, key) for key in _MATRIX_KEYS}
-        gains = Gains(
-            **texts,
-            **names,
-            **matrices,
-            rate_hz=_number(document["rate_hz"], "rate_hz"),
-            fault_inputs=_indices(document["fault_inputs"]),
-            input_taps=tuple(_number(tap, "input_taps") for tap in _list(document, "input_taps")),
-            nonlinearities=tuple(_nonlinearity(entry) for entry in _list(document, "nonlinearities")),
-            report=document["report"] if isinstance(document["report"], dict) else {},
-        )
+        values: dict[str, Any] = {
+            field.name: _READERS[str(field.type)](field.name, document) for field in fields(Gains)
+        }
+        gains = Gains(**values)
         _check_shapes(gains)
     except ModelError as error:
         raise ModelError(f"{path}: {error}; make the file again with 'fauio design'") from error
@@ -172,10 +159,12 @@ def _check_shapes(gains: Gains) -> None:
     ns = len(gains.initial_matrix) if continuous else nz + nq + s * (len(gains.input_taps) - 1)
     m = len(gains.nonlinearities)
     arguments = sum(len(g.arguments) for g in gains.nonlinearities)
-    expected = {
+    compiled = {
         "step_matrix": (ns + nz + a1 + p, ns + s + p + 1 + m),
         "argument_matrix": (arguments, ns + s + p + 1),
         "initial_matrix": (ns, s + p + 1),
+    }
+    structural = {
         "L1": (nz, n),
         "F": (nz, p),
         "N": (nz, nz),
@@ -184,67 +173,79 @@ def _check_shapes(gains: Gains) -> None:
         "L_i": (nq, p),
         "L_p": (a1, p),
     }
-    for name, shape in expected.items():
+    for name, shape in (compiled | structural).items():
         actual = getattr(gains, name).shape
-        structural = name not in _COMPILED_KEYS
-        if actual != shape and not (continuous and structural and actual == (0, 0)):
+        if actual != shape and not (continuous and name in structural and actual == (0, 0)):
             raise ModelError(f"'{name}' is {actual} where the names make it {shape}")
     if gains.input_curves.shape[0] != s or gains.input_curves.shape[1] < 1:
         raise ModelError("'input_curves' does not have a row for each input")
 
 
-def _text(document: Mapping[str, Any], key: str) -> str:
+def _text(key: str, document: Mapping[str, Any]) -> str:
     if not isinstance(document[key], str):
         raise ModelError(f"'{key}' is not text")
     return str(document[key])
 
 
-def _list(document: Mapping[str, Any], key: str) -> list[Any]:
+def _list(key: str, document: Mapping[str, Any]) -> list[Any]:
     if not isinstance(document[key], list):
         raise ModelError(f"'{key}' is not a list")
     return list(document[key])
 
 
-def _names(document: Mapping[str, Any], key: str) -> tuple[str, ...]:
-    names = _list(document, key)
+def _names(key: str, document: Mapping[str, Any]) -> tuple[str, ...]:
+    names = _list(key, document)
     if not all(isinstance(name, str) for name in names):
         raise ModelError(f"'{key}' is not a list of names")
     return tuple(names)
 
 
-def _indices(value: Any) -> tuple[int | None, ...]:
-    if not isinstance(value, list) or not all(index is None or type(index) is int for index in value):
-        raise ModelError("'fault_inputs' is not a list of indices")
-    return tuple(value)
+def _indices(key: str, document: Mapping[str, Any]) -> tuple[int | None, ...]:
+    indices = _list(key, document)
+    if not all(index is None or type(index) is int for index in indices):
+        raise ModelError(f"'{key}' is not a list of indices")
+    return tuple(indices)
 
 
-def _number(value: Any, key: str) -> float:
-    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < math.inf:
-        try:
-            return float(value)
-        except OverflowError:
-            pass
-    raise ModelError(f"'{key}' is not a finite number")
+def _finite(key: str, value: Any) -> float:
+    if not is_number(value):
+        raise ModelError(f"'{key}' is not a finite number")
+    return float(value)
 
 
-def _matrix(document: Mapping[str, Any], key: str) -> NDArray[np.float64]:
+def _matrix(key: str, document: Mapping[str, Any]) -> NDArray[np.float64]:
     entry = document[key]
     try:
         rows, columns = entry["shape"]
-        matrix = np.array([[_number(x, key) for x in row] for row in entry["rows"]], dtype=np.float64)
+        matrix = np.array([[_finite(key, x) for x in row] for row in entry["rows"]], dtype=np.float64)
         return matrix.reshape(rows, columns)
     except (TypeError, ValueError, KeyError) as error:
         raise ModelError(f"'{key}' is not a matrix of finite numbers") from error
 
 
-def _nonlinearity(entry: Any) -> ScalarNonlinearity:
+def _nonlinearity(key: str, entry: Any) -> ScalarNonlinearity:
     if not isinstance(entry, dict) or not isinstance(entry.get("expression"), str):
-        raise ModelError("'nonlinearities' has an entry without an expression")
+        raise ModelError(f"'{key}' has an entry without an expression")
     if "arguments" not in entry:
-        raise ModelError("'nonlinearities' has an entry without arguments")
-    nonlinearity = ScalarNonlinearity(entry["expression"], _names(entry, "arguments"))
+        raise ModelError(f"'{key}' has an entry without arguments")
+    nonlinearity = ScalarNonlinearity(entry["expression"], _names("arguments", entry))
     compile_expression(nonlinearity.expression, nonlinearity.arguments)
     return nonlinearity
+
+
+# by the type of a field
+_READERS: Mapping[str, Callable[[str, Mapping[str, Any]], Any]] = {
+    "str": _text,
+    "float": lambda key, document: _finite(key, document[key]),
+    "tuple[str, ...]": _names,
+    "tuple[int | None, ...]": _indices,
+    "tuple[float, ...]": lambda key, document: tuple(_finite(key, item) for item in _list(key, document)),
+    "tuple[ScalarNonlinearity, ...]": lambda key, document: tuple(
+        _nonlinearity(key, entry) for entry in _list(key, document)
+    ),
+    "NDArray[np.float64]": _matrix,
+    "Mapping[str, Any]": lambda key, document: document[key] if isinstance(document[key], dict) else {},
+}
 
 
 def _one_row_per_line(document: Mapping[str, Any]) -> str:

@@ -10,18 +10,17 @@ from typing import Any, Final
 import numpy as np
 
 from adapters.batch import Batch, Columns, one_message
-from adapters.encoding.log_schema import columns_class
-from adapters.encoding.mavlink_schema import mavlink_class
 from adapters.encoding.message_record import encode
 from adapters.encoding.protobuf_types import (
     TIMESTAMP,
     Field,
     ProtobufScalar,
-    descriptor_set,
     identifiers,
     message_class,
+    protobuf_schema,
 )
 from adapters.encoding.record import Schema
+from adapters.encoding.typed_record import columns_class
 from adapters.message import Message
 from adapters.sample import Samples
 from adapters.source import MAVLINK
@@ -156,10 +155,9 @@ class RecordEncoder:
 
     def _encoded(self, columns: Columns) -> tuple[int, list[bytes]] | None:
         """Return the number of the topic and the data of columns, None where no protobuf type holds them."""
-        is_mavlink = columns.source is MAVLINK
-        ids = (columns.system, columns.component) if is_mavlink else ()
+        ids = (columns.system, columns.component) if columns.source is MAVLINK else ()
         try:
-            pb_class = mavlink_class(columns.name) if is_mavlink else columns_class(columns)
+            pb_class = columns_class(columns)
             rows = _row_encoder(pb_class)
             fields = [columns.fields[name] for name in rows.names[len(ids) :]]
             if len(fields) < len(columns.fields):
@@ -185,8 +183,8 @@ class RecordEncoder:
         key = name, pb_class, component
         number = self._numbers.get(key)
         if number is None:
-            schema = Schema(str(pb_class.DESCRIPTOR.full_name), "protobuf", descriptor_set(pb_class))
-            number = self._numbers[key] = self.topics.number(Topic(name, "protobuf", schema, component))
+            topic = Topic(name, "protobuf", protobuf_schema(pb_class), component)
+            number = self._numbers[key] = self.topics.number(topic)
         return number
 
 
