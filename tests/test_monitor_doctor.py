@@ -15,8 +15,7 @@ from loopback import Endpoint, free_port
 
 import fauio
 from monitor.bus.publisher import Publisher
-from monitor.diagnosis.doctor import checks_text, profile_check, version_checks, worst
-from monitor.diagnosis.doctor_check import DoctorCheck
+from monitor.diagnosis.doctor import DoctorCheck, checks_text, profile_check, version_checks, worst
 from monitor.diagnosis.doctor_machine import buffer_check, clock_checks, disk_check, folder_check, serial_checks
 from monitor.diagnosis.doctor_network import mavlink_check, metrics_check, round_trip_check, zenoh_port_check
 from monitor.diagnosis.versions import Library

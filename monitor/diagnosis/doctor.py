@@ -7,32 +7,30 @@ import json
 import platform
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from monitor.diagnosis.doctor_check import VERDICTS, DoctorCheck, DoctorVerdict
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from adapters.zenoh.zenoh_session import Mode
+    from monitor.configuration.config import Config
 
 FAILED = 2
 """Exit status, as for any other mistake: docs/reference/exit-status.md."""
 
+DoctorVerdict = Literal["ok", "warning", "failed"]
+VERDICTS: tuple[DoctorVerdict, ...] = ("ok", "warning", "failed")
+
 
 @dataclass(frozen=True, slots=True)
-class Needs:
-    """What a monitor needs of the machine."""
+class DoctorCheck:
+    """The result of one check of the machine."""
 
-    listen: Sequence[str] = ("tcp/127.0.0.1:7447",)  # Zenoh endpoints to listen on
-    mavlink: Sequence[str] = ("udpin:127.0.0.1:14550",)  # MAVLink links
-    folders: Sequence[Path] = (Path(),)  # folders to write to; they need not exist yet
-    metrics: str | None = None  # HOST:PORT to serve metrics at
-    connect: Sequence[str] = ()  # Zenoh endpoints to connect to, where ``zenoh_config`` names none
-    zenoh_config: Path | None = None  # Zenoh's own configuration, with which to listen
-    zenoh_mode: Mode = "peer"  # Zenoh's mode where that does not say
-    profiles: Sequence[Path] = ()
+    name: str
+    # ``failed``: the monitor will not run, or not here; ``warning``: it will, with less than it could have
+    verdict: DoctorVerdict
+    found: str  # the result, for people
+    advice: str = ""  # what to do about it; empty where nothing is to be done
 
 
 def add_doctor(subparsers: Any) -> None:
@@ -61,7 +59,7 @@ def add_doctor(subparsers: Any) -> None:
 
 def run_doctor(args: argparse.Namespace) -> int:
     """Run ``fauio doctor``."""
-    checks = diagnose(_needs(args))
+    checks = diagnose(*_needs(args))
     if args.json:
         report = {"status": worst(checks), "checks": [asdict(check) for check in checks]}
         sys.stdout.write(json.dumps(report) + "\n")
@@ -70,30 +68,25 @@ def run_doctor(args: argparse.Namespace) -> int:
     return FAILED if worst(checks) == "failed" else 0
 
 
-def diagnose(needs: Needs) -> list[DoctorCheck]:
-    """Run all checks."""
-    from monitor.diagnosis.doctor_machine import buffer_check, clock_checks, disk_check, folder_check, serial_checks
-    from monitor.diagnosis.doctor_network import (
-        mavlink_check,
-        metrics_check,
-        round_trip_check,
-        zenoh_file_check,
-        zenoh_port_check,
-    )
+def diagnose(config: Config, folders: Sequence[Path]) -> list[DoctorCheck]:
+    """Check what a monitor of this configuration needs, and folders to write to, which need not exist yet."""
+    from monitor.diagnosis import doctor_machine as machine
+    from monitor.diagnosis import doctor_network as network
 
-    checks = [*version_checks(), *(profile_check(folder) for folder in needs.profiles)]
-    if needs.zenoh_config is None:
-        checks += [zenoh_port_check(endpoint) for endpoint in needs.listen]
+    profiles = dict.fromkeys([*(vehicle.profile for vehicle in config.vehicles), config.new_vehicles.profile])
+    checks = [*version_checks(), *(profile_check(folder) for folder in profiles if folder is not None)]
+    if config.zenoh_config is None:
+        checks += [network.zenoh_port_check(endpoint) for endpoint in config.listen]
     else:
-        checks.append(zenoh_file_check(needs.zenoh_config, needs.connect, needs.listen, needs.zenoh_mode))
-    checks += [mavlink_check(url) for url in needs.mavlink if not url.startswith("serial:")]
-    if needs.metrics is not None:
-        checks.append(metrics_check(needs.metrics))
-    checks.append(round_trip_check())
-    checks += serial_checks([url for url in needs.mavlink if url.startswith("serial:")])
-    for folder in needs.folders:
-        checks += [folder_check(folder), disk_check(folder)]
-    return [*checks, buffer_check(), *clock_checks()]
+        checks.append(network.zenoh_file_check(config.zenoh_config, config.connect, config.listen, config.zenoh_mode))
+    serial = [url for url in config.mavlink if url.startswith("serial:")]
+    checks += [network.mavlink_check(url) for url in config.mavlink if url not in serial]
+    if config.metrics.listen is not None:
+        checks.append(network.metrics_check(config.metrics.listen))
+    checks += [network.round_trip_check(), *machine.serial_checks(serial)]
+    for folder in folders:
+        checks += [machine.folder_check(folder), machine.disk_check(folder)]
+    return [*checks, machine.buffer_check(), *machine.clock_checks()]
 
 
 def version_checks() -> list[DoctorCheck]:
@@ -152,29 +145,19 @@ def checks_text(checks: Sequence[DoctorCheck]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _needs(args: argparse.Namespace) -> Needs:
-    listen, mavlink, folders = args.listen or (), args.mavlink or (), args.folder or ()
-    profiles = () if args.profile is None else (args.profile,)
-    if args.config is None:
-        usual = Needs()
-        places = folders or usual.folders
-        return Needs(listen or usual.listen, mavlink or usual.mavlink, places, profiles=profiles)
-    from monitor.configuration.config import read_config
+def _needs(args: argparse.Namespace) -> tuple[Config, Sequence[Path]]:
+    """Return what a monitor is to do, and the folders that it writes to."""
+    from monitor.configuration.config import Config, read_config
 
-    # as 'fauio run' does with what its command line gives
     given = {"profile": args.profile, "listen": args.listen, "mavlink": args.mavlink}
-    config = read_config(args.config, {name: value for name, value in given.items() if value is not None})
-    files = [path for path in (config.record, config.journal.path) if path is not None]
-    places = [path for path in (config.recording.folder, config.black_box.folder) if path is not None]
-    known = [*(vehicle.profile for vehicle in config.vehicles), config.new_vehicles.profile]
-    return Needs(
-        config.listen,
-        config.mavlink,
-        folders or tuple(dict.fromkeys([*places, *(path.parent for path in files)])),
-        config.metrics.listen,
-        config.connect,
+    given = {name: value for name, value in given.items() if value is not None}
+    if args.config is None:
+        return Config(**{"mavlink": ("udpin:127.0.0.1:14550",)} | given), args.folder or (Path(),)
+    # as 'fauio run' does with what its command line gives
+    config = read_config(args.config, given)
+    if args.listen:
         # an endpoint that was asked for is checked as it stands
-        None if listen else config.zenoh_config,
-        config.zenoh_mode,
-        tuple(dict.fromkeys(folder for folder in known if folder is not None)),
-    )
+        config = replace(config, zenoh_config=None)
+    places = [config.recording.folder, config.black_box.folder]
+    places += [path.parent for path in (config.record, config.journal.path) if path is not None]
+    return config, args.folder or [place for place in dict.fromkeys(places) if place is not None]

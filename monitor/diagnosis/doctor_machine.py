@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import shutil
+import struct
 import sys
 import tempfile
 import time
@@ -12,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from adapters.mavlink.byte_link import UDP_BUFFER_BYTES
-from monitor.diagnosis.doctor_check import DoctorCheck, DoctorVerdict
+from monitor.diagnosis.doctor import DoctorCheck, DoctorVerdict
 
 _LITTLE_BYTES = 2_000_000_000
 """Five hours of a vehicle's recording at 400 MB an hour (docs/operations.md)."""
@@ -27,24 +28,11 @@ _LARGEST_DRIFT = 0.05
 """Of the time compared. NTP slews by .05 % at most; what is a hundred times as fast is being set."""
 # A clock that was never set shows the year 1970, or the one in which its system was built.
 _EARLIEST_S = 1_735_689_600
-# adjtimex(2)
+# adjtimex(2): modes, offset, freq, maxerror, esterror, status, and more
+_TIMEX = struct.Struct("@I4li")
+_TIMEX_BYTES = 512
 _STA_UNSYNC = 0x40
 _TIME_ERROR = 5
-_TIMEX_BYTES = 512
-
-
-class _Timex(ctypes.Structure):
-    """The first members of the kernel's ``struct timex``; see adjtimex(2)."""
-
-    _fields_ = (
-        ("modes", ctypes.c_uint),
-        ("offset", ctypes.c_long),
-        ("freq", ctypes.c_long),
-        ("maxerror", ctypes.c_long),
-        ("esterror", ctypes.c_long),
-        ("status", ctypes.c_int),
-        ("rest", ctypes.c_byte * _TIMEX_BYTES),
-    )
 
 
 def folder_check(folder: Path) -> DoctorCheck:
@@ -150,14 +138,15 @@ def _kernel_clock() -> tuple[bool, int] | None:
     """Return whether the kernel's clock is kept right, and its largest error in microseconds; None: it does not say."""
     if sys.platform != "linux":
         return None
+    timex = ctypes.create_string_buffer(_TIMEX_BYTES)
     try:
-        timex = _Timex()
-        state: int = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(timex))
+        state: int = ctypes.CDLL(None, use_errno=True).adjtimex(timex)
     except (OSError, AttributeError):
         return None
     if state < 0:
         return None
-    return state != _TIME_ERROR and not timex.status & _STA_UNSYNC, int(timex.maxerror)
+    _, _, _, largest_error, _, status = _TIMEX.unpack_from(timex)
+    return state != _TIME_ERROR and not status & _STA_UNSYNC, int(largest_error)
 
 
 def _existing(folder: Path) -> Path:

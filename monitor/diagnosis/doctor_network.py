@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from adapters.errors import TelemetryError
 from adapters.mavlink.byte_link import open_byte_link, resolve
 from adapters.zenoh.zenoh_session import Mode, endpoints, open_session
-from monitor.diagnosis.doctor_check import DoctorCheck
+from monitor.diagnosis.doctor import DoctorCheck
 
 if TYPE_CHECKING:
     import zenoh
