@@ -7,7 +7,7 @@ import os
 import re
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -35,20 +35,19 @@ _ULID = r"[0-9A-HJKMNP-TV-Z]{26}"
 _MOST_RAISED = 256
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class BlackBoxStatistics:
-    """Records that a black box holds, and counts so far."""
+    """Records that a black box holds for alarms to come, and counts so far."""
 
-    # records kept for alarms to come
-    held_records: int
-    held_bytes: int
-    open: int  # clips being made, those that wait for the disk included
-    written: int
-    covered: int  # alarms raised while :data:`MAX_OPEN_CLIPS` were open already, which they cover
-    dropped: int  # records left out of a clip that could not keep up, or was as large as a clip may be
-    failures: int  # clips given up because they could not be written
-    failed: str | None  # the error with which a clip could not be written; None once the disk takes clips again
-    deleted: int  # clips deleted to stay within the budget
+    held_records: int = 0
+    held_bytes: int = 0
+    open: int = 0  # clips being made, those that wait for the disk included
+    written: int = 0  # clips completed
+    covered: int = 0  # alarms raised while :data:`MAX_OPEN_CLIPS` were open already, which they cover
+    dropped: int = 0  # records left out of a clip that could not keep up, or was as large as a clip may be
+    failures: int = 0  # clips given up because they could not be written
+    failed: str | None = None  # the error with which a clip could not be written; None once the disk takes clips again
+    deleted: int = 0  # clips deleted to stay within the budget
 
 
 @dataclass(slots=True)
@@ -131,12 +130,10 @@ class BlackBox:
         # Apart from the records, so that an alarm copies those in one call.
         self._held: deque[EncodedRecord] = deque()
         self._arrived_ns: deque[int] = deque()
-        self._bytes = 0
         self._phase: dict[int, EncodedRecord] = {}
         self._clips: list[_Clip] = []
         self._raised: deque[tuple[int, str]] = deque(maxlen=_MOST_RAISED)
-        self._written = self._covered = self._dropped = self._failures = 0
-        self._failed: str | None = None
+        self._counts = BlackBoxStatistics()
 
     def record(self, records: Sequence[EncodedRecord], *, telemetry: bool = False) -> None:
         """Hold records for alarms to come, and give them to the open clips.
@@ -150,7 +147,7 @@ class BlackBox:
             now = self._now_ns if self._now_ns is not None else time_ns
             self._held.append(record)
             self._arrived_ns.append(now)
-            self._bytes += len(data)
+            self._counts.held_bytes += len(data)
             while self._held and self._is_over(now):
                 self._forget()
             for clip in self._clips:
@@ -169,7 +166,7 @@ class BlackBox:
         if path.exists() or any(clip.path == path for clip in self._clips):
             return
         if sum(not clip.ended for clip in self._clips) >= MAX_OPEN_CLIPS:
-            self._covered += 1
+            self._counts.covered += 1
             return
         if len(self._clips) >= MAX_WAITING_CLIPS:
             self._give_up(next(clip for clip in self._clips if clip.ended))
@@ -205,16 +202,8 @@ class BlackBox:
 
     def statistics(self) -> BlackBoxStatistics:
         """Return the counts so far."""
-        return BlackBoxStatistics(
-            held_records=len(self._held),
-            held_bytes=self._bytes,
-            open=len(self._clips),
-            written=self._written,
-            covered=self._covered,
-            dropped=self._dropped,
-            failures=self._failures,
-            failed=self._failed,
-            deleted=self._retention.deleted,
+        return replace(
+            self._counts, held_records=len(self._held), open=len(self._clips), deleted=self._retention.deleted
         )
 
     def _pass_time(self, now_ns: int) -> None:
@@ -226,7 +215,7 @@ class BlackBox:
 
     def _is_over(self, now_ns: int) -> bool:
         """Return whether the oldest record has to be dropped: by age (also after the clock jumped back), or by size."""
-        if len(self._held) > self._held_records or self._bytes > self._held_bytes:
+        if len(self._held) > self._held_records or self._counts.held_bytes > self._held_bytes:
             return True
         age_ns = now_ns - self._arrived_ns[0]
         return age_ns > self._before_ns or age_ns < -self._before_ns
@@ -235,7 +224,7 @@ class BlackBox:
         record = self._held.popleft()
         self._arrived_ns.popleft()
         topic, data, _ = record
-        self._bytes -= len(data)
+        self._counts.held_bytes -= len(data)
         if self._topics[topic].name in _PHASE_TOPICS:
             self._phase[topic] = record
 
@@ -243,7 +232,7 @@ class BlackBox:
         if clip.ended:
             return
         if len(clip.waiting) >= 2 * self._held_records:
-            self._dropped += 1
+            self._counts.dropped += 1
         else:
             clip.waiting.append(record)
 
@@ -258,7 +247,7 @@ class BlackBox:
             if clip.ended and not clip.waiting:
                 self._complete(clip)
         except (OSError, StorageError) as error:
-            self._failed = str(error)
+            self._counts.failed = str(error)
             self._postpone(clip)
             return 0
         return count
@@ -280,7 +269,7 @@ class BlackBox:
                 clip.log.add(channel, data, time_ns)
             count += 1
             if clip.log.size > self._clip_bytes:
-                self._dropped += len(clip.waiting)
+                self._counts.dropped += len(clip.waiting)
                 clip.waiting.clear()
                 clip.ended = True
         return count
@@ -294,14 +283,14 @@ class BlackBox:
             clip.log.add_metadata(METADATA, {"alarm_ids": ",".join(clip.alarms)})
             clip.log.close()
         self._clips.remove(clip)
-        self._written += 1
+        self._counts.written += 1
         self._recover()
         self._make_room(clip)
 
     def _recover(self) -> None:
         """Clear the error now that the disk takes clips again, unless it refused another one."""
         if not any(other.tries for other in self._clips):
-            self._failed = None
+            self._counts.failed = None
 
     def _postpone(self, clip: _Clip) -> None:
         """Begin a clip's file again later, as long as all its records are at hand."""
@@ -321,7 +310,7 @@ class BlackBox:
     def _give_up(self, clip: _Clip) -> None:
         """End a clip with the records that the disk took."""
         self._clips.remove(clip)
-        self._failures += 1
+        self._counts.failures += 1
         if clip.log is not None:
             with contextlib.suppress(OSError):
                 clip.log.close()

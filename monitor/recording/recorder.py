@@ -7,7 +7,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Final, Self
 
@@ -18,50 +18,6 @@ from monitor.recording.retention import FileSeries
 
 MAX_PENDING_RECORDS: Final = 10_000
 """Records that wait at most. Chosen: two an event, so a night of 5,000 events on a full disk, in 4 MB of memory."""
-
-
-class PendingEvents:
-    """Alarm records from when they are given to a file until that file was flushed.
-
-    A recorder numbers the records of the file in hand from 1.
-    """
-
-    def __init__(self) -> None:
-        self._sent: deque[tuple[int, EncodedRecord]] = deque(maxlen=MAX_PENDING_RECORDS)
-        self._waiting: deque[EncodedRecord] = deque(maxlen=MAX_PENDING_RECORDS)
-
-    def __len__(self) -> int:
-        """Return how many records wait for a file."""
-        return len(self._waiting)
-
-    def sent(self, number: int, records: Sequence[EncodedRecord]) -> None:
-        """Note records that are about to become the ``number``-th and following of the file in hand."""
-        self._sent.extend(enumerate(records, number))
-
-    def keep(self, records: Sequence[EncodedRecord]) -> int:
-        """Keep records while there is no file; return for how many there was room."""
-        kept = records[: MAX_PENDING_RECORDS - len(self._waiting)]
-        self._waiting.extend(kept)
-        return len(kept)
-
-    def settle(self) -> None:
-        """Forget the records that were sent: the file was flushed."""
-        self._sent.clear()
-
-    def fail(self, written: int) -> int:
-        """Return how many records wait again because the file in hand ends with its ``written``-th record."""
-        before = len(self._waiting)
-        self._waiting.extendleft(record for number, record in reversed(self._sent) if number > written)
-        self._sent.clear()
-        return len(self._waiting) - before
-
-    def take(self) -> list[EncodedRecord]:
-        """Return the records that wait, and forget them."""
-        records = list(self._waiting)
-        self._waiting.clear()
-        return records
-
-
 METADATA: Final = "fauio"
 """Name of the metadata record in our files."""
 RETRY_S: Final = 10.0
@@ -106,20 +62,20 @@ def start_log(
     return log
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class RecorderStatistics:
     """Counts of a recorder so far."""
 
-    records: int
-    unrecordable: int  # records left out because their file has too many topics
+    records: int = 0  # records taken
+    unrecordable: int = 0  # records left out because their file has too many topics
     # records lost because no file could be written, those of the chunk on which a write failed included; alarm events
     # that wait for a file are not
-    dropped: int
-    failures: int  # times that opening or writing a file failed
-    failed: str | None  # the error, while nothing is recorded because of it; None while recording works
-    files: int
-    deleted: int  # files deleted to stay within the budget
-    path: Path | None  # the file being written
+    dropped: int = 0
+    failures: int = 0  # times that opening or writing a file failed
+    failed: str | None = None  # the error, while nothing is recorded because of it; None while recording works
+    files: int = 0  # files begun
+    deleted: int = 0  # files deleted to stay within the budget
+    path: Path | None = None  # the file being written
 
 
 class Recorder:
@@ -166,15 +122,15 @@ class Recorder:
         self._strict = strict
         self._monotonic = monotonic
         self._log: MessageLogWriter | None = None
-        self._path: Path | None = None
         self._channels: dict[int, int | None] = {}
         self._first_ns = self._given = 0
         self._arrived_ns: int | None = None
-        self._pending = PendingEvents()
+        # alarm records given to the file in hand, with their numbers in it, until it was flushed; those without a file
+        self._unflushed: deque[tuple[int, EncodedRecord]] = deque(maxlen=MAX_PENDING_RECORDS)
+        self._waiting: deque[EncodedRecord] = deque(maxlen=MAX_PENDING_RECORDS)
         self._closed = False
-        self._failed: str | None = None
         self._retry_s = 0.0
-        self._records = self._unrecordable = self._dropped = self._failures = self._files = 0
+        self._counts = RecorderStatistics()
         if not isinstance(target, FileSeries):
             self._start(Path(target))
 
@@ -186,7 +142,7 @@ class Recorder:
         """
         if self._closed:
             raise RuntimeError("the recorder is closed; make another one")
-        self._records += len(records)
+        self._counts.records += len(records)
         while records:
             log, count = None, len(records)
             times_ns = [time_ns for _, _, time_ns in records] if telemetry else ()
@@ -200,7 +156,9 @@ class Recorder:
             except (OSError, StorageError) as error:
                 self._fail(error)
             if log is None:
-                self._dropped += count - (self._pending.keep(records) if keep else 0)
+                kept = records[: MAX_PENDING_RECORDS - len(self._waiting)] if keep else ()
+                self._waiting.extend(kept)
+                self._counts.dropped += count - len(kept)
             if telemetry:
                 self._arrived_ns = times_ns[count - 1]
             records = records[count:]
@@ -219,8 +177,8 @@ class Recorder:
         try:
             if self._log is not None and not self._log.failed:
                 self._log.flush()
-                self._pending.settle()
-            elif (self._log is not None or self._pending) and self._monotonic() >= self._retry_s:
+                self._unflushed.clear()
+            elif (self._log is not None or self._waiting) and self._monotonic() >= self._retry_s:
                 self._continue(self._arrived_ns or 0)
         except (OSError, StorageError) as error:
             self._fail(error)
@@ -230,25 +188,16 @@ class Recorder:
         if self._closed:
             return
         self._closed = True
-        if self._failed is not None and not self._strict:
+        if self._counts.failed is not None and not self._strict:
             self._retry_s = 0.0
             self.flush()
         self._end_file()
         if self._series is not None:
-            self._series.wait()
+            self._series.retention.wait()
 
     def statistics(self) -> RecorderStatistics:
         """Return the counts so far."""
-        return RecorderStatistics(
-            records=self._records,
-            unrecordable=self._unrecordable,
-            dropped=self._dropped,
-            failures=self._failures,
-            failed=self._failed,
-            files=self._files,
-            deleted=0 if self._series is None else self._series.deleted,
-            path=self._path,
-        )
+        return replace(self._counts, deleted=0 if self._series is None else self._series.retention.deleted)
 
     def __enter__(self) -> Self:
         return self
@@ -264,9 +213,9 @@ class Recorder:
         channels = [self._channels[number] for number, _, _ in records]
         if None in channels:
             records = [record for record, channel in zip(records, channels, strict=True) if channel is not None]
-            self._unrecordable += len(channels) - len(records)
+            self._counts.unrecordable += len(channels) - len(records)
         if keep:
-            self._pending.sent(self._given + 1, records)
+            self._unflushed.extend(enumerate(records, self._given + 1))
         self._given += len(records)
         data, times_ns = [data for _, data, _ in records], [time_ns for _, _, time_ns in records]
         log.add_all([channel for channel in channels if channel is not None], data, times_ns)
@@ -278,7 +227,7 @@ class Recorder:
             if not self._given or self._fits(log, records[:1], times_ns[:1]):
                 return log
             self._end_file()
-        if self._failed is not None and self._monotonic() < self._retry_s:
+        if self._counts.failed is not None and self._monotonic() < self._retry_s:
             return None
         return self._continue(times_ns[0] if times_ns else self._arrived_ns or records[0][2])
 
@@ -311,28 +260,30 @@ class Recorder:
             log.add_metadata(METADATA, self._metadata)
         else:
             raise RuntimeError("a recorder of one file has begun it")
-        self._write(log, self._pending.take(), keep=True)
+        pending = list(self._waiting)
+        self._waiting.clear()
+        self._write(log, pending, keep=True)
         log.flush()
-        self._pending.settle()
-        self._failed = None
+        self._unflushed.clear()
+        self._counts.failed = None
         return log
 
     def _start(self, path: Path) -> MessageLogWriter:
         self._log = start_log(path, self._metadata, self._profile_files)
-        self._path = path
+        self._counts.path = path
         self._channels = {}
         self._given = 0
-        self._files += 1
+        self._counts.files += 1
         return self._log
 
     def _fail(self, error: Exception) -> None:
         """Keep the records that were flushed, count those that are lost, and try again later."""
-        log, path = self._log, self._path
+        log, path = self._log, self._counts.path
         if log is not None:
             self._count_lost(log)
         self._note(error)
         if log is not None and self._series is not None:
-            self._log = self._path = None
+            self._log = self._counts.path = None
             with contextlib.suppress(OSError):
                 log.close()
             if path is not None and not log.written:
@@ -343,12 +294,12 @@ class Recorder:
 
     def _end_file(self) -> None:
         """Close the file in hand; the next record begins another."""
-        log, self._log, self._path = self._log, None, None
+        log, self._log, self._counts.path = self._log, None, None
         if log is None:
             return
         try:
             log.close()
-            self._pending.settle()
+            self._unflushed.clear()
         except OSError as error:
             self._count_lost(log)
             self._note(error)
@@ -357,10 +308,13 @@ class Recorder:
 
     def _count_lost(self, log: MessageLogWriter) -> None:
         """Count the records that a file was given and lacks, without events, which wait for the next try."""
-        self._dropped += self._given - log.written - self._pending.fail(log.written)
+        before = len(self._waiting)
+        self._waiting.extendleft(record for number, record in reversed(self._unflushed) if number > log.written)
+        self._unflushed.clear()
+        self._counts.dropped += self._given - log.written - (len(self._waiting) - before)
         self._given = log.written
 
     def _note(self, error: Exception) -> None:
-        self._failures += 1
-        self._failed = str(error)
+        self._counts.failures += 1
+        self._counts.failed = str(error)
         self._retry_s = self._monotonic() + RETRY_S

@@ -48,20 +48,15 @@ class FileSeries:
         self._folder = writable_folder(folder)
         self._stem = file_stem(vehicle)
         name = re.compile(re.escape(self._stem) + r"-\d{8}T\d{6}Z-\d{6}\.mcap", re.ASCII)
-        self._retention = Retention(self._folder, name, budget_bytes)
-        self._newest = max((path.name for path in self._retention.files()), default="")
-
-    @property
-    def deleted(self) -> int:
-        """Files deleted so far."""
-        return self._retention.deleted
+        self.retention = Retention(self._folder, name, budget_bytes)
+        self._newest = max((path.name for path in self.retention.files()), default="")
 
     def next_path(self, time_ns: int) -> Path:
         """Return the path of the next file, whose first telemetry has this Unix time, with room for it in the budget.
 
         A clock that was set back continues with the last file's time, so that names stay in order.
         """
-        self._retention.make_room(self.file_bytes)
+        self.retention.make_room(self.file_bytes)
         seconds = min(max(time_ns, 0) // 1_000_000_000, _LATEST_S)
         stamp = datetime.fromtimestamp(seconds, UTC).strftime("%Y%m%dT%H%M%SZ")
         number = 0
@@ -73,10 +68,6 @@ class FileSeries:
         self._newest = path.name
         return path
 
-    def wait(self) -> None:
-        """Wait for files that are being deleted."""
-        self._retention.wait()
-
 
 def file_stem(name: str) -> str:
     """Return a vehicle's name as a file name's beginning: characters but letters, digits and ``._-`` become ``_``."""
@@ -84,19 +75,17 @@ def file_stem(name: str) -> str:
 
 
 class Retention:
-    """The files of a folder whose whole names match, the oldest first, which is their lexical order."""
+    """The files of a folder whose whole names match, the oldest first, which is their lexical order.
+
+    ``deleted`` counts those deleted so far.
+    """
 
     def __init__(self, folder: Path, name: re.Pattern[str], budget_bytes: int) -> None:
         self._folder = folder
         self._name = name
         self._budget_bytes = budget_bytes
-        self._deleted = 0
+        self.deleted = 0
         self._deleting: threading.Thread | None = None
-
-    @property
-    def deleted(self) -> int:
-        """Files deleted so far."""
-        return self._deleted
 
     def files(self) -> list[Path]:
         """Return the files in order of age; none where the folder cannot be read."""
@@ -135,7 +124,7 @@ class Retention:
         for path in paths:
             with contextlib.suppress(OSError):
                 path.unlink()
-                self._deleted += 1
+                self.deleted += 1
 
 
 def writable_folder(folder: str | os.PathLike[str]) -> Path:
