@@ -163,7 +163,7 @@ def read_channel(name: str, table: Table) -> Channel:
         selection = {}
     channel = Channel(
         name=name,
-        message=table.text("message", check=_not_empty).removeprefix("/") or "/",
+        message=table.text("message", check=not_empty).removeprefix("/") or "/",
         path=field_steps(table.text("field", check=_field)),
         scale=table.number("scale", 1.0),
         offset=table.number("offset", 0.0),
@@ -191,7 +191,8 @@ def parse_channel(name: str, content: Mapping[str, Any], where: str) -> Channel:
     return channel
 
 
-def _not_empty(text: str) -> None:
+def not_empty(text: str) -> None:
+    """Refuse an empty text."""
     if not text:
         raise ValueError("is empty")
 

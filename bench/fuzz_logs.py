@@ -32,6 +32,7 @@ from adapters.logs.tlog import TlogReader, read_tlog
 from adapters.logs.ulog import UlogReader
 from adapters.message import Message
 from adapters.source import CLOCK, MAVLINK, ULOG, ZENOH
+from adapters.toml_tables import TomlFile
 from replay.inspection.info_text import info_text
 from replay.inspection.log_info import log_info
 
@@ -65,7 +66,8 @@ def _mapping(folder: Path) -> Run:
         source = draw.choice(ONBOARD_SOURCES)
         with only(TelemetryError):
             if draw.number() % 3:
-                found = parse_mapping(_tables(draw, source, messages_of(logs[source])), "mapping.toml")
+                tables = _tables(draw, source, messages_of(logs[source]))
+                found = parse_mapping(TomlFile("mapping.toml", tables, TelemetryError))
             else:
                 path.write_bytes(draw.rest())
                 found = read_mapping(path, source)

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from unittest import mock
 
-from fuzz_adapters import DATA, START_NS, packet, schema_of
+from fuzz_adapters import DATA, START_NS, packet
 from fuzz_input import Draw, random_inputs
 from fuzz_target import Run, Target, only
 
@@ -175,7 +175,7 @@ def _mcap_seeds() -> list[bytes]:
 
 
 def _record(folder: Path) -> Run:
-    schemas = [None, *map(schema_of, _schemas())]
+    schemas = [None, *_schemas()]
 
     def run(data: bytes) -> None:
         draw = Draw(data)
@@ -184,12 +184,13 @@ def _record(folder: Path) -> Run:
         )
         encoding, schema = draw.choice(("json", "json", "protobuf", "cdr")), draw.choice(schemas)
         if schema is not None and draw.number() % 4 == 0:
-            schema = schema[0], draw.edited(schema[1])
+            schema = Schema(schema.name, schema.encoding, draw.edited(schema.data))
         payload, time_ns = draw.rest(), draw.number(8)
-        found = None if schema is None else Schema(schema[0], "ros2msg", schema[1])
-        for reader in (decoder, foreign_decoder):
-            with only(ValueError):
-                _plain_message(reader(topic, encoding, found)(payload, time_ns))
+        foreign = None if schema is None else Schema(schema.name, "ros2msg", schema.data)
+        with only(ValueError):
+            _plain_message(decoder(topic, encoding, schema)(payload, time_ns))
+        with only(ValueError):
+            _plain_message(foreign_decoder(topic, encoding, foreign)(payload, time_ns))
 
     return run
 

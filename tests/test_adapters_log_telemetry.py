@@ -10,10 +10,12 @@ import pytest
 from onboard_flights import messages_of
 
 from adapters.batch import pack
+from adapters.errors import TelemetryError
 from adapters.logs.log_mapping import LogMapping, builtin_mapping, parse_mapping
 from adapters.logs.log_telemetry import telemetry
 from adapters.message import Message
 from adapters.source import DATAFLASH, MAVLINK, ULOG
+from adapters.toml_tables import TomlFile
 
 MS = 1_000_000
 HALF = 0.5**0.5
@@ -167,13 +169,17 @@ def test_a_damaged_time_harms_no_other_message() -> None:
 
 def test_a_table_of_ones_own_is_followed() -> None:
     table = {"SCALED_PRESSURE": [{"topic": "tank", "press_abs": {"field": "p.raw[1]", "scale": 2.0, "offset": 1.0}}]}
-    found = run([record("tank", 1.0, p={"raw": [1, 3]})], parse_mapping(table, "x"), ("SCALED_PRESSURE",))
+    found = run(
+        [record("tank", 1.0, p={"raw": [1, 3]})],
+        parse_mapping(TomlFile("x", table, TelemetryError)),
+        ("SCALED_PRESSURE",),
+    )
     assert found[0].fields["press_abs"] == 7.0
 
 
 def test_what_overflows_between_two_records_is_left_unknown() -> None:
     table = {"topic": "a", "cog": {"topic": "b", "field": "v", "interpolation": "linear", "unknown": 7}}
-    mapping = parse_mapping({"GPS_RAW_INT": [table]}, "")
+    mapping = parse_mapping(TomlFile("x", {"GPS_RAW_INT": [table]}, TelemetryError))
     records = [record("b", 0, v=-1e300), record("a", 400), record("b", 900, v=1e300)]
     [found] = run(records, mapping, {"GPS_RAW_INT"})
     assert found.fields["cog"] == 7

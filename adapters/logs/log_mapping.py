@@ -8,27 +8,25 @@ from __future__ import annotations
 
 import os
 import struct
-import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from math import nan
+from math import isnan, nan
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from adapters.channels import Channel, follow, parse_channel
+from adapters.channels import Channel, follow, not_empty, read_channel
 from adapters.errors import TelemetryError
-from adapters.toml_tables import is_number
+from adapters.toml_tables import Table, TomlFile, parse_toml, read_toml
 
 Angle = Literal["roll", "pitch", "yaw"]
 ONBOARD_SOURCES: Final = ("ulog", "dataflash")
 
-_ANGLES = ("roll", "pitch", "yaw")
-_KEYS = {"topic", "field", "scale", "offset", "period", "interpolation", "angle", "values"}
-_KEYS |= {"otherwise", "value", "unknown"}
+_ANGLES: Final[tuple[Angle, ...]] = ("roll", "pitch", "yaw")
 _OF_CHANNELS = ("field", "scale", "offset", "period", "interpolation")
-_OF_RULES = ("topic", "repeat_s")
+_LONGEST_REPEAT_S = 1e6
+"""Chosen: twelve days, longer than any log; in nanoseconds it fits 64 bits."""
 # Of two ways to fill a message, the later one only where it comes this much more often.
 _CLEARLY = 1.5
 
@@ -174,9 +172,9 @@ class LogMapping:
 
 @cache
 def builtin_mapping(source: str) -> LogMapping:
-    """Return the tables for logs of a source, one of :data:`SOURCES`."""
+    """Return the tables for logs of a source, one of :data:`ONBOARD_SOURCES`."""
     path = files("adapters") / "definitions" / "logs" / f"{source}.toml"
-    return parse_mapping(tomllib.loads(path.read_text(encoding="utf-8")), path.name)
+    return parse_mapping(parse_toml(path.name, path.read_bytes(), TelemetryError))
 
 
 def read_mapping(path: str | os.PathLike[str], source: str) -> LogMapping:
@@ -187,34 +185,26 @@ def read_mapping(path: str | os.PathLike[str], source: str) -> LogMapping:
     TelemetryError
         The file cannot be read or a table makes no sense.
     """
-    try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise TelemetryError(f"{path}: cannot be read: {error.strerror}") from error
-    except RecursionError as error:
-        raise TelemetryError(f"{path}: is nested too deeply") from error
-    except ValueError as error:
-        # also UnicodeDecodeError, and numbers of more digits than Python reads
-        raise TelemetryError(f"{path}: is no TOML: {error}") from error
-    return LogMapping({**builtin_mapping(source).rules, **parse_mapping(content, str(path)).rules})
+    own = parse_mapping(read_toml(Path(path), TelemetryError))
+    return LogMapping({**builtin_mapping(source).rules, **own.rules})
 
 
-def parse_mapping(content: Mapping[str, Any], where: str) -> LogMapping:
+def parse_mapping(file: TomlFile) -> LogMapping:
     """Return the tables of a TOML document: ``[[MESSAGE]]`` with ``topic``, ``repeat_s`` and a table per field.
 
     Raises
     ------
     TelemetryError
-        A table makes no sense; the text names it.
+        A table makes no sense; a line for each mistake.
     """
     rules = {}
-    for message, tables in content.items():
+    for message in file.root:
         kinds = _kinds(message)
         if kinds is None:
-            raise TelemetryError(f"{where}: {message!r} is no MAVLink message")
-        if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-            raise TelemetryError(f"{where}: write [[{message}]], once for each way to fill it")
-        rules[message] = tuple(_rule(message, kinds, table, f"{where}: {message}") for table in tables)
+            file.root.mistake(message, "is no MAVLink message")
+        else:
+            rules[message] = tuple(_rule(message, kinds, table) for table in file.root.tables(message))
+    file.check()
     return LogMapping(rules)
 
 
@@ -233,60 +223,58 @@ def _kinds(message: str) -> dict[str, str] | None:
     return None
 
 
-def _rule(message: str, kinds: Mapping[str, str], table: Mapping[str, Any], where: str) -> MessageRule:
-    topic, repeat_s = table.get("topic"), table.get("repeat_s")
-    if not isinstance(topic, str) or not topic:
-        raise TelemetryError(f"{where}: 'topic' is missing or not text")
-    if repeat_s is not None and (type(repeat_s) not in (int, float) or not 0.0 < repeat_s < 1e6):
-        raise TelemetryError(f"{where}: 'repeat_s' is no number of seconds above zero")
-    unknown = sorted(set(table) - kinds.keys() - set(_OF_RULES))
-    if unknown:
-        raise TelemetryError(f"{where}: has no field {unknown[0]!r}")
-    if any(code == "" for name, code in kinds.items() if name in table):
-        raise TelemetryError(f"{where}: fields that are arrays or text cannot be filled")
-    fields = tuple(
-        _field(name, code, topic, table.get(name), f"{where}.{name}") for name, code in kinds.items() if code
-    )
-    repeat_ns = None if repeat_s is None else round(repeat_s * 1e9)
-    return MessageRule(message, topic, fields, "<" + "".join(kinds.values()), repeat_ns)
+def _rule(message: str, kinds: Mapping[str, str], table: Table) -> MessageRule:
+    topic = table.text("topic", check=not_empty)
+    repeat_s = table.number("repeat_s", above=0.0, at_most=_LONGEST_REPEAT_S) if table.has("repeat_s") else nan
+    fields = []
+    for name, code in kinds.items():
+        if code:
+            own = table.table(name) if table.has(name) else None
+            fields.append(_field(name, code, topic, own if table.good(name) else None))
+        elif table.has(name):
+            table.mistake(name, "is an array or text, which cannot be filled")
+    table.done()
+    repeat_ns = None if isnan(repeat_s) else round(repeat_s * 1e9)
+    return MessageRule(message, topic, tuple(fields), "<" + "".join(kinds.values()), repeat_ns)
 
 
-def _field(name: str, code: str, topic: str, table: Any, where: str) -> FieldRule:
+def _field(name: str, code: str, topic: str, table: Table | None) -> FieldRule:
     nothing: int | float = nan if code in "fd" else 0
     if table is None:
         return FieldRule(name, topic, None, False, None, None, None, nothing, False)
-    if not isinstance(table, Mapping):
-        raise TelemetryError(f'{where}: is no table, like {{ field = "xyz[0]", scale = 0.001 }}')
-    wrong = sorted(set(table) - _KEYS)
-    if wrong:
-        raise TelemetryError(f"{where}: unknown key {wrong[0]!r}; known are {', '.join(sorted(_KEYS))}")
-    constant, angle, values = table.get("value"), table.get("angle"), table.get("values")
-    for key in ("value", "unknown"):
-        if key in table and not is_number(table[key]):
-            raise TelemetryError(f"{where}: '{key}' is no number")
-    if angle is not None and angle not in _ANGLES:
-        raise TelemetryError(f"{where}: 'angle' is none of {', '.join(_ANGLES)}")
-    if values is not None and (not isinstance(values, Mapping) or not all(type(v) is int for v in values.values())):
-        raise TelemetryError(f"{where}: 'values' is no table of whole numbers, like {{ 1 = 0, 2 = 128 }}")
-    source = table.get("topic", topic)
-    if not isinstance(source, str):
-        raise TelemetryError(f"{where}: 'topic' is no text")
+    constant = _number(table, "value", code, None)
+    source = table.text("topic", topic)
     joined = source != topic
+    angle = table.choice("angle", _ANGLES) if table.has("angle") else None
+    values = table.raw("values")
+    if values is not None and (not isinstance(values, Mapping) or not all(type(v) is int for v in values.values())):
+        table.mistake("values", "is no table of whole numbers, like { 1 = 0, 2 = 128 }")
     otherwise = None
-    if "otherwise" in table:
-        otherwise = _field(name, code, topic, table["otherwise"], f"{where}.otherwise")
+    if table.has("otherwise"):
+        otherwise = _field(name, code, topic, table.table("otherwise"))
         if values is None or joined or otherwise.joined:
-            raise TelemetryError(f"{where}: 'otherwise' goes with 'values', and with places in the record '{topic}'")
+            table.mistake("otherwise", f"goes with 'values', and with places in the record '{topic}'")
     channel = None
-    if constant is None:
-        if joined and "interpolation" not in table:
-            raise TelemetryError(f'{where}: comes from another topic; say interpolation = "linear" or "previous"')
-        channel = parse_channel(name, {"message": source, **{k: table[k] for k in _OF_CHANNELS if k in table}}, where)
-    nothing = table.get("unknown", nothing)
-    for number in (nothing, 0 if constant is None else constant):
-        try:
-            struct.pack("<" + code, number)
-        except (struct.error, OverflowError) as error:
-            raise TelemetryError(f"{where}: {number} is no value of this field") from error
-    required = "unknown" not in table
+    place = {key: table.raw(key) for key in _OF_CHANNELS if table.has(key)}
+    if constant is None and topic:
+        if joined and "interpolation" not in place:
+            table.mistake("interpolation", 'is missing: the topic is another one; write "linear" or "previous"')
+        channel = read_channel(name, Table(table.file, table.path, {"message": source, **place}))
+    required = not table.has("unknown")
+    nothing = _number(table, "unknown", code, nothing)
+    table.done()
     return FieldRule(name, source, channel, joined, angle, values, constant, nothing, required, otherwise)
+
+
+def _number(table: Table, key: str, code: str, default: Any) -> Any:
+    """Return a number, whole or not as the file has it, that the field of a message can hold."""
+    value = table.raw(key)
+    if value is None:
+        return default
+    table.finite((key,), value)
+    if table.good(key):
+        try:
+            struct.pack("<" + code, value)
+        except (struct.error, OverflowError):
+            table.mistake(key, f"is {value}, which is no value of this field")
+    return value
