@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,24 @@ takes 133 ms in batches of 400, 40 ms in those of 4,000, 27 ms in those of 40,00
 """
 
 
+class FieldPlace(NamedTuple):
+    """Where a record has a field: its first byte, the kind (of NumPy) and size of a number, and how many (0: one)."""
+
+    offset: int
+    kind: str
+    size: int
+    length: int
+
+
+def field_places(record: np.dtype[np.void]) -> dict[str, FieldPlace]:
+    """Return the places of a record's fields, which are numbers or lists of them."""
+    places = {}
+    for name, (dtype, offset, *_) in (record.fields or {}).items():
+        number, shape = dtype.subdtype or (dtype, (0,))
+        places[name] = FieldPlace(offset, number.kind, number.itemsize, shape[0])
+    return places
+
+
 class RecordFields(Mapping[str, NDArray[np.generic]]):
     """Fields of m messages that lie one behind the other, taken apart when they are asked for.
 
@@ -33,32 +51,33 @@ class RecordFields(Mapping[str, NDArray[np.generic]]):
     ----------
     record : NDArray[np.void]
         The messages, a record of the fields each (m,).
+    places : Mapping[str, FieldPlace]
+        What :func:`field_places` says of it.
     """
 
-    __slots__ = ("_columns", "_names", "record")
+    __slots__ = ("_columns", "places", "record")
 
-    def __init__(self, record: NDArray[np.void]) -> None:
+    def __init__(self, record: NDArray[np.void], places: Mapping[str, FieldPlace]) -> None:
         self.record = record
-        self._names = record.dtype.names or ()
+        self.places = places
         self._columns: dict[str, NDArray[np.generic]] = {}
 
     def __getitem__(self, name: str) -> NDArray[np.generic]:
         column = self._columns.get(name)
         if column is None:
-            if name not in self._names:
+            if name not in self.places:
                 raise KeyError(name)
             column = self._columns[name] = np.ascontiguousarray(self.record[name])
         return column
 
-    def get(self, name: str, default: Any = None) -> Any:
-        """Return a field, or the default where there is none."""
-        return self[name] if name in self._names else default
+    def __contains__(self, name: object) -> bool:
+        return name in self.places
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
+        return iter(self.places)
 
     def __len__(self) -> int:
-        return len(self._names)
+        return len(self.places)
 
 
 Fields = Mapping[str, NDArray[np.generic]]
@@ -164,7 +183,7 @@ def cut(batch: Batch, start: int, stop: int) -> Batch:
 
 def _rows(fields: Fields, part: slice) -> Fields:
     if isinstance(fields, RecordFields):
-        return RecordFields(fields.record[part])
+        return RecordFields(fields.record[part], fields.places)
     return {name: values[part] for name, values in fields.items()}
 
 
@@ -241,7 +260,8 @@ def _concatenated(alike: Sequence[tuple[int, Columns]]) -> Columns:
 def _one_after_the_other(parts: Sequence[Fields]) -> Fields:
     records = [fields.record for fields in parts if isinstance(fields, RecordFields)]
     if len(records) == len(parts):
-        return RecordFields(np.concatenate(records))
+        record = np.concatenate(records)
+        return RecordFields(record, field_places(record.dtype))
     return {name: np.concatenate([fields[name] for fields in parts]) for name in parts[0]}
 
 

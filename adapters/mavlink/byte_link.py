@@ -196,16 +196,16 @@ class _Udp:
 
     def _waiting(self) -> list[Piece]:
         """Return what the kernel holds."""
-        pieces: list[Piece] = []
+        datagrams: list[tuple[bytes, list[tuple[int, int, bytes]], int, Any]] = []
         # It ends with BlockingIOError where nothing waits any more, or with what an earlier answer met on its way.
         with contextlib.suppress(OSError):
-            while len(pieces) < _DATAGRAMS:
-                data, notes, _, sender = self._socket.recvmsg(_READ_BYTES, _NOTES_BYTES)
-                pieces.append((sender, data, self._arrival_ns(notes)))
-        return pieces
+            while len(datagrams) < _DATAGRAMS:
+                datagrams.append(self._socket.recvmsg(_READ_BYTES, _NOTES_BYTES))
+        now_ns = time.time_ns()
+        return [(sender, data, self._arrival_ns(notes, now_ns)) for data, notes, _, sender in datagrams]
 
-    def _arrival_ns(self, notes: Iterable[tuple[int, int, bytes]]) -> int:
-        received_ns = now_ns = time.time_ns()
+    def _arrival_ns(self, notes: Iterable[tuple[int, int, bytes]], now_ns: int) -> int:
+        received_ns = now_ns
         for _, kind, note in notes:
             if kind == _SO_TIMESTAMPNS and len(note) == _TIMESPEC.size:
                 seconds, nanoseconds = _TIMESPEC.unpack(note)

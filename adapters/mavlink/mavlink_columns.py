@@ -7,13 +7,14 @@ together. Places are offsets into the buffer, which ends with :data:`PADDING` by
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, Columns, RecordFields
+from adapters.batch import Batch, Columns, FieldPlace, RecordFields, field_places
 from adapters.mavlink.mavlink_message import (
     MAGIC_1,
     MAX_PACKET_BYTES,
@@ -171,6 +172,12 @@ def payload_layout(kind: MavlinkType) -> np.dtype[np.void] | None:
     return packed[table.fieldnames]
 
 
+@functools.cache
+def _places(kind: MavlinkType) -> Mapping[str, FieldPlace]:
+    layout = payload_layout(kind)
+    return {} if layout is None else field_places(layout)
+
+
 def payloads(
     data: NDArray[np.uint8], size: int, payload: NDArray[np.int64], length: NDArray[np.int64]
 ) -> NDArray[np.uint8]:
@@ -198,6 +205,7 @@ def columns(
     position: NDArray[np.int64],
     received_ns: NDArray[np.int64],
     content: bytes | NDArray[np.uint8],
+    offset: int = 0,
 ) -> Columns:
     """Decode n messages of one kind and sender, none of them with text.
 
@@ -211,9 +219,11 @@ def columns(
         Index of each in its batch, and Unix time of arrival (n,).
     content : bytes | NDArray[np.uint8]
         Their payloads, each as long as the definition has it, one after the other.
+    offset : int
+        Bytes before the first of them.
     """
-    fields = RecordFields(np.frombuffer(content, payload_layout(kind)))
-    return Columns(MAVLINK, kind.name, *sender, position, received_ns, fields)
+    record = np.frombuffer(content, payload_layout(kind), len(position), offset)
+    return Columns(MAVLINK, kind.name, *sender, position, received_ns, RecordFields(record, _places(kind)))
 
 
 def decoded(packets: Sequence[tuple[MavlinkType, bytes]], received_ns: Sequence[int]) -> Batch:
@@ -229,16 +239,19 @@ def decoded(packets: Sequence[tuple[MavlinkType, bytes]], received_ns: Sequence[
         Unix time of arrival of each, nanoseconds.
     """
     groups: dict[tuple[MavlinkType, int, int], list[int]] = {}
-    for position, (kind, packet) in enumerate(packets):
-        groups.setdefault((kind, *packet_sender(packet)), []).append(position)
-    times = np.array(received_ns, np.int64)
-    found: list[Columns] = []
     others: dict[int, Message] = {}
-    for (kind, *sender), positions in groups.items():
+    for position, (kind, packet) in enumerate(packets):
         if payload_layout(kind) is None:
-            others.update((at, kind.decode(packets[at][1], received_ns[at])) for at in positions)
-            continue
-        content = b"".join([kind.payload(packets[at][1]) for at in positions])
-        index = np.array(positions, np.int64)
-        found.append(columns(kind, (sender[0], sender[1]), index, times[index], content))
+            others[position] = kind.decode(packet, received_ns[position])
+        else:
+            groups.setdefault((kind, *packet_sender(packet)), []).append(position)
+    index = np.array([*chain.from_iterable(groups.values())], np.int64)
+    times = np.array(received_ns, np.int64)[index]
+    content = b"".join([packets[at][0].payload(packets[at][1]) for at in index.tolist()])
+    found: list[Columns] = []
+    first = offset = 0
+    for (kind, system, component), positions in groups.items():
+        rows = slice(first, first + len(positions))
+        found.append(columns(kind, (system, component), index[rows], times[rows], content, offset))
+        first, offset = rows.stop, offset + len(positions) * kind.size
     return Batch(len(packets), tuple(found), others)

@@ -198,9 +198,9 @@ class MavlinkLink:
 
     def _count(self, packet: bytes) -> None:
         system, component = packet_sender(packet)
-        sequence = packet_sequence(packet)
         place = system << 8 | component
         before = self._sequence[place]
+        sequence = packet_sequence(packet)
         ahead = (sequence - before) & 0xFF
         if before < 0 or 128 <= ahead < 256 - _REORDERED:
             self._sequence[place] = sequence

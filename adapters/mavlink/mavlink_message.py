@@ -194,16 +194,12 @@ class PacketParser:
         found: list[tuple[MavlinkType, bytes]] = []
         start, size = 0, len(buffer)
         while start < size:
-            magic = _MAGIC.search(buffer, start)
-            at = magic.start() if magic else size
-            if at > start:
-                start = self._skip(start, at)
-                continue
-            if start + HEAD_BYTES > size:
+            if size - start < HEAD_BYTES and buffer[start] in MAGICS:
                 break
-            length = packet_size(buffer, start)
+            length = packet_size(buffer, start) if size - start >= HEAD_BYTES else None
             if length is None:
-                start = self._skip(start, start + 1)
+                magic = _MAGIC.search(buffer, start + 1)
+                start = self._skip(start, magic.start() if magic else size)
                 continue
             end = start + length
             if end > size:

@@ -44,6 +44,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from adapters.batch import RecordFields
 from adapters.channels import CLOCK_UNITS_NS, MAX_VALUE, field_steps
 from adapters.sample import Samples
 
@@ -1307,12 +1308,10 @@ cdef _Messages _of_columns(columns, list feeds):
     for feed in group.feeds:
         stream = feed.stream
         for name, value in stream.channel.where:
-            _select(fields.get(name), value, feed.chosen, count)
+            _select(fields, name, value, feed.chosen, count)
         _read_stamps(stream.channel, fields, feed.stamps, count)
         for i, channel in enumerate(stream.channels):
-            _read_values(
-                _leaf(fields, channel.path), channel.scale, channel.offset, feed.values + i, stream.width, count
-            )
+            _read_values(fields, channel.path, channel.scale, channel.offset, feed.values + i, stream.width, count)
     return group
 
 
@@ -1334,6 +1333,10 @@ cdef enum Number:
     _FLOATING
 
 
+# By kind of number in NumPy.
+_NUMBERS = {"i": _SIGNED, "u": _UNSIGNED, "f": _FLOATING}
+
+
 cdef struct View:
     Py_buffer buffer
     const char* start
@@ -1342,13 +1345,35 @@ cdef struct View:
     Number number
 
 
-cdef object _open(column, View* view, Py_ssize_t count):
-    """Open a column of numbers for reading; return what has to be kept meanwhile, None where it is no such column."""
+cdef bint _open(fields, path, View* view, Py_ssize_t count) except -1:
+    """Open a field's numbers, one of each message, for reading; return whether there are any to be released."""
+    if not isinstance(fields, RecordFields):
+        return _open_column(_leaf(fields, path), view, count)
+    place = fields.places.get(path[0])
+    if place is None:
+        return False
+    cdef Py_ssize_t offset = place.offset, step = 0
+    if (len(path) > 1) != (place.length > 0) or len(path) > 2:
+        return False
+    if place.length:
+        if not isinstance(path[1], int) or path[1] >= place.length:
+            return False
+        step = path[1]
+    PyObject_GetBuffer(fields.record, &view.buffer, PyBUF_STRIDES)
+    view.start = <const char*>view.buffer.buf + offset + step * <Py_ssize_t>place.size
+    view.stride = view.buffer.strides[0]
+    view.size = place.size
+    view.number = _NUMBERS[place.kind]
+    return True
+
+
+cdef bint _open_column(column, View* view, Py_ssize_t count) except -1:
+    """Open a column of numbers; return whether it is one, to be released."""
     if column is None:
-        return None
+        return False
     kind = column.dtype.kind
-    if kind not in "iuf" or column.ndim != 1 or len(column) < count:
-        return None
+    if kind not in _NUMBERS or column.ndim != 1 or len(column) < count:
+        return False
     if not column.dtype.isnative or (kind == "f" and column.dtype.itemsize not in (4, 8)):
         # Another byte order, or numbers of another width, as numbers that can be read.
         column = column.astype(np.float64 if kind == "f" else column.dtype.newbyteorder("="))
@@ -1356,8 +1381,8 @@ cdef object _open(column, View* view, Py_ssize_t count):
     view.start = <const char*>view.buffer.buf
     view.stride = view.buffer.strides[0]
     view.size = view.buffer.itemsize
-    view.number = _FLOATING if kind == "f" else _SIGNED if kind == "i" else _UNSIGNED
-    return column
+    view.number = _NUMBERS[kind]
+    return True
 
 
 cdef inline long long _signed_at(View* view, Py_ssize_t row) noexcept:
@@ -1419,7 +1444,7 @@ cdef int _read_times(column, nanoseconds* out, Py_ssize_t count) except -1:
     """Copy a column of whole nanoseconds."""
     cdef View view
     cdef Py_ssize_t row
-    if _open(column, &view, count) is None:
+    if not _open_column(column, &view, count):
         raise TypeError("positions and times of arrival have to be columns of whole numbers")
     for row in range(count):
         out[row] = _signed_at(&view, row)
@@ -1428,14 +1453,13 @@ cdef int _read_times(column, nanoseconds* out, Py_ssize_t count) except -1:
 
 
 cdef int _read_values(
-    column, double scale, double offset, double* out, Py_ssize_t stride, Py_ssize_t count
+    fields, path, double scale, double offset, double* out, Py_ssize_t stride, Py_ssize_t count
 ) except -1:
     """Read a channel's values, NaN where the field holds no number that can be one (rule 7)."""
     cdef View view
     cdef Py_ssize_t row
     cdef double value
-    kept = _open(column, &view, count)
-    if kept is None:
+    if not _open(fields, path, &view, count):
         for row in range(count):
             out[row * stride] = float("nan")
         return 0
@@ -1449,26 +1473,22 @@ cdef int _read_values(
 cdef int _read_stamps(channel, fields, nanoseconds* out, Py_ssize_t count) except -1:
     """Read the stamps of a stream: its own clock, or the usual ones, the first that holds a number."""
     if channel.clock is not None:
-        column = fields.get(channel.clock)
-        if column is None:
-            column = _leaf(fields, field_steps(channel.clock))
-        return _read_clock(column, channel.clock_unit_ns or CLOCK_UNITS_NS.get(channel.clock, 1), out, count)
+        path = (channel.clock,) if channel.clock in fields else field_steps(channel.clock)
+        return _read_clock(fields, path, channel.clock_unit_ns or CLOCK_UNITS_NS.get(channel.clock, 1), out, count)
     for name, unit_ns in CLOCK_UNITS_NS.items():
-        column = fields.get(name)
-        if column is not None:
-            _read_clock(column, channel.clock_unit_ns or unit_ns, out, count)
+        if name in fields:
+            _read_clock(fields, (name,), channel.clock_unit_ns or unit_ns, out, count)
     return 0
 
 
-cdef int _read_clock(column, unit_ns, nanoseconds* out, Py_ssize_t count) except -1:
+cdef int _read_clock(fields, path, unit_ns, nanoseconds* out, Py_ssize_t count) except -1:
     """Read the stamps of one clock field where none is known yet; codes where it holds none or one out of range."""
     cdef View view
     cdef Py_ssize_t row
     cdef nanoseconds most = (MAX_STAMP_NS - 1) // unit_ns, unit = unit_ns if most else 0
     cdef double factor = unit_ns, stamp
     cdef unsigned long long whole
-    kept = _open(column, &view, count)
-    if kept is None:
+    if not _open(fields, path, &view, count):
         return 0
     for row in range(count):
         if out[row] != _CLOCKLESS:
@@ -1488,23 +1508,24 @@ cdef int _read_clock(column, unit_ns, nanoseconds* out, Py_ssize_t count) except
     return 0
 
 
-cdef int _select(column, value, char* chosen, Py_ssize_t count) except -1:
+cdef int _select(fields, name, value, char* chosen, Py_ssize_t count) except -1:
     """Keep the messages whose field has a value."""
     cdef View view
     cdef Py_ssize_t row
     cdef long long wanted
-    kept = None
-    if isinstance(value, int) and -MAX_STAMP_NS < value < MAX_STAMP_NS and column is not None:
-        kept = _open(column, &view, count) if column.dtype.kind in "iu" else None
-    if kept is not None:
+    whole = isinstance(value, int) and -MAX_STAMP_NS < value < MAX_STAMP_NS
+    if whole and _open(fields, (name,), &view, count):
         wanted = value
         for row in range(count):
             if view.number == _SIGNED:
                 chosen[row] &= _signed_at(&view, row) == wanted
-            else:
+            elif view.number == _UNSIGNED:
                 chosen[row] &= wanted >= 0 and _unsigned_at(&view, row) == <unsigned long long>wanted
+            else:
+                chosen[row] &= _double_at(&view, row) == <double>wanted
         PyBuffer_Release(&view.buffer)
         return 0
+    column = fields.get(name)
     for row in range(count):
         chosen[row] &= column is not None and column[row].tolist() == value
     return 0
