@@ -149,13 +149,8 @@ def field_steps(field: str) -> tuple[str | int, ...]:
 def read_channel(name: str, table: Table) -> Channel:
     """Read one channel from its TOML table; mistakes are recorded in the table's file.
 
-    Parameters
-    ----------
-    name : str
-        The channel's name.
-    table : Table
-        Keys ``message`` (a leading slash is dropped) and ``field`` (required), ``where``, ``scale``, ``offset``,
-        ``clock``, ``clock_unit_ns``, ``interpolation``, ``period``.
+    Keys are ``message`` (a leading slash is dropped) and ``field``, both required, ``where``, ``scale``, ``offset``,
+    ``clock``, ``clock_unit_ns``, ``interpolation``, ``period``.
     """
     selection = table.raw("where") or {}
     if not isinstance(selection, Mapping) or not all(isinstance(v, (int, str)) for v in selection.values()):

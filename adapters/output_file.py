@@ -14,14 +14,9 @@ _IN_PLACE_ONLY = (errno.EACCES, errno.EPERM, errno.EBUSY)
 
 
 def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file, in place of one that is there only once all of it is on the disk.
+    """Write a file, in place of one that is there only once all of it is on the disk; text as UTF-8.
 
-    Parameters
-    ----------
-    path : str | PathLike
-        File to write; a link is followed. What is no file (``/dev/stdout``, a pipe) is written to as it comes.
-    content : str | bytes
-        Text is written as UTF-8.
+    A link is followed. What is no file (``/dev/stdout``, a pipe) is written to as it comes.
 
     Raises
     ------

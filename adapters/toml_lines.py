@@ -21,18 +21,10 @@ _SCALAR = re.compile(r"[^,\]}#\r\n]*")
 
 
 def key_lines(text: str) -> dict[KeyPath, int]:
-    """Return the line of every table, key and element of a list.
+    """Return the line, from 1, of every table, key and element of a list in a valid TOML text.
 
-    Parameters
-    ----------
-    text : str
-        Valid TOML; of anything else the lines up to the first mistake are right, and where tables and lists are nested
-        more than 100 levels deep those up to there.
-
-    Returns
-    -------
-    dict[KeyPath, int]
-        Lines from 1, by path. An array of tables and its first table share a line.
+    An array of tables and its first table share a line. Of a text that is not valid the lines up to the first mistake
+    are right, and where tables and lists are nested more than 100 levels deep those up to there.
     """
     return _Scanner(text).scan()
 

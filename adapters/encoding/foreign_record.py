@@ -30,14 +30,7 @@ def foreign_name(topic: str) -> str:
 
 
 def foreign_decoder(topic: str, encoding: str, schema: Schema | None) -> Callable[[bytes, int], Message]:
-    """Return what turns a topic's records into messages; it raises ValueError where a record is none.
-
-    Parameters
-    ----------
-    topic, encoding : str
-        Topic and message encoding of the log's channel.
-    schema : Schema | None
-        The channel's schema.
+    """Return what turns the records of a log's channel into messages; it raises ValueError where a record is none.
 
     Raises
     ------

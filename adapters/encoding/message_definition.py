@@ -78,25 +78,15 @@ def canonical_type(name: str) -> str:
 
 
 def parse_definitions(name: str, text: str) -> Definitions:
-    """Read a definition, with those of the types it uses behind it, as ROS 2 writes them into MCAP files.
+    """Return the fields of a type, and of those it uses, in their order by type (``"package/Name"``).
 
-    Parameters
-    ----------
-    name : str
-        The message's type, in any form :func:`canonical_type` reads.
-    text : str
-        Its .msg text; further ones follow a line of ``===`` and a line ``MSG: package/Name``. Time and Duration of
-        builtin_interfaces are known without.
-
-    Returns
-    -------
-    dict
-        Fields in their order by type, as ``"package/Name"``.
+    The text is that of .msg files as ROS 2 writes it into MCAP files: further types follow a line of ``===`` and a line
+    ``MSG: package/Name``. Time and Duration of builtin_interfaces are known without.
 
     Raises
     ------
     TelemetryError
-        The text is no such definition.
+        The text is no such definition, or the name none that :func:`canonical_type` reads.
     """
     if len(text) > MAX_DEFINITION_CHARACTERS:
         raise TelemetryError(f"definition of {name}: longer than {MAX_DEFINITION_CHARACTERS} characters")
@@ -116,13 +106,8 @@ def parse_definitions(name: str, text: str) -> Definitions:
 def find_definition(name: str, folders: Sequence[Path]) -> str:
     """Return the definition of a type, with those of all types it uses, from .msg files.
 
-    Parameters
-    ----------
-    name : str
-        The message's type, in any form :func:`canonical_type` reads.
-    folders : Sequence[Path]
-        Where to look, in this order and then in :data:`SHIPPED`: ``package/msg/Name.msg``, ``package/Name.msg``,
-        ``msg/Name.msg`` or ``Name.msg`` in each.
+    Each folder, then :data:`SHIPPED`, may hold ``package/msg/Name.msg``, ``package/Name.msg``, ``msg/Name.msg`` or
+    ``Name.msg``; the first found counts.
 
     Raises
     ------

@@ -203,12 +203,7 @@ class TypedRecords:
     ) -> list[Columns] | None:
         """Return n of them as columns by sender, None where each has to be taken by itself.
 
-        Parameters
-        ----------
-        data : Sequence[bytes]
-            The records.
-        time_ns, position : NDArray[np.int64]
-            Their times, and their indices in the batch (n,).
+        ``time_ns`` and ``position`` (n,) are their times and their indices in the batch.
         """
         fields = None if self._rows is None else self._rows.decode(data)
         if fields is None:

@@ -150,16 +150,10 @@ class LogMapping:
         return frozenset().union(*(rule.topics for name, rules in self.rules.items() if name in only for rule in rules))
 
     def guess(self, counts: Mapping[str, int], examples: Mapping[str, Mapping[str, Any]]) -> dict[str, MessageRule]:
-        """Return how the messages are filled from a log.
+        """Return how the messages are filled from a log: by the first way that the log can fill.
 
-        Of the ways that the log can fill, the first; a later one where its record comes half as often again.
-
-        Parameters
-        ----------
-        counts : Mapping[str, int]
-            Records by name.
-        examples : Mapping[str, Mapping[str, Any]]
-            Fields of any record of each name.
+        A later one is taken where its record comes half as often again. ``counts`` are records by name,
+        ``examples`` the fields of any record of each name.
         """
         chosen = {}
         for name, rules in self.rules.items():

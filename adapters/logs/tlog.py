@@ -101,14 +101,7 @@ class RecordScan:
         self._types = mavlink_types()
 
     def step(self, buffer: bytes, at: int) -> tuple[MavlinkType | None, int]:
-        """Look at what may be a record.
-
-        Parameters
-        ----------
-        buffer : bytes
-            A part of the log.
-        at : int
-            Where the record begins; at most :func:`last_record`.
+        """Look at what may be a record, which begins at ``at``, at most :func:`last_record`.
 
         Returns
         -------
@@ -138,16 +131,7 @@ class RecordScan:
         return None, at + skipped
 
     def end(self, path: Path, rest: int, damaged: bool) -> None:
-        """Take note that the log is over.
-
-        Parameters
-        ----------
-        path : Path
-            The log.
-        rest : int
-            Bytes that are left.
-        damaged : bool
-            Whether its compressed data ended early.
+        """Take note that the log is over: so many bytes are left, and its compressed data ended early or not.
 
         Raises
         ------
@@ -359,14 +343,9 @@ def _groups(packets: Heads) -> Iterator[NDArray[np.int64]]:
 
 
 def last_record(size: int, final: bool) -> int:
-    """Return the last place in a buffer at which it can be decided whether a record begins there.
+    """Return the last place in a buffer of ``size`` bytes at which it can be decided whether a record begins there.
 
-    Parameters
-    ----------
-    size : int
-        Bytes in the buffer.
-    final : bool
-        Whether the log ends with it; otherwise the longest record and the magic byte behind it have to fit in.
+    Unless the log ends with the buffer (``final``) the longest record and the magic byte behind it have to fit in.
     """
     return size - (_MIN_RECORD if final else _MAX_RECORD + _MIN_RECORD)
 

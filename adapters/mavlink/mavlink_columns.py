@@ -183,14 +183,7 @@ def payloads(
 ) -> NDArray[np.uint8]:
     """Return n payloads, each ``size`` bytes long as the definition has it, one after the other (n * size,).
 
-    Parameters
-    ----------
-    data : NDArray[np.uint8]
-        The buffer.
-    size : int
-        Bytes of the message's payload.
-    payload, length : NDArray[np.int64]
-        Where the payloads begin, and their bytes (n,); what is cut off at their ends is zero.
+    ``payload`` and ``length`` (n,) say where in the buffer they begin, and their bytes; what is cut off is zero.
     """
     # Every place of the buffer as the begin of a payload: taking from that copies payload by payload.
     content = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))[payload].view(np.uint8)
@@ -207,36 +200,19 @@ def columns(
     content: bytes | NDArray[np.uint8],
     offset: int = 0,
 ) -> Columns:
-    """Decode n messages of one kind and sender, none of them with text.
+    """Decode n messages of one kind and sender (system, component), none of them with text.
 
-    Parameters
-    ----------
-    kind : MavlinkType
-        The kind of message; :func:`payload_layout` has its layout.
-    sender : tuple[int, int]
-        System and component id.
-    position, received_ns : NDArray[np.int64]
-        Index of each in its batch, and Unix time of arrival (n,).
-    content : bytes | NDArray[np.uint8]
-        Their payloads, each as long as the definition has it, one after the other.
-    offset : int
-        Bytes before the first of them.
+    ``position`` and ``received_ns`` (n,) are indices in the batch and Unix times of arrival; ``content`` holds the
+    payloads one after the other, each as long as the definition has it, from byte ``offset`` on.
     """
     record = np.frombuffer(content, payload_layout(kind), len(position), offset)
     return Columns(MAVLINK, kind.name, *sender, position, received_ns, RecordFields(record, _places(kind)))
 
 
 def decoded(packets: Sequence[tuple[MavlinkType, bytes]], received_ns: Sequence[int]) -> Batch:
-    """Decode intact packets, in the order of arrival, as a batch.
+    """Decode intact packets, in the order of arrival, as a batch; ``received_ns`` are their Unix times of arrival.
 
     Use it for the few packets that a link brings at a time; a log gives its packets by place in one buffer.
-
-    Parameters
-    ----------
-    packets : Sequence[tuple[MavlinkType, bytes]]
-        Kind and bytes of each packet.
-    received_ns : Sequence[int]
-        Unix time of arrival of each, nanoseconds.
     """
     groups: dict[tuple[MavlinkType, int, int], list[int]] = {}
     others: dict[int, Message] = {}

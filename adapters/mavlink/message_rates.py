@@ -218,14 +218,7 @@ class RateRequests:
         self._heartbeats = 0
 
     def ask(self, system: int, rates: Mapping[str, float], component: int = AUTOPILOT) -> None:
-        """Ask one vehicle for these rates from now on, in place of earlier ones.
-
-        Parameters
-        ----------
-        system, component : int
-            MAVLink ids of its autopilot.
-        rates : Mapping[str, float]
-            Rate in hertz by MAVLink message name.
+        """Ask one vehicle's autopilot for these rates, hertz by message name, from now on, in place of earlier ones.
 
         Raises
         ------

@@ -78,13 +78,10 @@ class SigningKey:
 
 
 def read_key(path: str | os.PathLike[str]) -> SigningKey:
-    """Read a key file.
+    """Return the key of a file.
 
-    Parameters
-    ----------
-    path : str | PathLike
-        A file with 64 hexadecimal digits, or with a passphrase on one line, of which the key is the SHA-256 hash as
-        in Mission Planner, QGroundControl and MAVProxy, or with 32 bytes that are no such text.
+    It holds 64 hexadecimal digits, or a passphrase on one line, of which the key is the SHA-256 hash as in Mission
+    Planner, QGroundControl and MAVProxy, or 32 bytes that are no such text.
 
     Raises
     ------

@@ -139,21 +139,10 @@ SCENARIOS: dict[str, ArmScenario] = {
 def make_fault(
     channel: ArmFaultChannel, kind: ArmFaultKind, start_s: float, stop_s: float, size: float, *, hz: float = SINE_HZ
 ) -> ArmFault:
-    """Return a fault of a simple kind.
+    """Return a fault of a simple kind on a channel during [start_s, stop_s).
 
-    Parameters
-    ----------
-    channel : {"f_a", "f_s"}
-        Where it acts.
-    kind : {"step", "ramp", "sine"}
-        Constant ``size``; growing from 0 to ``size`` at ``stop_s``; a sine of amplitude ``size`` starting at
-        0.
-    start_s, stop_s : float
-        When it acts, seconds.
-    size : float
-        How large it gets.
-    hz : float
-        Frequency of a sine.
+    A step is constant ``size``, a ramp grows from 0 to ``size`` at ``stop_s``, a sine of ``hz`` and amplitude ``size``
+    starts at 0.
     """
     if kind == "step":
         return ArmFault(channel, start_s, stop_s, lambda _: size)
@@ -195,18 +184,9 @@ def parse_fault(text: str) -> ArmFault:
 def simulate_arm(
     scenario: ArmScenario, duration_s: float = DURATION_S, rate_hz: float = 100.0, torque: Torque = "zero"
 ) -> ArmRun:
-    """Simulate the arm.
+    """Simulate the arm; samples are at k / rate_hz < duration_s.
 
-    Parameters
-    ----------
-    scenario : ArmScenario
-        Faults and disturbances.
-    duration_s : float
-        Length of the run; samples are at k / rate_hz < duration_s.
-    rate_hz : float
-        Samples per second.
-    torque : {"zero", "tracking"}
-        No torque from rest, or the torque that makes the healthy link swing as 0.5 sin(0.5 t) rad.
+    Without torque it starts at rest; the torque ``"tracking"`` makes the healthy link swing as 0.5 sin(0.5 t) rad.
 
     Raises
     ------

@@ -67,15 +67,7 @@ def arm_packets(run: ArmRun) -> Iterator[tuple[int, bytes]]:
 
 
 def arm_messages(run: ArmRun, start_unix_ns: int) -> Iterator[Message]:
-    """Return the run as the messages that a MAVLink link without delay would receive.
-
-    Parameters
-    ----------
-    run : ArmRun
-        The run.
-    start_unix_ns : int
-        Unix time of simulated time 0.
-    """
+    """Return the run as a MAVLink link without delay would receive it, simulated time 0 being ``start_unix_ns``."""
     for time_ns, packet in arm_packets(run):
         yield mavlink_types()[message_number(packet)].decode(packet, start_unix_ns + time_ns)
 
@@ -95,16 +87,7 @@ def arm_payloads(run: ArmRun) -> Iterator[tuple[int, bytes]]:
 
 
 def send_arm(run: ArmRun, url: str, speed: float = 1.0) -> int:
-    """Send the run as MAVLink over UDP in real time; return the number of packets.
-
-    Parameters
-    ----------
-    run : ArmRun
-        The run.
-    url : str
-        ``udpout:HOST:PORT``.
-    speed : float
-        Times real time.
+    """Send the run as MAVLink to ``udpout:HOST:PORT``, at so many times real time; return the number of packets.
 
     Raises
     ------
@@ -126,22 +109,10 @@ def send_arm(run: ArmRun, url: str, speed: float = 1.0) -> int:
 def publish_arm(
     run: ArmRun, key: str, connect: Sequence[str], speed: float = 1.0, config_file: str | Path | None = None
 ) -> int:
-    """Publish the run as JSON over Zenoh in real time; return the number of samples.
+    """Publish the run as JSON under a Zenoh key, at so many times real time; return the number of samples.
 
-    Starts when somebody subscribes, at the latest after 5 s.
-
-    Parameters
-    ----------
-    run : ArmRun
-        The run.
-    key : str
-        Key to publish under.
-    connect : Sequence[str]
-        Endpoints to connect to.
-    speed : float
-        Times real time.
-    config_file : str | Path | None
-        Zenoh's configuration, as for :func:`adapters.zenoh.zenoh_session.open_session`.
+    Starts when somebody subscribes, at the latest after 5 s. ``connect`` and ``config_file`` are those of
+    :func:`adapters.zenoh.zenoh_session.open_session`.
 
     Raises
     ------

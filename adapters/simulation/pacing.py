@@ -13,18 +13,10 @@ T = TypeVar("T")
 
 
 def paced(items: Iterable[tuple[int, T]], speed: float, catch_up_s: float = inf) -> Iterator[T]:
-    """Return the items in order, each not before its time.
+    """Return the items in order, each not before its time (nanoseconds), at so many times real time; the first at once.
 
-    The schedule is absolute: an item that came late does not delay those behind it, unless it came very late.
-
-    Parameters
-    ----------
-    items : Iterable[tuple[int, T]]
-        Time in nanoseconds and item; the first item is due at once.
-    speed : float
-        Times real time.
-    catch_up_s : float
-        Delay beyond which the schedule moves instead, seconds: a machine that stood still is no burst of telemetry.
+    The schedule is absolute: an item that came late does not delay those behind it, unless it came later than
+    ``catch_up_s``: a machine that stood still is no burst of telemetry.
 
     Raises
     ------

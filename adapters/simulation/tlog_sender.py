@@ -23,18 +23,9 @@ def send_tlog(
     start_s: float = 0.0,
     stop_s: float | None = None,
 ) -> int:
-    """Send a log's packets, byte for byte, one per datagram; return their number.
+    """Send a log's packets, byte for byte, one per datagram, at so many times real time; return their number.
 
-    Parameters
-    ----------
-    path : str | PathLike
-        The log, plain or compressed.
-    host, port : str, int
-        Where to.
-    speed : float
-        Times real time.
-    start_s, stop_s : float, float | None
-        Part of the log to send, seconds after its first packet.
+    ``start_s`` and ``stop_s`` name the part of the log to send, seconds after its first packet.
 
     Raises
     ------

@@ -114,16 +114,7 @@ def endpoints(
 ) -> tuple[str, ...]:
     """Return what :func:`open_session` connects to, or listens on: the file's endpoints, else those given.
 
-    Parameters
-    ----------
-    side : {"connect", "listen"}
-        Which of the two.
-    otherwise : Sequence[str]
-        What holds where the file names none.
-    config_file : str | Path | None
-        As for :func:`open_session`.
-    mode : {"peer", "router", "client"}
-        Zenoh's mode where the file does not say; the file may name endpoints by mode.
+    ``mode`` is Zenoh's mode where the file does not say; the file may name endpoints by mode.
 
     Raises
     ------

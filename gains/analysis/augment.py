@@ -136,19 +136,10 @@ def augment(plant: Plant) -> Augmentation:
 def error_model(
     plant: Plant, augmentation: Augmentation, integrator_order: int = 1, *, sampled: bool = False
 ) -> ErrorModel:
-    """Return the error system of a plant at every slope vertex, or at a sample of them.
+    """Return the error system of a plant at every slope vertex, or at the sample of them of :func:`sampled_vertices`.
 
-    Parameters
-    ----------
-    plant : Plant
-        A plant; in continuous time ' stands for + and f_a' for df_a, and z does not keep its value by itself: the
-        identity in A_a becomes zero, and f_a' is divided by the fault's rate alone.
-    augmentation : Augmentation
-        Its L1, F, A_z and Cb.
-    integrator_order : int
-        1, or in discrete time 2.
-    sampled : bool
-        Whether the vertices of :func:`sampled_vertices` will do.
+    In continuous time ' stands for + and f_a' for df_a, and z does not keep its value by itself: the identity in A_a
+    becomes zero, and f_a' is divided by the fault's rate alone. Integrators have order 1, or in discrete time 2.
 
     Raises
     ------

@@ -261,14 +261,7 @@ class Check:
 
 
 def check_plant(plant: Plant, rate_hz: float | None = None) -> Check:
-    """Look at a plant.
-
-    Parameters
-    ----------
-    plant : Plant
-        Continuous or discrete; its faults may depend on each other.
-    rate_hz : float | None
-        Samples per second a continuous model is observed at; None looks at the model as it is.
+    """Look at a plant, a continuous one as it is or sampled at a rate; its faults may depend on each other.
 
     Raises
     ------

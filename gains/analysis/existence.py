@@ -25,19 +25,7 @@ from gains.plants.plant import FloatArray, Plant, check_independence
 
 
 def check_existence(plant: Plant, *, sampled: bool = False) -> tuple[str, ...]:
-    """Test the existence conditions of a plant.
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant, discrete or continuous.
-    sampled : bool
-        Whether a sample of the slope vertices will do (:func:`gains.analysis.augment.sampled_vertices`).
-
-    Returns
-    -------
-    tuple[str, ...]
-        Notes: what is possible but slow.
+    """Test the existence conditions of a plant, at every slope vertex or at a sample; return what is possible but slow.
 
     Raises
     ------

@@ -68,16 +68,8 @@ def floor_sqrt_mu(plant: Plant, rate_hz: float | None = None, integrator_order: 
     """Return the floor of sqrt(mu) over frequency and over the mean of the slopes and their vertices.
 
     Every number it looks at is a floor, so leaving out frequencies or vertices (a sample of them will do) makes
-    it smaller but never wrong.
-
-    Parameters
-    ----------
-    plant : Plant
-        Continuous or discrete model.
-    rate_hz : float | None
-        Samples per second a continuous model is observed at; None takes the model as it is.
-    integrator_order : int
-        With 2 the rate of an actuator fault bounds f_a'' in place of f_a': s^2 f_a stands for s f_a.
+    it smaller but never wrong. A continuous model is looked at as it is or sampled at a rate. With integrators of order
+    2 the rate of an actuator fault bounds f_a'' in place of f_a': s^2 f_a stands for s f_a.
 
     Raises
     ------

@@ -55,19 +55,11 @@ class HiddenMode:
 
 
 def hidden_modes(A: FloatArray, C: FloatArray, scales: FloatArray, domain: Domain) -> list[HiddenMode]:
-    """Return the modes of A in the unobservable subspace of (A, C), those that decay least first.
+    """Return the modes of A (n, n) in the unobservable subspace of (A, C), C (p, n), those that decay least first.
 
     The subspace is the largest one inside the kernel of C that A maps into itself; it is found from A - I,
-    which has the same invariant subspaces and stays well scaled at high rates.
-
-    Parameters
-    ----------
-    A, C : FloatArray
-        (n, n) and (p, n).
-    scales : FloatArray
-        Sizes of the signals (n,): rank decisions are made in units of them.
-    domain : {"continuous", "discrete"}
-        Whether A is that of x' or of x+.
+    which has the same invariant subspaces and stays well scaled at high rates. Rank decisions are made in units of the
+    signals' sizes ``scales`` (n,).
     """
     step = step_matrix(A, domain) / scales[:, None] * scales
     size = float(np.linalg.norm(step, 2)) or 1.0

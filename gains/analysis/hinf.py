@@ -59,14 +59,9 @@ class HinfNorm:
 
 
 def hinf_norm(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, discrete: bool) -> HinfNorm:
-    """Return the H-infinity norm of C (lambda I - A)^-1 B + D.
+    """Return the H-infinity norm of C (lambda I - A)^-1 B + D, A (n, n), B (n, m), C (p, n), D (p, m).
 
-    Parameters
-    ----------
-    A, B, C, D : FloatArray
-        (n, n), (n, m), (p, n) and (p, m).
-    discrete : bool
-        Whether lambda runs along the unit circle or along the imaginary axis.
+    Lambda runs along the unit circle (discrete) or along the imaginary axis.
     """
     poles = np.linalg.eigvals(A)
     frequencies = np.abs(np.angle(poles)) if discrete else np.abs(poles.imag)

@@ -11,17 +11,10 @@ from gains.plants.plant import Plant
 
 
 def discretise(plant: Plant, rate_hz: float) -> Plant:
-    """Return the plant sampled at ``rate_hz`` with a zero-order hold.
+    """Return a continuous plant sampled at ``rate_hz`` with a zero-order hold; a discrete one of that rate as it is.
 
     The matrix exponential of [[A, X], [0, 0]] / rate_hz, X = [B, G, E_f, E_1, c], is exact for signals held
     over the sample. Holding the nonlinearity g(x(k)) is the one approximation. The sensor equations stay.
-
-    Parameters
-    ----------
-    plant : Plant
-        Continuous model, or a discrete one of that very rate, which is returned as it is.
-    rate_hz : float
-        Samples per second.
 
     Raises
     ------

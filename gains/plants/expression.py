@@ -82,12 +82,7 @@ FUNCTIONS: dict[str, Callable[[float], float]] = {
 def parse_expression(text: str, arguments: Sequence[str]) -> Node:
     """Return the tree of an expression.
 
-    Parameters
-    ----------
-    text : str
-        Numbers, argument names, ``pi``, ``+ - * / **``, brackets and the functions of ``FUNCTIONS``.
-    arguments : Sequence[str]
-        Names of the arguments, in order.
+    It is made of numbers, the names of its arguments, ``pi``, ``+ - * / **``, brackets and :data:`FUNCTIONS`.
 
     Raises
     ------
@@ -110,13 +105,6 @@ def parse_expression(text: str, arguments: Sequence[str]) -> Node:
 
 def compile_expression(text: str, arguments: Sequence[str]) -> Callable[..., float]:
     """Return ``g(*nu)`` for scalars: NaN where the expression has no value, never an exception.
-
-    Parameters
-    ----------
-    text : str
-        The expression.
-    arguments : Sequence[str]
-        Names of its arguments, in the order of the call.
 
     Raises
     ------

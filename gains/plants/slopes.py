@@ -54,16 +54,7 @@ class _Supremum:
 
 
 def slope_bounds(text: str, arguments: Sequence[str], ranges: Sequence[Interval]) -> list[Interval]:
-    """Return (a_j, b_j) with a_j <= dg/dnu_j <= b_j for each argument on the box.
-
-    Parameters
-    ----------
-    text : str
-        The expression g.
-    arguments : Sequence[str]
-        Names of its arguments nu.
-    ranges : Sequence[Interval]
-        Box of the arguments; bounds may be infinite.
+    """Return (a_j, b_j) with a_j <= dg/dnu_j <= b_j for each argument on the box, whose bounds may be infinite.
 
     Raises
     ------

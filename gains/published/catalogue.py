@@ -28,22 +28,11 @@ _DESIGNS: dict[str, Callable[[Plant], ContinuousObserver]] = {
 
 
 def design_baseline(plant: Plant, method: str, rate_hz: float | None) -> tuple[Gains | None, dict[str, Any]]:
-    """Design a baseline and compute what it is worth.
+    """Design a baseline by its name; return compiled gains, where there is a rate, and the report of the command line.
 
-    Parameters
-    ----------
-    plant : Plant
-        The model; continuous for the reconstructions.
-    method : str
-        ``"gao2022"``, ``"gao2016"``, ``"chen2006"``, ``"zhang2008"`` or ``"ekf"``.
-    rate_hz : float | None
-        Samples per second to compile for; None compiles nothing (the filter takes a discrete model's own).
-
-    Returns
-    -------
-    tuple[Gains | None, dict[str, Any]]
-        Compiled gains, and the report of the command line. Its certificate holds where the true norm of the very
-        gains stays within the bound that their inequality reports; methods that report none have none to hold.
+    The reconstructions need a continuous model; the filter takes a discrete model's own rate. The report's certificate
+    holds where the true norm of the very gains stays within the bound that their inequality reports; methods that
+    report none have none to hold.
 
     Raises
     ------

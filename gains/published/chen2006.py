@@ -40,19 +40,9 @@ _MARGIN = 1e-6
 
 
 def design_chen2006(plant: Plant, filter_s: float = 0.05) -> ContinuousObserver:
-    """Design the observer.
+    """Design the observer of a continuous model, with ``filter_s`` for tau, seconds.
 
-    Parameters
-    ----------
-    plant : Plant
-        Continuous model.
-    filter_s : float
-        Time constant tau of the added estimate of f_a, seconds.
-
-    Returns
-    -------
-    ContinuousObserver
-        Without a bound (``sqrt_mu`` None); its stability at every slope vertex is confirmed.
+    It has no bound (``sqrt_mu`` None); its stability at every slope vertex is confirmed.
 
     Raises
     ------

@@ -80,24 +80,11 @@ class ErrorNorm:
 def published_error_system(
     plant: Plant, observer: ContinuousObserver, slopes: FloatArray, *, noise_path: NoisePath = "zeta"
 ) -> StateSpace:
-    """Return the scaled error system of an observer at given slopes.
+    """Return the scaled error system of an observer, of any order, at given slopes of all arguments (arguments,).
 
-    Parameters
-    ----------
-    plant : Plant
-        Continuous model with its scales.
-    observer : ContinuousObserver
-        An observer of it, of any order.
-    slopes : FloatArray
-        Slope of each argument of each nonlinearity (arguments,).
-    noise_path : {"zeta", "all"}
-        Which errors are freed of the direct path of the noise.
-
-    Returns
-    -------
-    StateSpace
-        From [w; w'; fa'; fs'], each divided by its scale or rate, to e = [x~; f_s~; fa~], each divided by the error
-        that matters. Columns of fs' are zero where an observer needs no assumption about f_s.
+    Its inputs are [w; w'; fa'; fs'], each divided by its scale or rate, its outputs e = [x~; f_s~; fa~], each divided
+    by the error that matters. Columns of fs' are zero where an observer needs no assumption about f_s. ``noise_path``
+    says which errors are freed of the direct path of the noise.
 
     Raises
     ------
@@ -124,17 +111,12 @@ def error_norm(
 ) -> ErrorNorm:
     """Return the norm of an observer's error over all slope vertices.
 
-    Parameters
-    ----------
-    plant, observer, noise_path
-        As in :func:`error_system`.
-    inputs : {"all", "disturbances"}
-        Against [w; w'; fa'], or against [w; w'] alone with every fault constant.
+    It is that against [w; w'; fa'], or against the ``"disturbances"`` [w; w'] alone with every fault constant.
 
     Raises
     ------
     ModelError
-        As :func:`error_system`.
+        As :func:`published_error_system`.
     InfeasibleError
         Too many slopes vary.
     """

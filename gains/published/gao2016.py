@@ -38,7 +38,9 @@ _RANK_TOLERANCE = 1e-9
 
 
 def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> ContinuousObserver:
-    """Design the observer.
+    """Design the observer of a continuous model, confirmed by the norm of its gains against the disturbances.
+
+    ``sqrt_mu`` is that against [w; w'] for faults that do not accelerate: fa' and fs' are no disturbances in this form.
 
     Parameters
     ----------
@@ -48,12 +50,6 @@ def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> 
         Whether the disturbances whose directions C keeps apart are decoupled by H.
     decay : float
         Rate alpha at which the error decays at least, 1/s; with 0 the cheapest gains within the bound take hours.
-
-    Returns
-    -------
-    ContinuousObserver
-        With ``sqrt_mu`` against [w; w'] for faults that do not accelerate: fa' and fs' are no
-        disturbances in this form. Confirmed by the norm of its gains (noise path ``"all"``, inputs ``"disturbances"``).
 
     Raises
     ------

@@ -35,19 +35,9 @@ SIGMAS = (1.0, 3.0, 10.0, 30.0, 100.0)
 
 
 def design_gao2022(plant: Plant, sigmas: float | Sequence[float] = SIGMAS) -> ContinuousObserver:
-    """Design the observer: the smallest bound over the given sigmas.
+    """Design the observer of a continuous model: the smallest bound over sigmas, weights of yt against yt', 1/s.
 
-    Parameters
-    ----------
-    plant : Plant
-        Continuous model.
-    sigmas : float | Sequence[float]
-        Weight of yt against yt' in the adaptive law, 1/s; one, or a short list to choose from.
-
-    Returns
-    -------
-    ContinuousObserver
-        With ``sqrt_mu`` against [w; w'; fa'], confirmed by the norm of its gains (noise path ``"all"``).
+    ``sqrt_mu`` is that against [w; w'; fa'], confirmed by the norm of its gains (noise path ``"all"``).
 
     Raises
     ------

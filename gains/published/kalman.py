@@ -99,19 +99,9 @@ def filter_model(plant: Plant, rate_hz: float | None = None) -> FilterModel:
 
 
 def design_ekf(plant: Plant, rate_hz: float | None = None) -> Gains:
-    """Return the compiled steady-state filter.
+    """Return the compiled steady-state filter of a continuous model, sampled at a rate, or of a discrete one.
 
-    Parameters
-    ----------
-    plant : Plant
-        Continuous model (sampled at ``rate_hz``) or discrete model.
-    rate_hz : float | None
-        Samples per second; None takes the rate of a discrete model.
-
-    Returns
-    -------
-    Gains
-        Recursion for the monitor; its residual is the innovation y - Cb xa^(k|k-1). It claims no bound.
+    The residual of its recursion is the innovation y - Cb xa^(k|k-1). It claims no bound.
 
     Raises
     ------

@@ -135,7 +135,7 @@ def design_theorem(
     delta: float = DELTA,
     smallest_sqrt_mu: float = SMALLEST_SQRT_MU,
 ) -> Design:
-    """Design the paper's observer with its own inequality, corrected, and prove it.
+    """Design the paper's observer with its own inequality, corrected, and prove it: L_p = L_i = beta L2.
 
     First comes the least mu; what is below ``smallest_sqrt_mu`` is not pursued. In Theorem 1, whose least mu is
     zero, that value always is the bound: it says what was asked for, not what can be reached. Then, a little above
@@ -143,23 +143,8 @@ def design_theorem(
     trace(Z_1) + trace(Z_2) + trace(P) with Z_1 >= K^T P1 K and Z_2 >= beta L2^T P2 L2. Without such a choice gains
     are wherever a solver happens to stop.
 
-    beta cancels: the inequality holds beta L2 and P2 / beta only. It tells L2, nothing else.
-
-    Parameters
-    ----------
-    plant : Plant
-        Continuous model. epsilon and delta apply to errors in units of the sizes that matter.
-    theorem : {"theorem1", "theorem2"}
-        Without or with disturbances and noise.
-    beta, epsilon, delta : float
-        The paper's scalars, positive; Theorem 1 has no delta.
-    smallest_sqrt_mu : float
-        Bound below which nothing is gained.
-
-    Returns
-    -------
-    Design
-        Gains whose certificate holds, with L_p = L_i = beta L2 and P in the paper's coordinates.
+    beta cancels: the inequality holds beta L2 and P2 / beta only. It tells L2, nothing else. epsilon and delta, which
+    Theorem 1 has not, apply to errors in units of the sizes that matter; all three are positive.
 
     Raises
     ------

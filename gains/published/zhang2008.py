@@ -33,12 +33,14 @@ from gains.synthesis.continuous_observer import ContinuousObserver, check_contin
 def design_zhang2008(
     plant: Plant, sigma: float = 1.0, mu_z: float = 1.0, learning_rate: float = 10.0, decay: float = 0.5
 ) -> ContinuousObserver:
-    """Design the observer.
+    """Design the observer of a continuous model with actuator faults only.
+
+    It has no bound (``sqrt_mu`` None); its stability at every slope vertex is confirmed.
 
     Parameters
     ----------
     plant : Plant
-        Continuous model with actuator faults only.
+        The model.
     sigma : float
         Weight of e_y against e_y' in the adaptive law, 1/s.
     mu_z : float
@@ -47,11 +49,6 @@ def design_zhang2008(
         How fast the fault estimate follows, 1/s.
     decay : float
         alpha, 1/s; 0 in the form attributed to the original.
-
-    Returns
-    -------
-    ContinuousObserver
-        Without a bound (``sqrt_mu`` None); its stability at every slope vertex is confirmed.
 
     Raises
     ------

@@ -28,14 +28,7 @@ class Hypothesis(NamedTuple):
 
 
 def admissible_hypotheses(plant: Plant, *, largest: bool = False) -> tuple[tuple[str, ...], ...]:
-    """Return the sets of faults to make observers for.
-
-    Parameters
-    ----------
-    plant : Plant
-        Its faults may depend on each other.
-    largest : bool
-        The largest sets that can be estimated together, in place of every single fault that can be estimated.
+    """Return the sets of faults to make observers for: every single one that can be estimated, or the largest sets.
 
     Raises
     ------
@@ -54,16 +47,7 @@ def admissible_hypotheses(plant: Plant, *, largest: bool = False) -> tuple[tuple
 
 
 def design_bank(plant: Plant, rate_hz: float | None = None, *, largest: bool = False) -> tuple[Hypothesis, ...]:
-    """Return a certified observer for each admissible hypothesis.
-
-    Parameters
-    ----------
-    plant : Plant
-        Continuous (sampled at ``rate_hz``) or discrete model.
-    rate_hz : float | None
-        Samples per second; None takes the rate of a discrete model.
-    largest : bool
-        One observer for each of the largest sets, in place of one for each single fault.
+    """Return a certified observer for each of the :func:`admissible_hypotheses`, at a rate or that of a discrete model.
 
     Raises
     ------

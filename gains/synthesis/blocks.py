@@ -67,19 +67,15 @@ def blocks_of(plant: Plant) -> tuple[PlantBlock, ...]:
 
 
 def design_blocks(plant: Plant, *, gain_weight: float = GAIN_WEIGHT, h2: float = 0.0) -> Design:
-    """Design an observer for a discrete plant block by block and prove it.
+    """Design an observer for a discrete plant without nonlinearities block by block and prove it.
 
-    Parameters
-    ----------
-    plant : Plant
-        Discrete, without nonlinearities; each of its blocks has a state, an output and a fault.
-    gain_weight, h2 : float
-        As :func:`gains.synthesis.convex.design_convex` takes them, for every block.
+    Each block has a state, an output and a fault; all are designed with the same options.
 
     Raises
     ------
     ModelError, InfeasibleError, InaccurateError
-        As there, or a block has no fault, or the whole does not pass its certificate.
+        As :func:`gains.synthesis.convex.design_convex`, or a block has no fault, or the whole does not pass its
+        certificate.
     """
     started = time.perf_counter()
     blocks = blocks_of(plant)

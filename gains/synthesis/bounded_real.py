@@ -125,16 +125,7 @@ def inequality(
 ) -> Inequality:
     """Return the model in the solver's coordinates, with the floor of noise and as few columns as matter.
 
-    Parameters
-    ----------
-    model, coordinates : ErrorModel, Coordinates
-        The error system, at every vertex unless there are multipliers, and its coordinates.
-    multipliers : bool
-        Whether one inequality stands for all vertices.
-    pole_radius, gain_weight, h2, P
-        As for :func:`gains.synthesis.convex.design_convex`; P in the user's units.
-    gain_bound, looseness
-        As for :class:`Inequality`.
+    The options are those of :class:`Inequality`; the model is one at every vertex unless there are multipliers.
     """
     S, Y = coordinates.S, coordinates.Y
     na, nz = len(S), len(model.weights) - model.a1

@@ -100,14 +100,7 @@ class ClosedErrorSystem(NamedTuple):
 
 
 def certify(plant: Plant, design: Design) -> Certificate:
-    """Verify a design against its plant.
-
-    Parameters
-    ----------
-    plant : Plant
-        The model the design was made for, continuous or discrete.
-    design : Design
-        Gains, P and mu, and multipliers where it has them.
+    """Verify a design against the model it was made for, continuous or discrete.
 
     Raises
     ------
@@ -148,30 +141,19 @@ def certify(plant: Plant, design: Design) -> Certificate:
 def closed_error_system(
     model: ErrorModel, gains: ObserverMatrices, fault_state: FaultState = "integral", *, with_mean: bool = False
 ) -> ClosedErrorSystem:
-    """Close the error system of a plant.
+    """Close the error system of a plant: at its vertices, or at the mean slopes and then at those.
 
-    With Kb = K + L1 E_f L_p the state [zeta~; z] obeys
+    With Kb = K + L1 E_f L_p the state [zeta~; z] ("integral") obeys
 
         [zeta~; z]+ = (A_a + vertex - [Kb; L_i] Ca) [zeta~; z] + (B - [Kb; L_i] D) [w; w+; df_a]
         fa~ = z - L_p (Cb zeta~ + D w)
 
-    and the paper's state [zeta~; fa~], in continuous time, its (4.14), which differentiates yt:
+    and the paper's state [zeta~; fa~] ("error"), in continuous time, its (4.14), which differentiates yt:
 
         fa~' = f_a' - L_i (Cb zeta~ + D w) - L_p (Cb zeta~' + D w')
 
     They are one system for signals whose derivative is w'. A norm takes w and w' as independent, so there each has
     its own.
-
-    Parameters
-    ----------
-    model : ErrorModel
-        Error model of the plant.
-    gains : ObserverMatrices
-        The gains.
-    fault_state : {"integral", "error"}
-        Which of the two.
-    with_mean : bool
-        Whether A at the mean slopes comes first, ahead of those at the model's vertices.
     """
     vertices = np.concatenate([model.mean[None], model.A]) if with_mean else model.A
     if fault_state == "integral":

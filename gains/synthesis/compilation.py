@@ -28,16 +28,7 @@ from gains.synthesis.gains_file import Gains, ScalarNonlinearity
 
 
 def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gains:
-    """Return the compiled gains of a certified design.
-
-    Parameters
-    ----------
-    plant : Plant
-        The model the design was made for, continuous or discrete.
-    design : Design
-        Its gains.
-    certificate : Certificate
-        What was verified about them; goes into the report.
+    """Return the compiled gains of a certified design; what was verified goes into their report.
 
     Raises
     ------
@@ -98,18 +89,10 @@ def selection(plant: Plant, own: int) -> Selection:
 
 
 def recursion(plant: Plant, z: Selection, moved: FloatArray, outputs: FloatArray, start: FloatArray) -> dict[str, Any]:
-    """Return the compiled matrices of a discrete observer.
+    """Return the compiled matrices of a discrete plant's observer.
 
-    Parameters
-    ----------
-    plant : Plant
-        The discrete plant.
-    z : Selection
-        Its rows.
-    moved, outputs : FloatArray
-        The observer's own states one sample later, and [x^; f_s^; fa^; yt], by z.
-    start : FloatArray
-        Own states at a restart, from y (own, p).
+    ``moved`` and ``outputs`` give, by z, its own states one sample later and [x^; f_s^; fa^; yt]; ``start`` (own, p)
+    its own states at a restart, from y.
     """
     s, delays = len(z.v), len(plant.taps) - 1
     initial = np.zeros((len(z.own) + len(z.past), s + start.shape[1] + 1))
@@ -148,16 +131,9 @@ def common_fields(plant: Plant, matrices: ObserverMatrices | None) -> dict[str, 
 
 
 def common_matrix(plant: Plant, rate_hz: float | None, gains: Gains, source: str) -> FloatArray:
-    """Return the Lyapunov matrix of an earlier design, for another one whose gains may be exchanged with it.
+    """Return the Lyapunov matrix of an earlier design, for another one of a plant whose gains may be exchanged with it.
 
-    Parameters
-    ----------
-    plant, rate_hz
-        Model and rate of the design to come.
-    gains : Gains
-        The earlier design.
-    source : str
-        Where it comes from, for errors.
+    ``source`` says where the earlier gains come from, for errors.
 
     Raises
     ------

@@ -93,16 +93,7 @@ def fauio_observer(plant: Plant, K: FloatArray, L_i: FloatArray, L_p: FloatArray
 
     eta' = N eta + J y + L1 (B v + c + G g(x^) + E_f fa^),  zeta^ = eta + F y,  yt = y - Cb zeta^
     q'   = L_i yt,  fa^ = q + L_p yt;  s = [eta; q]. The paper's law fa^' = beta L2 (yt + yt') is
-    L_p = L_i = beta L2, integrated once so that nothing is differentiated.
-
-    Parameters
-    ----------
-    plant : Plant
-        Continuous model.
-    K, L_i, L_p : FloatArray
-        (nz, p), (a1, p) and (a1, p).
-    method : str
-        Name of the synthesis.
+    L_p = L_i = beta L2, integrated once so that nothing is differentiated. K is (nz, p), L_i and L_p are (a1, p).
 
     Raises
     ------
@@ -152,16 +143,7 @@ def check_continuous(plant: Plant) -> None:
 
 
 def compile_continuous(observer: ContinuousObserver, rate_hz: float, report: Mapping[str, Any] | None = None) -> Gains:
-    """Return the observer as the recursion that runs at ``rate_hz``.
-
-    Parameters
-    ----------
-    observer : ContinuousObserver
-        The observer.
-    rate_hz : float
-        Samples per second.
-    report : Mapping[str, Any] | None
-        What was verified about the design; None reports the synthesis' own bound alone.
+    """Return the observer as the recursion that runs at ``rate_hz``; without a report with that of its bound alone.
 
     Raises
     ------

@@ -74,21 +74,16 @@ def design_continuous(
     decay: tuple[float, float] = (0.0, math.inf),
     gain_weight: float = GAIN_WEIGHT,
 ) -> Design:
-    """Design a continuous observer for a plant and prove it.
+    """Design a continuous observer for a continuous plant and prove it.
 
     Parameters
     ----------
     plant : Plant
-        Continuous model.
+        The model.
     decay : tuple[float, float]
         Range of the decay rates of the error system at every slope vertex, rad/s: -high <= Re <= -low.
     gain_weight : float
         rho, the price of the energy that an innovation puts into the error, against mu; positive.
-
-    Returns
-    -------
-    Design
-        Gains whose certificate holds.
 
     Raises
     ------
@@ -248,14 +243,8 @@ def proofs(system: ClosedErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArra
     """Yield P, mu and seconds that prove a closed error system: the least mu, raised by more and more slack.
 
     With the gains fixed the bounded-real inequality is linear in P and mu. An optimum lies on its boundary, where
-    rounding decides; a P farthest inside at a slightly larger mu passes the certificate.
-
-    Parameters
-    ----------
-    system : ClosedErrorSystem
-        The closed error system.
-    S : FloatArray
-        Coordinates (na, na) in which its state is of size one.
+    rounding decides; a P farthest inside at a slightly larger mu passes the certificate. The state is of size one in
+    the coordinates S (na, na).
     """
     norm = max(hinf_norm(A, system.B, system.C, system.D, discrete=False).lower for A in system.A)
     if not 0.0 < norm < math.inf:

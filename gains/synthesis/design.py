@@ -111,12 +111,7 @@ class Design:
 def design_figures(model: str, method: str, domain: str, rate_hz: float | None, **known: Any) -> dict[str, Any]:
     """Return what a design is worth as the JSON object of the command line and the gains file.
 
-    Parameters
-    ----------
-    model, method, domain, rate_hz
-        The design: name of its model, synthesis, ``"continuous"`` or ``"discrete"``, samples per second.
-    **known
-        Figures that it has; those that every design is asked for are None where they are not known.
+    Figures that every design is asked for are None where they are not known.
     """
     return {
         "model": model,

@@ -28,13 +28,6 @@ def solve_program(program: Any, *attempts: Mapping[str, Any]) -> float:
 
     Use it for every inequality. A failure is no error here: it shows in the program's status and in values that are
     None. What the solver itself calls inaccurate is kept, for a certificate decides about it.
-
-    Parameters
-    ----------
-    program : cvxpy.Problem
-        The program.
-    *attempts : Mapping[str, Any]
-        Settings of the solver, the first to be tried first.
     """
     import cvxpy as cp
 
