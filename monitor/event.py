@@ -54,13 +54,7 @@ class AlarmEvent:
 
 
 def event_from_json(data: Mapping[str, Any]) -> AlarmEvent:
-    """Return the event a JSON object describes.
-
-    Raises
-    ------
-    ValueError
-        A field is missing.
-    """
+    """Return the event a JSON object describes; raise ValueError where a field is missing."""
     missing = [field.name for field in fields(AlarmEvent) if field.name not in data and field.default is MISSING]
     if missing:
         raise ValueError(f"alarm event lacks '{missing[0]}'")

@@ -112,7 +112,7 @@ def test_names_without_end_take_memory_with_one() -> None:
     with logging_to(io.StringIO()) as log:
         for number in range(2 * module.MAX_NAMES):
             log.say(f"name {number}")
-        assert len(log._limit._buckets) == module.MAX_NAMES
+        assert len(log._handler._limit._buckets) == module.MAX_NAMES
 
 
 @settings(max_examples=50, deadline=None)

@@ -14,10 +14,7 @@ _FORBIDDEN = re.compile(r"[/*$?#\s]")
 def vehicle_root(prefix: str, vehicle: str) -> str:
     """Return what a vehicle's keys begin with; :data:`ANY` stands for all vehicles.
 
-    Raises
-    ------
-    UsageError
-        The prefix or the name cannot be part of a key.
+    Raises UsageError where the prefix or the name cannot be part of a key.
     """
     chunks = [("prefix", chunk) for chunk in prefix.split("/")]
     if vehicle != ANY:

@@ -32,12 +32,7 @@ class Publisher:
 
     At most ``estimate_rate_hz`` estimates a second go out per observer, on the samples' own time; 0 publishes none.
     ``journal`` returns all past events from a Unix time in nanoseconds on; without it a bounded number of those that
-    were published here is kept.
-
-    Raises
-    ------
-    UsageError
-        The vehicle's name or the prefix cannot be part of a key.
+    were published here is kept. Raises UsageError where the vehicle's name or the prefix cannot be part of a key.
     """
 
     def __init__(

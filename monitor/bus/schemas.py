@@ -157,13 +157,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
 
 
 def schema_text(name: str | None = None) -> str:
-    """Return one schema as indented JSON, all of them by name where none is named.
-
-    Raises
-    ------
-    UsageError
-        There is none of this name.
-    """
+    """Return one schema as indented JSON, all of them by name without a name; raise UsageError for another one."""
     if name is not None and name not in SCHEMAS:
         raise UsageError(f"schema '{name}': there is none; there are {', '.join(SCHEMAS)}")
     return json.dumps(SCHEMAS if name is None else SCHEMAS[name], indent=2, ensure_ascii=False) + "\n"

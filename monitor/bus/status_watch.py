@@ -61,10 +61,7 @@ def valid_status(vehicle: str, payload: Any) -> VehicleStatus | None:
 class StatusWatch:
     """Keeps the latest status of a vehicle, or of all; the session is left open by :meth:`close`.
 
-    Raises
-    ------
-    UsageError
-        The vehicle's name or the prefix cannot be part of a key.
+    Raises UsageError where the vehicle's name or the prefix cannot be part of a key.
     """
 
     def __init__(self, session: zenoh.Session, vehicle: str = ANY, prefix: str = "fauio") -> None:

@@ -42,12 +42,8 @@ def find_target(session: zenoh.Session, text: str, prefix: str, vehicle: str, en
     """Return which alarm a text means: an id, ``OBSERVER/CHANNEL`` or ``CHANNEL``.
 
     An id, or ``OBSERVER/CHANNEL``, of a named vehicle is taken as it stands. Everything else is looked up among the
-    active alarms of all monitors; ``endpoints`` are named where none answers.
-
-    Raises
-    ------
-    UsageError
-        No monitor answers, or no alarm or several of them are meant.
+    active alarms of all monitors. Raises UsageError where none answers at the ``endpoints``, or no alarm or several are
+    meant.
     """
     root = vehicle_root(prefix, vehicle)
     whole = "id" if _ULID.fullmatch(text) else "channel" if "/" in text else None
@@ -83,10 +79,7 @@ def send_command(
 ) -> dict[str, Any]:
     """Ask a vehicle's monitor to acknowledge, shelve, unshelve or reset an alarm; return its reply.
 
-    Raises
-    ------
-    UsageError
-        The monitor is not there, does not take this command, or says why not.
+    Raises UsageError where the monitor is not there, does not take this command, or says why not.
     """
     root = vehicle_root(prefix, vehicle)
     answers = _ask(session, root, f"command/{verb}", to_json(request))

@@ -8,12 +8,13 @@ damages earlier ones.
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import sqlite3
 import threading
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -119,10 +120,7 @@ SELECT body FROM alarm JOIN event ON event.number = alarm.latest
 WHERE alarm.standing = 1 AND alarm.vehicle = ? ORDER BY alarm.seq
 """
 _EVENTS = """
-SELECT number, body FROM event WHERE time_ns >= ? ORDER BY time_ns DESC, number DESC LIMIT ?
-"""
-_EVENTS_OF_VEHICLE = """
-SELECT number, body FROM event WHERE vehicle = ? AND time_ns >= ? ORDER BY time_ns DESC, number DESC LIMIT ?
+SELECT number, body FROM event WHERE {} time_ns >= ? ORDER BY time_ns DESC, number DESC LIMIT ?
 """
 
 
@@ -264,11 +262,8 @@ class Journal:
 
         None is from before the Unix time ``since_ns``, and there are never more than :data:`MAX_ANSWER`.
         """
-        since_ns, limit = bounded(since_ns), max(0, min(limit, MAX_ANSWER))
-        if vehicle is None:
-            rows = self._query(_EVENTS, (since_ns, limit))
-        else:
-            rows = self._query(_EVENTS_OF_VEHICLE, (plain(vehicle), since_ns, limit))
+        whose, values = ("", ()) if vehicle is None else ("vehicle = ? AND", (plain(vehicle),))
+        rows = self._query(_EVENTS.format(whose), (*values, bounded(since_ns), max(0, min(limit, MAX_ANSWER))))
         return self._readable(body for _, body in sorted(rows))
 
     def frame(self, alarm_id: str) -> dict[str, Any] | None:
@@ -334,23 +329,19 @@ class Journal:
 
     def _commit(self, rows: Sequence[JournalRow]) -> bool:
         """Write rows in one transaction; return whether all are there."""
-        if self._connection is None:
-            return False
         counts = dict.fromkeys(("written", "duplicates", "conflicts", "pruned"), 0)
         conflict = None
-        try:
-            self._connection.execute("BEGIN IMMEDIATE")
+
+        def write(connection: sqlite3.Connection) -> None:
+            nonlocal conflict
             for row in rows:
-                outcome = insert(self._connection, row)
+                outcome = insert(connection, row)
                 counts[outcome] += 1
                 if outcome == "conflicts":
                     conflict = f"event {row.seq} of {row.vehicle} is there already, with another content"
-            counts["pruned"] = prune(self._connection, self._events + counts["written"] - self._max_events)
-            self._connection.execute("COMMIT")
-        except sqlite3.Error as error:
-            self._note(error)
-            with contextlib.suppress(sqlite3.Error):
-                self._connection.rollback()
+            counts["pruned"] = prune(connection, self._events + counts["written"] - self._max_events)
+
+        if not self._transact(write):
             return False
         for name, count in counts.items():
             self._counts[name] += count
@@ -363,19 +354,25 @@ class Journal:
     def _commit_shelved(self) -> None:
         """Write the shelved channels that are not written yet."""
         for vehicle, channels in list(self._shelved.items()):
-            if self._connection is None:
-                return
-            try:
-                self._connection.execute("BEGIN IMMEDIATE")
-                shelve(self._connection, vehicle, channels)
-                self._connection.execute("COMMIT")
-            except sqlite3.Error as error:
-                self._note(error)
-                with contextlib.suppress(sqlite3.Error):
-                    self._connection.rollback()
+            if not self._transact(functools.partial(shelve, vehicle=vehicle, channels=channels)):
                 return
             del self._shelved[vehicle]
             self._unsynced = True
+
+    def _transact(self, work: Callable[[sqlite3.Connection], None]) -> bool:
+        """Let ``work`` write in one transaction; return whether the disk took it."""
+        if self._connection is None:
+            return False
+        try:
+            self._connection.execute("BEGIN IMMEDIATE")
+            work(self._connection)
+            self._connection.execute("COMMIT")
+        except sqlite3.Error as error:
+            self._note(error)
+            with contextlib.suppress(sqlite3.Error):
+                self._connection.rollback()
+            return False
+        return True
 
     def _query(self, sql: str, values: Sequence[Any]) -> list[Any]:
         try:

@@ -117,10 +117,7 @@ def read_connection(path: Path, alone: bool = False) -> sqlite3.Connection:
 def set_aside(path: Path) -> Path:
     """Rename a damaged database and its sidecars to ``<name>.damaged-<time>``; return the new path.
 
-    Raises
-    ------
-    StorageError
-        The folder does not allow it.
+    Raises StorageError where the folder does not allow it.
     """
     stem = f"{path.name}.damaged-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
     target = path.with_name(stem)

@@ -35,12 +35,7 @@ def start_log(
 ) -> MessageLogWriter:
     """Create a recording, its profile as attachments ``profile/<name>``, and hand it to the operating system.
 
-    Raises
-    ------
-    StorageError
-        The file cannot be created.
-    OSError
-        It cannot be written; it is removed again.
+    Raises StorageError where it cannot be created, OSError where it cannot be written; it is removed again then.
     """
     log = None
     try:

@@ -22,11 +22,7 @@ class FileSeries:
     A new file begins after a size and a time between the arrivals of first and last telemetry. Defaults chosen: ten
     minutes, 25 MB for a copter of 500 records a second (measured), open at once in a viewer; the size bounds the files
     of faster ones. ``budget_bytes`` are those of all the vehicle's files together, the one being written included.
-
-    Raises
-    ------
-    StorageError
-        The folder cannot be written to, or the budget is smaller than two files.
+    Raises StorageError where the folder cannot be written to, or the budget is smaller than two files.
     """
 
     def __init__(
@@ -128,13 +124,7 @@ class Retention:
 
 
 def writable_folder(folder: str | os.PathLike[str]) -> Path:
-    """Return a folder for recordings, created where it does not exist.
-
-    Raises
-    ------
-    StorageError
-        It cannot be created, or not be written to.
-    """
+    """Return a folder for recordings, created where it does not exist; raise StorageError where it cannot hold any."""
     path = Path(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)

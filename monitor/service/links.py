@@ -40,10 +40,7 @@ class OpenedLink(NamedTuple):
 def open_links(config: Config, session: zenoh.Session | None, stack: ExitStack) -> list[OpenedLink]:
     """Open all links of a configuration, those over Zenoh where there is a session; nothing reads them yet.
 
-    Raises
-    ------
-    UsageError, TelemetryError
-        A link, the signing key or a message definition cannot be used.
+    Raises UsageError or TelemetryError where a link, the signing key or a message definition cannot be used.
     """
     signing, batch_s = config.signing, config.batch_ms / 1e3
     key = None if signing.key_file is None else read_key(signing.key_file)

@@ -33,7 +33,7 @@ _REFILL_NS = 1_000_000_000
 _RESERVED = ("time_ns", "level", "event", "suppressed")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ServiceLogStatistics:
     """What became of the lines."""
 
@@ -56,8 +56,7 @@ class ServiceLog:
     def __init__(
         self, as_json: bool, stream: TextIO | None = None, clock: Callable[[], int] = time.monotonic_ns
     ) -> None:
-        self._limit = _RateLimit(clock)
-        self._handler = _Handler(as_json, stream, self._limit)
+        self._handler = _Handler(as_json, stream, _RateLimit(clock))
         self._logger = logging.Logger("fauio")
         self._logger.addHandler(self._handler)
         logging.getLogger().addHandler(self._handler)
@@ -77,7 +76,7 @@ class ServiceLog:
 
     def statistics(self) -> ServiceLogStatistics:
         """Return the counts so far."""
-        return replace(self._handler.counts, suppressed=self._limit.suppressed)
+        return replace(self._handler.counts)
 
     def close(self) -> None:
         """Take the log out of :mod:`logging`; the stream stays open."""
@@ -93,7 +92,6 @@ class _RateLimit:
     """A token bucket for each name."""
 
     def __init__(self, clock: Callable[[], int]) -> None:
-        self.suppressed = 0
         self._clock = clock
         # name: tokens in nanoseconds of refilling, when they were counted, lines left out since the last that came
         self._buckets: dict[str, tuple[int, int, int]] = {}
@@ -106,7 +104,6 @@ class _RateLimit:
         if len(self._buckets) >= MAX_NAMES:
             del self._buckets[next(iter(self._buckets))]
         if tokens < _REFILL_NS:
-            self.suppressed += 1
             self._buckets[name] = (tokens, now, left_out + 1)
             return None
         self._buckets[name] = (tokens - _REFILL_NS, now, 0)
@@ -128,23 +125,18 @@ class _Handler(logging.Handler):
         try:
             left_out = self._limit.admit(getattr(record, "limited_by", record.name))
             if left_out is None:
+                self.counts.suppressed += 1
                 return
             _write(self._stream or sys.stderr, self._format(record, left_out) + "\n")
         except Exception:
             # whatever the stream or a field did: the log is no reason to stop monitoring
-            self.counts = replace(self.counts, dropped=self.counts.dropped + 1)
+            self.counts.dropped += 1
         else:
-            self.counts = replace(self.counts, written=self.counts.written + 1)
+            self.counts.written += 1
 
 
 def _write(stream: TextIO, line: str) -> None:
-    """Write a line unless that would wait for a reader.
-
-    Raises
-    ------
-    OSError, ValueError
-        It cannot be written at present, or at all.
-    """
+    """Write a line unless that would wait for a reader: raise OSError or ValueError where it cannot be written."""
     if not _ready(stream):
         raise BlockingIOError("nobody reads")
     stream.write(line)

@@ -30,12 +30,8 @@ class MetricsServer:
 
     Whoever is slow, sends too much or stays connected is cut off after :data:`REQUEST_S`; connections beyond
     :data:`MAX_CONNECTIONS` are closed at once. ``refused`` counts both. ``snapshot`` is called in the server's thread
-    for each request; where it raises, the answer is 503. Port 0 takes a free one, which ``port`` names.
-
-    Raises
-    ------
-    UsageError
-        The address is none, or cannot be listened on.
+    for each request; where it raises, the answer is 503. Port 0 takes a free one, which ``port`` names. Raises
+    UsageError where the address is none, or cannot be listened on.
     """
 
     def __init__(self, address: str, snapshot: Callable[[], Health]) -> None:

@@ -47,12 +47,8 @@ class Station:
     """The vehicles of one daemon; the session is left open by :meth:`close`.
 
     ``read_again`` reads the configuration anew, for a reload; ``links`` are asked for their counts, ``views`` show the
-    vehicles. ``reloads`` counts the reloads that are over, failed ones included.
-
-    Raises
-    ------
-    UsageError, TelemetryError
-        A profile cannot be used, or a folder not written to.
+    vehicles. ``reloads`` counts the reloads that are over, failed ones included. Raises UsageError or TelemetryError
+    where a profile cannot be used, or a folder not written to.
     """
 
     def __init__(

@@ -51,12 +51,8 @@ class LiveView:
 
     It serves on a port of loopback to ``rerun rerun+http://127.0.0.1:PORT/proxy``, or opens a viewer, with so much
     memory for data that were shown; the oldest are dropped. A server that dies, or that grows beyond its memory because
-    one of its viewers stalls, is started afresh; a viewer whose window was closed stays closed.
-
-    Raises
-    ------
-    UsageError
-        The port is taken, or Rerun's executable is missing.
+    one of its viewers stalls, is started afresh; a viewer whose window was closed stays closed. Raises UsageError where
+    the port is taken, or Rerun's executable is missing.
     """
 
     def __init__(

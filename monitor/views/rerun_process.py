@@ -59,13 +59,7 @@ class RerunProcess:
         self._guard = self._guarded() if mode == "serve" else None
 
     def write(self, data: bytes) -> None:
-        """Write bytes, waiting for a process that is slow.
-
-        Raises
-        ------
-        OSError
-            The process is gone.
-        """
+        """Write bytes, waiting for a process that is slow; raise OSError where the process is gone."""
         if self._process.stdin is None:
             raise BrokenPipeError
         rest = memoryview(data)
@@ -124,10 +118,7 @@ class RerunProcess:
 def rerun_binary() -> str:
     """Return the path of Rerun's executable; ``RERUN_CLI_PATH`` overrides, as in Rerun itself.
 
-    Raises
-    ------
-    UsageError
-        There is none.
+    Raises UsageError where there is none.
     """
     package = find_spec("rerun_cli")
     folders = package.submodule_search_locations if package is not None else None
@@ -138,13 +129,7 @@ def rerun_binary() -> str:
 
 
 def require_free(port: int) -> None:
-    """Check that no process listens on a port of loopback.
-
-    Raises
-    ------
-    UsageError
-        One does, or it is no port.
-    """
+    """Raise UsageError where a process listens on a port of loopback, or it is no port."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -79,13 +79,7 @@ class Attack:
         return _RULES[self.kind].meaning.format(size=self.size, rate=self.rate) + growth + bound
 
     def check(self) -> None:
-        """Check that what the kind needs is there, makes sense, and nothing else is.
-
-        Raises
-        ------
-        UsageError
-            It is not so.
-        """
+        """Raise UsageError where what the kind needs is not there, makes no sense, or something else is there."""
         if self.kind not in ATTACK_KINDS:
             raise UsageError(f"--kind {self.kind}: no such kind; use one of {', '.join(ATTACK_KINDS)}")
         rule = _RULES[self.kind]
@@ -165,10 +159,7 @@ class Attack:
     def change(self, from_home: bool) -> Change:
         """Return a new change of one quantity; ``from_home``: its scale counts from its first value.
 
-        Raises
-        ------
-        UsageError
-            The kind changes no single value.
+        Raises UsageError where the kind changes no single value.
         """
         added = self.additive()
         if added is not None:

@@ -100,10 +100,7 @@ def truth_path(out: Path) -> Path:
 def choose_system(senders: Mapping[int, Senders], made: Plan, order: Order, log: Path) -> int:
     """Return the vehicle to attack: the one asked for, else the first that sends what is attacked.
 
-    Raises
-    ------
-    UsageError
-        None does.
+    Raises UsageError where none does.
     """
     wanted = sorted(made.messages)
     able = [number for number, sender in senders.items() if sender.names & made.messages]

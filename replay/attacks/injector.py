@@ -102,12 +102,7 @@ def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, s
 
     ``names`` are the messages of the recording, to tell ``MESSAGE`` from ``field``. The profile gives the plant for
     faults of actuators, and its own names of channels; ``states`` along the recording are needed for those of nonlinear
-    plants.
-
-    Raises
-    ------
-    UsageError
-        The channel is unknown, or the kind does not go with it.
+    plants. Raises UsageError where the channel is unknown, or the kind does not go with it.
     """
     attack.check()
     channel, known = attack.channel, frozenset(names)

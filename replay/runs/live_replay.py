@@ -39,12 +39,8 @@ class LiveReplay:
 
     ``speed`` is in times real time, by the times of arrival; None: as fast as possible. Without Zenoh endpoints to
     connect to or to listen on nothing is published. Packets of telemetry logs go to ``udp``, ``udp:HOST:PORT``;
-    ``on_event`` is called with each event when it is published.
-
-    Raises
-    ------
-    UsageError
-        The speed is not positive, an address is not understood, or the Zenoh session cannot be opened.
+    ``on_event`` is called with each event when it is published. Raises UsageError where the speed is not positive, an
+    address is not understood, or the Zenoh session cannot be opened.
     """
 
     def __init__(
@@ -80,11 +76,7 @@ class LiveReplay:
 
         A monitor of its own takes them first: what it says is published with the keys and payloads of the daemon, the
         status once a second of the log's time. It begins when somebody subscribes to alarms, at the latest after 2 s.
-
-        Raises
-        ------
-        UsageError
-            The log cannot be read, or packets are to be sent and it holds none.
+        Raises UsageError where the log cannot be read, or packets are to be sent and it holds none.
         """
         only = None if task.record else interests(profile)
         source: Iterable[tuple[int, Message | bytes]] = (

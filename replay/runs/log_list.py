@@ -26,13 +26,9 @@ class LogFile:
 def find_logs(arguments: Sequence[Path]) -> list[LogFile]:
     """Return the recordings that arguments name, in their order.
 
-    A file, and the folder of a recorded session, is one recording. Any other folder stands for all recordings in it
-    and below, sorted by path; several MCAP files of one session in a folder are one recording there, too.
-
-    Raises
-    ------
-    TelemetryError
-        A file is missing or no recording, or a folder holds none.
+    A file, and the folder of a recorded session, is one recording. Any other folder stands for all recordings in it and
+    below, sorted by path; several MCAP files of one session in a folder are one recording there, too. Raises
+    TelemetryError where a file is missing or no recording, or a folder holds none.
     """
     found: list[LogFile] = []
     taken: set[str] = set()
@@ -58,14 +54,8 @@ def target(option: str, given: str | None, log: LogFile, suffix: str, *, many: b
     """Return the file to write about a log; None where nothing was asked for.
 
     ``given`` is what the user gave to the option: a file; a folder, whose files have this suffix; or a name with
-    ``{log}`` in the log's name's place. Among many logs a name without suffix is a folder, too.
-
-    Raises
-    ------
-    UsageError
-        One file was given for several logs.
-    OSError
-        A folder cannot be made.
+    ``{log}`` in the log's name's place. Among many logs a name without suffix is a folder, too. Raises UsageError where
+    one file was given for several logs, OSError where a folder cannot be made.
     """
     if given is None:
         return None
@@ -84,13 +74,7 @@ def target(option: str, given: str | None, log: LogFile, suffix: str, *, many: b
 
 
 def forbid_overwriting(logs: Sequence[LogFile], targets: Sequence[Path]) -> None:
-    """Make sure that what will be written is none of the logs.
-
-    Raises
-    ------
-    StorageError
-        It is one.
-    """
+    """Raise StorageError where one of the files that will be written is one of the logs."""
     read = {path.resolve() for log in logs for path in (log.path, *_files(log.path))}
     for path in targets:
         if path.resolve() in read:
@@ -98,13 +82,7 @@ def forbid_overwriting(logs: Sequence[LogFile], targets: Sequence[Path]) -> None
 
 
 def check_output(path: Path) -> None:
-    """Make sure, before long work, that a file can be written.
-
-    Raises
-    ------
-    StorageError
-        It is a folder, its folder does not exist, or this user may not write there.
-    """
+    """Raise StorageError, before long work, where a file could not be written."""
     if path.is_dir():
         raise StorageError(f"{path}: is a folder; name a file to write")
     if not path.parent.is_dir():
@@ -114,13 +92,7 @@ def check_output(path: Path) -> None:
 
 
 def check_output_folder(folder: Path) -> None:
-    """Make sure, before long work, that a folder can be written to, or made.
-
-    Raises
-    ------
-    StorageError
-        It is a file or below one, or this user may not write there.
-    """
+    """Raise StorageError, before long work, where a folder could be neither written to nor made."""
     there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     if not there.is_dir():
         raise StorageError(f"{folder}: {there} is a file; name a folder to write")

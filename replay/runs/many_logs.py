@@ -34,14 +34,8 @@ def replay_on_dask(files: Mapping[str, bytes], tasks: Sequence[LogTask], address
 
     Workers need this package in the same version and the paths of the tasks, which are absolute, and share nothing
     else. A worker that dies is replaced by another; the log that kills them all fails alone. What is not done is taken
-    back when the iteration ends.
-
-    Raises
-    ------
-    UsageError
-        Dask is not installed.
-    TelemetryError
-        There is no cluster at that address.
+    back when the iteration ends. Raises UsageError where Dask is not installed, TelemetryError where there is no
+    cluster.
     """
     try:
         from distributed import Client
@@ -120,13 +114,7 @@ def replay_in_processes(files: Mapping[str, bytes], tasks: Sequence[LogTask], jo
 
 
 def profile_of(files: Mapping[str, bytes]) -> Profile:
-    """Return the profile that files make up.
-
-    Raises
-    ------
-    ProfileError
-        See :func:`monitor.profile.read_profile`.
-    """
+    """Return the profile that files make up; raise ProfileError as :func:`monitor.profile.read_profile` does."""
     with TemporaryDirectory(prefix="fauio-") as folder:
         for name, content in files.items():
             (Path(folder) / name).write_bytes(content)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from adapters.errors import FauioError, OtherVehicleError
 from adapters.logs.damage import Damage
 from adapters.logs.recordings import Recording, packed, recorded_vehicle, recording_kind
-from adapters.message import Message
 from monitor.event import AlarmEvent
 from monitor.fitting.progress import recording_bytes, track
 from monitor.profile import Profile
@@ -21,6 +20,9 @@ from replay.attacks.inject import known_truth
 from replay.inspection.log_info import first_raised
 from replay.player import Replay, interests, play_batches
 from replay.reports.recording_facts import RecordingMeter
+
+if TYPE_CHECKING:
+    from replay.runs.live_replay import LiveReplay
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,19 +88,12 @@ class LogOutcome:
         return found | {"alarms": [event.to_json() for event in self.events]}
 
 
-class Live(Protocol):
-    """What lets a replay out into the world while it runs."""
-
-    def messages(self, profile: Profile, task: LogTask, vehicle: str | None) -> Iterator[Message]:
-        """Return all messages of a log, each when it is due, after its events were published."""
-
-
 def replay_log(
     profile: Profile,
     task: LogTask,
     on_event: Callable[[AlarmEvent], None] | None = None,
     *,
-    live: Live | None = None,
+    live: LiveReplay | None = None,
     progress: bool = False,
 ) -> LogOutcome:
     """Replay a log and write what was asked for; an error of this log is returned, not raised.
@@ -118,7 +113,7 @@ def _replay(
     profile: Profile,
     task: LogTask,
     on_event: Callable[[AlarmEvent], None] | None,
-    live: Live | None,
+    live: LiveReplay | None,
     progress: bool,
     started_s: float,
 ) -> LogOutcome:

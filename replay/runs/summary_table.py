@@ -78,12 +78,7 @@ def summary_row(outcome: LogOutcome) -> dict[str, Any]:
 class SummaryTable:
     """Writes the table, ``.csv`` or ``.parquet``; rows are in the file after :meth:`close`, in a CSV file at once.
 
-    Raises
-    ------
-    UsageError
-        Another suffix, or Parquet was asked for, and pyarrow is not installed.
-    OSError
-        The file cannot be written (any method).
+    Raises UsageError for another suffix, or for Parquet without pyarrow; any method OSError where it cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
