@@ -27,8 +27,8 @@ from adapters.batch import messages
 from adapters.encoding.message_record import encode
 from adapters.encoding.record import Record
 from adapters.logs.compressed import CompressedFile
+from adapters.logs.mcap_log import CHUNK_BYTES, MessageLogWriter
 from adapters.logs.mcap_reader import read_mcap_messages
-from adapters.logs.mcap_writer import CHUNK_BYTES, McapWriter
 from adapters.logs.recordings import read_batches
 from adapters.logs.tlog import read_tlog
 
@@ -36,22 +36,9 @@ Writing = Callable[[Sequence[Record], Path], None]
 
 
 def by_us(records: Sequence[Record], path: Path) -> None:
-    """Write records as :class:`adapters.logs.mcap_log.MessageLogWriter` does."""
-    channels: dict[tuple[str, str], int] = {}
-    with path.open("wb", buffering=0) as stream:
-        writer = McapWriter(stream)
-        numbers: list[int] = []
-        for record in records:
-            channel = channels.get((record.topic, record.encoding))
-            if channel is None:
-                schema = record.schema
-                number = 0 if schema is None else writer.add_schema(schema.name, schema.encoding, schema.data)
-                channel = channels[record.topic, record.encoding] = writer.add_channel(
-                    record.topic, record.encoding, number
-                )
-            numbers.append(channel)
-        writer.add_messages(numbers, [record.time_ns for record in records], [record.data for record in records])
-        writer.finish()
+    with MessageLogWriter(path) as log:
+        numbers = [log.channel(record.topic, record.encoding, record.schema) or 0 for record in records]
+        log.add_all(numbers, [record.data for record in records], [record.time_ns for record in records])
 
 
 def by_mcap(records: Sequence[Record], path: Path) -> None:

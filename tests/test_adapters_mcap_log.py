@@ -21,9 +21,8 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from adapters.encoding.record import Record, Schema
 from adapters.errors import StorageError, TelemetryError
-from adapters.logs.mcap_log import MAX_CHANNELS, MessageLogWriter
+from adapters.logs.mcap_log import CHUNK_BYTES, MAX_CHANNELS, MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_messages, read_mcap_metadata
-from adapters.logs.mcap_writer import CHUNK_BYTES
 from adapters.message import Message
 from adapters.source import MAVLINK, ZENOH
 
