@@ -21,8 +21,7 @@ from adapters.message import SILENCE, Message
 from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR
 from monitor.alarms import link_alarms
 from monitor.alarms.alarm import TUNABLE
-from monitor.alarms.desk import AlarmDesk
-from monitor.alarms.desk_rule import DeskRule, desk_rule, rule_fields
+from monitor.alarms.desk import AlarmDesk, DeskRule, desk_rule, rule_fields
 from monitor.alarms.excuse import Excuses
 from monitor.alarms.link_alarms import HEARTBEAT_NS, LinkAlarms, StaleAlarm
 from monitor.chain import ObserverChain, alarm_events

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loopback import START_NS, event
 
-from monitor.alarms.desk import FLOOD, OBSERVER, AlarmDesk
-from monitor.alarms.desk_rule import DeskRule, desk_rule, rule_fields
+from monitor.alarms.desk import FLOOD, OBSERVER, AlarmDesk, DeskRule, desk_rule, rule_fields
 from monitor.event import AlarmEvent
 
 SECOND = 1_000_000_000

@@ -14,7 +14,7 @@ from adapters.batch import pack
 from adapters.logs.recordings import packed, read_recording
 from adapters.message import Message, silence
 from adapters.source import CLOCK, JOURNAL, LINK, MAVLINK, OPERATOR
-from monitor.alarms.desk_rule import DeskRule
+from monitor.alarms.desk import DeskRule
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, handover_message, rules_message

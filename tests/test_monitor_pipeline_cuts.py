@@ -19,7 +19,7 @@ from adapters.message import Message, silence
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
 from adapters.source import MAVLINK, OPERATOR, ZENOH
-from monitor.alarms.desk_rule import DeskRule
+from monitor.alarms.desk import DeskRule
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, rules_message

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 from loopback import Endpoint, until
 
-from monitor.alarms.desk_rule import DeskRule
+from monitor.alarms.desk import DeskRule
 from monitor.configuration.config import Config, Standby
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile

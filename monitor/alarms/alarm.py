@@ -124,6 +124,8 @@ class AlarmRule:
         Quiet that an alarm which comes and goes needs before it clears; 0: never latched.
     critical_ahead_s : float
         How far ahead its growth is looked at for severity, seconds; 0: not at all.
+    sees : str
+        What size of fault it sees how fast, for people; empty where that was not measured.
     """
 
     observer: str
@@ -144,6 +146,7 @@ class AlarmRule:
     latch_s: float = 0.0
     critical_ahead_s: float = 5.0
     """Time that a pilot needs to land or to let go: chosen."""
+    sees: str = ""
 
 
 TUNABLE = tuple(key.name for key in fields(AlarmRule) if key.type == "float")

@@ -14,7 +14,7 @@ from typing import Final
 from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
 from monitor.event import AlarmEvent
-from monitor.recording.encoded_record import EncodedRecord, TopicTable
+from monitor.recording.record_encoder import EncodedRecord, Topic
 from monitor.recording.recorder import METADATA, RETRY_S, start_log
 from monitor.recording.retention import Retention, file_stem, writable_folder
 from monitor.sampling.phase import FlightPhase
@@ -103,7 +103,7 @@ class BlackBox:
         self,
         folder: str | os.PathLike[str],
         vehicle: str,
-        topics: TopicTable,
+        topics: Sequence[Topic],
         metadata: Mapping[str, str],
         profile_files: Mapping[str, bytes],
         *,

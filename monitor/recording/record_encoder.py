@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Iterable, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -29,7 +29,24 @@ from monitor.bus.schemas import ALARM_SCHEMA
 from monitor.core.protobuf_rows import RowEncoder
 from monitor.estimate import Estimates, Layout
 from monitor.event import ALARM_FIELDS, AlarmEvent
-from monitor.recording.encoded_record import EncodedRecord, Topic, TopicTable
+
+EncodedRecord: TypeAlias = tuple[int, bytes, int]
+"""Number of the topic, data, log time in Unix nanoseconds (0 <= time < 2^63), as recorder and black box take them.
+
+The black box holds 20,000 of them per vehicle. A full collection of Python's garbage collector visits every object that
+it tracks: with 80,000 records held for four vehicles it took 0.1 s, in which no alarm could be raised. CPython stops
+tracking a tuple of nothing but numbers and bytes (not an instance of a class) at the first collection that meets it.
+"""
+
+
+class Topic(NamedTuple):
+    """What all records of one sender on one topic have in common, as in :class:`~adapters.encoding.record.Record`."""
+
+    name: str
+    encoding: str
+    schema: Schema | None
+    component: int = 0
+
 
 _TIMES = (Field("time", TIMESTAMP), Field("vehicle_time_ns", "int64"), Field("index", "int64"))
 _SECOND_NS = 1_000_000_000
@@ -101,9 +118,10 @@ class RecordEncoder:
     """
 
     def __init__(self, layouts: Sequence[Layout]) -> None:
-        self.topics = TopicTable()
+        self.topics: list[Topic] = []
         self.unrecordable = 0
         self._types = {layout.observer: _types(layout) for layout in layouts}
+        self._known: dict[Topic, int] = {}
         self._numbers: dict[tuple[str, Any, int], int] = {}
 
     def batch(self, batch: Batch) -> list[EncodedRecord]:
@@ -150,7 +168,7 @@ class RecordEncoder:
         topic = self._topic(f"{OWN_TOPICS}alarm", type(record))
         return [
             (topic, record.SerializeToString(), time_ns),
-            (self.topics.number(_ALARM_JSON), to_json(event.to_json()), time_ns),
+            (self._number(_ALARM_JSON), to_json(event.to_json()), time_ns),
         ]
 
     def _encoded(self, columns: Columns) -> tuple[int, list[bytes]] | None:
@@ -175,8 +193,15 @@ class RecordEncoder:
             except ValueError:
                 self.unrecordable += 1
                 continue
-            topic = self.topics.number(Topic(record.topic, record.encoding, record.schema, record.component))
+            topic = self._number(Topic(record.topic, record.encoding, record.schema, record.component))
             records[place] = (topic, record.data, record.time_ns)
+
+    def _number(self, topic: Topic) -> int:
+        """Return a topic's number; they count from 0 in the order in which topics are first met."""
+        number = self._known.setdefault(topic, len(self.topics))
+        if number == len(self.topics):
+            self.topics.append(topic)
+        return number
 
     def _topic(self, name: str, pb_class: Any, component: int = 0) -> int:
         """Return the number of a topic of protobuf records."""
@@ -184,7 +209,7 @@ class RecordEncoder:
         number = self._numbers.get(key)
         if number is None:
             topic = Topic(name, "protobuf", protobuf_schema(pb_class), component)
-            number = self._numbers[key] = self.topics.number(topic)
+            number = self._numbers[key] = self._number(topic)
         return number
 
 

@@ -13,7 +13,7 @@ from typing import Final, Self
 
 from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
-from monitor.recording.encoded_record import EncodedRecord, TopicTable
+from monitor.recording.record_encoder import EncodedRecord, Topic
 from monitor.recording.retention import FileSeries
 
 MAX_PENDING_RECORDS: Final = 10_000
@@ -85,8 +85,8 @@ class Recorder:
     ----------
     target : str | PathLike | FileSeries
         File to create now, or the files to create with the first record and after that one by one.
-    topics : TopicTable
-        Topics of the records.
+    topics : Sequence[Topic]
+        Topics of the records by their numbers; the encoder adds to them.
     metadata : Mapping[str, str]
         Entries of the metadata record ``fauio`` of each file.
     profile_files : Mapping[str, bytes]
@@ -103,7 +103,7 @@ class Recorder:
     def __init__(
         self,
         target: str | os.PathLike[str] | FileSeries,
-        topics: TopicTable,
+        topics: Sequence[Topic],
         metadata: Mapping[str, str],
         profile_files: Mapping[str, bytes],
         *,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from adapters.errors import UsageError
 from adapters.zenoh.zenoh_session import endpoints
-from monitor.alarms.desk_rule import DeskRule
+from monitor.alarms.desk import DeskRule
 from monitor.bus.status_watch import VehicleStatus
 from monitor.configuration.config import Config, Vehicle
 from monitor.pipeline import Pipeline

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from adapters.batch import pack
-from monitor.alarms.desk_rule import DeskRule
+from monitor.alarms.desk import DeskRule
 from monitor.bus.keys import vehicle_root
 from monitor.bus.operators import Operators
 from monitor.bus.publisher import Publisher

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from adapters.toml_tables import is_number
 from monitor.alarms.alarm import AlarmRule
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.event import AlarmEvent
-from monitor.profile import PROFILE_FILE, Profile
+from monitor.profile import Profile
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 
 FIT_FILE = "fit.json"
@@ -58,7 +57,6 @@ class WatchedChannel:
     """One channel with an alarm, over a run."""
 
     rule: AlarmRule
-    sees: str  # what size of fault it sees how fast, as the profile says; empty where it does not
     calibration: Calibration | None  # None where the threshold was never calibrated, or changed since
     watched_s: float  # how long alarms could be raised
     peak: float | None  # largest evidence meanwhile by size; None where there is none, or it is not recorded
@@ -99,12 +97,11 @@ def watched_channels(
 
     What its thresholds rest on is read from the profile's folder; ``watched_s`` says how long each observer watched.
     """
-    said, rests_on, by_effect = _said(profile), _calibrations(folder), effects(profile)
+    rests_on, by_effect = _calibrations(folder), effects(profile)
     by_name = {trace.layout.observer: trace for trace in traces}
     return [
         WatchedChannel(
             rule=rule,
-            sees=said.get((rule.observer, rule.channel), ""),
             calibration=_calibration(rests_on.get((rule.observer, rule.channel)), rule.threshold),
             watched_s=watched_s.get(rule.observer, 0.0),
             peak=_peak(by_name.get(rule.observer), rule.channel),
@@ -158,16 +155,6 @@ def _peak(trace: Trace | None, channel: str) -> float | None:
     values = trace.isolated[trace.armed, trace.layout.faults.index(channel)]
     values = values[np.isfinite(values)]
     return float(values[np.argmax(np.abs(values))]) if len(values) else None
-
-
-def _said(profile: Profile) -> dict[tuple[str, str], str]:
-    """Return what the profile says in words each alarm sees."""
-    root = tomllib.loads(profile.files[PROFILE_FILE].decode()) if PROFILE_FILE in profile.files else {}
-    return {
-        (observer, channel): str(rule.get("sees", ""))
-        for observer, table in root.get("observers", {}).items()
-        for channel, rule in table.get("alarms", {}).items()
-    }
 
 
 def _calibrations(folder: Path) -> dict[tuple[str, str], dict[str, Any]]:

@@ -182,7 +182,7 @@ def _of_channel(one: WatchedChannel) -> tuple[object, ...]:
         "" if calibration.level is None else f"{calibration.level:.2g}",
         element("strong", limit) if high is not None and high > one.rule.threshold else limit,
         "" if calibration.hours is None else f"{60 * calibration.hours:.0f} min",
-        one.sees or _why_no_words(one),
+        one.rule.sees or _why_no_words(one),
     )
 
 
