@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
 from monitor.vehicles.multirotor.frames import Frame, frame_of, standard_frames
-from monitor.vehicles.multirotor.trim import choose_frame, identify_trim, slow_times
+from monitor.vehicles.multirotor.trim import choose_frame, identify_trim, slow_times, smallest_loss
 
 STEP_S = 0.01
 AUTHORITY = np.array([300.0, 250.0, 20.0])
@@ -144,5 +144,8 @@ def test_too_short_a_flight_is_refused() -> None:
         identify_trim([slow(*fly(frame, 15.0), 5.0, 10.0)], 5.0, frame)
 
 
-def test_evidence_lasts_for_ticks_of_a_slow_grid() -> None:
-    assert slow_times(0.5).raise_s == 6.0
+def test_the_slower_the_commands_the_larger_the_smallest_loss_and_the_longer_evidence_has_to_last() -> None:
+    frame = next(iter(standard_frames(4)))
+    brisk, hover = (slow(*fly(frame, 60.0, turns=turns), 5.0, 10.0) for turns in (1.5, 0.0))
+    assert smallest_loss([brisk], 5.0) < smallest_loss([hover], 5.0) < smallest_loss([hover], 0.2)
+    assert slow_times(0.5).raise_s == 10 * slow_times(5.0).raise_s

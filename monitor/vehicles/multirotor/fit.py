@@ -42,6 +42,7 @@ from monitor.vehicles.multirotor.trim import (
     choose_frame,
     identify_trim,
     slow_times,
+    smallest_loss,
 )
 from monitor.vehicles.multirotor.validation import (
     Drift,
@@ -122,6 +123,7 @@ class _Identified:
     doubt: NDArray[np.float64]
     gyros: bool
     times: Times
+    smallest_loss: float
     findings: Mapping[str, object]
     line: str
     details: tuple[str, ...]
@@ -152,7 +154,7 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
     channels = bare.profile().faults
     evidence = healthy_evidence(bare.profile(), gate, found.flights)
     hover = np.median(np.concatenate([segment.u for segment in segments]), axis=0)
-    alarms = _alarms(channels, evidence, hover, model.rate_hz, rule.score_floor, found.times)
+    alarms = _alarms(channels, evidence, hover, found, rule.score_floor)
     commands = motor_commands(surveys)
     ranges = {} if commands.pulses else {"command_range": {"none": commands.stop, "full": commands.full}}
     fitted = Fitted(
@@ -204,6 +206,7 @@ def _fast(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], output
         doubt=uncertainty.drive,
         gyros=True,
         times=Times(),
+        smallest_loss=_SMALLEST_LOSS,
         findings=_findings(model, motors, uncertainty, drift),
         line=f"model {rate_hz:g} Hz, explains {explained} of each rate's changes",
         details=(
@@ -239,6 +242,7 @@ def _slow(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], output
         doubt=np.zeros(len(model.a)),
         gyros=False,
         times=slow_times(rate_hz),
+        smallest_loss=smallest_loss(segments, rate_hz),
         findings={
             "frame": frame.name,
             "frame_from": origin,
@@ -283,11 +287,14 @@ def _alarms(
     channels: Sequence[FaultChannel],
     evidence: Sequence[NDArray[np.float64]],
     hover: NDArray[np.float64],
-    rate_hz: float,
+    found: _Identified,
     score_floor: float,
-    times: Times,
 ) -> list[Calibrated]:
-    """Return the alarms: motors pooled relative to their hover commands, gyros pooled, and what nothing explains."""
+    """Return the alarms: motors pooled relative to their hover commands, gyros pooled, and what nothing explains.
+
+    That one starts where a loss too small for an alarm cannot bring it.
+    """
+    rate_hz = found.model.rate_hz
     share = FALSE_ALARMS_PER_HOUR / (len(channels) + 1)
     commands = [None if channel.input is None else float(hover[channel.input]) for channel in channels]
 
@@ -295,19 +302,20 @@ def _alarms(
         series = [stretch[:, at] / (commands[at] or 1.0) for at in places for stretch in evidence]
         return healthy_levels(series, rate_hz, share, times, most)
 
-    of_motors = levels([at for at, command in enumerate(commands) if command is not None], times)
+    of_motors = levels([at for at, command in enumerate(commands) if command is not None], found.times)
     gyros = [at for at, command in enumerate(commands) if command is None]
     of_gyros = levels(gyros, _JUMP, _MOST_OF_JUMPS) if gyros else None
     alarms = []
     for channel, command in zip(channels, commands, strict=True):
         bare = bare_rule(OBSERVER, channel.name, channel.kind, channel.unit)
         if command is not None:
-            floor, critical = _SMALLEST_LOSS * command, _CRITICAL_LOSS * command
-            alarms.append(calibrated(bare, of_motors, command, floor=floor, critical=critical, times=times))
+            floor, critical = found.smallest_loss * command, _CRITICAL_LOSS * command
+            alarms.append(calibrated(bare, of_motors, command, floor=floor, critical=critical, times=found.times))
         elif of_gyros is not None:
             jump = calibrated(bare, of_gyros, 1.0, floor=_SMALLEST_JUMP, critical=4 * _SMALLEST_JUMP, times=_JUMP)
             alarms.append(plain_only(jump))
-    return [*alarms, unexplained_alarm(OBSERVER, evidence, rate_hz, share, score_floor)]
+    floor = score_floor * found.smallest_loss / _SMALLEST_LOSS
+    return [*alarms, unexplained_alarm(OBSERVER, evidence, rate_hz, share, floor)]
 
 
 def _findings(

@@ -50,8 +50,19 @@ _TURNED = 0.3
 """rad/s of yaw that have to have been flown for the yaw axis to count. A turn asks for more torque than manoeuvres
 about other axes do (p_1 is 13 to 32 times larger), and hovering does not show how much: at 0.3 rad/s^2 as much as a
 motor that lost 15 %."""
+_BRISK = 0.5
+"""rad/s of roll or pitch that have to have been flown for the flights to show manoeuvres."""
+SMALLEST_LOSS, SMALLEST_UNSHOWN = 0.03, 0.08
+"""Smallest losses at hover worth an alarm: of flights with manoeuvres, and of hovering alone. Measured: in flights that
+were left out of the fit estimates reached 2.6 % (sticks at 60 degrees of tilt, over a radio); in brisk flights watched
+with a profile of two hovering minutes 5 %."""
+_LOSS_PER_S = 0.05
+"""The same, per second of a tick: between commands a second apart more happens than they tell. Measured over a radio at
+1 Hz, ticks of 2 s: a jump of GPS that the vehicle followed moved an estimate by 8 %."""
 _FEWEST_S = 20.0
 """Least healthy flight to learn the trim from, seconds."""
+_SLOWEST = 1e-6
+"""Least decay of a rate in a tick: no vehicle turns on for ever, and the formulas divide by it."""
 _LAGS = np.linspace(0.0, 0.9, 10)
 """Shares of a tick tried as lag; a tenth of a tick is less than the jitter of such streams."""
 _LATEST = 2
@@ -60,14 +71,21 @@ _TELLS = 3.0
 """Standard errors from which on motion tells one frame from another."""
 
 
+def smallest_loss(segments: Sequence[Segment], rate_hz: float) -> float:
+    """Return the smallest loss at hover that a trim learned from these flights can show."""
+    brisk = max(float(np.abs(segment.y[:, :2]).max()) for segment in segments) > _BRISK
+    return max(SMALLEST_LOSS if brisk else SMALLEST_UNSHOWN, _LOSS_PER_S / rate_hz)
+
+
 def slow_times(rate_hz: float) -> Times:
     """Return how long evidence has to last on a slow grid.
 
-    Measured on four healthy flights at 10 Hz in ticks of 0.3 s: the level that is exceeded once in 150 hours falls
-    from 19 % of a motor's command where evidence lasts one tick to 9, 4.5 and 2.6 % for two, three and four.
+    Measured on eleven healthy flights at 10 Hz and four over a radio at 2 Hz, in ticks of two commands: the level that
+    is exceeded once in 150 hours falls from 9 to 28 % of a motor's command where evidence lasts two ticks to 5 to 15 % for
+    three, 1.7 to 5.8 % for four and 1.4 to 3.6 % for five. Four show 15 % at 10 Hz after 1 to 1.5 s.
     """
     tick_s = 1.0 / rate_hz
-    return Times(fast_s=tick_s, raise_s=3 * tick_s, slow_s=10 * tick_s, clear_s=3 * tick_s)
+    return Times(fast_s=2 * tick_s, raise_s=4 * tick_s, slow_s=10 * tick_s, clear_s=3 * tick_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,9 +134,9 @@ def identify_trim(segments: Sequence[Segment], rate_hz: float, frame: Frame) -> 
     axes = _axes(usable, g, lag, change, middle)
     # y' = (e - p_0 - p_2 y) / p_1, held over a tick (exact discretisation of a first-order system).
     p1 = np.array([_torque_per_motion(axis, 1.0 / usual) for axis, usual in zip(axes, _USUAL, strict=False)])
-    decay = np.maximum([axis.p[2] for axis in axes], 0.0) / p1 / rate_hz
+    decay = np.maximum([axis.p[2] / slope / rate_hz for axis, slope in zip(axes, p1, strict=True)], _SLOWEST)
     a = np.exp(-decay)
-    gain = -np.expm1(-decay) / np.maximum(decay, 1e-9) / p1 / rate_hz
+    gain = -np.expm1(-decay) / decay / p1 / rate_hz
     c = -gain * np.array([axis.p[0] for axis in axes])
     B = gain[:, None] * g
     taps = np.array([1.0 - lag, lag]) if lag > 0.0 else np.ones(1)
