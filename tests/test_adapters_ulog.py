@@ -179,3 +179,22 @@ def test_a_position_fix_of_a_damaged_time_sets_no_clock(tmp_path: Path, boot_us:
         values = {"timestamp": time_us, "time_utc_usec": told_us, "fix_type": 3}
         log.add(number, "vehicle_gps_position", values)
     assert messages_of(UlogReader(log.write(tmp_path / "log.ulg")))[-1].received_ns == (UTC_US + 1_000) * 1_000
+
+
+@pytest.mark.parametrize("key", ["perf_counter_preflight-00", "a.b/c"])
+def test_a_key_may_hold_any_letters(tmp_path: Path, whole: list[Message], key: str) -> None:
+    place = LOG.ends[3]
+    entry = UlogWriter()
+    start = len(entry.data)
+    entry.keyed("M", f"char[5] {key}", b"value", b"\0")
+    found, statistics = read(tmp_path, FLIGHT[:place] + bytes(entry.data[start:]) + FLIGHT[place:])
+    assert statistics.damaged == 0
+    assert [m for m in found if m.fields.get("key") == key] == [found[3]]
+    assert found[:3] + found[4:] == whole
+
+
+def test_an_information_that_says_nothing_costs_itself_alone(tmp_path: Path, whole: list[Message]) -> None:
+    place = LOG.ends[3]
+    found, statistics = read(tmp_path, FLIGHT[:place] + struct.pack("<HB", 6, ord("I")) + b"\x05abcde" + FLIGHT[place:])
+    assert (statistics.damaged, statistics.skipped_bytes) == (1, 9)
+    assert found == whole

@@ -49,6 +49,8 @@ _APPENDED = 1
 """Of the incompatibility flags: data appended behind a crash dump, the only one that is defined."""
 _DATA = ord("D")
 _KINDS = frozenset(b"ABCDFILMOPQRS")
+_DEFINES = frozenset(b"ABFR")
+"""What other records are read by: without one of these nothing behind it is certain."""
 _LARGEST_UNKNOWN = 10_000
 """Bytes of a record of a kind yet unknown. Chosen: no kind known today but data and formats is larger; a longer one
 is more likely damage than news.
@@ -230,7 +232,12 @@ class UlogReader:
         except TelemetryError:
             raise
         except (ValueError, struct.error):
-            return self._resume(window)
+            if kind in _DEFINES or not self._stands(window, length, _CHAINED):
+                return self._resume(window)
+            # what it says cannot be read, but the log goes on behind it as if it were whole
+            self._damaged += 1
+            self._skip(window, length)
+            return True
         self._records += 1
         window.at += length
         if found is not None and (self._only is None or found[0] in self._only):

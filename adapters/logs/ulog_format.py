@@ -30,6 +30,8 @@ _CODES = {
 }
 _TYPE = re.compile(r"(?P<type>\w+)(?:\[(?P<count>\d+)\])?", re.ASCII)
 _FIELD = re.compile(rf"{_TYPE.pattern} (?P<name>\w+)", re.ASCII)
+# Keys of information may hold anything but a blank: PX4 writes "perf_counter_preflight-00".
+_KEYED = re.compile(rf"{_TYPE.pattern} (?P<name>\S+)", re.ASCII)
 _FORMAT = re.compile(r"(?P<name>[\w/\-]+):(?P<fields>.*)", re.ASCII)
 _LARGEST = 1 << 16
 """Bytes of a record: its head has two for their number."""
@@ -159,7 +161,7 @@ def decode_keyed(data: bytes) -> tuple[str, str, Any]:
         The bytes are no such thing.
     """
     length = data[0] if data else 0
-    found = _FIELD.fullmatch(data[1 : 1 + length].decode("ascii"))
+    found = _KEYED.fullmatch(data[1 : 1 + length].decode("ascii"))
     if found is None:
         raise ValueError("no name and type")
     name, kind = found["name"], found["type"]
