@@ -71,7 +71,7 @@ def _mapping(folder: Path) -> Run:
             else:
                 path.write_bytes(draw.rest())
                 found = read_mapping(path, source)
-            messages = messages_of(telemetry(logs[source], found, frozenset(found.rules)))
+            messages = messages_of(telemetry(logs[source], found, frozenset(found.rules), lambda _: logs[source]))
             as_recorded(messages)
             assert all(one.source == MAVLINK for one in messages)
 

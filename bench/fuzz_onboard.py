@@ -32,7 +32,7 @@ def _onboard(reader: Callable[[Path], Iterable[Batch]], mapping: LogMapping, con
         batches = list(reader(path))
     as_recorded(messages_of(batches))
     names = {"ATTITUDE", "GPS_RAW_INT", "HEARTBEAT", "SERVO_OUTPUT_RAW", "HIGHRES_IMU"}
-    as_recorded(messages_of(telemetry(batches, mapping, names)))
+    as_recorded(messages_of(telemetry(batches, mapping, names, lambda _: batches)))
 
 
 def _ulog(folder: Path) -> Run:

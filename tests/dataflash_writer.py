@@ -29,7 +29,7 @@ _UNITS = (("-", ""), ("s", "s"), ("#", "instance"), ("m", "m"), ("D", "deglatitu
 class DataflashWriter:
     """Collects the bytes of a log."""
 
-    def __init__(self) -> None:
+    def __init__(self, start_us: int = 1) -> None:
         self.data = bytearray()
         self.ends: list[int] = []
         self._kinds = {"FMT": 128}
@@ -39,9 +39,9 @@ class DataflashWriter:
         self.define("MULT", "Qbd", "TimeUS,Id,Mult")
         self.define("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds")
         for code, unit in _UNITS:
-            self.add("UNIT", 1, ord(code), unit)
+            self.add("UNIT", start_us, ord(code), unit)
         for code, mult in (("-", 0.0), ("F", 1e-6), ("0", 1.0)):
-            self.add("MULT", 1, ord(code), mult)
+            self.add("MULT", start_us, ord(code), mult)
 
     def define(self, name: str, codes: str, columns: str, units: str = "") -> None:
         kind = 129 + len(self._kinds)

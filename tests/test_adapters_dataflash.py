@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import array
 import os
+import struct
 from pathlib import Path
 
 import pytest
@@ -119,11 +120,46 @@ def test_what_fills_the_last_block_up_is_no_damage(tmp_path: Path, whole: list[M
     assert scan_damage("a.bin", statistics) is None
 
 
-def test_a_format_that_contradicts_itself_is_damage(tmp_path: Path, whole: list[Message]) -> None:
+@pytest.mark.parametrize(
+    ("codes", "columns", "excess", "fields"),
+    [
+        ("QB", "TimeUS", 0, {"TimeUS": 7}),
+        ("QBf", "TimeUS,I,Last", -4, {"TimeUS": 7, "I": 1}),
+        ("QB", "TimeUS,I", 4, {"TimeUS": 7, "I": 1}),
+        ("QBz", "TimeUS,I,New", 4, {"TimeUS": 7, "I": 1}),
+    ],
+)
+def test_of_a_format_that_contradicts_itself_the_fields_that_fit_are_read(
+    tmp_path: Path, whole: list[Message], codes: str, columns: str, excess: int, fields: dict[str, int]
+) -> None:
+    length = 3 + sum({"Q": 8, "B": 1, "f": 4}.get(code, 0) for code in codes) + excess
+    head = FLIGHT[: LOG.ends[0]]
+    bad = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 250, length, b"BAD", codes.encode(), columns.encode())
+    record = b"\xa3\x95\xfa" + struct.pack("<QB", 7, 1) + bytes(8)
+    found, statistics = read(tmp_path, head + bad + FLIGHT[LOG.ends[0] :] + record[:length])
+    assert scan_damage("a.bin", statistics) is None
+    assert [key(m) for m in [found[0], *found[2:-1]]] == [key(m) for m in whole]
+    assert (found[-1].name, dict(found[-1].fields)) == ("BAD", fields)
+
+
+def test_a_log_that_ends_within_a_record_is_not_called_damaged(tmp_path: Path, whole: list[Message]) -> None:
+    found, statistics = read(tmp_path, FLIGHT[:-5])
+    assert [key(m) for m in found] == [key(m) for m in whole[:-1]]
+    assert scan_damage("a.bin", statistics) is None
+
+
+def test_old_logs_count_milliseconds_and_their_gps_the_time_of_week(tmp_path: Path) -> None:
     log = DataflashWriter()
-    before = len(log.data)
-    log.define("BAD", "QB", "TimeUS")
-    log.data += FLIGHT[before:]
-    found, statistics = read(tmp_path, bytes(log.data))
-    assert statistics.damaged == 1
-    assert [key(m) for m in found] == [key(m) for m in whole]
+    log.define("IMU", "Iff", "TimeMS,GyrX,Temp")
+    log.define("GPS", "BIHI", "Status,TimeMS,Week,T")
+    week, rest = divmod(UNIX_S - 315_964_800 + 18, 604_800)
+    for step in range(100):
+        log.add("IMU", 50_000 + 20 * step, 0.0, 25.0)
+        if step % 10 == 3:
+            log.add("GPS", 3, rest * 1_000 + 20 * step, week, 50_000 + 20 * step)
+    found = messages_of(DataflashReader(log.write(tmp_path / "a.bin")))
+    assert [m.received_ns for m in found if m.name == "IMU"] == [
+        (UNIX_S * 1_000 + 20 * n) * 1_000_000 for n in range(100)
+    ]
+    fixes = [m.received_ns for m in found if m.name == "GPS"]
+    assert fixes == [(UNIX_S * 1_000 + 20 * n) * 1_000_000 for n in range(3, 100, 10)]

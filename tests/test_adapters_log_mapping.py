@@ -8,6 +8,7 @@ import pytest
 
 from adapters.errors import TelemetryError
 from adapters.logs.log_mapping import ONBOARD_SOURCES, builtin_mapping, parse_mapping, read_mapping
+from adapters.logs.log_parameters import PARAMETER_MESSAGES
 from adapters.toml_tables import TomlFile
 from monitor.fitting.survey import MOTOR_MESSAGE
 from monitor.vehicles.inertial.signals import MESSAGES
@@ -21,7 +22,12 @@ COMMANDS = {"timestamp": 1, "control": [0.0] * 12}
 @pytest.mark.parametrize("source", ONBOARD_SOURCES)
 def test_the_built_in_tables_fill_what_profiles_need(source: str) -> None:
     rules = builtin_mapping(source).rules
-    wanted = MESSAGES - {"RAW_IMU"} | {MOTOR_MESSAGE, "HEARTBEAT", "EXTENDED_SYS_STATE", "VFR_HUD"}
+    wanted = MESSAGES - {"RAW_IMU", "MSG"} - PARAMETER_MESSAGES | {
+        MOTOR_MESSAGE,
+        "HEARTBEAT",
+        "EXTENDED_SYS_STATE",
+        "VFR_HUD",
+    }
     assert wanted <= rules.keys()
     timed = {name for name, found in rules.items() if name not in ("HEARTBEAT", "EXTENDED_SYS_STATE", "VFR_HUD")}
     for rule in (rule for name in timed for rule in rules[name]):
@@ -80,7 +86,21 @@ def test_tables_of_a_user_replace_those_of_the_same_message(tmp_path: Path) -> N
         ("[[ATTITUDE]]\ntopic = 'a'\nroll = { field = 'x', otherwise = { field = 'y' } }", "otherwise' goes with"),
         ("[[HEARTBEAT]]\ntopic = 'a'\ntype = { value = 300 }", "is 300, which is no value of this field"),
         ("[[HEARTBEAT]]\ntopic = 'a'\nrepeat_s = 0", "repeat_s' is 0; it must be more than 0"),
-        ("[[STATUSTEXT]]\ntopic = 'a'\ntext = { field = 'x' }", "is an array or text, which cannot be filled"),
+        ("[[STATUSTEXT]]\ntopic = 'a'\ntext = { field = 'x' }", "is text, which cannot be filled"),
+        ("[[ACTUATOR_CONTROL_TARGET]]\ntopic = 'a'\ncontrols = { field = 'x' }", r"write \[\[controls\]\]"),
+        (
+            "[[ACTUATOR_CONTROL_TARGET]]\ntopic = 'a'\ncontrols = [" + "{ value = 1 }," * 9 + "]",
+            "or a list of more than 8",
+        ),
+        (
+            "[[ACTUATOR_CONTROL_TARGET]]\ntopic = 'a'\ncontrols = [{ feld = 'x' }]",
+            r"controls\[0\].feld' is not a key of this table",
+        ),
+        ("[[HEARTBEAT]]\ntopic = 'a'\ntype = { field = 'x', before = 3 }", "before' is no pair of whole numbers"),
+        (
+            "[[HEARTBEAT]]\ntopic = 'a'\ntype = { field = 'x', unknown = nan }",
+            "is nan, which is no value of this field",
+        ),
         ("[[ATTITUDE]\n", "not valid TOML"),
         ("a = " + "[" * 4000, "nested too deeply"),
         ("a = " + "9" * 5000, "not valid TOML"),

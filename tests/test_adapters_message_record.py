@@ -11,7 +11,7 @@ from adapters.encoding.message_record import decoder, encode
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader
 from adapters.message import Message, silence
-from adapters.source import JOURNAL, LINK, OPERATOR, ZENOH
+from adapters.source import JOURNAL, LINK, MAVLINK, OPERATOR, ZENOH
 
 
 @pytest.mark.parametrize(
@@ -68,3 +68,21 @@ def test_a_mavlink_message_that_is_no_record_of_ours_is_refused(data: bytes) -> 
     decode = decoder("/mavlink/ATTITUDE", "json", None)
     with pytest.raises(ValueError, match="record of ATTITUDE"):
         decode(data, 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "stamp"),
+    [("SCALED_PRESSURE", {"time_boot_ms": 1_710_773_350_354.25}), ("SERVO_OUTPUT_RAW", {"time_usec": 1 << 40})],
+)
+def test_stamps_of_an_onboard_log_come_back_as_they_were(name: str, stamp: dict[str, float]) -> None:
+    from pymavlink.dialects.v20 import ardupilotmega
+
+    [table] = [one for one in ardupilotmega.mavlink_map.values() if one.msgname == name]
+    zeros = [0.0 if kind == "float" else 0 for kind in table.fieldtypes]
+    message = Message(MAVLINK, name, 5, dict(zip(table.fieldnames, zeros, strict=True)) | stamp, 1, 1)
+    record = encode(message)
+    assert record.encoding == "protobuf"
+    assert record.schema is not None
+    decode = decoder(record.topic, record.encoding, record.schema)
+    assert decode is not None
+    assert repr(decode(record.data, 5)) == repr(message)

@@ -140,11 +140,13 @@ def test_compressed_logs_read_like_plain_ones(kind: Kind, folder: Path, suffix: 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_a_truncated_log_gives_every_message_before_the_end(kind: Kind, folder: Path, data: st.DataObject) -> None:
-    cut = data.draw(st.integers(max(kind.head, 3), len(kind.flight) - 1))
+    # behind the first record with a time, which says when the log begins
+    cut = data.draw(st.integers(kind.ends[kind.first + 2], len(kind.flight) - 1))
     found, statistics = kind.read(folder, kind.flight[:cut])
     complete = [kind.head, *(end for end in kind.ends if end <= cut)]
     assert keys(found) == whole(kind, folder)[: kind.messages(complete)]
-    assert statistics.broken_off is (cut not in (kind.head, *kind.ends))
+    # a log of ArduPilot ends wherever power is cut
+    assert statistics.broken_off is (kind is ULOG and cut not in (kind.head, *kind.ends))
     assert (statistics.records, statistics.damaged) == (len(complete) - 1, 0)
     assert statistics.skipped_bytes == cut - complete[-1]
 
@@ -211,3 +213,65 @@ def test_a_damaged_time_is_that_of_the_record_before(kind: Kind, folder: Path) -
     for size in (1, 1 << 20):
         found, _ = kind.read(folder, bytes(log.data), only=("A",), read_ahead_bytes=size)
         assert [message.received_ns for message in found] == [5_000, 5_000, 7_000]
+
+
+SECOND = 1_000_000
+
+
+def log_of(kind: Kind, records: list[tuple[str, int]]) -> bytes:
+    """Return a log of records of some names, each with a stamp in microseconds."""
+    names, times_us = (
+        dict.fromkeys(name for name, _ in records),
+        [time_us for name, time_us in records if name != "OTHR"],
+    )
+    log: UlogWriter | DataflashWriter
+    if kind is ULOG:
+        log = UlogWriter(start_us=records[0][1])
+        for name in names:
+            log.define(name, "uint64_t timestamp")
+        numbers = {name: log.subscribe(name) for name in names}
+        for name, time_us in records:
+            log.add(numbers[name], name, {"timestamp": time_us})
+    else:
+        log = DataflashWriter(start_us=min(times_us))
+        for name in names:
+            log.define(name, "Q", "TimeUS")
+        for name, time_us in records:
+            log.add(name, time_us)
+    return bytes(log.data)
+
+
+@pytest.mark.parametrize("other_us", [0, 1_500_000_000_000_000, 400_000 * SECOND, 2 * SECOND])
+@pytest.mark.parametrize("runs", [0, 1])
+def test_a_topic_with_another_clock_does_not_move_that_of_the_log(
+    kind: Kind, folder: Path, other_us: int, runs: int
+) -> None:
+    records = [("MINE", 100 * SECOND), ("ALSO", 100 * SECOND + 7)]
+    for step in range(1, 200):
+        now = 100 * SECOND + 10_000 * step
+        records += [("MINE", now), ("OTHR", other_us + runs * 10_000 * step), ("ALSO", now + 7)]
+    found, _ = kind.read(folder, log_of(kind, records))
+    times = [(m.name, m.received_ns // 1_000) for m in found if m.name in ("MINE", "ALSO", "OTHR")]
+    expected = [(name, time_us) for name, time_us in records if name != "OTHR"]
+    assert [one for one in times if one[0] != "OTHR"] == expected
+    assert {time_us for name, time_us in times if name == "OTHR"} == {time for name, time in expected[2::2]}
+
+
+def test_a_topic_may_begin_with_another_clock_before_all_others(kind: Kind, folder: Path) -> None:
+    records = [("OTHR", 400_000 * SECOND)] * 5
+    records += [(name, 100 * SECOND + 10_000 * step) for step in range(50) for name in ("MINE", "ALSO")]
+    found, _ = kind.read(folder, log_of(kind, records))
+    assert [m.received_ns for m in found if m.name == "OTHR"] == [100 * SECOND * 1_000] * 5
+
+
+def test_a_log_on_unix_time_keeps_it(kind: Kind, folder: Path) -> None:
+    records = [("MINE", 1_700_000_000 * SECOND + 4_001 * step) for step in range(50)]
+    found, _ = kind.read(folder, log_of(kind, records))
+    assert [m.received_ns // 1_000 for m in found if m.name == "MINE"] == [time_us for _, time_us in records]
+
+
+def test_two_flights_in_a_log_keep_their_times(kind: Kind, folder: Path) -> None:
+    times_us = [start * SECOND + 10_000 * step for start, count in ((100, 50), (900, 90)) for step in range(count)]
+    records = [(name, time_us) for time_us in times_us for name in ("MINE", "ALSO")]
+    found, _ = kind.read(folder, log_of(kind, records))
+    assert [m.received_ns // 1_000 for m in found if m.name in ("MINE", "ALSO")] == [time_us for _, time_us in records]

@@ -164,7 +164,7 @@ def test_a_message_of_another_dialect_is_refused_and_not_bent() -> None:
         to_protobuf(Message(MAVLINK, "UNKNOWN_4711", 1, {}))
 
 
-@pytest.mark.parametrize("value", [-1, 2**32, 10**400, "text", 1.5])
+@pytest.mark.parametrize("value", [-1, 2**32, 10**400, "text"])
 def test_a_value_that_does_not_fit_is_refused(value: object) -> None:
     with pytest.raises(ValueError):
         to_protobuf(Message(MAVLINK, "SYSTEM_TIME", 1, {"time_unix_usec": 1, "time_boot_ms": value}))

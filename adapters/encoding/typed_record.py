@@ -46,7 +46,7 @@ def to_protobuf(message: Message) -> tuple[Schema, bytes]:
     """
     ids: dict[str, int] = {}
     if message.source is MAVLINK:
-        pb_class = mavlink_class(message.name)
+        pb_class = mavlink_class(message.name, isinstance(message.fields.get("time_boot_ms"), float))
         senders, names = _layout(pb_class)
         if message.fields.keys() != names:
             raise ValueError(f"{message.name} has other fields than its definition")
@@ -60,8 +60,10 @@ def to_protobuf(message: Message) -> tuple[Schema, bytes]:
 
 
 @functools.cache
-def mavlink_class(name: str) -> Any:
+def mavlink_class(name: str, of_log: bool = False) -> Any:
     """Return the protobuf class of a MAVLink message: fields 1 and 2 are the sender's ids, then come its own.
+
+    Stamps may be as large as those of messages that stand for records of an onboard log, and with ``of_log`` as fine.
 
     Text is a string, an array of numbers a repeated field. Where a message has a field ``system_id`` of its own, the
     sender's is called ``sender_system_id``; readers know it by its number.
@@ -77,8 +79,10 @@ def mavlink_class(name: str) -> Any:
     own = set(table.fieldnames)
     fields = [Field(f"sender_{name}" if name in own else name, "uint32") for name in ("system_id", "component_id")]
     lengths = dict(zip(table.ordered_fieldnames, table.array_lengths, strict=True))
+    stamps: dict[str, ProtobufScalar] = {"time_usec": "uint64", **({"time_boot_ms": "double"} if of_log else {})}
     for field, kind in zip(table.fieldnames, table.fieldtypes, strict=True):
-        fields.append(Field(field, _MAVLINK_KINDS[kind], repeated=kind != "char" and lengths[field] > 1))
+        scalar = stamps.get(field, _MAVLINK_KINDS[kind])
+        fields.append(Field(field, scalar, repeated=kind != "char" and lengths[field] > 1))
     return message_class(PACKAGE, name, fields)
 
 
@@ -115,7 +119,8 @@ def columns_class(columns: Columns) -> Any:
         They are neither those of MAVLink nor of an onboard log, or a typed record cannot hold them.
     """
     if columns.source is MAVLINK:
-        return mavlink_class(columns.name)
+        stamps = columns.fields.get("time_boot_ms")
+        return mavlink_class(columns.name, stamps is not None and stamps.dtype.kind == "f")
     if not columns.source.is_onboard_log or identifiers(tuple(columns.fields)) != tuple(columns.fields):
         raise ValueError(f"{columns.name} has no typed records")
     fields = []

@@ -28,12 +28,12 @@ from adapters.logs.onboard_log import (
     RecordKind,
     RecordLayout,
     Records,
+    StartScan,
     Window,
     first_relation,
     layout,
     record_text,
 )
-from adapters.message import LATEST_NS
 from adapters.source import DATAFLASH
 
 # struct code, and by how much to divide: pymavlink's DFReader decodes the same, which the tests hold it against.
@@ -70,8 +70,9 @@ _SEARCHED_AT_ONCE = 1 << 16
 _LARGEST_RECORD = 256
 _PADDING_BYTES = 528
 """Boards that log in blocks fill the last one up; pymavlink passes over as many bytes."""
-_STAMPS = (("TimeUS", 1_000), ("TimeMS", 1_000_000))
-_RELATION = ("GWk", "GMS", "TimeUS", "Status")
+_RELATION = ("GWk", "GMS", "Week", "TimeMS", "Status")
+_SCANNED_BYTES = 1 << 20
+"""Bytes of a log read at a time to find its clock. Measured: twenty thousand records have 1.1 MB."""
 _GPS_EPOCH_S = 315_964_800
 _WEEK_S = 604_800
 # Since 2017; GPS time knows no leap seconds, and what the log holds is GPS time.
@@ -107,7 +108,9 @@ class DataflashReader:
     Records come under their names, ``BARO/1`` being the second instance where the log says which field tells
     instances apart (unit ``#``). Values are decoded as pymavlink's DFReader does. Time of arrival is the record's own
     time since boot (``TimeUS``, in old logs ``TimeMS``) on the relation of boot to UTC in the first 3D fix of
-    ``GPS``; without any, boot is the start of 1970. Records without a time have that of the one before. Iterate once;
+    ``GPS``; without any, boot is the start of 1970. Records without a time of the log's clock have that of the one
+    before (:class:`LogClock`). Of records whose format contradicts itself, as some of ArduPilot's own do, the fields
+    that fit are decoded. That a log ends within a record is no damage: it does wherever power is cut. Iterate once;
     :meth:`statistics` tells what was found.
 
     Parameters
@@ -120,6 +123,8 @@ class DataflashReader:
         Where that relation is known already; None looks for it in the log.
     read_ahead_bytes : int
         Bytes of the log, decompressed, in a batch.
+    clock : LogClock | None
+        What gives the records their times; None finds it in the log.
     """
 
     def __init__(
@@ -128,10 +133,12 @@ class DataflashReader:
         only: Collection[str] | None = None,
         utc_minus_boot_ns: int | None = None,
         read_ahead_bytes: int = READ_AHEAD_BYTES,
+        clock: LogClock | None = None,
     ) -> None:
         self._path = Path(path)
         self._only = only
         self._offset_ns = utc_minus_boot_ns
+        self._clock = clock
         self._read_ahead_bytes = read_ahead_bytes
         formats = self._format("FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")
         formats.defines = True
@@ -152,14 +159,12 @@ class DataflashReader:
         TelemetryError
             The file cannot be opened or is no such log.
         """
-        if self._offset_ns is None:
-            self._offset_ns = utc_minus_boot_ns(self._path) or 0
         window = Window(self._path, self._read_ahead_bytes)
-        records = Records(DATAFLASH, LogClock(self._offset_ns, _STAMPS), self._only)
         if not window.fill(_HEAD_BYTES) or window.data[:_HEAD_BYTES] != _MARK + bytes([_FORMAT_KIND]):
             raise TelemetryError(
                 f"{self._path}: not a DataFlash log although its name says so; check where it came from"
             )
+        records = Records(DATAFLASH, self._clock or _log_clock(self._path, self._offset_ns), self._only)
         while window.fill(_HEAD_BYTES):
             if records.data is not window.data:
                 if records.start:
@@ -170,7 +175,8 @@ class DataflashReader:
                 break
         if records.start:
             yield records.batch()
-        self._broken_off = window.cut or window.left > 0
+        # bytes that are left are of the record that was being written when power was cut
+        self._broken_off = window.cut
         self._skipped_bytes += window.left
 
     def _chain(self, window: Window, records: Records) -> None:
@@ -237,12 +243,10 @@ class DataflashReader:
 
     def _format(self, name: str, length: int, codes: str, columns: str) -> _Format:
         """Return a format; ValueError where none is defined that way."""
-        if not name.isascii() or not name.isprintable() or not name or "/" in name:
-            raise ValueError("no name of a format")
+        if not name.isascii() or not name.isprintable() or not name or "/" in name or length < _HEAD_BYTES:
+            raise ValueError("no format")
         names = columns.split(",") if columns else []
-        kind = _layout(name, codes, names)
-        if kind.dtype.itemsize + _HEAD_BYTES != length:
-            raise ValueError(f"format of {name} contradicts itself")
+        kind = _layout(name, codes, names, length - _HEAD_BYTES)
         # any instance of the kind may be wanted
         wanted = self._only is None or any(one.partition("/")[0] == name for one in self._only)
         return _Format(RecordKind(name, kind, wanted), length, tuple(names))
@@ -291,29 +295,29 @@ def _head(number: int) -> bytes:
     return _MARK + bytes([number]) if 0 <= number < 256 else b""
 
 
-def _layout(name: str, codes: str, columns: Sequence[str]) -> RecordLayout:
-    """Return where the fields of a format lie; ValueError where it contradicts itself."""
-    if any(code not in CODES for code in codes):
-        raise ValueError(f"unknown code in {codes}")
-    if len(columns) != len(codes) or len(set(columns)) != len(columns):
-        raise ValueError(f"format of {name} contradicts itself")
+def _layout(name: str, codes: str, columns: Sequence[str], size: int) -> RecordLayout:
+    """Return where the fields of a format lie, as far as they have a name, a known code and room in the record."""
     fields: list[tuple[LayoutField, Any, int]] = []
     at = 0
-    for column, code in zip(columns, codes, strict=True):
+    for column, code in zip(columns, codes, strict=False):
+        if code not in CODES:
+            break
         shape, divisor = CODES[code]
-        size = struct.calcsize(f"<{shape}")
+        width = struct.calcsize(f"<{shape}")
+        if at + width > size:
+            break
         if divisor is not None:
             fields.append((LayoutField(column, partial(_divided, divisor)), f"<{shape}", at))
         elif code == _ARRAY:
-            fields.append((LayoutField(column), ("<i2", (size // 2,)), at))
+            fields.append((LayoutField(column), ("<i2", (width // 2,)), at))
         elif shape.endswith("s"):
             # pieces of files may hold anything, zeros included
             read = _raw if name == "FILE" and code == "Z" else _texts
-            fields.append((LayoutField(column, read, numbers=False), f"V{size}", at))
+            fields.append((LayoutField(column, read, numbers=False), f"V{width}", at))
         else:
             fields.append((LayoutField(column), f"<{shape}", at))
-        at += size
-    return layout(fields, at)
+        at += width
+    return layout(fields, size)
 
 
 def _divided(divisor: float, values: NDArray[Any]) -> FieldValues:
@@ -328,18 +332,29 @@ def _raw(values: NDArray[np.void]) -> FieldValues:
     return [bytes(value).decode("latin-1") for value in values.tolist()]
 
 
-def utc_minus_boot_ns(path: str | os.PathLike[str]) -> int | None:
-    """Return UTC minus time since boot in nanoseconds, from the first 3D fix in a log; None without one."""
-    return first_relation(DataflashReader(path, ("GPS",), 0), _RELATION, _relation)
+def _log_clock(path: Path, utc_minus_boot_ns: int | None) -> LogClock:
+    """Return the clock of a log; UTC minus time since boot from its first 3D fix where that is not known."""
+    scan = StartScan()
+    start = scan.found(DataflashReader(path, read_ahead_bytes=_SCANNED_BYTES, clock=scan))
+    if utc_minus_boot_ns is not None:
+        return LogClock(utc_minus_boot_ns, start)
+    fixes = DataflashReader(path, ("GPS",), clock=LogClock(0, start))
+    return LogClock(first_relation(fixes, _RELATION, _relation) or 0, start)
 
 
 def _relation(
-    week: NDArray[np.int64], ms: NDArray[np.int64], boot_us: NDArray[np.int64], status: NDArray[np.int64]
+    boot_ns: NDArray[np.int64],
+    week: NDArray[np.int64],
+    ms: NDArray[np.int64],
+    old_week: NDArray[np.int64],
+    old_ms: NDArray[np.int64],
+    status: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    good = (week > 0) & (boot_us > 0) & (status >= _FIX_3D)
+    old = week <= 0
+    week, ms = np.where(old, old_week, week), np.where(old, old_ms, ms)
     # weeks have 16 bits, milliseconds of a week 32: what damage makes of them fits
     utc_ms = (_GPS_EPOCH_S + _WEEK_S * week - _LEAP_S) * 1_000 + ms
-    return utc_ms * 1_000_000 - boot_us * 1_000, good & (boot_us < LATEST_NS // 1_000)
+    return utc_ms * 1_000_000 - boot_ns, (week > 0) & (status >= _FIX_3D)
 
 
 def _whole(value: Any) -> int:

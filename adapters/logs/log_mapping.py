@@ -16,7 +16,7 @@ from math import isnan, nan
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from adapters.channels import Channel, follow, not_empty, read_channel
+from adapters.channels import CLOCK_UNITS_NS, Channel, follow, not_empty, read_channel
 from adapters.errors import TelemetryError
 from adapters.toml_tables import Table, TomlFile, parse_toml, read_toml
 
@@ -29,6 +29,10 @@ _LONGEST_REPEAT_S = 1e6
 """Chosen: twelve days, longer than any log; in nanoseconds it fits 64 bits."""
 # Of two ways to fill a message, the later one only where it comes this much more often.
 _CLEARLY = 1.5
+# Stamps are as fine as the log's own, and as large: whole milliseconds of 32 bits hold neither microseconds nor UTC.
+_CLOCK_CODES = {"time_boot_ms": "d", "time_usec": "Q"}
+PARAMETERS: Final = "PARM"
+"""Records that say whether ArduPilot logged before it was armed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +61,14 @@ class FieldRule:
         The value where the log has none.
     required : bool
         The log has to have this place to fill the message.
+    code : str
+        How the message carries it: a struct code.
     otherwise : FieldRule | None
         Where else in the same record to look for a number that is not listed.
+    before : tuple[int, int] | None
+        The values that it changes between: before the first record, it has the one that the record does not have.
+        Without any record it has the first in a log of ArduPilot that was begun at arming, the other in one that was
+        begun before.
     """
 
     name: str
@@ -70,7 +80,15 @@ class FieldRule:
     constant: int | None
     unknown: int | float
     required: bool
+    code: str
     otherwise: FieldRule | None = None
+    before: tuple[int, int] | None = None
+
+    @property
+    def array(self) -> str | None:
+        """Name of the array that it is an element of, None where it is a field of its own."""
+        name, bracket, _ = self.name.partition("[")
+        return name if bracket else None
 
     def places(self) -> Iterator[FieldRule]:
         """Yield the rule and those that it falls back on."""
@@ -90,9 +108,7 @@ class MessageRule:
     topic : str
         Name of the log's record that makes one.
     fields : tuple[FieldRule, ...]
-        All fields in the order of the definition.
-    codes : str
-        How they are packed: struct codes.
+        All fields in the order of the definition, elements of an array one by one.
     repeat_ns : int | None
         A state is repeated after that long.
     """
@@ -100,7 +116,6 @@ class MessageRule:
     message: str
     topic: str
     fields: tuple[FieldRule, ...]
-    codes: str
     repeat_ns: int | None
 
     @property
@@ -113,13 +128,19 @@ class MessageRule:
         )
 
     @property
+    def before(self) -> tuple[int, int] | None:
+        """The values that a state in the message changes between."""
+        return next((field.before for field in self.fields if field.before), None)
+
+    @property
     def topics(self) -> frozenset[str]:
         """Names of all records that fill the message."""
-        return frozenset({self.topic, *(field.topic for field in self.fields if field.channel is not None)})
+        found = {self.topic, *(field.topic for field in self.fields if field.channel is not None)}
+        return frozenset(found if self.before is None else found | {PARAMETERS})
 
     def text(self) -> str:
         """Return the rule in a line: message, record, and what is joined to it."""
-        joined = sorted(self.topics - {self.topic})
+        joined = sorted(self.topics - {self.topic, PARAMETERS})
         return f"{self.message} from {self.topic}" + (f" with {', '.join(joined)}" if joined else "")
 
     def fillable(self, examples: Mapping[str, Mapping[str, Any]]) -> bool:
@@ -203,8 +224,11 @@ def parse_mapping(file: TomlFile) -> LogMapping:
 
 
 @cache
-def _kinds(message: str) -> dict[str, str] | None:
-    """Return the struct code of each field of a message by pymavlink's table; None where there is no such message."""
+def _kinds(message: str) -> dict[str, tuple[str, int]] | None:
+    """Return struct code and length of each field of a message by pymavlink's table; None where there is no such one.
+
+    Text has no code, and the length of what is no array is 0.
+    """
     from pymavlink.dialects.v20 import ardupilotmega
 
     codes = {"float": "f", "double": "d", "char": "", "int8_t": "b", "uint8_t": "B", "int16_t": "h", "uint16_t": "H"}
@@ -213,36 +237,47 @@ def _kinds(message: str) -> dict[str, str] | None:
         if table.msgname == message:
             lengths = dict(zip(table.ordered_fieldnames, table.array_lengths, strict=True))
             kinds = zip(table.fieldnames, table.fieldtypes, strict=True)
-            return {name: "" if lengths[name] else codes[kind] for name, kind in kinds}
+            return {name: (_CLOCK_CODES.get(name, codes[kind]), lengths[name]) for name, kind in kinds}
     return None
 
 
-def _rule(message: str, kinds: Mapping[str, str], table: Table) -> MessageRule:
+def _rule(message: str, kinds: Mapping[str, tuple[str, int]], table: Table) -> MessageRule:
     topic = table.text("topic", check=not_empty)
     repeat_s = table.number("repeat_s", above=0.0, at_most=_LONGEST_REPEAT_S) if table.has("repeat_s") else nan
-    fields = []
-    for name, code in kinds.items():
-        if code:
+    fields: list[FieldRule] = []
+    for name, (code, length) in kinds.items():
+        if code and not length:
             own = table.table(name) if table.has(name) else None
             fields.append(_field(name, code, topic, own if table.good(name) else None))
         elif table.has(name):
-            table.mistake(name, "is an array or text, which cannot be filled")
+            elements = table.tables(name) if code else []
+            if len(elements) > length or not code:
+                table.mistake(name, f"is text, which cannot be filled, or a list of more than {length}")
+            elements = elements[:length]
+            rest = [None] * (length - len(elements))
+            fields += (_field(f"{name}[{k}]", code, topic, one) for k, one in enumerate([*elements, *rest]))
     table.done()
     repeat_ns = None if isnan(repeat_s) else round(repeat_s * 1e9)
-    return MessageRule(message, topic, tuple(fields), "<" + "".join(kinds.values()), repeat_ns)
+    return MessageRule(message, topic, tuple(fields), repeat_ns)
 
 
 def _field(name: str, code: str, topic: str, table: Table | None) -> FieldRule:
-    nothing: int | float = nan if code in "fd" else 0
+    clock = name in CLOCK_UNITS_NS
+    nothing: int | float = nan if code in "fd" and not clock else 0
     if table is None:
-        return FieldRule(name, topic, None, False, None, None, None, nothing, False)
+        return FieldRule(name, topic, None, False, None, None, None, nothing, False, code)
     constant = _number(table, "value", code, None)
     source = table.text("topic", topic)
     joined = source != topic
     angle = table.choice("angle", _ANGLES) if table.has("angle") else None
-    values = table.raw("values")
+    values, before = table.raw("values"), table.raw("before")
     if values is not None and (not isinstance(values, Mapping) or not all(type(v) is int for v in values.values())):
         table.mistake("values", "is no table of whole numbers, like { 1 = 0, 2 = 128 }")
+    if before is not None and not (
+        isinstance(before, list) and len(before) == 2 and all(type(v) is int for v in before)
+    ):
+        table.mistake("before", "is no pair of whole numbers, like [129, 1]")
+        before = None
     otherwise = None
     if table.has("otherwise"):
         otherwise = _field(name, code, topic, table.table("otherwise"))
@@ -254,10 +289,12 @@ def _field(name: str, code: str, topic: str, table: Table | None) -> FieldRule:
         if joined and "interpolation" not in place:
             table.mistake("interpolation", 'is missing: the topic is another one; write "linear" or "previous"')
         channel = read_channel(name, Table(table.file, table.path, {"message": source, **place}))
-    required = not table.has("unknown")
+    # a record without a time has that of the one before
+    required = not table.has("unknown") and not clock
     nothing = _number(table, "unknown", code, nothing)
     table.done()
-    return FieldRule(name, source, channel, joined, angle, values, constant, nothing, required, otherwise)
+    pair = None if before is None else (before[0], before[1])
+    return FieldRule(name, source, channel, joined, angle, values, constant, nothing, required, code, otherwise, pair)
 
 
 def _number(table: Table, key: str, code: str, default: Any) -> Any:
@@ -265,10 +302,12 @@ def _number(table: Table, key: str, code: str, default: Any) -> Any:
     value = table.raw(key)
     if value is None:
         return default
-    table.finite((key,), value)
+    # NaN is what floats have where nothing is known
+    if not (key == "unknown" and isinstance(value, float) and isnan(value)):
+        table.finite((key,), value)
     if table.good(key):
         try:
             struct.pack("<" + code, value)
-        except (struct.error, OverflowError):
+        except (struct.error, OverflowError, ValueError):
             table.mistake(key, f"is {value}, which is no value of this field")
     return value

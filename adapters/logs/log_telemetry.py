@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
 from typing import Any, Final, TypeAlias
@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, cut, gathered, one_message
-from adapters.channels import MAX_VALUE, follow
-from adapters.logs.log_mapping import Angle, FieldRule, LogMapping, MessageRule
+from adapters.channels import CLOCK_UNITS_NS, MAX_VALUE, follow
+from adapters.logs.log_mapping import PARAMETERS, Angle, FieldRule, LogMapping, MessageRule
+from adapters.logs.log_parameters import parameter
+from adapters.logs.onboard_log import NO_TIME, own_stamps_ns
 from adapters.message import Message
 from adapters.source import MAVLINK
 
@@ -31,6 +33,13 @@ Chosen: ten intervals of the slowest record that the built-in tables interpolate
 """
 _MOST_WAITING = 2_000
 """Messages that wait at most, two seconds of the fastest records there are (1 kHz): bounds memory where clocks stop."""
+_NEAR_NS = 1_000_000_000
+"""How far a stamp may be from the log's clock: as far as the monitor believes one at once. Further off, it is another
+clock's, or of long before it was logged, and the time of the record stands in.
+"""
+# What says that ArduPilot logs before it is armed: the parameter, and a bit of the mask in versions before it.
+_LOGGED_DISARMED = {"LOG_DISARMED": 0xFF, "LOG_BITMASK": 1 << 16}
+_LONG_AGO_NS = -(1 << 60)
 _TURN: Final = 2.0 * np.pi
 _LARGEST_QUATERNION = 2.0
 """A rotation is of length one; NaN is no number at all and not below this either."""
@@ -40,7 +49,12 @@ _SEARCHED = 64
 Integers = NDArray[np.int64]
 
 
-def telemetry(batches: Iterable[Batch], mapping: LogMapping, only: Collection[str] | None) -> Iterator[Batch]:
+def telemetry(
+    batches: Iterable[Batch],
+    mapping: LogMapping,
+    only: Collection[str] | None,
+    anew: Callable[[Collection[str]], Iterable[Batch]],
+) -> Iterator[Batch]:
     """Return a log's records and, behind each, the MAVLink messages that it makes or completes.
 
     Which record fills a message is decided on the first 5 s of the log, or with the first record that can.
@@ -53,8 +67,11 @@ def telemetry(batches: Iterable[Batch], mapping: LogMapping, only: Collection[st
         What the records stand for.
     only : Collection[str] | None
         Names of records and MAVLink messages wanted; None wants all.
+    anew : Callable
+        Reads the log once more, records of some names only: that a vehicle is armed at the begin of a log, its first
+        record of arming or disarming says.
     """
-    making = _Telemetry(mapping, only)
+    making = _Telemetry(mapping, only, anew)
     remaining = iter(batches)
     ahead: list[Batch] = []
     for batch in remaining:
@@ -62,6 +79,7 @@ def telemetry(batches: Iterable[Batch], mapping: LogMapping, only: Collection[st
         if making.look_at(batch):
             break
     making.choose()
+    making.begin()
     for batch in chain(ahead, remaining):
         yield from making.run(batch)
     yield from making.finish()
@@ -70,13 +88,20 @@ def telemetry(batches: Iterable[Batch], mapping: LogMapping, only: Collection[st
 class _Telemetry:
     """The rules in use, and what decides on those that are not yet."""
 
-    def __init__(self, mapping: LogMapping, only: Collection[str] | None) -> None:
+    def __init__(
+        self, mapping: LogMapping, only: Collection[str] | None, anew: Callable[[Collection[str]], Iterable[Batch]]
+    ) -> None:
         rules = {name: found for name, found in mapping.rules.items() if only is None or name in only}
         self._only = only
-        self._open = LogMapping(rules)
+        self._states = {
+            name: _first_state(found, anew) for name, found in rules.items() if any(rule.before for rule in found)
+        }
+        self._open = LogMapping({name: found for name, found in rules.items() if name not in self._states})
         self._counts: Counter[str] = Counter()
         self._examples: dict[str, Mapping[str, Any]] = {}
         self._fillers: list[_Filler] = []
+        self._logged_disarmed = False
+        self._relations: Counter[int] = Counter()
         self._looked_at = 0
         self._first_ns: int | None = None
 
@@ -97,8 +122,22 @@ class _Telemetry:
             far = np.flatnonzero(times_ns[start:] - self._first_ns >= _LOOKED_AT_NS)
             stop = min(stop, start + int(far[0]) + 1) if len(far) else stop
         self._looked_at += batch.count
-        self._count(cut(batch, 0, min(stop, batch.count)))
+        begin = cut(batch, 0, min(stop, batch.count))
+        self._count(begin)
+        self._learn(begin)
         return stop <= batch.count
+
+    def _learn(self, batch: Batch) -> None:
+        """Learn from the begin of a log its clock, and whether it was begun at arming."""
+        for columns in batch.columns:
+            stamps_ns = own_stamps_ns(columns.fields, len(columns.position))
+            timed = stamps_ns != NO_TIME
+            relations = np.unique(columns.received_ns[timed] - stamps_ns[timed], return_counts=True)
+            self._relations.update(dict(zip(*(one.tolist() for one in relations), strict=True)))
+        for message in batch.others.values():
+            known = parameter(message) if message.name == PARAMETERS else None
+            if known is not None and int(known[1]) & _LOGGED_DISARMED.get(known[0], 0):
+                self._logged_disarmed = True
 
     def _count(self, batch: Batch) -> None:
         relevant = self._relevant
@@ -114,8 +153,21 @@ class _Telemetry:
     def choose(self) -> None:
         """Decide for the messages that what was counted can fill."""
         for name, rule in self._open.guess(self._counts, self._examples).items():
-            self._fillers.append(_Filler(rule, len(self._fillers)))
+            self._fillers.append(self._filler(rule))
             self._open = LogMapping({key: found for key, found in self._open.rules.items() if key != name})
+
+    def begin(self) -> None:
+        """Say with the first record what states hold until the first record that changes them."""
+        for rule, first in self._states.values():
+            self._fillers.append(self._filler(rule))
+            if rule.before is not None:
+                values = rule.before
+                begin = values[self._logged_disarmed] if first is None else values[first == values[0]]
+                self._fillers[-1].begin({one.name: begin for one in rule.fields if one.before})
+
+    def _filler(self, rule: MessageRule) -> _Filler:
+        relation = self._relations.most_common(1)
+        return _Filler(rule, len(self._fillers), relation[0][0] if relation else None)
 
     def run(self, batch: Batch) -> Iterator[Batch]:
         """Return the wanted records of a batch and what they make."""
@@ -240,11 +292,14 @@ class _Filler:
         The rule.
     number : int
         Among all fillers: the first ones go first.
+    unix_minus_boot_ns : int | None
+        Relation of the records' times of arrival to the log's clock, None where no record tells it.
     """
 
-    def __init__(self, rule: MessageRule, number: int) -> None:
+    def __init__(self, rule: MessageRule, number: int, unix_minus_boot_ns: int | None) -> None:
         self._rule = rule
         self._number = number
+        self._unix_minus_boot_ns = unix_minus_boot_ns
         self._own = [one for one in rule.fields if one.channel is None or not one.joined]
         self._linear = {
             topic: [one for one in rule.fields if one.topic == topic and one.joined and one.channel is not None]
@@ -258,6 +313,15 @@ class _Filler:
         self._waiting: _Series | None = None
         self._join = _Join(len(self._linear))
         self._last: tuple[int, dict[str, NDArray[Any]]] | None = None
+
+    def begin(self, begin: Mapping[str, int]) -> None:
+        """Send a message with the first record, with these values where there are any."""
+        values = {
+            one.name: begin.get(one.name, one.unknown if one.constant is None else one.constant)
+            for one in self._rule.fields
+        }
+        fields = {one.name: np.array([values[one.name]], np.dtype(f"<{one.code}")) for one in self._rule.fields}
+        self._last = _LONG_AGO_NS, fields
 
     def run(self, batch: Batch, times_ns: Integers) -> Iterator[Columns]:
         """Return the messages that the records of a batch make, complete or repeat, at places of :func:`_place`."""
@@ -284,10 +348,15 @@ class _Filler:
         if pieces:
             place = np.concatenate([at for at, _, _ in pieces])
             order = np.argsort(place)
-            fields = {
-                one.name: np.concatenate([values[one.name] for _, _, values in pieces])[order]
-                for one in self._rule.fields
-            }
+            fields: dict[str, NDArray[Any]] = {}
+            arrays: dict[str, list[NDArray[Any]]] = {}
+            for one in self._rule.fields:
+                values = np.concatenate([values[one.name] for _, _, values in pieces])[order]
+                if one.array is None:
+                    fields[one.name] = values
+                else:
+                    arrays.setdefault(one.array, []).append(values)
+            fields |= {name: np.stack(elements, axis=1) for name, elements in arrays.items()}
             received_ns = np.concatenate([times for _, times, _ in pieces])[order]
             yield Columns(MAVLINK, self._rule.message, _SYSTEM, _COMPONENT, place[order], received_ns, fields)
 
@@ -299,7 +368,7 @@ class _Filler:
         valid = np.ones(count, np.bool_)
         for one in self._own:
             number, known = _values(one, records)
-            values[one.name] = _carried(self._rule, one, number, known)
+            values[one.name] = self._stamped(one, _carried(one, number, known), records.received_ns)
             if one.channel is not None and one.values is not None:
                 valid &= known
         for topic, fields in self._held.items():
@@ -309,8 +378,18 @@ class _Filler:
                 number = np.zeros(count)
                 if len(held):
                     number, known = held.values[one.name][row], held.known[one.name][row] & known
-                values[one.name] = _carried(self._rule, one, number, known)
+                values[one.name] = _carried(one, number, known)
         return _Series(records.position, records.received_ns, values, {}).rows(valid)
+
+    def _stamped(self, field: FieldRule, values: NDArray[Any], received_ns: Integers) -> NDArray[Any]:
+        """Return a field's values (n,); of a stamp that is none of the log's clock, the record's time of arrival."""
+        unit_ns = CLOCK_UNITS_NS.get(field.name)
+        if unit_ns is None or self._unix_minus_boot_ns is None:
+            return values
+        boot_ns = received_ns - self._unix_minus_boot_ns
+        near = (values > 0) & (np.abs(values.astype(np.float64) * unit_ns - boot_ns) <= _NEAR_NS)
+        stamp = np.maximum(boot_ns, 0)
+        return np.where(near, values, stamp / unit_ns if field.code == "d" else stamp // unit_ns).astype(values.dtype)
 
     def _newest(
         self, batch: Batch, topic: str, fields: Sequence[FieldRule], position: Integers
@@ -359,7 +438,7 @@ class _Filler:
                 if rows is not None and len(rows):
                     number, known = _between(one, rows, left, right, made.received_ns)
                     known &= left >= 0
-                values[one.name] = _carried(self._rule, one, number, known)
+                values[one.name] = _carried(one, number, known)
         return _Series(made.position, made.received_ns, values, {})
 
     def _repeated(self, place: Integers, made: _Series, times_ns: Integers) -> list[_Piece]:
@@ -647,9 +726,9 @@ def _between(
     return number, there
 
 
-def _carried(rule: MessageRule, field: FieldRule, values: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[Any]:
+def _carried(field: FieldRule, values: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[Any]:
     """Return numbers as the message carries them, whole numbers to the nearest; unknown where one does not fit."""
-    code = rule.codes[1:][rule.fields.index(field)]
+    code = field.code
     dtype = np.dtype(f"<{code}")
     if code in "fd":
         with np.errstate(over="ignore", invalid="ignore"):
@@ -666,3 +745,24 @@ def _carried(rule: MessageRule, field: FieldRule, values: NDArray[Any], known: N
         fits = (whole >= limits.min) & (whole <= limits.max) & (whole < float(limits.max) + 1.0)
         carried = np.where(fits & known, whole, 0).astype(dtype)
     return np.where(known & fits, carried, np.array(field.unknown, dtype))
+
+
+def _first_state(
+    rules: Sequence[MessageRule], anew: Callable[[Collection[str]], Iterable[Batch]]
+) -> tuple[MessageRule, int | None]:
+    """Return which of several ways to fill a state's message is the first that a log follows, and its first value.
+
+    Without any it is the first way, and None.
+    """
+    for batch in anew({rule.topic for rule in rules}):
+        found: list[tuple[int, int, int]] = []
+        for k, rule in enumerate(rules):
+            records = _Recorded.of(batch, rule.topic)
+            for one in rule.fields:
+                number, known = _values(one, records)
+                if one.before:
+                    found += [(int(records.position[row]), k, int(number[row])) for row in np.flatnonzero(known)[:1]]
+        if found:
+            _, k, value = min(found)
+            return rules[k], value
+    return rules[0], None

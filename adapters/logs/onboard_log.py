@@ -150,16 +150,44 @@ class RecordKind:
         return [(name, np.array(places, np.int64)) for name, places in rows.items()]
 
 
+_SCANNED = 20_000
+"""Records with a stamp from whose times a log's clock is found. Chosen: some seconds of any log, read in 30 ms."""
+_APART_NS = 60_000_000_000
+"""Stamps further apart than this are of different clocks, or left over from before the log. Chosen: no log pauses for
+a minute within its first seconds, and clocks of other origins (boot, GPS week, Unix) are further apart.
+"""
+_LONGEST_NS = 30 * 86_400 * 1_000_000_000
+"""No log lasts as long as 30 days: a stamp further behind its start is of another clock, or damaged."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogStart:
+    """Where a log's clock begins, and what is not stamped by it.
+
+    Parameters
+    ----------
+    time_ns : int
+        Time since boot of the begin of the log.
+    foreign : frozenset[str]
+        Names of records with stamps of another clock: GPS time of week, Unix time.
+    """
+
+    time_ns: int = 0
+    foreign: frozenset[str] = frozenset()
+
+
 class LogClock:
     """Times of arrival of a log's records: their own stamps, on a known relation of boot to UTC.
+
+    A record without a stamp of the log's clock arrives with the one before: one that has none, has 0, or has one of
+    another clock; and one that was stamped before the log began, as the last value of a topic that seldom changes is.
 
     Parameters
     ----------
     utc_minus_boot_ns : int
         That relation.
-    stamps : Sequence[tuple[str, int]]
-        Names of fields that hold a stamp since boot, and how many nanoseconds one count is; the first that there is
-        counts.
+    start : LogStart
+        Where the log's clock begins.
 
     Attributes
     ----------
@@ -167,43 +195,103 @@ class LogClock:
         Time since boot of the newest record with a stamp that can be one.
     """
 
-    def __init__(self, utc_minus_boot_ns: int, stamps: Sequence[tuple[str, int]]) -> None:
+    def __init__(self, utc_minus_boot_ns: int, start: LogStart) -> None:
         self.utc_minus_boot_ns = utc_minus_boot_ns
-        self.newest_ns = 0
-        self._stamps = tuple(stamps)
+        self.newest_ns = start.time_ns
+        self._start = start
+        self._least_ns = max(start.time_ns, 1, -utc_minus_boot_ns)
+        self._end_ns = min(LATEST_NS - utc_minus_boot_ns, LATEST_NS, start.time_ns + _LONGEST_NS)
 
-    def stamps_ns(self, fields: Mapping[str, Any], count: int) -> NDArray[np.int64]:
-        """Return the times since boot of ``count`` records, below any that can be where there is none or no good one.
+    def stamps_ns(self, name: str, fields: Mapping[str, Any], count: int) -> NDArray[np.int64]:
+        """Return the times since boot of ``count`` records, below any that can be where there is no good one.
 
         Parameters
         ----------
+        name : str
+            Their name.
         fields : Mapping[str, Any]
             Their fields by name: arrays, or lists of values.
         count : int
             Their number n.
         """
-        found = np.full(count, _NO_TIME)
-        for name, unit_ns in self._stamps:
-            if name in fields:
-                values = np.asarray(fields[name])
-                if values.dtype.kind in "iu" and values.ndim == 1:
-                    stamp = values.astype(np.int64)
-                    least, end = -(self.utc_minus_boot_ns // unit_ns), (LATEST_NS - self.utc_minus_boot_ns) // unit_ns
-                    good = (stamp >= least) & (stamp < end) & ((stamp >= 0) | (values.dtype.kind == "i"))
-                    found[good] = stamp[good] * unit_ns
-                break
+        found = own_stamps_ns(fields, count)
+        if name in self._start.foreign:
+            found[:] = NO_TIME
+        found[(found < self._least_ns) | (found >= self._end_ns)] = NO_TIME
         return found
 
     def received_ns(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the times of arrival of n records in order (n,); one without a stamp has that of the one before."""
         known = np.concatenate([[self.newest_ns], stamps_ns])
-        last = np.maximum.accumulate(np.where(known != _NO_TIME, np.arange(len(known)), 0))
+        last = np.maximum.accumulate(np.where(known != NO_TIME, np.arange(len(known)), 0))
         filled = known[last]
         self.newest_ns = int(filled[-1])
         return np.asarray(filled[1:] + self.utc_minus_boot_ns, np.int64)
 
 
-_NO_TIME = np.iinfo(np.int64).min
+NO_TIME: Final = np.iinfo(np.int64).min
+"""In place of a stamp where there is none."""
+
+# Fields that hold a stamp since boot, and the nanoseconds of a count. In old logs of ArduPilot a GPS record's TimeMS is
+# the receiver's time of week, and T the time since boot.
+_STAMPS = (("timestamp", 1_000), ("TimeUS", 1_000), ("T", 1_000_000), ("TimeMS", 1_000_000))
+
+
+def own_stamps_ns(fields: Mapping[str, Any], count: int) -> NDArray[np.int64]:
+    """Return what n records of an onboard log say is their time since boot, nanoseconds, NO_TIME where nothing (n,)."""
+    for name, unit_ns in _STAMPS:
+        if name in fields:
+            values = np.asarray(fields[name])
+            if values.dtype.kind in "iu" and values.ndim == 1:
+                good = (values >= 0) & (values < LATEST_NS // unit_ns)
+                return np.where(good, np.where(good, values, 0).astype(np.int64) * unit_ns, NO_TIME)
+    return np.full(count, NO_TIME)
+
+
+class StartScan(LogClock):
+    """A clock that believes every stamp, and finds from those of a log's first records where its clock begins."""
+
+    def __init__(self) -> None:
+        super().__init__(0, LogStart())
+        self._end_ns = LATEST_NS
+        self._stamps: dict[str, list[NDArray[np.int64]]] = {}
+        self._count = 0
+
+    def stamps_ns(self, name: str, fields: Mapping[str, Any], count: int) -> NDArray[np.int64]:
+        """Return the times since boot of ``count`` records, and keep them."""
+        found = super().stamps_ns(name, fields, count)
+        self._stamps.setdefault(name, []).append(found[found != NO_TIME])
+        return found
+
+    def found(self, batches: Iterable[Batch], head_ns: int | None = None) -> LogStart:
+        """Return where the clock begins of a log that is read with this clock.
+
+        Stamps that are close together are of one clock and one flight: the log's are those of most names, and of more
+        than half as many names.
+
+        Parameters
+        ----------
+        batches : Iterable[Batch]
+            The log; only its first records are read.
+        head_ns : int | None
+            The time that the head of the file says.
+        """
+        for _ in batches:
+            if sum(len(one) for ones in self._stamps.values() for one in ones) >= _SCANNED:
+                break
+        stamps = {name: np.unique(np.concatenate(ones)) for name, ones in self._stamps.items()}
+        every = np.unique(np.concatenate([np.empty(0, np.int64), *stamps.values()]))
+        if not len(every):
+            return LogStart(0 if head_ns is None or not 0 <= head_ns < LATEST_NS else head_ns)
+        breaks = np.flatnonzero(np.diff(every) > _APART_NS)
+        begins, ends = every[np.concatenate([[0], breaks + 1])], every[np.concatenate([breaks, [-1]])]
+        names = sum(np.isin(np.arange(len(begins)), np.searchsorted(ends, one)).astype(int) for one in stamps.values())
+        own = np.flatnonzero(2 * names > np.max(names))
+        first, last = int(begins[own[0]]), int(ends[own[-1]])
+        if head_ns is not None and first - _APART_NS <= head_ns <= int(ends[own[0]]):
+            first = head_ns
+        foreign = {name for name, one in stamps.items() if len(later := one[one >= first]) and later[0] > last}
+        return LogStart(first, frozenset(foreign))
 
 
 @dataclass(slots=True)
@@ -257,7 +345,7 @@ class Records:
         code = np.fromiter(map(codes.__getitem__, self.kind), np.int64, len(self.kind))
         order = np.argsort(code, kind="stable")
         groups = np.split(order, np.searchsorted(code[order], np.arange(1, len(codes))))
-        stamps_ns = np.full(len(start), _NO_TIME)
+        stamps_ns = np.full(len(start), NO_TIME)
         columns: list[tuple[str, NDArray[np.int64], dict[str, FieldValues]]] = []
         rows: list[tuple[str, int, dict[str, Any]]] = []
         for kind, index in zip(codes, groups, strict=True):
@@ -266,11 +354,11 @@ class Records:
                     name, fields = self.decoded[at]
                     rows.append((name, at, fields))
                     single = {key: [value] for key, value in fields.items()}
-                    stamps_ns[at] = self.clock.stamps_ns(single, 1)[0]
+                    stamps_ns[at] = self.clock.stamps_ns(name, single, 1)[0]
                 continue
             records = kind.layout.take(self.data, start[index])
             found = kind.layout.columns(records)
-            stamps_ns[index] = self.clock.stamps_ns(found, len(index))
+            stamps_ns[index] = self.clock.stamps_ns(kind.name, found, len(index))
             for name, part in kind.named(found):
                 if self.only is not None and name not in self.only:
                     continue
@@ -375,29 +463,33 @@ def first_relation(
     Parameters
     ----------
     batches : Iterable[Batch]
-        Records of receivers of satellites.
+        Records of receivers of satellites, with their times since boot as times of arrival.
     fields : Sequence[str]
-        Names of the fields that tell it.
+        Names of the fields that tell UTC.
     relation : Callable
-        From those fields of n records, whole numbers (n,), zero where they have none: the relation, nanoseconds (n,),
-        and whether it can be one (n,).
+        From those times, nanoseconds (n,), and those fields of n records, whole numbers (n,), zero where they have
+        none: the relation, nanoseconds (n,), and whether it can be one (n,).
     """
     for batch in batches:
-        rows = [(one.position, one.fields) for one in batch.columns]
+        rows = [(one.position, one.received_ns, one.fields) for one in batch.columns]
         rows += [
-            (np.array([at]), {name: np.array([value]) for name, value in message.fields.items() if type(value) is int})
+            (
+                np.array([at]),
+                np.array([message.received_ns]),
+                {name: np.array([value]) for name, value in message.fields.items() if type(value) is int},
+            )
             for at, message in batch.others.items()
         ]
         found: list[tuple[int, int]] = []
-        for position, columns in rows:
+        for position, boot_ns, columns in rows:
             numbers = []
             for name in fields:
                 values = columns.get(name)
                 if values is None or values.dtype.kind not in "iu" or values.ndim > 1:
                     values = np.zeros(len(position), np.int64)
                 numbers.append(values.astype(np.int64))
-            offset_ns, good = relation(*numbers)
-            good &= (offset_ns >= 0) & (offset_ns < LATEST_NS)
+            offset_ns, good = relation(boot_ns, *numbers)
+            good &= (boot_ns > 0) & (offset_ns >= 0) & (offset_ns < LATEST_NS)
             found += ((int(position[row]), int(offset_ns[row])) for row in np.flatnonzero(good)[:1])
         if found:
             return min(found)[1]

@@ -143,7 +143,12 @@ class Recording:
         from adapters.logs.log_telemetry import telemetry
 
         wanted = None if self._only is None else self._tables.topics(self._only) | frozenset(self._only)
-        return telemetry(self._read(wanted, count), self._tables, self._only)
+        return telemetry(self._read(wanted, count), self._tables, self._only, self._anew)
+
+    def _anew(self, only: Collection[str]) -> Iterator[Batch]:
+        for file in self._files:
+            with contextlib.suppress(TelemetryError):
+                yield from _open(self._kind, file, only, BATCH_MESSAGES)[0]
 
     def records(self, count: int = BATCH_MESSAGES) -> Iterator[Batch]:
         """Return the messages as they are in the files, without telemetry made of them."""

@@ -25,6 +25,7 @@ from adapters.logs.onboard_log import (
     OnboardLogStatistics,
     RecordKind,
     Records,
+    StartScan,
     Window,
     first_relation,
     record_text,
@@ -64,9 +65,10 @@ _LEVELS = range(ord("0"), ord("8"))
 _RESUMES = re.compile(rb"[DS]")
 _SEARCHED_AT_ONCE = 1 << 16
 """Bytes in which to look for the next record at a time. Chosen: as many as the largest record has."""
+_SCANNED_BYTES = 1 << 20
+"""Bytes of a log read at a time to find its clock. Measured: twenty thousand records have 1.2 MB."""
 _LARGEST_RECORD = 2 * _HEAD.size + _ID.size + (1 << 16)
-_STAMPS = (("timestamp", 1_000),)
-_RELATION = ("time_utc_usec", "timestamp", "fix_type", "timestamp_time_relative")
+_RELATION = ("time_utc_usec", "fix_type", "timestamp_time_relative")
 _FIX_3D = 3
 _YEAR_2001_US = 1_000_000_000_000_000
 """A receiver that does not know the time says 1970 or 1980."""
@@ -87,7 +89,8 @@ class UlogReader:
     Topics come under their names, ``sensor_baro/1`` being the second instance of one; information, parameters, text
     and dropouts under ``log/...``. Time of arrival is the record's own ``timestamp``, microseconds since boot, on the
     relation of boot to UTC in the first position fix in the log (:data:`GPS_TOPICS`); without any, boot is the start
-    of 1970. Records without a time have that of the one before. Iterate once; :meth:`statistics` tells what was found.
+    of 1970. Records without a time of the log's clock have that of the one before (:class:`LogClock`). Iterate once;
+    :meth:`statistics` tells what was found.
 
     Parameters
     ----------
@@ -99,6 +102,8 @@ class UlogReader:
         Where that relation is known already; None looks for it in the log.
     read_ahead_bytes : int
         Bytes of the log, decompressed, in a batch.
+    clock : LogClock | None
+        What gives the records their times; None finds it in the log.
     """
 
     def __init__(
@@ -107,11 +112,13 @@ class UlogReader:
         only: Collection[str] | None = None,
         utc_minus_boot_us: int | None = None,
         read_ahead_bytes: int = READ_AHEAD_BYTES,
+        clock: LogClock | None = None,
     ) -> None:
         self._path = Path(path)
         self._only = only
         self._offset_us = utc_minus_boot_us
         self._read_ahead_bytes = read_ahead_bytes
+        self._clock = clock
         self._formats: dict[str, tuple[UlogField, ...]] = {}
         self._kinds: dict[str, tuple[UlogType, RecordKind]] = {}
         self._topics: dict[int, _Topic] = {}
@@ -146,12 +153,10 @@ class UlogReader:
         TelemetryError
             The file cannot be opened, is no such log, or needs a newer reader.
         """
-        if self._offset_us is None:
-            self._offset_us = utc_minus_boot_us(self._path) or 0
         window = Window(self._path, self._read_ahead_bytes)
-        clock = LogClock(self._offset_us * 1_000, _STAMPS)
+        self._open(window)
+        clock = self._clock or _log_clock(self._path, self._offset_us)
         records = Records(ULOG, clock, self._only)
-        self._open(window, clock)
         while window.fill(_HEAD.size):
             if records.data is not window.data:
                 if records.start:
@@ -244,11 +249,10 @@ class UlogReader:
             records.add_decoded(*found)
         return True
 
-    def _open(self, window: Window, clock: LogClock) -> None:
+    def _open(self, window: Window) -> None:
         """Step over the head of the file."""
         if not window.fill(_FILE_HEAD.size) or not window.data.startswith(_MAGIC):
             raise TelemetryError(f"{self._path}: not a ULog file although its name says so; check where it came from")
-        clock.received_ns(clock.stamps_ns({"timestamp": [_FILE_HEAD.unpack_from(window.data)[2]]}, 1))
         window.at = _FILE_HEAD.size
 
     def _skip(self, window: Window, count: int) -> None:
@@ -378,16 +382,23 @@ def _sync(body: bytes) -> None:
         raise ValueError("no mark")
 
 
-def utc_minus_boot_us(path: str | os.PathLike[str]) -> int | None:
-    """Return UTC minus time since boot in microseconds, from the first position fix in a log; None without one."""
-    found_ns = first_relation(UlogReader(path, GPS_TOPICS, 0), _RELATION, _relation)
-    return None if found_ns is None else found_ns // 1_000
+def _log_clock(path: Path, utc_minus_boot_us: int | None) -> LogClock:
+    """Return the clock of a log; UTC minus time since boot from its first position fix where that is not known."""
+    scan = StartScan()
+    window = Window(path, _FILE_HEAD.size)
+    window.fill(_FILE_HEAD.size)
+    head_us = _FILE_HEAD.unpack_from(window.data)[2]
+    start = scan.found(UlogReader(path, read_ahead_bytes=_SCANNED_BYTES, clock=scan), min(head_us * 1_000, LATEST_NS))
+    if utc_minus_boot_us is not None:
+        return LogClock(utc_minus_boot_us * 1_000, start)
+    fixes = UlogReader(path, GPS_TOPICS, clock=LogClock(0, start))
+    return LogClock(first_relation(fixes, _RELATION, _relation) or 0, start)
 
 
 def _relation(
-    utc_us: NDArray[np.int64], boot_us: NDArray[np.int64], fix: NDArray[np.int64], relative_us: NDArray[np.int64]
+    boot_ns: NDArray[np.int64], utc_us: NDArray[np.int64], fix: NDArray[np.int64], relative_us: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    found_us = utc_us - boot_us - relative_us
+    found_us = utc_us - boot_ns // 1_000 - relative_us
     # beyond the latest time nanoseconds do not fit
-    good = (fix >= _FIX_3D) & (utc_us > _YEAR_2001_US) & (boot_us >= 0) & (found_us < LATEST_NS // 1_000)
+    good = (fix >= _FIX_3D) & (utc_us > _YEAR_2001_US) & (found_us < LATEST_NS // 1_000)
     return np.where(good, found_us, 0) * 1_000, good
