@@ -71,9 +71,9 @@ class Given(NamedTuple):
     ----------
     samples : Samples
         The n samples.
-    rows : NDArray[np.intp]
-        Row of the sample that completed each (n,).
+    rows : NDArray[np.intp] | slice
+        Row of the sample that completed each (n,); all of them where each is one of those.
     """
 
     samples: Samples
-    rows: NDArray[np.intp]
+    rows: NDArray[np.intp] | slice

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from adapters.sample import Samples
 from monitor.alarms.alarm import Alarm, retuned
 from monitor.alarms.excuse import Excuses
-from monitor.core.alarms import ChainRows, walk
-from monitor.core.observers import CommandScale
+from monitor.core.alarms import ChainRows, evidence_of, walk
+from monitor.core.observers import CommandScale, SinceMeasured
 from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimates, Layout
 from monitor.estimation.affine import AffineObserver
@@ -74,7 +74,7 @@ class CommandUnits:
 
         Commands ``u`` are (n, s); fault estimates, evidence and standard deviations (n, a) are in effect units.
         """
-        scaled, isolated, deviation, commands = self._scale.run(u, restart.view(np.uint8), fault, evidence, sd)
+        scaled, isolated, deviation, commands = self._scale.run(u, restart, fault, evidence, sd)
         return CommandRun(scaled, isolated, deviation, {index: commands[entry] for index, entry in self._channels})
 
 
@@ -180,15 +180,17 @@ class ObserverChain:
         thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
         self._estimator = make_estimator(observer, profile.isolation, names, thresholds)
         self._uncertainty = Uncertainty(observer, profile.model, names)
-        self._measured_ns = 0
+        self._since_measured = SinceMeasured()
         self._command = CommandUnits(profile)
         self._effectiveness = EffectivenessStage(profile.effectiveness, profile.faults, gains.inputs, gains.rate_hz)
         self._excuses = excuses or Excuses(())
         # Faults first, then the alarm of what no fault explains: the order in which a row is processed.
         rules = sorted(profile.alarms, key=lambda rule: rule.kind == "residual")
         self._alarms = tuple(Alarm(rule, vehicle) for rule in rules)
-        self._fault_of = np.array([names.index(rule.channel) for rule in rules if rule.kind != "residual"], np.intp)
-        for alarm in self._alarms[: len(self._fault_of)]:
+        self._states = tuple(alarm.state for alarm in self._alarms)
+        self._faults = [names.index(rule.channel) for rule in rules if rule.kind != "residual"]
+        self._fault_of = np.array(self._faults, np.intp)
+        for alarm in self._alarms[: len(self._faults)]:
             self._excuses.add(alarm.rule.channel, alarm.state)
 
     @property
@@ -250,8 +252,7 @@ class ObserverChain:
         if position is None:
             position = np.arange(len(samples))
         found = self._estimator.run(samples)
-        measured = samples.measured | samples.restart
-        sd = self._uncertainty.run(measured, samples.restart)
+        sd = self._uncertainty.run(samples.measured, samples.restart)
         effects = self._effectiveness.run(samples, found.fault, armed)
         shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, sd)
         for index, effect in effects.items():
@@ -265,19 +266,9 @@ class ObserverChain:
             residual=found.residual,
             armed=armed,
             sd=shown.sd,
-            coasted_s=self._coasted_s(samples.vehicle_time_ns, measured),
+            coasted_s=self._since_measured.run(samples.vehicle_time_ns, samples.measured, samples.restart),
         )
         return self._with_evidence(estimates, position, found, effects, shown.commands)
-
-    def _coasted_s(self, times_ns: NDArray[np.int64], measured: NDArray[np.bool_]) -> NDArray[np.float64]:
-        if measured.all():
-            if len(times_ns):
-                self._measured_ns = int(times_ns[-1])
-            return np.zeros(len(times_ns))
-        last = np.maximum.accumulate(np.where(measured, np.arange(len(times_ns)), -1))
-        since_ns = np.where(last >= 0, times_ns[last], self._measured_ns)
-        self._measured_ns = int(since_ns[-1])
-        return np.asarray((times_ns - since_ns) * 1e-9, np.float64)
 
     def _with_evidence(
         self,
@@ -287,24 +278,18 @@ class ObserverChain:
         effects: Mapping[int, EffectivenessRun],
         commands: Mapping[int, NDArray[np.float64]],
     ) -> ChainRun:
-        armed, faults = estimates.armed, len(self._fault_of)
-        evidence = np.empty((len(armed), len(self._alarms)))
-        speaking = np.empty(evidence.shape, np.bool_)
-        evidence[:, :faults] = estimates.isolated[:, self._fault_of]
-        evidence[:, faults:] = found.unexplained[:, None]
-        # Data that no hypothesis explains are evidence neither for a fault nor against it.
-        np.logical_and(armed[:, None], found.counted[:, self._fault_of], out=speaking[:, :faults])
-        speaking[:, faults:] = armed[:, None]
+        evidence, speaking = evidence_of(
+            estimates.isolated, found.unexplained, estimates.armed, found.counted, self._fault_of, len(self._alarms)
+        )
         scaled, relative = {}, {}
-        for alarm, fault in enumerate(self._fault_of.tolist()):
+        for alarm, fault in enumerate(self._faults):
             if (effect := effects.get(fault)) is not None:
                 speaking[:, alarm] &= ~np.isnan(effect.evidence)
                 relative[alarm] = effect.share
             elif fault in commands:
                 scaled[alarm] = commands[fault]
         samples = estimates.samples
-        states = [alarm.state for alarm in self._alarms]
-        rows = ChainRows(states, position, samples.vehicle_time_ns, samples.restart, evidence, speaking)
+        rows = ChainRows(self._states, position, samples.vehicle_time_ns, samples.restart, evidence, speaking)
         return ChainRun(estimates, rows, self._alarms, scaled, relative, found.smoothed, found.unexplained)
 
 

@@ -52,4 +52,12 @@ class ChainRows:
         speaking: NDArray[np.bool_],
     ) -> None: ...
 
+def evidence_of(
+    isolated: NDArray[np.float64],
+    unexplained: NDArray[np.float64],
+    armed: NDArray[np.bool_],
+    counted: NDArray[np.bool_],
+    fault_of: NDArray[np.intp],
+    alarms: int,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
 def walk(chains: Sequence[ChainRows], on_event: Callable[[int, int, int, int], None]) -> None: ...

@@ -263,8 +263,41 @@ cdef class ChainRows:
     def __init__(self, alarms, position, times_ns, restart, evidence, speaking):
         self.alarms = tuple(alarms)
         self.position, self.times_ns = position, times_ns
-        self.restart = np.ascontiguousarray(restart).view("u1")
-        self.evidence, self.speaking = evidence, speaking.view("u1")
+        self.restart, self.evidence, self.speaking = restart, evidence, speaking
+
+
+def evidence_of(const double[:, :] isolated, const double[:] unexplained, const uint8_t[:] armed,
+                const uint8_t[:, :] counted, const Py_ssize_t[:] fault_of, Py_ssize_t alarms):
+    """Return evidence and speaking of :class:`ChainRows`: the alarms of faults first, then those of the unexplained.
+
+    Data that no hypothesis explains (not ``counted``) are evidence neither for a fault nor against it.
+
+    Parameters
+    ----------
+    isolated, unexplained : float64 (n, a), (n,)
+        Sizes by fault, and the score of what no hypothesis explains.
+    armed, counted : bool (n,), (n, a)
+        Rows that are evidence, and faults that are.
+    fault_of : intp (m,)
+        The fault of each of the first m alarms.
+    alarms : int
+        Number of alarms A.
+    """
+    cdef Py_ssize_t k, i, count = isolated.shape[0], faults = fault_of.shape[0]
+    if not count == unexplained.shape[0] == armed.shape[0] == counted.shape[0] or isolated.shape[1] != counted.shape[1]:
+        raise ValueError("isolated, unexplained, armed and counted do not fit together")
+    results = np.empty((count, alarms)), np.empty((count, alarms), np.bool_)
+    cdef double[:, ::1] evidence = results[0]
+    cdef uint8_t[:, ::1] speaking = results[1]
+    for k in range(count):
+        for i in range(alarms):
+            if i < faults:
+                evidence[k, i] = isolated[k, fault_of[i]]
+                speaking[k, i] = armed[k] and counted[k, fault_of[i]]
+            else:
+                evidence[k, i] = unexplained[k]
+                speaking[k, i] = armed[k]
+    return results
 
 
 def walk(chains, on_event):

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.uint8]
+Flags = NDArray[np.bool_]
 
 class Choice:
     def __init__(

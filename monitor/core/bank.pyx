@@ -118,7 +118,7 @@ cdef class Choice:
         )
         cdef double[:, ::1] shown_x = results[0], shown_fault = results[1], shown_residual = results[2]
         cdef double[:, ::1] evidence = results[3], smoothed = results[5]
-        cdef unsigned char[:, ::1] counted = results[4].view(np.uint8)
+        cdef unsigned char[:, ::1] counted = results[4]
         cdef double[::1] unexplained = results[6]
         for k in range(count):
             if restart[k]:

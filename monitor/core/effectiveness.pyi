@@ -7,7 +7,7 @@ if TYPE_CHECKING:
     from monitor.estimation.effectiveness import EffectivenessRule
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.uint8]
+Flags = NDArray[np.bool_]
 
 class Follower:
     def __init__(self, rule: EffectivenessRule, rate_hz: float) -> None: ...

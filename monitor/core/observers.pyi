@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.uint8]
+Flags = NDArray[np.bool_]
 
 class AffineMap:
     def __init__(
@@ -16,12 +16,12 @@ class AffineMap:
         source: NDArray[np.intp],
         functions: Sequence[Callable[..., float]],
         spans: ArrayLike,
+        observers: int,
+        states: int,
         outputs: int,
         faults: int,
-        estimates: int,
-        first_fault: int,
     ) -> None: ...
-    def run(self, u: Array, y: Array, measured: Flags, restart: Flags) -> Array: ...
+    def run(self, u: Array, y: Array, measured: Flags, restart: Flags) -> tuple[Array, Array, Array]: ...
 
 class ErrorCovariance:
     def __init__(
@@ -35,6 +35,9 @@ class ErrorCovariance:
         tolerance: float,
     ) -> None: ...
     def run(self, measured: Flags, restart: Flags) -> Array: ...
+
+class SinceMeasured:
+    def run(self, times_ns: NDArray[np.int64], measured: Flags, restart: Flags) -> Array: ...
 
 class CommandScale:
     def __init__(self, curves: Array, inputs: NDArray[np.intp], channel: NDArray[np.intp], keep: float) -> None: ...

@@ -6,6 +6,7 @@ rows before it alone and never on how many of them came in the same call (BLAS c
 """
 
 from libc.math cimport fabs, sqrt
+from libc.stdint cimport int64_t
 
 import numpy as np
 
@@ -69,12 +70,8 @@ cdef class AffineMap:
         For each past input, sorted by delay: the entry of [v; past v] it takes over after a row, and its input.
     functions, spans : sequences
         The nonlinearities as Python functions, and where the arguments of each begin in nu (one more than functions).
-    faults, outputs : int
-        Number of all faults, and of one observer's outputs.
-    estimates : int
-        Length of [x^; f^; yt] of all observers.
-    first_fault : int
-        Where f^ begins in it.
+    observers, states, outputs, faults : int
+        Number of observers, of one observer's states and outputs, and of all faults.
     """
 
     cdef list steps, arguments
@@ -82,11 +79,11 @@ cdef class AffineMap:
     cdef double[:, ::1] curves
     cdef Py_ssize_t[::1] newer, source, spans
     cdef tuple functions
-    cdef Py_ssize_t cores, inputs, past, outputs, faults, estimates, first_fault
+    cdef Py_ssize_t cores, inputs, past, observers, states, outputs, faults
     cdef double[::1] z, w, out, nu
     cdef bint started, coasted
 
-    def __init__(self, maps, initial, curves, newer, source, functions, spans, outputs, faults, estimates, first_fault):
+    def __init__(self, maps, initial, curves, newer, source, functions, spans, observers, states, outputs, faults):
         cdef Py_ssize_t width
         self.steps = [SparseMatrix(step) for step, _ in maps]
         self.arguments = [SparseMatrix(arguments) for _, arguments in maps]
@@ -95,28 +92,33 @@ cdef class AffineMap:
         self.newer, self.source = newer.astype(np.intp), source.astype(np.intp)
         self.functions, self.spans = tuple(functions), np.asarray(spans, np.intp)
         self.cores, self.inputs, self.past, self.outputs = len(initial), len(curves), len(newer), outputs
-        self.faults, self.estimates, self.first_fault = faults, estimates, first_fault
+        self.observers, self.states, self.faults = observers, states, faults
         width = self.cores + self.inputs + self.past + self.outputs + 1
         self.z = np.zeros(width + len(self.functions) + faults)
         self.w = self.z[self.cores : width]
         self.w[self.w.shape[0] - 1] = 1.0
-        self.out = np.zeros(self.cores + estimates)
+        self.out = np.zeros(self.cores + observers * (states + outputs) + faults)
         self.nu = np.zeros(self.spans[len(self.functions)] + 1)
         self.started = self.coasted = False
 
     def run(self, const double[:, :] u, const double[:, :] y, const unsigned char[:] measured,
             const unsigned char[:] restart):
-        """Return [x^; f^; yt] of all observers after each of n rows (n, estimates).
+        """Return x^ (n, K, states), f^ (n, faults) and yt (n, K, p) after each of n rows.
 
         u (n, s) and y (n, p) in the order of the gains; the first row ever restarts.
         """
-        cdef Py_ssize_t k, i, count = u.shape[0]
+        cdef Py_ssize_t k, i, j, at, count = u.shape[0]
         if u.shape[1] != self.inputs or y.shape[1] != self.outputs:
             raise ValueError(f"{u.shape[1]} inputs and {y.shape[1]} outputs, not {self.inputs} and {self.outputs}")
         if not count == y.shape[0] == measured.shape[0] == restart.shape[0]:
             raise ValueError("u, y, measured and restart differ in length")
-        result = np.empty((count, self.estimates))
-        cdef double[:, ::1] given = result
+        results = (
+            np.empty((count, self.observers, self.states)),
+            np.empty((count, self.faults)),
+            np.empty((count, self.observers, self.outputs)),
+        )
+        cdef double[:, :, ::1] x = results[0], residual = results[2]
+        cdef double[:, ::1] fault = results[1]
         for k in range(count):
             for i in range(self.inputs):
                 self.w[i] = effect(self.curves, i, u[k, i])
@@ -131,9 +133,19 @@ cdef class AffineMap:
                 self.set_outputs(y, k)
                 self.step(RESUMED if self.coasted else MEASURED)
                 self.coasted = False
-            for i in range(self.estimates):
-                given[k, i] = self.out[self.cores + i]
-        return result
+            at = self.cores
+            for i in range(self.observers):
+                for j in range(self.states):
+                    x[k, i, j] = self.out[at]
+                    at += 1
+            for i in range(self.faults):
+                fault[k, i] = self.out[at]
+                at += 1
+            for i in range(self.observers):
+                for j in range(self.outputs):
+                    residual[k, i, j] = self.out[at]
+                    at += 1
+        return results
 
     cdef void set_outputs(self, const double[:, :] y, Py_ssize_t k) noexcept:
         cdef Py_ssize_t i
@@ -154,7 +166,7 @@ cdef class AffineMap:
 
     cdef int step(self, int kind) except -1:
         cdef Py_ssize_t i
-        cdef Py_ssize_t before = self.z.shape[0] - self.faults, estimated = self.cores + self.first_fault
+        cdef Py_ssize_t before = self.z.shape[0] - self.faults, estimated = self.cores + self.observers * self.states
         if self.functions:
             self.evaluate(kind)
         (<SparseMatrix> self.steps[kind]).multiply(self.z, self.out)
@@ -270,6 +282,25 @@ cdef void multiply_rows(const double[:, ::1] A, const double[:, ::1] B, double[:
             if factor != 0.0:
                 for j in range(size):
                     out[i, j] += factor * B[m, j]
+
+
+cdef class SinceMeasured:
+    """How long ago the outputs were measured last."""
+
+    cdef int64_t measured_ns
+
+    def run(self, const int64_t[:] times_ns, const unsigned char[:] measured, const unsigned char[:] restart):
+        """Return the seconds since then at each of n rows (n,); a restart is measured."""
+        cdef Py_ssize_t k
+        if not times_ns.shape[0] == measured.shape[0] == restart.shape[0]:
+            raise ValueError("times, measured and restart differ in length")
+        result = np.empty(times_ns.shape[0])
+        cdef double[::1] since_s = result
+        for k in range(times_ns.shape[0]):
+            if measured[k] or restart[k]:
+                self.measured_ns = times_ns[k]
+            since_s[k] = <double>(times_ns[k] - self.measured_ns) * 1e-9
+        return result
 
 
 cdef class CommandScale:

@@ -1086,16 +1086,18 @@ cdef class Settling:
         self._settle_ns = settle_s * 1e9
 
     def run(self, samples, bint allowed, least_command):
-        """Return which samples count (n,), ``allowed`` and the mean input being at least ``least_command``, if any."""
+        """Return which samples count (n,): complete, ``allowed``, the mean input at least ``least_command``, if any."""
         cdef const nanoseconds[:] times = samples.vehicle_time_ns
-        cdef const unsigned char[:] restart = samples.restart.view(np.uint8)
-        cdef const double[:, :] u = samples.u
+        cdef const unsigned char[:] restart = samples.restart, complete = samples.complete
+        cdef const double[:, :] u
         cdef bint by_command = least_command is not None
         cdef double least = least_command if by_command else 0.0, total
         cdef Py_ssize_t row, i
         cdef bint holds
         admitted = np.empty(times.shape[0], np.bool_)
-        cdef unsigned char[::1] flags = admitted.view(np.uint8)
+        cdef unsigned char[::1] flags = admitted
+        if by_command:
+            u = samples.u
         for row in range(times.shape[0]):
             holds = allowed
             if holds and by_command:
@@ -1106,7 +1108,7 @@ cdef class Settling:
             if holds and (restart[row] or not self._holds):
                 self._since = times[row]
             self._holds = holds
-            flags[row] = holds and times[row] - self._since >= self._settle_ns
+            flags[row] = holds and complete[row] and times[row] - self._since >= self._settle_ns
         return admitted
 
 

@@ -173,8 +173,6 @@ class AffineObserver:
         self.hypotheses = tuple(
             FaultSet(single.faults, tuple(source is not None for source in single.fault_inputs)) for single in gains
         )
-        K, n, p, F = len(gains), len(first.states), len(first.outputs), sum(layout.faults)
-        self._shape = K, n, p
         nonlinearities = [g for single in gains for g in single.nonlinearities]
         s = len(first.inputs)
         entry = {(0, j): j for j in range(s)} | {held: s + i for i, held in enumerate(layout.held)}
@@ -186,10 +184,10 @@ class AffineObserver:
             source=np.array([j for _, j in layout.held], np.intp),
             functions=[compile_expression(g.expression, g.arguments) for g in nonlinearities],
             spans=np.cumsum([0, *(len(g.arguments) for g in nonlinearities)]),
-            outputs=p,
-            faults=F,
-            estimates=K * (n + p) + F,
-            first_fault=K * n,
+            observers=len(gains),
+            states=len(first.states),
+            outputs=len(first.outputs),
+            faults=sum(layout.faults),
         )
 
     def run(
@@ -200,17 +198,11 @@ class AffineObserver:
         restart: NDArray[np.bool_] | None = None,
     ) -> ObserverRun:
         """Process N rows; see :meth:`monitor.estimation.observer.Observer.run`."""
-        K, n, p = self._shape
-        count = len(u)
-        of_measured = np.ones(count, np.uint8) if measured is None else measured.view(np.uint8)
-        of_restart = np.zeros(count, np.uint8) if restart is None else restart.view(np.uint8)
-        estimates = self._map.run(u, y, of_measured, of_restart)
-        end = estimates.shape[1] - K * p
-        return ObserverRun(
-            estimates[:, : K * n].reshape(count, K, n),
-            estimates[:, K * n : end],
-            estimates[:, end:].reshape(count, K, p),
-        )
+        if measured is None:
+            measured = np.ones(len(u), np.bool_)
+        if restart is None:
+            restart = np.zeros(len(u), np.bool_)
+        return ObserverRun(*self._map.run(u, y, measured, restart))
 
     def error_systems(self, plant: Plant) -> tuple[ErrorSystem, ...] | None:
         """Return the error system of each hypothesis, None where the gains are not those of a discrete design."""

@@ -190,9 +190,9 @@ class Bank:
                 run.x,
                 run.fault,
                 run.residual,
-                measured.view(np.uint8),
-                samples.complete.view(np.uint8),
-                restart.view(np.uint8),
+                measured,
+                samples.complete,
+                restart,
             )
         )
 

@@ -215,5 +215,5 @@ class EffectivenessEstimator:
             f^ of the observer, not smoothed further, u in the same units, and m, the effect of a constant full
             deflection (n,).
         """
-        flags = restart.view(np.uint8), armed.view(np.uint8)
+        flags = restart, armed
         return EffectivenessRun(*self._follower.run(times_ns, *flags, fault, command, full))

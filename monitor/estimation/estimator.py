@@ -68,7 +68,7 @@ class JointEstimator:
         """Process N samples; return the estimates and the evidence after each."""
         restart, measured = samples.restart, samples.measured
         run = self._observer.run(samples.u, samples.y, measured, restart)
-        evidence = self._isolation.run(run.fault, measured.view(np.uint8), restart.view(np.uint8))
+        evidence = self._isolation.run(run.fault, measured, restart)
         return EstimatorRun(
             x=run.x[:, 0],
             fault=run.fault,

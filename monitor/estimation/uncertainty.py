@@ -80,7 +80,7 @@ class Uncertainty:
         """
         if self._covariance is None:
             return np.full((len(measured), self._channels), np.nan)
-        return self._covariance.run(measured.view(np.uint8), restart.view(np.uint8))
+        return self._covariance.run(measured, restart)
 
 
 def _padded(matrix: NDArray[np.float64], size: int) -> NDArray[np.float64]:

@@ -64,7 +64,7 @@ class FlightGate:
         self._settling = Settling(rule.settle_s)
 
     def admitted(self, phase: FlightPhase, samples: Samples, commands: bool = True) -> NDArray[np.bool_]:
-        """Return which samples count as evidence (n,), the flight phase being the same for all of them.
+        """Return which samples count as evidence (n,): complete ones, the flight phase being the same for all of them.
 
         Without ``commands`` the inputs are no commands, so their mean does not tell that the vehicle flies.
         """
@@ -126,12 +126,12 @@ class GatedSampler:
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that those of :attr:`sampler` give, and the rows that completed them."""
         if isinstance(self._sampler, Sampler):
-            return Given(samples, np.arange(len(samples)))
+            return Given(samples, slice(None))
         return self._sampler.run(samples)
 
     def admitted(self, samples: Samples, phase: FlightPhase) -> NDArray[np.bool_]:
         """Return which samples are evidence (n,), the phase having been entered."""
-        return np.asarray(self._gate.admitted(phase, samples, self._commands) & samples.complete)
+        return self._gate.admitted(phase, samples, self._commands)
 
     def sample(self, batch: Batch, phase: FlightPhase) -> GatedSamples:
         """Return the samples that a batch completes and which are evidence, the phase being the same for all of it."""
