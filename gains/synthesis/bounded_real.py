@@ -1,6 +1,6 @@
-"""The bounded-real inequality of the discrete synthesis in the solver's coordinates, and its solution.
+"""The bounded-real inequality of the convex syntheses in the solver's coordinates, and its solution.
 
-For the error system of :mod:`gains.analysis.augment`, a full P and R = P [Kb; L_i] make the inequality
+For the discrete error system of :mod:`gains.analysis.augment`, a full P and R = P [Kb; L_i] make the inequality
 
     [ P   P (A_a + vertex) - R Ca   P B - R D   0      ]
     [ *   P - C_x^T C_x             0           C_f^T  ]  >= 0
@@ -18,6 +18,16 @@ multipliers of their own, [P, P A; *, r^2 P] >= 0 keeps the poles within r.
 
 P bounds the observability Gramian of the error too, so that W >= (P B - R D)^T P^-1 (P B - R D) + D_f^T D_f makes
 trace(W) a bound of the squared H2 norm, in the same unknowns: it can take a share of the objective.
+
+In continuous time (x' for x+) a full P > 0 and the same R make it
+
+    [ T + T^T + C_x^T C_x   P B - R D   C_f^T ]
+    [ *                     -mu I       D_f^T ]  <= 0,     T = P (A_a + vertex) - R Ca
+    [ *                     *           -I    ]
+
+P > 0 has to be asked for: without it the inequality is that of another problem, of an error system that need not be
+stable. A range of decay rates [low, high] is asked for with the same P: T + T^T + 2 low P <= 0 and T + T^T + 2 high P
+>= 0.
 """
 
 from __future__ import annotations
@@ -31,7 +41,7 @@ from adapters.errors import InfeasibleError
 from gains.analysis.augment import ErrorModel
 from gains.plants.plant import FloatArray
 from gains.synthesis.conditioning import Coordinates, with_floor
-from gains.synthesis.solver import ROBUST, bordered, solve_program
+from gains.synthesis.solver import DEFAULT, ROBUST, bordered, solve_program
 
 _LEAST_MU_WEIGHT = 1e-4
 """Keeps mu bounded where h2 = 1 asks for the other norm alone. Smaller, it leaves mu loose (measured on the arm,
@@ -74,6 +84,8 @@ class Inequality:
         The slopes' Gs (na, k) and Hs (k, na), each column and its row of one length; k = 0 without multipliers.
     balance : FloatArray
         What brought them there: lambda of these is ``balance`` times that of the model's (k,).
+    omega : float
+        Unit of the rates of a continuous error system, 1/s; one in discrete time.
     """
 
     name: str
@@ -97,6 +109,7 @@ class Inequality:
     G: FloatArray
     H: FloatArray
     balance: FloatArray
+    omega: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,22 +128,24 @@ def inequality(
     model: ErrorModel,
     coordinates: Coordinates,
     *,
-    multipliers: bool,
-    pole_radius: float,
     gain_weight: float,
-    h2: float,
-    P: FloatArray | None,
+    multipliers: bool = False,
+    pole_radius: float = 1.0,
+    h2: float = 0.0,
+    P: FloatArray | None = None,
     gain_bound: float = np.inf,
     looseness: float = 1.0,
+    omega: float | None = None,
 ) -> Inequality:
-    """Return the model in the solver's coordinates, with the floor of noise and as few columns as matter.
+    """Return the model in the solver's coordinates, with as few columns as matter; discrete, with the floor of noise.
 
-    The options are those of :class:`Inequality`; the model is one at every vertex unless there are multipliers.
+    The options are those of :class:`Inequality`; the model is one at every vertex unless there are multipliers, and one
+    in continuous time where there is ``omega``.
     """
     S, Y = coordinates.S, coordinates.Y
     na, nz = len(S), len(model.weights) - model.a1
-    floored = with_floor(model, S, Y)
-    into = np.vstack([np.linalg.solve(S, floored.B), np.linalg.solve(Y, floored.D)])
+    driven, pace = (with_floor(model, S, Y), 1.0) if omega is None else (model, omega)
+    into = np.vstack([np.linalg.solve(S, driven.B) / pace, np.linalg.solve(Y, driven.D)])
     left, singular, _ = np.linalg.svd(into, full_matrices=False)
     columns = left * singular
     errors = (model.weights[:, None] * S[: len(model.weights)]) / np.sqrt(coordinates.mu)
@@ -152,7 +167,7 @@ def inequality(
         coordinates=coordinates,
         direct=np.sqrt(coordinates.mu) / model.weights[nz:],
         L1_E_f=model.mean[:nz, nz : nz + model.a1],
-        A=np.asarray(np.linalg.solve(S, dynamics @ S), dtype=np.float64),
+        A=np.asarray(np.linalg.solve(S, dynamics @ S), dtype=np.float64) / pace,
         B=columns[:na],
         C=np.asarray(np.linalg.solve(Y, model.C @ S), dtype=np.float64),
         D=columns[na:],
@@ -161,6 +176,7 @@ def inequality(
         G=G * np.sqrt(balance),
         H=H / np.sqrt(balance)[:, None],
         balance=balance,
+        omega=pace,
     )
 
 
@@ -229,7 +245,41 @@ def solve_bounded_real(problem: Inequality, fixed: tuple[float, float] | None = 
     seconds = solve_program(program, ROBUST)
     if program.status == cp.INFEASIBLE:
         raise InfeasibleError(_reason(problem))
-    return _solution(x, float(noise_energy.value or 0.0) if share > 0.0 else 0.0), seconds
+    solution = _solution(x, float(noise_energy.value or 0.0) if share > 0.0 else 0.0)
+    return None if solution is None or not solution.mu > 0.0 else solution, seconds
+
+
+def solve_continuous(problem: Inequality, low: float, high: float) -> tuple[Solution | None, float]:
+    """Minimise mu and the gains of a continuous error system whose decay rates, rad/s, lie within a range.
+
+    Returns as :func:`solve_bounded_real`; P lies on the boundary of the inequality and proves nothing beyond rounding.
+
+    Raises
+    ------
+    InfeasibleError
+        The inequality has no solution.
+    """
+    import cvxpy as cp
+
+    x = _unknowns(problem)
+    gain_energy, holds = _gain_energy(x)
+    # ahead of the others it lets the solver prove that rates are out of reach; behind them the solver stops short
+    constraints = [holds]
+    for A in problem.A:
+        PA = x.P @ A - x.R @ problem.C
+        inside = -(PA + PA.T)
+        rows = [[inside - problem.C_x.T @ problem.C_x, -x.PB], [-x.PB.T, x.mu * np.eye(problem.B.shape[1])]]
+        constraints.append(bordered(rows, [] if x.L_p is None else [x.C_f, x.D_f]) >> 0)
+        if low > 0.0:
+            constraints.append(inside - 2.0 * low / problem.omega * x.P >> 0)
+        if high < np.inf:
+            constraints.append(2.0 * high / problem.omega * x.P - inside >> 0)
+    program = cp.Problem(cp.Minimize(x.mu + problem.gain_weight * gain_energy), constraints)
+    seconds = solve_program(program, DEFAULT, ROBUST)
+    if program.status == cp.INFEASIBLE:
+        asked = "" if (low, high) == (0.0, np.inf) else f" at rates from {low:g} to {high:g} rad/s"
+        raise InfeasibleError(_reason(problem, asked))
+    return _solution(x, 0.0), seconds
 
 
 def _unknowns(problem: Inequality) -> _Unknowns:
@@ -299,8 +349,8 @@ def _gain_energy(x: _Unknowns) -> tuple[Any, Any]:
 
 
 def _solution(x: _Unknowns, noise_energy: float) -> Solution | None:
-    """Return the values of the unknowns, None where the solver left none that could be a proof."""
-    if x.R.value is None or np.linalg.eigvalsh(x.P.value)[0] <= 0.0 or not x.mu.value > 0.0:
+    """Return the values of the unknowns, None where the solver left none with P > 0."""
+    if x.R.value is None or np.linalg.eigvalsh(x.P.value)[0] <= 0.0:
         return None
     none = np.zeros(0 if x.bound is None else x.bound.size)
     return Solution(
@@ -316,7 +366,7 @@ def _solution(x: _Unknowns, noise_energy: float) -> Solution | None:
 def user_gains(problem: Inequality, injection: Any, L_p: Any) -> tuple[Any, Any, Any]:
     """Return K, L_i and L_p in the user's units for P^-1 R and L_p in the solver's: numbers, or expressions of them."""
     S, inverse = problem.coordinates.S, np.linalg.inv(problem.coordinates.Y)
-    gains = S @ injection @ inverse
+    gains = problem.omega * S @ injection @ inverse
     direct = np.diag(problem.direct) @ L_p @ inverse
     nz = len(problem.L1_E_f)
     return gains[:nz] - problem.L1_E_f @ direct, gains[nz:], direct
@@ -345,8 +395,8 @@ def _bounded(problem: Inequality, P: Any, R: Any, L_p: Any) -> list[Any]:
     return constraints
 
 
-def _reason(problem: Inequality) -> str:
-    asked = "" if problem.pole_radius == 1.0 else f" with all poles within {problem.pole_radius:g}"
+def _reason(problem: Inequality, asked: str = "") -> str:
+    asked += "" if problem.pole_radius == 1.0 else f" with all poles within {problem.pole_radius:g}"
     if problem.P is not None:
         return (
             f"{problem.name}: no gains prove themselves{asked} with the Lyapunov matrix that was given: design "

@@ -1,19 +1,9 @@
 """Convex continuous-time synthesis: all gains at once from one linear matrix inequality per slope vertex.
 
-For the error system of :mod:`gains.analysis.augment` (x' for x+), a full P > 0 and R = P [Kb; L_i] make the
-bounded-real inequality
-
-    [ S + S^T + C_x^T C_x   P B - R D   C_f^T ]
-    [ *                     -mu I       D_f^T ]  <= 0,     S = P (A_a + vertex) - R Ca
-    [ *                     *           -I    ]
-
-jointly linear in (P, R, L_p, mu), with C_f = W_f ([0 I] - L_p Ca) and D_f = -W_f L_p D (docs/theory.md, "The convex
-synthesis"; the rows C_x = W_x [I 0] of e hold no unknown). P > 0 has to be asked for: without it the inequality is
-that of another problem, of an error system that need not be stable.
-
-The least mu is approached by gains that grow without bound (poles near -1e5 rad/s on the arm), and where no noise is
-modelled it is zero. So the objective is mu + rho trace(Z), Z >= [Kb; L_i]^T P [Kb; L_i] + L_p^T W_f^2 L_p. A range of
-decay rates [low, high] is asked for with the same P: S + S^T + 2 low P <= 0 and S + S^T + 2 high P >= 0.
+The inequality, jointly linear in all unknowns, is that of :mod:`gains.synthesis.bounded_real` (docs/theory.md, "The
+convex synthesis"). Its least mu is approached by gains that grow without bound (poles near -1e5 rad/s on the arm), and
+where no noise is modelled it is zero. So the objective is mu + rho trace(Z), as in discrete time
+(:mod:`gains.synthesis.convex`).
 
 It is solved in the coordinates of a continuous Kalman filter's errors and in its time scale, as in discrete time
 (:mod:`gains.synthesis.conditioning`). For the gains that result, one more inequality, in P alone and well inside, gives
@@ -25,7 +15,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,6 +24,7 @@ from gains.analysis.augment import ErrorModel, augment, error_model
 from gains.analysis.existence import check_existence
 from gains.analysis.hinf import hinf_norm
 from gains.plants.plant import FloatArray, Plant
+from gains.synthesis.bounded_real import inequality, solve_continuous, user_gains
 from gains.synthesis.certificate import ClosedErrorSystem, certify, closed_error_system
 from gains.synthesis.conditioning import FLOOR, Coordinates, doubled
 from gains.synthesis.continuous_observer import check_continuous
@@ -52,20 +43,6 @@ _SWEEPS = 8
 """The floor of noise, and the time scale that it needs, depend on the filter that they set; it settles within a few."""
 _SMALLEST_SHARE = 1e-3
 """Of the errors that matter: a state that is known better has no scale of its own."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Scaled:
-    """The error model in the solver's coordinates: S and Y as in ``conditioning``, time in 1 / omega."""
-
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
-    C_x: FloatArray
-    C_f0: FloatArray
-    coordinates: Coordinates
-    omega: float
 
 
 def design_continuous(
@@ -106,16 +83,16 @@ def design_continuous(
     augmentation = augment(plant)
     model = error_model(plant, augmentation)
     notes = check_existence(plant)
-    scaled = _scaled(model, low)
-    # The gains first: P of that inequality lies on its boundary and proves nothing beyond rounding.
-    injection, L_p, solve_s = _gains(model, scaled, decay, gain_weight)
-    nz = len(augmentation.L1)
-    # K = Kb - L1 E_f L_p
-    K = injection[:nz] - augmentation.L1 @ plant.E_f @ L_p
-    gains = observer_matrices(augmentation, K, injection[nz:], L_p)
+    coordinates, omega = _coordinates(model, low)
+    problem = inequality(model, coordinates, gain_weight=gain_weight, omega=omega)
+    solution, solve_s = solve_continuous(problem, low, high)
+    if solution is None:
+        raise InaccurateError(f"{plant.name}: the solver found neither gains nor a proof that there are none")
+    K, L_i, L_p = user_gains(problem, np.linalg.solve(solution.P, solution.R), solution.L_p)
+    gains = observer_matrices(augmentation, K, L_i, L_p)
     system = closed_error_system(model, gains)
     # Then a P that proves these gains, as little above their least mu as passes the certificate
-    for P, mu, seconds in proofs(system, scaled.coordinates.S):
+    for P, mu, seconds in proofs(system, coordinates.S):
         solve_s += seconds
         design = Design("convex", None, gains, P, mu, solve_s=solve_s, notes=notes)
         certificate = certify(plant, design)
@@ -128,8 +105,8 @@ def design_continuous(
     )
 
 
-def _scaled(model: ErrorModel, low: float) -> _Scaled:
-    """Return the model in the coordinates of a Kalman filter of at least the given decay rate.
+def _coordinates(model: ErrorModel, low: float) -> tuple[Coordinates, float]:
+    """Return the coordinates of a Kalman filter of at least the given decay rate, and the rate of its errors, omega.
 
     States and outputs get a floor of fictitious noise, ``FLOOR`` of their own stationary error within the
     filter's time constant 1 / omega, because a direction without any noise would have no scale.
@@ -163,22 +140,7 @@ def _scaled(model: ErrorModel, low: float) -> _Scaled:
         np.zeros_like(model.B),
         discrete=False,
     )
-    coordinates = Coordinates(S_factor, Y_factor, norm.lower**2)
-    na = len(A)
-    into = np.vstack([np.linalg.solve(S_factor, model.B) / omega, np.linalg.solve(Y_factor, model.D)])
-    left, singular, _ = np.linalg.svd(into, full_matrices=False)
-    columns = left * singular
-    errors = (model.weights[:, None] * S_factor) / np.sqrt(coordinates.mu)
-    return _Scaled(
-        A=np.asarray(np.linalg.solve(S_factor, model.A @ S_factor), dtype=np.float64) / omega,
-        B=columns[:na],
-        C=np.asarray(np.linalg.solve(Y_factor, model.C @ S_factor), dtype=np.float64),
-        D=columns[na:],
-        C_x=errors[: na - model.a1],
-        C_f0=errors[na - model.a1 :],
-        coordinates=coordinates,
-        omega=omega,
-    )
+    return Coordinates(S_factor, Y_factor, norm.lower**2), omega
 
 
 def _riccati(A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: FloatArray, omega: float) -> FloatArray:
@@ -196,47 +158,6 @@ def _riccati(A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: Floa
     W = np.linalg.inv(shifted.T + H @ G_shifted)
     H_shifted = np.linalg.solve(shifted.T, H.T).T
     return doubled(np.eye(len(A)) + 2.0 * point * W.T, 2.0 * point * G_shifted @ W, 2.0 * point * W @ H_shifted)
-
-
-def _gains(
-    model: ErrorModel, scaled: _Scaled, decay: tuple[float, float], gain_weight: float
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return [Kb; L_i], L_p in the user's units and the seconds in the solver."""
-    import cvxpy as cp
-
-    (na, nw), p, a1 = scaled.B.shape, len(scaled.C), model.a1
-    P, R = cp.Variable((na, na), symmetric=True), cp.Variable((na, p))
-    L_p = cp.Variable((a1, p)) if a1 else None
-    mu, Z = cp.Variable(), cp.Variable((p, p), symmetric=True)
-    border = [] if L_p is None else [scaled.C_f0 - L_p @ scaled.C, -L_p @ scaled.D]
-    PB = P @ scaled.B - R @ scaled.D
-    low, high = decay[0] / scaled.omega, decay[1] / scaled.omega
-    constraints = [bordered([[Z, R.T], [R, P]], [] if L_p is None else [L_p, np.zeros((a1, na))]) >> 0]
-    for A in scaled.A:
-        PA = P @ A - R @ scaled.C
-        inside = -(PA + PA.T)
-        rows = [[inside - scaled.C_x.T @ scaled.C_x, -PB], [-PB.T, mu * np.eye(nw)]]
-        constraints.append(bordered(rows, border) >> 0)
-        if low > 0.0:
-            constraints.append(inside - 2.0 * low * P >> 0)
-        if high < math.inf:
-            constraints.append(2.0 * high * P - inside >> 0)
-    program = cp.Problem(cp.Minimize(mu + gain_weight * cp.trace(Z)), constraints)
-    seconds = solve_program(program, DEFAULT, ROBUST)
-    if program.status == cp.INFEASIBLE:
-        asked = "" if decay == (0.0, math.inf) else f" at rates from {decay[0]:g} to {decay[1]:g} rad/s"
-        raise InfeasibleError(
-            f"{model.name}: no gains make the error decay for every slope{asked}: narrow the slopes (give the "
-            "nonlinearities a range) or ask for less"
-        )
-    if P.value is None or np.linalg.eigvalsh(P.value)[0] <= 0.0:
-        raise InaccurateError(f"{model.name}: the solver found neither gains nor a proof that there are none")
-    S, Y = scaled.coordinates.S, scaled.coordinates.Y
-    injection = scaled.omega * S @ np.linalg.solve(P.value, R.value) @ np.linalg.inv(Y)
-    if L_p is None:
-        return injection, np.zeros((0, p)), seconds
-    weights = model.weights[na - a1 :, None]
-    return injection, np.sqrt(scaled.coordinates.mu) * L_p.value @ np.linalg.inv(Y) / weights, seconds
 
 
 def proofs(system: ClosedErrorSystem, S: FloatArray) -> Iterator[tuple[FloatArray, float, float]]:
