@@ -177,7 +177,7 @@ def flight(entry: Mapping[str, Any], name: str, log: Path) -> Flight:
         Announcement(text["time_boot_ms"], text["text"])
         for text in entry.get("statustext") or []
         if text.get("time_boot_ms") is not None
-        and text["severity"] <= LOUD
+        and text.get("severity", LOUD) <= LOUD
         and (takeoff or 0) <= text["time_boot_ms"] <= (touchdown or text["time_boot_ms"])
         and "cleared" not in text["text"].lower()
     ]
