@@ -266,8 +266,8 @@ INTRODUCTION = """# Detection at the rates of real logs and links
 
 makes this page. The same flights of two autopilots' simulators, as their own logs hold them by default, as a link
 brings them to a companion computer, and as telemetry radios do. Profiles are fitted on the healthy flights of a vehicle
-and a kind of recording; in a second round each healthy flight is left out and watched with a profile of the others; and one
-flight that only hovers is fitted alone. Flights count up to touchdown.
+and a kind of recording; in a second round each healthy flight is left out and watched with a profile of the others; and
+one flight that only hovers is fitted alone. Flights count up to touchdown.
 
 ## What is wrong
 

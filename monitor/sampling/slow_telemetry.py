@@ -38,9 +38,9 @@ def slow_text(slow: Mapping[str, float], wanted_hz: float) -> str:
     """Return a line about messages that come slowly: how often, what more would show, how to get it."""
     rates = ", ".join(f"{name} {rate:.3g} Hz" for name, rate in slow.items())
     return (
-        f"slow telemetry: {rates}; {wanted_hz:g} Hz or more show faults sooner and smaller ones (a motor: 2 % within 0.3 s at "
-        "100 Hz, 5 % within 1 s at 10 Hz, 5 to 10 % within 5 to 10 s over a radio). Raise the rates in the autopilot (ArduPilot SRx_*, PX4 mavlink stream) or with [send] rates of fauio.toml, "
-        "record again and fit again"
+        f"slow telemetry: {rates}; {wanted_hz:g} Hz or more show faults sooner and smaller ones (a motor: 2 % within "
+        "0.3 s at 100 Hz, 5 % within 1 s at 10 Hz, 5 to 10 % within 5 to 10 s over a radio). Raise the rates in the autopilot "
+        "(ArduPilot SRx_*, PX4 mavlink stream) or with [send] rates of fauio.toml, record again and fit again"
     )
 
 

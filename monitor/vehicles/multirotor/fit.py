@@ -43,6 +43,7 @@ from monitor.vehicles.multirotor.trim import (
     identify_trim,
     slow_times,
     smallest_loss,
+    usable_segments,
 )
 from monitor.vehicles.multirotor.validation import (
     Drift,
@@ -228,8 +229,9 @@ def _slow(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], output
     source = SampleSource(tuple(replace(channel, interpolation="mean") for channel in inputs), rates)
     rate_hz = min(float(f"{commands_hz / COMMANDS_PER_TICK:.3g}"), common_rate_hz(request.surveys, rates))
     flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]
+    segments = usable_segments([segment for flight in flights for segment in flight.segments()], rate_hz)
     frame, origin = _frame(request, gate, inputs, rates)
-    model = identify_trim([segment for flight in flights for segment in flight.segments()], rate_hz, frame)
+    model = identify_trim(segments, rate_hz, frame)
     if len(model.a) < len(rates):
         source = replace(source, outputs=rates[: len(model.a)])
         flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]

@@ -22,6 +22,9 @@ _MOTOR_FUNCTIONS = {**{33 + i: i for i in range(8)}, **{82 + i: 8 + i for i in r
 _PX4_FUNCTIONS = {101 + i: i for i in range(_PX4_ROTORS)}
 """PX4's PWM_MAIN_FUNCn (and those of other drivers) of motors 1 to 12, and their index from 0."""
 
+_PX4_QUAD_X = 4
+"""Thousands of PX4's SYS_AUTOSTART of quads in x, which before its version 1.13 was all that logs said of the frame."""
+
 CCW, CW = 1.0, -1.0
 """Yaw by the drag of a motor that turns counter-clockwise or clockwise, seen from above."""
 
@@ -82,7 +85,10 @@ def frame_of(parameters: Mapping[str, float], outputs: Sequence[int]) -> Frame |
     """
     if parameters.get("CA_ROTOR_COUNT", 0) >= len(outputs):
         return _of_px4(parameters, outputs)
-    standard = _STANDARD.get((int(parameters.get("FRAME_CLASS", 0)), int(parameters.get("FRAME_TYPE", 0))))
+    key = (int(parameters.get("FRAME_CLASS", 0)), int(parameters.get("FRAME_TYPE", 0)))
+    if parameters.get("SYS_AUTOSTART", 0) // 1000 == _PX4_QUAD_X:
+        key = (1, 1)
+    standard = _STANDARD.get(key)
     if standard is None:
         return None
     name, motors = standard

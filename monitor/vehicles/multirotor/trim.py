@@ -81,8 +81,8 @@ def slow_times(rate_hz: float) -> Times:
     """Return how long evidence has to last on a slow grid.
 
     Measured on eleven healthy flights at 10 Hz and four over a radio at 2 Hz, in ticks of two commands: the level that
-    is exceeded once in 150 hours falls from 9 to 28 % of a motor's command where evidence lasts two ticks to 5 to 15 % for
-    three, 1.7 to 5.8 % for four and 1.4 to 3.6 % for five. Four show 15 % at 10 Hz after 1 to 1.5 s.
+    is exceeded once in 150 hours falls from 9 to 28 % of a motor's command where evidence lasts two ticks to 5 to 15 %
+    for three, 1.7 to 5.8 % for four and 1.4 to 3.6 % for five. Four show 15 % at 10 Hz after 1 to 1.5 s.
     """
     tick_s = 1.0 / rate_hz
     return Times(fast_s=2 * tick_s, raise_s=4 * tick_s, slow_s=10 * tick_s, clear_s=3 * tick_s)
@@ -120,13 +120,7 @@ def identify_trim(segments: Sequence[Segment], rate_hz: float, frame: Frame) -> 
     ModelError
         Too little healthy flight.
     """
-    usable = [segment for segment in segments if len(segment.u) > 2]
-    samples = sum(len(segment.u) - 2 for segment in usable)
-    if samples < _FEWEST_S * rate_hz:
-        raise ModelError(
-            f"only {samples / rate_hz:.0f} s of healthy flight in the logs; at least {_FEWEST_S:.0f} s in the air "
-            "are needed"
-        )
+    usable = usable_segments(segments, rate_hz)
     turned = max(float(np.abs(segment.y[:, 2]).max()) for segment in usable) > _TURNED
     g = frame.effects[: 3 if turned else 2] / frame.effects.shape[1]
     change, middle = _motion(usable, rate_hz)
@@ -150,8 +144,25 @@ def identify_trim(segments: Sequence[Segment], rate_hz: float, frame: Frame) -> 
         residual_std=_one_step_std(usable, a, B, c, taps),
         explained=np.array([axis.explained for axis in axes]),
         t_value=np.array([axis.t_value for axis in axes]),
-        samples=samples,
+        samples=sum(len(segment.u) - 2 for segment in usable),
     )
+
+
+def usable_segments(segments: Sequence[Segment], rate_hz: float) -> list[Segment]:
+    """Return the segments that are long enough to say something.
+
+    Raises
+    ------
+    ModelError
+        Together they are too short.
+    """
+    usable = [segment for segment in segments if len(segment.u) > 2]
+    seconds = sum(len(segment.u) - 2 for segment in usable) / rate_hz
+    if seconds < _FEWEST_S:
+        raise ModelError(
+            f"only {seconds:.0f} s of healthy flight in the logs; at least {_FEWEST_S:.0f} s in the air are needed"
+        )
+    return usable
 
 
 def choose_frame(segments: Sequence[Segment], rate_hz: float) -> Frame | None:
