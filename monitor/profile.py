@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -21,7 +21,7 @@ from adapters.toml_tables import Table, parse_toml
 from gains.plants.model_file import model_hash, read_model
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, read_gains
-from monitor.alarms.alarm import LEAST, TUNABLE, AlarmRule
+from monitor.alarms.alarm import LEAST, AlarmRule
 from monitor.alarms.excuse import ExcuseRule, excuse_tables, read_excuses
 from monitor.estimation.effectiveness import EffectivenessRule, effectiveness_table, read_effectiveness
 from monitor.estimation.isolation_rule import (
@@ -362,9 +362,7 @@ def fault_channels(gains: Sequence[Gains]) -> tuple[FaultChannel, ...]:
 def _alarms(table: Table, observer: str, faults: Sequence[FaultChannel]) -> tuple[AlarmRule, ...]:
     rules = []
     known = {channel.name: channel for channel in faults}
-    defaults: dict[str, float] = {
-        key.name: key.default for key in fields(AlarmRule) if key.name in TUNABLE and key.default is not MISSING
-    }
+    defaults = {key.name: key.default for key in fields(AlarmRule) if isinstance(key.default, float)}
     for name in table:
         channel = known.get(name)
         if channel is None and name != UNEXPLAINED:

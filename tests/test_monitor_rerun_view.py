@@ -16,6 +16,7 @@ from rerun.chunk import RrdReader
 from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, event, trace
 
 from monitor.trace import TraceBuilder
+from monitor.views.panels import RunView
 from monitor.views.rerun_view import write_rrd
 
 EVENTS = [event(1020, "raised"), event(1100, "updated", severity="critical"), event(1300, "cleared")]
@@ -44,7 +45,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("rerun") / "run.rrd"
     run = trace()
     truth = {"motor1": (run.vehicle_ns / 1e9, np.where(run.vehicle_ns >= 10_000_000_000, -0.03, 0.0))}
-    write_rrd(path, [run], EVENTS, THRESHOLDS, truth)
+    write_rrd(path, RunView([run], EVENTS, THRESHOLDS, truth))
     return path
 
 
@@ -52,7 +53,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def two_observers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("rerun") / "two.rrd"
     run = trace()
-    write_rrd(path, [run, replace(run, layout=STANDBY)], EVENTS, BOTH_THRESHOLDS)
+    write_rrd(path, RunView([run, replace(run, layout=STANDBY)], EVENTS, BOTH_THRESHOLDS))
     return path
 
 
@@ -111,7 +112,7 @@ def test_a_threshold_is_thick_and_coloured_while_its_alarm_stands(written: Path)
 
 def test_an_alarm_that_stands_at_the_end_is_shown_to_the_end(tmp_path: Path) -> None:
     run = trace()
-    write_rrd(tmp_path / "run.rrd", [run], EVENTS[:1], THRESHOLDS)
+    write_rrd(tmp_path / "run.rrd", RunView([run], EVENTS[:1], THRESHOLDS))
     span = columns(tmp_path / "run.rrd", "/motors/span/motor1/warning")
     assert span["vehicle_time"][1] == run.vehicle_ns[-1]
     assert span["unix_time"][1] == run.unix_ns[-1]
@@ -170,7 +171,7 @@ def test_the_blueprint_has_a_view_for_each_alarm_and_one_for_the_quiet_channels(
 def test_the_tab_of_the_first_alarm_is_open_and_observers_without_samples_have_none(tmp_path: Path) -> None:
     run = trace()
     both = [replace(run, layout=STANDBY), run, TraceBuilder(replace(LAYOUT, observer="blind")).build()]
-    write_rrd(tmp_path / "run.rrd", both, EVENTS, BOTH_THRESHOLDS)
+    write_rrd(tmp_path / "run.rrd", RunView(both, EVENTS, BOTH_THRESHOLDS))
     reader = RrdReader(tmp_path / "run.rrd")
     [blueprint] = reader.blueprints()
     containers = [(chunk.entity_path, table(chunk)) for chunk in reader.stream(store=blueprint)]
@@ -185,8 +186,8 @@ def _active(found: dict[str, Any]) -> bool:
 
 
 def test_a_run_without_samples_events_or_observers_is_written_too(tmp_path: Path) -> None:
-    write_rrd(tmp_path / "empty.rrd", [TraceBuilder(LAYOUT).build()], [], THRESHOLDS, {})
-    write_rrd(tmp_path / "nothing.rrd", [], EVENTS, {})
+    write_rrd(tmp_path / "empty.rrd", RunView([TraceBuilder(LAYOUT).build()], [], THRESHOLDS))
+    write_rrd(tmp_path / "nothing.rrd", RunView([], EVENTS, {}))
     assert RrdReader(tmp_path / "empty.rrd").blueprints() != []
     assert columns(tmp_path / "nothing.rrd", "/log")["TextLog:level"] != []
 
@@ -196,8 +197,9 @@ def test_the_writer_needs_no_viewer_and_its_process_ends(tmp_path: Path) -> None
 import sys
 sys.path.insert(0, sys.argv[2])
 from synthetic_run import THRESHOLDS, event, trace
+from monitor.views.panels import RunView
 from monitor.views.rerun_view import write_rrd
-write_rrd(sys.argv[1], [trace(50)], [event(10, "raised")], THRESHOLDS)
+write_rrd(sys.argv[1], RunView([trace(50)], [event(10, "raised")], THRESHOLDS))
 """
     command = [sys.executable, "-W", "error", "-c", program, tmp_path / "run.rrd", Path(__file__).parent]
     subprocess.run(command, check=True, timeout=60)

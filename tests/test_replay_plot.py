@@ -13,11 +13,17 @@ from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, event, t
 
 from monitor.trace import TraceBuilder
 from monitor.views.palette import BLUE, DARK, GREY, SERIES, SEVERITY, rgba
+from monitor.views.panels import RunView
 from monitor.views.plot_style import DPI, WIDTH_IN
 from replay.reports.plot import HIGHEST_IN, colour_variables, plot_png, plot_svg
 from replay.reports.plot_panels import BAND_ALPHA, DOUBT_ALPHA, SPAN_ALPHA
 
 EVENTS = [event(1020, "raised"), event(1300, "cleared"), event(1400, "raised", id="02J", severity="critical")]
+
+
+def svg_of(run: RunView) -> str:
+    """Return the picture of a run's first observer."""
+    return plot_svg(run, run.traces[0])
 
 
 def has_colour(path: Path, colour: str, alpha: float = 1.0) -> bool:
@@ -34,18 +40,18 @@ def pixels(path: Path, colour: str, alpha: float) -> int:
 def test_estimates_and_alarms_are_drawn_in_their_colours(tmp_path: Path) -> None:
     run = trace()
     truth = {"motor1": (run.vehicle_ns / 1e9, np.where(run.vehicle_ns >= 10_000_000_000, -0.03, 0.0))}
-    plot_png(tmp_path / "run.png", [run], EVENTS, THRESHOLDS, truth, "a run")
+    plot_png(tmp_path / "run.png", RunView([run], EVENTS, THRESHOLDS, truth), "a run")
     assert has_colour(tmp_path / "run.png", BLUE)
     assert has_colour(tmp_path / "run.png", SEVERITY["warning"], SPAN_ALPHA["warning"])
     assert has_colour(tmp_path / "run.png", SEVERITY["critical"], SPAN_ALPHA["critical"])
-    plot_png(tmp_path / "calm.png", [run], [], THRESHOLDS)
+    plot_png(tmp_path / "calm.png", RunView([run], [], THRESHOLDS))
     assert not has_colour(tmp_path / "calm.png", SEVERITY["critical"], SPAN_ALPHA["critical"])
 
 
 @pytest.mark.long
 def test_each_observer_adds_its_panels(tmp_path: Path) -> None:
-    plot_png(tmp_path / "one.png", [trace(200)], [], {})
-    plot_png(tmp_path / "two.png", [trace(200), trace(200)], [], {})
+    plot_png(tmp_path / "one.png", RunView([trace(200)], [], {}))
+    plot_png(tmp_path / "two.png", RunView([trace(200), trace(200)], [], {}))
     one, two = (image.imread(tmp_path / name).shape[0] for name in ("one.png", "two.png"))
     assert two > 1.8 * one
 
@@ -54,15 +60,15 @@ def test_each_observer_adds_its_panels(tmp_path: Path) -> None:
 def test_quiet_channels_of_many_share_a_panel_with_a_band(tmp_path: Path) -> None:
     run = trace()
     both = [run, replace(run, layout=STANDBY)]
-    plot_png(tmp_path / "few.png", [run], EVENTS, THRESHOLDS)
-    plot_png(tmp_path / "many.png", both, EVENTS, BOTH_THRESHOLDS)
+    plot_png(tmp_path / "few.png", RunView([run], EVENTS, THRESHOLDS))
+    plot_png(tmp_path / "many.png", RunView(both, EVENTS, BOTH_THRESHOLDS))
     assert has_colour(tmp_path / "many.png", GREY, BAND_ALPHA)
     few, many = (image.imread(tmp_path / name).shape[0] for name in ("few.png", "many.png"))
     assert many < 2 * few
 
 
 def test_an_alarm_about_no_fault_channel_is_shaded_too(tmp_path: Path) -> None:
-    plot_png(tmp_path / "run.png", [trace()], [event(1020, "raised", channel="unexplained")], THRESHOLDS)
+    plot_png(tmp_path / "run.png", RunView([trace()], [event(1020, "raised", channel="unexplained")], THRESHOLDS))
     assert has_colour(tmp_path / "run.png", SEVERITY["warning"], SPAN_ALPHA["warning"])
 
 
@@ -71,7 +77,7 @@ def test_a_dozen_alarms_under_long_names_fit_a_page(tmp_path: Path) -> None:
     run = trace(200)
     layout = replace(LAYOUT, inputs=tuple(f"a_very_long_name_of_an_input_{k}" for k in range(4)))
     many = [replace(run, layout=replace(layout, observer=f"observer {k}")) for k in range(3)]
-    plot_png(tmp_path / "run.png", many, [], {}, title="a long title " * 20)
+    plot_png(tmp_path / "run.png", RunView(many, [], {}), title="a long title " * 20)
     height, width, _ = image.imread(tmp_path / "run.png").shape
     assert width == WIDTH_IN * DPI
     assert height <= HIGHEST_IN * DPI
@@ -80,18 +86,18 @@ def test_a_dozen_alarms_under_long_names_fit_a_page(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_runs_with_nothing_to_draw_are_drawn_too(tmp_path: Path) -> None:
     empty = TraceBuilder(LAYOUT).build()
-    plot_png(tmp_path / "empty.png", [empty], EVENTS, THRESHOLDS, {})
-    plot_png(tmp_path / "nothing.png", [], EVENTS, {})
+    plot_png(tmp_path / "empty.png", RunView([empty], EVENTS, THRESHOLDS))
+    plot_png(tmp_path / "nothing.png", RunView([], EVENTS, {}))
     run = trace(50)
     run.fault[:], run.residual[:] = np.nan, 0.0
-    plot_png(tmp_path / "nan.png", [run], [event(10, "raised")], THRESHOLDS)
+    plot_png(tmp_path / "nan.png", RunView([run], [event(10, "raised")], THRESHOLDS))
 
 
 def test_no_pyplot_state_is_left_behind(tmp_path: Path) -> None:
     import matplotlib
 
     before = dict(matplotlib.rcParams)
-    plot_png(tmp_path / "run.png", [trace(100)], [], {})
+    plot_png(tmp_path / "run.png", RunView([trace(100)], [], {}))
     assert dict(matplotlib.rcParams) == before
 
 
@@ -99,10 +105,13 @@ def test_no_pyplot_state_is_left_behind(tmp_path: Path) -> None:
 def test_thresholds_and_standard_deviations_are_shaded_unless_they_belong_to_something_else(tmp_path: Path) -> None:
     run = trace()
     run.sd[:] = 0.01
-    plot_png(tmp_path / "with.png", [run], [], THRESHOLDS)
-    plot_png(tmp_path / "without.png", [run], [], THRESHOLDS, without_sd={("motors", name) for name in LAYOUT.faults})
+    plot_png(tmp_path / "with.png", RunView([run], [], THRESHOLDS))
+    plot_png(
+        tmp_path / "without.png",
+        RunView([run], [], THRESHOLDS, without_sd={("motors", name) for name in LAYOUT.faults}),
+    )
     run.sd[:] = np.nan
-    plot_png(tmp_path / "unknown.png", [run], [], THRESHOLDS)
+    plot_png(tmp_path / "unknown.png", RunView([run], [], THRESHOLDS))
     bands, none = (pixels(tmp_path / name, GREY, BAND_ALPHA) for name in ("unknown.png", "without.png"))
     # hatching has shades of the same grey
     assert bands > 4 * none
@@ -113,7 +122,7 @@ def test_thresholds_and_standard_deviations_are_shaded_unless_they_belong_to_som
 
 @pytest.mark.long
 def test_a_dark_picture_is_dark(tmp_path: Path) -> None:
-    plot_png(tmp_path / "run.png", [trace()], EVENTS, THRESHOLDS, title="a run", dark=True)
+    plot_png(tmp_path / "run.png", RunView([trace()], EVENTS, THRESHOLDS), title="a run", dark=True)
     picture = image.imread(tmp_path / "run.png")[:, :, :3]
     assert has_colour(tmp_path / "run.png", DARK.estimate)
     assert np.median(picture) < 0.2
@@ -122,8 +131,8 @@ def test_a_dark_picture_is_dark(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_an_observer_without_a_sample_has_no_panels(tmp_path: Path) -> None:
-    plot_png(tmp_path / "one.png", [trace(200)], [], THRESHOLDS)
-    plot_png(tmp_path / "same.png", [trace(200), TraceBuilder(STANDBY).build()], [], BOTH_THRESHOLDS)
+    plot_png(tmp_path / "one.png", RunView([trace(200)], [], THRESHOLDS))
+    plot_png(tmp_path / "same.png", RunView([trace(200), TraceBuilder(STANDBY).build()], [], BOTH_THRESHOLDS))
     one, same = (image.imread(tmp_path / name) for name in ("one.png", "same.png"))
     assert one.shape == same.shape
 
@@ -131,15 +140,18 @@ def test_an_observer_without_a_sample_has_no_panels(tmp_path: Path) -> None:
 def test_names_from_outside_are_drawn_as_they_are(tmp_path: Path) -> None:
     run = trace(200)
     layout = replace(run.layout, faults=("$\\frac{$", "\x1b[2J", "\ud83d\ude81 \u65e0\u4eba\u673a", "<b>&amp;"))
-    plot_png(tmp_path / "run.png", [replace(run, layout=layout)], [], {}, title="$x^")
-    text = plot_svg(replace(run, layout=layout), [], {})
+    plot_png(tmp_path / "run.png", RunView([replace(run, layout=layout)], [], {}), title="$x^")
+    text = svg_of(RunView([replace(run, layout=layout)], [], {}))
     assert "$\\frac{$" in text
     assert "&lt;b&gt;&amp;amp;" in text
     assert "\x1b" not in text
 
 
 def test_a_picture_for_a_page_has_the_page_s_colours_and_fits_between_others() -> None:
-    one, two = plot_svg(trace(200), EVENTS, THRESHOLDS), plot_svg(replace(trace(200), layout=STANDBY), [], {})
+    one, two = (
+        svg_of(RunView([trace(200)], EVENTS, THRESHOLDS)),
+        svg_of(RunView([replace(trace(200), layout=STANDBY)], [], {})),
+    )
     assert one.startswith("<svg")
     assert set(re.findall(r"var\((--\w+)\)", one)) <= set(colour_variables(DARK))
     assert re.findall(r"(?:fill|stroke): #", one) == []
@@ -147,13 +159,16 @@ def test_a_picture_for_a_page_has_the_page_s_colours_and_fits_between_others() -
     ids = [set(re.findall(r' id="(\w+)"', text)) for text in (one, two)]
     assert all(ids)
     assert not ids[0] & ids[1]
-    assert one == plot_svg(trace(200), EVENTS, THRESHOLDS)
+    assert one == svg_of(RunView([trace(200)], EVENTS, THRESHOLDS))
 
 
 @pytest.mark.long
 def test_other_observers_alarms_do_not_stand_in_a_picture_but_their_time_does() -> None:
     one, other = replace(trace(300), layout=STANDBY), trace(1500)
-    alone, beside = plot_svg(one, EVENTS, BOTH_THRESHOLDS), plot_svg(one, EVENTS, BOTH_THRESHOLDS, [other])
+    alone, beside = (
+        svg_of(RunView([one], EVENTS, BOTH_THRESHOLDS)),
+        svg_of(RunView([one, other], EVENTS, BOTH_THRESHOLDS)),
+    )
     assert "shaded: motor1 alarm" not in beside
     assert ">14<" in beside
     assert ">14<" not in alone
@@ -163,8 +178,8 @@ def test_other_observers_alarms_do_not_stand_in_a_picture_but_their_time_does() 
 def test_many_inputs_have_a_lane_each(tmp_path: Path) -> None:
     run = trace(200)
     wide = replace(run, layout=replace(LAYOUT, inputs=tuple(f"input{k}" for k in range(8))), u=np.tile(run.u, 2))
-    plot_png(tmp_path / "few.png", [run], [], {})
-    plot_png(tmp_path / "many.png", [wide], [], {})
+    plot_png(tmp_path / "few.png", RunView([run], [], {}))
+    plot_png(tmp_path / "many.png", RunView([wide], [], {}))
     few, many = (image.imread(tmp_path / name).shape[0] for name in ("few.png", "many.png"))
     assert few < many < 2 * few
 

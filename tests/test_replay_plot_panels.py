@@ -20,7 +20,7 @@ from monitor.bus.alarm_text import utc
 from monitor.event import AlarmEvent
 from monitor.trace import Trace
 from monitor.views.palette import LIGHT
-from monitor.views.panels import TrueSizes
+from monitor.views.panels import RunView, TrueSizes
 from monitor.views.plot_style import STYLE
 from replay.reports.plot import run_figure
 from replay.reports.plot_panels import Look, unwatched
@@ -36,7 +36,8 @@ ALARMS = [
 def figure(traces: Sequence[Trace], events: Sequence[AlarmEvent] = (), truth: TrueSizes | None = None) -> Figure:
     """Return a run's page, laid out."""
     with rc_context(STYLE):
-        drawn = run_figure(traces, events, BOTH_THRESHOLDS, truth or {}, "a run", Look(LIGHT, 300))
+        run = RunView(traces, events, BOTH_THRESHOLDS, truth or {})
+        drawn = run_figure(run, "a run", Look(LIGHT, 300, run))
         drawn.canvas.draw()
     return drawn
 
@@ -95,7 +96,7 @@ def test_time_counts_from_the_first_sample_and_the_axis_says_when_that_was() -> 
 
 
 def test_where_there_are_no_samples_nothing_was_watched() -> None:
-    look = Look(LIGHT, 300, end_s=20.0)
+    look = Look(LIGHT, 300, RunView((), (), {}), end_s=20.0)
     assert unwatched(trace(), look) == [
         pytest.approx((0.0, 1.0)),
         pytest.approx((5.99, 7.0)),

@@ -4,15 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from monitor.estimate import Layout
+from monitor.event import AlarmEvent
 from monitor.trace import Trace
 
 Thresholds = Mapping[tuple[str, str], float]
 TrueSizes = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+
+class RunView(NamedTuple):
+    """A run as it is shown."""
+
+    traces: Sequence[Trace]  # one per observer
+    events: Sequence[AlarmEvent]
+    thresholds: Thresholds  # of alarms, by observer and fault channel
+    truth: TrueSizes = MappingProxyType({})  # by fault channel: times on the vehicle's clock (s), true size at them
+    # channels, by observer and name, whose evidence is not the estimate that the standard deviation belongs to
+    without_sd: Collection[tuple[str, str]] = ()
+
 
 FEW = 6
 """Channels in all up to which each gets a panel. Chosen: six panels still fit a page."""

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Sequence
 
 import rerun as rr
 
-from monitor.event import AlarmEvent
 from monitor.trace import Trace, alarm_spans
-from monitor.views.panels import Panels, Thresholds, TrueSizes, choose_panels, fault_limits, same_scale
+from monitor.views.panels import Panels, RunView, choose_panels, fault_limits, same_scale
 from monitor.views.rerun_blueprint import Limits, blueprint, observer_tab
 from monitor.views.rerun_scene import APPLICATION, RerunScene
 
@@ -20,17 +18,11 @@ QUIET_LIMITS = (-1.3, 1.3)
 """Axis of the quiet channels in units of their thresholds: the band with some room around it."""
 
 
-def write_rrd(
-    path: str | os.PathLike[str],
-    traces: Sequence[Trace],
-    events: Sequence[AlarmEvent],
-    thresholds: Thresholds,
-    truth: TrueSizes | None = None,
-) -> None:
+def write_rrd(path: str | os.PathLike[str], run: RunView) -> None:
     """Write a run to an ``.rrd`` file with its blueprint inside; ``RerunScene`` names its entities.
 
     No viewer is needed. The blueprint has a tab per observer that had a sample, that of the first alarm open, with the
-    thresholds of faults (by observer and channel) as lines that are thick while an alarm is active, scaled by the
+    thresholds of faults as lines that are thick while an alarm is active, scaled by the
     estimates while alarms were armed; below are all alarms as states over time. ``truth`` holds by fault channel times
     on the vehicle's clock (s) and the true size at them.
 
@@ -39,17 +31,17 @@ def write_rrd(
     OSError
         The file cannot be written.
     """
-    truth = truth or {}
-    traces = [trace for trace in traces if len(trace.vehicle_ns)]
-    alarmed = {(event.observer, event.channel) for event in events}
+    thresholds, truth = run.thresholds, run.truth
+    traces = [trace for trace in run.traces if len(trace.vehicle_ns)]
+    alarmed = {(event.observer, event.channel) for event in run.events}
     chosen = choose_panels([trace.layout for trace in traces], alarmed, truth, thresholds)
     tabs = [
-        observer_tab(trace.layout, panels, _limits(trace, panels, thresholds, truth), QUIET_LIMITS)
+        observer_tab(trace.layout, panels, _limits(trace, panels, run), QUIET_LIMITS)
         for trace, panels in zip(traces, chosen, strict=True)
     ]
     names = [trace.layout.observer for trace in traces]
-    active = next((names.index(event.observer) for event in events if event.observer in names), 0)
-    spans = alarm_spans(events)
+    active = next((names.index(event.observer) for event in run.events if event.observer in names), 0)
+    spans = alarm_spans(run.events)
     recording = rr.RecordingStream(APPLICATION)
     try:
         recording.save(os.fspath(path), default_blueprint=blueprint(tabs, active=active))
@@ -58,7 +50,7 @@ def write_rrd(
             scene.trace(trace, panels, thresholds)
             scene.spans(trace, spans, thresholds)
             scene.truth(trace, truth)
-        scene.events(events)
+        scene.events(run.events)
         recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
     except RuntimeError as error:
         # Rerun's own kind of error for a full disk
@@ -67,7 +59,6 @@ def write_rrd(
         recording.disconnect()
 
 
-def _limits(trace: Trace, panels: Panels, thresholds: Thresholds, truth: TrueSizes) -> dict[int, Limits]:
-    return {
-        place: fault_limits(trace, same_scale(trace.layout, panels, place), thresholds, truth) for place in panels.alone
-    }
+def _limits(trace: Trace, panels: Panels, run: RunView) -> dict[int, Limits]:
+    scales = {place: same_scale(trace.layout, panels, place) for place in panels.alone}
+    return {place: fault_limits(trace, scale, run.thresholds, run.truth) for place, scale in scales.items()}

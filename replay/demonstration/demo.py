@@ -28,6 +28,7 @@ from monitor.bus.subscriber import AlarmSubscriber
 from monitor.event import AlarmEvent
 from monitor.profile import read_profile
 from monitor.trace import Trace
+from monitor.views.panels import RunView
 from monitor.views.rerun_view import write_rrd
 from replay.demonstration.arm_profile import write_arm_profile
 from replay.player import Replay, play
@@ -83,8 +84,9 @@ def demo(vehicle: str, out: Path, speed: float | None) -> int:
         events = _run_live(scene, record, pace)
         replayed = play(read_profile(scene.profile), read_mcap_messages(record), keep_traces=True)
         curves = {truth.channel: _true_course(truth, replayed.traces[0]) for truth in scene.truth}
-        plot_png(out / f"{vehicle}.png", replayed.traces, replayed.events, replayed.thresholds, curves, scene.title)
-        write_rrd(out / f"{vehicle}.rrd", replayed.traces, replayed.events, replayed.thresholds, curves)
+        shown = RunView(replayed.traces, replayed.events, replayed.thresholds, curves)
+        plot_png(out / f"{vehicle}.png", shown, scene.title)
+        write_rrd(out / f"{vehicle}.rrd", shown)
     return _report(scene, events, replayed, out, vehicle)
 
 

@@ -6,7 +6,7 @@ import os
 import re
 import textwrap
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 from adapters.errors import printable
 from monitor.bus.alarm_text import utc
-from monitor.event import AlarmEvent
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.views.palette import DARK, LIGHT, Theme
-from monitor.views.panels import Panels, Thresholds, TrueSizes, choose_panels, same_scale
+from monitor.views.panels import Panels, RunView, choose_panels, same_scale
 from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
 from replay.reports.plot_panels import (
     BAND_ALPHA,
@@ -76,17 +75,7 @@ class _Row:
     shrinks: bool = False
 
 
-def plot_png(
-    path: str | os.PathLike[str],
-    traces: Sequence[Trace],
-    events: Sequence[AlarmEvent],
-    thresholds: Thresholds,
-    truth: TrueSizes | None = None,
-    title: str = "",
-    *,
-    dark: bool = False,
-    without_sd: Collection[tuple[str, str]] = (),
-) -> None:
+def plot_png(path: str | os.PathLike[str], run: RunView, title: str = "", *, dark: bool = False) -> None:
     """Draw a run as a PNG, 8 inches wide; up to 16 high, panels of faults shrink to 0.4 before it grows beyond.
 
     Per observer, under its name where there are several: a panel for each fault channel that had an alarm or whose
@@ -97,39 +86,23 @@ def plot_png(
     panel. Time counts from the first sample; the axis says when that was. Where no alarm could be raised, gaps between
     samples among it, panels are hatched, and what is drawn there sets no scale; an estimate beyond its panel is marked
     at the edge. Long recordings are drawn as the envelope of their smallest and largest values: no peak is lost.
-
-    ``thresholds`` are by observer and fault channel; ``truth`` holds by fault channel times on the vehicle's clock (s)
-    and the true size at them; ``without_sd`` are the channels, by observer and name, whose evidence is not the estimate
-    that the standard deviation belongs to.
     """
-    with _drawing(_style(DARK if dark else LIGHT)):
-        figure = run_figure(
-            traces, events, thresholds, truth or {}, title, Look(DARK if dark else LIGHT, BINS, without_sd)
-        )
-        save_small(figure, path)
+    theme = DARK if dark else LIGHT
+    with _drawing(_style(theme)):
+        save_small(run_figure(run, title, Look(theme, BINS, run)), path)
 
 
-def plot_svg(
-    trace: Trace,
-    events: Sequence[AlarmEvent],
-    thresholds: Thresholds,
-    beside: Sequence[Trace] = (),
-    *,
-    truth: TrueSizes | None = None,
-    without_sd: Collection[tuple[str, str]] = (),
-) -> str:
+def plot_svg(run: RunView, trace: Trace) -> str:
     """Return the same picture of one observer as an ``<svg>`` element to stand in a page, whose colours it takes.
 
-    Each colour of ``palette.LIGHT`` is a CSS variable, named by :func:`colour_variables`. The run's other
-    observers, ``beside`` it, widen its axis of time, so that pictures can be compared; their alarms are not shown.
+    Each colour of ``palette.LIGHT`` is a CSS variable, named by :func:`colour_variables`. The run's other observers
+    widen its axis of time, so that pictures can be compared; their alarms are not shown.
     """
     buffer = StringIO()
     # ids are made of the salt: pictures of one page need different ones
     salt = trace.layout.observer
     with _drawing({**_style(LIGHT), "svg.fonttype": "none", "svg.hashsalt": salt}):
-        figure = run_figure(
-            [trace], events, thresholds, truth or {}, "", Look(LIGHT, SVG_BINS, without_sd, headed=True), beside
-        )
+        figure = run_figure(run, "", Look(LIGHT, SVG_BINS, run, headed=True), trace)
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(buffer, format="svg", transparent=True, metadata=nothing)
     text = buffer.getvalue()
@@ -164,34 +137,24 @@ def _style(theme: Theme) -> dict[str, Any]:
     return STYLE | dict.fromkeys(inks, theme.ink) | dict.fromkeys(papers, theme.paper)
 
 
-def run_figure(
-    traces: Sequence[Trace],
-    events: Sequence[AlarmEvent],
-    thresholds: Thresholds,
-    truth: TrueSizes,
-    title: str,
-    look: Look,
-    beside: Sequence[Trace] = (),
-) -> Figure:
-    """Return the drawn page; ``beside`` are observers that are not drawn but widen the axis of time."""
+def run_figure(run: RunView, title: str, look: Look, only: Trace | None = None) -> Figure:
+    """Return the drawn page; observers beside the ``only`` one that is drawn widen the axis of time."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    spans = alarm_spans(events)
+    spans = alarm_spans(run.events)
     alarmed = {(span.observer, span.channel) for span in spans}
-    traces, beside = ([trace for trace in some if len(trace.vehicle_ns)] for some in (traces, beside))
-    every = [*traces, *beside]
+    every = [trace for trace in run.traces if len(trace.vehicle_ns)]
+    traces = [trace for trace in every if only is None or trace is only]
     if every:
         origin_ns = min(int(trace.vehicle_ns[0]) for trace in every)
         end_s = (max(int(trace.vehicle_ns[-1]) for trace in every) - origin_ns) / 1e9
         look = replace(look, origin_ns=origin_ns, end_s=end_s, headed=len(traces) > 1 or look.headed)
-    chosen = choose_panels([trace.layout for trace in traces], alarmed, truth, thresholds)
+    chosen = choose_panels([trace.layout for trace in traces], alarmed, run.truth, run.thresholds)
     rows = [
         row
         for trace, panels in zip(traces, chosen, strict=True)
-        for row in _rows(
-            trace, panels, _concerning(trace, every, spans), thresholds, truth, look, heading=len(traces) > 1
-        )
+        for row in _rows(trace, panels, _concerning(trace, every, spans), look, heading=len(traces) > 1)
     ] or [_Row(FAULT_IN, _draw_nothing)]
     shown = [span for span in spans if any(span in _concerning(trace, every, spans) for trace in traces)]
     lanes = len(alarm_lanes(shown))
@@ -211,7 +174,7 @@ def run_figure(
     if traces:
         panels[-1].set_xlabel(_since(every, look.origin_ns))
         panels[-1].set_xlim(0.0, look.end_s or 1.0)
-        _draw_legend(figure, title, look, traces, thresholds, chosen, truth, shown)
+        _draw_legend(figure, title, look, traces, chosen, shown)
     elif title:
         figure.suptitle(textwrap.fill(printable(title), TITLE_LETTERS), x=0.01, ha="left", size=9.5, weight="bold")
     return figure
@@ -245,16 +208,7 @@ def _concerning(trace: Trace, traces: Sequence[Trace], spans: Sequence[AlarmSpan
     return [span for span in spans if span.observer not in others]
 
 
-def _rows(
-    trace: Trace,
-    panels: Panels,
-    spans: Sequence[AlarmSpan],
-    thresholds: Thresholds,
-    truth: TrueSizes,
-    look: Look,
-    *,
-    heading: bool,
-) -> Iterator[_Row]:
+def _rows(trace: Trace, panels: Panels, spans: Sequence[AlarmSpan], look: Look, *, heading: bool) -> Iterator[_Row]:
     """Return an observer's panels from top to bottom."""
     layout = trace.layout
     if heading:
@@ -262,10 +216,10 @@ def _rows(
     shown: dict[str, Any] = {"look": look, "trace": trace, "spans": spans}
     for place in panels.alone:
         scale = same_scale(layout, panels, place)
-        draw = partial(draw_fault, **shown, place=place, thresholds=thresholds, truth=truth, scale=scale)
+        draw = partial(draw_fault, **shown, place=place, scale=scale)
         yield _Row(FAULT_IN, draw, shrinks=True)
     if panels.together:
-        draw = partial(draw_quiet, **shown, places=panels.together, thresholds=thresholds)
+        draw = partial(draw_quiet, **shown, places=panels.together)
         yield _Row(_lanes_in(len(panels.together)), draw)
     yield _Row(_lanes_in(len(layout.outputs)), partial(draw_residuals, **shown))
     yield _Row(_lanes_in(len(layout.inputs)), partial(draw_inputs, **shown))
@@ -280,9 +234,7 @@ def _draw_legend(
     title: str,
     look: Look,
     traces: Sequence[Trace],
-    thresholds: Thresholds,
     chosen: Sequence[Panels],
-    truth: TrueSizes,
     spans: Sequence[AlarmSpan],
 ) -> None:
     """Say once, above all panels, what the marks of the fault panels mean."""
@@ -296,14 +248,14 @@ def _draw_legend(
 
     marks: list[Any] = [Line2D([], [], color=theme.estimate, label="fault estimate")]
     if any(
-        (trace.layout.observer, trace.layout.faults[place]) not in look.without_sd
+        (trace.layout.observer, trace.layout.faults[place]) not in look.run.without_sd
         for trace, one in zip(traces, chosen, strict=True)
         for place in one.alone
     ):
         marks.append(area(theme.estimate, DOUBT_ALPHA, f"±{DOUBT_DEVIATIONS:g} std. dev."))
-    if truth:
+    if look.run.truth:
         marks.append(Line2D([], [], color=theme.measured, linestyle=TRUTH_DASHES, linewidth=1.6, label="truth"))
-    if thresholds:
+    if look.run.thresholds:
         marks.append(area(theme.band, BAND_ALPHA, "within threshold"))
     for severity in ("warning", "critical"):
         if any(span.severity == severity for span in spans):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from adapters.errors import printable
 from monitor.trace import AlarmSpan, Trace
 from monitor.views.palette import Theme
-from monitor.views.panels import Thresholds, TrueSizes, evidence, fault_limits
+from monitor.views.panels import RunView, evidence, fault_limits
 from replay.reports.recording_facts import GAP_PERIODS, GAP_S
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ class Look:
 
     theme: Theme
     bins: int  # into how many runs a series is thinned
-    without_sd: Collection[tuple[str, str]] = ()  # by observer and name: whose standard deviation is not drawn
+    run: RunView
     origin_ns: int = 0  # zero of the axis of time, vehicle's clock
     end_s: float = 0.0  # its end
     headed: bool = False  # whether a heading above the panels names their observer, so that their titles need not
@@ -138,27 +138,25 @@ def draw_fault(
     trace: Trace,
     place: int,
     spans: Sequence[AlarmSpan],
-    thresholds: Thresholds,
-    truth: TrueSizes,
     scale: Sequence[int],
 ) -> None:
     """Draw one fault channel with its alarms, threshold and truth, scaled as the channels at ``scale`` need."""
-    layout, theme = trace.layout, look.theme
+    layout, theme, run = trace.layout, look.theme, look.run
     channel = layout.faults[place]
     _shade(panel, look, trace)
     _cover(panel, look, [span for span in spans if span.channel == channel])
-    threshold = thresholds.get((layout.observer, channel))
+    threshold = run.thresholds.get((layout.observer, channel))
     # the share of a deflection that is lost is judged by its certainty, not by a level
-    if threshold is not None and (layout.observer, channel) not in look.without_sd:
+    if threshold is not None and (layout.observer, channel) not in look.run.without_sd:
         panel.axhspan(-threshold, threshold, color=theme.band, alpha=BAND_ALPHA, linewidth=0)
         for level in (-threshold, threshold):
             panel.axhline(level, color=theme.ink, linestyle=":", linewidth=0.7)
-    limits = _with_doubt(fault_limits(trace, scale, thresholds, truth), look, trace, scale)
-    if (layout.observer, channel) not in look.without_sd:
+    limits = _with_doubt(fault_limits(trace, scale, run.thresholds, run.truth), look, trace, scale)
+    if (layout.observer, channel) not in look.run.without_sd:
         _shade_doubt(panel, look, trace, place)
     estimate = trace.isolated[:, place]
-    if channel in truth:
-        times_s, sizes = truth[channel]
+    if channel in run.truth:
+        times_s, sizes = run.truth[channel]
         panel.plot(times_s - look.origin_ns / 1e9, sizes, color=theme.measured, linestyle=TRUTH_DASHES, linewidth=1.6)
     panel.plot(*envelope(_seconds(trace, look), estimate, trace.restart, look.bins), color=theme.estimate)
     panel.set_ylim(limits)
@@ -168,9 +166,7 @@ def draw_fault(
     _name(panel, look, trace, f"{channel} ({unit})")
 
 
-def draw_quiet(
-    panel: Axes, look: Look, trace: Trace, places: Sequence[int], spans: Sequence[AlarmSpan], thresholds: Thresholds
-) -> None:
+def draw_quiet(panel: Axes, look: Look, trace: Trace, places: Sequence[int], spans: Sequence[AlarmSpan]) -> None:
     """Draw channels without an alarm one below the other, each over its own threshold, with its peak."""
     layout, theme = trace.layout, look.theme
     _shade(panel, look, trace)
@@ -179,7 +175,7 @@ def draw_quiet(
     for lane, place in enumerate(places):
         half = 1.0 / LANE_THRESHOLDS
         panel.axhspan(-lane - half, -lane + half, color=theme.band, alpha=BAND_ALPHA, linewidth=0)
-        share = trace.isolated[:, place] / thresholds[layout.observer, layout.faults[place]]
+        share = trace.isolated[:, place] / look.run.thresholds[layout.observer, layout.faults[place]]
         height = np.clip(share / LANE_THRESHOLDS, -0.5, 0.5) - lane
         panel.plot(*envelope(_seconds(trace, look), height, trace.restart, look.bins), color=theme.estimate)
         watched = evidence(trace, share)
@@ -321,7 +317,7 @@ def _with_doubt(limits: tuple[float, float], look: Look, trace: Trace, places: S
     low, high = limits
     room = DOUBT_ROOM * (high - low)
     for place in places:
-        if (trace.layout.observer, trace.layout.faults[place]) in look.without_sd:
+        if (trace.layout.observer, trace.layout.faults[place]) in look.run.without_sd:
             continue
         estimate, sd = trace.isolated[:, place], DOUBT_DEVIATIONS * trace.sd[:, place]
         shown = trace.armed & (estimate != 0.0) & np.isfinite(sd)

@@ -15,7 +15,7 @@ from monitor.bus.alarm_text import utc
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR
 from monitor.profile import Profile
-from monitor.views.panels import TrueSizes
+from monitor.views.panels import RunView, TrueSizes
 from replay.player import Replay
 from replay.reports.findings import Calibration, Finding, WatchedChannel, effects, findings, watched_channels
 from replay.reports.plot import plot_svg
@@ -207,16 +207,11 @@ def _unchecked(run: Run, found: Sequence[Finding]) -> Html:
 
 
 def _plots(run: Run) -> Iterator[Html]:
-    drawn, without_sd = False, effects(run.profile)
-    traces = run.replay.traces
-    for trace in traces:
-        if not len(trace.vehicle_ns):
-            continue
-        drawn = True
-        beside = [other for other in traces if other is not trace]
-        picture = plot_svg(
-            trace, run.replay.events, run.replay.thresholds, beside, truth=run.truth, without_sd=without_sd
-        )
+    replay = run.replay
+    shown = RunView(replay.traces, replay.events, replay.thresholds, run.truth, effects(run.profile))
+    drawn = [trace for trace in replay.traces if len(trace.vehicle_ns)]
+    for trace in drawn:
+        picture = plot_svg(shown, trace)
         yield element(
             "figure",
             element("h3", trace.layout.observer),

@@ -15,7 +15,7 @@ from adapters.logs.recordings import Recording, packed, recorded_vehicle, record
 from monitor.event import AlarmEvent
 from monitor.fitting.progress import recording_bytes, track
 from monitor.profile import Profile
-from monitor.views.panels import TrueSizes
+from monitor.views.panels import RunView, TrueSizes
 from replay.attacks.inject import known_truth
 from replay.inspection.log_info import first_raised
 from replay.player import Replay, interests, play_batches
@@ -177,24 +177,17 @@ def _replay(
 
 def _write(profile: Profile, task: LogTask, found: Replay, truth: TrueSizes, title: str) -> None:
     """Write the plot and the Rerun recording that were asked for."""
+    from replay.reports.findings import effects
+
+    shown = RunView(found.traces, found.events, found.thresholds, truth, effects(profile))
     if task.plot:
-        from replay.reports.findings import effects
         from replay.reports.plot import plot_png
 
-        plot_png(
-            task.plot,
-            found.traces,
-            found.events,
-            found.thresholds,
-            truth,
-            title=title,
-            dark=task.dark,
-            without_sd=effects(profile),
-        )
+        plot_png(task.plot, shown, title, dark=task.dark)
     if task.rrd:
         from monitor.views.rerun_view import write_rrd
 
-        write_rrd(task.rrd, found.traces, found.events, found.thresholds, truth)
+        write_rrd(task.rrd, shown)
 
 
 def _verdict(found: Replay, profile: Profile) -> str:
