@@ -185,3 +185,13 @@ def test_too_little_recording_is_said_so() -> None:
     data = [segment(truth.signals(15.0))]
     with pytest.raises(ModelError, match="at least 20 s"):
         identify_inertial(data, transform.inputs, transform.outputs, 25.0, 30.0, 10.0)
+
+
+def test_sensors_that_come_once_a_second_are_fitted() -> None:
+    transform, _ = truth.transformed(truth.signals(0.1))
+    rng = np.random.default_rng(4)
+    flight = InertialSegment(
+        rng.normal(size=(150, len(transform.inputs))), rng.normal(size=(150, len(transform.outputs)))
+    )
+    fit = identify_inertial([flight], transform.inputs, transform.outputs, 1.0, 30.0, 10.0)
+    assert all(0.0 < size < 100.0 for size in fit.noise.values())

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters.batch import Batch, Columns
+from adapters.batch import Batch, Columns, pack
 from adapters.errors import TelemetryError
 from adapters.logs.recordings import packed, read_batches
 from adapters.message import Message
@@ -128,3 +128,32 @@ def test_pulses_are_mapped_as_in_the_profile_that_comes_along(quad_folder: Path)
     ]
     assert channels[0] == channels[1]
     assert "command_range" not in (quad_folder / "fit.json").read_text()
+
+
+def states(*armed: bool | None) -> Iterator[Batch]:
+    """Yield motors that move for a second in each of these states, each ahead of the heartbeat that says so."""
+    for second, state in enumerate(armed):
+        if state is not None:
+            fields = {"type": 2, "autopilot": 12, "base_mode": 128 * state}
+            yield pack([Message(MAVLINK, "HEARTBEAT", second, fields, 1, 1)])
+        for at in range(20):
+            fields = {"time_usec": 1_000_000 * (second + 1) + 50_000 * at, "port": 0, "servo1_raw": 1500 + at}
+            yield pack([Message(MAVLINK, "SERVO_OUTPUT_RAW", second, fields, 1, 1)])
+
+
+def test_outputs_before_the_first_heartbeat_are_none_while_armed() -> None:
+    found = survey(states(None, False))
+    assert found.never_armed
+    assert found.outputs == {}
+    assert "SERVO_OUTPUT_RAW" in found.examples
+    with pytest.raises(TelemetryError, match="never armed"):
+        motor_commands([found])
+    assert survey(states(None, True)).outputs[1].low == 1500
+    assert not survey(states(None)).never_armed
+    assert survey(states(None)).outputs[1].high == 1519
+
+
+def test_the_autopilot_and_the_kind_of_recording_are_known() -> None:
+    assert survey(states(True)).px4
+    assert not survey(states(None)).px4
+    assert not survey(states(True)).onboard

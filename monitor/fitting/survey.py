@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, cut, gathered, one_message
-from adapters.channels import Channel
+from adapters.channels import CLOCK_UNITS_NS, Channel
 from adapters.logs.log_parameters import PARAMETER_MESSAGES, parameter
 from adapters.mavlink.heartbeat import vehicle_type
 from adapters.message import LATEST_NS, Message
+from monitor.fitting.flight_rate import FlightRate
 
 MOTOR_MESSAGE = "SERVO_OUTPUT_RAW"
 MAX_OUTPUTS = 16
@@ -72,15 +73,22 @@ class Survey:
     counts : dict[str, int]
         Messages by name.
     rate_hz : dict[str, float]
-        Messages per second of the vehicle's clock, by name, for those that carry a time.
+        Measurements per second of the vehicle's clock within flights, by name, for messages that carry a time.
     outputs : dict[int, MotorOutput]
         How servo outputs moved while armed, by number.
     examples : dict[str, Mapping[str, Any]]
-        Fields of the last message of each name while armed; of the GPS, the last that knew speed and course.
+        Fields of the last message of each name while armed, or at all of a vehicle that never was; of the GPS, the last
+        that knew speed and course.
     vehicle_types : frozenset[str]
         What the autopilot's heartbeats say it is (``quadrotor``).
     parameters : Mapping[str, float]
         The vehicle's parameters by name, as far as the recording holds them, each with the last value that it had.
+    never_armed : bool
+        Heartbeats came, and none says that the vehicle is armed.
+    px4 : bool
+        The autopilot is PX4.
+    onboard : bool
+        It is an onboard log, or was converted from one.
     """
 
     counts: dict[str, int]
@@ -89,6 +97,9 @@ class Survey:
     examples: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     vehicle_types: frozenset[str] = frozenset()
     parameters: Mapping[str, float] = field(default_factory=dict)
+    never_armed: bool = False
+    px4: bool = False
+    onboard: bool = False
 
 
 def survey(batches: Iterable[Batch]) -> Survey:
@@ -114,80 +125,75 @@ class _Surveyor:
 
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
-        self._spans: dict[str, tuple[int, int]] = {}
-        self._tallies: dict[int, _Tally] = {}
-        self._examples: dict[str, Mapping[str, Any]] = {}
+        self._rates: dict[str, FlightRate] = {}
         self._types: set[int] = set()
         self._autopilot: int | None = None
         self._parameters: dict[str, Message] = {}
-        self._armed = True
+        self._onboard = False
+        # whether the vehicle is armed is not known before its first heartbeat
+        self._armed: bool | None = None
+        self._while: dict[bool | None, _State] = {state: _State() for state in (None, False, True)}
 
     def add(self, batch: Batch) -> None:
         """Count the messages of a batch."""
-        groups = [*map(_group, batch.columns), *(_single(*place) for place in batch.others.items())]
-        armed = self._armed_at(batch.count, [group for group in groups if group.name == _HEARTBEAT])
-        for _, message in sorted(batch.others.items()):
+        others = sorted(batch.others.items())
+        groups = [*map(_group, batch.columns), *(_single(*place) for place in others)]
+        for _, message in others:
+            self._onboard |= message.source.is_onboard_log
             if message.name in PARAMETER_MESSAGES and (known := parameter(message)) is not None:
                 self._parameters[known[0]] = message
-        newest: dict[str, int] = {}
-        stamps: dict[str, list[tuple[int, int]]] = {}
+        stamps: dict[str, list[tuple[NDArray[np.int64], NDArray[np.int64]]]] = {}
         for group in groups:
-            name, position = group.name, group.position
-            self._counts[name] += len(position)
-            candidates = (row for row in range(len(position) - 1, -1, -1) if armed[position[row]])
-            row = next((row for row in candidates if name != _GPS_MESSAGE or _is_fix(group.fields_at(row))), None)
-            if row is not None and position[row] >= newest.get(name, 0):
-                newest[name], self._examples[name] = int(position[row]), group.fields_at(row)
-            stamps.setdefault(name, []).extend(_first_and_last_stamp(group))
-            if name == MOTOR_MESSAGE:
-                self._add_outputs(group.values, armed[position])
-        for name, found in stamps.items():
-            if found:
-                first, last = min(found)[1], max(found)[1]
-                self._spans[name] = self._spans.get(name, (first, last))[0], last
+            self._counts[group.name] += len(group.position)
+            stamps.setdefault(group.name, []).append(_stamps(group))
+        for name, parts in stamps.items():
+            position, times_ns = (np.concatenate(column) for column in zip(*parts, strict=True))
+            self._rates.setdefault(name, FlightRate()).add(times_ns[np.argsort(position, kind="stable")])
+        for start, stop, armed in self._phases(batch.count, [group for group in groups if group.name == _HEARTBEAT]):
+            for group in groups:
+                first, last = np.searchsorted(group.position, (start, stop))
+                self._while[armed].add(group, int(first), int(last))
 
     def survey(self) -> Survey:
         """Return the survey of the batches so far."""
-        rates = {
-            name: (self._counts[name] - 1) * 1e9 / (last - first)
-            for name, (first, last) in self._spans.items()
-            if last > first
-        }
-        outputs = {number: tally.output() for number, tally in sorted(self._tallies.items())}
+        rates = {name: hz for name, rate in self._rates.items() if (hz := rate.hz) is not None}
+        armed = self._while[True]
+        never_armed = self._armed is not None and not armed.examples
+        flown = self._while[None] if self._armed is None else armed
+        seen = self._while[False] if never_armed else flown
+        outputs = {number: tally.output() for number, tally in sorted(flown.tallies.items())}
         vehicle_types = frozenset(map(vehicle_type, self._types)) - {""}
         # whether integers are sent byte by byte is known once the autopilot has said what it is
-        parameters = dict(
-            filter(None, (parameter(one, px4=self._autopilot == _PX4) for one in self._parameters.values()))
+        px4 = self._autopilot == _PX4
+        parameters = dict(filter(None, (parameter(one, px4=px4) for one in self._parameters.values())))
+        return Survey(
+            counts=dict(self._counts),
+            rate_hz=rates,
+            outputs=outputs,
+            examples=seen.examples,
+            vehicle_types=vehicle_types,
+            parameters=parameters,
+            never_armed=never_armed,
+            px4=px4,
+            onboard=self._onboard,
         )
-        return Survey(dict(self._counts), rates, outputs, self._examples, vehicle_types, parameters)
 
-    def _armed_at(self, count: int, heartbeats: Sequence[_Group]) -> NDArray[np.bool_]:
-        """Return whether the vehicle was armed when each message arrived (count,), and follow its heartbeats."""
-        armed = np.empty(count, np.bool_)
+    def _phases(self, count: int, heartbeats: Sequence[_Group]) -> Iterator[tuple[int, int, bool | None]]:
+        """Yield the parts of a batch with whether the vehicle was armed, and follow its heartbeats."""
         reports = [(int(at), group.fields_at(row)) for group in heartbeats for row, at in enumerate(group.position)]
         start = 0
         for index, fields in sorted(reports, key=lambda report: report[0]):
             if fields.get("autopilot") == _NO_AUTOPILOT:
                 continue
-            armed[start : index + 1] = self._armed
-            mode, start = fields.get("base_mode"), index + 1
-            self._armed = isinstance(mode, int) and bool(mode & _ARMED)
+            mode = fields.get("base_mode")
+            armed = isinstance(mode, int) and bool(mode & _ARMED)
+            if armed is not self._armed:
+                yield start, index + 1, self._armed
+                start, self._armed = index + 1, armed
             if isinstance(kind := fields.get("type"), int):
                 self._types.add(kind)
             self._autopilot = fields.get("autopilot", self._autopilot)
-        armed[start:] = self._armed
-        return armed
-
-    def _add_outputs(self, values: Mapping[str, NDArray[np.generic]], armed: NDArray[np.bool_]) -> None:
-        for number in range(1, MAX_OUTPUTS + 1):
-            column = values.get(f"servo{number}_raw")
-            if column is not None and column.dtype.kind in "iu":
-                port = values.get("port")
-                used = armed if port is None else armed & (port == 0)
-                pulses = column.astype(np.int64)
-                moved = pulses[used & (pulses > 0) & (pulses <= _UNKNOWN)]
-                if len(moved):
-                    self._tallies.setdefault(number, _Tally()).add(moved)
+        yield start, count, self._armed
 
 
 def _group(columns: Columns) -> _Group:
@@ -204,17 +210,53 @@ def _is_fix(fields: Mapping[str, Any]) -> bool:
     return _UNKNOWN not in (fields.get("vel"), fields.get("cog"))
 
 
-def _first_and_last_stamp(group: _Group) -> list[tuple[int, int]]:
-    """Return index and time stamp, vehicle nanoseconds, of the first and of the last message that has one."""
-    rows = range(len(group.position))
-    found = []
-    for ordered in (rows, reversed(rows)):
-        stamps = ((row, _ANY_CLOCK.stamp_ns(group.fields_at(row))) for row in ordered)
-        row, stamp = next(((row, stamp) for row, stamp in stamps if stamp and abs(stamp) < LATEST_NS), (0, None))
-        if stamp is None:
-            break
-        found.append((int(group.position[row]), stamp))
-    return found
+def _stamps(group: _Group) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return indices and time stamps, vehicle nanoseconds, of the messages that have one (k,)."""
+    times_ns = np.full(len(group.position), np.nan)
+    clock = next((name for name in CLOCK_UNITS_NS if name in group.values), None)
+    if clock is not None and group.values[clock].dtype.kind in "iuf":
+        times_ns = group.values[clock].astype(np.float64) * CLOCK_UNITS_NS[clock]
+    elif len(times_ns) == 1:
+        found = _ANY_CLOCK.stamp_ns(group.fields_at(0))
+        times_ns[0] = np.nan if found is None or abs(found) >= LATEST_NS else found
+    # zero stands for no time
+    good = (times_ns != 0.0) & (np.abs(times_ns) < LATEST_NS)
+    return group.position[good], times_ns[good].astype(np.int64)
+
+
+class _State:
+    """What was seen while the vehicle was armed, was not, or had not said.
+
+    Attributes
+    ----------
+    examples : dict[str, Mapping[str, Any]]
+        Fields of the last message by name.
+    tallies : dict[int, _Tally]
+        Sums of the servo outputs by number.
+    """
+
+    def __init__(self) -> None:
+        self.examples: dict[str, Mapping[str, Any]] = {}
+        self.tallies: dict[int, _Tally] = {}
+
+    def add(self, group: _Group, first: int, last: int) -> None:
+        """Take the messages first <= row < last of a group."""
+        rows = range(last - 1, first - 1, -1)
+        row = next((row for row in rows if group.name != _GPS_MESSAGE or _is_fix(group.fields_at(row))), None)
+        if row is not None:
+            self.examples[group.name] = group.fields_at(row)
+        if group.name == MOTOR_MESSAGE:
+            self._add_outputs({name: values[first:last] for name, values in group.values.items()})
+
+    def _add_outputs(self, values: Mapping[str, NDArray[np.generic]]) -> None:
+        port = values.get("port")
+        for number in range(1, MAX_OUTPUTS + 1):
+            column = values.get(f"servo{number}_raw")
+            if column is not None and column.dtype.kind in "iu":
+                pulses = column.astype(np.int64)
+                moved = pulses[(pulses > 0) & (pulses <= _UNKNOWN) & (True if port is None else port == 0)]
+                if len(moved):
+                    self.tallies.setdefault(number, _Tally()).add(moved)
 
 
 class _Tally:

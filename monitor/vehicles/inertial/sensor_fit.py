@@ -278,7 +278,8 @@ def _scale(x: Sequence[NDArray[np.float64]], y: Sequence[NDArray[np.float64]]) -
 
 
 def _spread(errors: Sequence[NDArray[np.float64]], lag: int, order: int = 1) -> float:
-    """Return the standard deviation of differences of the given order over a lag."""
+    """Return the standard deviation of differences of the given order over a lag, one sample at least."""
+    lag = max(lag, 1)
     differences = []
     for error in errors:
         difference = error
