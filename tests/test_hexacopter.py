@@ -1,10 +1,16 @@
 """More motors than can be told apart together: a bank names the motor, and takes itself back when the fault ends."""
 
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from functools import partial
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hexacopter import hexacopter_flight
 
 from adapters.logs.recordings import packed
+from adapters.message import Message
 from monitor.event import AlarmEvent
 from monitor.profile import Profile, read_profile
 from replay.fit import fit_profile
@@ -22,6 +28,36 @@ def profile(tmp_path_factory: pytest.TempPathFactory) -> Profile:
         patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
         fit_profile("multirotor", [lambda: packed(first), lambda: packed(second)], folder, "hexa")
     return read_profile(folder)
+
+
+def at_rates(messages: Iterable[Message], **every: int) -> Iterator[Message]:
+    """Yield messages, of those named only each n-th."""
+    counts = Counter[str]()
+    for message in messages:
+        counts[message.name] += 1
+        if counts[message.name] % every.get(message.name, 1) == 0:
+            yield message
+
+
+LOG = {"SERVO_OUTPUT_RAW": 10, "ATTITUDE": 4, "HIGHRES_IMU": 4}
+RADIO = {"SERVO_OUTPUT_RAW": 100, "ATTITUDE": 20, "HIGHRES_IMU": 10**9}
+
+
+@pytest.mark.parametrize(("every", "lost", "within_s"), [(LOG, 0.15, 3.0), (RADIO, 0.25, 15.0)])
+def test_a_failing_motor_is_named_at_the_rates_of_logs_and_radios(
+    tmp_path: Path, every: dict[str, int], lost: float, within_s: float
+) -> None:
+    flights = [list(at_rates(hexacopter_flight(seed, 120.0), **every)) for seed in (1, 2)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
+        report = fit_profile("multirotor", [partial(packed, flight) for flight in flights], tmp_path / "hexa", "hexa")
+    assert "hexa x (from the motion)" in "\n".join(report.text())
+    slow = read_profile(tmp_path / "hexa")
+    events = play(slow, at_rates(hexacopter_flight(7, 80.0, {3: lost}, 30.0, 60.0), **every)).events
+    named = [event for event in events if event.kind == "actuator"]
+    assert {event.channel for event in named} == {"motor3"}
+    assert 0.0 < seconds_after(named[0], 30.0) < within_s
+    assert named[-1].state == "cleared"
 
 
 def alarms(profile: Profile, seed: int, loss: dict[int, float], duration_s: float = 50.0) -> list[AlarmEvent]:

@@ -145,24 +145,24 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
     gate = multirotor_gate(surveys)
     inputs, outputs = multirotor_channels(surveys)
     slow = min(survey.rate_hz[MOTOR_MESSAGE] for survey in surveys) < SLOW_COMMANDS_HZ
-    found = (_slow if slow else _fast)(request, gate, inputs, outputs)
-    model, segments = found.model, found.segments
+    identified = (_slow if slow else _fast)(request, gate, inputs, outputs)
+    model, segments = identified.model, identified.segments
     motors = tuple(channel.name for channel in inputs)
-    plant = multirotor_plant(model, request.name, motors, doubt=found.doubt, gyros=found.gyros)
+    plant = multirotor_plant(model, request.name, motors, doubt=identified.doubt, gyros=identified.gyros)
     gains = compile_bank(plant, design_bank(plant, model.rate_hz))
     rule = bank_rule(gains, segments, edges=GYROS)
-    bare = Fitted(OBSERVER, plant, gains, found.source, rule)
+    bare = Fitted(OBSERVER, plant, gains, identified.source, rule)
     channels = bare.profile().faults
-    evidence = healthy_evidence(bare.profile(), gate, found.flights)
+    evidence = healthy_evidence(bare.profile(), gate, identified.flights)
     hover = np.median(np.concatenate([segment.u for segment in segments]), axis=0)
-    alarms = _alarms(channels, evidence, hover, found, rule.score_floor)
+    alarms = _alarms(channels, evidence, hover, identified, rule.score_floor)
     commands = motor_commands(surveys)
     ranges = {} if commands.pulses else {"command_range": {"none": commands.stop, "full": commands.full}}
     fitted = Fitted(
         name=OBSERVER,
         plant=plant,
         gains=gains,
-        source=found.source,
+        source=identified.source,
         isolation=rule,
         alarms=tuple(alarms),
         flight_s=sum(len(segment.u) for segment in segments) / model.rate_hz,
@@ -171,17 +171,17 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
             "motors": list(motors),
             "hover_command": dict(zip(motors, hover.tolist(), strict=True)),
             "effectiveness": {motor: model.B[:3, i].tolist() for i, motor in enumerate(motors)},
-            **found.findings,
+            **identified.findings,
             **ranges,
-            "validation": None if found.comparison is None else comparison_json(found.comparison),
+            "validation": None if identified.comparison is None else comparison_json(identified.comparison),
         },
         lines=(
             *([] if commands.pulses else [range_text(commands, surveys)]),
-            found.line,
+            identified.line,
             *_lines(motors, hover.tolist(), alarms),
         ),
-        details=found.details,
-        comparison=found.comparison,
+        details=identified.details,
+        comparison=identified.comparison,
         measured=True,
     )
     return fitted, gate
@@ -289,14 +289,14 @@ def _alarms(
     channels: Sequence[FaultChannel],
     evidence: Sequence[NDArray[np.float64]],
     hover: NDArray[np.float64],
-    found: _Identified,
+    identified: _Identified,
     score_floor: float,
 ) -> list[Calibrated]:
     """Return the alarms: motors pooled relative to their hover commands, gyros pooled, and what nothing explains.
 
     That one starts where a loss too small for an alarm cannot bring it.
     """
-    rate_hz = found.model.rate_hz
+    rate_hz = identified.model.rate_hz
     share = FALSE_ALARMS_PER_HOUR / (len(channels) + 1)
     commands = [None if channel.input is None else float(hover[channel.input]) for channel in channels]
 
@@ -304,19 +304,19 @@ def _alarms(
         series = [stretch[:, at] / (commands[at] or 1.0) for at in places for stretch in evidence]
         return healthy_levels(series, rate_hz, share, times, most)
 
-    of_motors = levels([at for at, command in enumerate(commands) if command is not None], found.times)
+    of_motors = levels([at for at, command in enumerate(commands) if command is not None], identified.times)
     gyros = [at for at, command in enumerate(commands) if command is None]
     of_gyros = levels(gyros, _JUMP, _MOST_OF_JUMPS) if gyros else None
     alarms = []
     for channel, command in zip(channels, commands, strict=True):
         bare = bare_rule(OBSERVER, channel.name, channel.kind, channel.unit)
         if command is not None:
-            floor, critical = found.smallest_loss * command, _CRITICAL_LOSS * command
-            alarms.append(calibrated(bare, of_motors, command, floor=floor, critical=critical, times=found.times))
+            floor, critical = identified.smallest_loss * command, _CRITICAL_LOSS * command
+            alarms.append(calibrated(bare, of_motors, command, floor=floor, critical=critical, times=identified.times))
         elif of_gyros is not None:
             jump = calibrated(bare, of_gyros, 1.0, floor=_SMALLEST_JUMP, critical=4 * _SMALLEST_JUMP, times=_JUMP)
             alarms.append(plain_only(jump))
-    floor = score_floor * found.smallest_loss / _SMALLEST_LOSS
+    floor = score_floor * identified.smallest_loss / _SMALLEST_LOSS
     return [*alarms, unexplained_alarm(OBSERVER, evidence, rate_hz, share, floor)]
 
 
