@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import fauio
 from adapters.errors import ModelError
 from gains.analysis.check import check_plant, check_report, check_text
-from gains.analysis.existence import check_existence
+from gains.analysis.estimability import check_existence
 from gains.plants.model_file import builtin_model, write_model
 from gains.plants.plant import Fault, FloatArray, Plant
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from adapters.errors import InfeasibleError, ModelError
 from gains.analysis.check import check_plant
-from gains.analysis.existence import check_existence
+from gains.analysis.estimability import check_existence
 from gains.plants.discretise import discretise
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Fault, Plant

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Container, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 
@@ -54,7 +54,7 @@ _SIGNED_RECORD_2 = _RECORD_2 + SIGNATURE_BYTES
 _RECORD_1 = TIME_BYTES + 8
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class TlogStatistics:
     """What was found in a telemetry log.
 
@@ -72,11 +72,11 @@ class TlogStatistics:
         Whether the log ends within a packet, or its compressed data early.
     """
 
-    packets: int
-    unknown: int
-    damaged: int
-    skipped_bytes: int
-    broken_off: bool
+    packets: int = 0
+    unknown: int = 0
+    damaged: int = 0
+    skipped_bytes: int = 0
+    broken_off: bool = False
 
 
 class RecordScan:
@@ -87,17 +87,15 @@ class RecordScan:
 
     Attributes
     ----------
-    packets, unknown, damaged, skipped_bytes : int
-        As of :class:`TlogStatistics`.
-    broken_off : bool
-        The same, after :meth:`end`.
+    counts : TlogStatistics
+        What was found so far; ``broken_off`` after :meth:`end`.
     noise : int
         Bytes skipped since the last intact packet.
     """
 
     def __init__(self) -> None:
-        self.packets = self.unknown = self.damaged = self.skipped_bytes = self.noise = 0
-        self.broken_off = False
+        self.counts = TlogStatistics()
+        self.noise = 0
         self._types = mavlink_types()
 
     def step(self, buffer: bytes, at: int) -> tuple[MavlinkType | None, int]:
@@ -116,18 +114,18 @@ class RecordScan:
         whole = bool(packet) and len(packet) == length
         kind = self._types.get(message_number(packet)) if whole else None
         if kind is not None and int.from_bytes(buffer[at:start]) < MAX_TIME_US and kind.intact(packet):
-            self.damaged += self.noise > 0
+            self.counts.damaged += self.noise > 0
             self.noise = 0
-            self.packets += 1
+            self.counts.packets += 1
             return kind, start + len(packet)
         if whole and kind is None and not self.noise and _followed(buffer, start + len(packet)):
-            self.packets += 1
-            self.unknown += 1
+            self.counts.packets += 1
+            self.counts.unknown += 1
             return None, start + len(packet)
         magic = _MAGIC.search(buffer, start + 1)
         skipped = (magic.start() if magic else len(buffer)) - start
         self.noise += skipped
-        self.skipped_bytes += skipped
+        self.counts.skipped_bytes += skipped
         return None, at + skipped
 
     def end(self, path: Path, rest: int, damaged: bool) -> None:
@@ -138,22 +136,12 @@ class RecordScan:
         TelemetryError
             There was no packet at all.
         """
-        self.skipped_bytes += rest
-        self.broken_off = damaged or rest > 0 or self.noise > 0
-        if not self.packets:
+        self.counts.skipped_bytes += rest
+        self.counts.broken_off = damaged or rest > 0 or self.noise > 0
+        if not self.counts.packets:
             if Path(path).stat().st_size == 0:
                 raise TelemetryError(f"{path}: is empty; was the recording started, or the copy finished?")
             raise TelemetryError(f"{path}: holds no MAVLink packet; is it a telemetry log?")
-
-    def statistics(self) -> TlogStatistics:
-        """Return the counts so far."""
-        return TlogStatistics(
-            packets=self.packets,
-            unknown=self.unknown,
-            damaged=self.damaged,
-            skipped_bytes=self.skipped_bytes,
-            broken_off=self.broken_off,
-        )
 
 
 class TlogReader:
@@ -187,7 +175,7 @@ class TlogReader:
 
     def statistics(self) -> TlogStatistics:
         """Return the counts so far."""
-        return self._scan.statistics()
+        return replace(self._scan.counts)
 
     def __iter__(self) -> Iterator[Batch]:
         """Return the batches in which there are wanted messages.
@@ -258,8 +246,8 @@ class TlogReader:
         while True:
             following = np.searchsorted(bad, first)
             stop = int(bad[following]) if following < len(bad) else count
-            self._scan.packets += stop - first
-            self._scan.unknown += int(np.count_nonzero(unknown[first:stop]))
+            self._scan.counts.packets += stop - first
+            self._scan.counts.unknown += int(np.count_nonzero(unknown[first:stop]))
             found.append(chained[first:stop][wanted[first:stop]])
             if stop == count:
                 self._reach = min(2 * self._reach, self._read_ahead_bytes)

@@ -11,7 +11,7 @@ import functools
 import math
 import time
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from adapters.batch import Batch, Columns, one_message
@@ -99,9 +99,13 @@ _SILENT_NS = 3 * _SECOND_NS
 _LARGEST_HZ = 1000.0
 
 
-@dataclass(frozen=True, slots=True)
+def _internal(default: Any) -> Any:
+    return field(default=default, repr=False, compare=False)
+
+
+@dataclass(slots=True)
 class RequestedRate:
-    """What became of one request.
+    """What became of one request, and the present measurement of its rate.
 
     Parameters
     ----------
@@ -121,9 +125,37 @@ class RequestedRate:
     component: int
     name: str
     asked_hz: float
-    measured_hz: float
-    requests: int
-    refused: bool
+    measured_hz: float = 0.0
+    requests: int = 0
+    refused: bool = False
+    low: bool = _internal(False)
+    heard: int = _internal(0)
+    since_ns: int = _internal(0)
+    retry_ns: int = _internal(_FIRST_RETRY_NS)
+    not_before_ns: int = _internal(0)
+
+    def measure(self, now_ns: int) -> None:
+        """Measure the rate where enough time and messages have passed."""
+        elapsed_s = (now_ns - self.since_ns) / 1e9
+        if elapsed_s < max(_MEASURED_S, _MEASURED_MESSAGES / self.asked_hz):
+            return
+        self.measured_hz = self.heard / elapsed_s
+        self.low = self.measured_hz < _ENOUGH * self.asked_hz
+        if not self.low:
+            self.retry_ns, self.not_before_ns = _FIRST_RETRY_NS, 0
+        self.restart(now_ns)
+
+    def restart(self, now_ns: int) -> None:
+        """Begin a new measurement."""
+        self.heard, self.since_ns = 0, now_ns
+
+    def sent(self, now_ns: int) -> None:
+        """Count a request; the next one waits twice as long."""
+        self.requests += 1
+        self.low = False
+        self.not_before_ns = now_ns + self.retry_ns
+        self.retry_ns = min(2 * self.retry_ns, _LAST_RETRY_NS)
+        self.restart(now_ns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,51 +175,14 @@ class RateStatistics:
 
 
 @dataclass(slots=True)
-class _Request:
-    """One message of one vehicle, and its present measurement."""
-
-    name: str
-    number: int
-    asked_hz: float
-    measured_hz: float = 0.0
-    requests: int = 0
-    refused: bool = False
-    low: bool = False
-    heard: int = 0
-    since_ns: int = 0
-    retry_ns: int = _FIRST_RETRY_NS
-    not_before_ns: int = 0
-
-    def measure(self, now_ns: int) -> None:
-        elapsed_s = (now_ns - self.since_ns) / 1e9
-        if elapsed_s < max(_MEASURED_S, _MEASURED_MESSAGES / self.asked_hz):
-            return
-        self.measured_hz = self.heard / elapsed_s
-        self.low = self.measured_hz < _ENOUGH * self.asked_hz
-        if not self.low:
-            self.retry_ns, self.not_before_ns = _FIRST_RETRY_NS, 0
-        self.restart(now_ns)
-
-    def restart(self, now_ns: int) -> None:
-        self.heard, self.since_ns = 0, now_ns
-
-    def sent(self, now_ns: int) -> None:
-        self.requests += 1
-        self.low = False
-        self.not_before_ns = now_ns + self.retry_ns
-        self.retry_ns = min(2 * self.retry_ns, _LAST_RETRY_NS)
-        self.restart(now_ns)
-
-
-@dataclass(slots=True)
 class _Vehicle:
     """One vehicle; an acknowledgement does not say which message it is about, so only one request is open at a time."""
 
     component: int
-    requests: dict[str, _Request]
+    requests: dict[str, RequestedRate]
     heard_ns: int | None = None
     heard_anew: bool = False
-    waiting: _Request | None = None
+    waiting: RequestedRate | None = None
     waiting_until_ns: int = 0
 
 
@@ -233,7 +228,7 @@ class RateRequests:
                 raise TelemetryError(f"message rate of {name}: no such MAVLink message; names are like ATTITUDE")
             if not (math.isfinite(rate_hz) and 0.0 < rate_hz <= _LARGEST_HZ):
                 raise TelemetryError(f"message rate of {name}: {rate_hz} is not above 0 and at most {_LARGEST_HZ:g} Hz")
-        requests = {name: _Request(name, numbers[name], rate_hz) for name, rate_hz in rates.items()}
+        requests = {name: RequestedRate(system, component, name, rate_hz) for name, rate_hz in rates.items()}
         self._vehicles[system] = _Vehicle(component, requests)
 
     def count(self, columns: Columns) -> None:
@@ -274,10 +269,10 @@ class RateRequests:
             self._heartbeat_ns = now_ns
             self._heartbeats += 1
             packets.append(self._heartbeat(now_ns))
-        for system, vehicle in self._vehicles.items():
+        for vehicle in self._vehicles.values():
             request = _next_request(vehicle, now_ns)
             if request is not None:
-                packets.append(self._set_interval(system, vehicle.component, request, now_ns))
+                packets.append(self._set_interval(request, now_ns))
         return packets
 
     def _start_anew(self) -> None:
@@ -302,14 +297,14 @@ class RateRequests:
             now_ns,
         )
 
-    def _set_interval(self, system: int, component: int, request: _Request, now_ns: int) -> bytes:
+    def _set_interval(self, request: RequestedRate, now_ns: int) -> bytes:
         return self._pack(
             self._dialect.MAVLink_command_long_message(
-                system,
-                component,
+                request.system,
+                request.component,
                 self._dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
                 0,
-                request.number,
+                _message_numbers()[request.name],
                 round(1e6 / request.asked_hz),
                 *[0] * 5,
             ),
@@ -325,25 +320,11 @@ class RateRequests:
 
     def statistics(self) -> RateStatistics:
         """Return the counts so far."""
-        return RateStatistics(
-            heartbeats=self._heartbeats,
-            rates=tuple(
-                RequestedRate(
-                    system=system,
-                    component=vehicle.component,
-                    name=request.name,
-                    asked_hz=request.asked_hz,
-                    measured_hz=request.measured_hz,
-                    requests=request.requests,
-                    refused=request.refused,
-                )
-                for system, vehicle in self._vehicles.items()
-                for request in vehicle.requests.values()
-            ),
-        )
+        requests = (request for vehicle in self._vehicles.values() for request in vehicle.requests.values())
+        return RateStatistics(self._heartbeats, tuple(map(replace, requests)))
 
 
-def _next_request(vehicle: _Vehicle, now_ns: int) -> _Request | None:
+def _next_request(vehicle: _Vehicle, now_ns: int) -> RequestedRate | None:
     """Measure a vehicle's rates; return the request that is due."""
     # Only when it was just heard: that nothing comes any more is no low rate but silence.
     if not vehicle.heard_anew:

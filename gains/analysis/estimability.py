@@ -5,26 +5,29 @@ A set S of faults can be estimated when, at every slope vertex and at their mean
     rank E_f(S), D_f(S)     the directions of its faults are independent
     (A, C)                  the plant without faults hides no mode that stays
     (L1 A_z, Cb)            no invariant zero of (A, 0; C, D_f(S)) with |z| >= 1 (Re s >= 0)
-    condition II            no constant faults S with states that stand still and outputs that are zero
+    condition II            no constant faults S with states that stand still and outputs that are zero: the matrix
+                            [L1 A_z - I, L1 E_f; Cb, 0] (continuous: no I) has full column rank
 
-With Pi a basis of the outputs that the sensor faults leave alone (Pi D_f = 0) the third says that (A, Pi C) has
-no hidden mode that stays, and the fourth that ([A, E_f; 0, I], [Pi C, 0]) has none (continuous: 0 for I).
-What can be estimated can be estimated in part: sets are built up one fault at a time, and a set all of whose
-parts are estimable while it is not is a smallest reason.
+An error system can be made stable exactly when its modes that no output shows decay by themselves. A hidden mode
+without faults is a mistake of the model. With Pi a basis of the outputs that the sensor faults leave alone (Pi D_f = 0)
+the third says that (A, Pi C) has no hidden mode that stays, and the fourth that ([A, E_f; 0, I], [Pi C, 0]) has none
+(continuous: 0 for I). What can be estimated can be estimated in part: sets are built up one fault at a time, and a set
+all of whose parts are estimable while it is not is a smallest reason.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from adapters.errors import InfeasibleError, ModelError
 from gains.analysis.augment import sloped_dynamics
 from gains.analysis.hidden_modes import HiddenMode, hidden_modes, kernel, leading, row_norms, signal_scales, step_matrix
-from gains.plants.plant import FloatArray, Plant, first_dependent
+from gains.plants.plant import FloatArray, Plant, check_independence, first_dependent
 
 Condition = Literal["hidden mode", "rank of E_f", "rank of D_f", "detectability of (L1 A_z, Cb)", "condition II"]
 
@@ -171,17 +174,85 @@ def problem_of(plant: Plant, faults: Iterable[str]) -> Problem | None:
         return Problem(names, "rank of E_f", 0j, (), at_every_frequency=True)
     if first_dependent(part.D_f) is not None:
         return Problem(names, "rank of D_f", 0j, (), at_every_frequency=True)
-    for A in sloped_dynamics(part)[0]:
-        for condition, modes in conditions(part, A):
-            if modes and modes[0].stays:
-                return Problem(
-                    faults=names,
-                    condition=condition,
-                    mode=continuous_mode(modes[0].eigenvalue, plant),
-                    states=moving_states(plant, modes[0]),
-                    at_every_frequency=hides_at_every_frequency(part, A),
-                )
+    for condition, mode, A, _ in _failures(part):
+        return Problem(
+            faults=names,
+            condition=condition,
+            mode=continuous_mode(mode.eigenvalue, plant),
+            states=moving_states(plant, mode),
+            at_every_frequency=hides_at_every_frequency(part, A),
+        )
     return None
+
+
+def _failures(plant: Plant, *, sampled: bool = False) -> Iterator[tuple[Condition, HiddenMode, FloatArray, FloatArray]]:
+    """Yield each existence condition that fails, the mode that stays, and A and the slopes at which it does."""
+    for A, slopes in zip(*sloped_dynamics(plant, sampled=sampled), strict=True):
+        for condition, modes in conditions(plant, A):
+            if modes and modes[0].stays:
+                yield condition, modes[0], A, slopes
+
+
+def check_existence(plant: Plant, *, sampled: bool = False) -> tuple[str, ...]:
+    """Test the existence conditions of a plant, at every slope vertex or at a sample; return what is possible but slow.
+
+    Raises
+    ------
+    ModelError
+        The plant itself has a mode that does not decay and that no output shows, it has no faults, or directions of
+        its faults depend on each other.
+    InfeasibleError
+        A condition fails; the message names it and the signals that cannot be told apart. Or too many slopes vary.
+    """
+    faults = len(plant.faults)
+    if not faults:
+        raise ModelError(f"{plant.name}: 'fault' is empty; there is nothing to estimate")
+    if faults > len(plant.outputs):
+        raise InfeasibleError(
+            f"{plant.name}: {faults} faults cannot be told apart with {len(plant.outputs)} outputs "
+            "(condition II needs at least as many outputs as faults)"
+        )
+    check_independence(plant)
+    for condition, mode, _, slopes in _failures(plant, sampled=sampled):
+        moving = _moving(plant, mode, condition != "hidden mode")
+        variable = "z" if plant.domain == "discrete" else "s"
+        at = f" at slopes {', '.join(f'{slope:g}' for slope in slopes)}" if len(slopes) else ""
+        where = f"mode at {variable} = {_complex_text(mode.eigenvalue)}{at}"
+        if condition == "hidden mode":
+            raise ModelError(f"{plant.name}: hidden mode: {moving} shows in no output ({where})")
+        raise InfeasibleError(
+            f"{plant.name}: {condition} fails: {moving} shows in no output ({where}); "
+            "add a sensor, a leak or leave a fault out"
+        )
+    if late := late_faults(plant):
+        names = " and ".join(f"'{name}'" for name in late)
+        return (
+            f"Cb L1 E_f lacks rank: {names} cannot be seen in the first sample after acting; the estimate takes longer",
+        )
+    return ()
+
+
+def _moving(plant: Plant, mode: HiddenMode, faulty: bool) -> str:
+    """Return the signals that take part in a mode, the faults before the states, each group the largest first.
+
+    What the states move in the outputs the sensor faults cancel: D_f f_s = -C x.
+    """
+    x, f_a = np.split(mode.motion, [len(plant.states)])
+    moving = _largest(plant.states, np.abs(x) / plant.state_errors)
+    if not faulty:
+        return moving
+    faults = (*plant.sensor_faults, *plant.actuator_faults)[: len(plant.sensor_faults) + len(f_a)]
+    motion = np.concatenate([np.linalg.pinv(plant.D_f) @ (plant.C @ x), f_a])
+    sizes = np.abs(motion) / [fault.error for fault in faults]
+    return " moving with ".join(filter(None, (_largest([fault.name for fault in faults], sizes), moving)))
+
+
+def _largest(names: Sequence[str], sizes: FloatArray) -> str:
+    return " and ".join(f"'{name}'" for name in leading(names, sizes))
+
+
+def _complex_text(value: complex) -> str:
+    return f"{value.real:.4g}" if abs(value.imag) < 1e-9 else f"{value.real:.4g}{value.imag:+.4g}j"
 
 
 def moving_states(plant: Plant, mode: HiddenMode) -> tuple[str, ...]:

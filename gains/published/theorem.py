@@ -50,7 +50,7 @@ import numpy as np
 
 from adapters.errors import InaccurateError, InfeasibleError, ModelError
 from gains.analysis.augment import ErrorModel, augment, error_model, slope_vertices
-from gains.analysis.existence import check_existence
+from gains.analysis.estimability import check_existence
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.certificate import certify
 from gains.synthesis.continuous_observer import check_continuous

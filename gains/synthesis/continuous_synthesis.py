@@ -21,7 +21,7 @@ import numpy as np
 
 from adapters.errors import InaccurateError, InfeasibleError, ModelError
 from gains.analysis.augment import ErrorModel, augment, error_model
-from gains.analysis.existence import check_existence
+from gains.analysis.estimability import check_existence
 from gains.analysis.hinf import hinf_norm
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.bounded_real import inequality, solve_continuous, user_gains

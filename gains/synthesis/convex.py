@@ -24,7 +24,7 @@ import numpy as np
 
 from adapters.errors import InaccurateError, InfeasibleError, ModelError
 from gains.analysis.augment import LARGEST_VERTEX_COUNT, Augmentation, ErrorModel, augment, error_model, varying_slopes
-from gains.analysis.existence import check_existence
+from gains.analysis.estimability import check_existence
 from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.bounded_real import Inequality, Solution, inequality, solve_bounded_real, user_gains
