@@ -6,20 +6,25 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from math import isfinite
+from math import asin, atan2, hypot, isfinite
 from typing import Any, Literal, get_args
 
 from adapters.errors import TelemetryError
 from adapters.toml_tables import Table, TomlFile
 
 Interpolation = Literal["linear", "previous", "mean"]
+Angle = Literal["roll", "pitch", "yaw"]
 
 _STEP = re.compile(r"([^.\[\]]+)|\[(?:(\d+)|([^\[\]]+))\]")
 _INTERPOLATIONS: tuple[Interpolation, ...] = get_args(Interpolation)
+_ANGLES: tuple[Angle, ...] = get_args(Angle)
 CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
 """The usual names of clock fields and the nanoseconds they count, the first one that a message has being its clock."""
 MAX_VALUE = 1e12
 """Beyond it no vehicle measures anything, in any unit; an observer that believed it would be blind for seconds."""
+_LARGEST_PART, _SMALLEST_LENGTH = 1e3, 0.5
+"""A quaternion is of length 1. Chosen: one that is shorter than half is none (drivers without an attitude send zeros);
+parts beyond a thousand came from elsewhere."""
 # Where messages of ROS 2, and those of Foxglove's schemas, have their time: seconds and nanoseconds.
 _ROS_STAMP = ("header", "stamp")
 _FOXGLOVE_STAMP = "timestamp"
@@ -57,6 +62,9 @@ class Channel:
     period : float | None
         Of a value that wraps, in the channel's unit: an angle of 359 degrees and one of 1 degree (period 360) are 2
         degrees apart. Interpolation goes the shorter way round and may leave the range.
+    angle : {"roll", "pitch", "yaw"} | None
+        The field holds a quaternion (``x``, ``y``, ``z``, ``w``, as ROS 2 has it): take this angle of it, radians, of
+        the rotations about z, then y, then x that it stands for. None: the field is a number.
     """
 
     name: str
@@ -69,6 +77,7 @@ class Channel:
     clock_unit_ns: int | None = None
     interpolation: Interpolation = "linear"
     period: float | None = None
+    angle: Angle | None = None
 
     def selects(self, fields: Mapping[str, Any]) -> bool:
         """Return whether the message is one of those the channel is taken from."""
@@ -79,6 +88,8 @@ class Channel:
         path = self.path
         # Most paths are one name; they are read some thousand times a second.
         number = fields.get(path[0]) if len(path) == 1 else follow(fields, path)  # type: ignore[arg-type]
+        if self.angle is not None:
+            number = _angle(number, self.angle)
         if not isinstance(number, float) and (not isinstance(number, int) or isinstance(number, bool)):
             return None
         try:
@@ -102,6 +113,22 @@ class Channel:
             return _stamp(follow(fields, _ROS_STAMP), 1)
         stamped = fields.get(_FOXGLOVE_STAMP)
         return _stamp(stamped, 1) if isinstance(stamped, Mapping) else None
+
+
+def _angle(quaternion: Any, which: Angle) -> float | None:
+    """Return an angle of a quaternion, None where it is none; one of another length than 1 is taken to length 1."""
+    parts: list[Any] = [quaternion.get(name) for name in "xyzw"] if isinstance(quaternion, Mapping) else []
+    if not parts or not all(type(part) in (int, float) and abs(part) <= _LARGEST_PART for part in parts):
+        return None
+    length = hypot(*parts)
+    if length < _SMALLEST_LENGTH:
+        return None
+    x, y, z, w = (part / length for part in parts)
+    if which == "roll":
+        return atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    if which == "yaw":
+        return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
 
 
 def _stamp(count: Any, unit_ns: int) -> int | None:
@@ -150,7 +177,7 @@ def read_channel(name: str, table: Table) -> Channel:
     """Read one channel from its TOML table; mistakes are recorded in the table's file.
 
     Keys are ``message`` (a leading slash is dropped) and ``field``, both required, ``where``, ``scale``, ``offset``,
-    ``clock``, ``clock_unit_ns``, ``interpolation``, ``period``.
+    ``clock``, ``clock_unit_ns``, ``interpolation``, ``period``, ``angle``.
     """
     selection = table.raw("where") or {}
     if not isinstance(selection, Mapping) or not all(isinstance(v, (int, str)) for v in selection.values()):
@@ -167,6 +194,7 @@ def read_channel(name: str, table: Table) -> Channel:
         clock_unit_ns=table.integer("clock_unit_ns", at_least=1) if table.has("clock_unit_ns") else None,
         interpolation=table.choice("interpolation", _INTERPOLATIONS, "linear"),
         period=table.number("period", above=0.0) if table.has("period") else None,
+        angle=table.choice("angle", _ANGLES) if table.has("angle") else None,
     )
     table.done()
     return channel
@@ -213,6 +241,8 @@ def channel_table(channel: Channel) -> dict[str, Any]:
         table["clock_unit_ns"] = channel.clock_unit_ns
     if channel.interpolation != "linear":
         table["interpolation"] = channel.interpolation
+    if channel.angle is not None:
+        table["angle"] = channel.angle
     if channel.period is not None:
         table["period"] = channel.period
     return table

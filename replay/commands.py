@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adapters.errors import StorageError
-from monitor.vehicles.kinds import KINDS, fit_messages
+from monitor.vehicles.kinds import KINDS, fit_messages, fit_types
 from replay import attack_commands
 from replay.runs.replay_command import LOG_HELP, MAPPING_HELP, add_replay
 
@@ -119,10 +119,10 @@ def run_fit(args: argparse.Namespace) -> int:
     check_output_folder(args.out)
     name = args.name or args.out.resolve().name
 
-    wanted = custom_messages(args.model) if args.model else fit_messages()
+    wanted, types = (custom_messages(args.model), ()) if args.model else (fit_messages(), fit_types())
 
     def log(path: Path) -> Iterator[Batch]:
-        recording = Recording(path, wanted, args.mapping)
+        recording = Recording(path, wanted, args.mapping, types)
         batches = track(recording.batches(), f"reading {path.name}", weigh=lambda batch: batch.count)
         yield from batches
         damage[path] = recording.damage()

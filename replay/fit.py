@@ -222,8 +222,8 @@ def replace_kept(path: Path, text: str) -> Path | None:
 
 
 def _slow(kind: VehicleKind, surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str, ...]:
-    messages = {channel.message for fitted in observers for channel in fitted.source.channels}
-    slow = slow_messages([found.rate_hz for found in surveys], messages, kind.wanted_hz)
+    channels = [channel for fitted in observers for channel in fitted.source.channels]
+    slow = slow_messages([found.rate_hz for found in surveys], channels, kind.wanted_hz)
     return (slow_text(slow, kind.wanted_hz),) if slow else ()
 
 

@@ -46,7 +46,7 @@ def test_a_channel_survives_the_way_through_its_table(message: str, path: list[A
     [
         ({"field": "a"}, "'message' is missing"),
         ({"message": "A", "field": ""}, "write it like"),
-        ({"message": "A", "field": "a", "unit": "m"}, "'unit' is not a key of this table; known here: clock"),
+        ({"message": "A", "field": "a", "unit": "m"}, "'unit' is not a key of this table; known here: angle, clock"),
         ({"message": "A", "field": "a", "scale": "2"}, "which is not a number"),
         ({"message": "A", "field": "a", "where": [1]}, "'where' is not a table"),
         ({"message": "A", "field": "a", "where": {"port": 1.5}}, "'where' is not a table"),

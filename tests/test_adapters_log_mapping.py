@@ -8,9 +8,9 @@ import pytest
 
 from adapters.errors import TelemetryError
 from adapters.logs.log_mapping import ONBOARD_SOURCES, builtin_mapping, parse_mapping, read_mapping
-from adapters.logs.log_parameters import PARAMETER_MESSAGES
 from adapters.toml_tables import TomlFile
 from monitor.fitting.survey import MOTOR_MESSAGE
+from monitor.sampling.identity import Reports
 from monitor.vehicles.inertial.signals import MESSAGES
 
 RATES = {"timestamp": 1, "xyz": [0.0, 0.0, 0.0]}
@@ -22,12 +22,7 @@ COMMANDS = {"timestamp": 1, "control": [0.0] * 12}
 @pytest.mark.parametrize("source", ONBOARD_SOURCES)
 def test_the_built_in_tables_fill_what_profiles_need(source: str) -> None:
     rules = builtin_mapping(source).rules
-    wanted = MESSAGES - {"RAW_IMU", "MSG"} - PARAMETER_MESSAGES | {
-        MOTOR_MESSAGE,
-        "HEARTBEAT",
-        "EXTENDED_SYS_STATE",
-        "VFR_HUD",
-    }
+    wanted = MESSAGES - Reports.interests - {"RAW_IMU"} | {MOTOR_MESSAGE, "HEARTBEAT", "EXTENDED_SYS_STATE", "VFR_HUD"}
     assert wanted <= rules.keys()
     timed = {name for name, found in rules.items() if name not in ("HEARTBEAT", "EXTENDED_SYS_STATE", "VFR_HUD")}
     for rule in (rule for name in timed for rule in rules[name]):

@@ -44,7 +44,7 @@ def segment(raw: FloatArray, **parameters: float) -> InertialSegment:
 def fitted() -> InertialFit:
     transform, _ = truth.transformed(truth.signals(0.1))
     flights = [segment(noisy(truth.signals(60.0, start_s=100.0 * seed), seed)) for seed in (1, 2)]
-    return identify_inertial(flights, transform.inputs, transform.outputs, 25.0, 30.0, 10.0)
+    return identify_inertial(flights, transform.inputs, transform.outputs, 25.0, 30.0, 10.0, 3.0)
 
 
 @cache
@@ -146,7 +146,7 @@ def test_delays_are_those_of_the_sensors() -> None:
     for delay in np.arange(0.0, 0.31, 0.04).tolist():
         parameters = dict.fromkeys(("gps_delay_s", "baro_delay_s", "compass_delay_s"), delay)
         data = [segment(raw, **parameters)]
-        trials[delay] = delay_costs(data, transform.inputs, transform.outputs, 25.0, 30.0, 10.0)
+        trials[delay] = delay_costs(data, transform.inputs, transform.outputs, 25.0, 30.0, 10.0, 3.0)
     found = best_delays(trials)
     assert found["gps_delay_s"] == pytest.approx(0.12, abs=0.01)
     assert found["baro_delay_s"] == pytest.approx(0.2, abs=0.02)
@@ -167,7 +167,7 @@ def test_a_missing_sensor_takes_its_faults_with_it(missing: str, gone: set[str],
     keep = [whole.signals.index(name) for name in transform.signals]
     samples = truth.fed(transform, noisy(truth.signals(40.0), 9)[:, keep])
     data = [InertialSegment(np.array([s.u for s in samples]), np.array([s.y for s in samples]))]
-    fit = identify_inertial(data, transform.inputs, transform.outputs, 25.0, 30.0, 10.0)
+    fit = identify_inertial(data, transform.inputs, transform.outputs, 25.0, 30.0, 10.0, 3.0)
     plant = inertial_plant(fit, "vehicle")
     names = {name for found in inertial_hypotheses(plant) for name in found}
     assert not names & gone
@@ -184,7 +184,7 @@ def test_too_little_recording_is_said_so() -> None:
     transform, _ = truth.transformed(truth.signals(0.1))
     data = [segment(truth.signals(15.0))]
     with pytest.raises(ModelError, match="at least 20 s"):
-        identify_inertial(data, transform.inputs, transform.outputs, 25.0, 30.0, 10.0)
+        identify_inertial(data, transform.inputs, transform.outputs, 25.0, 30.0, 10.0, 3.0)
 
 
 def test_sensors_that_come_once_a_second_are_fitted() -> None:
@@ -193,5 +193,5 @@ def test_sensors_that_come_once_a_second_are_fitted() -> None:
     flight = InertialSegment(
         rng.normal(size=(150, len(transform.inputs))), rng.normal(size=(150, len(transform.outputs)))
     )
-    fit = identify_inertial([flight], transform.inputs, transform.outputs, 1.0, 30.0, 10.0)
+    fit = identify_inertial([flight], transform.inputs, transform.outputs, 1.0, 30.0, 10.0, 3.0)
     assert all(0.0 < size < 100.0 for size in fit.noise.values())

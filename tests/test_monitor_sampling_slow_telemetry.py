@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import fauio
+from adapters.channels import Channel
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import read_recording
 from monitor.profile import Profile
@@ -33,7 +34,13 @@ def slow_log(tmp_path_factory: pytest.TempPathFactory, data: Path) -> Path:
 
 def test_slow_messages_are_those_far_below_what_is_wanted_and_not_slow_by_nature() -> None:
     rates = {"ATTITUDE": 4.0, "HIGHRES_IMU": 45.0, "GPS_RAW_INT": 5.0}
-    assert slow_messages([rates, rates | {"ATTITUDE": 50.0}], rates, 50.0) == {"ATTITUDE": 4.0}
+    channels = [Channel("x", name, ("x",)) for name in rates]
+    assert slow_messages([rates, rates | {"ATTITUDE": 50.0}], channels, 50.0) == {"ATTITUDE": 4.0}
+
+
+def test_topics_with_positions_are_slow_by_nature_whatever_they_are_called() -> None:
+    channels = [Channel("lat", "gps/fix", ("latitude",)), Channel("xacc", "imu", ("linear_acceleration", "x"))]
+    assert slow_messages([{"gps/fix": 5.0, "imu": 10.0}], channels, 25.0) == {"imu": 10.0}
 
 
 @pytest.mark.long

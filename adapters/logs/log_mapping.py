@@ -14,13 +14,12 @@ from functools import cache
 from importlib.resources import files
 from math import isnan, nan
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
-from adapters.channels import CLOCK_UNITS_NS, Channel, follow, not_empty, read_channel
+from adapters.channels import CLOCK_UNITS_NS, Angle, Channel, follow, not_empty, read_channel
 from adapters.errors import TelemetryError
 from adapters.toml_tables import Table, TomlFile, parse_toml, read_toml
 
-Angle = Literal["roll", "pitch", "yaw"]
 ONBOARD_SOURCES: Final = ("ulog", "dataflash")
 
 _ANGLES: Final[tuple[Angle, ...]] = ("roll", "pitch", "yaw")

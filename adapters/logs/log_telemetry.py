@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, cut, gathered, one_message
-from adapters.channels import CLOCK_UNITS_NS, MAX_VALUE, follow
-from adapters.logs.log_mapping import PARAMETERS, Angle, FieldRule, LogMapping, MessageRule
+from adapters.channels import CLOCK_UNITS_NS, MAX_VALUE, Angle, follow
+from adapters.logs.log_mapping import PARAMETERS, FieldRule, LogMapping, MessageRule
 from adapters.logs.log_parameters import parameter
 from adapters.logs.onboard_log import NO_TIME, own_stamps_ns
 from adapters.message import Message

@@ -6,7 +6,7 @@ import contextlib
 import os
 import struct
 import zlib
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from itertools import islice
@@ -23,12 +23,15 @@ from mcap.writer import MCAP0_MAGIC
 
 from adapters.batch import BATCH_MESSAGES, Batch, Columns, gathered, messages, pack
 from adapters.encoding.foreign_record import described, foreign_name
+from adapters.encoding.message_definition import canonical_type
 from adapters.encoding.message_record import Decode, decoder, recorded_name
 from adapters.encoding.record import Record, Schema
 from adapters.encoding.typed_record import TypedRecords
+from adapters.errors import TelemetryError
 from adapters.logs.damage import Damage, counted
 from adapters.logs.mcap_records import RECORD_HEAD, UNREADABLE, McapRecords
 from adapters.message import LATEST_NS, Message
+from adapters.source import ZENOH
 
 # head of a record, then of a message
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -49,6 +52,7 @@ take, so that it bounds memory and nothing else.
 """
 # samples, estimates and alarms of a monitor: no telemetry
 _OUR_RESULTS = "/fauio/"
+_ZENOH_TOPICS = f"/{ZENOH}/"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,11 +116,17 @@ class MessageLogReader:
         A ``.mcap`` file, plain or with ``.xz`` or ``.gz`` behind.
     only : Container[str] | None
         Names of the messages wanted, no others are decoded; None wants all.
+    types : Container[str]
+        ROS 2 types (``sensor_msgs/Imu``) whose topics are wanted whatever they are called, and with any of them the
+        recorded telemetry over Zenoh that is JSON, of which no type is known.
     """
 
-    def __init__(self, path: str | os.PathLike[str], only: Container[str] | None = None) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], only: Container[str] | None = None, types: Collection[str] = ()
+    ) -> None:
         self._path = Path(path)
         self._only = only
+        self._types = types
         self._topic: str | None = None
         self._records = McapRecords(self._path)
         self._schemas: dict[int, Schema] = {}
@@ -302,8 +312,18 @@ class MessageLogReader:
             wanted = topic == self._topic
         else:
             name = recorded_name(topic, encoding, schema) or foreign_name(topic)
-            wanted = not topic.startswith(_OUR_RESULTS) and (self._only is None or name in self._only)
+            chosen = self._only is None or name in self._only or self._is_of_type(topic, encoding, schema)
+            wanted = not topic.startswith(_OUR_RESULTS) and chosen
         self._topics[channel.id] = _Topic(topic, encoding, schema, wanted)
+
+    def _is_of_type(self, topic: str, encoding: str, schema: Schema | None) -> bool:
+        if not self._types:
+            return False
+        if encoding == "json":
+            return topic.startswith(_ZENOH_TOPICS)
+        with contextlib.suppress(TelemetryError):
+            return schema is not None and canonical_type(schema.name) in self._types
+        return False
 
     def _decoder(self, topic: _Topic) -> Decode | None:
         """Make what decodes a topic; where that is not possible the topic is wanted no more."""

@@ -110,6 +110,9 @@ class Recording:
         TOML file that says for some messages from which records of an onboard log they come; the others, and all
         where there is none, are guessed.
 
+    types : Collection[str]
+        ROS 2 types whose topics are wanted beside ``only`` (:class:`adapters.logs.mcap_reader.MessageLogReader`).
+
     Raises
     ------
     TelemetryError
@@ -121,11 +124,13 @@ class Recording:
         path: str | os.PathLike[str],
         only: Collection[str] | None = None,
         mapping: str | os.PathLike[str] | None = None,
+        types: Collection[str] = (),
     ) -> None:
         self._kind = recording_kind(path)
         self._tables = _tables(path, mapping)
         self._files = session_files(path) if Path(path).is_dir() else [Path(path)]
         self._only = only
+        self._types = types
         self._damage: list[Damage] = []
 
     def __iter__(self) -> Iterator[Message]:
@@ -161,7 +166,7 @@ class Recording:
         return self._through(lambda file: _open_entries(file, self._only))
 
     def _read(self, only: Collection[str] | None, count: int) -> Iterator[Batch]:
-        return self._through(lambda file: _open(self._kind, file, only, count))
+        return self._through(lambda file: _open(self._kind, file, only, count, self._types))
 
     def _through(self, opened: Callable[[Path], tuple[Iterable[T], Callable[[], Damage | None]]]) -> Iterator[T]:
         """Yield what the files hold, one file after the other, and keep what of them could not be read."""
@@ -185,13 +190,13 @@ class Recording:
 
 
 def _open(
-    kind: RecordingKind, file: Path, only: Collection[str] | None, count: int
+    kind: RecordingKind, file: Path, only: Collection[str] | None, count: int, types: Collection[str] = ()
 ) -> tuple[Iterable[Batch], Callable[[], Damage | None]]:
     """Return the batches of one file, and what says afterwards what of it is missing."""
     if kind == "mcap":
         from adapters.logs.mcap_reader import MessageLogReader
 
-        mcap = MessageLogReader(file, only)
+        mcap = MessageLogReader(file, only, types)
         return mcap.batches(count), mcap.damage
     reader = _scanner(kind)(file, only, read_ahead_bytes=count * _TYPICAL_RECORD_BYTES)
     return reader, lambda: scan_damage(file.name, reader.statistics())

@@ -8,6 +8,7 @@ class StrapdownCore:
     def __init__(
         self,
         gps: bool,
+        speeds: int,
         baro: bool,
         mag: bool,
         hectopascal: bool,
@@ -19,5 +20,6 @@ class StrapdownCore:
         count: int,
         inputs: int,
         washouts: Sequence[tuple[float, float]],
+        twice: Sequence[bool],
     ) -> None: ...
     def run(self, samples: Samples) -> Given: ...

@@ -67,6 +67,8 @@ cdef class StrapdownCore:
     ----------
     gps, baro, mag : bool
         Whether there are GPS, barometer and magnetometer beside IMU and attitude.
+    speeds : int
+        Signals of the GPS's velocity: 2, speed and course; 3, along the body's axes; 0, none.
     hectopascal : bool
         Whether the barometer's signal is its pressure.
     dt : float
@@ -79,9 +81,12 @@ cdef class StrapdownCore:
         Number of u.
     washouts : Sequence[tuple[float, float]]
         phi and tau (1 - phi) / T of each output.
+    twice : Sequence[bool]
+        Whether each output is washed out twice.
     """
 
     cdef bint _gps, _baro, _mag, _hectopascal
+    cdef int _speeds
     cdef double _dt
     cdef _Delay _motion, _fixes, _altitudes, _levels
     cdef int _count, _inputs, _outputs
@@ -104,10 +109,13 @@ cdef class StrapdownCore:
     cdef long long _start_index, _start_vehicle, _start_time
     cdef double[_WIDEST] _start
     cdef double[_WIDEST] _y
+    cdef double[_WIDEST] _once
+    cdef bint[_WIDEST] _twice
 
     def __init__(
         self,
         bint gps,
+        int speeds,
         bint baro,
         bint mag,
         bint hectopascal,
@@ -119,16 +127,18 @@ cdef class StrapdownCore:
         int count,
         int inputs,
         washouts,
+        twice,
     ):
         cdef int i
         self._gps, self._baro, self._mag, self._hectopascal, self._dt = gps, baro, mag, hectopascal, dt
+        self._speeds = speeds
         self._motion = _Delay.__new__(_Delay, imu_ticks, 3)
         self._fixes = _Delay.__new__(_Delay, gps_ticks, 5)
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 1)
         self._levels = _Delay.__new__(_Delay, compass_ticks, 5)
         self._count, self._inputs, self._outputs = count, inputs, len(washouts)
         for i, (keep, gain) in enumerate(washouts):
-            self._keep[i], self._gain[i] = keep, gain
+            self._keep[i], self._gain[i], self._twice[i] = keep, gain, twice[i]
         self._longest = max(imu_ticks, compass_ticks) + count
         self.restart()
 
@@ -143,6 +153,7 @@ cdef class StrapdownCore:
         self._resets = self._doubt = self._summed = 0
         memset(self._turned, 0, sizeof(self._turned))
         memset(self._y, 0, sizeof(self._y))
+        memset(self._once, 0, sizeof(self._once))
 
     def run(self, samples):
         """Go on by raw samples; return the observer's samples, each where its period ends.
@@ -160,6 +171,7 @@ cdef class StrapdownCore:
         cdef Py_ssize_t row, count = 0, most = 0
         cdef double[_WIDEST] now
         cdef double[_WIDEST] places
+        cdef double change, before
         cdef int i
         for row in range(index.shape[0]):
             most += index[row] % self._count == 0
@@ -196,7 +208,13 @@ cdef class StrapdownCore:
                 # y(k) is what was known at the period's start: y+ = phi y + tau (1 - phi) d / T.
                 for i in range(self._outputs):
                     y[count, i] = self._y[i]
-                    self._y[i] = self._keep[i] * self._y[i] + self._gain[i] * (places[i] - self._start[i])
+                    change = places[i] - self._start[i]
+                    if self._twice[i]:
+                        # a vehicle that begins on the move has been washed out before: what its speed would leave
+                        before = self._gain[i] / (1.0 - self._keep[i]) * change if flags[0, count] else self._once[i]
+                        self._once[i] = self._keep[i] * before + self._gain[i] * change
+                        change = self._once[i] - before
+                    self._y[i] = self._keep[i] * self._y[i] + self._gain[i] * change
                 rows[count] = row
                 count += 1
             self._begun = True
@@ -245,14 +263,21 @@ cdef class StrapdownCore:
                 self._placed = True
                 self._origin[0], self._origin[1] = sensors[0], sensors[1]
                 _metres_per_degree(sensors[0], self._origin + 2)
-            course = sensors[4] * _DEGREE
             values[0] = (sensors[0] - self._origin[0]) * self._origin[2]
             values[1] = (_modulo(sensors[1] - self._origin[1] + 180.0, 360.0) - 180.0) * self._origin[3]
             values[2] = -sensors[2]
-            values[3], values[4] = sensors[3] * cos(course), sensors[3] * sin(course)
+            values[3] = values[4] = 0.0
+            if self._speeds == 2:
+                course = sensors[4] * _DEGREE
+                values[3], values[4] = sensors[3] * cos(course), sensors[3] * sin(course)
+            elif self._speeds == 3:
+                for axis in range(2):
+                    values[3 + axis] = (
+                        R[3 * axis] * sensors[3] + R[3 * axis + 1] * sensors[4] + R[3 * axis + 2] * sensors[5]
+                    )
             fix = self._fixes.push(values)
             full = full and fix != NULL
-            sensors += 5
+            sensors += 3 + self._speeds
         if self._baro:
             values[0] = _pressure_altitude(sensors[0]) if self._hectopascal else sensors[0]
             altitude = self._altitudes.push(values)
@@ -261,9 +286,15 @@ cdef class StrapdownCore:
         if not full:
             return False
         if self._gps:
-            u[0], u[1], u[2], u[3] = fix[3], fix[4], motion[0], motion[1]
-            y[0], y[1], y[2], y[3], y[4] = fix[0], fix[1], fix[3], fix[4], fix[2]
-            i, k = 4, 5
+            y[0], y[1] = fix[0], fix[1]
+            k = 2
+            if self._speeds:
+                u[0], u[1] = fix[3], fix[4]
+                y[2], y[3] = fix[3], fix[4]
+                i, k = 2, 4
+            u[i], u[i + 1] = motion[0], motion[1]
+            y[k] = fix[2]
+            i, k = i + 2, k + 1
         if self._baro:
             y[k] = -altitude[0]
             k += 1

@@ -289,7 +289,8 @@ class _Tally:
 def of_one_vehicle(batches: Iterable[Batch], names: Collection[str] = MOTION_MESSAGES) -> Iterator[Batch]:
     """Yield the messages of the first system that sends one of these messages, from then on.
 
-    Its parameters come along from before, too: logs begin with them.
+    Its parameters come along from before, too: logs begin with them; so does telemetry that carries no ids, as that of
+    ROS 2, which is of the vehicle that the recording is of.
     """
     system: int | None = None
     early: list[Message] = []
@@ -301,6 +302,8 @@ def of_one_vehicle(batches: Iterable[Batch], names: Collection[str] = MOTION_MES
             first = min(senders)[0] if senders else batch.count
             early += [m for at, m in sorted(batch.others.items()) if at < first and m.name in PARAMETER_MESSAGES]
             if not senders:
+                if free := {at: message for at, message in batch.others.items() if _has_no_ids(message)}:
+                    yield gathered([], free)
                 continue
             system = min(senders)[1]
             if kept := [message for message in early if _is_of(message, system)]:
@@ -313,7 +316,14 @@ def of_one_vehicle(batches: Iterable[Batch], names: Collection[str] = MOTION_MES
 
 def _is_of(message: Message, system: int) -> bool:
     """Return whether a message is of a system; a log's parameters carry no ids."""
-    return message.system == system or (message.source.is_onboard_log and message.name in PARAMETER_MESSAGES)
+    own = message.system == system or _has_no_ids(message)
+    return own or (message.source.is_onboard_log and message.name in PARAMETER_MESSAGES)
+
+
+def _has_no_ids(message: Message) -> bool:
+    """Return whether a message is telemetry that never carries ids, but for a log's own records."""
+    source = message.source
+    return source.is_telemetry and not source.has_ids and not source.is_onboard_log
 
 
 def common_rate_hz(surveys: Sequence[Survey], channels: Sequence[Channel]) -> float:

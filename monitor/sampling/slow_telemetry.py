@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 
+from adapters.channels import Channel
 from monitor.sampling.transform import SampleSource
 
 SELDOM = frozenset({"GPS_RAW_INT", "SCALED_PRESSURE", "VFR_HUD", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT"})
 """Slow by their nature; the transforms that read them delay the others."""
+_POSITION = ("lat", "lon", "gps_alt")
+"""Signals of transforms whose messages are as slow, whatever they are called."""
 
 _ENOUGH = 0.8
 """Share of the wanted rate that is enough; chosen: a rate a little below the wanted one is no reason to complain."""
@@ -15,8 +18,12 @@ _SPANNED = 3.0
 """Samples between two messages from which an observer interpolates more than it measures: two of three are between."""
 
 
+def _seldom(channels: Collection[Channel]) -> frozenset[str]:
+    return SELDOM | {channel.message for channel in channels if channel.name in _POSITION}
+
+
 def slow_messages(
-    recordings: Sequence[Mapping[str, float]], messages: Collection[str], wanted_hz: float
+    recordings: Sequence[Mapping[str, float]], channels: Collection[Channel], wanted_hz: float
 ) -> dict[str, float]:
     """Return the messages that come clearly more seldom than wanted in some recording, and how often they come.
 
@@ -24,12 +31,12 @@ def slow_messages(
     ----------
     recordings : Sequence[Mapping[str, float]]
         Of each recording, how often messages come per second, by name.
-    messages : Collection[str]
-        Names of the messages that channels are taken from.
+    channels : Collection[Channel]
+        Where the signals are taken from.
     wanted_hz : float
         How often they should come per second.
     """
-    fast = sorted(set(messages) - SELDOM)
+    fast = sorted({channel.message for channel in channels} - _seldom(channels))
     rates = {name: min(recording.get(name, 0.0) for recording in recordings) for name in fast}
     return {name: rate for name, rate in rates.items() if rate < _ENOUGH * wanted_hz}
 
@@ -60,5 +67,5 @@ def spanned(source: SampleSource, rate_hz: float, rates: Mapping[str, float]) ->
     """
     names = {channel.message for channel in source.channels if channel.interpolation == "linear"}
     if source.transform is not None:
-        names -= SELDOM
+        names -= _seldom(source.channels)
     return {name: rate_hz / rates[name] for name in sorted(names) if 0.0 < rates.get(name, 0.0) < rate_hz / _SPANNED}

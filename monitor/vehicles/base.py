@@ -32,6 +32,8 @@ class VehicleKind:
         cannot tell.
     messages : str
         Names of the messages that a fit reads. Empty: those that the model's channels name.
+    types : str
+        Types of ROS 2 whose topics a fit reads, whatever they are called.
     wanted_hz : float
         Rate at which its messages should come, hertz.
     transforms : Mapping[str, str]
@@ -49,6 +51,7 @@ class VehicleKind:
     fit: str
     preview: str = ""
     messages: str = ""
+    types: str = ""
     wanted_hz: float = 50.0
     transforms: Mapping[str, str] = field(default_factory=dict)
     type_words: tuple[str, ...] = ()

@@ -41,6 +41,7 @@ KINDS = (
         fit="monitor.vehicles.inertial.fit:fit_alone",
         preview="monitor.vehicles.inertial.signals:preview",
         messages="monitor.vehicles.inertial.signals:MESSAGES",
+        types="monitor.vehicles.inertial.ros_signals:TYPES",
         wanted_hz=25.0,  # faults of these sensors are slower than those of motors
         transforms={"strapdown": "monitor.vehicles.inertial.strapdown:Strapdown"},
         inertial_too=False,
@@ -63,6 +64,11 @@ def kind_named(name: str) -> VehicleKind:
 def fit_messages() -> frozenset[str]:
     """Return the names of all messages that a fit without a model reads: a filter for recordings."""
     return frozenset[str]().union(*(load(kind.messages) for kind in KINDS if kind.messages))
+
+
+def fit_types() -> frozenset[str]:
+    """Return the types of ROS 2 that a fit without a model reads: a filter for recordings."""
+    return frozenset[str]().union(*(load(kind.types) for kind in KINDS if kind.types))
 
 
 @cache

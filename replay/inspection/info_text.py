@@ -89,7 +89,8 @@ def _messages(found: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _vehicle(vehicle: Mapping[str, Any]) -> Iterator[str]:
-    yield f"  what fauio fit could make of system {vehicle['system']}:"
+    whose = "these topics" if vehicle["system"] is None else f"system {vehicle['system']}"
+    yield f"  what fauio fit could make of {whose}:"
     for kind, fit in vehicle["fits"].items():
         # a vehicle that says what it is is nothing else, whatever its messages would allow
         if vehicle["likely"] not in (None, kind) and kind != "inertial":

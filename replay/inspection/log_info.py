@@ -203,10 +203,13 @@ def _enumerated(enumeration: str, number: int | None) -> str | None:
 
 
 def _fits(found: Survey, tally: _Tally) -> dict[str, Any] | None:
-    """Return which observers could be fitted to the vehicle's messages, None where there is no vehicle of MAVLink."""
+    """Return which observers could be fitted to the vehicle's messages, None where there is no vehicle."""
     sender = None if tally.watched is None else tally.senders.get(tally.watched)
     if sender is None:
-        return None
+        fits = {kind.name: _fit(kind, found) for kind in KINDS if kind.types}
+        if not any(fit["possible"] for fit in fits.values()):
+            return None
+        return {"system": None, "likely": None, "fits": fits}
     says = _enumerated("MAV_TYPE", sender.type) or ""
     likely = likely_kinds(KINDS, says)
     return {
@@ -221,7 +224,7 @@ def _fit(kind: VehicleKind, found: Survey) -> dict[str, Any]:
         preview: Preview = load(kind.preview)(found)
     except TelemetryError as error:
         return {"possible": False, "missing": [str(error)], "watches": [], "channels": {}, "rate_hz": None}
-    slow = slow_messages([found.rate_hz], [channel.message for channel in preview.channels], kind.wanted_hz)
+    slow = slow_messages([found.rate_hz], preview.channels, kind.wanted_hz)
     seldom = [f"{name} at {kind.wanted_hz:g} Hz: it comes at {rate:.3g} Hz" for name, rate in slow.items()]
     json = preview.to_json()
     return {"possible": True, **json, "missing": json["missing"] + seldom}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +27,12 @@ from monitor.profile import FaultChannel
 from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.inertial.identify import WASHED_FAULTS, inertial_bank, inertial_plant, smallest_faults
+from monitor.vehicles.inertial.ros_signals import BARE_POSITIONS
 from monitor.vehicles.inertial.sensor_fit import (
+    BARE_SETTLE_S,
     InertialFit,
     InertialSegment,
+    bare_positions,
     best_delays,
     delay_costs,
     identify_inertial,
@@ -48,8 +52,12 @@ failures faster."""
 _VELOCITY_WASHOUT_S = 10.0
 """Velocity forgets within ten seconds: an attitude wrong by 10 mrad makes 1 m/s of gravity in that time, the smallest
 fault that is looked for."""
+_POSITION_WASHOUT_S = 3.0
+"""Positions that come without a velocity forget within three seconds: they are compared with twice integrated
+accelerations, of which that attitude makes .9 m in that time."""
 _SMOOTHING_S = 0.12
 """Smoothing before hypotheses are compared, seconds: three samples."""
+_WASHOUTS_S = (_WASHOUT_S, _VELOCITY_WASHOUT_S, _POSITION_WASHOUT_S)
 _SETTLE_S = 5.0
 """Wait before samples are evidence, seconds. Chosen: a restarted washout and the first swings after take-off are
 over."""
@@ -95,12 +103,18 @@ def fit_inertial(request: FitRequest, gate: GateRule) -> Fitted:
         Attitude or inertial measurements are missing, or too little healthy motion was recorded.
     """
     logs, surveys = request.logs, request.surveys
-    gate = replace(gate, settle_s=max(gate.settle_s, _SETTLE_S))
     channels = common_channels(surveys)
+    settle_s = BARE_SETTLE_S if channels.parameters["gps"] == BARE_POSITIONS else _SETTLE_S
+    gate = replace(gate, settle_s=max(gate.settle_s, settle_s))
     signal_hz, rate_hz = _rates(inertial_rate_hz(surveys, channels))
     raw_source = SampleSource(inputs=channels.channels)
     raw = [flight_samples(log(), raw_source, signal_hz, replace(gate, airborne_command=0.0)) for log in logs]
-    parameters = {**channels.parameters, "washout_s": _WASHOUT_S, "velocity_washout_s": _VELOCITY_WASHOUT_S}
+    parameters = {
+        **channels.parameters,
+        "washout_s": _WASHOUT_S,
+        "velocity_washout_s": _VELOCITY_WASHOUT_S,
+        **({"position_washout_s": _POSITION_WASHOUT_S} if channels.parameters["gps"] == BARE_POSITIONS else {}),
+    }
     parameters |= _delays(raw, parameters, signal_hz, rate_hz)
     rule = TransformRule("strapdown", signal_hz, parameters)
     flights = [transformed(flight, Strapdown(parameters, signal_hz, rate_hz)) for flight in raw]
@@ -111,26 +125,27 @@ def fit_inertial(request: FitRequest, gate: GateRule) -> Fitted:
         transform.inputs,
         transform.outputs,
         rate_hz,
-        _WASHOUT_S,
-        _VELOCITY_WASHOUT_S,
+        *_WASHOUTS_S,
     )
     plant = inertial_plant(fit, request.name)
     gains = compile_bank(plant, inertial_bank(plant))
     names = {fault.name for fault in plant.faults}
+    bare = {f"gps_{axis}" for axis in bare_positions(fit.inputs, fit.outputs)}
     isolation = bank_rule(
         gains,
         segments,
         smoothing_s=_SMOOTHING_S,
-        settle_s=_SETTLE_S,
+        settle_s=settle_s,
         noise=np.array([fit.noise[output] for output in fit.outputs]),
-        washouts={fault: _WASHOUT_S for fault in WASHED_FAULTS if fault in names},
+        # twice washed out, nothing of a fault that lasts is left to be given back
+        washouts={fault: _WASHOUT_S for fault in WASHED_FAULTS if fault in names - bare},
     )
     source = SampleSource(transform=rule, signals=channels.channels)
-    bare = Fitted(OBSERVER, plant, gains, source, isolation, settle_s=_SETTLE_S)
-    evidence = healthy_evidence(bare.profile(), gate, flights, own=True)
-    alarms = _alarms(bare.profile().faults, evidence, rate_hz, smallest_faults(fit))
+    designed = Fitted(OBSERVER, plant, gains, source, isolation, settle_s=settle_s)
+    evidence = healthy_evidence(designed.profile(), gate, flights, own=True)
+    alarms = _alarms(designed.profile().faults, evidence, rate_hz, smallest_faults(fit), bare)
     return replace(
-        bare,
+        designed,
         alarms=tuple(alarms),
         flight_s=fit.seconds,
         findings=_findings(fit, parameters),
@@ -166,7 +181,7 @@ def _delays(
             raise TelemetryError("no healthy motion in the logs; record the vehicle moving, armed and in the air")
         longest = [InertialSegment(segment.u, segment.y) for segment in segments if len(segment.u) > 10 * rate_hz]
         names = transform.inputs, transform.outputs
-        trials[delay] = delay_costs(longest, *names, rate_hz, _WASHOUT_S, _VELOCITY_WASHOUT_S)
+        trials[delay] = delay_costs(longest, *names, rate_hz, *_WASHOUTS_S)
     return best_delays(trials)
 
 
@@ -175,6 +190,7 @@ def _alarms(
     evidence: Sequence[NDArray[np.float64]],
     rate_hz: float,
     smallest: Mapping[str, float],
+    swinging: Collection[str],
 ) -> list[Calibrated]:
     """Return the alarms; channels of one kind share their levels, since what one axis has not seen another has."""
     share = FALSE_ALARMS_PER_HOUR / len(channels)
@@ -186,7 +202,9 @@ def _alarms(
         floor = smallest[channel.name]
         levels = healthy_levels(series, rate_hz, share, _TIMES)
         bare = bare_rule(OBSERVER, channel.name, channel.kind, channel.unit)
-        alarms.append(calibrated(bare, levels, 1.0, floor=floor, critical=_CRITICAL * floor, times=_TIMES))
+        found = calibrated(bare, levels, 1.0, floor=floor, critical=_CRITICAL * floor, times=_TIMES)
+        # what is washed out twice swings back to a seventh of a jump, of which the mean knows nothing
+        alarms.append(replace(found, rule=replace(found.rule, slow=inf)) if channel.name in swinging else found)
     return alarms
 
 

@@ -9,6 +9,8 @@ phi = exp(-T/tau) and gain = tau (1 - phi), each block is a discrete plant of it
     rotation   r+ = phi r + gain (omega - f_gyro)          y = r                    from the autopilot's attitude
     heading    h+ = phi h + gain (h' - f_gyro_z)           y = h + f_compass
 
+    position   p+ = phi p + gain (w + w+)/2, w+ = phi w + gain a        y = p + f_position   where no velocity comes
+
 So a GPS position that walks away from its own velocity is a fault of the position alone; a consistent spoof of position
 and velocity shows in the velocity alone, against the accelerometers (of which it cannot be told: a horizontal
 accelerometer fault or a tilted attitude looks the same). Everything can be estimated together but for the vertical:
@@ -26,7 +28,15 @@ from gains.analysis.estimability import restricted
 from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant
 from gains.synthesis.bank import Hypothesis
 from gains.synthesis.blocks import design_blocks
-from monitor.vehicles.inertial.sensor_fit import BODY, HORIZONTAL, Chain, InertialFit, chains_of, washout
+from monitor.vehicles.inertial.sensor_fit import (
+    BODY,
+    HORIZONTAL,
+    Chain,
+    InertialFit,
+    bare_positions,
+    chains_of,
+    washout,
+)
 
 VERTICAL_CULPRITS = ("baro", "gps_down", "accel_z")
 WASHED_FAULTS = ("gps_north", "gps_east", "gps_down", "baro", "compass")
@@ -63,7 +73,9 @@ def inertial_plant(fit: InertialFit, name: str, gyro_bandwidth: float = 0.15, ac
     """
     chains = chains_of(fit.inputs, fit.outputs, fit.washout_s, fit.velocity_washout_s)
     vertical = [output for output in ("gps_down", "baro_down") if output in fit.outputs]
-    states = [chain.state for chain in chains] + (["down", "velocity_down"] if vertical else [])
+    bare = bare_positions(fit.inputs, fit.outputs)
+    states = [chain.state for chain in chains] + [f"{what}_{axis}" for axis in bare for what in ("position", "speed")]
+    states += ["down", "velocity_down"] if vertical else []
     n, T = len(states), 1.0 / fit.rate_hz
     A, B = np.zeros((n, n)), np.zeros((n, len(fit.inputs)))
     C = np.zeros((len(fit.outputs), n))
@@ -72,6 +84,16 @@ def inertial_plant(fit: InertialFit, name: str, gyro_bandwidth: float = 0.15, ac
         A[k, k] = keep
         B[k, fit.inputs.index(chain.source)] = gain * fit.speed_scale.get(chain.state, 1.0)
         C[fit.outputs.index(chain.output), k] = 1.0
+    for axis in bare:
+        keep, gain = washout(fit.position_washout_s, fit.rate_hz)
+        p, w, a = (
+            states.index(f"position_{axis}"),
+            states.index(f"speed_{axis}"),
+            fit.inputs.index(f"acceleration_{axis}"),
+        )
+        A[p, p], A[p, w], A[w, w] = keep, 0.5 * gain * (1.0 + keep), keep
+        B[p, a], B[w, a] = 0.5 * gain * gain, gain
+        C[fit.outputs.index(f"gps_{axis}"), p] = 1.0
     if vertical:
         keep, gain = washout(fit.washout_s, fit.rate_hz)
         d, w, a = n - 2, n - 1, fit.inputs.index("acceleration_down")
@@ -142,6 +164,10 @@ def smallest_faults(fit: InertialFit) -> dict[str, float]:
         "compass": float(np.radians(10.0)),
         "accel_z": 0.5,
     }
+    if bare_positions(fit.inputs, fit.outputs):
+        # the same tilt, integrated twice
+        least = max(0.5, _GRAVITY * _TILT * fit.position_washout_s**2)
+        sizes |= dict.fromkeys(("gps_north", "gps_east"), least)
     present = {name for found in inertial_hypotheses(inertial_plant(fit, "inertial")) for name in found}
     return {name: size for name, size in sizes.items() if name in present}
 
@@ -181,6 +207,8 @@ def _state_error(fit: InertialFit, state: str, chains: Sequence[Chain]) -> float
     for chain in chains:
         if chain.state == state:
             return fit.noise[chain.output]
+    if state.removeprefix("position_") in bare_positions(fit.inputs, fit.outputs):
+        return fit.noise[state.replace("position", "gps")]
     if state == "down":
         return min(fit.noise[output] for output in ("gps_down", "baro_down") if output in fit.noise)
     return max(fit.disturbance[state] * fit.rate_hz, _SMALLEST)

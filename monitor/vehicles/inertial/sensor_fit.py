@@ -23,6 +23,9 @@ _LEAST_S = 20.0
 """Less healthy motion leaves too few independent spans of ``_SLOW_S`` to measure a drift on: five."""
 _SETTLE_S = 5.0
 """Beginning of each segment that is left out, seconds, while the compared integrals begin at zero."""
+BARE_SETTLE_S = 10.0
+"""The same where positions come without a velocity. Chosen: an error of 1 m/s of the speed at the start, as of two
+fixes that are off by a tenth of a metre, has faded to .4 m (v t exp(-t / 3 s))."""
 _FAST_S = 0.5
 """Differences over half a second show noise. Chosen: drifts are too slow to matter in that time."""
 _SLOW_S = 4.0
@@ -58,6 +61,8 @@ class InertialFit:
         Time constants of the transform: of positions and angles, and of the velocity.
     inputs, outputs : tuple[str, ...]
         Names as the transform gives them.
+    position_washout_s : float
+        That of positions that come without a velocity, twice.
     speed_scale : Mapping[str, float]
         s of position north and east; 1 where flight did not show it.
     noise : Mapping[str, float]
@@ -71,6 +76,7 @@ class InertialFit:
     rate_hz: float
     washout_s: float
     velocity_washout_s: float
+    position_washout_s: float
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     speed_scale: Mapping[str, float]
@@ -96,6 +102,7 @@ def identify_inertial(
     rate_hz: float,
     washout_s: float,
     velocity_washout_s: float,
+    position_washout_s: float,
 ) -> InertialFit:
     """Measure how well the sensors agree in healthy flight.
 
@@ -108,7 +115,7 @@ def identify_inertial(
         Healthy flight.
     inputs, outputs : Sequence[str]
         Names of the columns of u and y.
-    rate_hz, washout_s, velocity_washout_s : float
+    rate_hz, washout_s, velocity_washout_s, position_washout_s : float
         As the transform has them.
 
     Raises
@@ -138,12 +145,25 @@ def identify_inertial(
         noise[chain.output] = max(fast / np.sqrt(2.0), _SMALLEST)
         growth = np.sqrt(max(slow * slow - fast * fast, 0.0) / (_SLOW_S * rate_hz))
         disturbance[chain.state] = max(float(growth), _SMALLEST)
+    for axis in bare_positions(inputs, outputs):
+        a, j = list(inputs).index(f"acceleration_{axis}"), list(outputs).index(f"gps_{axis}")
+        found = [
+            (s.y[:, j] - twice_washed(s.u[:, a], rate_hz, position_washout_s))[round(BARE_SETTLE_S * rate_hz) :]
+            for s in usable
+        ]
+        fast, lag = _spread(found, 1), round(position_washout_s * rate_hz)
+        noise[f"gps_{axis}"] = max(fast / np.sqrt(2.0), _SMALLEST)
+        # a random walk of the speed makes steps^3 / 3 of its variance per step of the position's
+        growth = np.sqrt(3.0 * max(_spread(found, lag) ** 2 - fast**2, 0.0) / lag**3) * rate_hz
+        disturbance[f"speed_{axis}"] = max(float(growth), _SMALLEST)
+        disturbance[f"position_{axis}"] = max(0.5 * float(growth) / rate_hz, _SMALLEST)
     if "acceleration_down" in inputs:
         _identify_vertical(usable, inputs, outputs, rate_hz, washout_s, noise, disturbance)
     return InertialFit(
         rate_hz=rate_hz,
         washout_s=washout_s,
         velocity_washout_s=velocity_washout_s,
+        position_washout_s=position_washout_s,
         inputs=tuple(inputs),
         outputs=tuple(outputs),
         speed_scale=scale,
@@ -160,6 +180,7 @@ def delay_costs(
     rate_hz: float,
     washout_s: float,
     velocity_washout_s: float,
+    position_washout_s: float,
 ) -> dict[str, float]:
     """Return how badly GPS, barometer and compass fit the inertial sensors, for samples of a transform.
 
@@ -168,9 +189,10 @@ def delay_costs(
     Returns
     -------
     dict[str, float]
-        Under ``gps_delay_s`` (velocity against the accelerometers), ``baro_delay_s`` (against the vertical one) and
-        ``compass_delay_s`` (against the gyro), of the sensors that are there, the standard deviation of their
-        difference over a second (for the barometer of second order over two: accelerometers integrate to speed first).
+        Under ``gps_delay_s`` (velocity, or positions that come without, against the accelerometers), ``baro_delay_s``
+        (against the vertical one) and ``compass_delay_s`` (against the gyro), of the sensors that are there, the
+        standard deviation of their difference over a second (for the barometer of second order over two: accelerometers
+        integrate to speed first).
     """
     names, columns = list(outputs), list(inputs)
     settle, lag = round(_SETTLE_S * rate_hz), round(rate_hz)
@@ -191,6 +213,15 @@ def delay_costs(
                     rate = _speed(rate, rate_hz)
                 tau = velocity_washout_s if key == "gps_delay_s" else washout_s
                 errors.append((y - washed(rate, rate_hz, tau))[settle:])
+        if key == "gps_delay_s" and not errors:
+            errors = [
+                (
+                    segment.y[:, names.index(f"gps_{axis}")]
+                    - twice_washed(segment.u[:, columns.index(f"acceleration_{axis}")], rate_hz, position_washout_s)
+                )[round(BARE_SETTLE_S * rate_hz) :]
+                for axis in bare_positions(inputs, outputs)
+                for segment in segments
+            ]
         if errors:
             costs[key] = _spread(errors, 2 * lag, 2) if key == "baro_delay_s" else _spread(errors, lag)
     return costs
@@ -222,6 +253,19 @@ def washed(rate: NDArray[np.float64], rate_hz: float, tau: float) -> NDArray[np.
     for k in range(len(rate) - 1):
         x[k + 1] = keep * x[k] + gain * rate[k]
     return x
+
+
+def twice_washed(acceleration: NDArray[np.float64], rate_hz: float, tau: float) -> NDArray[np.float64]:
+    """Return the position (N,) that an acceleration makes, speed and position both washed out."""
+    speed = washed(acceleration, rate_hz, tau)
+    keep, gain = washout(tau, rate_hz)
+    # the mean of a period's speed: half of those at its ends
+    return washed(0.5 * ((1.0 + keep) * speed + gain * acceleration), rate_hz, tau)
+
+
+def bare_positions(inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
+    """Return the horizontal axes whose position comes without a velocity."""
+    return [axis for axis in HORIZONTAL if f"gps_{axis}" in outputs and f"speed_{axis}" not in inputs]
 
 
 def chains_of(inputs: Sequence[str], outputs: Sequence[str], slow: float, fast: float) -> list[Chain]:

@@ -10,6 +10,7 @@ from adapters.errors import TelemetryError
 from monitor.fitting.survey import Survey, common_rate_hz
 from monitor.sampling.phase import FlightPhase
 from monitor.vehicles.base import Preview
+from monitor.vehicles.inertial.ros_signals import BARE_POSITIONS, ros_channels
 from monitor.vehicles.inertial.strapdown import BAROMETER, GPS, IMU, MAGNETOMETER
 
 MESSAGES = FlightPhase.interests | frozenset(
@@ -25,10 +26,14 @@ _SELDOM = ("GPS_RAW_INT", "SCALED_PRESSURE")
 
 
 class StrapdownSource(NamedTuple):
-    """Channels in the order of the transform's signals, and its parameters that say which of them are there."""
+    """Channels in the order of the transform's signals, and its parameters that say which of them are there.
+
+    Messages in ``seldom`` come less often than those of the IMU; the transform waits for them.
+    """
 
     channels: tuple[Channel, ...]
     parameters: dict[str, float]
+    seldom: tuple[str, ...]
 
 
 def strapdown_channels(examples: Mapping[str, Mapping[str, Any]]) -> StrapdownSource:
@@ -76,24 +81,29 @@ def strapdown_channels(examples: Mapping[str, Mapping[str, Any]]) -> StrapdownSo
     if magnetometer:
         channels += [Channel(name, imu, (name,)) for name in MAGNETOMETER]
     flags = {"gps": float(gps), "barometer": barometer, "magnetometer": float(magnetometer)}
-    return StrapdownSource(tuple(channels), flags)
+    return StrapdownSource(tuple(channels), flags, _SELDOM)
 
 
 def common_channels(surveys: Sequence[Survey]) -> StrapdownSource:
-    """Choose the channels from the messages that every recording holds.
+    """Choose the channels from the messages that every recording holds: an autopilot's, else those of ROS 2.
 
     Raises
     ------
     TelemetryError
-        As :func:`strapdown_channels`.
+        As :func:`strapdown_channels`, or :func:`monitor.vehicles.inertial.ros_signals.ros_channels`.
     """
     common = set.intersection(*(set(survey.examples) for survey in surveys))
-    return strapdown_channels({message: surveys[0].examples[message] for message in common})
+    examples = {message: surveys[0].examples[message] for message in common}
+    if "ATTITUDE" not in examples:
+        rates = {name: min(found.rate_hz.get(name, 0.0) for found in surveys) for name in common}
+        if (found := ros_channels(examples, rates)) is not None:
+            return StrapdownSource(*found)
+    return strapdown_channels(examples)
 
 
 def inertial_rate_hz(surveys: Sequence[Survey], source: StrapdownSource) -> float:
     """Return the rate of the slowest message of attitude or IMU in the slowest recording."""
-    return common_rate_hz(surveys, [channel for channel in source.channels if channel.message not in _SELDOM])
+    return common_rate_hz(surveys, [channel for channel in source.channels if channel.message not in source.seldom])
 
 
 def preview(survey: Survey) -> Preview:
@@ -104,11 +114,15 @@ def preview(survey: Survey) -> Preview:
     TelemetryError
         No attitude or no inertial measurement.
     """
-    source = strapdown_channels(survey.examples)
+    source = common_channels([survey])
     gps, barometer, magnetometer = (bool(source.parameters[name]) for name in ("gps", "barometer", "magnetometer"))
     watches, missing = ["gyro_x", "gyro_y", "gyro_z"], []
     if gps:
-        watches += ["gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east"]
+        watches += ["gps_north", "gps_east"]
+        if source.parameters["gps"] == BARE_POSITIONS:
+            missing.append("gps_velocity_*: positions come without a velocity: only their jumps and fast drifts show")
+        else:
+            watches += ["gps_velocity_north", "gps_velocity_east"]
     else:
         missing.append("gps_*: no GPS_RAW_INT with position, speed and course")
     if gps or barometer:
@@ -121,7 +135,9 @@ def preview(survey: Survey) -> Preview:
         watches.append("compass")
     else:
         missing.append("compass: no magnetic field in HIGHRES_IMU, SCALED_IMU or RAW_IMU")
-    timed = all(channel.message in survey.rate_hz for channel in source.channels if channel.message not in _SELDOM)
+    timed = all(
+        channel.message in survey.rate_hz for channel in source.channels if channel.message not in source.seldom
+    )
     rate_hz = inertial_rate_hz([survey], source) if timed else None
     return Preview(tuple(watches), source.channels, rate_hz, tuple(missing))
 

@@ -35,6 +35,7 @@ from monitor.core.strapdown import StrapdownCore
 
 IMU = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "roll", "pitch", "yaw")
 GPS = ("lat", "lon", "gps_alt", "gps_speed", "gps_course")
+BODY_SPEED = ("speed_x", "speed_y", "speed_z")
 BAROMETER = ("baro_alt",)
 MAGNETOMETER = ("xmag", "ymag", "zmag")
 
@@ -44,13 +45,14 @@ DEFAULTS = {
     "magnetometer": 1.0,
     "washout_s": 30.0,
     "velocity_washout_s": 10.0,
+    "position_washout_s": 3.0,
     "gps_delay_s": 0.0,
     "baro_delay_s": 0.0,
     "compass_delay_s": 0.0,
 }
 """Parameters that are left out. Chosen: positions and angles are forgotten within 30 s, over which receivers and
 barometers drift by half a metre; velocities within 10 s, in which an attitude that is wrong by 10 mrad makes 1 m/s of
-gravity."""
+gravity; positions without a velocity within 3 s, in which it makes .9 m."""
 
 
 class Strapdown:
@@ -60,8 +62,10 @@ class Strapdown:
     ----------
     parameters : Mapping[str, float]
         ``gps``, ``barometer``, ``magnetometer``: 1 where the vehicle has their signals, 0 where it has not
-        (2: the barometer's signal is its pressure in hPa, to be taken to an altitude in metres);
-        ``washout_s``: tau of positions and angles; ``velocity_washout_s``: tau of the velocity; ``gps_delay_s``,
+        (``barometer`` 2: its signal is its pressure in hPa, to be taken to an altitude in metres; ``gps`` 2: positions
+        without a velocity; 3: with a velocity in body axes in place of speed and course);
+        ``washout_s``: tau of positions and angles; ``velocity_washout_s``: tau of the velocity; ``position_washout_s``:
+        tau of positions without a velocity, which are washed out twice; ``gps_delay_s``,
         ``baro_delay_s``, ``compass_delay_s``: by how much they are late against the IMU. What is left out is taken
         from ``DEFAULTS``.
     signal_rate_hz : float
@@ -93,12 +97,15 @@ class Strapdown:
                 f"strapdown: {signal_rate_hz:g} Hz of signals is no whole multiple of {rate_hz:g} Hz; change 'rate_hz'"
             )
         gps, baro, mag = (values[key] > 0.0 for key in ("gps", "barometer", "magnetometer"))
-        self.signals, self.inputs, self.outputs = _names(gps, baro, mag)
+        speed = (GPS[3:], (), BODY_SPEED)[int(values["gps"]) - 1] if gps else ()
+        self.signals, self.inputs, self.outputs = _names(gps, speed, baro, mag)
         period = 1.0 / rate_hz
         slow, fast = _washout(values["washout_s"], period), _washout(values["velocity_washout_s"], period)
+        bare = {} if speed else dict.fromkeys(("gps_north", "gps_east"), _washout(values["position_washout_s"], period))
         latest = max(values["gps_delay_s"] if gps else 0.0, values["baro_delay_s"] if baro else 0.0)
         self._core = StrapdownCore(
             gps=gps,
+            speeds=len(speed),
             baro=baro,
             mag=mag,
             hectopascal=values["barometer"] == 2.0,
@@ -109,7 +116,8 @@ class Strapdown:
             compass_ticks=round(values["compass_delay_s"] * signal_rate_hz) if mag else 0,
             count=count,
             inputs=len(self.inputs),
-            washouts=[fast if name.startswith("gps_velocity") else slow for name in self.outputs],
+            washouts=[bare.get(name, fast if name.startswith("gps_velocity") else slow) for name in self.outputs],
+            twice=[name in bare for name in self.outputs],
         )
 
     def run(self, samples: Samples) -> Given:
@@ -129,7 +137,7 @@ def _checked(parameters: Mapping[str, float]) -> dict[str, float]:
     values = {**DEFAULTS, **parameters}
     for key, value in values.items():
         if key in ("gps", "barometer", "magnetometer"):
-            good = value in (0.0, 1.0) or (value == 2.0 and key == "barometer")
+            good = value in range({"gps": 4, "barometer": 3}.get(key, 2))
         else:
             good = isfinite(value) and (value > 0.0 or (value == 0.0 and key.endswith("delay_s")))
         if not good:
@@ -137,16 +145,22 @@ def _checked(parameters: Mapping[str, float]) -> dict[str, float]:
     return values
 
 
-def _names(gps: bool, baro: bool, mag: bool) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    signals = IMU + GPS * gps + BAROMETER * baro + MAGNETOMETER * mag
+def _names(
+    gps: bool, speed: tuple[str, ...], baro: bool, mag: bool
+) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    signals = IMU + (GPS[:3] + speed) * gps + BAROMETER * baro + MAGNETOMETER * mag
+    moves = bool(speed)
     inputs = (
-        ("speed_north", "speed_east", "acceleration_north", "acceleration_east") * gps
+        ("speed_north", "speed_east") * moves
+        + ("acceleration_north", "acceleration_east") * gps
         + ("acceleration_down",) * (gps or baro)
         + ("rate_x", "rate_y", "rate_z")
         + ("heading_rate",) * mag
     )
     outputs = (
-        ("gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east", "gps_down") * gps
+        ("gps_north", "gps_east") * gps
+        + ("gps_velocity_north", "gps_velocity_east") * moves
+        + ("gps_down",) * gps
         + ("baro_down",) * baro
         + ("rotation_x", "rotation_y", "rotation_z")
         + ("heading",) * mag

@@ -1,0 +1,175 @@
+"""A robot of ROS 2 is watched by its Imu and NavSatFix, or Odometry: info, fit, replay of bags, and live over Zenoh."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from daemons import DaemonProcess, free_ports
+from loopback import publisher
+from ros_robot import FIX, IMU, ODOMETRY, TYPES, bag, robot
+
+import fauio
+from adapters.channels import Channel, channel_table, parse_channel
+from adapters.errors import TelemetryError
+from adapters.logs.mcap_reader import MessageLogReader
+from adapters.logs.recordings import Recording
+from adapters.zenoh.zenoh_session import open_session
+from monitor.profile import read_profile
+from monitor.vehicles.inertial.ros_signals import TYPES as READ
+from monitor.vehicles.inertial.ros_signals import ros_channels
+
+ON_S, OFF_S = 20.0, 40.0
+PATIENCE_S = 60.0
+LINK = {"telemetry"}
+"""What becomes of a robot that falls silent."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with bags of healthy runs and of two faults, and profiles fitted to the healthy ones."""
+    folder = tmp_path_factory.mktemp("ros")
+    runs = {
+        "monday": robot(80.0, 1),
+        "tuesday": robot(80.0, 2),
+        "wednesday": robot(80.0, 5),
+        "jump": robot(50.0, 3, north_m=lambda t: 5.0 * (ON_S < t < OFF_S)),
+        "gyro": robot(50.0, 4, gyro_x=lambda t: 0.1 * (ON_S < t < OFF_S)),
+    }
+    for kind, topic in (("fix", FIX), ("odometry", ODOMETRY)):
+        for name, topics in runs.items():
+            bag(folder / f"{kind}_{name}.mcap", topics, IMU, topic)
+        healthy = [str(folder / f"{kind}_{day}.mcap") for day in ("monday", "tuesday")]
+        assert fauio.main(["fit", "--vehicle", "inertial", *healthy, "-o", str(folder / kind)]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["fix", "odometry"])
+def test_info_says_what_could_be_watched(folder: Path, capsys: pytest.CaptureFixture[str], kind: str) -> None:
+    assert fauio.main(["info", str(folder / f"{kind}_monday.mcap"), "--json"]) == 0
+    vehicle = json.loads(capsys.readouterr().out)["vehicle"]
+    assert (vehicle["system"], list(vehicle["fits"])) == (None, ["inertial"])
+    fit = vehicle["fits"]["inertial"]
+    assert fit["possible"]
+    assert {"gyro_x", "gyro_y", "gyro_z", "gps_north", "gps_east"} <= set(fit["watches"])
+    assert ("gps_velocity_north" in fit["watches"]) is (kind == "odometry")
+    assert fit["channels"]["xacc"] == f"{IMU}.linear_acceleration.x"
+    assert fauio.main(["info", str(folder / f"{kind}_monday.mcap")]) == 0
+    assert "what fauio fit could make of these topics:\n    inertial at 50 Hz" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["fix", "odometry"])
+@pytest.mark.parametrize(("name", "channel"), [("wednesday", None), ("jump", "gps_north"), ("gyro", "gyro_x")])
+def test_a_bag_raises_the_alarm_of_its_fault_alone(folder: Path, kind: str, name: str, channel: str | None) -> None:
+    found = fauio.replay(folder / kind, folder / f"{kind}_{name}.mcap")
+    assert {event.channel for event in found.events} == ({channel} if channel else set())
+    raised = [event for event in found.events if event.state == "raised"]
+    if raised:
+        start_ms = min(fields["header"]["stamp"]["sec"] for _, fields in robot(0.1, 1)[IMU]) * 1000
+        assert ON_S * 1e3 < raised[0].vehicle_time_ms - start_ms < (ON_S + 3.0) * 1e3
+    assert found.watched_s > 35.0
+
+
+def test_topics_are_found_by_their_type_and_nothing_else_is_decoded(folder: Path) -> None:
+    path = folder / "odometry_monday.mcap"
+    assert {message.name for message in Recording(path, ["other"], types=READ)} == {IMU, ODOMETRY}
+    assert {message.name for message in Recording(path, ["other"], types=["sensor_msgs/Imu"])} == {IMU}
+    assert not list(Recording(path, ["other"]))
+
+
+def test_a_recording_of_the_topics_over_zenoh_fits_too(folder: Path, tmp_path: Path) -> None:
+    path = tmp_path / "live.mcap"
+    # as `fauio record --zenoh` writes them: JSON under names without types
+    from adapters.logs.mcap_log import MessageLogWriter
+
+    with MessageLogWriter(path) as writer:
+        for message in Recording(folder / "fix_monday.mcap"):
+            writer.write(message)
+    assert {message.name for message in Recording(path, ["other"], types=READ)} == {IMU, FIX}
+    assert fauio.main(["fit", "--vehicle", "inertial", str(path), "-o", str(tmp_path / "robot")]) == 0
+    assert read_profile(tmp_path / "robot").observers[0].rate_hz == 25.0
+
+
+def test_an_imu_without_orientation_takes_that_of_the_odometry_or_is_refused() -> None:
+    topics = robot(1.0, 1, oriented=False)
+    examples = {name: rows[0][1] for name, rows in topics.items()}
+    channels, parameters, seldom = ros_channels(examples, {}) or ((), {}, ())
+    assert {channel.name: channel.message for channel in channels if channel.angle} == dict.fromkeys(
+        ("roll", "pitch", "yaw"), ODOMETRY
+    )
+    assert (parameters["gps"], seldom) == (2.0, (FIX,))
+    with pytest.raises(TelemetryError, match=f"{IMU} holds no orientation"):
+        ros_channels({IMU: examples[IMU], FIX: examples[FIX]}, {})
+    assert ros_channels({FIX: examples[FIX]}, {}) is None
+
+
+def test_axes_are_those_of_the_transform() -> None:
+    """What REP 103 writes is taken back to ahead, right, down and north, east, down."""
+    import strapdown_truth as truth
+
+    raw = truth.signals(1.0, start_s=50.0)
+    fields = {name: rows[0][1] for name, rows in robot(1.0, 1).items()}
+    found = ros_channels({IMU: fields[IMU], ODOMETRY: fields[ODOMETRY]}, {})
+    assert found is not None
+    values = {channel.name: channel.value(fields[channel.message]) for channel in found[0]}
+    assert [values[name] for name in ("xacc", "yacc", "zacc")] == pytest.approx(raw[0, :3], abs=0.3)
+    assert [values[name] for name in ("xgyro", "ygyro", "zgyro")] == pytest.approx(raw[0, 3:6], abs=0.02)
+    assert [values[name] for name in ("roll", "pitch")] == pytest.approx(raw[0, 6:8], abs=0.01)
+    assert np.cos(values["yaw"] - raw[0, 8]) == pytest.approx(1.0, abs=1e-4)
+    north = truth.metres_per_degree(0.0)[0] * values["lat"]
+    assert north == pytest.approx(truth.position(np.array([50.0]))[0][0], abs=0.2)
+
+
+@pytest.mark.parametrize("angle", ["roll", "pitch", "yaw"])
+def test_a_channel_reads_an_angle_of_a_quaternion_and_is_written_as_it_is_read(angle: str) -> None:
+    channel = parse_channel("a", {"message": "imu", "field": "orientation", "angle": angle}, "here")
+    assert parse_channel("a", channel_table(channel), "there") == channel
+    half = 0.3
+    turn = {"roll": "x", "pitch": "y", "yaw": "z"}[angle]
+    turned = {**dict.fromkeys("xyz", 0.0), "w": 2.0 * np.cos(half), turn: 2.0 * np.sin(half)}
+    assert channel.value({"orientation": {key: float(value) for key, value in turned.items()}}) == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        None,
+        1.0,
+        {},
+        dict.fromkeys("xyzw", 0.0),
+        {**dict.fromkeys("xyz", 0.0), "w": float("nan")},
+        {"x": 1.0},
+        [1.0] * 4,
+    ],
+)
+def test_what_is_no_quaternion_is_no_measurement(value: object) -> None:
+    assert Channel("a", "imu", ("orientation",), angle="yaw").value({"orientation": value}) is None
+
+
+def test_the_robot_is_watched_live_over_zenoh_in_cdr(folder: Path, tmp_path: Path) -> None:
+    [tcp] = free_ports(1)
+    config = tmp_path / "fauio.toml"
+    config.write_text(
+        f'profile = "{folder / "fix"}"\nvehicle = "robot"\nzenoh = "robot/**"\nlisten = ["tcp/127.0.0.1:{tcp}"]\n'
+    )
+    records = list(MessageLogReader(folder / "fix_gyro.mcap").records())[:1500]
+    with DaemonProcess(config) as daemon:
+        deadline = time.monotonic() + PATIENCE_S
+        while not any(line["event"] == "monitoring" for line in daemon.log()):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        with open_session([f"tcp/127.0.0.1:{tcp}"], ()) as session:
+            out = {name: publisher(session, name) for name in (IMU, FIX)}
+            for number, record in enumerate(records):
+                name = record.topic.removeprefix("/")
+                out[name].put(record.data, encoding=f"application/cdr;{TYPES[name]}")
+                # ten times real time
+                if number % 11 == 0:
+                    time.sleep(0.02)
+            while not (said := {line["alarm"]["channel"] for line in daemon.log() if line["event"] == "alarm"} - LINK):
+                assert time.monotonic() < deadline, json.dumps(daemon.log())
+                time.sleep(0.05)
+    assert said == {"gyro_x"}
