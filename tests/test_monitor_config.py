@@ -97,7 +97,7 @@ HEARTBEAT = "fast"
         "13: 'vehicle[2].name' is 'a', as is vehicle[1]'s; each needs a name of its own",
         "15: 'vehicle[2].system' is 7, as is vehicle[1]'s, so that both want system 7 (component 1); "
         "give each a system id of its own",
-        "19: 'recording.budget_mb' is 10, less than one file of 100; it must be at least that",
+        "19: 'recording.budget_mb' is 10, less than two files of 100; it must be at least that",
         "20: 'recording.inbox' is not a key of this table, but one of the top level; move it above the first [table]",
         "22: 'send.rates.ATTITUD' is no MAVLink message; did you mean ATTITUDE?",
         "23: 'send.rates.HEARTBEAT' is \"fast\", which is not a number; write it as one",

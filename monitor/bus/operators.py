@@ -5,15 +5,14 @@ Queries come on Zenoh's threads and wait in a bounded queue until the monitor's 
 
 from __future__ import annotations
 
-import json
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from adapters.errors import printable
 from adapters.message import Message
 from adapters.source import OPERATOR
-from monitor.bus.payload import to_json
+from monitor.bus.payload import decode_payload, to_json
 
 if TYPE_CHECKING:
     import zenoh
@@ -78,7 +77,12 @@ class Operators:
 
     def accept(self, command: Command, event: AlarmEvent | None) -> None:
         """Answer a command that was carried out, with the event it caused, if any."""
-        self._reply(command, {"ok": True, "event": None if event is None else event.to_json()})
+        import zenoh
+
+        answer = to_json({"ok": True, "event": None if event is None else event.to_json()})
+        with command.query:
+            key = f"{self._root}/command/{command.verb}"
+            command.query.reply(key, answer, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def refuse(self, command: Command, reason: str) -> None:
         """Answer a command that was not carried out."""
@@ -91,13 +95,6 @@ class Operators:
         self._queryable.undeclare()
         for command in self.pending():
             self.refuse(command, "the monitor is stopping")
-
-    def _reply(self, command: Command, answer: Mapping[str, Any]) -> None:
-        import zenoh
-
-        with command.query:
-            key = f"{self._root}/command/{command.verb}"
-            command.query.reply(key, to_json(answer), encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _on_query(self, query: zenoh.Query) -> None:
         verb = str(query.key_expr).rsplit("/", 1)[-1]
@@ -116,13 +113,7 @@ class Operators:
 
 def _fields(query: zenoh.Query) -> dict[str, Any] | None:
     """Return what a command's payload says, only the known keys, None where it is no such thing."""
-    payload = query.payload
-    if payload is None or len(payload) > _MAX_BYTES:
-        return None
-    try:
-        found = json.loads(payload.to_bytes())
-    except (ValueError, RecursionError):
-        return None
+    found = None if query.payload is None or len(query.payload) > _MAX_BYTES else decode_payload(query.payload)
     if not isinstance(found, dict):
         return None
     # Texts end up on terminals, in logs and in a database: nothing that cannot be printed gets that far.

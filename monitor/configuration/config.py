@@ -32,8 +32,10 @@ class Entry(NamedTuple):
     table: type | None = None
 
 
-def _key(default: Any, read: _Read, description: str, example: Any, *choices: str) -> Any:
-    return field(default=default, metadata={"entry": Entry(read, description, example, choices)})
+def _key(default: Any, read: _Read, description: str, example: Any = None, *choices: str) -> Any:
+    """Return a key's field; the default itself is the example where none is given."""
+    shown = default if example is None else example
+    return field(default=default, metadata={"entry": Entry(read, description, shown, choices)})
 
 
 def _by_name(read: _Read, description: str, example: Any) -> Any:
@@ -109,7 +111,7 @@ class Vehicle:
     )
     profile: Path | None = _key(None, _path, "Profile folder; the top level's `profile` where it is left out.", "quad/")
     system: int = _key(0, _ID, "MAVLink system id, 1 to 255; 0 takes the first system that fits the profile.", 1)
-    component: int = _key(1, _ID, "MAVLink component id, 1 is the autopilot; 0 takes any.", 1)
+    component: int = _key(1, _ID, "MAVLink component id, 1 is the autopilot; 0 takes any.")
     zenoh: str | None = _key(
         None, _text(check.key_expression), "Key expression of telemetry of this vehicle alone.", "copter-1/telemetry/**"
     )
@@ -132,13 +134,8 @@ class NewVehicles:
     """Vehicles that appear at run time: MAVLink systems that no `[[vehicle]]` names."""
 
     profile: Path | None = _key(None, _path, "Profile folder of each; none are accepted where it is left out.", "quad/")
-    name: str = _key(
-        "vehicle-{system}",
-        _text(check.vehicle_template),
-        "Name in topics; `{system}` becomes the id.",
-        "vehicle-{system}",
-    )
-    limit: int = _key(16, _COUNT, "Largest number of them.", 16)
+    name: str = _key("vehicle-{system}", _text(check.vehicle_template), "Name in topics; `{system}` becomes the id.")
+    limit: int = _key(16, _COUNT, "Largest number of them.")
 
     def vehicle(self, system: int) -> Vehicle:
         """Return the vehicle with a MAVLink system id."""
@@ -150,9 +147,9 @@ class RecordingTable:
     """MCAP files one after the other, the oldest deleted where they become too many."""
 
     folder: Path | None = _key(None, _path, "Folder they go to; none are written where it is left out.", "recordings/")
-    file_mb: float = _key(256, _POSITIVE, "Size at which the next file begins, megabytes.", 256)
-    file_minutes: float = _key(60, _POSITIVE, "Time after which the next file begins, minutes.", 60)
-    budget_mb: float = _key(10_000, _POSITIVE, "Size of all files together, megabytes.", 10_000)
+    file_mb: float = _key(256, _POSITIVE, "Size at which the next file begins, megabytes.")
+    file_minutes: float = _key(60, _POSITIVE, "Time after which the next file begins, minutes.")
+    budget_mb: float = _key(10_000, _POSITIVE, "Size of all files together, megabytes.")
 
 
 @dataclass(frozen=True)
@@ -160,9 +157,9 @@ class BlackBoxTable:
     """An MCAP file of its own for each alarm, with what came before and after it."""
 
     folder: Path | None = _key(None, _path, "Folder they go to; none are written where it is left out.", "clips/")
-    before_s: float = _key(30, _number(at_least=0, at_most=600), "Begin of a clip before the alarm, seconds.", 30)
-    after_s: float = _key(30, _number(at_least=0, at_most=600), "End of a clip after the alarm, seconds.", 30)
-    budget_mb: float = _key(1000, _POSITIVE, "Size of all clips together, megabytes.", 1000)
+    before_s: float = _key(30, _number(at_least=0, at_most=600), "Begin of a clip before the alarm, seconds.")
+    after_s: float = _key(30, _number(at_least=0, at_most=600), "End of a clip after the alarm, seconds.")
+    budget_mb: float = _key(1000, _POSITIVE, "Size of all clips together, megabytes.")
 
 
 @dataclass(frozen=True)
@@ -172,7 +169,7 @@ class JournalTable:
     path: Path | None = _key(
         None, _path, "SQLite file; events are kept in memory alone where it is left out.", "journal.db"
     )
-    max_events: int = _key(100_000, _COUNT, "Events kept; the oldest that belong to no active alarm go.", 100_000)
+    max_events: int = _key(100_000, _COUNT, "Events kept; the oldest that belong to no active alarm go.")
 
 
 @dataclass(frozen=True)
@@ -193,9 +190,9 @@ class Send:
         "Message rates to request (MAV_CMD_SET_MESSAGE_INTERVAL), hertz, by message name.",
         {"ATTITUDE": 100},
     )
-    target_component: int = _key(1, _ID, "Component that is asked for them, 1 is the autopilot.", 1)
-    source_system: int = _key(255, _whole(1, 255), "MAVLink system id that the daemon sends as.", 255)
-    source_component: int = _key(191, _whole(1, 255), "MAVLink component id that the daemon sends as.", 191)
+    target_component: int = _key(1, _ID, "Component that is asked for them, 1 is the autopilot.")
+    source_system: int = _key(255, _whole(1, 255), "MAVLink system id that the daemon sends as.")
+    source_component: int = _key(191, _whole(1, 255), "MAVLink component id that the daemon sends as.")
 
 
 @dataclass(frozen=True)
@@ -208,16 +205,16 @@ class Commands:
         "Commands that are answered; none by default.",
         ["ack", "shelve", "unshelve", "reset"],
     )
-    max_shelve_minutes: float = _key(480, _POSITIVE, "Longest time an alarm can be shelved.", 480)
-    default_shelve_minutes: float = _key(60, _POSITIVE, "Time where none is asked for.", 60)
+    max_shelve_minutes: float = _key(480, _POSITIVE, "Longest time an alarm can be shelved.")
+    default_shelve_minutes: float = _key(60, _POSITIVE, "Time where none is asked for.")
 
 
 @dataclass(frozen=True)
 class Flood:
     """An alarm flood: more alarms than an operator can read; only the first ones are announced one by one."""
 
-    raised: int = _key(10, _COUNT, "Alarms of a vehicle that make a flood ...", 10)
-    within_s: float = _key(60, _POSITIVE, "... where they are raised within this time, seconds.", 60)
+    raised: int = _key(10, _COUNT, "Alarms of a vehicle that make a flood ...")
+    within_s: float = _key(60, _POSITIVE, "... where they are raised within this time, seconds.")
 
 
 @dataclass(frozen=True)
@@ -230,7 +227,6 @@ class Standby:
         _number(at_least=0, at_most=60),
         "How long the other one has to be gone, seconds: a connection that breaks is back in less. One "
         "that is stopped hands over at once.",
-        0.5,
     )
 
 
@@ -248,7 +244,7 @@ class Rerun:
     mode: Literal["off", "serve", "spawn"] = _one_of(
         "off", ("off", "serve", "spawn"), "serve", "`serve`: viewers connect to the daemon; `spawn`: it starts one."
     )
-    memory_mb: int = _key(256, _COUNT, "Memory for what a viewer sees when it joins.", 256)
+    memory_mb: int = _key(256, _COUNT, "Memory for what a viewer sees when it joins.")
 
 
 def _section(kind: type) -> Any:
@@ -325,18 +321,17 @@ class Config:
     )
     prefix: str = _key(DEFAULT_PREFIX, _text(check.key_chunks), "What all topics begin with.", "fauio")
     estimate_rate_hz: float = _key(
-        10, _number(at_least=0), "Largest rate of published estimates per observer, hertz; 0 publishes none.", 10
+        10, _number(at_least=0), "Largest rate of published estimates per observer, hertz; 0 publishes none."
     )
     record: Path | None = _key(
         None, _path, "One MCAP file to record to, without end; see `[recording]`.", "flight.mcap"
     )
-    inbox: int = _key(20_000, _COUNT, "Messages that wait at most; the oldest are dropped and counted.", 20_000)
+    inbox: int = _key(20_000, _COUNT, "Messages that wait at most; the oldest are dropped and counted.")
     batch_ms: float = _key(
         20,
         _number(at_least=0, at_most=1000),
         "Telemetry that comes within this time is processed together, milliseconds: less work for each message, and "
         "alarms that come so much later at most. 0 processes at once whatever has arrived.",
-        20,
     )
     log_format: Literal["auto", "json", "text"] = _one_of(
         "auto", ("auto", "json", "text"), "auto", "Log lines on stderr; `auto`: text on a terminal, JSON otherwise."

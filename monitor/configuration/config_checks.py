@@ -112,29 +112,29 @@ def _telemetry(config: Config) -> Iterator[Conflict]:
 def _listeners(config: Config) -> Iterator[Conflict]:
     if config.allow_public:
         return
-    places: list[tuple[KeyPath, str]] = [(("mavlink", k), url) for k, url in enumerate(config.mavlink)]
-    places += [(("listen", k), endpoint) for k, endpoint in enumerate(config.listen)]
-    if config.metrics.listen is not None:
-        places.append((("metrics", "listen"), config.metrics.listen))
-    for path, address in places:
+    for path, address in _addresses(config):
         if listens_beyond_loopback(address):
             what = f"is '{address}', which other machines reach; use 127.0.0.1, or allow_public = true (--allow-public)"
             yield Conflict(path, what, (("allow_public",),))
 
 
+def _addresses(config: Config) -> list[tuple[KeyPath, str]]:
+    """Return what may be listened on, by the key that names it."""
+    places: list[tuple[KeyPath, str]] = [(("mavlink", k), url) for k, url in enumerate(config.mavlink)]
+    places += [(("listen", k), endpoint) for k, endpoint in enumerate(config.listen)]
+    return places if config.metrics.listen is None else [*places, (("metrics", "listen"), config.metrics.listen)]
+
+
 def _ports(config: Config) -> Iterator[Conflict]:
     """Yield who wants to listen where another listens already."""
     kinds = {"udp": "udp", "udpin": "udp", "tcpin": "tcp"}
-    places: list[tuple[KeyPath, str, str, str]] = []
-    for k, url in enumerate(config.mavlink):
-        kind, _, place = url.partition(":")
-        if kind in kinds:
-            places.append((("mavlink", k), url, kinds[kind], place))
-    for k, endpoint in enumerate(config.listen):
-        kind, _, place = endpoint.partition("/")
-        places.append((("listen", k), endpoint, kind, place))
-    if config.metrics.listen is not None:
-        places.append((("metrics", "listen"), config.metrics.listen, "tcp", config.metrics.listen))
+    places = []
+    for path, address in _addresses(config):
+        kind, _, place = address.partition("/" if path[0] == "listen" else ":")
+        if path[0] == "metrics":
+            places.append((path, address, "tcp", address))
+        elif path[0] == "listen" or kind in kinds:
+            places.append((path, address, kinds.get(kind, kind), place))
     for first, second in combinations(places, 2):
         # port 0 is whichever is free
         if first[2:] == second[2:] and not first[3].endswith(":0"):
@@ -169,10 +169,10 @@ def _sizes(config: Config) -> Iterator[Conflict]:
         yield Conflict(
             ("record",), "is set beside 'recording.folder'; leave one of them out", (("recording", "folder"),)
         )
-    if recording.budget_mb < recording.file_mb:
+    if recording.budget_mb < 2 * recording.file_mb:
         yield Conflict(
             ("recording", "budget_mb"),
-            f"is {recording.budget_mb:g}, less than one file of {recording.file_mb:g}; it must be at least that",
+            f"is {recording.budget_mb:g}, less than two files of {recording.file_mb:g}; it must be at least that",
             (("recording", "file_mb"),),
         )
     if commands.default_shelve_minutes > commands.max_shelve_minutes:

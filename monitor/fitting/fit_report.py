@@ -139,7 +139,7 @@ def _draw_series(figure: Any, grid: GridSpec, comparison: Comparison, i: int, sh
     upper = figure.add_subplot(grid[2 * i, 0], sharex=shared)
     lower = figure.add_subplot(grid[2 * i + 1, 0], sharex=shared or upper)
     unit = comparison.units[i] if comparison.units else MODEL_UNIT
-    upper.plot(comparison.times, comparison.measured[:, i], color=LIGHT.measured, label="measured")
+    upper.plot(comparison.times, comparison.measured[:, i], color=LIGHT.ink, label="measured")
     upper.plot(comparison.times, comparison.predicted[:, i], color=LIGHT.estimate, label="predicted")
     upper.set_ylabel("\n".join([*textwrap.wrap(comparison.names[i].replace("_", " "), 14), f"({unit})"]))
     [line] = lower.plot(comparison.times, comparison.residuals[:, i], color=LIGHT.residual, linewidth=0.6)

@@ -29,8 +29,8 @@ class Theme:
     """The same colours for a light or a dark ground; the k-th colour of either means the same."""
 
     paper: str  # the ground
-    ink: str  # text and axes
-    muted: str  # lines in the background
+    ink: str  # text and axes; measurements and commands, and dashed known true sizes
+    muted: str  # lines in the background, the band within a threshold
     series: tuple[str, ...]  # series by number; the first is an estimate, the third a residual
     severity: Mapping[Severity, str]
 
@@ -38,16 +38,6 @@ class Theme:
     def estimate(self) -> str:
         """Colour of estimates."""
         return self.series[0]
-
-    @property
-    def band(self) -> str:
-        """Colour of the band within a threshold."""
-        return self.muted
-
-    @property
-    def measured(self) -> str:
-        """Colour of measurements and commands; dashed, of known true sizes."""
-        return self.ink
 
     @property
     def residual(self) -> str:

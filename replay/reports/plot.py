@@ -254,9 +254,9 @@ def _draw_legend(
     ):
         marks.append(area(theme.estimate, DOUBT_ALPHA, f"±{DOUBT_DEVIATIONS:g} std. dev."))
     if look.run.truth:
-        marks.append(Line2D([], [], color=theme.measured, linestyle=TRUTH_DASHES, linewidth=1.6, label="truth"))
+        marks.append(Line2D([], [], color=theme.ink, linestyle=TRUTH_DASHES, linewidth=1.6, label="truth"))
     if look.run.thresholds:
-        marks.append(area(theme.band, BAND_ALPHA, "within threshold"))
+        marks.append(area(theme.muted, BAND_ALPHA, "within threshold"))
     for severity in ("warning", "critical"):
         if any(span.severity == severity for span in spans):
             marks.append(area(theme.severity[severity], SPAN_ALPHA[severity], f"{severity} alarm"))

@@ -148,7 +148,7 @@ def draw_fault(
     threshold = run.thresholds.get((layout.observer, channel))
     # the share of a deflection that is lost is judged by its certainty, not by a level
     if threshold is not None and (layout.observer, channel) not in look.run.without_sd:
-        panel.axhspan(-threshold, threshold, color=theme.band, alpha=BAND_ALPHA, linewidth=0)
+        panel.axhspan(-threshold, threshold, color=theme.muted, alpha=BAND_ALPHA, linewidth=0)
         for level in (-threshold, threshold):
             panel.axhline(level, color=theme.ink, linestyle=":", linewidth=0.7)
     limits = _with_doubt(fault_limits(trace, scale, run.thresholds, run.truth), look, trace, scale)
@@ -157,7 +157,7 @@ def draw_fault(
     estimate = trace.isolated[:, place]
     if channel in run.truth:
         times_s, sizes = run.truth[channel]
-        panel.plot(times_s - look.origin_ns / 1e9, sizes, color=theme.measured, linestyle=TRUTH_DASHES, linewidth=1.6)
+        panel.plot(times_s - look.origin_ns / 1e9, sizes, color=theme.ink, linestyle=TRUTH_DASHES, linewidth=1.6)
     panel.plot(*envelope(_seconds(trace, look), estimate, trace.restart, look.bins), color=theme.estimate)
     panel.set_ylim(limits)
     _mark_beyond(panel, look, trace, estimate, limits)
@@ -174,7 +174,7 @@ def draw_quiet(panel: Axes, look: Look, trace: Trace, places: Sequence[int], spa
     labels = []
     for lane, place in enumerate(places):
         half = 1.0 / LANE_THRESHOLDS
-        panel.axhspan(-lane - half, -lane + half, color=theme.band, alpha=BAND_ALPHA, linewidth=0)
+        panel.axhspan(-lane - half, -lane + half, color=theme.muted, alpha=BAND_ALPHA, linewidth=0)
         share = trace.isolated[:, place] / look.run.thresholds[layout.observer, layout.faults[place]]
         height = np.clip(share / LANE_THRESHOLDS, -0.5, 0.5) - lane
         panel.plot(*envelope(_seconds(trace, look), height, trace.restart, look.bins), color=theme.estimate)
@@ -217,7 +217,7 @@ def draw_inputs(panel: Axes, look: Look, trace: Trace, spans: Sequence[AlarmSpan
         low, high = _ends(evidence(trace, trace.u[:, index]))
         middle, height = (low + high) / 2.0, (high - low) or 1.0
         lane = np.clip((trace.u[:, index] - middle) / height / 1.15, -0.5, 0.5) - index
-        _draw_lane(panel, look, trace, lane, look.theme.measured)
+        _draw_lane(panel, look, trace, lane, look.theme.ink)
         labels.append(f"{_short(name)}  {low:.2g} … {high:.2g}".replace("-", "\N{MINUS SIGN}"))
     _label_lanes(panel, labels)
     _name(panel, look, trace, f"inputs ({MODEL_UNIT}; right: from … to)")
