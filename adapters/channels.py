@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import lru_cache
 from math import asin, atan2, hypot, isfinite
 from typing import Any, Literal, get_args
@@ -231,18 +231,8 @@ def channel_table(channel: Channel) -> dict[str, Any]:
     table: dict[str, Any] = {"message": channel.message, "field": field.lstrip(".")}
     if channel.where:
         table["where"] = dict(channel.where)
-    if channel.scale != 1.0:
-        table["scale"] = channel.scale
-    if channel.offset != 0.0:
-        table["offset"] = channel.offset
-    if channel.clock is not None:
-        table["clock"] = channel.clock
-    if channel.clock_unit_ns is not None:
-        table["clock_unit_ns"] = channel.clock_unit_ns
-    if channel.interpolation != "linear":
-        table["interpolation"] = channel.interpolation
-    if channel.angle is not None:
-        table["angle"] = channel.angle
-    if channel.period is not None:
-        table["period"] = channel.period
+    options = {field.name: field.default for field in fields(Channel) if field.default is not MISSING}
+    for option, default in options.items():
+        if option != "where" and getattr(channel, option) != default:
+            table[option] = getattr(channel, option)
     return table

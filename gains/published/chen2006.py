@@ -27,12 +27,10 @@ from dataclasses import replace
 import numpy as np
 
 from adapters.errors import InfeasibleError
-from gains.plants.plant import FloatArray, Plant, check_independence
+from gains.plants.plant import FloatArray, Plant, check_independence, first_dependent
 from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_constant, solve_lmi
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
 
-_RANK_TOLERANCE = 1e-9
-"""As for directions of faults (gains.plants.plant)."""
 _SMALLEST_CONSTANT = 1e-3
 """Lipschitz constant, 1/s, below which a nonlinearity counts as this: the inequality divides by it."""
 _MARGIN = 1e-6
@@ -66,8 +64,7 @@ def design_chen2006(plant: Plant, filter_s: float = 0.05) -> ContinuousObserver:
     Ad, Dd = np.zeros((nz, nz)), np.zeros((nz, a1 + nz - n))
     Ad[:n, :n], Dd[:n, :a1], Dd[n:, a1:] = plant.A, plant.E_f, np.eye(nz - n)
     seen = C_b @ Dd
-    norms = np.linalg.norm(seen, axis=0)
-    if seen.shape[1] > p or np.any(norms == 0.0) or np.linalg.svd(seen / norms, compute_uv=False)[-1] < _RANK_TOLERANCE:
+    if not seen.any(axis=0).all() or first_dependent(seen) is not None:
         raise InfeasibleError(
             f"{plant.name}: chen2006 needs every fault to show independently in the rates of the outputs "
             "(rank(Cb Dd) = rank(Dd)), and here they do not"

@@ -29,12 +29,9 @@ from dataclasses import replace
 import numpy as np
 
 from adapters.errors import InfeasibleError
-from gains.plants.plant import FloatArray, Plant, check_independence
+from gains.plants.plant import FloatArray, Plant, check_independence, first_dependent
 from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_rows, reported_bound, solve_tempered
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
-
-_RANK_TOLERANCE = 1e-9
-"""As for directions of faults (gains.plants.plant)."""
 
 
 def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> ContinuousObserver:
@@ -131,10 +128,7 @@ def _decoupling(Bd: FloatArray, Cb: FloatArray) -> FloatArray:
     kept: list[int] = []
     for column in range(Bd.shape[1]):
         seen = Cb @ Bd[:, [*kept, column]]
-        norms = np.linalg.norm(seen, axis=0)
-        if len(kept) == len(Cb) or not np.all(norms > 0.0):
-            continue
-        if np.linalg.svd(seen / norms, compute_uv=False)[-1] > _RANK_TOLERANCE:
+        if seen.any(axis=0).all() and first_dependent(seen) is None:
             kept.append(column)
     directions = Bd[:, kept]
     return np.asarray(directions @ np.linalg.pinv(Cb @ directions), dtype=np.float64)
