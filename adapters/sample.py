@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -62,6 +63,12 @@ class Samples:
             self.known_ns[rows],
             self.measured[rows],
         )
+
+
+def joined_samples(parts: Sequence[Samples]) -> Samples:
+    """Return consecutive samples as one object."""
+    names = [field.name for field in fields(Samples)]
+    return Samples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 class Given(NamedTuple):

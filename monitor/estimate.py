@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.sample import Samples
+from adapters.sample import Samples, joined_samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,3 +78,15 @@ class Estimates:
             sd=self.sd[rows],
             coasted_s=self.coasted_s[rows],
         )
+
+
+def joined_estimates(parts: Sequence[Estimates]) -> Estimates:
+    """Return the estimates of one observer over consecutive samples as one object."""
+    if len(parts) == 1:
+        return parts[0]
+    values = [field.name for field in fields(Estimates) if field.name not in ("observer", "samples")]
+    return Estimates(
+        parts[0].observer,
+        joined_samples([part.samples for part in parts]),
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in values),
+    )

@@ -212,7 +212,9 @@ def _recorder(stack: ExitStack, path: Path, pipeline: Pipeline) -> Archive:
 
     encoder = RecordEncoder(pipeline.layouts)
     recorder = Recorder(path, encoder.topics, pipeline.metadata(), pipeline.profile.files, strict=True)
-    return Archive(encoder, stack.enter_context(recorder))
+    archive = Archive(encoder, recorder)
+    stack.callback(archive.close)
+    return archive
 
 
 def interests(profile: Profile) -> frozenset[str]:

@@ -8,7 +8,13 @@ import sys
 from pathlib import Path
 
 from own_records import own_records
-from test_monitor_rotation import numbers
+from test_monitor_recorder import LAYOUT, Log, estimates
+from test_monitor_rotation import message, numbers
+
+from adapters.batch import pack
+from monitor.recording.archive import Archive
+from monitor.recording.record_encoder import RecordEncoder
+from monitor.recording.recorder import Recorder
 
 FULL = """
 import json, resource, sys
@@ -65,3 +71,19 @@ def test_a_recording_in_one_file_goes_on_when_the_disk_has_room_with_the_alarms_
         "/fauio/motors/sample": 1,
         "/fauio/motors/estimate": 1,
     }
+
+
+def test_what_is_held_until_the_flush_is_recorded_as_what_is_encoded_at_once(tmp_path: Path) -> None:
+    encoder = RecordEncoder([LAYOUT])
+    held = Archive(encoder, Recorder(tmp_path / "held.mcap", encoder.topics, {}, {}))
+    with Log(tmp_path / "at_once.mcap") as at_once:
+        for number in range(20):
+            for archive in (held, at_once):
+                archive.batch(pack([message(number)]))
+                archive.estimates(estimates(2 * number, 2))
+                at_once.encode()
+                if number % 7 == 6:
+                    archive.flush()
+    held.close()
+    assert numbers(tmp_path / "held.mcap") == numbers(tmp_path / "at_once.mcap") == [*range(20)]
+    assert own_records([tmp_path / "held.mcap"]) == own_records([tmp_path / "at_once.mcap"])

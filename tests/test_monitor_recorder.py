@@ -44,7 +44,7 @@ LAYOUT = Layout(
 
 
 class Log(Archive):
-    """An archive of a recorder alone, whose counts are at hand."""
+    """An archive of a recorder alone that holds nothing back, whose counts are at hand."""
 
     def __init__(
         self,
@@ -60,6 +60,11 @@ class Log(Archive):
 
     def write(self, *messages: Message) -> None:
         self.batch(pack(messages))
+        self.encode()
+
+    def estimates(self, estimates: Estimates) -> None:
+        super().estimates(estimates)
+        self.encode()
 
     def counts(self) -> RecorderStatistics:
         return self.recorder.statistics()

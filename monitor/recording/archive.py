@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from adapters.batch import Batch
-from monitor.estimate import Estimates
+from adapters.batch import Batch, joined
+from monitor.estimate import Estimates, joined_estimates
 from monitor.event import AlarmEvent
 from monitor.recording.black_box import BlackBox
-from monitor.recording.record_encoder import RecordEncoder
+from monitor.recording.record_encoder import EncodedRecord, RecordEncoder
 from monitor.recording.recorder import Recorder
+
+_MOST_ROWS = 4096
+"""Messages and samples held before they are encoded: as many as one turn of the daemon's loop processes of a backlog.
+Live ones are flushed long before, twice a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +29,7 @@ class ArchiveStatistics:
 class Archive:
     """Records what one monitor receives and computes in a recording and a black box, either of which may be absent.
 
-    The encoder works for both, which have its table of topics. A disk that fails stops neither the monitor nor the
+    It is encoded when it is flushed, all rows of a kind at once, and when an alarm event or a clip needs it. The encoder works for both, which have its table of topics. A disk that fails stops neither the monitor nor the
     other of the two.
     """
 
@@ -35,31 +39,49 @@ class Archive:
         self._encoder = encoder
         self._recorder = recorder
         self._black_box = black_box
+        self._batches: list[Batch] = []
+        self._estimates: dict[str, list[Estimates]] = {}
+        self._rows = 0
 
     def batch(self, batch: Batch) -> None:
         """Record telemetry as received."""
-        records = self._encoder.batch(batch)
-        if self._recorder is not None:
-            self._recorder.record(records, telemetry=True)
-        if self._black_box is not None:
-            self._black_box.record(records, telemetry=True)
+        self._batches.append(batch)
+        self._hold(batch.count)
 
     def estimates(self, estimates: Estimates) -> None:
         """Record estimates and the samples they were computed from."""
-        records = self._encoder.estimates(estimates)
-        if self._recorder is not None:
-            self._recorder.record(records)
-        if self._black_box is not None:
-            self._black_box.record(records)
+        self._estimates.setdefault(estimates.observer, []).append(estimates)
+        self._hold(len(estimates))
 
     def event(self, event: AlarmEvent) -> None:
-        """Record an alarm event; a raised alarm begins a clip of the black box."""
+        """Record an alarm event behind all that came before; a raised alarm begins a clip of the black box."""
+        self.encode()
         records = self._encoder.event(event)
         if self._recorder is not None:
             self._recorder.record(records, keep=True)
         if self._black_box is not None:
             self._black_box.record(records)
             self._black_box.alarm(event)
+
+    def _hold(self, rows: int) -> None:
+        self._rows += rows
+        if self._rows >= _MOST_ROWS:
+            self.encode()
+
+    def encode(self) -> None:
+        """Give all that is held to the recording and to the black box."""
+        batches, estimates = self._batches, self._estimates
+        self._batches, self._estimates, self._rows = [], {}, 0
+        if batches:
+            self._record(self._encoder.batch(joined(batches)), telemetry=True)
+        for parts in estimates.values():
+            self._record(self._encoder.estimates(joined_estimates(parts)), telemetry=False)
+
+    def _record(self, records: Sequence[EncodedRecord], telemetry: bool) -> None:
+        if self._recorder is not None:
+            self._recorder.record(records, telemetry=telemetry)
+        if self._black_box is not None:
+            self._black_box.record(records, telemetry=telemetry)
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
         """Add entries to the metadata of the recording and of the clips to come."""
@@ -70,15 +92,20 @@ class Archive:
 
     def flush(self) -> None:
         """Hand the recording to the operating system, or try a disk again that refused; call it on a timer."""
+        self.encode()
         if self._recorder is not None:
             self._recorder.flush()
 
     def work(self, max_records: int, now_ns: int) -> int:
         """Write up to so many records of open clips; return how many were written."""
-        return 0 if self._black_box is None else self._black_box.work(max_records, now_ns)
+        if self._black_box is None or not self._black_box.has_clips:
+            return 0
+        self.encode()
+        return self._black_box.work(max_records, now_ns)
 
     def close(self) -> None:
         """Finish the recording and the open clips; a second call does nothing."""
+        self.encode()
         if self._recorder is not None:
             self._recorder.close()
         if self._black_box is not None:

@@ -135,6 +135,11 @@ class BlackBox:
         self._raised: deque[tuple[int, str]] = deque(maxlen=_MOST_RAISED)
         self._counts = BlackBoxStatistics()
 
+    @property
+    def has_clips(self) -> bool:
+        """Whether clips are being made."""
+        return bool(self._clips)
+
     def record(self, records: Sequence[EncodedRecord], *, telemetry: bool = False) -> None:
         """Hold records for alarms to come, and give them to the open clips.
 
