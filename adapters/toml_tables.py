@@ -132,17 +132,7 @@ class TomlFile:
 
 
 class Table:
-    """A table of a file, which knows its place and which of its keys were asked for.
-
-    Parameters
-    ----------
-    file : TomlFile
-        The file.
-    path : KeyPath
-        Keys and indices that lead to the table.
-    content : Mapping[str, Any]
-        The parsed table.
-    """
+    """A table of a file, which knows its place and which of its keys were asked for."""
 
     def __init__(self, file: TomlFile, path: KeyPath, content: Mapping[str, Any]) -> None:
         self.file = file

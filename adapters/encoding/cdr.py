@@ -30,14 +30,7 @@ _Read = Callable[[bytes, int], tuple[Any, int]]
 
 
 class CdrDecoder:
-    """Decodes messages of one type.
-
-    Parameters
-    ----------
-    definition_name : str
-        The message's type, ``"sensor_msgs/msg/Imu"``.
-    definition_text : str
-        Its definition, see :func:`adapters.encoding.message_definition.parse_definitions`.
+    """Decodes messages of one type by its definition (:func:`adapters.encoding.message_definition.parse_definitions`).
 
     Raises
     ------

@@ -83,15 +83,10 @@ def json_object(data: bytes) -> dict[str, Any]:
 
 
 class ProtobufFields:
-    """Reads protobuf messages of one type as plain fields.
+    """Reads protobuf messages of one class as plain fields.
 
     Nested messages are fields within fields; one that is absent is left out. Times and durations of protobuf become
     seconds and nanoseconds as ROS 2 names them (``sec``, ``nanosec``), enumerations their numbers, bytes base64.
-
-    Parameters
-    ----------
-    pb_class : Any
-        The protobuf class.
     """
 
     def __init__(self, pb_class: Any) -> None:

@@ -29,20 +29,9 @@ _STAMP = "int32 sec\nuint32 nanosec"
 
 @dataclass(frozen=True, slots=True)
 class MessageField:
-    """One field of a message.
+    """One field of a message: its type is primitive (``"float64"``) or a message as ``"package/Name"``.
 
-    Parameters
-    ----------
-    name : str
-        The field's name.
-    type : str
-        A primitive type (``"float64"``) or a message as ``"package/Name"``.
-    size : int | None
-        Elements of a fixed-size array, None for anything else.
-    sequence : bool
-        Whether the field is a sequence, its length in front of its elements.
-    at_most : int | None
-        Most elements of a bounded sequence.
+    A fixed-size array has a ``size``; a sequence, its length in front of its elements, may have ``at_most`` so many.
     """
 
     name: str

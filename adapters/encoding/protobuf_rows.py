@@ -40,12 +40,9 @@ class _Field:
 
 
 class RowDecoder:
-    """Decodes many messages of one protobuf type at once; :class:`monitor.core.protobuf_rows.RowEncoder` encodes them.
+    """Decodes many messages of one protobuf class (proto3) at once.
 
-    Parameters
-    ----------
-    pb_class : Any
-        Protobuf class (proto3).
+    :class:`monitor.core.protobuf_rows.RowEncoder` encodes them.
 
     Raises
     ------
@@ -78,15 +75,7 @@ class RowDecoder:
 
 
 class _Cursor:
-    """Positions in n messages, which lie one behind the other in a buffer, up to which they are read.
-
-    Parameters
-    ----------
-    data : NDArray[np.uint8]
-        The buffer, with padding behind it.
-    at, end : NDArray[np.int64]
-        Positions (n,) of the beginnings and ends.
-    """
+    """Positions (n,) in n messages, which lie one behind the other in a padded buffer, up to which they are read."""
 
     def __init__(self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64]) -> None:
         self._data = data

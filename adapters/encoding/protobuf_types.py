@@ -18,18 +18,9 @@ TIMESTAMP: Final = "google.protobuf.Timestamp"
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field of a message class to build.
+    """One field of a message class to build: a scalar, a time or the fields of a nested message, one or a list of them.
 
-    Parameters
-    ----------
-    name : str
-        Field name, a protobuf identifier (:func:`identifiers` makes some).
-    kind : str | tuple[Field, ...]
-        Scalar type, :data:`TIMESTAMP`, or the fields of a nested message.
-    repeated : bool
-        A list of values.
-    optional : bool
-        Whether absence is distinguished from zero.
+    The name is a protobuf identifier (:func:`identifiers` makes some). Of an optional field absence is not zero.
     """
 
     name: str

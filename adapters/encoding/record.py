@@ -7,16 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Schema:
-    """The type of a topic's records.
+    """The type of a topic's records by its full name.
 
-    Parameters
-    ----------
-    name : str
-        Full name of the type.
-    encoding : str
-        ``"protobuf"`` (``data`` is a FileDescriptorSet) or ``"jsonschema"``; others use others.
-    data : bytes
-        The schema itself.
+    Ours are in ``"protobuf"`` (``data`` is a FileDescriptorSet) or ``"jsonschema"``; others use others.
     """
 
     name: str
@@ -26,24 +19,10 @@ class Schema:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One encoded record.
+    """One encoded record, in ``"protobuf"`` or ``"json"``; others use others.
 
-    Parameters
-    ----------
-    topic : str
-        Topic.
-    encoding : str
-        ``"protobuf"`` or ``"json"``; others use others.
-    schema : Schema | None
-        Type of ``data``.
-    data : bytes
-        The encoded record.
-    time_ns : int
-        Log time, Unix nanoseconds.
-    component : int
-        MAVLink component that sent it, 0 where there is none.
-    publish_ns : int | None
-        Publish time, Unix nanoseconds, where it is another than the log time.
+    Times are Unix nanoseconds: the log time, and the publish time where it is another. ``component`` is the MAVLink
+    component that sent it, 0 where there is none.
     """
 
     topic: str

@@ -169,17 +169,10 @@ def _field(name: str, value: Any) -> Field:
 class TypedRecords:
     """Decodes the records of one topic that :func:`to_protobuf` made, one by one when called, or many at once.
 
-    Parameters
-    ----------
-    source, name : Source, str
-        Of the messages.
-    pb_class : Any
-        Their protobuf class, by the schema in the file.
-
     Raises
     ------
     ValueError
-        It is no class of such messages.
+        The class is none of such messages.
     """
 
     def __init__(self, source: Source, name: str, pb_class: Any) -> None:

@@ -26,19 +26,9 @@ context, because the readers of all kinds of recordings lie between them and the
 
 
 class CompressedFile:
-    """The bytes of a file, decompressed by its suffix.
+    """The bytes of a file, those of ``.xz`` and ``.gz`` decompressed; ``damaged`` where the compressed data broke off.
 
     Iterate over it once. Concatenated streams are read as one; damage ends the file.
-
-    Parameters
-    ----------
-    path : Path
-        The file; ``.xz`` and ``.gz`` are decompressed.
-
-    Attributes
-    ----------
-    damaged : bool
-        Whether the compressed data broke off or was broken.
     """
 
     def __init__(self, path: Path) -> None:

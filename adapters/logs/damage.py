@@ -10,14 +10,8 @@ from typing import Any, Protocol
 class Damage:
     """What of one file is missing.
 
-    Parameters
-    ----------
-    file : str
-        Name of the file.
-    found : tuple[str, ...]
-        The findings, each part of a sentence: ``"breaks off at byte 4711"``, ``"2 damaged blocks"``.
-    stopped_at : int | None
-        Byte from which on nothing could be read; None where the file was read to its end.
+    The findings are parts of a sentence: ``"breaks off at byte 4711"``, ``"2 damaged blocks"``. From byte
+    ``stopped_at`` on nothing could be read; None where the file was read to its end.
     """
 
     file: str

@@ -98,18 +98,10 @@ class FieldRule:
 
 @dataclass(frozen=True, slots=True)
 class MessageRule:
-    """One way to fill a MAVLink message.
+    """One way to fill a MAVLink message: the name of the log's record that makes one, and where its fields come from.
 
-    Parameters
-    ----------
-    message : str
-        Its name.
-    topic : str
-        Name of the log's record that makes one.
-    fields : tuple[FieldRule, ...]
-        All fields in the order of the definition, elements of an array one by one.
-    repeat_ns : int | None
-        A state is repeated after that long.
+    They are all fields in the order of the definition, elements of an array one by one. A state is repeated after
+    ``repeat_ns``.
     """
 
     message: str
@@ -155,13 +147,7 @@ class MessageRule:
 
 @dataclass(frozen=True, slots=True)
 class LogMapping:
-    """Ways to fill MAVLink messages, in order of preference.
-
-    Parameters
-    ----------
-    rules : Mapping[str, tuple[MessageRule, ...]]
-        By message name.
-    """
+    """Ways to fill MAVLink messages by the message's name, in order of preference."""
 
     rules: Mapping[str, tuple[MessageRule, ...]]
 

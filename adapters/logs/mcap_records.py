@@ -69,15 +69,7 @@ _LONGEST_MATCH = 64
 class McapRecords:
     """Iterates once over (opcode, body) of a file's records; the body of a chunk is its records, decompressed.
 
-    Parameters
-    ----------
-    path : Path
-        The file; ``.xz`` and ``.gz`` are decompressed.
-
-    Attributes
-    ----------
-    damaged_chunks, lost_ways, stopped_at, broken_off
-        What was found so far, as of :class:`adapters.logs.mcap_reader.ReaderStatistics`.
+    Its counts are those of :class:`adapters.logs.mcap_reader.ReaderStatistics`, so far.
     """
 
     def __init__(self, path: Path) -> None:

@@ -36,21 +36,9 @@ _MAGIC = re.compile(rb"\xfe|\xfd(?=.[\x00\x01]|.?\Z)", re.DOTALL)
 
 
 class MavlinkType:
-    """What is needed of one message definition to check and decode its packets.
+    """What is needed of one message definition, pymavlink's class, to check and decode its packets.
 
-    Parameters
-    ----------
-    table : Any
-        pymavlink's class of the message.
-
-    Attributes
-    ----------
-    table : Any
-        The same.
-    name : str
-        Name of the message.
-    size : int
-        Bytes of a payload from which nothing is cut off.
+    ``size`` are the bytes of a payload from which nothing is cut off.
     """
 
     def __init__(self, table: Any) -> None:

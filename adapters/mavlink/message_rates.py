@@ -23,20 +23,9 @@ from adapters.source import MAVLINK
 
 
 class RequestingLink:
-    """A link and the requests that go out over it.
+    """A link, opened with ``may_send``, and the requests for message rates that go out over it.
 
-    Parameters
-    ----------
-    link : MavlinkLink
-        The link, opened with ``may_send``.
-    requests : RateRequests
-        The requests.
-    rates : Mapping[str, float]
-        Rate in hertz by MAVLink message name.
-    systems : Collection[int]
-        Systems that are asked; none: every system whose autopilot is heard.
-    component : int
-        Component that is asked.
+    Some systems' component is asked, or that of every system whose autopilot is heard; rates are hertz by message name.
     """
 
     def __init__(
@@ -105,20 +94,9 @@ def _internal(default: Any) -> Any:
 
 @dataclass(slots=True)
 class RequestedRate:
-    """What became of one request, and the present measurement of its rate.
+    """What became of one request to a vehicle's autopilot, and the present measurement of its rate.
 
-    Parameters
-    ----------
-    system, component : int
-        The vehicle's autopilot.
-    name : str
-        The message.
-    asked_hz, measured_hz : float
-        Its rate as asked for, and as last measured.
-    requests : int
-        How often it was asked for.
-    refused : bool
-        Whether the vehicle said that it will not; it is not asked again.
+    ``requests`` is how often it was asked for; where the vehicle said that it will not (``refused``) it is not again.
     """
 
     system: int
@@ -160,15 +138,7 @@ class RequestedRate:
 
 @dataclass(frozen=True, slots=True)
 class RateStatistics:
-    """What was sent so far, and what came of it.
-
-    Parameters
-    ----------
-    heartbeats : int
-        Heartbeats sent.
-    rates : tuple[RequestedRate, ...]
-        The requests.
-    """
+    """Heartbeats sent so far, and the requests."""
 
     heartbeats: int
     rates: tuple[RequestedRate, ...]
@@ -190,14 +160,8 @@ class RateRequests:
     """Asks the vehicles of one link for message rates, and sends a heartbeat every second.
 
     A vehicle is asked for a message while it is heard and the message comes at less than 70 % of the rate, again and
-    again at growing intervals of at most about a minute, unless it has refused.
-
-    Parameters
-    ----------
-    key : SigningKey | None
-        What packets are signed with; None leaves them unsigned.
-    ids : tuple[int, int]
-        System and component id to send under.
+    again at growing intervals of at most about a minute, unless it has refused. Packets are signed with the key, if
+    there is one, and sent under the given system and component id.
     """
 
     def __init__(self, key: SigningKey | None = None, ids: tuple[int, int] = OWN_IDS) -> None:

@@ -53,12 +53,7 @@ _FINDINGS = ("forged", "replayed", "unsigned")
 
 @dataclass(frozen=True, slots=True)
 class SigningKey:
-    """The secret that both ends of a link share; it does not show when printed.
-
-    Parameters
-    ----------
-    secret : bytes
-        32 bytes.
+    """The secret, 32 bytes, that both ends of a link share; it does not show when printed.
 
     Raises
     ------
@@ -150,13 +145,7 @@ class _Stream:
 
 
 class SignatureVerifier:
-    """Verifies the packets of one link; its memory is bounded.
-
-    Parameters
-    ----------
-    key : SigningKey
-        The key that valid packets are signed with.
-    """
+    """Verifies the packets of one link by its key; its memory is bounded."""
 
     def __init__(self, key: SigningKey) -> None:
         self._key = key
@@ -194,16 +183,9 @@ class SignatureVerifier:
 class SigningStatistics:
     """Packets refused so far.
 
-    Parameters
-    ----------
-    forged : int
-        The signature is not the key's.
-    replayed : int
-        A valid packet of earlier.
-    unsigned : int
-        Not signed where that is required.
-    late : int
-        A valid packet that came twice or behind its successor within a second or two.
+    A ``forged`` one has another key's signature, a ``replayed`` one is a valid packet of earlier; a ``late`` one is
+    valid, but came twice or behind its successor within a second or two. ``unsigned`` ones count where signatures are
+    required.
     """
 
     forged: int = 0
@@ -215,13 +197,8 @@ class SigningStatistics:
 class SigningGuard:
     """Lets in the packets of one link that may be trusted, and tells of the others, system by system.
 
-    Parameters
-    ----------
-    key : SigningKey
-        The key of the link.
-    require_signed : bool
-        Whether unsigned packets are refused. The reports that telemetry radios add themselves (RADIO_STATUS, RADIO)
-        never are.
+    Where signatures are required, the reports that telemetry radios add themselves (RADIO_STATUS, RADIO) still need
+    none.
     """
 
     def __init__(self, key: SigningKey, require_signed: bool = False) -> None:

@@ -75,15 +75,7 @@ class ArmFault:
 
 @dataclass(frozen=True, slots=True)
 class ArmScenario:
-    """Faults and disturbances of a run.
-
-    Parameters
-    ----------
-    faults : tuple[ArmFault, ...]
-        Faults; several on one channel add up.
-    disturbed : bool
-        Whether w_1 = 0.2 sin 10 t and w_2 = 0.1 sin 10 t act.
-    """
+    """Faults of a run, several on one channel add up, and whether w_1 = 0.2 sin 10 t and w_2 = 0.1 sin 10 t act."""
 
     faults: tuple[ArmFault, ...] = field(default=())
     disturbed: bool = True

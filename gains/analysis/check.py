@@ -192,18 +192,11 @@ condition of a scaled system).
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """A problem and what mends it.
+    """A smallest set of faults that cannot be estimated together, and what mends it.
 
-    Parameters
-    ----------
-    problem : Problem
-        A smallest set of faults that cannot be estimated together.
-    sensors : tuple[str, ...]
-        States of which an additional, unattacked sensor would mend it.
-    leak : tuple[str, ...]
-        States on which a leak of 1/LEAK_S per second would; empty where it would not.
-    shown_elsewhere : bool
-        Whether an output without these faults shows one of the states that move.
+    Mended it is by an additional, unattacked sensor of any of the states ``sensors``, or by a leak of 1/LEAK_S per
+    second on the states ``leak``; either may be empty. ``shown_elsewhere``: an output without these faults shows one of
+    the states that move.
     """
 
     problem: Problem

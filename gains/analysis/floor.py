@@ -47,16 +47,9 @@ _TIE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """No observer has a smaller certified sqrt(mu).
+    """No observer has a smaller certified sqrt(mu) than ``value``; where it is, radians per second and constant slopes.
 
-    Parameters
-    ----------
-    value : float
-        The floor; zero where nothing hides, infinite where the faults cannot be estimated at all.
-    omega : float
-        Frequency in radians per second where it is.
-    slopes : tuple[float, ...]
-        Constant slopes of the nonlinearities where it is.
+    It is zero where nothing hides, infinite where the faults cannot be estimated at all.
     """
 
     value: float

@@ -27,16 +27,9 @@ out of texts.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HiddenMode:
-    """An eigenvalue that no output shows.
+    """An eigenvalue (z in discrete time, else s) that no output shows, and how each signal moves in it.
 
-    Parameters
-    ----------
-    eigenvalue : complex
-        z in discrete time, s in continuous time.
-    motion : NDArray[np.complex128]
-        How each signal moves in it.
-    decay : float
-        1 - |z|, or -Re s over the size of A.
+    ``decay`` is 1 - |z|, or -Re s over the size of A.
     """
 
     eigenvalue: complex

@@ -41,16 +41,10 @@ _WIDEN_AFTER = 20
 
 @dataclass(frozen=True, slots=True)
 class HinfNorm:
-    """The norm lies in [lower, upper].
+    """The norm lies in [lower, upper]: a gain that the system has at ``omega``, and a level that it does not cross.
 
-    Parameters
-    ----------
-    lower : float
-        A gain that the system has at ``omega``.
-    upper : float
-        A level that it does not cross; infinite, as ``lower`` is, for a system that is not stable.
-    omega : float
-        Continuous: radians per second, may be infinite. Discrete: radians per sample, in [0, pi].
+    Both are infinite for a system that is not stable. ``omega`` is in radians per second and may be infinite, in
+    discrete time in radians per sample, in [0, pi].
     """
 
     lower: float

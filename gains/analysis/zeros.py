@@ -34,16 +34,10 @@ show 1e-15 at most, those of its random square part alone 1.5e-3 and more.
 
 @dataclass(frozen=True, slots=True)
 class Zero:
-    """An invariant zero.
+    """An invariant zero, rad/s, and the faults and states that move in it, the largest first.
 
-    Parameters
-    ----------
-    s : complex
-        In radians per second; of a conjugate pair the one above the real axis.
-    faults, states : tuple[str, ...]
-        What moves in it, the largest first.
-    of : {"sensor faults", "all faults"}
-        Whether actuator faults are held at zero or take part.
+    Of a conjugate pair it is the one above the real axis. It is that of the ``"sensor faults"``, the actuator faults
+    held at zero, or of ``"all faults"``.
     """
 
     s: complex

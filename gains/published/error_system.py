@@ -55,16 +55,9 @@ class StateSpace(NamedTuple):
 class ErrorNorm:
     """H-infinity norm of the scaled error system: infinite where it is unstable.
 
-    Parameters
-    ----------
-    value : float
-        A gain that the system has, exact to nine digits, worst slope vertex.
-    hz : float
-        Its frequency (infinite where the direct path is the largest).
-    slopes : tuple[float, ...]
-        Its vertex.
-    pole_max : float
-        Largest real part of a pole over the vertices, 1/s.
+    ``value`` is a gain that the system has, exact to nine digits, at the worst slope vertex, ``slopes``, and at a
+    frequency of ``hz``, infinite where the direct path is the largest; ``pole_max`` is the largest real part of a pole
+    over the vertices, 1/s.
     """
 
     value: float

@@ -39,18 +39,10 @@ rounding.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterModel:
-    """The augmented discrete model: xa = [x; f_s; f_a].
+    """The augmented discrete model of a discrete plant: xa = [x; f_s; f_a].
 
-    Parameters
-    ----------
-    plant : Plant
-        The discrete plant.
-    A, C : FloatArray
-        (na, na) without the nonlinearity, and (p, na).
-    G, H : FloatArray
-        (na, m) and (arguments, na).
-    Q, R : FloatArray
-        Covariances per sample (na, na) and (p, p).
+    A (na, na) is without the nonlinearity; C is (p, na), G (na, m), H (arguments, na). Q (na, na) and R (p, p) are
+    covariances per sample.
     """
 
     plant: Plant
