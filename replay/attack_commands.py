@@ -15,7 +15,7 @@ _LOG_HELP = "recording: .tlog, .mcap, .ulg (PX4) or .bin (ArduPilot), plain or w
 _INJECT_TEXT = """\
 Put a fault or attack with exact truth onto a recording. Times are seconds of the vehicle's own clock since its first
 stamp in the log (--at-ms: that clock itself); measurements are altered by their stamp, whenever they arrived. What was
-altered and when stands in OUT.truth.json and in the metadata record 'truth'.
+altered and when is in OUT.truth.json and in the metadata record 'truth'.
 
 kinds:
   bias    adds --size

@@ -92,7 +92,7 @@ def play(profile: Profile, messages: Iterable[Message], **options: Any) -> Repla
 
 def play_batches(
     profile: Profile,
-    blocks: Iterable[Batch],
+    batches: Iterable[Batch],
     *,
     vehicle: str | None = None,
     record: Path | None = None,
@@ -106,7 +106,7 @@ def play_batches(
     ----------
     profile : Profile
         The vehicle's profile.
-    blocks : Iterable[Batch]
+    batches : Iterable[Batch]
         The recording.
     vehicle : str | None
         Name in events; None takes the profile's.
@@ -133,13 +133,13 @@ def play_batches(
     samples, watched, coasted = (dict.fromkeys(names, 0) for _ in range(3))
     with ExitStack() as stack:
         recorder = _recorder(stack, record, pipeline) if record is not None else None
-        for block in blocks:
-            count += block.count
-            seen.update(one.name for one in block.columns)
-            seen.update(message.name for message in block.others.values())
+        for batch in batches:
+            count += batch.count
+            seen.update(one.name for one in batch.columns)
+            seen.update(message.name for message in batch.others.values())
             if recorder is not None:
-                _record(recorder, pipeline, block)
-            outputs = pipeline.run(block)
+                _record(recorder, pipeline, batch)
+            outputs = pipeline.run(batch)
             if pipeline.refused is not None:
                 if record is not None:
                     stack.pop_all().close()
@@ -188,18 +188,18 @@ def play_batches(
     )
 
 
-def _record(recorder: Archive, pipeline: Pipeline, block: Batch) -> None:
-    """Record what of a block comes from the monitored vehicle, ahead of the pipeline's taking it."""
+def _record(recorder: Archive, pipeline: Pipeline, batch: Batch) -> None:
+    """Record what of a batch comes from the monitored vehicle, ahead of the pipeline's taking it."""
     place = 0
     if not pipeline.system:
         # each message may be the one that says who it is
-        for message in messages_of(block):
+        for message in messages_of(batch):
             place += 1
             if pipeline.accepts(message):
                 recorder.batch(pack([message]))
             if pipeline.system:
                 break
-    rest = cut(block, place, block.count)
+    rest = cut(batch, place, batch.count)
     columns = tuple(one for one in rest.columns if pipeline.accepts(one_message(one, 0)))
     others = {at: message for at, message in rest.others.items() if pipeline.accepts(message)}
     recorder.batch(Batch(rest.count, columns, others))

@@ -89,7 +89,7 @@ def screen(endpoint: Endpoint) -> Iterator[Screen]:
 
 def test_the_table_follows_the_alarms_until_ctrl_c(endpoint: Endpoint, screen: Screen) -> None:
     publisher = Publisher(endpoint.session, "copter-1", [])
-    assert "no alarm stands" in screen.until("monitored: copter-1")
+    assert "no alarm is active" in screen.until("monitored: copter-1")
     publisher.event(event(1, relative=-0.05))
     publisher.event(event(2, "motor2", severity="critical"))
     picture = screen.until("motor2.*\n.*motor1")
@@ -158,9 +158,9 @@ def test_a_vehicle_that_is_not_watched_stands_above_the_alarms(endpoint: Endpoin
     publisher = Publisher(endpoint.session, "copter-1", [])
     screen.until("monitored: copter-1")
     publisher.status({"state": "degraded", "reasons": ["motors watches nothing: no HIGHRES_IMU\x1b[2J"]})
-    screen.until(r"copter-1 is degraded: motors watches nothing: no HIGHRES_IMU\?\[2J\s+no alarm stands")
+    screen.until(r"copter-1 is degraded: motors watches nothing: no HIGHRES_IMU\?\[2J\s+no alarm is active")
     publisher.status({"state": "monitoring", "reasons": []})
-    screen.until(r"monitored: copter-1\s+no alarm stands")
+    screen.until(r"monitored: copter-1\s+no alarm is active")
 
 
 def test_many_vehicles_that_are_not_watched_leave_room_for_alarms() -> None:

@@ -106,7 +106,7 @@ def test_keys_without_end_do_not_fill_the_memory(arm_profile: Profile) -> None:
     for k in range(1000):
         monitor.process(pack([Message(ZENOH, f"arm/{k}", 1 + k, {})]))
     assert monitor.messages == 1000
-    assert len(monitor._watch._heard) <= len(frozenset().union(*pipeline.needs.values()))
+    assert len(monitor._watch._received) <= len(frozenset().union(*pipeline.needs.values()))
 
 
 def test_a_channel_shelved_without_an_alarm_is_shelved_after_a_restart(arm_profile: Profile, tmp_path: Path) -> None:

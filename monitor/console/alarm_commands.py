@@ -21,7 +21,7 @@ NOBODY_AFTER_S = 1.0
 _VERBS = {
     "ack": "say that you know of an alarm",
     "shelve": "keep an alarm silent for a while",
-    "unshelve": "let a shelved alarm speak again",
+    "unshelve": "end the shelving of an alarm",
     "reset": "clear a latched alarm whose cause is gone",
 }
 
@@ -31,7 +31,7 @@ def add_alarms(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     alarms = subparsers.add_parser(
         "alarms",
         help="watch alarms as they happen; acknowledge, shelve, reset them",
-        description="On a terminal a live table of the alarms that stand; in a pipe one JSON object per event, the "
+        description="On a terminal a live table of the active alarms; in a pipe one JSON object per event, the "
         "current state of every alarm first.",
         epilog="example: fauio alarms --history",
     )

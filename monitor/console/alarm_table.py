@@ -1,4 +1,4 @@
-"""Which alarms stand, from their events: the rows of a table for operators, most urgent first."""
+"""Which alarms are active, from their events: the rows of a table for operators, most urgent first."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RowKey = tuple[str, str, str]
 class AlarmRow:
     """One alarm as text, without control characters."""
 
-    group: Group  # what speaks, what is kept silent, what was there until a moment ago
+    group: Group  # cleared: until a moment ago
     # the columns; ``channel`` with its observer, ``brief`` the size in per cent where that makes sense
     severity: str
     vehicle: str
@@ -65,22 +65,13 @@ class AlarmTable:
             self._cleared_ns.setdefault(key, now_ns)
 
     def rows(self, now_ns: int) -> list[AlarmRow]:
-        """Return what stands at a Unix time: active alarms, worst and newest first, then shelved, then cleared."""
+        """Return what there is at a Unix time: active alarms, worst and newest first, then shelved, then cleared."""
         for key, cleared_ns in list(self._cleared_ns.items()):
             if now_ns - cleared_ns > self._kept_ns:
                 del self._cleared_ns[key], self._latest[key]
-        found = [(_group(event, now_ns), event) for event in self._latest.values()]
-        found.sort(
-            key=lambda one: (
-                _GROUPS.index(one[0]),
-                one[1].severity != "critical",
-                -one[1].since_ns,
-                one[1].vehicle,
-                one[1].observer,
-                one[1].channel,
-            )
-        )
-        return [_row(group, event, now_ns) for group, event in found]
+        rows = [(_group(event, now_ns), key, event) for key, event in self._latest.items()]
+        rows.sort(key=lambda row: (_GROUPS.index(row[0]), row[2].severity != "critical", -row[2].since_ns, row[1]))
+        return [_row(group, event, now_ns) for group, _, event in rows]
 
     def _make_room(self) -> None:
         """Forget the channel that was silent longest: who publishes endless names shall not fill the memory."""

@@ -93,7 +93,7 @@ def draw(
     active = sum(row.group == "active" for row in rows)
     gone = sorted({row.vehicle for row in rows} - subscriber.live)
     header = _header(active, gone, subscriber, endpoints)
-    lines = [header, *warnings, table if rows else Text("no alarm stands", style="dim")]
+    lines = [header, *warnings, table if rows else Text("no alarm is active", style="dim")]
     if len(rows) > len(shown):
         lines.append(Text(f"and {len(rows) - len(shown)} more", style="dim"))
     return Group(*lines, Text(_HELP, style="dim", no_wrap=True, overflow="ellipsis"))
@@ -130,10 +130,10 @@ def _header(active: int, gone: Sequence[str], subscriber: AlarmSubscriber, endpo
 
 def _warnings(unwell: Sequence[VehicleStatus]) -> list[Text]:
     """Return a line for each of the first vehicles of which no alarm says little."""
-    told = [status.line() for status in unwell[:_MOST_WARNINGS]]
+    lines = [status.line() for status in unwell[:_MOST_WARNINGS]]
     if len(unwell) > _MOST_WARNINGS:
-        told.append(f"and {len(unwell) - _MOST_WARNINGS} more vehicles are not watched as they should be")
-    return [Text(printable(line), style=_COLOURS["warning"], no_wrap=True, overflow="ellipsis") for line in told]
+        lines.append(f"and {len(unwell) - _MOST_WARNINGS} more vehicles are not watched as they should be")
+    return [Text(printable(line), style=_COLOURS["warning"], no_wrap=True, overflow="ellipsis") for line in lines]
 
 
 def _style(row: AlarmRow) -> str:

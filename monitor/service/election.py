@@ -1,4 +1,4 @@
-"""Which of several monitors of one vehicle speaks: the oldest that is alive, told by liveliness tokens."""
+"""Which of several monitors of one vehicle is active: the oldest that is alive, as liveliness tokens say."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Election:
 
     @property
     def leads(self) -> bool:
-        """Whether this monitor speaks; not before others have had a second to show up."""
+        """Whether this monitor is to be active; not before others have had a second to show up."""
         now = time.monotonic()
         with self._lock:
             for name in [name for name, until in self._counts_until.items() if until <= now]:

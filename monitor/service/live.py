@@ -15,12 +15,12 @@ from adapters.errors import OtherVehicleError
 from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
 from monitor.recording.journal import Journal
+from monitor.service.caught_signals import caught_signals
 from monitor.service.daemon import Daemon
 from monitor.service.inbox import Inbox
 from monitor.service.links import FirstLook, open_links
 from monitor.service.log import ServiceLog
 from monitor.service.metrics_server import MetricsServer
-from monitor.service.noted_signals import noted_signals
 from monitor.service.station import Station
 from monitor.service.systemd import Notifier
 
@@ -47,7 +47,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
     """
     json_lines = {"auto": not sys.stderr.isatty(), "json": True, "text": False}[config.log_format]
     # signals first: the default action of SIGHUP is to end a process
-    with ExitStack() as stack, noted_signals() as received:
+    with ExitStack() as stack, caught_signals() as received:
         log = ServiceLog(as_json or json_lines)
         stack.callback(log.close)
         session = stack.enter_context(
@@ -68,15 +68,15 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
             stack.callback(MetricsServer(config.metrics.listen, station.health).close)
         notifier = Notifier()
         stack.callback(notifier.close)
-        heeded = 0
+        handled = 0
         undecided, other = refuse, None
 
         first_look = FirstLook({one.name: one.link for one in links}, log)
 
         def every_turn(now_ns: int) -> None:
-            nonlocal heeded, undecided, other
-            new = received[heeded:]
-            heeded += len(new)
+            nonlocal handled, undecided, other
+            new = received[handled:]
+            handled += len(new)
             if signal.SIGHUP in new:
                 notifier.reloading()
                 station.reload()
@@ -98,7 +98,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         )
         station.announce()
         notifier.ready(f"monitoring {len(station.services)} vehicles")
-        # What stands for weeks need not be searched for garbage again and again, which takes longer than an alarm.
+        # What is kept for weeks need not be searched for garbage again and again, which takes longer than an alarm.
         gc.collect()
         gc.freeze()
         daemon.run()

@@ -17,10 +17,10 @@ from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import Message
 from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
+from monitor.service.caught_signals import caught_signals
 from monitor.service.inbox import Inbox
 from monitor.service.links import FirstLook, open_links
 from monitor.service.log import ServiceLog
-from monitor.service.noted_signals import noted_signals
 
 _POLL_S = 0.1
 """Chosen: how late Ctrl-C and the end of --seconds are seen."""
@@ -80,7 +80,7 @@ def _over_zenoh(config: Config) -> bool:
 def _record(config: Config, path: Path, seconds: float | None, as_json: bool) -> LiveRecording:
     json_lines = {"auto": not sys.stderr.isatty(), "json": True, "text": False}[config.log_format]
     tally = _Tally()
-    with ExitStack() as stack, noted_signals() as received:
+    with ExitStack() as stack, caught_signals() as received:
         log = ServiceLog(as_json or json_lines)
         stack.callback(log.close)
         session = None

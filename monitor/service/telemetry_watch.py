@@ -21,18 +21,18 @@ _SET_BACK_NS = 1_000_000_000
 class TelemetryWatch:
     """Follows which messages come and which observers sample, from Unix time ``now_ns`` on.
 
-    ``needs`` names the messages that each observer's channels come from; ``heard_ns`` is when one of them came last,
+    ``needs`` names the messages that each observer's channels come from; ``latest_ns`` is when one of them came last,
     the start while none did.
     """
 
     def __init__(self, observers: Sequence[ObserverProfile], needs: Mapping[str, frozenset[str]], now_ns: int) -> None:
-        self.heard_ns = now_ns
+        self.latest_ns = now_ns
         self._observers = tuple(observers)
         self._needs = needs
         self._needed = frozenset[str]().union(*needs.values())
         self._since_ns = now_ns
         self._silent = True
-        self._heard: dict[str, int] = {}
+        self._received: dict[str, int] = {}
         self._sampled: dict[str, int] = {}
         self._counts: Counter[str] = Counter()
         self._samples: Counter[str] = Counter()
@@ -45,15 +45,15 @@ class TelemetryWatch:
             if self._silent:
                 # an observer needs some time from its first messages to its first sample
                 self._since_ns, self._silent = received_ns, False
-            self._heard[name] = received_ns
+            self._received[name] = received_ns
             # Of the messages of a batch the newest counts, unless the clock was set back.
-            if not 0 <= self.heard_ns - received_ns < _SET_BACK_NS:
-                self.heard_ns = received_ns
+            if not 0 <= self.latest_ns - received_ns < _SET_BACK_NS:
+                self.latest_ns = received_ns
             self._counts[name] += count
 
     def count_samples(self, observer: str, count: int = 1) -> None:
         """Count samples of an observer."""
-        self._sampled[observer] = self.heard_ns
+        self._sampled[observer] = self.latest_ns
         self._samples[observer] += count
 
     def pause(self, now_ns: int) -> None:
@@ -78,8 +78,8 @@ class TelemetryWatch:
         if elapsed_ns < 0:
             self.pause(now_ns)
         elif elapsed_ns >= _COUNTED_NS:
-            told = {observer.name: self._seldom(observer) for observer in self._observers}
-            self._slow = {name: line for name, line in told.items() if line}
+            lines = {observer.name: self._seldom(observer) for observer in self._observers}
+            self._slow = {name: line for name, line in lines.items() if line}
             self._count_anew(now_ns)
 
     def _count_anew(self, now_ns: int) -> None:
@@ -91,7 +91,7 @@ class TelemetryWatch:
         if now_ns - max(self._since_ns, self._sampled.get(observer, 0)) < _LACKING_NS:
             return None
         names = self._needs[observer]
-        missing = sorted(name for name in names if now_ns - self._heard.get(name, 0) >= _LACKING_NS)
+        missing = sorted(name for name in names if now_ns - self._received.get(name, 0) >= _LACKING_NS)
         why = f"no {', '.join(missing)}" if missing else "its measurements do not come together"
         return f"{observer} watches nothing: {why}"
 
@@ -104,5 +104,5 @@ class TelemetryWatch:
         slow = spanned(observer.source, observer.rate_hz, rates)
         if not slow:
             return None
-        told = ", ".join(f"{name} {rates[name]:.2g} Hz" for name in slow)
-        return f"{observer.name} sees faults late or not at all: {told} for {observer.rate_hz:g} samples a second"
+        seldom = ", ".join(f"{name} {rates[name]:.2g} Hz" for name in slow)
+        return f"{observer.name} sees faults late or not at all: {seldom} for {observer.rate_hz:g} samples a second"

@@ -197,7 +197,7 @@ class VehicleMonitor:
 
     def pass_time(self, now_ns: int) -> None:
         """Let the pipeline know that time has passed without telemetry; record it where that changed something."""
-        if now_ns - self._watch.heard_ns < _SILENCE_NS:
+        if now_ns - self._watch.latest_ns < _SILENCE_NS:
             return
         batch = pack([silence(now_ns)])
         outputs = self.pipeline.run(batch)

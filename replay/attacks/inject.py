@@ -93,7 +93,7 @@ def inject_recording(
 
 
 def truth_path(out: Path) -> Path:
-    """Return where the truth about an injected recording stands."""
+    """Return the file with the truth about an injected recording."""
     return out.with_suffix(".truth.json")
 
 
@@ -200,7 +200,7 @@ def _faults(log: Path) -> list[Mapping[str, Any]]:
 def _course(fault: Mapping[str, Any], channel: str, trace: Trace) -> NDArray[np.float64] | None:
     """Return the size of a fault at a trace's samples (N,), None where the kind has none."""
     numbers = fault["numbers"]
-    # the last message that was altered stands at the end
+    # the last message that was altered is the end
     attack = Attack(
         channel,
         fault["kind"],

@@ -123,7 +123,7 @@ def plan(attack: Attack, names: Iterable[str], profile: Profile | None = None, s
 
 
 def _field(channel: str, names: frozenset[str], clocks: Mapping[str, Channel]) -> Channel | None:
-    """Return the channel ``MESSAGE.field`` stands for; a Zenoh key may hold dots itself, so the longest name wins."""
+    """Return the channel that ``MESSAGE.field`` means; a Zenoh key may hold dots itself, so the longest name wins."""
     places = [place for place, letter in enumerate(channel) if letter == "." and channel[:place] in names]
     if not places or places[-1] == len(channel) - 1:
         return None
@@ -232,7 +232,7 @@ class Injector:
             return message
         if self._attack.kind == "drop":
             if self._attack.lost(stamp_ns):
-                self._note(stamp_ns)
+                self._count(stamp_ns)
                 return None
             return message
         fields = message.fields
@@ -241,7 +241,7 @@ class Injector:
                 fields = self._alter(fields, target, stamp_ns)
         if fields == message.fields or fields is message.fields:
             return message
-        self._note(stamp_ns)
+        self._count(stamp_ns)
         return replace(message, fields=fields)
 
     def _alter(self, fields: Mapping[str, Any], target: AttackTarget, stamp_ns: int) -> Mapping[str, Any]:
@@ -253,7 +253,7 @@ class Injector:
         acts = self._attack.acts(stamp_ns) or (target.outlasts and stamp_ns >= self._attack.start_ns)
         return quantity.write(fields, changed, self._scene) if acts and changed != value else fields
 
-    def _note(self, stamp_ns: int) -> None:
+    def _count(self, stamp_ns: int) -> None:
         self.altered += 1
         self._first_ns = stamp_ns if self._first_ns is None else min(self._first_ns, stamp_ns)
         self._last_ns = stamp_ns if self._last_ns is None else max(self._last_ns, stamp_ns)

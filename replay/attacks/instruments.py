@@ -1,4 +1,4 @@
-"""Where each sensor channel of the contract stands in MAVLink messages, and how another value is written there.
+"""Where each sensor channel of the contract is in MAVLink messages, and how another value is written there.
 
 A quantity is one physical value in one message: ``read`` gives it in the channel's unit, ``write`` returns the
 message's fields with another value. One channel has as many quantities as messages carry it, so that a changed sensor
@@ -55,7 +55,7 @@ class Quantity:
     read: Callable[[MessageFields, AttackScene], float | None]
     # all fields of the message with another value there
     write: Callable[[MessageFields, float, AttackScene], dict[str, Any]]
-    path: tuple[str | int, ...] = field(default=())  # where it stands, if it is a plain field
+    path: tuple[str | int, ...] = field(default=())  # where it is, if it is a plain field
     scale: float = 1.0  # channel's unit per count of that field
     from_home: bool = False  # whether its zero means nothing, so that a scale factor counts from the first value
     circular: bool = False  # whether it is an angle that wraps

@@ -64,7 +64,7 @@ class PlantResponse:
 
     ``inputs`` say where the commands come from, ``size`` is the loss or fault over time (vehicle nanoseconds). The
     deviation of a nonlinear plant depends on the states along the recording; without them its nonlinearities are left
-    out. ``command`` is where the autopilot's answer stands, None where nobody answers; ``first_ns`` and ``last_ns`` are
+    out. ``command`` is where the autopilot's answer is, None where nobody answers; ``first_ns`` and ``last_ns`` are
     the stamps of the first and the last command behind which the fault acted.
     """
 
@@ -102,14 +102,14 @@ class PlantResponse:
         channel = self._channel
         if channel is None:
             if self._size(stamp_ns):
-                self._note(stamp_ns)
+                self._mark(stamp_ns)
             return
         if message.name == channel.message and channel.selects(message.fields):
             value = channel.value(message.fields)
             if value is not None:
                 self._command = value
                 if self._size(stamp_ns) and value:
-                    self._note(stamp_ns)
+                    self._mark(stamp_ns)
 
     def answer(self, stamp_ns: int, u: float) -> float:
         """Return what the autopilot commands at a time in place of a recorded command."""
@@ -155,7 +155,7 @@ class PlantResponse:
         lost, whole = effect_of_command(self._curve, commands)[:, 0]
         return float(lost - whole)
 
-    def _note(self, stamp_ns: int) -> None:
+    def _mark(self, stamp_ns: int) -> None:
         self.first_ns = stamp_ns if self.first_ns is None else min(self.first_ns, stamp_ns)
         self.last_ns = stamp_ns if self.last_ns is None else max(self.last_ns, stamp_ns)
 

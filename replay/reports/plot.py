@@ -93,7 +93,7 @@ def plot_png(path: str | os.PathLike[str], run: RunView, title: str = "", *, dar
 
 
 def plot_svg(run: RunView, trace: Trace) -> str:
-    """Return the same picture of one observer as an ``<svg>`` element to stand in a page, whose colours it takes.
+    """Return the same picture of one observer as an ``<svg>`` element of a page, whose colours it takes.
 
     Each colour of ``palette.LIGHT`` is a CSS variable, named by :func:`colour_variables`. The run's other observers
     widen its axis of time, so that pictures can be compared; their alarms are not shown.
@@ -115,7 +115,7 @@ def plot_svg(run: RunView, trace: Trace) -> str:
 
 
 def colour_variables(theme: Theme) -> dict[str, str]:
-    """Return a theme's colours by the names of CSS variables; none stands twice."""
+    """Return a theme's colours by the names of CSS variables; none occurs twice."""
     names = {"--paper": theme.paper, "--ink": theme.ink, "--muted": theme.muted}
     series = {f"--series{index}": colour for index, colour in enumerate(theme.series) if colour != theme.ink}
     return names | series

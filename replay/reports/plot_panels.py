@@ -111,7 +111,7 @@ class Look:
 
 
 def draw_alarms(panel: Axes, look: Look, spans: Sequence[AlarmSpan]) -> None:
-    """Draw when each channel's alarms stood, a lane for each channel."""
+    """Draw when each channel's alarms were active, a lane for each channel."""
     lanes = alarm_lanes(spans)
     for lane, key in enumerate(lanes):
         for span in spans:
@@ -350,13 +350,13 @@ def _mark_beyond(
 
 
 def _ends_s(look: Look, span: AlarmSpan) -> tuple[float, float]:
-    """Return from when to when an alarm stood; one that stands does to the end."""
+    """Return from when to when an alarm was active; one that still is was to the end."""
     start_s = (span.start_vehicle_ns - look.origin_ns) / 1e9
     return start_s, look.end_s if span.end_vehicle_ns is None else (span.end_vehicle_ns - look.origin_ns) / 1e9
 
 
 def _cover(panel: Axes, look: Look, spans: Sequence[AlarmSpan]) -> None:
-    """Shade where alarms stood."""
+    """Shade where alarms were active."""
     for span in spans:
         start_s, end_s = _ends_s(look, span)
         colour = look.theme.severity[span.severity]

@@ -14,7 +14,7 @@ from replay.player import Replay, Watch
 from replay.reports.findings import Finding
 from replay.reports.recording_facts import RecordingFacts
 
-_MOST_GAPS_TOLD = 5
+_MOST_GAPS_NAMED = 5
 """Chosen: what fits in a sentence."""
 
 
@@ -109,23 +109,23 @@ def _interpolated(observer: ObserverProfile, facts: RecordingFacts) -> Iterator[
         rates[stream.name] = max(rates.get(stream.name, 0.0), stream.rate_hz)
     spans = spanned(observer.source, observer.rate_hz, rates)
     if spans:
-        told = _and([f"{name} {rates[name]:.3g} times a second" for name in spans])
+        seldom = _and([f"{name} {rates[name]:.3g} times a second" for name in spans])
         most = max(spans.values())
         yield Unchecked(
             f"{observer.name}: what happened between messages",
-            f"{told} came for {observer.rate_hz:g} samples a second: samples are interpolated over up to {most:.0f} "
+            f"{seldom} came for {observer.rate_hz:g} samples a second: samples are interpolated over up to {most:.0f} "
             "periods, and faults show later, weaker or not at all",
         )
 
 
 def _gaps(facts: RecordingFacts) -> Iterator[Unchecked]:
     """Name the messages that failed to come, the longest gaps first."""
-    holes = [(gap.seconds, stream.name) for stream in facts.streams for gap in stream.gaps]
-    holes.sort(reverse=True)
-    if holes:
-        told = _and([f"{name} {seconds:.1f} s" for seconds, name in holes[:_MOST_GAPS_TOLD]])
-        more = f", and {len(holes) - _MOST_GAPS_TOLD} shorter ones" if len(holes) > _MOST_GAPS_TOLD else ""
-        yield Unchecked("what happened inside gaps of the recording", f"nothing came: {told}{more}")
+    gaps = [(gap.seconds, stream.name) for stream in facts.streams for gap in stream.gaps]
+    gaps.sort(reverse=True)
+    if gaps:
+        longest = _and([f"{name} {seconds:.1f} s" for seconds, name in gaps[:_MOST_GAPS_NAMED]])
+        more = f", and {len(gaps) - _MOST_GAPS_NAMED} shorter ones" if len(gaps) > _MOST_GAPS_NAMED else ""
+        yield Unchecked("what happened inside gaps of the recording", f"nothing came: {longest}{more}")
 
 
 def _without_alarm(observer: ObserverProfile) -> Iterator[Unchecked]:

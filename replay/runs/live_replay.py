@@ -1,4 +1,4 @@
-"""Replay as if live: messages when they are due, a monitor's voice on Zenoh, the packets themselves over UDP."""
+"""Replay as if live: messages when they are due, a monitor's output on Zenoh, the packets themselves over UDP."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class LiveReplay:
             self._closers = stack.pop_all()
 
     def messages(self, profile: Profile, task: LogTask, vehicle: str | None) -> Iterator[Message]:
-        """Return all messages of a log, each when it is due, after whoever listens live was told what it led to.
+        """Return all messages of a log, each when it is due, after what it led to was published.
 
         A monitor of its own takes them first: what it says is published with the keys and payloads of the daemon, the
         status once a second of the log's time. It begins when somebody subscribes to alarms, at the latest after 2 s.
@@ -87,7 +87,7 @@ class LiveReplay:
                 raise UsageError(f"{task.log}: --udp sends packets as they came, which only .tlog files hold")
             source = heapq.merge(TlogReader(task.path).packets(), source, key=itemgetter(0))
         due = (item for _, item in source) if self._speed is None else paced(source, self._speed)
-        return self._told(self._sent(due), Pipeline(profile, vehicle, force=task.force))
+        return self._monitored(self._sent(due), Pipeline(profile, vehicle, force=task.force))
 
     def close(self) -> None:
         """Close session and socket."""
@@ -107,7 +107,7 @@ class LiveReplay:
             elif self._socket is not None and self._to is not None:
                 self._socket.sendto(item, self._to[1])
 
-    def _told(self, messages: Iterator[Message], pipeline: Pipeline) -> Iterator[Message]:
+    def _monitored(self, messages: Iterator[Message], pipeline: Pipeline) -> Iterator[Message]:
         """Yield messages after a monitor of their vehicle has processed them and published the results."""
         if self._session is None:
             yield from messages
