@@ -267,7 +267,7 @@ class Station:
             )
         if target is not None:
             recorder = Recorder(target, *common)
-            stack.callback(self._finish, recorder, pipeline)
+            stack.callback(recorder.close)
         if config.black_box.folder is not None:
             clips = config.black_box
             black_box = BlackBox(
@@ -279,13 +279,17 @@ class Station:
                 budget_bytes=round(clips.budget_mb * _MEGABYTE),
             )
             stack.callback(black_box.close)
-        return None if recorder is None and black_box is None else Archive(encoder, recorder, black_box)
+        if recorder is None and black_box is None:
+            return None
+        archive = Archive(encoder, recorder, black_box)
+        stack.callback(self._finish, archive, recorder, pipeline)
+        return archive
 
-    def _finish(self, recorder: Recorder, pipeline: Pipeline) -> None:
-        """End a recording with the clock's mapping, which is known only then."""
-        recorder.add_metadata(pipeline.metadata())
-        recorder.close()
-        if (reason := recorder.statistics().failed) is not None:
+    def _finish(self, archive: Archive, recorder: Recorder | None, pipeline: Pipeline) -> None:
+        """End recordings with the clock's mapping, which is known only then."""
+        archive.add_metadata(pipeline.metadata())
+        archive.close()
+        if recorder is not None and (reason := recorder.statistics().failed) is not None:
             self._log.say("recording incomplete", level="error", vehicle=pipeline.vehicle, reason=reason)
 
     def _desk(self, vehicle: Vehicle) -> DeskRule:
