@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from adapters.errors import TelemetryError
-from adapters.logs.compressed import CompressedFile
+from adapters.logs.onboard_log import Window
 
 MAX_RECORD_BYTES = 512 * 1024 * 1024
 """Chosen: many times the largest chunk that recorders write; a length beyond it is damage, and nothing is allocated
@@ -74,7 +74,7 @@ class McapRecords:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._window = _Window(path)
+        self._window = Window(path, 0)
         self.damaged_chunks = self.lost_ways = 0
         self.stopped_at: int | None = 0
         self.broken_off = self._chunked = False
@@ -88,13 +88,13 @@ class McapRecords:
             The file cannot be opened, holds nothing of an MCAP file, or needs a compression that is not installed.
         """
         window = self._window
-        if window.peek(0, len(MCAP0_MAGIC)) == MCAP0_MAGIC:
-            window.drop(len(MCAP0_MAGIC))
+        if self._peek(0, len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+            window.at += len(MCAP0_MAGIC)
         elif not self._search(0):
             raise TelemetryError(f"{self._path}: not an MCAP file although its name says so; check where it came from")
         while True:
             self.stopped_at = window.offset
-            head = window.peek(0, RECORD_HEAD.size)
+            head = self._peek(0, RECORD_HEAD.size)
             if len(head) < RECORD_HEAD.size:
                 self.broken_off |= bool(head)
                 return
@@ -112,14 +112,14 @@ class McapRecords:
                 self.stopped_at = None
                 return
             if size:
-                window.drop(size)
+                window.at += size
             elif not self._search(1):
                 self.broken_off = True
                 return
 
     def _record(self, opcode: int, size: int) -> tuple[bytes | None, int]:
         """Return a record's body, None where the file ends within it, and its size, 0 where no record follows."""
-        body = self._window.peek(RECORD_HEAD.size, size)
+        body = self._peek(RECORD_HEAD.size, size)
         if len(body) < size - RECORD_HEAD.size:
             return None, 0
         # where none follows either length may be wrong: the body may do, the way on has to be searched for
@@ -129,11 +129,11 @@ class McapRecords:
         """Return how far ahead the record behind one of this size is, 0 where it has to be searched for."""
         if not self._followed(size):
             return 0
-        if len(self._window.peek(size, size + RECORD_HEAD.size)) < RECORD_HEAD.size or self._believable(size):
+        if len(self._peek(size, size + RECORD_HEAD.size)) < RECORD_HEAD.size or self._believable(size):
             return size
         # the next one is damaged, or this one's length is wrong and its end looks like a record by chance
         at = 1
-        while (found := self._window.search(self._pattern, at)) is not None and found < size:
+        while (found := self._find(at)) is not None and found < size:
             if self._believable(found):
                 self.lost_ways += 1
                 return found
@@ -146,7 +146,7 @@ class McapRecords:
         if shape is None:
             return None, 0
         self._chunked = True
-        data = self._window.peek(shape.start, size)
+        data = self._peek(shape.start, size)
         cut = len(data) < size - shape.start
         if not cut:
             try:
@@ -155,7 +155,7 @@ class McapRecords:
                 raise TelemetryError(f"{self._path}: needs {shape.compression}, which is not installed") from error
             except UNREADABLE:
                 self.damaged_chunks += 1
-        behind = self._window.peek(size, size + RECORD_HEAD.size)
+        behind = self._peek(size, size + RECORD_HEAD.size)
         if cut or (data.endswith(_ZEROS) and not behind.strip(b"\0")):
             return _beginning(shape, data.rstrip(b"\0") if not cut else data), 0
         # the damage may have moved what follows: more is asked of it than of what follows a sound record
@@ -164,13 +164,13 @@ class McapRecords:
     def _shape(self, at: int) -> _Shape | None:
         """Return what a chunk ``at`` bytes ahead says of itself, None where its lengths contradict each other."""
         at += RECORD_HEAD.size
-        head = self._window.peek(at, at + _CHUNK_HEAD.size)
+        head = self._peek(at, at + _CHUNK_HEAD.size)
         if len(head) < _CHUNK_HEAD.size:
             return None
         *_, size, crc, named = _CHUNK_HEAD.unpack(head)
         start = at + _CHUNK_HEAD.size + named + _LENGTH.size
-        name = self._window.peek(at + _CHUNK_HEAD.size, start) if named <= _LONGEST_NAME else b""
-        _, length = RECORD_HEAD.unpack(self._window.peek(at - RECORD_HEAD.size, at))
+        name = self._peek(at + _CHUNK_HEAD.size, start) if named <= _LONGEST_NAME else b""
+        _, length = RECORD_HEAD.unpack(self._peek(at - RECORD_HEAD.size, at))
         if len(name) < named + _LENGTH.size or size > MAX_RECORD_BYTES:
             return None
         if _LENGTH.unpack_from(name, named)[0] != length - (start - at):
@@ -179,13 +179,23 @@ class McapRecords:
 
     def _followed(self, size: int) -> bool:
         """Return whether another record, or the end of the file, comes ``size`` bytes ahead."""
-        head = self._window.peek(size, size + RECORD_HEAD.size)
+        head = self._peek(size, size + RECORD_HEAD.size)
         return len(head) < RECORD_HEAD.size or _plausible(*RECORD_HEAD.unpack(head))
 
-    @property
-    def _pattern(self) -> re.Pattern[bytes]:
-        """What to search for: in a file of chunks nothing that might be found inside one."""
-        return _CHUNKS if self._chunked else _RECORDS
+    def _peek(self, start: int, stop: int) -> bytes:
+        """Return the bytes from ``start`` to ``stop`` ahead, fewer where the file ends."""
+        window = self._window
+        window.fill(stop)
+        return window.data[window.at + start : window.at + stop]
+
+    def _find(self, start: int) -> int | None:
+        """Return how far ahead, at least so far, what looks like a record begins among the bytes that are held.
+
+        In a file of chunks nothing is looked for that might be found inside one.
+        """
+        window = self._window
+        found = (_CHUNKS if self._chunked else _RECORDS).search(window.data, window.at + start)
+        return None if found is None else found.start() - window.at
 
     def _search(self, start: int) -> bool:
         """Go to the next record at least ``start`` bytes ahead; return whether there is one."""
@@ -193,21 +203,21 @@ class McapRecords:
         self.lost_ways += 1
         at = start
         while True:
-            found = window.search(self._pattern, at)
+            found = self._find(at)
             if found is None:
-                window.drop(max(at, window.held - _LONGEST_MATCH))
+                window.at += min(max(at, window.left - _LONGEST_MATCH), window.left)
                 at = 0
-                if not window.more():
+                if not window.fill(window.left + 1):
                     return False
             elif self._believable(found):
-                window.drop(found)
+                window.at += found
                 return True
             else:
                 at = found + 1
 
     def _believable(self, at: int) -> bool:
         """Return whether what looks like a record ``at`` bytes ahead is one."""
-        head = self._window.peek(at, at + RECORD_HEAD.size)
+        head = self._peek(at, at + RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
             return False
         opcode, length = RECORD_HEAD.unpack(head)
@@ -216,7 +226,7 @@ class McapRecords:
         if not _plausible(opcode, length) or length > _MAX_SEARCHED_BYTES:
             return False
         end = at + RECORD_HEAD.size + length
-        return len(self._window.peek(end - 1, end)) == 1 and self._followed(end)
+        return len(self._peek(end - 1, end)) == 1 and self._followed(end)
 
 
 class _Shape(NamedTuple):
@@ -224,49 +234,6 @@ class _Shape(NamedTuple):
     size: int
     crc: int
     start: int
-
-
-class _Window:
-    """The bytes of a file from the reader's position on, as far ahead as it looks."""
-
-    def __init__(self, path: Path) -> None:
-        self.offset = 0
-        self._pieces = iter(CompressedFile(path))
-        self._data = b""
-        self._at = 0
-
-    @property
-    def held(self) -> int:
-        """Bytes that are in memory."""
-        return len(self._data) - self._at
-
-    def peek(self, start: int, stop: int) -> bytes:
-        """Return the bytes from ``start`` to ``stop`` ahead, fewer where the file ends."""
-        if stop > self.held:
-            pieces, missing = [self._data[self._at :]], stop - self.held
-            while missing > 0 and (piece := next(self._pieces, None)) is not None:
-                pieces.append(piece)
-                missing -= len(piece)
-            if len(pieces) > 1:
-                self._data, self._at = b"".join(pieces), 0
-        return self._data[self._at + start : self._at + stop]
-
-    def more(self) -> bool:
-        """Read on; return whether there was something."""
-        held = self.held
-        self.peek(0, held + 1)
-        return self.held > held
-
-    def drop(self, count: int) -> None:
-        """Go on by as many bytes, at most those that are held."""
-        count = min(count, self.held)
-        self._at += count
-        self.offset += count
-
-    def search(self, pattern: re.Pattern[bytes], start: int) -> int | None:
-        """Return how far ahead the first match is among the bytes held."""
-        found = pattern.search(self._data, self._at + start)
-        return None if found is None else found.start() - self._at
 
 
 def _plausible(opcode: int, length: int) -> bool:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Callable
-from operator import itemgetter
 from typing import Any
 
 from adapters.message import Message
@@ -50,14 +49,11 @@ class MavlinkType:
         self._extra = bytes([table.crc_extra])
         self._unpack: Callable[[bytes], tuple[Any, ...]] = table.unpacker.unpack
         self.size: int = table.unpacker.size
-        self._names: list[str] = table.fieldnames
-        places = []
-        for order in table.orders:
-            first = sum(table.lengths[:order])
-            places.append((first, first + table.lengths[order]))
-        plain = all(end == first + 1 for first, end in places) and "char" not in table.fieldtypes
-        self._pick = itemgetter(*table.orders) if plain and len(places) > 1 else None
-        self._places = places
+        starts = [sum(table.lengths[:order]) for order in table.orders]
+        self._places = [
+            (name, slice(start, start + table.lengths[order]))
+            for name, start, order in zip(table.fieldnames, starts, table.orders, strict=True)
+        ]
 
     def intact(self, packet: bytes) -> bool:
         """Return whether the packet's checksum is right.
@@ -76,7 +72,7 @@ class MavlinkType:
 
     def payload(self, packet: bytes) -> bytes:
         """Return the payload of an intact packet as long as the definition has it: cut, or zeros at its end."""
-        start = PAYLOAD_START_2 if packet[0] == MAGIC_2 else PAYLOAD_START_1
+        start = _payload_start(packet)
         payload = packet[start : start + packet[1]]
         return payload if len(payload) == self.size else payload[: self.size].ljust(self.size, b"\0")
 
@@ -88,12 +84,7 @@ class MavlinkType:
         off at the end of the payload, and fields that version 1 does not send, are zero.
         """
         values = self._unpack(self.payload(packet))
-        if self._pick is not None:
-            fields = dict(zip(self._names, self._pick(values), strict=True))
-        else:
-            fields = {
-                name: _field(values[first:end]) for name, (first, end) in zip(self._names, self._places, strict=True)
-            }
+        fields = {name: _field(values[place]) for name, place in self._places}
         return Message(MAVLINK, self.name, received_ns, fields, *packet_sender(packet))
 
 
