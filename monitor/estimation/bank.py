@@ -42,31 +42,19 @@ from monitor.estimation.observer import FaultSet, Observer
 
 
 class EstimatorRun(NamedTuple):
-    """Estimates and evidence after each of N samples.
+    """Estimates and evidence after each of N samples."""
 
-    Parameters
-    ----------
-    x, fault, residual : NDArray[np.float64]
-        State estimate (N, n), each fault as estimated (N, a), in a bank under its smallest hypothesis, and residual
-        (N, p), not smoothed; x and residual are those of the hypothesis believed.
-    evidence : NDArray[np.float64]
-        Size of each fault that is held responsible (N, a), zero for all others.
-    counted : NDArray[np.bool_]
-        Channels whose evidence counts (N, a): in a bank not those that are compared where no hypothesis explains the
-        data.
-    smoothed : NDArray[np.float64]
-        Smoothed estimate of each fault (N, a), in a bank under its smallest hypothesis, whichever is believed.
-    unexplained : NDArray[np.float64]
-        Score sqrt(min J) where no hypothesis explains the data, else zero (N,).
-    """
-
+    # state estimate (N, n), each fault as estimated (N, a), in a bank under its smallest hypothesis, and residual (N,
+    # p), not smoothed; x and residual are those of the hypothesis believed
     x: NDArray[np.float64]
     fault: NDArray[np.float64]
     residual: NDArray[np.float64]
-    evidence: NDArray[np.float64]
+    evidence: NDArray[np.float64]  # size of each fault that is held responsible (N, a), zero for all others
+    # channels whose evidence counts (N, a): in a bank not those that are compared where no hypothesis explains the data
     counted: NDArray[np.bool_]
+    # smoothed estimate of each fault (N, a), in a bank under its smallest hypothesis, whichever is believed
     smoothed: NDArray[np.float64]
-    unexplained: NDArray[np.float64]
+    unexplained: NDArray[np.float64]  # score sqrt(min J) where no hypothesis explains the data, else zero (N,)
 
 
 def washout_inverse(tau: float, rate_hz: float, threshold: float) -> Washout:

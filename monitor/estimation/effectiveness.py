@@ -153,34 +153,24 @@ class EffectivenessRun(NamedTuple):
     """Loss and offset of an actuator after each of n samples (n,).
 
     Not a number where the sample is no evidence, except ``size``.
-
-    Parameters
-    ----------
-    loss, loss_error : NDArray[np.float64]
-        Share of the commanded effect that is missing if that is all that is wrong, and its standard error.
-    offset, offset_error : NDArray[np.float64]
-        Constant deflection that is there without command, as a fraction of full deflection, likewise.
-    score : NDArray[np.float64]
-        The one that explains more over its standard error.
-    evidence : NDArray[np.float64]
-        Deflection that is missing (negative) or there without command in the actuator's present use, as a fraction of
-        full deflection, where one of the two is certain and matters; zero where not; not a number where an accusation
-        can neither be confirmed nor dropped for want of excitation.
-    share : NDArray[np.float64]
-        -loss where that is certain beside an offset; else, where loss explains more than an offset does and is the
-        evidence, -loss alone; else not a number.
-    size : NDArray[np.float64]
-        Evidence last known: while an accusation can neither be confirmed nor dropped it stays, without evidence it is
-        zero.
     """
 
+    # share of the commanded effect that is missing if that is all that is wrong, and its standard error
     loss: Array
     loss_error: Array
+    # constant deflection that is there without command, as a fraction of full deflection, likewise
     offset: Array
     offset_error: Array
-    score: Array
+    score: Array  # the one that explains more over its standard error
+    # deflection that is missing (negative) or there without command in the actuator's present use, as a fraction of
+    # full deflection, where one of the two is certain and matters; zero where not; not a number where an accusation can
+    # neither be confirmed nor dropped for want of excitation
     evidence: Array
+    # -loss where that is certain beside an offset; else, where loss explains more than an offset does and is the
+    # evidence, -loss alone; else not a number
     share: Array
+    # evidence last known: while an accusation can neither be confirmed nor dropped it stays, without evidence it is
+    # zero
     size: Array
 
 

@@ -20,51 +20,27 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class FaultSet:
-    """Faults that an observer estimates together.
-
-    Parameters
-    ----------
-    faults : tuple[str, ...]
-        Their names.
-    scales : tuple[bool, ...]
-        Whether each scales an input: an actuator that delivers less, rarely more.
-    """
+    """Faults that an observer estimates together."""
 
     faults: tuple[str, ...]
-    scales: tuple[bool, ...]
+    scales: tuple[bool, ...]  # whether each scales an input: an actuator that delivers less, rarely more
 
 
 class ObserverRun(NamedTuple):
-    """Estimates of the observers of K hypotheses after each of N rows.
+    """Estimates of the observers of K hypotheses after each of N rows."""
 
-    Parameters
-    ----------
-    x : NDArray[np.float64]
-        State estimates (N, K, n).
-    fault : NDArray[np.float64]
-        Fault estimates in effect units, those of one hypothesis after the other (N, sum of their faults).
-    residual : NDArray[np.float64]
-        yt = y - y^ (N, K, p).
-    """
-
-    x: Array
-    fault: Array
-    residual: Array
+    x: Array  # state estimates (N, K, n)
+    fault: Array  # fault estimates in effect units, those of one hypothesis after the other (N, sum of their faults)
+    residual: Array  # yt = y - y^ (N, K, p)
 
 
 class ErrorSystem(NamedTuple):
-    """How the errors of one observer move, [delta; phi]+ = A [delta; phi] + B w, phi = f^ - f its last entries.
+    """How the errors of one observer move, [delta; phi]+ = A [delta; phi] + B w, phi = f^ - f its last entries."""
 
-    Parameters
-    ----------
-    A, Q : NDArray[np.float64]
-        A and Q = B B' of a row that is measured, coasted, and resumed: the first one measured after that (3, d, d).
-    steady, start : NDArray[np.float64]
-        Covariance P while all is measured, P = A P A' + Q, and after a restart (d, d).
-    """
-
+    # a and Q = B B' of a row that is measured, coasted, and resumed: the first one measured after that (3, d, d)
     A: Array
     Q: Array
+    # covariance P while all is measured, P = A P A' + Q, and after a restart (d, d)
     steady: Array
     start: Array
 

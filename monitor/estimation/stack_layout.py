@@ -27,28 +27,15 @@ class Held(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StackLayout:
-    """One recursion for K observers.
+    """One recursion for K observers."""
 
-    Parameters
-    ----------
-    held : tuple[Held, ...]
-        What past v holds, by delay.
-    faults : tuple[int, ...]
-        Number of faults of each observer.
-    step : StepMap
-        Of [c; v; past v; y; 1; g] and, for the arguments, of the same without g.
-    coast, resume : StepMap
-        Of z: the step without measurements and the first one after it, see :mod:`monitor.estimation.coasting`.
-    initial : NDArray[np.float64]
-        c = initial [v; past v; y; 1] at a restart.
-    """
-
-    held: tuple[Held, ...]
-    faults: tuple[int, ...]
-    step: StepMap
+    held: tuple[Held, ...]  # what past v holds, by delay
+    faults: tuple[int, ...]  # number of faults of each observer
+    step: StepMap  # of [c; v; past v; y; 1; g] and, for the arguments, of the same without g
+    # of z: the step without measurements and the first one after it, see :mod:`monitor.estimation.coasting`
     coast: StepMap
     resume: StepMap
-    initial: NDArray[np.float64]
+    initial: NDArray[np.float64]  # c = initial [v; past v; y; 1] at a restart
 
 
 def stack_layout(gains: Sequence[Gains]) -> StackLayout:

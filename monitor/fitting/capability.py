@@ -7,48 +7,27 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """How a fault of one size was detected.
+    """How a fault of one size was detected."""
 
-    Parameters
-    ----------
-    size : float
-        Loss as a fraction of the command, or step in the channel's unit.
-    median_s, worst_s : float | None
-        Delay from onset to alarm over all onsets, seconds; None where an onset was missed.
-    only : bool
-        Whether that channel's alarm was the only one at every onset tried.
-    """
-
-    size: float
+    size: float  # loss as a fraction of the command, or step in the channel's unit
+    # delay from onset to alarm over all onsets, seconds; None where an onset was missed
     median_s: float | None
     worst_s: float | None
-    only: bool
+    only: bool  # whether that channel's alarm was the only one at every onset tried
 
 
 @dataclass(frozen=True, slots=True)
 class Capability:
-    """What will be detected of one fault channel.
+    """What will be detected of one fault channel."""
 
-    Parameters
-    ----------
-    channel, unit : str
-        The fault channel; its unit is empty where sizes are losses.
-    loss : bool
-        Whether sizes are fractions of the command.
-    smallest : tuple[tuple[float, float | None], ...]
-        Delay in seconds and the smallest size detected always, alone and within it; None where no size tried was.
-    largest : float
-        Largest size that could be tried.
-    detections : tuple[Detection, ...]
-        All sizes tried, ascending; empty where no healthy stretch is long enough.
-    """
-
+    # the fault channel; its unit is empty where sizes are losses
     channel: str
     unit: str
-    loss: bool
+    loss: bool  # whether sizes are fractions of the command
+    # delay in seconds and the smallest size detected always, alone and within it; None where no size tried was
     smallest: tuple[tuple[float, float | None], ...]
-    largest: float
-    detections: tuple[Detection, ...]
+    largest: float  # largest size that could be tried
+    detections: tuple[Detection, ...]  # all sizes tried, ascending; empty where no healthy stretch is long enough
 
 
 def capability_text(one: Capability) -> str:

@@ -53,25 +53,14 @@ _RUNGS = 480
 
 @dataclass(frozen=True, slots=True)
 class ReturnLevel:
-    """The level that is exceeded at a stated rate.
+    """The level that is exceeded at a stated rate."""
 
-    Parameters
-    ----------
-    level : float
-        Best estimate, in units of the statistic; never below the largest value seen.
-    low, high : float
-        Limits that hold the level with the stated confidence, as the fit alone sees it.
-    hours : float
-        Length of the series.
-    peaks : int
-        Number of peaks the tail was fitted to.
-    """
-
-    level: float
+    level: float  # best estimate, in units of the statistic; never below the largest value seen
+    # limits that hold the level with the stated confidence, as the fit alone sees it
     low: float
     high: float
-    hours: float
-    peaks: int
+    hours: float  # length of the series
+    peaks: int  # number of peaks the tail was fitted to
 
 
 def return_level(

@@ -102,26 +102,14 @@ _RAISE_S, _CLEAR_S = 0.15, 0.3
 
 @dataclass(frozen=True, slots=True)
 class EffectKind:
-    """What differs between vehicles of this sort.
+    """What differs between vehicles of this sort."""
 
-    Parameters
-    ----------
-    observer : str
-        Name of the observer, and of its transform.
-    slowest : float
-        Speed below which samples are no evidence, as a share of the reference speed.
-    speed : Callable[[NDArray[np.float64]], NDArray[np.float64]]
-        Speeds (N,) in raw signals (N, s).
-    full : Mapping[str, str]
-        Input that is the effect of a full deflection, by actuator; an actuator without acts the same at every speed.
-    identify : Callable[[Sequence[Segment], float, Sequence[str]], AxesFit]
-        From segments, rate and input names to the fit.
-    """
-
-    observer: str
-    slowest: float
-    speed: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    observer: str  # name of the observer, and of its transform
+    slowest: float  # speed below which samples are no evidence, as a share of the reference speed
+    speed: Callable[[NDArray[np.float64]], NDArray[np.float64]]  # speeds (N,) in raw signals (N, s)
+    # input that is the effect of a full deflection, by actuator; an actuator without acts the same at every speed
     full: Mapping[str, str]
+    # from segments, rate and input names to the fit
     identify: Callable[[Sequence[Segment], float, Sequence[str]], AxesFit]
 
 

@@ -27,36 +27,19 @@ MODEL_UNIT = "model's unit"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """A stretch of data that the fit did not see, and what the model says about it.
+    """A stretch of data that the fit did not see, and what the model says about it."""
 
-    Parameters
-    ----------
-    names : tuple[str, ...]
-        Names of the outputs (p,).
-    times : NDArray[np.float64]
-        Seconds (N,).
-    measured, predicted, residuals : NDArray[np.float64]
-        (N, p); NaN breaks the lines. The residuals are those the statistics are about: they may be one-step errors
-        while the prediction is a simulation.
-    explained : dict[str, NDArray[np.float64]]
-        By what explains: share explained of each output (p,).
-    statistics : tuple[ResidualStatistics, ...]
-        Statistics of each output's residual.
-    about : str
-        What is compared, for the title.
-    units : tuple[str, ...]
-        Units of the outputs (p,); empty where the model does not say.
-    """
-
-    names: tuple[str, ...]
-    times: NDArray[np.float64]
+    names: tuple[str, ...]  # names of the outputs (p,)
+    times: NDArray[np.float64]  # seconds (N,)
+    # (N, p); NaN breaks the lines. The residuals are those the statistics are about: they may be one-step errors while
+    # the prediction is a simulation.
     measured: NDArray[np.float64]
     predicted: NDArray[np.float64]
     residuals: NDArray[np.float64]
-    explained: dict[str, NDArray[np.float64]]
-    statistics: tuple[ResidualStatistics, ...]
-    about: str = "prediction against measurement, data kept back"
-    units: tuple[str, ...] = ()
+    explained: dict[str, NDArray[np.float64]]  # by what explains: share explained of each output (p,)
+    statistics: tuple[ResidualStatistics, ...]  # statistics of each output's residual
+    about: str = "prediction against measurement, data kept back"  # what is compared, for the title
+    units: tuple[str, ...] = ()  # units of the outputs (p,); empty where the model does not say
 
 
 def parameter_lines(verdicts: Sequence[ExcitationVerdict]) -> list[str]:

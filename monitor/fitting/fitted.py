@@ -34,82 +34,35 @@ _UNEXPLAINED = Times(fast_s=2.0, raise_s=2.0, clear_s=0.5)
 
 @dataclass(frozen=True, slots=True)
 class FitRequest:
-    """What a kind of vehicle is fitted from.
+    """What a kind of vehicle is fitted from."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the vehicle and its models.
-    logs : Sequence[BatchSource]
-        Healthy recordings.
-    surveys : Sequence[Survey]
-        What each of them holds; empty for a kind that needs a model.
-    model : Path | None
-        Model file with free parameters, of a kind that needs one.
-    """
-
-    name: str
-    logs: Sequence[BatchSource]
-    surveys: Sequence[Survey] = ()
-    model: Path | None = None
+    name: str  # name of the vehicle and its models
+    logs: Sequence[BatchSource]  # healthy recordings
+    surveys: Sequence[Survey] = ()  # what each of them holds; empty for a kind that needs a model
+    model: Path | None = None  # model file with free parameters, of a kind that needs one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """A fitted observer.
-
-    Parameters
-    ----------
-    name : str
-        Name in the profile.
-    plant : Plant
-        The identified model.
-    gains : tuple[Gains, ...]
-        Its gains, those of each hypothesis for a bank.
-    source : SampleSource
-        Where its samples come from.
-    isolation : IsolationRule
-        How estimates become evidence.
-    alarms : tuple[Calibrated, ...]
-        Calibrated alarm rules.
-    effectiveness : Mapping[str, EffectivenessRule]
-        How the estimates of faults that scale a deflection are read, by fault.
-    flight_s : float
-        Healthy flight it was fitted on, seconds.
-    findings : Mapping[str, Any]
-        What the identification found, for ``fit.json``.
-    lines : tuple[str, ...]
-        The same for people.
-    settle_s : float
-        Wait before its samples are evidence, seconds.
-    details : tuple[str, ...]
-        More for people, for ``fit.txt`` alone.
-    comparison : Comparison | None
-        Prediction against measurement on data kept back, for ``fit.png``.
-    measured : bool
-        Whether to measure on the recordings what will be detected.
-    capability : tuple[Capability, ...]
-        What will be detected, and how fast.
-    excuses : tuple[ExcuseRule, ...]
-        Which of its alarms explain evidence of which others.
-    """
+    """A fitted observer."""
 
     name: str
-    plant: Plant
-    gains: tuple[Gains, ...]
-    source: SampleSource
-    isolation: IsolationRule
-    alarms: tuple[Calibrated, ...] = ()
+    plant: Plant  # the identified model
+    gains: tuple[Gains, ...]  # those of each hypothesis for a bank
+    source: SampleSource  # where its samples come from
+    isolation: IsolationRule  # how estimates become evidence
+    alarms: tuple[Calibrated, ...] = ()  # calibrated alarm rules
+    # how the estimates of faults that scale a deflection are read, by fault
     effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
-    flight_s: float = 0.0
-    findings: Mapping[str, Any] = field(default_factory=dict)
-    lines: tuple[str, ...] = ()
-    settle_s: float = 0.0
-    details: tuple[str, ...] = ()
-    comparison: Comparison | None = None
-    measured: bool = False
-    capability: tuple[Capability, ...] = ()
-    excuses: tuple[ExcuseRule, ...] = ()
+    flight_s: float = 0.0  # healthy flight it was fitted on, seconds
+    findings: Mapping[str, Any] = field(default_factory=dict)  # what the identification found, for ``fit.json``
+    lines: tuple[str, ...] = ()  # the same for people
+    settle_s: float = 0.0  # wait before its samples are evidence, seconds
+    details: tuple[str, ...] = ()  # more for people, for ``fit.txt`` alone
+    comparison: Comparison | None = None  # prediction against measurement on data kept back, for ``fit.png``
+    measured: bool = False  # whether to measure on the recordings what will be detected
+    capability: tuple[Capability, ...] = ()  # what will be detected, and how fast
+    excuses: tuple[ExcuseRule, ...] = ()  # which of its alarms explain evidence of which others
 
     @property
     def sqrt_mu(self) -> float:

@@ -42,64 +42,35 @@ _MANY_VALUES = 8
 
 @dataclass(frozen=True, slots=True)
 class MotorOutput:
-    """How one servo output moved while armed, as MAVLink gives it: pulses in microseconds, or what a simulator sends.
+    """How one servo output moved while armed, in microseconds of pulses, or what a simulator sends."""
 
-    Parameters
-    ----------
-    mean, spread : float
-        Mean and standard deviation.
-    low, high : int
-        Smallest and largest value, zero (no output) left out.
-    outside : float
-        Share of its values that no pulse of a motor or servo has.
-    many : bool
-        It took more values than an output does that is switched.
-    """
-
+    # mean and standard deviation
     mean: float
     spread: float
+    # smallest and largest value, zero (no output) left out
     low: int
     high: int
-    outside: float
-    many: bool
+    outside: float  # share of its values that no pulse of a motor or servo has
+    many: bool  # it took more values than an output does that is switched
 
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """Counts of a recording's messages by name, their largest rates, and how each servo output moved while armed.
+    """Counts of a recording's messages by name, their largest rates, and how each servo output moved while armed."""
 
-    Parameters
-    ----------
-    counts : dict[str, int]
-        Messages by name.
-    rate_hz : dict[str, float]
-        Measurements per second of the vehicle's clock within flights, by name, for messages that carry a time.
-    outputs : dict[int, MotorOutput]
-        How servo outputs moved while armed, by number.
-    examples : dict[str, Mapping[str, Any]]
-        Fields of the last message of each name while armed, or at all of a vehicle that never was; of the GPS, the last
-        that knew speed and course.
-    vehicle_types : frozenset[str]
-        What the autopilot's heartbeats say it is (``quadrotor``).
-    parameters : Mapping[str, float]
-        The vehicle's parameters by name, as far as the recording holds them, each with the last value that it had.
-    never_armed : bool
-        Heartbeats came, and none says that the vehicle is armed.
-    px4 : bool
-        The autopilot is PX4.
-    onboard : bool
-        It is an onboard log, or was converted from one.
-    """
-
-    counts: dict[str, int]
+    counts: dict[str, int]  # messages by name
+    # measurements per second of the vehicle's clock within flights, by name, for messages that carry a time
     rate_hz: dict[str, float]
-    outputs: dict[int, MotorOutput]
+    outputs: dict[int, MotorOutput]  # how servo outputs moved while armed, by number
+    # fields of the last message of each name while armed, or at all of a vehicle that never was; of the GPS, the last
+    # that knew speed and course
     examples: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    vehicle_types: frozenset[str] = frozenset()
+    vehicle_types: frozenset[str] = frozenset()  # what the autopilot's heartbeats say it is (``quadrotor``)
+    # the vehicle's parameters by name, as far as the recording holds them, each with the last value that it had
     parameters: Mapping[str, float] = field(default_factory=dict)
-    never_armed: bool = False
-    px4: bool = False
-    onboard: bool = False
+    never_armed: bool = False  # heartbeats came, and none says that the vehicle is armed
+    px4: bool = False  # the autopilot is PX4
+    onboard: bool = False  # it is an onboard log, or was converted from one
 
 
 def survey(batches: Iterable[Batch]) -> Survey:

@@ -96,25 +96,15 @@ def common_identity(identities: Iterable[Identity]) -> Identity:
 
 @dataclass(frozen=True, slots=True)
 class Reports:
-    """What a vehicle has said of itself so far; :meth:`after` follows a message.
+    """What a vehicle has said of itself so far; :meth:`after` follows a message."""
 
-    Parameters
-    ----------
-    type, autopilot : int
-        Of the autopilot's newest HEARTBEAT that is not "generic" (0).
-    firmware : str
-        ``copter``, ``plane`` or ``rover``, from the head of an ArduPilot log.
-    parameters : Mapping[str, int]
-        Parameters that say which frame it has.
-    interests : frozenset[str]
-        Names of the messages that are looked at: heartbeats, and parameters on a link or in either autopilot's log.
-    """
-
+    # of the autopilot's newest HEARTBEAT that is not "generic" (0)
     type: int = 0
     autopilot: int = 0
-    firmware: str = ""
-    parameters: Mapping[str, int] = field(default_factory=dict)
+    firmware: str = ""  # ``copter``, ``plane`` or ``rover``, from the head of an ArduPilot log
+    parameters: Mapping[str, int] = field(default_factory=dict)  # parameters that say which frame it has
 
+    # names of the messages that are looked at: heartbeats, and parameters on a link or in either autopilot's log
     interests: ClassVar[frozenset[str]] = PARAMETER_MESSAGES | {"HEARTBEAT", "MSG"}
 
     def after(self, message: Message) -> Reports:

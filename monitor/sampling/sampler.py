@@ -13,39 +13,21 @@ from monitor.core.sampling import SamplerCore
 
 @dataclass(frozen=True, slots=True)
 class SamplerStatistics:
-    """What a sampler did so far; measurements count once per channel.
+    """What a sampler did so far; measurements count once per channel."""
 
-    Parameters
-    ----------
-    messages : int
-        Messages of interest.
-    duplicates, late : int
-        Measurements ignored because they were known already, or came after their ticks.
-    invalid : int
-        Values missing, no number or not finite.
-    untimed : int
-        Messages without a usable stamp.
-    doubted : int
-        Messages dropped because no other message agreed with their stamp.
-    clock_restarts : int
-        Reboots and jumps of the vehicle's clock.
-    samples, incomplete, restarts : int
-        Samples given out, those among them with ``complete=False`` and those with ``restart=True``.
-    skipped : int
-        Ticks inside gaps, for which there is no sample.
-    """
-
-    messages: int
+    messages: int  # messages of interest
+    # measurements ignored because they were known already, or came after their ticks
     duplicates: int
     late: int
-    invalid: int
-    untimed: int
-    doubted: int
-    clock_restarts: int
+    invalid: int  # values missing, no number or not finite
+    untimed: int  # messages without a usable stamp
+    doubted: int  # messages dropped because no other message agreed with their stamp
+    clock_restarts: int  # reboots and jumps of the vehicle's clock
+    # samples given out, those among them with ``complete=False``, those with ``restart=True``
     samples: int
     incomplete: int
     restarts: int
-    skipped: int
+    skipped: int  # ticks inside gaps, for which there is no sample
 
 
 class Sampler(SamplerCore):

@@ -61,22 +61,13 @@ class TransformRule:
 
 @dataclass(frozen=True, slots=True)
 class SampleSource:
-    """Where (u, y) come from.
+    """Where (u, y) come from."""
 
-    Parameters
-    ----------
-    inputs, outputs : tuple[Channel, ...]
-        Channels of u and y; empty with a transform.
-    transform : TransformRule | None
-        None takes the channels as they are.
-    signals : tuple[Channel, ...]
-        Channels of the transform's raw signals, in its order.
-    """
-
+    # channels of u and y; empty with a transform
     inputs: tuple[Channel, ...] = ()
     outputs: tuple[Channel, ...] = ()
-    transform: TransformRule | None = None
-    signals: tuple[Channel, ...] = ()
+    transform: TransformRule | None = None  # none takes the channels as they are
+    signals: tuple[Channel, ...] = ()  # channels of the transform's raw signals, in its order
 
     @property
     def channels(self) -> tuple[Channel, ...]:

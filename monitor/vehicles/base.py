@@ -17,68 +17,33 @@ class VehicleKind:
 
     Functions and classes are named as ``module:name`` and imported by :func:`load`: the daemon shall read a profile
     without loading what identifies vehicles and designs observers.
-
-    Parameters
-    ----------
-    name : str
-        Name on the command line and in profiles, and of its folder.
-    watches : str
-        Components that it watches, for people.
-    fit : str
-        Function of a :class:`monitor.fitting.fitted.FitRequest`; returns the kind's observer and the gate of the
-        profile.
-    preview : str
-        Function of a :class:`monitor.fitting.survey.Survey`; returns a :class:`Preview`. Empty: a recording alone
-        cannot tell.
-    messages : str
-        Names of the messages that a fit reads. Empty: those that the model's channels name.
-    types : str
-        Types of ROS 2 whose topics a fit reads, whatever they are called.
-    wanted_hz : float
-        Rate at which its messages should come, hertz.
-    transforms : Mapping[str, str]
-        Classes of the transforms that its observers may use, by their names in profiles.
-    type_words : tuple[str, ...]
-        Words in the names of ``MAV_TYPE`` that say that a vehicle is of this kind.
-    inertial_too : bool
-        Whether the inertial observer is fitted beside its own.
-    needs_model : bool
-        Whether the user has to give a model file.
     """
 
-    name: str
-    watches: str
+    name: str  # name on the command line and in profiles, and of its folder
+    watches: str  # components that it watches, for people
+    # function of a :class:`monitor.fitting.fitted.FitRequest`; returns the kind's observer and the gate of the profile
     fit: str
+    # Function of a :class:`monitor.fitting.survey.Survey`; returns a :class:`Preview`. Empty: a recording alone cannot
+    # tell.
     preview: str = ""
-    messages: str = ""
-    types: str = ""
-    wanted_hz: float = 50.0
+    messages: str = ""  # Names of the messages that a fit reads. Empty: those that the model's channels name.
+    types: str = ""  # types of ROS 2 whose topics a fit reads, whatever they are called
+    wanted_hz: float = 50.0  # rate at which its messages should come, hertz
+    # classes of the transforms that its observers may use, by their names in profiles
     transforms: Mapping[str, str] = field(default_factory=dict)
-    type_words: tuple[str, ...] = ()
-    inertial_too: bool = True
-    needs_model: bool = False
+    type_words: tuple[str, ...] = ()  # words in the names of ``MAV_TYPE`` that say that a vehicle is of this kind
+    inertial_too: bool = True  # whether the inertial observer is fitted beside its own
+    needs_model: bool = False  # whether the user has to give a model file
 
 
 @dataclass(frozen=True, slots=True)
 class Preview:
-    """What could be watched on a vehicle that sends the messages of a recording.
+    """What could be watched on a vehicle that sends the messages of a recording."""
 
-    Parameters
-    ----------
-    watches : tuple[str, ...]
-        Fault channels.
-    channels : tuple[Channel, ...]
-        Channels that the observer would use.
-    rate_hz : float | None
-        Rate of its samples; None where no message tells.
-    missing : tuple[str, ...]
-        Fault channels that need messages which are not there, and which ones.
-    """
-
-    watches: tuple[str, ...]
-    channels: tuple[Channel, ...]
-    rate_hz: float | None
-    missing: tuple[str, ...] = ()
+    watches: tuple[str, ...]  # fault channels
+    channels: tuple[Channel, ...]  # channels that the observer would use
+    rate_hz: float | None  # rate of its samples; None where no message tells
+    missing: tuple[str, ...] = ()  # fault channels that need messages which are not there, and which ones
 
     def to_json(self) -> dict[str, Any]:
         """Return the preview as a JSON object."""

@@ -51,38 +51,20 @@ class InertialSegment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialFit:
-    """What healthy flights say about how well the sensors agree.
-
-    Parameters
-    ----------
-    rate_hz : float
-        Samples per second.
-    washout_s, velocity_washout_s : float
-        Time constants of the transform: of positions and angles, and of the velocity.
-    inputs, outputs : tuple[str, ...]
-        Names as the transform gives them.
-    position_washout_s : float
-        That of positions that come without a velocity, twice.
-    speed_scale : Mapping[str, float]
-        s of position north and east; 1 where flight did not show it.
-    noise : Mapping[str, float]
-        Noise of each output, in its unit.
-    disturbance : Mapping[str, float]
-        Random walk of each state within one period, in its unit.
-    seconds : float
-        Healthy flight used.
-    """
+    """What healthy flights say about how well the sensors agree."""
 
     rate_hz: float
+    # time constants of the transform: of positions and angles, and of the velocity
     washout_s: float
     velocity_washout_s: float
-    position_washout_s: float
+    position_washout_s: float  # that of positions that come without a velocity, twice
+    # names as the transform gives them
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    speed_scale: Mapping[str, float]
-    noise: Mapping[str, float]
-    disturbance: Mapping[str, float]
-    seconds: float
+    speed_scale: Mapping[str, float]  # s of position north and east; 1 where flight did not show it
+    noise: Mapping[str, float]  # noise of each output, in its unit
+    disturbance: Mapping[str, float]  # random walk of each state within one period, in its unit
+    seconds: float  # healthy flight used
 
 
 @dataclass(frozen=True, slots=True)

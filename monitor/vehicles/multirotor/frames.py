@@ -57,18 +57,11 @@ _STANDARD: Mapping[tuple[int, int], tuple[str, tuple[tuple[float, float], ...]]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """How the motors of a vehicle turn it.
+    """How the motors of a vehicle turn it."""
 
-    Parameters
-    ----------
-    name : str
-        For people: ``quad x``.
-    effects : NDArray[np.float64]
-        Relative effect of each motor about roll, pitch and yaw (3, s), the largest of an axis 1; zeros for an axis
-        that no motor turns.
-    """
-
-    name: str
+    name: str  # for people: ``quad x``
+    # relative effect of each motor about roll, pitch and yaw (3, s), the largest of an axis 1; zeros for an axis that
+    # no motor turns
     effects: NDArray[np.float64]
 
 

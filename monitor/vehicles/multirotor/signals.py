@@ -47,17 +47,10 @@ _VERTICAL = (
 
 @dataclass(frozen=True, slots=True)
 class CommandRange:
-    """Which outputs are motors, and what of their values is no command and full command.
+    """Which outputs are motors, and what of their values is no command and full command."""
 
-    Parameters
-    ----------
-    motors : tuple[int, ...]
-        Numbers of the outputs.
-    stop, full : float
-        Values that stand for 0 and for 1.
-    """
-
-    motors: tuple[int, ...]
+    motors: tuple[int, ...]  # numbers of the outputs
+    # values that stand for 0 and for 1
     stop: float
     full: float
 
