@@ -190,12 +190,17 @@ def _rows(fields: Fields, part: slice) -> Fields:
 def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Batch:
     """Return columns and messages, no two at the same index, as a batch; indices without a message close up.
 
-    Columns of a name and sender that came before become messages.
+    Columns of one name and sender are put together, or become messages where their fields differ.
     """
     kept: dict[tuple[str, int, int], Columns] = {}
     others = dict(single)
     for group in columns:
-        if group is not kept.setdefault((group.name, group.system, group.component), group):
+        before = kept.setdefault((group.name, group.system, group.component), group)
+        if before is group:
+            continue
+        if _same_form(before, group):
+            kept[group.name, group.system, group.component] = _in_order(_concatenated([(0, before), (0, group)]))
+        else:
             others.update((int(group.position[row]), one_message(group, row)) for row in range(len(group.position)))
     indices = np.concatenate([np.array([*others], np.int64), *(group.position for group in kept.values())])
     # indices may be far apart: only their order counts
@@ -263,6 +268,18 @@ def _one_after_the_other(parts: Sequence[Fields]) -> Fields:
         record = np.concatenate(records)
         return RecordFields(record, field_places(record.dtype))
     return {name: np.concatenate([fields[name] for fields in parts]) for name in parts[0]}
+
+
+def _in_order(columns: Columns) -> Columns:
+    if (np.diff(columns.position) > 0).all():
+        return columns
+    order = np.argsort(columns.position)
+    return replace(
+        columns,
+        position=columns.position[order],
+        received_ns=columns.received_ns[order],
+        fields={name: values[order] for name, values in columns.fields.items()},
+    )
 
 
 def pack(received: Sequence[Message]) -> Batch:

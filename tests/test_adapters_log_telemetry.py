@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from functools import partial
 from math import cos, isnan, pi, sin
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from onboard_flights import messages_of
 
 from adapters.batch import Batch, pack
@@ -96,13 +99,48 @@ def test_nothing_is_interpolated_across_a_gap() -> None:
     assert not any(m.received_ns == 2000 * MS and m.fields["roll"] == 0.0 for m in made(records, "ATTITUDE"))
 
 
-def test_slow_sensors_keep_their_last_value_and_are_unknown_before() -> None:
-    imu = {"gyro_rad": [0.0] * 3, "accelerometer_m_s2": [0.0, 0.0, -9.81]}
-    air = record("vehicle_air_data", 5.0, baro_pressure_pa=95_000.0, baro_alt_meter=540.0)
-    found = made([record("sensor_combined", 0.0, **imu), air, record("sensor_combined", 9.0, **imu)], "HIGHRES_IMU")
+IMU = {"gyro_rad": [0.0] * 3, "accelerometer_m_s2": [0.0, 0.0, -9.81]}
+
+
+def field(ms: float, x: float) -> Message:
+    return record("vehicle_magnetometer", ms, magnetometer_ga=[x, 0.0, 0.4])
+
+
+def test_slow_sensors_are_interpolated_and_unknown_before() -> None:
+    imu = [record("sensor_combined", 4.0 * n, **IMU) for n in range(126)]
+    air = [record("vehicle_air_data", ms, baro_pressure_pa=95_000.0 + ms, baro_alt_meter=540.0) for ms in (2.0, 202.0)]
+    records = sorted([*imu, *air, field(3.0, 0.1), field(503.0, -0.1)], key=lambda one: one.received_ns)
+    found = made(records, "HIGHRES_IMU")
+    assert [m.received_ns for m in found] == [m.received_ns for m in imu]
     assert isnan(found[0].fields["pressure_alt"])
-    assert [found[1].fields[name] for name in ("abs_pressure", "pressure_alt")] == [950.0, 540.0]
-    assert found[1].fields["time_usec"] == 9000
+    assert isnan(found[0].fields["xmag"])
+    assert [found[k].fields["abs_pressure"] for k in (1, 26, 51)] == pytest.approx([950.04, 951.04, 952.02])
+    assert [found[k].fields["xmag"] for k in (1, 63, 125)] == pytest.approx([0.0996, 0.0004 - 0.0, -0.0988], abs=4e-4)
+    assert found[1].fields["time_usec"] == 4000
+
+
+def test_a_slow_sensor_that_stops_keeps_its_last_value_and_holds_nothing_up() -> None:
+    imu = [record("sensor_combined", 4.0 * n, **IMU) for n in range(600)]
+    records = sorted([*imu, field(1.0, 0.1), field(501.0, -0.1)], key=lambda one: one.received_ns)
+    found = made(records, "HIGHRES_IMU")
+    assert [m.received_ns for m in found] == [m.received_ns for m in imu]
+    assert {m.fields["xmag"] for m in found[126:]} == {found[-1].fields["xmag"]}
+    assert found[-1].fields["xmag"] == pytest.approx(-0.1)
+    assert all(isnan(m.fields["abs_pressure"]) for m in found)
+
+
+def test_what_is_made_comes_behind_the_record_that_makes_it() -> None:
+    records = [attitude(0.0), rates(5.0), record("cpuload", 6.0, load=0.1), attitude(20.0), rates(20.0)]
+    names = [m.name for m in run(records, builtin_mapping("ulog"), None)]
+    assert names == [
+        "vehicle_attitude",
+        "vehicle_angular_velocity",
+        "ATTITUDE",
+        "cpuload",
+        "vehicle_attitude",
+        "vehicle_angular_velocity",
+        "ATTITUDE",
+    ]
 
 
 def test_numbers_are_as_the_message_carries_them() -> None:
@@ -255,3 +293,38 @@ def test_a_message_of_a_topic_with_another_clock_has_the_logs_time(stamp_us: int
     old = [*MOTORS[:5], Message(DATAFLASH, "BARO", 500 * MS, {"TimeMS": 499, "Press": 1e5, "Alt": 1.0})]
     [found] = [m for m in run(old, builtin_mapping("dataflash"), ("SCALED_PRESSURE",)) if m.source == MAVLINK]
     assert found.fields["time_boot_ms"] == 500.0
+
+
+STEPS = st.integers(-40, 400)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    drawn=st.lists(
+        st.tuples(st.sampled_from(["rates", "attitude", "imu", "field"]), st.integers(-40, 400), st.booleans()),
+        max_size=40,
+    ),
+    sizes=st.lists(st.integers(1, 9), min_size=1, max_size=5),
+)
+def test_however_disordered_a_log_is_its_messages_do_not_depend_on_cuts(
+    drawn: list[tuple[str, int, bool]], sizes: list[int]
+) -> None:
+    now, records = 10_000.0, []
+    for name, step, wild in drawn:
+        now += step
+        ms = now + 1e7 * wild
+        one = {"rates": rates, "attitude": attitude, "field": partial(field, x=0.1)}.get(name)
+        records.append(record("sensor_combined", ms, **IMU) if one is None else one(ms))
+    names, mapping = ("ATTITUDE", "HIGHRES_IMU"), builtin_mapping("ulog")
+    cut, start = [], 0
+    while start < len(records):
+        cut.append(pack(records[start : start + sizes[start % len(sizes)]]))
+        start += sizes[start % len(sizes)]
+    whole, parts = (
+        [repr(m) for m in messages_of(telemetry(b, mapping, names, no_more))] for b in ([pack(records)], cut)
+    )
+    assert parts == whole
+
+
+def no_more(_: Collection[str]) -> list[Batch]:
+    return []

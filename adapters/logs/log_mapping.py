@@ -110,13 +110,13 @@ class MessageRule:
     repeat_ns: int | None
 
     @property
-    def linear(self) -> frozenset[str]:
-        """Names of the records between which values are interpolated."""
-        return frozenset(
-            field.topic
-            for field in self.fields
-            if field.joined and field.channel is not None and field.channel.interpolation == "linear"
-        )
+    def linear(self) -> Mapping[str, bool]:
+        """Names of the records between which values are interpolated, and whether the message needs them."""
+        found: dict[str, bool] = {}
+        for field in self.fields:
+            if field.joined and field.channel is not None and field.channel.interpolation == "linear":
+                found[field.topic] = found.get(field.topic, False) or field.required
+        return found
 
     @property
     def before(self) -> tuple[int, int] | None:
@@ -136,7 +136,7 @@ class MessageRule:
 
     def fillable(self, examples: Mapping[str, Mapping[str, Any]]) -> bool:
         """Return whether a log with such records has all that is needed."""
-        needed = {self.topic, *self.linear}
+        needed = {self.topic, *(topic for topic, required in self.linear.items() if required)}
         return needed <= examples.keys() and all(
             follow(examples[field.topic], field.channel.path) is not None
             for one in self.fields

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import chain, pairwise
+from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -27,12 +27,14 @@ tell rates of 1 Hz apart, short enough to hold in memory.
 """
 _LOOKED_AT = 20_000
 """Records after which it is decided in any case."""
-_PATIENCE_NS = 1_000_000_000
-"""How long a message waits for the records it is joined with, and the longest gap that is interpolated across.
-Chosen: ten intervals of the slowest record that the built-in tables interpolate (ArduPilot's ATT, logged at 10 Hz).
+_LONGEST_NS = 1_000_000_000
+"""The longest gap that is interpolated across. Chosen: ten intervals of the slowest record that a message needs for it
+(ArduPilot's ATT, logged at 10 Hz), two of the slowest that it has use for (PX4's vehicle_magnetometer, at 2 Hz).
 """
-_MOST_WAITING = 2_000
-"""Messages that wait at most, two seconds of the fastest records there are (1 kHz): bounds memory where clocks stop."""
+_REACH = 20_000
+"""Records behind the one that makes a message in which to look for those that it is joined with. Chosen: some seconds
+of any log, short enough to hold in memory.
+"""
 _NEAR_NS = 1_000_000_000
 """How far a stamp may be from the log's clock: as far as the monitor believes one at once. Further off, it is another
 clock's, or of long before it was logged, and the time of the record stands in.
@@ -55,7 +57,7 @@ def telemetry(
     only: Collection[str] | None,
     anew: Callable[[Collection[str]], Iterable[Batch]],
 ) -> Iterator[Batch]:
-    """Return a log's records and, behind each, the MAVLink messages that it makes or completes.
+    """Return a log's records and, behind each, the MAVLink messages that it makes.
 
     Which record fills a message is decided on the first 5 s of the log, or with the first record that can.
 
@@ -104,6 +106,9 @@ class _Telemetry:
         self._relations: Counter[int] = Counter()
         self._looked_at = 0
         self._first_ns: int | None = None
+        # how many records were there, and what comes behind a message that is not complete yet
+        self._passed = 0
+        self._later: tuple[list[Columns], dict[int, Message]] = [], {}
 
     @property
     def _relevant(self) -> frozenset[str]:
@@ -186,38 +191,52 @@ class _Telemetry:
         """Return what records make by the rules in use; the first ``counted`` of them are counted already."""
         self._count(cut(batch, counted, batch.count) if counted else batch)
         times_ns = _times_ns(batch)
-        made = [columns for filler in self._fillers for columns in filler.run(batch, times_ns)]
-        yield from self._merged(batch, made)
+        columns = [one for filler in self._fillers for one in filler.run(batch, times_ns, self._passed)]
+        only = self._only
+        for one in batch.columns:
+            if only is None or one.name in only:
+                columns.append(replace(one, position=_place(self._passed + one.position)))
+        others = {
+            int(_place(self._passed + at)): message
+            for at, message in batch.others.items()
+            if only is None or message.name in only
+        }
+        self._passed += batch.count
+        end = _place(self._passed)
+        yield from self._in_order(columns, others, min((one.complete_until(end) for one in self._fillers), default=end))
 
     def finish(self) -> Iterator[Batch]:
         """Return what still waits."""
-        yield from self._merged(Batch(0, (), {}), [one for filler in self._fillers for one in filler.finish()])
+        made = [one for filler in self._fillers for one in filler.finish()]
+        yield from self._in_order(made, {}, _place(self._passed))
 
-    def _merged(self, batch: Batch, made: Sequence[Columns]) -> Iterator[Batch]:
-        """Return the wanted records of a batch, and messages at places of :func:`_place`."""
-        only = self._only
-        columns = [
-            Columns(one.source, one.name, one.system, one.component, _place(one.position), one.received_ns, one.fields)
-            for one in batch.columns
-            if only is None or one.name in only
-        ]
-        others = {
-            int(_place(at)): message for at, message in batch.others.items() if only is None or message.name in only
-        }
-        if columns or made or others:
-            yield gathered([*columns, *made], others)
-
-
-# Behind each record there is room for all that it makes: messages repeated, completed and made, of each filler.
-_REPEATED, _COMPLETED, _MADE = 1, 2, 3
-_ROOM = 1 << 32
-_STAGE = 1 << 30
-_FILLER = 1 << 16
+    def _in_order(self, columns: Sequence[Columns], others: Mapping[int, Message], end: int) -> Iterator[Batch]:
+        """Return what is at places of :func:`_place` before an end, of now and before; keep the rest."""
+        columns = [*self._later[0], *columns]
+        others = {**self._later[1], **others}
+        cuts = [int(np.searchsorted(one.position, end)) for one in columns]
+        now = [_part(one, slice(0, at)) for one, at in zip(columns, cuts, strict=True) if at]
+        later = [_part(one, slice(at, None)) for one, at in zip(columns, cuts, strict=True) if at < len(one.position)]
+        self._later = later, {at: message for at, message in others.items() if at >= end}
+        batch = gathered(now, {at: message for at, message in others.items() if at < end})
+        if batch.count:
+            yield batch
 
 
-def _place(position: Any, stage: Any = 0, filler: int = 0, number: Any = 0) -> Any:
+def _part(columns: Columns, rows: slice) -> Columns:
+    fields = {name: values[rows] for name, values in columns.fields.items()}
+    return replace(columns, position=columns.position[rows], received_ns=columns.received_ns[rows], fields=fields)
+
+
+# Behind each record there is room for all that it makes: messages repeated and made, of each filler.
+_REPEATED, _MADE = 1, 2
+_ROOM = 1 << 16
+_STAGE = 1 << 14
+
+
+def _place(position: Any, stage: int = 0, filler: int = 0) -> Any:
     """Return a sort key for messages that a record at a position makes: only the order of such keys has a meaning."""
-    return position * _ROOM + stage * _STAGE + filler * _FILLER + number
+    return position * _ROOM + stage * _STAGE + filler
 
 
 def _positions(batch: Batch) -> Iterator[tuple[str, Integers]]:
@@ -240,7 +259,7 @@ def _times_ns(batch: Batch) -> Integers:
 
 @dataclass(frozen=True, slots=True)
 class _Series:
-    """n records of one name: positions in the batch, times, and values of some rules' fields.
+    """n records of one name: positions in the log, times, and values of some rules' fields.
 
     Parameters
     ----------
@@ -311,7 +330,6 @@ class _Filler:
         # records that values are interpolated between, and messages that wait for more of them
         self._rows: dict[str, _Series] = {}
         self._waiting: _Series | None = None
-        self._join = _Join(len(self._linear))
         self._last: tuple[int, dict[str, NDArray[Any]]] | None = None
 
     def begin(self, begin: Mapping[str, int]) -> None:
@@ -323,26 +341,39 @@ class _Filler:
         fields = {one.name: np.array([values[one.name]], np.dtype(f"<{one.code}")) for one in self._rule.fields}
         self._last = _LONG_AGO_NS, fields
 
-    def run(self, batch: Batch, times_ns: Integers) -> Iterator[Columns]:
-        """Return the messages that the records of a batch make, complete or repeat, at places of :func:`_place`."""
-        made = self._made(batch)
+    def run(self, batch: Batch, times_ns: Integers, passed: int) -> Iterator[Columns]:
+        """Return the messages that the records of a batch make, complete or repeat, at places of :func:`_place`.
+
+        Parameters
+        ----------
+        batch : Batch
+            The records.
+        times_ns : NDArray[np.int64]
+            Their times of arrival (batch.count,).
+        passed : int
+            How many records of the log were before them.
+        """
+        made = self._made(batch, passed)
         if self._linear:
-            made, place = self._interpolated(batch, made)
-        else:
-            place = _place(made.position, _MADE, self._number)
-        pieces: list[_Piece] = [(place, made.received_ns, made.values)] if len(made) else []
+            made = self._interpolated(batch, made, passed)
+        pieces: list[_Piece] = [(self._places(made), made.received_ns, made.values)] if len(made) else []
         if self._rule.repeat_ns is not None:
-            pieces += self._repeated(place, made, times_ns)
+            pieces += self._repeated(made, times_ns, passed)
         yield from self._columns(pieces)
+
+    def complete_until(self, end: int) -> int:
+        """Return the place of the first message that waits, the end where none does."""
+        return end if self._waiting is None or not len(self._waiting) else int(self._places(self._waiting)[0])
 
     def finish(self) -> Iterator[Columns]:
         """Return what waits, with what is not known left unknown."""
         waiting = self._waiting
         if waiting is not None and len(waiting):
-            nothing = np.full((len(waiting), len(self._linear), 2), -1)
-            filled = self._between(waiting, nothing)
-            place = _place(0, _MADE, self._number, np.arange(len(waiting)))
-            yield from self._columns([(place, filled.received_ns, filled.values)])
+            filled = self._joined(waiting, None)
+            yield from self._columns([(self._places(filled), filled.received_ns, filled.values)])
+
+    def _places(self, made: _Series) -> Integers:
+        return np.asarray(_place(made.position, _MADE, self._number), np.int64)
 
     def _columns(self, pieces: Sequence[_Piece]) -> Iterator[Columns]:
         if pieces:
@@ -360,7 +391,7 @@ class _Filler:
             received_ns = np.concatenate([times for _, times, _ in pieces])[order]
             yield Columns(MAVLINK, self._rule.message, _SYSTEM, _COMPONENT, place[order], received_ns, fields)
 
-    def _made(self, batch: Batch) -> _Series:
+    def _made(self, batch: Batch, passed: int) -> _Series:
         """Return the messages that records of a batch make, but for what is interpolated."""
         records = _Recorded.of(batch, self._rule.topic)
         count = len(records.position)
@@ -379,7 +410,7 @@ class _Filler:
                 if len(held):
                     number, known = held.values[one.name][row], held.known[one.name][row] & known
                 values[one.name] = _carried(one, number, known)
-        return _Series(records.position, records.received_ns, values, {}).rows(valid)
+        return _Series(records.position + passed, records.received_ns, values, {}).rows(valid)
 
     def _stamped(self, field: FieldRule, values: NDArray[Any], received_ns: Integers) -> NDArray[Any]:
         """Return a field's values (n,); of a stamp that is none of the log's clock, the record's time of arrival."""
@@ -403,29 +434,34 @@ class _Filler:
         self._last_held[topic] = held.rows(slice(-1, None))
         return row, held
 
-    def _interpolated(self, batch: Batch, made: _Series) -> tuple[_Series, Integers]:
-        """Return the messages that are complete, and their places."""
-        starts = [0 if self._waiting is None else len(self._waiting)]
-        waiting = made if self._waiting is None else self._waiting.followed_by(made)
-        positions, times = [made.position], [waiting.received_ns]
+    def _interpolated(self, batch: Batch, made: _Series, passed: int) -> _Series:
+        """Return the messages that are complete."""
         for topic, fields in self._linear.items():
             series = _series(_Recorded.of(batch, topic), fields)
+            series = replace(series, position=series.position + passed)
             before = self._rows.get(topic)
-            starts.append(0 if before is None else len(before))
-            self._rows[topic] = series if before is None else before.followed_by(series)
-            positions.append(series.position)
-            times.append(self._rows[topic].received_ns)
-        done = self._join.run(positions, starts, times)
-        filled = self._between(waiting.rows(done.row), done.pair)
-        # the record that completes a message may be the one that makes it
-        stage = np.where(done.by == 0, _MADE, _COMPLETED)
-        among = np.arange(len(done.row)) - np.searchsorted(done.position, done.position)
-        place = _place(done.position, stage, self._number, among)
-        first = self._join.forget()
-        self._waiting = waiting.rows(slice(first[0], None))
-        for topic, keep in zip(self._linear, first[1:], strict=True):
-            self._rows[topic] = self._rows[topic].rows(slice(keep, None))
-        return filled, place
+            both = series if before is None else before.followed_by(series)
+            again = np.diff(both.received_ns, prepend=both.received_ns[:1] - 1) == 0
+            self._rows[topic] = both.rows(~again)
+        waiting = made if self._waiting is None else self._waiting.followed_by(made)
+        return self._joined(waiting, passed + batch.count)
+
+    def _joined(self, waiting: _Series, end: int | None) -> _Series:
+        """Return the messages that are complete, and keep the rest; ``end`` is as of :class:`_Join`.
+
+        A message that is older than all records of a topic that it needs is given up.
+        """
+        joins = [_Join.of(self._rows[topic], waiting, self._rule.linear[topic], end) for topic in self._linear]
+        final = np.logical_and.reduce([join.final for join in joins])
+        count = len(final) if final.all() else int(np.argmin(final))
+        given_up = np.logical_or.reduce([join.early for join in joins])
+        rows = np.flatnonzero(~given_up[:count])
+        pairs = np.stack([join.pair[rows] for join in joins], axis=1)
+        filled = self._between(waiting.rows(rows), pairs)
+        self._waiting = waiting.rows(slice(count, None))
+        for topic, join in zip(self._linear, joins, strict=True):
+            self._rows[topic] = self._rows[topic].rows(slice(join.needed_from(count), None))
+        return filled
 
     def _between(self, made: _Series, pair: Integers) -> _Series:
         """Return messages with what is interpolated; ``pair`` (n, topics, 2) has the rows on either side, -1: none."""
@@ -441,12 +477,12 @@ class _Filler:
                 values[one.name] = _carried(one, number, known)
         return _Series(made.position, made.received_ns, values, {})
 
-    def _repeated(self, place: Integers, made: _Series, times_ns: Integers) -> list[_Piece]:
+    def _repeated(self, made: _Series, times_ns: Integers, passed: int) -> list[_Piece]:
         """Return a state again on each record that arrives so long after the state was sent last."""
         every_ns = self._rule.repeat_ns or 0
         pieces: list[_Piece] = []
         start = 0
-        for number, position in enumerate([*(place // _ROOM).tolist(), len(times_ns) - 1]):
+        for number, position in enumerate([*(made.position - passed).tolist(), len(times_ns) - 1]):
             if self._last is not None:
                 sent_ns, values = self._last
                 due = []
@@ -457,7 +493,7 @@ class _Filler:
                 if due:
                     again = {name: np.repeat(value, len(due)) for name, value in values.items()}
                     at_once = np.array(due)
-                    pieces.append((_place(at_once, _REPEATED, self._number), times_ns[at_once], again))
+                    pieces.append((_place(passed + at_once, _REPEATED, self._number), times_ns[at_once], again))
                     self._last = sent_ns, values
             if number < len(made):
                 row = slice(number, number + 1)
@@ -480,131 +516,80 @@ def _due(times_ns: Integers, start: int, stop: int, sent_ns: int, every_ns: int)
 
 
 @dataclass(frozen=True, slots=True)
-class _Joined:
-    """Messages that are complete: m of them, of k topics that they are joined with.
-
-    Parameters
-    ----------
-    row : NDArray[np.int64]
-        Their rows (m,).
-    pair : NDArray[np.int64]
-        Rows of the records on either side of each, by topic (m, k, 2); -1 where there is none.
-    position : NDArray[np.int64]
-        Position of the record that completed each (m,).
-    by : NDArray[np.int64]
-        Whether that was the record that makes it (0), or one of the topics (1, ..., k) (m,).
-    """
-
-    row: Integers
-    pair: Integers
-    position: Integers
-    by: Integers
-
-
 class _Join:
-    """Finds for messages in their order the records before and after them, of k topics.
-
-    A message is complete when there is a record at or after its time of each topic, or when it waited too long. One
-    that is older than all records of a topic is given up.
+    """The records of a topic on either side of n messages.
 
     Parameters
     ----------
-    topics : int
-        Their number k.
+    pair : NDArray[np.int64]
+        Their rows (n, 2), -1 where there are none; the one before twice where it stands for both.
+    final : NDArray[np.bool_]
+        Whether no record to come can change that (n,).
+    early : NDArray[np.bool_]
+        Whether the message is older than all records of a topic that it needs (n,).
+    kept : NDArray[np.int64]
+        The first row that is still of use to each message, and to those to come (n + 1,).
     """
 
-    def __init__(self, topics: int) -> None:
-        # time and row of messages that wait, and of each topic's records that are still of use
-        self._waiting: deque[tuple[int, int]] = deque()
-        self._rows: list[deque[tuple[int, int]]] = [deque() for _ in range(topics)]
+    pair: Integers
+    final: NDArray[np.bool_]
+    early: NDArray[np.bool_]
+    kept: Integers
 
-    def run(self, positions: Sequence[Integers], starts: Sequence[int], times_ns: Sequence[Integers]) -> _Joined:
-        """Go through the records of a batch.
+    @classmethod
+    def of(cls, rows: _Series, messages: _Series, required: bool, end: int | None) -> _Join:
+        """Return the records around messages.
+
+        Rows that follow each other in time are a run; a clock that goes back ends it, and so does a gap where the
+        message needs the topic. A message belongs to the run of the record before it.
 
         Parameters
         ----------
-        positions : Sequence[NDArray[np.int64]]
-            Positions in the batch of the records that make messages, and of each topic's.
-        starts : Sequence[int]
-            Row of the first of each.
-        times_ns : Sequence[NDArray[np.int64]]
-            Times of arrival of all rows, from before the batch too.
+        rows, messages : _Series
+            Records of the topic, no two neighbours of the same time, and messages, as they arrived.
+        required : bool
+            Whether the messages need the topic. Where they do not, the record before stands for a later one that
+            does not come, or that is too far away.
+        end : int | None
+            How many records of the log are known, None for all.
         """
-        waiting, rows = self._waiting, self._rows
-        done: list[tuple[int, int, int]] = []
-        pairs: list[tuple[int, int]] = []
-        for position, by, now_ns, index in _in_order(positions, starts, times_ns):
-            if by == 0:
-                waiting.append((now_ns, index))
-            elif not _added(rows[by - 1], now_ns, index):
-                continue
-            while waiting:
-                time_ns, message = waiting[0]
-                early = late = False
-                for known in rows:
-                    while len(known) > 2 and known[1][0] <= time_ns:
-                        known.popleft()
-                    if not known or known[-1][0] < time_ns:
-                        late = True
-                    elif known[0][0] > time_ns:
-                        early = True
-                in_time = -_PATIENCE_NS < now_ns - time_ns < _PATIENCE_NS and len(waiting) < _MOST_WAITING
-                if late and in_time and not early:
-                    break
-                waiting.popleft()
-                if not early:
-                    done.append((message, position, by))
-                    pairs += (_around(known, time_ns) for known in rows)
-        found = np.array(done, np.int64).reshape(-1, 3)
-        pair = np.array(pairs, np.int64).reshape(len(done), len(rows), 2)
-        return _Joined(found[:, 0], pair, found[:, 1], found[:, 2])
+        count, times_ns, position = len(messages), messages.received_ns, messages.position
+        passed = np.full(count, end is None) if end is None else position + _REACH < end
+        if not len(rows):
+            nothing = np.full((count, 2), -1)
+            return cls(nothing, passed | (not required), np.zeros(count, np.bool_), np.zeros(count + 1, np.int64))
+        step_ns = np.diff(rows.received_ns)
+        breaks = np.flatnonzero((step_ns < 0) | (required & (step_ns >= _LONGEST_NS))) + 1
+        starts, ends = np.concatenate([[0], breaks]), np.concatenate([breaks, [len(rows)]])
+        last = np.append(np.searchsorted(rows.position, position) - 1, len(rows) - 1)
+        run = np.searchsorted(starts, np.maximum(last, 0), "right") - 1
+        oldest_ns = rows.received_ns[last] - _LONGEST_NS
+        left, right, kept = np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(count + 1, np.int64)
+        for number in np.unique(run):
+            start, stop = starts[number], ends[number]
+            run_ns = rows.received_ns[start:stop]
+            of_run = run == number
+            kept[of_run] = start + np.maximum(np.searchsorted(run_ns, oldest_ns[of_run], "right") - 1, 0)
+            of_run = of_run[:-1]
+            left[of_run] = start + np.searchsorted(run_ns, times_ns[of_run], "right") - 1
+            right[of_run] = start + np.searchsorted(run_ns, times_ns[of_run], "left")
+        kept[last < 0] = 0
+        before, run = last[:-1] >= 0, run[:-1]
+        usable = (before | required) & ~(before & (oldest_ns[:-1] >= times_ns))
+        reach = position + _REACH
+        near = rows.position[np.minimum(right, len(rows) - 1)] <= reach
+        has_right = usable & (right < ends[run]) & near
+        has_left = usable & (left >= starts[run]) & (rows.position[np.maximum(left, 0)] <= reach)
+        gap_ns = rows.received_ns[np.minimum(right, len(rows) - 1)] - rows.received_ns[np.maximum(left, 0)]
+        between = has_left & has_right & (gap_ns < _LONGEST_NS)
+        held = has_left & (not required or between)
+        pair = np.stack([np.where(held, left, -1), np.where(between, right, np.where(held, left, -1))], axis=1)
+        final = has_right | ~usable | (run < len(starts) - 1) | passed
+        return cls(pair, final, required & has_right & ~has_left, kept)
 
-    def forget(self) -> list[int]:
-        """Return the first row of each that is still of use, and count from there on."""
-        first = []
-        for rows in (self._waiting, *self._rows):
-            least = rows[0][1] if rows else _NO_ROW
-            for k, (time_ns, row) in enumerate(rows):
-                rows[k] = time_ns, row - least
-            first.append(least)
-        return first
-
-
-_NO_ROW = np.iinfo(np.int64).max
-
-
-def _in_order(
-    positions: Sequence[Integers], starts: Sequence[int], times_ns: Sequence[Integers]
-) -> Iterator[tuple[int, int, int, int]]:
-    """Yield position, number of the series, time and row of the records of several series, as they arrived."""
-    order = np.argsort(np.concatenate(positions))
-    series = np.repeat(np.arange(len(positions)), [len(one) for one in positions])
-    times = [times[start : start + len(at)] for times, start, at in zip(times_ns, starts, positions, strict=True)]
-    rows = [start + np.arange(len(at)) for start, at in zip(starts, positions, strict=True)]
-    columns = (np.concatenate(positions), series, np.concatenate(times), np.concatenate(rows))
-    return zip(*(column[order].tolist() for column in columns), strict=True)
-
-
-def _added(rows: deque[tuple[int, int]], time_ns: int, row: int) -> bool:
-    """Add a record of a topic; return False where another of its time is there."""
-    if rows:
-        step_ns = time_ns - rows[-1][0]
-        if step_ns == 0:
-            return False
-        if not 0 < step_ns < _PATIENCE_NS:
-            rows.clear()
-        elif len(rows) >= _MOST_WAITING:
-            rows.popleft()
-    rows.append((time_ns, row))
-    return True
-
-
-def _around(rows: deque[tuple[int, int]], time_ns: int) -> tuple[int, int]:
-    """Return the rows before and after a time, -1 where there are none."""
-    for (left_ns, left), (right_ns, right) in pairwise(rows):
-        if left_ns <= time_ns <= right_ns:
-            return left, right
-    return (rows[-1][1], rows[-1][1]) if rows and rows[-1][0] == time_ns else (-1, -1)
+    def needed_from(self, message: int) -> int:
+        """Return the first row that is still of use to a message and those behind it."""
+        return int(self.kept[message])
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 _SHORTEST_GAP_NS = 5_000_000_000
-_GAP_STEPS = 10.0
 """A step of 5 s and of ten usual ones is a gap: nothing was recorded, as between two flights in a log. Chosen: what is
 lost for less is a bad link, and belongs in its rate.
 """
+_GAP_STEPS = 10.0
+"""See there."""
 _RESTART_NS = -1_000_000_000
 """A stamp that lies further back than this is of a clock that began anew; a packet that came late is nearer."""
 _BINS_PER_OCTAVE = 4
