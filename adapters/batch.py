@@ -240,7 +240,8 @@ def joined(batches: Sequence[Batch]) -> Batch:
 
 def _same_form(first: Columns, second: Columns) -> bool:
     if isinstance(first.fields, RecordFields) and isinstance(second.fields, RecordFields):
-        return first.source is second.source and first.fields.record.dtype == second.fields.record.dtype
+        alike = first.fields.places is second.fields.places or first.fields.record.dtype == second.fields.record.dtype
+        return first.source is second.source and alike
     return (
         first.source is second.source
         and [*first.fields] == [*second.fields]
@@ -263,10 +264,12 @@ def _concatenated(alike: Sequence[tuple[int, Columns]]) -> Columns:
 
 
 def _one_after_the_other(parts: Sequence[Fields]) -> Fields:
+    first = parts[0]
     records = [fields.record for fields in parts if isinstance(fields, RecordFields)]
-    if len(records) == len(parts):
-        record = np.concatenate(records)
-        return RecordFields(record, field_places(record.dtype))
+    if isinstance(first, RecordFields) and len(records) == len(parts):
+        # As plain bytes: NumPy would look for a type that all of them fit, field by field.
+        content = np.concatenate([record.view(f"V{record.itemsize}") for record in records])
+        return RecordFields(content.view(first.record.dtype), first.places)
     return {name: np.concatenate([fields[name] for fields in parts]) for name in parts[0]}
 
 

@@ -233,13 +233,17 @@ class ObserverChain:
         """Restart at the next sample where the phase has come to allow evidence."""
         self._sampler.enter(phase)
 
-    def run(self, samples: Samples, position: NDArray[np.int64], phase: FlightPhase) -> ChainRun:
+    def run(self, samples: Samples, position: NDArray[np.int64], phase: FlightPhase) -> ChainRun | None:
         """Process n samples of :attr:`sampler`: estimates, and evidence for :func:`alarm_events` to make events of.
+
+        None where they complete no sample of the observer.
 
         ``position`` is the place in the batch of the message that completed each (n,); the vehicle's phase is the same
         for all of them and was entered before.
         """
         samples, rows = self._sampler.run(samples)
+        if not len(samples):
+            return None
         return self.estimate(samples, self._sampler.admitted(samples, phase), position[rows])
 
     def estimate(

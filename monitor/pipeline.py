@@ -262,10 +262,11 @@ class Pipeline:
         last = segment.stop - start - 1
         self._link.pass_over(segment.heartbeat_ns, int(taken.newest_ns[last - 1]) if last else before_ns)
         runs = [
-            chain.run(samples, position, self._phase)
+            run
             for chain, samples, position in zip(self._chains, taken.samples, taken.position, strict=True)
+            if (run := chain.run(samples, position, self._phase)) is not None
         ]
-        outputs.extend(run.estimates for run in runs if len(run.estimates))
+        outputs.extend(run.estimates for run in runs)
         outputs.extend(self._through_desk(alarm_events(runs, self._excuses)))
         return segment.stop
 

@@ -158,6 +158,8 @@ class AlarmDesk:
     def tick(self, now_ns: int) -> list[AlarmEvent]:
         """Let Unix time come to ``now_ns``; return the events that the ends of shelving and of a flood cause."""
         events: list[AlarmEvent] = []
+        if not self._shelved and FLOOD_KEY not in self._active:
+            return events
         for key in self._held_back:
             self._shelved[key] = max(self._shelved[key], self._flood_until_ns)
         # In order of their ends and at those times, so that it does not matter when the next message comes.

@@ -18,12 +18,15 @@ MAX_PAYLOAD_BYTES = 1 << 24
 """Chosen: the history of 4096 events, the largest answer there is, has some megabytes."""
 
 
+_ENCODER = json.JSONEncoder(ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
 def to_json(payload: Mapping[str, Any] | Sequence[Any]) -> bytes:
     """Return compact JSON in UTF-8; a number that JSON cannot write (NaN, infinity) becomes null."""
     try:
-        text = json.dumps(payload, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+        text = _ENCODER.encode(payload)
     except ValueError:
-        text = json.dumps(_finite(payload), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+        text = _ENCODER.encode(_finite(payload))
     return text.encode(errors="backslashreplace")
 
 

@@ -102,8 +102,8 @@ class Publisher:
         if not self._period_ns:
             return
         observer = estimates.observer
-        for row, slot in enumerate((estimates.samples.time_ns // self._period_ns).tolist()):
-            if self._slots.get(observer) != slot:
+        for row, time_ns in enumerate(estimates.samples.time_ns.tolist()):
+            if self._slots.get(observer) != (slot := time_ns // self._period_ns):
                 self._slots[observer] = slot
                 payload = estimate_json(self._layouts[observer], estimates, row)
                 self._estimates[observer].put(to_json(payload))

@@ -29,9 +29,9 @@ class ArchiveStatistics:
 class Archive:
     """Records what one monitor receives and computes in a recording and a black box, either of which may be absent.
 
-    It is encoded when it is flushed, all rows of a kind at once, and when an alarm event or a clip needs it. The encoder
-    works for both, which have its table of topics. A disk that fails stops neither the monitor nor the other of the
-    two.
+    It is encoded when it is flushed, all rows of a kind at once, and when an alarm event or a clip needs it. The
+    encoder works for both, which have its table of topics. A disk that fails stops neither the monitor nor the other
+    of the two.
     """
 
     def __init__(
