@@ -39,21 +39,12 @@ _LONGEST_S = 60.0
 def settling_s(gains: Gains) -> float:
     """Return the time after which a wrong start moves no fault estimate by more than a twentieth of its largest error.
 
-    A restart takes the states from the outputs, x = C^+ y; what the outputs do not show starts at zero, whatever the
-    vehicle was doing. Two copies of one observer fed with the same (u, y) differ by d(k) = M_ss^k d(0), so from the
-    compiled step alone it follows how the estimates of faults are off after a start that is wrong by d(0) = L1 x,
-    C x = 0. An observer all of whose states are measured has nothing to forget, however slow its poles.
-
-    Parameters
-    ----------
-    gains : Gains
-        Gains of an observer. Those of another structure than :mod:`gains.analysis.augment` count as zero: nothing tells
-        which of their states the outputs show.
-
-    Returns
-    -------
-    float
-        Seconds, at most a minute.
+    In seconds, at most a minute. A restart takes the states from the outputs, x = C^+ y; what the outputs do not show
+    starts at zero, whatever the vehicle was doing. Two copies of one observer fed with the same (u, y) differ by d(k) =
+    M_ss^k d(0), so from the compiled step alone it follows how the estimates of faults are off after a start that is
+    wrong by d(0) = L1 x, C x = 0. An observer all of whose states are measured has nothing to forget, however slow its
+    poles. Gains of another structure than :mod:`gains.analysis.augment` count as zero: nothing tells which of their
+    states the outputs show.
     """
     n, a = len(gains.states), len(gains.faults)
     if not gains.L1.size or not a:
@@ -160,10 +151,7 @@ def _measured(gains: Gains) -> StepMap:
 class AffineObserver:
     """Compiled gains as an :class:`monitor.estimation.observer.Observer`: of one observer, or of all of a bank.
 
-    Parameters
-    ----------
-    gains : Sequence[Gains]
-        Gains of each hypothesis, with the same inputs, outputs and states.
+    Those of a bank have the same inputs, outputs and states.
     """
 
     def __init__(self, gains: Sequence[Gains]) -> None:

@@ -58,19 +58,11 @@ class EstimatorRun(NamedTuple):
 
 
 def washout_inverse(tau: float, rate_hz: float, threshold: float) -> Washout:
-    """Return the inverse of the washout of one fault channel; :meth:`Washout.run` takes n rows.
+    """Return the inverse of the washout (tau, seconds) of one fault channel; :meth:`Washout.run` takes n rows.
 
     It is given the smoothed estimate of the channel under its own hypothesis, every sample, whichever hypothesis is
-    believed: switching it off and on would cut pieces out of the integral.
-
-    Parameters
-    ----------
-    tau : float
-        Time constant of the washout, seconds.
-    rate_hz : float
-        Samples per second.
-    threshold : float
-        Alarm threshold of the channel, in its unit.
+    believed: switching it off and on would cut pieces out of the integral. ``threshold`` is the channel's alarm
+    threshold.
     """
     return Washout(share=0.5 / (tau * rate_hz), threshold=threshold)
 
@@ -89,16 +81,8 @@ tell, a shorter one clears alarms that still hold."""
 def edge_detector(rate_hz: float, limit: float, smallest: float | None, hold_s: float = HOLD_S) -> EdgeDetector:
     """Return a detector of edges in one sensor fault's estimate; :meth:`EdgeDetector.run` takes n rows.
 
-    Parameters
-    ----------
-    rate_hz : float
-        Samples per second.
-    limit : float
-        Largest J = r' S^-1 r of the sensor's own hypothesis with which it is believed.
-    smallest : float | None
-        Smallest edge that is held, in the unit of the estimate; None: edges only show.
-    hold_s : float
-        How long an edge is held at most, seconds.
+    ``limit`` is the largest J = r' S^-1 r of the sensor's own hypothesis with which it is believed; ``smallest`` the
+    smallest edge that is held, in the unit of the estimate (None: edges only show), for ``hold_s`` seconds at most.
     """
     return EdgeDetector(
         mean=max(1, round(_MEAN_S * rate_hz)),
@@ -121,16 +105,8 @@ directions in which a residual cannot move have at most 1e-16, all others at lea
 class Bank:
     """The observers of a bank and the hypothesis believed at present.
 
-    Parameters
-    ----------
-    observer : Observer
-        The observer of each hypothesis, in the order of the rule.
-    rule : BankRule
-        Isolation part of the profile.
-    faults : Sequence[str]
-        Names of all fault channels (a,), in the order of the estimates.
-    thresholds : Mapping[str, float]
-        Alarm thresholds by channel: edges smaller than theirs are not held, washed-out faults smaller not given back.
+    Observer and rule have the hypotheses in one order, ``faults`` all fault channels (a,) in that of the estimates.
+    Edges smaller than a channel's alarm threshold are not held, washed-out faults smaller than it not given back.
     """
 
     def __init__(

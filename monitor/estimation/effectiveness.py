@@ -175,15 +175,7 @@ class EffectivenessRun(NamedTuple):
 
 
 class EffectivenessEstimator:
-    """State of one actuator's recursive least squares.
-
-    Parameters
-    ----------
-    rule : EffectivenessRule
-        How to read the estimate.
-    rate_hz : float
-        Samples per second.
-    """
+    """State of one actuator's recursive least squares."""
 
     def __init__(self, rule: EffectivenessRule, rate_hz: float) -> None:
         self._follower = Follower(rule, rate_hz)
@@ -193,17 +185,9 @@ class EffectivenessEstimator:
     ) -> EffectivenessRun:
         """Process n samples.
 
-        All is forgotten at a restart, and where evidence was missing for longer than the longest memory.
-
-        Parameters
-        ----------
-        times_ns : NDArray[np.int64]
-            Times of the samples, nanoseconds (n,).
-        restart, armed : NDArray[np.bool_]
-            Whether the observer restarts at the sample, and whether it is evidence (n,).
-        fault, command, full : NDArray[np.float64]
-            f^ of the observer, not smoothed further, u in the same units, and m, the effect of a constant full
-            deflection (n,).
+        All is forgotten at a restart, and where evidence (``armed``) was missing for longer than the longest memory.
+        ``fault``, ``command`` and ``full`` (n,) are f^ of the observer, not smoothed further, u in the same units, and
+        m, the effect of a constant full deflection.
         """
         flags = restart, armed
         return EffectivenessRun(*self._follower.run(times_ns, *flags, fault, command, full))

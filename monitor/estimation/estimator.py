@@ -17,14 +17,7 @@ from monitor.estimation.observer import Observer
 def single_fault_isolation(rule: SingleRule, rate_hz: float, scales: NDArray[np.bool_]) -> SingleFaultIsolation:
     """Return the stage that smooths joint estimates and holds one channel responsible at a time.
 
-    Parameters
-    ----------
-    rule : SingleRule
-        Isolation part of the profile.
-    rate_hz : float
-        Samples per second.
-    scales : NDArray[np.bool_]
-        Channels (a,) that scale an input: they fail towards less.
+    Channels that scale an input (a,) fail towards less.
     """
     return SingleFaultIsolation(
         information=np.asarray(np.linalg.inv(rule.covariance), np.float64),
@@ -47,13 +40,6 @@ class JointEstimator:
     """One observer for all faults together, and the isolation of its estimates.
 
     Its joint estimate explains whatever comes: nothing is unexplained, and the evidence of every channel counts.
-
-    Parameters
-    ----------
-    observer : Observer
-        The observer, of a single hypothesis.
-    rule : IndependentRule | SingleRule
-        Isolation part of the profile.
     """
 
     def __init__(self, observer: Observer, rule: IndependentRule | SingleRule) -> None:
@@ -86,18 +72,9 @@ Estimator = JointEstimator | Bank
 def make_estimator(
     observer: Observer, rule: IsolationRule, faults: Sequence[str], thresholds: Mapping[str, float]
 ) -> Estimator:
-    """Return the estimator that a profile's isolation asks for.
+    """Return the estimator that a profile's isolation asks for; that of a bank has an observer of several hypotheses.
 
-    Parameters
-    ----------
-    observer : Observer
-        The observer, of several hypotheses where the rule is that of a bank.
-    rule : IsolationRule
-        Isolation part of the profile.
-    faults : Sequence[str]
-        Names of all fault channels, in the order of the estimates.
-    thresholds : Mapping[str, float]
-        Alarm thresholds by channel.
+    ``faults`` are all fault channels in the order of the estimates, ``thresholds`` those of their alarms.
     """
     if isinstance(rule, BankRule):
         return Bank(observer, rule, faults, thresholds)

@@ -27,16 +27,9 @@ alarm, while the rest of an exponential approach would be stepped for nothing.""
 
 
 class Uncertainty:
-    """Standard deviations of the fault estimates of one observer or bank.
+    """Standard deviations of the fault estimates of one observer or bank, designed for a plant.
 
-    Parameters
-    ----------
-    observer : Observer
-        The observer.
-    plant : Plant | None
-        The model it was designed for.
-    faults : Sequence[str]
-        Names of all fault channels (a,), in the order of the estimates.
+    ``faults`` are all fault channels (a,) in the order of the estimates.
     """
 
     def __init__(self, observer: Observer, plant: Plant | None, faults: Sequence[str]) -> None:
@@ -69,14 +62,8 @@ class Uncertainty:
     def run(self, measured: NDArray[np.bool_], restart: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Return one standard deviation of each fault estimate after each of n samples (n, a), effect units.
 
-        Not a number where there is no plant, or the observer has no error system.
-
-        Parameters
-        ----------
-        measured : NDArray[np.bool_]
-            Whether the outputs of each sample were measured (n,).
-        restart : NDArray[np.bool_]
-            Whether the observer restarts before it (n,).
+        Not a number where there is no plant, or the observer has no error system. ``measured`` says whether the outputs
+        of each sample were measured (n,), ``restart`` whether the observer restarts before it (n,).
         """
         if self._covariance is None:
             return np.full((len(measured), self._channels), np.nan)

@@ -38,18 +38,9 @@ class EffectSignals:
 def effect_signals(
     surveys: Sequence[Survey], names: Sequence[str], servos: Mapping[str, Channel], speeds: Mapping[str, Channel]
 ) -> EffectSignals:
-    """Choose the channels.
+    """Choose the channels of the transform's signals ``names``; servos and speeds are by signal.
 
     The grid follows the slowest of attitude, acceleration and servo outputs; speeds may come less often.
-
-    Parameters
-    ----------
-    surveys : Sequence[Survey]
-        What the recordings hold.
-    names : Sequence[str]
-        The transform's signals.
-    servos, speeds : Mapping[str, Channel]
-        Channels of actuators and of what tells the speed, by signal.
 
     Raises
     ------

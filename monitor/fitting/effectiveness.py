@@ -46,19 +46,9 @@ def calibrate_effectiveness(
 ) -> EffectivenessRule:
     """Return the rule with noise, inflation, doubts and certainty as healthy operation shows them.
 
-    The doubts are what the estimates scatter more than their noise allows, each weighted with its information; the
-    certainty is the largest healthy score with a margin, and at least five standard errors.
-
-    Parameters
-    ----------
-    runs : Sequence[HealthyRun]
-        Healthy stretches, the observer settled.
-    rate_hz : float
-        Samples per second.
-    rule : EffectivenessRule
-        Gives what is not calibrated; its doubts are the least ones, for instance the standard error of the gain.
-    margin : float
-        Factor on the largest healthy score.
+    The observer had settled. The doubts are what the estimates scatter more than their noise allows, each weighted with
+    its information, and at least those of the given rule, for instance the standard error of the gain; the certainty is
+    the largest healthy score times ``margin``, and at least five standard errors.
     """
     noise, inflation = _noise(runs, rate_hz, rule.timing_s)
     plain = replace(rule, noise=noise, inflation=inflation, loss_doubt=0.0, offset_doubt=0.0)
@@ -96,16 +86,8 @@ def _noise(runs: Sequence[HealthyRun], rate_hz: float, timing_s: float) -> tuple
 def response_delay_s(plant: Plant, gains: Gains, fault: str) -> float:
     """Return the mean delay of an actuator fault's estimate behind the fault, seconds.
 
-    The area between a unit step of the fault and its estimate, both discrete, noise-free.
-
-    Parameters
-    ----------
-    plant : Plant
-        Discrete plant of the gains.
-    gains : Gains
-        Its compiled gains.
-    fault : str
-        Name of an actuator fault.
+    The area between a unit step of the fault and its estimate, both discrete, noise-free; the plant is that of the
+    gains.
     """
     column = next(f.column for f in plant.actuator_faults if f.name == fault)
     x = np.linalg.solve(np.eye(len(plant.A)) - plant.A, plant.c)

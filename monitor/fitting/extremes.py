@@ -130,20 +130,10 @@ def standing(values: NDArray[np.float64], samples: int) -> NDArray[np.float64]:
     """Return, at each sample, the largest threshold that an alarm's debounce would have let pass by then.
 
     The debounce counts samples at or above the threshold up and others down, never below zero, and raises at
-    ``samples``. An alarm of threshold h is raised within a stretch exactly where this series reaches h: it is the
-    statistic to extrapolate. A windowed minimum is smaller, since it starts anew at every sample that dips.
-
-    Parameters
-    ----------
-    values : NDArray[np.float64]
-        Sizes of one stretch (N,), not negative.
-    samples : int
-        Samples that have to stand.
-
-    Returns
-    -------
-    NDArray[np.float64]
-        (N,), rounded up by at most one per cent of itself; zero where it is below a hundredth of the largest value.
+    ``samples``. An alarm of threshold h is raised within a stretch (N,) of sizes, not negative, exactly where this
+    series reaches h: it is the statistic to extrapolate. A windowed minimum is smaller, since it starts anew at every
+    sample that dips. Values (N,) are rounded up by at most one per cent of themselves, and zero below a hundredth of
+    the largest.
     """
     samples = max(1, samples)
     reached = np.zeros(len(values))

@@ -24,21 +24,9 @@ def track(
 ) -> Iterator[T]:
     """Yield the items; on a terminal say on stderr how far they have come, and wipe the line at the end.
 
-    Parameters
-    ----------
-    items : Iterable[T]
-        What goes by.
-    what : str
-        Stands before the bar.
-    unit : str
-        What is counted.
-    total_bytes : int
-        Bytes of the recording the items are read from (:func:`recording_bytes`): the share of it that was read gives
-        per cent and the time that is left. 0: not known.
-    total : int | None
-        How many of the unit there will be, where that is known.
-    weigh : Callable[[T], int] | None
-        How many of the unit an item holds; None: one.
+    ``what`` is in front of the bar, ``unit`` is counted, ``weigh`` says how many of it an item holds (None: one). Where
+    the items are read from a recording of ``total_bytes`` (:func:`recording_bytes`) the share of it that was read gives
+    per cent and the time that is left; ``total`` is how many of the unit there will be, where that is known.
     """
     if not sys.stderr.isatty():
         yield from items

@@ -106,21 +106,11 @@ def healthy_levels(
     times: Times,
     most: float = math.inf,
 ) -> Levels:
-    """Return the levels that healthy evidence exceeds at a rate.
+    """Return the levels that signed healthy evidence exceeds at a rate of false alarms granted to each channel.
 
-    Parameters
-    ----------
-    evidence : Sequence[NDArray[np.float64]]
-        Signed evidence, an array for each stretch (N_i,); of several channels of one kind, pooled in a unit that makes
-        them comparable: a calm log of one motor cannot foresee what a gusty one of another has shown.
-    rate_hz : float
-        Samples per second.
-    alarms_per_hour : float
-        False alarms granted to each channel, shared by its paths.
-    times : Times
-        Times of the paths.
-    most : float
-        How many times the largest value seen a level may be at most.
+    ``evidence`` has an array for each stretch (N_i,); that of several channels of one kind is pooled in a unit that
+    makes them comparable: a calm log of one motor cannot foresee what a gusty one of another has shown. The paths share
+    the rate; a level is ``most`` times the largest value seen at most.
     """
     per_path = alarms_per_hour / _PATHS
 
@@ -142,20 +132,8 @@ def calibrated(
 ) -> Calibrated:
     """Return a channel's alarm rule with its sizes and times.
 
-    Parameters
-    ----------
-    rule : AlarmRule
-        Names, kind and unit.
-    levels : Levels
-        Healthy levels, ``scale`` of the rule's units each.
-    scale : float
-        What the levels were divided by.
-    floor : float
-        Smallest size worth an alarm, in the rule's unit.
-    critical : float
-        Size of a critical fault, at least twice the threshold.
-    times : Times
-        Times of the paths.
+    Healthy levels were divided by ``scale``, in the rule's unit; ``floor`` is the smallest size worth an alarm,
+    ``critical`` the size of a critical fault, at least twice the threshold.
     """
     threshold = max(scale * levels.plain.level, floor)
     return Calibrated(

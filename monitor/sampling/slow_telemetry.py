@@ -27,14 +27,7 @@ def slow_messages(
 ) -> dict[str, float]:
     """Return the messages that come clearly more seldom than wanted in some recording, and how often they come.
 
-    Parameters
-    ----------
-    recordings : Sequence[Mapping[str, float]]
-        Of each recording, how often messages come per second, by name.
-    channels : Collection[Channel]
-        Where the signals are taken from.
-    wanted_hz : float
-        How often they should come per second.
+    Recordings are given as messages per second by name; only messages of the channels count.
     """
     fast = sorted({channel.message for channel in channels} - _seldom(channels))
     rates = {name: min(recording.get(name, 0.0) for recording in recordings) for name in fast}
@@ -54,16 +47,8 @@ def slow_text(slow: Mapping[str, float], wanted_hz: float) -> str:
 def spanned(source: SampleSource, rate_hz: float, rates: Mapping[str, float]) -> dict[str, float]:
     """Return the messages between which an observer takes three samples or more, and how many.
 
-    Those whose values hold until the next one are left out: they may come only when they change.
-
-    Parameters
-    ----------
-    source : SampleSource
-        Where its samples come from.
-    rate_hz : float
-        Samples per second.
-    rates : Mapping[str, float]
-        Messages per second, by name, as they came; those not named, and those of rate zero, are left out.
+    Those whose values hold until the next one are left out: they may come only when they change. So are those without a
+    rate, messages per second by name as they came.
     """
     names = {channel.message for channel in source.channels if channel.interpolation == "linear"}
     if source.transform is not None:

@@ -91,19 +91,7 @@ def make_transform(rule: TransformRule, rate_hz: float) -> Transform:
 
 
 class TransformedSampler:
-    """A sampler of raw signals and the transform behind it, together like a sampler.
-
-    Parameters
-    ----------
-    rule : TransformRule
-        The transform.
-    signals : Sequence[Channel]
-        Where its raw signals come from.
-    rate_hz : float
-        Samples given out per second.
-    clock : VehicleClock
-        The vehicle's clock.
-    """
+    """A sampler of raw signals and the transform behind it, together like a sampler of ``rate_hz`` samples a second."""
 
     def __init__(self, rule: TransformRule, signals: Sequence[Channel], rate_hz: float, clock: VehicleClock) -> None:
         self._sampler = Sampler(signals, (), rule.rate_hz, clock)

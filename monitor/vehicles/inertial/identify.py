@@ -58,18 +58,9 @@ _TILT = 0.01
 def inertial_plant(fit: InertialFit, name: str, gyro_bandwidth: float = 0.15, accel_rate: float = 0.1) -> Plant:
     """Return the blocks whose signals are there as one discrete plant, with the faults that may act in it.
 
-    Parameters
-    ----------
-    fit : InertialFit
-        Scales from healthy flight.
-    name : str
-        Name of the plant.
-    gyro_bandwidth : float
-        How fast a gyro's bias may move, as a share per second of the attitude's own random walk (rad/s): the bandwidth
-        of its estimate, the same for a calm and for a noisy axis.
-    accel_rate : float
-        How fast the bias of the vertical accelerometer may move, m/s^2 per second. The other faults are sensor faults,
-        which may jump.
+    ``gyro_bandwidth`` says how fast a gyro's bias may move, as a share per second of the attitude's own random walk
+    (rad/s): the bandwidth of its estimate, the same for a calm and for a noisy axis. ``accel_rate`` (m/s^2 per second)
+    says it of the bias of the vertical accelerometer. The other faults are sensor faults, which may jump.
     """
     chains = chains_of(fit.inputs, fit.outputs, fit.washout_s, fit.velocity_washout_s)
     vertical = [output for output in ("gps_down", "baro_down") if output in fit.outputs]

@@ -86,19 +86,10 @@ def identify_inertial(
     velocity_washout_s: float,
     position_washout_s: float,
 ) -> InertialFit:
-    """Measure how well the sensors agree in healthy flight.
+    """Measure how well the sensors agree in healthy flight; ``inputs`` and ``outputs`` name the columns of u and y.
 
     Noise is what the difference between an output and the integral of its input does within half a second, disturbance
     what it does beyond that within four.
-
-    Parameters
-    ----------
-    segments : Sequence[InertialSegment]
-        Healthy flight.
-    inputs, outputs : Sequence[str]
-        Names of the columns of u and y.
-    rate_hz, washout_s, velocity_washout_s, position_washout_s : float
-        As the transform has them.
 
     Raises
     ------

@@ -68,13 +68,8 @@ class Frame:
 def frame_of(parameters: Mapping[str, float], outputs: Sequence[int]) -> Frame | None:
     """Return the frame that an autopilot's parameters describe, None where they do not.
 
-    Parameters
-    ----------
-    parameters : Mapping[str, float]
-        The autopilot's: ``CA_ROTOR*`` of PX4; ``FRAME_CLASS`` and ``FRAME_TYPE`` of ArduPilot; functions of outputs
-        of both.
-    outputs : Sequence[int]
-        Numbers of the servo outputs that are motors (s,).
+    Those are ``CA_ROTOR*`` of PX4, ``FRAME_CLASS`` and ``FRAME_TYPE`` of ArduPilot, functions of outputs of both;
+    ``outputs`` are the numbers of the servo outputs that are motors (s,).
     """
     if parameters.get("CA_ROTOR_COUNT", 0) >= len(outputs):
         return _of_px4(parameters, outputs)

@@ -49,15 +49,8 @@ _MANOEUVRES = {
 def identify_surfaces(segments: Sequence[Segment], rate_hz: float, inputs: Sequence[str]) -> AxesFit:
     """Fit the model of the module's docstring.
 
-    Parameters
-    ----------
-    segments : Sequence[Segment]
-        Healthy flight in unbroken stretches: u as the transform gives it without delays and lags, y in the order
-        roll, pitch, yaw rate (rad/s), forward specific force (m/s^2).
-    rate_hz : float
-        Samples per second.
-    inputs : Sequence[str]
-        Names of the columns of u.
+    Segments are healthy flight in unbroken stretches: u as the transform gives it without delays and lags, its columns
+    named by ``inputs``, y in the order roll, pitch, yaw rate (rad/s), forward specific force (m/s^2).
 
     Raises
     ------

@@ -48,15 +48,9 @@ _SMALLEST_SPEED = 0.05
 def identify_drive(segments: Sequence[Segment], rate_hz: float, inputs: Sequence[str]) -> AxesFit:
     """Fit the model of the module's docstring.
 
-    Parameters
-    ----------
-    segments : Sequence[Segment]
-        Healthy driving in unbroken stretches above the minimum speed: u as the transform gives it without curve,
-        delays and lags, y = yaw rate (rad/s), forward specific force (m/s^2).
-    rate_hz : float
-        Samples per second.
-    inputs : Sequence[str]
-        Names of the columns of u: steering, throttle, speed.
+    Segments are healthy driving in unbroken stretches above the minimum speed: u (steering, throttle, speed, named by
+    ``inputs``) as the transform gives it without curve, delays and lags, y = yaw rate (rad/s), forward specific force
+    (m/s^2).
 
     Raises
     ------
