@@ -27,13 +27,15 @@ class Samples:
     restart : NDArray[np.bool_]
         True on the first sample after a gap, a clock jump or the start: the observer restarts (n,).
     complete : NDArray[np.bool_]
-        False where a channel was bridged across lost measurements: an estimate, no evidence (n,).
+        False where measurements of a channel were lost around the tick (n,).
     known_ns : NDArray[np.int64]
         Time on the vehicle's clock of the newest measurement a sample was interpolated from, where that is later than
         the tick: with a GPS of 5 Hz up to 200 ms (n,). Conclusions from the sample are not known earlier.
     measured : NDArray[np.bool_]
-        False where an output was bridged across three or more lost measurements: the observer coasts on its model,
-        which is better than the straight line that ``y`` holds there (n,).
+        False where the observer has to coast on its model, which is better than what ``y`` holds there (n,).
+    lost : NDArray[np.bool_]
+        Inputs, then outputs, of which the sample holds no measurement, but a straight line over many lost ones or the
+        newest value (n, s + p).
     """
 
     index: NDArray[np.int64]
@@ -45,6 +47,7 @@ class Samples:
     complete: NDArray[np.bool_]
     known_ns: NDArray[np.int64]
     measured: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.index)
@@ -62,6 +65,7 @@ class Samples:
             self.complete[rows],
             self.known_ns[rows],
             self.measured[rows],
+            self.lost[rows],
         )
 
 

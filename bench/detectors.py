@@ -157,7 +157,15 @@ def gated(trace: Trace) -> Flight:
     count = len(trace.armed)
     always, times = np.ones(count, np.bool_), (trace.vehicle_ns, trace.unix_ns)
     samples = Samples(
-        np.arange(count), *times, trace.u, trace.y, trace.restart, always, np.zeros(count, np.int64), always
+        np.arange(count),
+        *times,
+        trace.u,
+        trace.y,
+        trace.restart,
+        always,
+        np.zeros(count, np.int64),
+        always,
+        np.zeros((count, trace.u.shape[1] + trace.y.shape[1]), np.bool_),
     )
     return Flight(samples, trace.armed)
 

@@ -1,9 +1,10 @@
 """One observer of a vehicle from samples to events: gate -> estimator -> alarms.
 
-A sample whose outputs were lost (``measured`` of :class:`adapters.sample.Samples`) is coasted: the model goes on alone,
-the hypothesis believed stays, the uncertainty grows. After a gap that is too long for that the observer starts afresh,
-and its samples are evidence again when the effect of a wrong start on its estimates has died away
-(:mod:`monitor.estimation.affine`).
+A sample without measurements (``measured`` of :class:`adapters.sample.Samples`) is coasted: the model goes on alone, the
+hypothesis believed stays, the uncertainty grows, and the debounce of alarms waits. After a gap that is too long for
+that the observer starts afresh, and its samples are evidence again when the effect of a wrong start on its estimates
+has died away (:mod:`monitor.estimation.affine`). A channel that is ``lost`` alone takes the evidence of those faults
+that no other output shows.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.sample import Samples
+from gains.plants.plant import Plant
 from monitor.alarms.alarm import Alarm, retuned
 from monitor.alarms.excuse import Excuses
 from monitor.core.alarms import ChainRows, evidence_of, walk
@@ -179,6 +181,7 @@ class ObserverChain:
         self._sampler = GatedSampler(profile.source, gains.rate_hz, clock, rule)
         thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
         self._estimator = make_estimator(observer, profile.isolation, names, thresholds)
+        self._shown_in = shown_in(profile.model, self.layout)
         self._uncertainty = Uncertainty(observer, profile.model, names)
         self._since_measured = SinceMeasured()
         self._command = CommandUnits(profile)
@@ -285,6 +288,10 @@ class ObserverChain:
         evidence, speaking = evidence_of(
             estimates.isolated, found.unexplained, estimates.armed, found.counted, self._fault_of, len(self._alarms)
         )
+        lost = estimates.samples.lost[:, len(self.layout.inputs) :]
+        if lost.any():
+            faults = len(self._faults)
+            speaking[:, :faults] &= ~(lost[:, None] | ~self._shown_in[self._faults]).all(axis=2)
         scaled, relative = {}, {}
         for alarm, fault in enumerate(self._faults):
             if (effect := effects.get(fault)) is not None:
@@ -295,6 +302,25 @@ class ObserverChain:
         samples = estimates.samples
         rows = ChainRows(self._states, position, samples.vehicle_time_ns, samples.restart, evidence, speaking)
         return ChainRun(estimates, rows, self._alarms, scaled, relative, found.smoothed, found.unexplained)
+
+
+def shown_in(plant: Plant | None, layout: Layout) -> NDArray[np.bool_]:
+    """Return the outputs in which each fault shows, at once or later (a, p); all where the plant is not known."""
+    shown = np.ones((len(layout.faults), len(layout.outputs)), np.bool_)
+    if plant is None:
+        return shown
+    n = len(plant.states)
+    moves = plant.A != 0.0
+    for g, column in zip(plant.nonlinearities, plant.G.T, strict=True):
+        moves |= np.outer(column != 0.0, (g.rows != 0.0).any(axis=0))
+    moves = np.linalg.matrix_power((moves | np.eye(n, dtype=np.bool_)).astype(np.float64), n) > 0.0
+    for fault in plant.faults:
+        if fault.name not in layout.faults:
+            continue
+        column = plant.B[:, plant.inputs.index(fault.input)] if fault.input else fault.column
+        reached = column if fault.kind == "sensor" else (plant.C != 0.0) @ (moves @ (column != 0.0))
+        shown[layout.faults.index(fault.name)] = reached != 0.0
+    return shown
 
 
 def alarm_events(runs: Sequence[ChainRun], excuses: Excuses) -> list[AlarmEvent]:

@@ -29,6 +29,7 @@ class Row(NamedTuple):
     complete: bool
     known_ns: int
     measured: bool
+    lost: bytes
 
     @property
     def bits(self) -> tuple[Any, ...]:
@@ -50,6 +51,7 @@ def rows(samples: Samples) -> list[Row]:
             bool(samples.complete[k]),
             int(samples.known_ns[k]),
             bool(samples.measured[k]),
+            samples.lost[k].tobytes(),
         )
         for k in range(len(samples))
     ]
@@ -80,6 +82,7 @@ def raw_samples(u: NDArray[np.float64], first: int = 0) -> Samples:
         complete=np.ones(count, np.bool_),
         known_ns=index * 10_000_000,
         measured=np.ones(count, np.bool_),
+        lost=np.zeros((count, u.shape[1]), np.bool_),
     )
 
 

@@ -87,5 +87,5 @@ def transformed(
 
 def fed(transform: Strapdown, raw: Array, first: int = 0, lost: frozenset[int] = frozenset()) -> list[Row]:
     samples = raw_samples(raw, first)
-    samples.measured[:] = [k not in lost for k in range(first, first + len(raw))]
+    samples.lost[:] = [[k in lost] for k in range(first, first + len(raw))]
     return rows(transform.run(samples).samples)

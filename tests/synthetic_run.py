@@ -44,6 +44,7 @@ def estimates(ticks: Sequence[int], rng: np.random.Generator) -> Estimates:
         complete=np.full(count, True),
         known_ns=np.zeros(count, np.int64),
         measured=np.full(count, True),
+        lost=np.full((count, 8), False),
     )
     return Estimates(
         observer=LAYOUT.observer,

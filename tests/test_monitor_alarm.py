@@ -50,7 +50,9 @@ def process(
     speaking = np.ones(count, np.bool_) if speaking is None else speaking
     always, nothing = np.ones(count, np.bool_), np.zeros((count, 0))
     unix_ns = times_ns + unix_minus_vehicle_ns
-    samples = Samples(np.arange(count), times_ns, unix_ns, nothing, nothing, restart, always, times_ns, always)
+    samples = Samples(
+        np.arange(count), times_ns, unix_ns, nothing, nothing, restart, always, times_ns, always, nothing > 0
+    )
     rows = ChainRows([alarm.state], np.arange(count), times_ns, restart, evidence[:, None], speaking[:, None])
     events: list[AlarmEvent] = []
     command = 0.5 if relative is None else None

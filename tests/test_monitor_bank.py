@@ -54,7 +54,8 @@ def bank_of(gains: tuple[Gains, ...]) -> Bank:
 def samples_of(y: np.ndarray, restart: bool = False) -> Samples:
     """Return samples without a command, the first of them a restart or not."""
     index, flags = np.arange(len(y)), np.ones(len(y), np.bool_)
-    return Samples(index, index, index, np.zeros((len(y), 1)), y, restart & (index == 0), flags, index, flags)
+    none = np.zeros((len(y), 1 + y.shape[1]), np.bool_)
+    return Samples(index, index, index, np.zeros((len(y), 1)), y, restart & (index == 0), flags, index, flags, none)
 
 
 def run(bank: Bank, x: np.ndarray, fault: np.ndarray, seed: int) -> tuple[EstimatorRun, np.ndarray]:

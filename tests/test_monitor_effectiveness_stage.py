@@ -60,7 +60,8 @@ def feed(
     one.now_ns += STEP_NS * count
     flags = np.ones(count, np.bool_)
     u, fault = np.tile([command, 0.5, speed], (count, 1)), np.tile([9.0, 9.0, -loss * command], (count, 1))
-    samples = Samples(rows, times_ns, times_ns, u, np.zeros((count, 1)), restart & (rows == 0), flags, times_ns, flags)
+    y, none = np.zeros((count, 1)), np.zeros((count, 4), np.bool_)
+    samples = Samples(rows, times_ns, times_ns, u, y, restart & (rows == 0), flags, times_ns, flags, none)
     runs = one.stage.run(samples, fault, armed & flags)
     assert set(runs) == {STEERING}
     run = runs[STEERING]
@@ -150,7 +151,8 @@ def driven(seed: int) -> tuple[Samples, Array, NDArray[np.bool_]]:
     fault = np.zeros((LONG, 3))
     fault[:, [2, 1]] = faulty[:, None] * (-lost * u[:, :2] + offset) + rng.normal(scale=0.01, size=(LONG, 2))
     time_ns = k * STEP_NS + 10**9
-    samples = Samples(k, time_ns, time_ns, u, np.zeros((LONG, 1)), k == 0, k >= 0, time_ns, np.ones(LONG, np.bool_))
+    none = np.zeros((LONG, 4), np.bool_)
+    samples = Samples(k, time_ns, time_ns, u, np.zeros((LONG, 1)), k == 0, k >= 0, time_ns, k >= 0, none)
     return samples, fault, rng.random(LONG) < 0.97
 
 

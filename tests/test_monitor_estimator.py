@@ -79,7 +79,7 @@ def flight(rng: np.random.Generator, count: int) -> Samples:
     index = np.arange(count, dtype=np.int64)
     lost = rng.random(count) < rare
     complete, restart = ~lost & (rng.random(count) > rare), rng.random(count) < 0.01 * (rare > 0.0)
-    return Samples(index, index, index, u, y, restart, complete, index, ~lost)
+    return Samples(index, index, index, u, y, restart, complete, index, ~lost, np.tile(lost[:, None], 3))
 
 
 @given(kind=st.sampled_from(["bank", "bank", "single", "independent"]), seed=st.integers(0, 100_000), parts=cuts(500))

@@ -27,7 +27,7 @@ def estimates(index: int, time_ns: int | None = None) -> Estimates:
     times_ns = np.array([index * 10_000_000]), np.array([when])
     return Estimates(
         observer="motors",
-        samples=Samples(np.array([index]), *times_ns, signals, signals, ~yes, yes, times_ns[0], yes),
+        samples=Samples(np.array([index]), *times_ns, signals, signals, ~yes, yes, times_ns[0], yes, signals > 0),
         x=np.array([[0.5]]),
         fault=np.array([[-0.02, np.nan]]),
         isolated=np.zeros((1, 2)),

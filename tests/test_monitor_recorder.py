@@ -89,6 +89,7 @@ def estimates(first: int, count: int = 1, layout: Layout = LAYOUT) -> Estimates:
         complete=np.full(count, True),
         known_ns=np.zeros(count, np.int64),
         measured=np.full(count, True),
+        lost=np.full((count, 5), False),
     )
     return Estimates(
         observer=layout.observer,

@@ -64,7 +64,8 @@ def test_surfaces_act_with_the_square_of_airspeed_and_damping_with_airspeed(airs
 def test_too_slow_an_airspeed_is_no_evidence_and_no_division_by_zero() -> None:
     samples = [plane(0, airspeed=0.0, restart=True), plane(1, airspeed=9.0), plane(2, airspeed=11.0)]
     found = given_out(SurfaceInputs(SPEEDS, RATE_HZ, RATE_HZ), samples)
-    assert [sample.complete for sample in found] == [False, False, True]
+    assert [any(sample.lost) for sample in found] == [True, True, False]
+    assert all(sample.measured for sample in found)
     assert all(np.isfinite(sample.u).all() for sample in found)
 
 
@@ -81,7 +82,8 @@ def test_steering_acts_with_the_speed_along_the_heading_also_in_reverse(
 def test_a_standing_rover_gives_no_evidence() -> None:
     samples = [rover(0, 1.0, 0.1, restart=True), rover(1, 1.0, -0.1), rover(2, 1.0, -0.9)]
     found = given_out(DriveInputs(CRAWL, RATE_HZ, RATE_HZ), samples)
-    assert [sample.complete for sample in found] == [False, False, True]
+    assert [any(sample.lost) for sample in found] == [True, True, False]
+    assert all(sample.measured for sample in found)
 
 
 def test_sliding_sideways_is_no_speed() -> None:

@@ -51,7 +51,7 @@ def test_samples_come_at_the_observers_rate_with_the_transforms_names() -> None:
 @pytest.mark.parametrize("by_gap", [True, False])
 def test_a_gap_and_a_restart_start_the_transform_anew(by_gap: bool) -> None:
     sampler = TransformedSampler(RULE, SIGNALS, 25.0, VehicleClock())
-    messages = [*still(4.0, (2.0, 3.0) if by_gap else (0.0, 0.0))]
+    messages = [*still(5.0, (2.0, 4.0) if by_gap else (0.0, 0.0))]
     samples = given(sampler, messages[:200])
     if not by_gap:
         sampler.restart()

@@ -73,6 +73,7 @@ cdef class Choice:
     cdef double[:, ::1] residual
     cdef double[::1] fault, J, cost, evidence
     cdef Py_ssize_t believed
+    cdef bint coasted
 
     def __init__(self, whitening, spans, channel, shown, scaling, groups, own, edges, washouts, keep, floor, share,
                  penalty):
@@ -94,7 +95,7 @@ cdef class Choice:
         for k in self.watched:
             self.is_compared[self.channel[self.spans[k]]] = False
         self.remembered = np.zeros(len(self.washouts), np.uint8)
-        self.believed, self.unexplained = self.compared[0], 0.0
+        self.believed, self.unexplained, self.coasted = self.compared[0], 0.0, False
 
     def run(self, const double[:, :, :] x, const double[:, :] fault, const double[:, :, :] residual,
             const unsigned char[:] measured, const unsigned char[:] complete, const unsigned char[:] restart):
@@ -124,7 +125,8 @@ cdef class Choice:
             if restart[k]:
                 self.clear()
             if measured[k] or restart[k]:
-                self.update(fault, residual, k, complete[k])
+                self.update(fault, residual, k, complete[k] and not self.coasted)
+            self.coasted = not (measured[k] or restart[k])
             for i in range(states):
                 shown_x[k, i] = x[k, self.believed, i]
             for i in range(p):
@@ -359,8 +361,12 @@ cdef class EdgeDetector:
     cdef double step(self) noexcept:
         """Return the step from before the gap to after it, zero where the estimate is not flat on both sides."""
         cdef double step, swing
+        cdef Py_ssize_t rows
         if self.loud or self.filled < self.size or self.bridged > EDGE_BRIDGED * self.size:
             return 0.0
+        for rows in range(self.after, self.before + 1):
+            if self.is_bridged[(self.head + self.size - rows) % self.size]:
+                return 0.0
         step = self.back(self.after) - self.back(self.before)
         swing = max(
             fabs(self.back(0) - self.back(self.after)),

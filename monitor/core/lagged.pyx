@@ -89,12 +89,12 @@ cdef class LaggedMeans:
     cdef list _lags
     cdef Py_ssize_t _size, _inputs, _outputs, _grouped
     cdef double* _sum
-    cdef bint _complete, _restart
+    cdef bint _complete, _measured, _evident, _restart
 
     def __init__(self, timing, double rate_hz, Py_ssize_t size, Py_ssize_t inputs, Py_ssize_t outputs):
         self._lags = [_Lag.__new__(_Lag, delay_s, lag_s, rate_hz) for delay_s, lag_s in timing]
         self._size, self._inputs, self._outputs = size, inputs, outputs
-        self._complete = self._restart = True
+        self._complete = self._measured = self._evident = self._restart = True
         self._sum = <double*>PyMem_Malloc((inputs + outputs) * sizeof(double))
         if self._sum == NULL:
             raise MemoryError
@@ -112,19 +112,21 @@ cdef class LaggedMeans:
         columns : Sequence[NDArray[np.float64]]
             u and behind it y, one column each (n,).
         evidence : NDArray[np.bool_]
-            Where the sample is evidence (n,); a mean with another one in it is not ``complete``.
+            Where the sample is evidence (n,); a mean with another one in it is none: its channels count as ``lost``.
         """
         cdef const double[:, ::1] given = np.column_stack(columns)
         cdef const long long[:] index = samples.index, vehicle = samples.vehicle_time_ns
         cdef const long long[:] time = samples.time_ns, known = samples.known_ns
         cdef const unsigned char[:] restart = samples.restart.view(np.uint8)
-        cdef const unsigned char[:] good = (samples.complete & evidence).view(np.uint8)
+        cdef const unsigned char[:] complete = samples.complete.view(np.uint8)
+        cdef const unsigned char[:] measured = samples.measured.view(np.uint8)
+        cdef const unsigned char[:] evident = evidence.view(np.uint8)
         cdef Py_ssize_t row, i, place, count = 0, most = 0, width = self._inputs + self._outputs
         cdef Py_ssize_t lagged = len(self._lags)
         cdef double value
         for row in range(index.shape[0]):
             most += index[row] % self._size == self._size - 1
-        whole, marks, ends = np.empty((4, most), np.int64), np.ones((3, most), np.bool_), np.empty(most, np.intp)
+        whole, marks, ends = np.empty((4, most), np.int64), np.empty((4, most), np.bool_), np.empty(most, np.intp)
         inputs, outputs = np.empty((most, self._inputs)), np.empty((most, self._outputs))
         cdef long long[:, ::1] times = whole
         cdef unsigned char[:, ::1] flags = marks.view(np.uint8)
@@ -139,14 +141,16 @@ cdef class LaggedMeans:
             if restart[row] or place == 0:
                 self._grouped = 0
                 memset(self._sum, 0, width * sizeof(double))
-                self._complete = True
+                self._complete = self._measured = self._evident = True
             for i in range(width):
                 value = given[row, i]
                 if i < lagged:
                     value = (<_Lag>self._lags[i]).step(value)
                 self._sum[i] = self._sum[i] + value
             self._grouped += 1
-            self._complete = self._complete and good[row]
+            self._complete = self._complete and complete[row]
+            self._measured = self._measured and measured[row]
+            self._evident = self._evident and evident[row]
             if self._grouped < self._size or place != self._size - 1:
                 continue
             for i in range(self._inputs):
@@ -155,13 +159,15 @@ cdef class LaggedMeans:
                 y[count, i] = self._sum[self._inputs + i] / self._grouped
             times[0, count] = index[row] // self._size
             times[1, count], times[2, count], times[3, count] = vehicle[row], time[row], known[row]
-            flags[0, count], flags[1, count] = self._restart, self._complete
+            flags[0, count], flags[1, count], flags[2, count] = self._restart, self._complete, self._measured
+            flags[3, count] = not (self._measured and self._evident)
             self._restart = False
             rows[count] = row
             count += 1
         if count < most:
             whole, marks, ends = whole[:, :count], marks[:, :count], ends[:count]
             inputs, outputs = inputs[:count], outputs[:count]
+        lost = np.broadcast_to(marks[3][:, np.newaxis], (count, width))
         return Given(
-            Samples(whole[0], whole[1], whole[2], inputs, outputs, marks[0], marks[1], whole[3], marks[2]), ends
+            Samples(whole[0], whole[1], whole[2], inputs, outputs, marks[0], marks[1], whole[3], marks[2], lost), ends
         )

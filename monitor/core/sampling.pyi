@@ -11,6 +11,8 @@ from adapters.sample import Samples
 MAX_STAMP_NS: int
 CAPACITY: int
 LINE_PERIODS: int
+RAW_LINE_S: float
+MAX_GAP_S: float
 
 class VehicleClock:
     @property

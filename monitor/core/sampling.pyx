@@ -16,19 +16,23 @@ their order count:
    measurements around t_k, ``previous`` ones hold the newest at or before it, ``mean`` ones take the mean over
    t_k to t_k+1 of the straight lines between measurements (what a quick command did until the next tick of a slow
    grid, which has to be waited for). So a sample comes at most one period of the slowest channel after its time,
-   or after the next tick.
-4. A channel's nominal period is the median of its last 31 steps from stamp to stamp. If the measurements
-   around t_k (with ``mean``: any two neighbours whose line is used) are more than 1.5 periods apart (1 ms or a quarter of a period, whichever is less, is granted
-   for jitter), some were lost in between and the sample is marked ``complete=False``: an estimate, no
-   evidence. If three or more of an output's are missing, of one that comes at least at every second tick, it
-   is marked ``measured=False`` too: the observer coasts, for over such a distance its model is better than a
-   straight line. Without outputs any channel counts (the raw signals of a transform). If they are further apart
-   than 10 periods and than ``max_gap_s``, it is a gap: its ticks are skipped and the first sample after it is
-   marked ``restart=True``. The default of 0.1 s is ten samples at 100 Hz, about as long as a straight line is close
-   to a body rate; an observer is better started afresh than fed with more of it.
-5. A channel that stops while others go on is waited for until the vehicle's clock is 0.5 s and 10 of its
-   periods ahead; then ticks are skipped and measurements that only they would have used are dropped. Memory
-   is bounded.
+   or after the next tick. Where measurements of a channel came late, as rule 2 has it, a tick between neighbours so far
+   apart that one was lost waits until the newest is as far ahead of them as one was late in the last 10 to 20 s
+   (half a second at most): one between them may still come. On a link that keeps the order nothing waits.
+4. A channel's nominal period is the median of its last 31 steps from stamp to stamp; where the grid is slower its
+   period takes the place. Lines between measurements up to 1.75 periods apart are as good as measurements. Are those
+   around t_k (with ``mean``: any two neighbours whose line is used) further apart, some were lost in between, and the
+   sample is marked ``complete=False``. If three or more are missing, the channel is ``lost``: its straight line is
+   no measurement. One slower than every second tick is lost at a gap only, a mean after a whole tick; the raw signals
+   of a transform, of which integrals are taken, not before ``RAW_LINE_S``. A sample of an observer in which a
+   channel is lost is marked ``measured=False``: the observer coasts on its model.
+   Where nothing came for longer than 10 periods and than ``max_gap_s`` it is a gap: its ticks are skipped and the
+   first sample after it is marked ``restart=True``. That holds for each channel of an observer, and for raw signals
+   where all of them lack.
+5. A channel that stops while others go on is waited for until the vehicle's clock is 0.5 s and 10 of its periods
+   ahead of it (three of a raw signal's), and of the time at which messages came again after none did; then ticks
+   are given out with its newest value, and the channel lost, until rule 4 calls it a gap. Then ticks are skipped
+   and measurements that only they would have used are dropped. Memory is bounded.
 6. Which stamps to believe is decided by the clock (:class:`VehicleClock`): a reboot starts all buffers anew, a
    single damaged stamp does not. A message with a doubtful stamp is held back until the next one decides about
    it; the stamp of a 32-bit counter that turned over is continued.
@@ -97,20 +101,32 @@ cdef int _FIRST_STEPS = 3
 # Chosen: a changed rate moves the median after 16 steps; looking every eighth step sees it at most a half later, and
 # sorting 31 steps each time would cost more than the rest of the sampling.
 cdef int _RELEARN_EVERY = 8
-# Rule 4. Stamps in milliseconds are rounded by up to one; of steps of 10 ms in 12 recorded flights 99.9 % lie within a
-# quarter of a period.
-cdef nanoseconds _JITTER = _MILLISECOND
+# Rule 4, in quarters of a period. A lost measurement leaves two periods, and a quarter is granted for jitter: of steps of
+# 10 ms in 12 recorded flights 99.9 % lie within it. PX4's loop of 4 ms makes steps of 8, 12 and 16 ms of 100 Hz.
+cdef nanoseconds _WHOLE_QUARTERS = 7
 # Rule 5. Chosen: over four times the longest silence of 12 recorded flights; the longer, the later all other channels.
 cdef nanoseconds _SILENCE = 500 * _MILLISECOND
-# Rules 4 and 5. Chosen: the default of max_gap_s for a channel at 100 Hz; slower ones in proportion.
+# Rule 5. Two measurements of a raw signal may be lost before it counts as stopped, and others go on without it.
+cdef nanoseconds _SILENT_PERIODS = 3
+# Rules 4 and 5. Chosen: ten samples of a slow channel or grid; quick ones have max_gap_s.
 cdef nanoseconds _GAP_PERIODS = 10
+# Rule 3. Chosen: as long as a channel that stopped is waited for.
+cdef nanoseconds _LATEST = _SILENCE
+# Rule 3. The hold-back ends after one window without late measurements, at most two.
+cdef nanoseconds _LATE_WINDOW = 10 * _SECOND
 
 LINE_PERIODS = 3
-"""Lost measurements of an output from which the observer coasts (rule 4): of 1, 2, 3 the best of those measured
+"""Lost measurements of a channel from which the observer coasts (rule 4): of 1, 2, 3 the best of those measured
 (docs/measurements.md, bench/gaps.py)."""
+RAW_LINE_S = 0.15
+"""Longest line of a raw signal that counts as measured (rule 4), seconds: lines of 0.11 s cost the inertial observer
+nothing, those of 0.31 s raise its gyros in brisk flight (docs/measurements.md)."""
+MAX_GAP_S = 1.5
+"""Default of ``max_gap_s``."""
 
 # Values and times beyond these are no measurements; ten times the longest period still fits into 64 bits.
 cdef double _MAX_VALUE = MAX_VALUE
+cdef nanoseconds _RAW_LINE = round(1e9 * RAW_LINE_S)
 cdef nanoseconds _LONGEST_PERIOD = 1 << 58
 
 CAPACITY = 1 << 14
@@ -407,18 +423,21 @@ cdef class Lane:
     loss
         Distance of neighbours beyond which measurements are missing between them.
     line
-        Distance of neighbours beyond which a model of an output is better than the straight line between them.
+        Distance of neighbours beyond which the straight line between them is no measurement.
     gap
         Distance of neighbours beyond which nothing is interpolated.
     silence
         How long a lane that stopped is waited for.
+
+    ``hold`` is how far ahead of a tick the newest measurement has to be where one may be missing around it.
     """
 
     cdef Column* columns
     cdef int width
     # Whether any of them is a mean over the time until the next tick.
     cdef bint averages
-    cdef nanoseconds max_gap, slow, line_periods
+    cdef nanoseconds max_gap, tick, line_periods
+    cdef bint raw
     # Measurements start <= i < start + count of buffers with room for `room`.
     cdef nanoseconds* _stamps
     cdef double* _rows
@@ -427,9 +446,11 @@ cdef class Lane:
     cdef int newest_step
     cdef nanoseconds learned
     cdef nanoseconds loss, line, gap, silence
+    # The largest lateness of this window and of the one before, and where this one ends.
+    cdef nanoseconds hold, latest, latest_before, window_end
 
-    def __cinit__(self, int width, nanoseconds max_gap, nanoseconds slow):
-        self.width, self.max_gap, self.slow, self.line_periods = width, max_gap, slow, LINE_PERIODS
+    def __cinit__(self, int width, nanoseconds max_gap, nanoseconds tick, bint raw):
+        self.width, self.max_gap, self.tick, self.raw, self.line_periods = width, max_gap, tick, raw, LINE_PERIODS
         self.columns = <Column*>PyMem_Malloc(width * sizeof(Column))
         if self.columns == NULL:
             raise MemoryError
@@ -451,11 +472,50 @@ cdef class Lane:
 
     cdef void set_limits(self, nanoseconds period) noexcept:
         """Let what follows from a period hold."""
+        cdef nanoseconds spacing
         period = min(period, _LONGEST_PERIOD)
-        self.gap = max(self.max_gap, _GAP_PERIODS * period)
-        self.loss = period + period // 2 + min(_JITTER, period // 4)
-        self.line = self.gap if period >= self.slow else self.loss + (self.line_periods - 1) * period
-        self.silence = max(_SILENCE, _GAP_PERIODS * period)
+        spacing = max(period, self.tick)
+        self.gap = max(self.max_gap, _GAP_PERIODS * spacing)
+        # A mean takes every measurement, however slow the grid is.
+        spacing = period if self.averages else spacing
+        self.loss = _WHOLE_QUARTERS * spacing // 4
+        self.line = self.loss + (self.line_periods - 1) * spacing
+        if self.averages:
+            self.line = max(self.line, self.tick)
+        elif self.raw:
+            self.line = max(self.line, _RAW_LINE)
+        elif 2 * period >= 5 * self.tick:
+            self.line = self.gap
+        self.silence = max(_SILENCE, (_SILENT_PERIODS if self.raw else _GAP_PERIODS) * period)
+
+    cdef void arrive_late(self, nanoseconds by, nanoseconds now) noexcept:
+        """Learn that a measurement came behind a newer one of the lane."""
+        if by <= _LATEST:
+            self.turn_window(now)
+            self.latest = max(self.latest, by)
+            self.hold = max(self.latest, self.latest_before)
+
+    cdef void turn_window(self, nanoseconds now) noexcept:
+        """Begin another window where it is time for it."""
+        if now >= self.window_end:
+            self.latest_before = self.latest if now < self.window_end + _LATE_WINDOW else 0
+            self.latest, self.window_end = 0, now + _LATE_WINDOW
+            self.hold = self.latest_before
+
+    cdef bint is_whole(self, nanoseconds due, nanoseconds until) noexcept:
+        """Return whether no measurement may still come between those around a time, the newest being after it."""
+        cdef nanoseconds* stamps = self.stamps()
+        cdef nanoseconds newest = self.newest()
+        cdef Py_ssize_t i = self.count - 1
+        while i > 0 and stamps[i - 1] >= until:
+            i -= 1
+        if stamps[i] == until and due == until:
+            return True
+        while i > 0 and stamps[i] > due:
+            if stamps[i] - stamps[i - 1] > self.loss and newest < stamps[i] + self.hold:
+                return False
+            i -= 1
+        return True
 
     cdef inline bint ready(self) noexcept:
         """Return whether enough measurements came to tell their period."""
@@ -477,6 +537,7 @@ cdef class Lane:
     cdef void clear(self) noexcept:
         """Forget everything."""
         self.start = self.count = self.learned = self.newest_step = 0
+        self.hold = self.latest = self.latest_before = self.window_end = 0
         self.set_limits(0)
 
     cdef inline void drop(self, Py_ssize_t count) noexcept:
@@ -558,7 +619,7 @@ cdef class Lane:
         cdef nanoseconds* stamps = self.stamps()
         cdef nanoseconds longest = 0
         cdef Py_ssize_t i = 0
-        while stamps[i] < until:
+        while i + 1 < self.count and stamps[i] < until:
             i += 1
             longest = max(longest, stamps[i] - stamps[i - 1])
             if stamps[i] - stamps[i - 1] > self.gap:
@@ -566,7 +627,7 @@ cdef class Lane:
         return longest
 
     cdef void average(self, nanoseconds due, nanoseconds until, double* vector) noexcept:
-        """Write the means over the time from due until the next tick of the lines from measurement to measurement into [u; y]."""
+        """Write the means over a time of the lines from measurement to measurement, and what holds after, into [u; y]."""
         cdef nanoseconds* stamps = self.stamps()
         cdef nanoseconds first, last
         cdef Column* column
@@ -579,7 +640,7 @@ cdef class Lane:
                 continue
             # Sums of differences from the oldest value: exact for a constant, and an angle may go on over its range.
             total, value, k = 0.0, 0.0, 0
-            while stamps[k] < until:
+            while k + 1 < self.count and stamps[k] < until:
                 width = <double>(stamps[k + 1] - stamps[k])
                 step = _turned(self.row(k)[i], self.row(k + 1)[i], column.period)
                 first, last = max(due, stamps[k]), min(until, stamps[k + 1])
@@ -588,6 +649,8 @@ cdef class Lane:
                 )
                 value += step
                 k += 1
+            if stamps[k] < until:
+                total += <double>(until - max(due, stamps[k])) * value
             vector[column.place] = self.row(0)[i] + total / <double>(until - due)
 
     cdef Lane part(self, const double* values, bint missing):
@@ -597,7 +660,7 @@ cdef class Lane:
         cdef Lane part
         for i in range(self.width):
             width += (values[self.columns[i].source] != values[self.columns[i].source]) == missing
-        part = Lane.__new__(Lane, width, self.max_gap, self.slow)
+        part = Lane.__new__(Lane, width, self.max_gap, self.tick, self.raw)
         part.averages = self.averages
         if self.count:
             part.grow(self.count + 1)
@@ -614,6 +677,8 @@ cdef class Lane:
         memcpy(part.steps, self.steps, sizeof(self.steps))
         part.newest_step, part.learned = self.newest_step, self.learned
         part.loss, part.line, part.gap, part.silence = self.loss, self.line, self.gap, self.silence
+        part.hold, part.latest, part.latest_before = self.hold, self.latest, self.latest_before
+        part.window_end = self.window_end
         return part
 
 
@@ -638,9 +703,9 @@ cdef class Stream:
     cdef list channels, lanes
     cdef int width
 
-    def __init__(self, group, nanoseconds max_gap, nanoseconds slow, int first):
+    def __init__(self, group, nanoseconds max_gap, nanoseconds tick, bint raw):
         """Begin with ``group``, pairs of place in [u; y] and channel."""
-        cdef Lane lane = Lane.__new__(Lane, len(group), max_gap, slow)
+        cdef Lane lane = Lane.__new__(Lane, len(group), max_gap, tick, raw)
         cdef Column* column
         cdef int i
         self.channels = [channel for _, channel in group]
@@ -691,7 +756,7 @@ cdef class SamplerCore:
     clock : VehicleClock
         The vehicle's clock; several samplers may share it.
     max_gap_s : float
-        Longest distance bridged by interpolation, seconds (at least 10 periods of the channel in any case).
+        Longest time without measurements that is no gap, seconds (at least 10 periods of the channel in any case).
 
     Attributes
     ----------
@@ -714,7 +779,9 @@ cdef class SamplerCore:
     cdef dict _streams
     cdef list _lanes
     cdef Lane _waiting
-    cdef int _boot, _inputs, _size, _first_measured
+    cdef int _boot, _inputs, _size
+    # Whether the channels are the raw signals of a transform.
+    cdef bint _raw
     # The message held back because of its stamp.
     cdef Stream _held
     cdef nanoseconds _held_stamp
@@ -722,16 +789,19 @@ cdef class SamplerCore:
     # The next tick and its time; the last tick given out or skipped; the last one given out and its Unix time.
     cdef bint _started, _restarting, _has_unix
     cdef nanoseconds _next_tick, _due, _until, _last_tick, _unix_tick, _unix
+    # Newest time of the vehicle at the message before, and when messages came again after a time without any.
+    cdef nanoseconds _newest, _resumed
     cdef nanoseconds _messages, _duplicates, _late, _invalid, _untimed, _doubted
     cdef nanoseconds _clock_restarts, _samples, _incomplete, _restarts, _skipped
     # The samples of the batch.
     cdef Tick* _ticks
     cdef double* _vectors
+    cdef char* _lost
     cdef Py_ssize_t _count, _room
     cdef nanoseconds _position
     cdef object _none
 
-    def __init__(self, inputs, outputs, rate_hz, VehicleClock clock not None, max_gap_s=0.1):
+    def __init__(self, inputs, outputs, rate_hz, VehicleClock clock not None, max_gap_s=MAX_GAP_S):
         cdef int widest
         channels = (*inputs, *outputs)
         if not channels or not 0 < rate_hz <= 1_000_000_000:
@@ -739,8 +809,7 @@ cdef class SamplerCore:
         self.clock = clock
         self._boot = clock.boot
         self._inputs, self._size = len(inputs), len(channels)
-        # Raw signals of a transform count as inputs, and are all there is.
-        self._first_measured = len(inputs) if outputs else 0
+        self._raw = not outputs
         self._grid = Grid(rate_hz)
         groups = {}
         for place, channel in enumerate(channels):
@@ -748,7 +817,7 @@ cdef class SamplerCore:
             groups.setdefault(key, []).append((place, channel))
         self._streams, self._lanes = {}, []
         for (name, *_), group in groups.items():
-            stream = Stream(group, round(max_gap_s * 1e9), round(2.5e9 / rate_hz), self._first_measured)
+            stream = Stream(group, round(max_gap_s * 1e9), round(1e9 / rate_hz), self._raw)
             self._streams.setdefault(name, []).append(stream)
         for streams in self._streams.values():
             for stream in streams:
@@ -765,6 +834,7 @@ cdef class SamplerCore:
         PyMem_Free(self._held_row)
         PyMem_Free(self._ticks)
         PyMem_Free(self._vectors)
+        PyMem_Free(self._lost)
 
     def restart(self):
         """Mark the next sample as the first after a break."""
@@ -810,9 +880,22 @@ cdef class SamplerCore:
             for lane in stream.lanes:
                 self._duplicates += lane.width
         elif clockless or self.believe(stream, stamp, received, row):
+            self.follow_clock()
             self.store(stream, stamp, row)
             self.give_out()
         return 0
+
+    cdef void follow_clock(self) noexcept:
+        """Learn when messages came again, the quickest channel's lines having been too long."""
+        cdef nanoseconds now = self.clock.newest_ns, shortest = _MAX_STAMP
+        cdef Lane lane
+        if now > self._newest:
+            if self._started and now - self._newest > _RAW_LINE:
+                for lane in self._lanes:
+                    shortest = min(shortest, lane.line)
+                if now - self._newest > shortest:
+                    self._resumed = now
+            self._newest = now
 
     cdef int believe(self, Stream stream, nanoseconds stamp, nanoseconds received, const double* row) except -1:
         """Return whether the stamp is believed; hold the message back where it is not, store the one held before."""
@@ -842,6 +925,7 @@ cdef class SamplerCore:
         for lane in self._lanes:
             lane.clear()
         self._waiting = None
+        self._newest = self._resumed = 0
         self._started = self._has_unix = False
         self._last_tick = self._due = -1
         self._restarting = True
@@ -893,7 +977,9 @@ cdef class SamplerCore:
                 high = middle
         if lane.stamps()[low] == stamp:
             self._duplicates += lane.width
-        elif stamp <= self._last_tick or lane.count >= _CAPACITY:
+            return 0
+        lane.arrive_late(lane.newest() - stamp, self.clock.newest_ns)
+        if stamp <= self._last_tick or lane.count >= _CAPACITY:
             self._late += lane.width
         else:
             lane.insert(low, stamp, row)
@@ -926,13 +1012,24 @@ cdef class SamplerCore:
                 if not lane.ready():
                     return lane
             return None
-        if self._waiting is None or self._waiting.newest() >= self.needed(self._waiting):
+        if self._waiting is None or not self.may_come(self._waiting):
             self._waiting = None
             for lane in self._lanes:
-                if lane.newest() < self.needed(lane):
+                if self.may_come(lane):
                     self._waiting = lane
                     break
         return self._waiting
+
+    cdef inline bint may_come(self, Lane lane) noexcept:
+        """Return whether the next tick has to wait for a lane."""
+        cdef nanoseconds newest = lane.newest(), needed = self.needed(lane), now = self.clock.newest_ns
+        if lane.hold:
+            lane.turn_window(now)
+        if newest >= needed and (not lane.hold or lane.is_whole(self._due, needed)):
+            return False
+        if now < needed or now - max(newest, self._resumed) <= lane.silence:
+            return True
+        return newest < self._due - lane.gap and not self._raw
 
     cdef void go_to(self, nanoseconds index) noexcept:
         self._next_tick = index
@@ -947,14 +1044,19 @@ cdef class SamplerCore:
         cdef nanoseconds due = self._due, left, right, width, after_gap
         cdef Tick* tick
         cdef double* vector
+        cdef char* lost
         cdef Lane lane
         cdef Py_ssize_t room
+        cdef bint absent, bridged
+        cdef int i
         if self._count == self._room:
             room = 2 * self._room if self._room else 8
             self._ticks = <Tick*>_resized(self._ticks, room * sizeof(Tick))
             self._vectors = <double*>_resized(self._vectors, room * self._size * sizeof(double))
+            self._lost = <char*>_resized(self._lost, room * self._size)
             self._room = room
         tick, vector = self._ticks + self._count, self._vectors + self._count * self._size
+        lost = self._lost + self._count * self._size
         tick.complete = tick.measured = True
         tick.known = due
         for lane in self._lanes:
@@ -964,28 +1066,30 @@ cdef class SamplerCore:
             if left > due:
                 self.skip_to(left)
                 return 0
+            absent = lane.newest() < self.needed(lane)
+            width = 0
             if lane.averages:
                 width = lane.longest_step(self._until, &after_gap)
-                if width > lane.gap:
+                if width > lane.gap and self.is_gap(&after_gap):
                     self.skip_to(after_gap)
                     return 0
                 tick.known = max(tick.known, self._until)
-                tick.complete &= width <= lane.loss
                 lane.average(due, self._until, vector)
-            if left == due:
+            if left == due or lane.count == 1:
                 lane.copy(vector)
-                continue
-            right = lane.stamps()[1]
-            width = right - left
-            tick.known = max(tick.known, right)
-            if width > lane.loss:
-                if width > lane.gap:
-                    self.skip_to(right)
+            else:
+                after_gap = right = lane.stamps()[1]
+                width = max(width, right - left)
+                if right - left > lane.gap and self.is_gap(&after_gap):
+                    self.skip_to(after_gap)
                     return 0
-                tick.complete = False
-                if width > lane.line and lane.columns[lane.width - 1].place >= self._first_measured:
-                    tick.measured = False
-            lane.interpolate(<double>(due - left) / <double>width, vector)
+                tick.known = max(tick.known, right)
+                lane.interpolate(<double>(due - left) / <double>(right - left), vector)
+            tick.complete &= width <= lane.loss and not absent
+            bridged = absent or width > lane.line
+            tick.measured &= not bridged
+            for i in range(lane.width):
+                lost[lane.columns[i].place] = bridged
         tick.index, tick.vehicle, tick.position = self._next_tick, due, self._position
         tick.unix_time = self.to_unix(due)
         tick.restart = self._restarting
@@ -997,6 +1101,23 @@ cdef class SamplerCore:
         self._last_tick = due
         self.go_to(self._next_tick + 1)
         return 0
+
+    cdef bint is_gap(self, nanoseconds* after) noexcept:
+        """Return whether a gap of one lane is one of the samples; ``after``, where it ends, may become later.
+
+        That of a raw signal is where all of them lack: the transform goes on with those that are there.
+        """
+        cdef Lane other
+        if not self._raw:
+            return True
+        for other in self._lanes:
+            if other.count > 1 and other.stamps()[1] <= self._due:
+                other.pass_to(self._due)
+            if other.count > 1:
+                if other.stamps()[1] - other.stamps()[0] <= other.gap:
+                    return False
+                after[0] = max(after[0], other.stamps()[1])
+        return True
 
     cdef void skip_to(self, nanoseconds time) noexcept:
         """Skip the ticks before a time."""
@@ -1014,7 +1135,7 @@ cdef class SamplerCore:
         """Drop what has been waiting too long for a lane that stopped."""
         cdef nanoseconds horizon = self.clock.newest_ns - lane.silence
         cdef Lane other
-        if lane.count and lane.newest() >= horizon:
+        if lane.count and max(lane.newest(), self._resumed) >= horizon:
             return
         self.skip_to(horizon)
         for other in self._lanes:
@@ -1045,6 +1166,7 @@ cdef class SamplerCore:
         if not count and self._none is not None:
             return self._none
         whole, marks = np.empty((5, count), np.int64), np.empty((3, count), np.bool_)
+        lost = np.empty((count, self._size), np.bool_)
         inputs, measured = np.empty((count, self._inputs)), np.empty((count, outputs))
         times, flags = <nanoseconds*>_data(whole), <char*>_data(marks)
         u, y = <double*>_data(inputs), <double*>_data(measured)
@@ -1059,8 +1181,9 @@ cdef class SamplerCore:
             memcpy(u + k * self._inputs, self._vectors + k * self._size, self._inputs * sizeof(double))
             memcpy(y + k * outputs, self._vectors + k * self._size + self._inputs, outputs * sizeof(double))
         samples = Samples(
-            whole[0], whole[1], whole[2], inputs, measured, marks[0], marks[1], whole[3], marks[2]
+            whole[0], whole[1], whole[2], inputs, measured, marks[0], marks[1], whole[3], marks[2], lost
         )
+        memcpy(<char*>_data(lost), self._lost, count * self._size)
         self._count = 0
         collected = samples, whole[4]
         if not count:
@@ -1086,14 +1209,18 @@ cdef class Settling:
         self._settle_ns = settle_s * 1e9
 
     def run(self, samples, bint allowed, least_command):
-        """Return which samples count (n,): complete, ``allowed``, the mean input at least ``least_command``, if any."""
+        """Return which samples count (n,): ``allowed``, the mean input at least ``least_command``, if any, and measured.
+
+        A sample of which all outputs are lost does not count either.
+        """
         cdef const nanoseconds[:] times = samples.vehicle_time_ns
-        cdef const unsigned char[:] restart = samples.restart, complete = samples.complete
+        cdef const unsigned char[:] restart = samples.restart, measured = samples.measured
+        cdef const unsigned char[:, :] lost = samples.lost
         cdef const double[:, :] u
         cdef bint by_command = least_command is not None
         cdef double least = least_command if by_command else 0.0, total
-        cdef Py_ssize_t row, i
-        cdef bint holds
+        cdef Py_ssize_t row, i, outputs_from = samples.u.shape[1]
+        cdef bint holds, present
         admitted = np.empty(times.shape[0], np.bool_)
         cdef unsigned char[::1] flags = admitted
         if by_command:
@@ -1108,7 +1235,12 @@ cdef class Settling:
             if holds and (restart[row] or not self._holds):
                 self._since = times[row]
             self._holds = holds
-            flags[row] = holds and complete[row] and times[row] - self._since >= self._settle_ns
+            flags[row] = holds and measured[row] and times[row] - self._since >= self._settle_ns
+            if flags[row] and lost.shape[1] > outputs_from:
+                present = False
+                for i in range(outputs_from, lost.shape[1]):
+                    present |= not lost[row, i]
+                flags[row] = present
         return admitted
 
 

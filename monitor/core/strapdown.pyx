@@ -27,6 +27,20 @@ cdef double _STEEPEST_COSINE = 0.05
 # reset, as where another estimator took over. That takes a few ticks at most: one that goes on for longer is believed.
 cdef double _RESET_RATE = 1.0
 cdef int _RESET_TICKS = 3
+# How long the gyro or the attitude may lack before all begins anew, seconds. Chosen: as long as a gap of the samples.
+cdef double _LONGEST_S = 1.5
+# What may happen unseen while a sensor lacks. Chosen: several times what a tilt that is 30 mrad off (0.3 m/s^2) and a
+# gyro 1 degree per second off do.
+cdef double _UNSEEN_ACCELERATION = 1.0
+cdef double _UNSEEN_RATE = 0.1
+
+# Groups of signals that come and lack together.
+cdef enum:
+    _IMU
+    _GPS
+    _BARO
+    _MAG
+    _GROUPS
 
 cdef enum:
     # Most signals, and most u or y, with room to spare.
@@ -92,8 +106,22 @@ cdef class StrapdownCore:
     cdef int _count, _inputs, _outputs
     cdef double[_WIDEST] _keep
     cdef double[_WIDEST] _gain
-    # How many ticks a lost measurement is in what is given out.
-    cdef int _longest, _doubt
+    # How many ticks a lost measurement is in what is given out, and for how many more one of each group will be.
+    cdef int _longest
+    cdef int[_GROUPS] _doubt
+    # Outputs of each group, and the one that is not any more.
+    cdef int[_GROUPS] _first
+    cdef int[_GROUPS] _stop
+    # Whether each group lacked at the tick before, as it is delayed; for how many ticks it has; what is added to its
+    # outputs, now and before it lacked; its outputs of the tick before.
+    cdef bint[_GROUPS] _lacked
+    cdef int[_GROUPS] _lacking
+    cdef double[_WIDEST] _added
+    cdef double[_WIDEST] _anchor
+    cdef double[_WIDEST] _place
+    cdef double[2] _speed
+    cdef bint _still
+    cdef int _stills
     # Attitude of the tick before; what it turned so far; first place and the metres of its degrees.
     cdef bint _turning, _placed
     cdef double[9] _attitude
@@ -132,14 +160,19 @@ cdef class StrapdownCore:
         cdef int i
         self._gps, self._baro, self._mag, self._hectopascal, self._dt = gps, baro, mag, hectopascal, dt
         self._speeds = speeds
-        self._motion = _Delay.__new__(_Delay, imu_ticks, 3)
-        self._fixes = _Delay.__new__(_Delay, gps_ticks, 5)
-        self._altitudes = _Delay.__new__(_Delay, baro_ticks, 1)
-        self._levels = _Delay.__new__(_Delay, compass_ticks, 5)
+        # Behind the values: whether their measurements lack.
+        self._motion = _Delay.__new__(_Delay, imu_ticks, 4)
+        self._fixes = _Delay.__new__(_Delay, gps_ticks, 6)
+        self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
+        self._levels = _Delay.__new__(_Delay, compass_ticks, 6)
         self._count, self._inputs, self._outputs = count, inputs, len(washouts)
         for i, (keep, gain) in enumerate(washouts):
             self._keep[i], self._gain[i], self._twice[i] = keep, gain, twice[i]
         self._longest = max(imu_ticks, compass_ticks) + count
+        i = 0
+        for group, outputs in ((_GPS, (5 if speeds else 3) * gps), (_BARO, baro), (_IMU, 3), (_MAG, mag)):
+            self._first[group], self._stop[group] = i, i + outputs
+            i += outputs
         self.restart()
 
     cdef void restart(self) noexcept:
@@ -150,7 +183,12 @@ cdef class StrapdownCore:
         self._turning = self._placed = self._has_before = self._begun = False
         self._fresh = True
         self._heading = 0.0
-        self._resets = self._doubt = self._summed = 0
+        self._resets = self._summed = self._stills = 0
+        self._still = False
+        memset(self._doubt, 0, sizeof(self._doubt))
+        memset(self._lacked, 0, sizeof(self._lacked))
+        memset(self._lacking, 0, sizeof(self._lacking))
+        memset(self._added, 0, sizeof(self._added))
         memset(self._turned, 0, sizeof(self._turned))
         memset(self._y, 0, sizeof(self._y))
         memset(self._once, 0, sizeof(self._once))
@@ -167,16 +205,21 @@ cdef class StrapdownCore:
         cdef const long long[:] index = samples.index, vehicle = samples.vehicle_time_ns
         cdef const long long[:] time = samples.time_ns, known = samples.known_ns
         cdef const unsigned char[:] restart = samples.restart.view(np.uint8)
-        cdef const unsigned char[:] measured = samples.measured.view(np.uint8)
+        cdef const unsigned char[:, :] lost = samples.lost.view(np.uint8)
         cdef Py_ssize_t row, count = 0, most = 0
         cdef double[_WIDEST] now
         cdef double[_WIDEST] places
         cdef double change, before
-        cdef int i
+        cdef double[_WIDEST] meant
+        cdef bint[_GROUPS] lacks
+        cdef bint whole_sample
+        cdef int i, group
         for row in range(index.shape[0]):
             most += index[row] % self._count == 0
         whole, marks, ends = np.empty((4, most), np.int64), np.ones((3, most), np.bool_), np.empty(most, np.intp)
         inputs, outputs = np.empty((most, self._inputs)), np.empty((most, self._outputs))
+        lacking = np.zeros((most, self._inputs + self._outputs), np.bool_)
+        cdef unsigned char[:, ::1] without = lacking.view(np.uint8)
         cdef long long[:, ::1] times = whole
         cdef unsigned char[:, ::1] flags = marks.view(np.uint8)
         cdef Py_ssize_t[::1] rows = ends
@@ -184,14 +227,13 @@ cdef class StrapdownCore:
         for row in range(index.shape[0]):
             if restart[row]:
                 self.restart()
-            # Integrals bear straight lines over one or two lost measurements.
-            self._doubt = max(self._doubt - 1, 0) if measured[row] else self._longest + 1
-            if not self.tick(&raw[row, 0], now, places):
+            self.find_lacking(&lost[row, 0], lacks)
+            if not self.tick(&raw[row, 0], lacks, now, places, meant):
                 continue
             if self._has_before and self._begun:
                 # The mean over a tick, by the trapezoidal rule, goes into the mean over the period.
                 for i in range(self._inputs):
-                    self._sum[i] = self._sum[i] + 0.5 * (self._before[i] + now[i])
+                    self._sum[i] = self._sum[i] + meant[i]
                 self._summed += 1
             memcpy(self._before, now, sizeof(now))
             self._has_before = True
@@ -201,7 +243,15 @@ cdef class StrapdownCore:
                 times[0, count] = self._start_index // self._count
                 times[1, count], times[2, count] = self._start_vehicle, self._start_time
                 times[3, count] = known[row]
-                flags[0, count], flags[1, count] = self._fresh, self._doubt == 0
+                whole_sample = True
+                for group in range(_GROUPS):
+                    if self._doubt[group]:
+                        whole_sample = False
+                        for i in range(self._first[group], self._stop[group]):
+                            without[count, self._inputs + i] = True
+                if self._doubt[_IMU]:
+                    without[count, self._inputs :] = True
+                flags[0, count], flags[1, count] = self._fresh, whole_sample
                 self._fresh = False
                 for i in range(self._inputs):
                     u[count, i] = self._sum[i] / self._summed
@@ -224,38 +274,66 @@ cdef class StrapdownCore:
             self._summed = 0
         if count < most:
             whole, marks, ends = whole[:, :count], marks[:, :count], ends[:count]
-            inputs, outputs = inputs[:count], outputs[:count]
+            inputs, outputs, lacking = inputs[:count], outputs[:count], lacking[:count]
         return Given(
-            Samples(whole[0], whole[1], whole[2], inputs, outputs, marks[0], marks[1], whole[3], marks[2]), ends
+            Samples(whole[0], whole[1], whole[2], inputs, outputs, marks[0], marks[1], whole[3], marks[2], lacking),
+            ends,
         )
 
-    cdef bint tick(self, const double* signals, double* u, double* y) noexcept:
-        """Fill in u of this tick and the integrals y before washing; return whether every delay line is full."""
+    cdef void find_lacking(self, const unsigned char* lost, bint* lacks) noexcept:
+        """Fill in which groups lack at a tick, and follow for how long that is in what is given out."""
+        cdef int[_GROUPS] width
+        cdef int group, i
+        width[_IMU], width[_GPS], width[_BARO], width[_MAG] = 9, (3 + self._speeds) * self._gps, self._baro, 3 * self._mag
+        for group in range(_GROUPS):
+            lacks[group] = False
+            for i in range(width[group]):
+                lacks[group] |= lost[i]
+            lost += width[group]
+            self._doubt[group] = self._longest + 1 if lacks[group] else max(self._doubt[group] - 1, 0)
+        # Where the gyro or the attitude lacked for long all begins anew.
+        if lacks[_IMU]:
+            self._stills += 1
+        elif self._stills * self._dt > _LONGEST_S:
+            self.restart()
+        else:
+            self._stills = 0
+
+    cdef bint tick(self, const double* signals, const bint* lacks, double* u, double* y, double* meant) noexcept:
+        """Go on by a tick; return whether every delay line is full.
+
+        Fills in u of this tick, the integrals y before washing, and the means of u since the tick before.
+        """
         cdef const double* rate = signals + 3
         cdef const double* sensors = signals + 9
         cdef double[9] R
-        cdef double[5] values
+        cdef double[6] values
+        cdef double[3] turning
         cdef double* motion
         cdef double* level
         cdef double* fix = NULL
         cdef double* altitude = NULL
         cdef double cosine, course
-        cdef bint full
+        cdef bint full, still = lacks[_IMU] or self._still
         cdef int i = 0, k = 0, axis
         values[0], values[1] = cos(signals[6]), sin(signals[6])
         values[2], values[3] = cos(signals[7]), sin(signals[7])
         _rotation(values, cos(signals[8]), sin(signals[8]), R)
-        self.turn(R, rate)
+        self.turn(R, rate, still, turning)
+        self._still = lacks[_IMU]
+        if still:
+            rate = turning
         cosine = values[2]
         if fabs(cosine) < _STEEPEST_COSINE:
             cosine = _STEEPEST_COSINE if cosine >= 0.0 else -_STEEPEST_COSINE
         # The heading's rate of the body's rates: (q sin(roll) + r cos(roll)) / cos(pitch).
         values[4] = (rate[1] * values[1] + rate[2] * values[0]) / cosine
+        values[5] = still
         level = self._levels.push(values)
         # Acceleration north, east and down: R f + g.
         for axis in range(3):
             values[axis] = R[3 * axis] * signals[0] + R[3 * axis + 1] * signals[1] + R[3 * axis + 2] * signals[2]
-        values[2] = values[2] + _GRAVITY
+        values[2], values[3] = values[2] + _GRAVITY, lacks[_IMU]
         motion = self._motion.push(values)
         full = motion != NULL and level != NULL
         if self._gps:
@@ -275,11 +353,12 @@ cdef class StrapdownCore:
                     values[3 + axis] = (
                         R[3 * axis] * sensors[3] + R[3 * axis + 1] * sensors[4] + R[3 * axis + 2] * sensors[5]
                     )
+            values[5] = lacks[_GPS]
             fix = self._fixes.push(values)
             full = full and fix != NULL
             sensors += 3 + self._speeds
         if self._baro:
-            values[0] = _pressure_altitude(sensors[0]) if self._hectopascal else sensors[0]
+            values[0], values[1] = _pressure_altitude(sensors[0]) if self._hectopascal else sensors[0], lacks[_BARO]
             altitude = self._altitudes.push(values)
             full = full and altitude != NULL
             sensors += 1
@@ -307,21 +386,113 @@ cdef class StrapdownCore:
             u[i + 3] = level[4]
             self._heading = self._heading + _wrapped(_magnetic_heading(level, sensors) - self._heading)
             y[k + 3] = self._heading
+        # The mean over a tick, by the trapezoidal rule.
+        for k in range(self._inputs):
+            meant[k] = 0.5 * (self._before[k] + u[k]) if self._has_before else u[k]
+        if still:
+            for axis in range(3):
+                meant[i + axis] = rate[axis]
+        if self._mag and level[5]:
+            meant[i + 3] = level[4]
+        self.reckon(
+            motion[3] != 0.0,
+            self._gps and fix[5] != 0.0,
+            self._baro and altitude[1] != 0.0,
+            self._mag and lacks[_MAG] and not still and level[5] == 0.0,
+            y,
+            meant,
+        )
         return True
 
-    cdef void turn(self, const double* R, const double* rate) noexcept:
-        """Add what the attitude turned since the tick before; while it is being reset, what the gyro measured."""
+    cdef void reckon(self, bint imu, bint gps, bint baro, bint mag, double* y, double* meant) noexcept:
+        """Let what lacks since the tick before follow what is there.
+
+        What follows makes no difference between u and y, as a step of an observer without that measurement would. The
+        gyro's rates follow the attitude already; accelerations follow the GPS. Of the other groups the outputs follow
+        the inputs, or heights each other; what comes back is compared with what they came to.
+        """
+        cdef bint[_GROUPS] now
+        cdef bint[_GROUPS] lacks
+        cdef bint moves = self._gps and self._speeds
+        cdef int speed = 2 * moves, velocity = 2, down = self._stop[_GPS] - 1, height = self._first[_BARO], group, i
+        cdef double change
+        now[_IMU], now[_GPS], now[_BARO], now[_MAG] = imu, gps, baro, mag
+        for group in range(_GROUPS):
+            lacks[group] = (now[group] or self._lacked[group]) and self._has_before
+            self._lacked[group] = now[group]
+            if lacks[group] and not self._lacking[group]:
+                for i in range(self._first[group], self._stop[group]):
+                    self._anchor[i] = self._added[i]
+            elif self._lacking[group] and not lacks[group]:
+                self.come_back(group, self._lacking[group] * self._dt)
+            self._lacking[group] = self._lacking[group] + 1 if lacks[group] else 0
+        for i in range(self._outputs):
+            y[i] = y[i] + self._added[i]
+        if lacks[_IMU] and (self._gps or self._baro):
+            # The mean of an acceleration that is not known is nearer to zero than to two noisy ones at its ends.
+            meant[speed + 2 * self._gps] = 0.0
+        if lacks[_IMU] and moves:
+            for i in range(2):
+                meant[speed + i] = (y[velocity + i] - self._place[velocity + i]) / self._dt
+        elif lacks[_GPS] and moves:
+            for i in range(2):
+                if self._lacking[_GPS] == 1:
+                    self._speed[i] = self._before[i]
+                change = meant[speed + i] * self._dt
+                meant[i] = self._speed[i] + 0.5 * change
+                self._speed[i] = self._speed[i] + change
+                self.follow(y, velocity + i, change)
+        if lacks[_GPS]:
+            if moves:
+                for i in range(2):
+                    self.follow(y, i, meant[i] * self._dt)
+            if self._baro and not lacks[_BARO]:
+                self.follow(y, down, y[height] - self._place[height])
+        if lacks[_BARO] and self._gps and not lacks[_GPS] and not lacks[_IMU]:
+            self.follow(y, height, y[down] - self._place[down])
+        if lacks[_MAG]:
+            self.follow(y, self._first[_MAG], meant[self._inputs - 1] * self._dt)
+        memcpy(self._place, y, sizeof(self._place))
+
+    cdef void come_back(self, int group, double lacked_s) noexcept:
+        """Compare what comes back with what it was taken to be, less what may have happened meanwhile."""
+        cdef double jump, least
+        cdef int i
+        for i in range(self._first[group], self._stop[group]):
+            jump = self._anchor[i] - self._added[i]
+            if group == _MAG:
+                least = _UNSEEN_RATE * lacked_s
+            elif group == _GPS and self._speeds and 2 <= i < 4:
+                least = _UNSEEN_ACCELERATION * lacked_s
+            else:
+                least = 0.5 * _UNSEEN_ACCELERATION * lacked_s * lacked_s
+            if fabs(jump) > least:
+                self._added[i] = self._added[i] + (jump - least if jump > 0.0 else jump + least)
+
+    cdef inline void follow(self, double* y, int i, double change) noexcept:
+        """Let an output change since the tick before by so much."""
+        change = self._place[i] + change
+        self._added[i] = self._added[i] + (change - y[i])
+        y[i] = change
+
+    cdef void turn(self, const double* R, const double* rate, bint still, double* turning) noexcept:
+        """Add what the attitude turned since the tick before; while it is being reset, what the gyro measured.
+
+        Fills in how fast it turned. Where the gyro's measurements lack it was not reset.
+        """
         cdef double[3] angles
         cdef double step, apart, largest = 0.0
         cdef int axis
+        memcpy(turning, rate, 3 * sizeof(double))
         if self._turning:
             _small_rotation(self._attitude, R, angles)
             for axis in range(3):
                 apart = fabs(angles[axis] - rate[axis] * self._dt)
                 if axis == 0 or apart > largest:
                     largest = apart
-            self._resets = self._resets + 1 if largest > _RESET_RATE * self._dt else 0
+            self._resets = self._resets + 1 if largest > _RESET_RATE * self._dt and not still else 0
             for axis in range(3):
+                turning[axis] = angles[axis] / self._dt
                 step = rate[axis] * self._dt if 0 < self._resets <= _RESET_TICKS else angles[axis]
                 self._turned[axis] = self._turned[axis] + step
         self._turning = True

@@ -80,7 +80,7 @@ def flight_samples(batches: Iterable[Batch], source: SampleSource, rate_hz: floa
 def transformed(flight: Flight, transform: Transform) -> Flight:
     """Return the samples that a transform makes of raw ones."""
     samples, rows = transform.run(flight.samples)
-    return Flight(samples, flight.armed[rows] & samples.complete)
+    return Flight(samples, flight.armed[rows] & ~samples.lost.any(axis=1))
 
 
 def _by_phase(batches: Iterable[Batch]) -> Iterator[tuple[Batch, FlightPhase]]:

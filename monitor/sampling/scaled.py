@@ -2,8 +2,8 @@
 
 Effects go through the actuator's transport delay and first-order lag here, because the accelerations and rates beside
 them, which are inputs as well, do not. Below ``minimum_speed`` a deflection has hardly any effect and division by it
-would only amplify noise: such samples are given out with ``complete=False``, so an observer runs on through them, but
-they are no evidence.
+would only amplify noise: all channels of such samples count as ``lost``, so an observer runs on through them, but they
+are no evidence.
 """
 
 from __future__ import annotations
