@@ -28,8 +28,9 @@ import numpy as np
 
 from adapters.errors import InfeasibleError
 from gains.plants.plant import FloatArray, Plant, check_independence, first_dependent
-from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_constant, solve_lmi
+from gains.published.lmi import block_matrix, confirmed, lipschitz_constant, solve_lmi
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
+from gains.synthesis.solver import gain_energy
 
 _SMALLEST_CONSTANT = 1e-3
 """Lipschitz constant, 1/s, below which a nonlinearity counts as this: the inequality divides by it."""

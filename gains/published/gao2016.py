@@ -30,8 +30,9 @@ import numpy as np
 
 from adapters.errors import InfeasibleError
 from gains.plants.plant import FloatArray, Plant, check_independence, first_dependent
-from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_rows, reported_bound, solve_tempered
+from gains.published.lmi import block_matrix, confirmed, lipschitz_rows, reported_bound, solve_tempered
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
+from gains.synthesis.solver import gain_energy
 
 
 def design_gao2016(plant: Plant, decouple: bool = False, decay: float = 0.3) -> ContinuousObserver:

@@ -27,8 +27,9 @@ import numpy as np
 from adapters.errors import InaccurateError, InfeasibleError
 from gains.analysis.augment import augment
 from gains.plants.plant import Plant
-from gains.published.lmi import block_matrix, confirmed, gain_energy, lipschitz_rows, reported_bound, solve_tempered
+from gains.published.lmi import block_matrix, confirmed, lipschitz_rows, reported_bound, solve_tempered
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous, fauio_observer
+from gains.synthesis.solver import gain_energy
 
 SIGMAS = (1.0, 3.0, 10.0, 30.0, 100.0)
 """Of Young's inequality, which the source leaves open: half a decade apart, the best is taken."""

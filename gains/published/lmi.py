@@ -56,15 +56,6 @@ def block_matrix(blocks: Sequence[Sequence[Any]]) -> Any:
     return cp.bmat(full)
 
 
-def gain_energy(P: Any, Y: Any) -> tuple[Any, Any]:
-    """Return trace(Z) and the constraint Z >= Y' P^-1 Y: the energy that an innovation of size one puts into V."""
-    import cvxpy as cp
-
-    p = Y.shape[1]
-    Z = cp.Variable((p, p), symmetric=True)
-    return cp.trace(Z), block_matrix([[Z, Y.T], [P]]) >> 0
-
-
 def solve_tempered(
     mu: Any, constraints: list[Any], energies: list[tuple[Any, Any]], plant: Plant, method: str, why: str
 ) -> float:

@@ -55,7 +55,7 @@ from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.certificate import certify
 from gains.synthesis.continuous_observer import check_continuous
 from gains.synthesis.design import Design, observer_matrices
-from gains.synthesis.solver import DEFAULT, ROBUST, solve_program
+from gains.synthesis.solver import DEFAULT, ROBUST, gain_energy, solve_program
 
 Theorem = Literal["theorem1", "theorem2"]
 
@@ -259,13 +259,13 @@ def _solve(
     bound = mu if mu_fixed is None else 1.0
     effect = E_z @ P1
     Sigma_q = np.zeros((na, nw))
-    energies, constraints = [_energy(P1, R1_T)], [P1 >> 0]
+    energies, constraints = [gain_energy(P1, R1_T)], [P1 >> 0]
     if a1:
         P2, L_P = level * cp.Variable((a1, a1), symmetric=True), cp.Variable((a1, p))
         P, R2_T = P + E_a @ P2 @ E_a.T, E_a @ L_P
         effect = effect - R2_T @ C_b
         Sigma_q = E_a @ P2 @ terms.rate
-        energies.append(_energy(P2, L_P))
+        energies.append(gain_energy(P2, L_P))
         constraints.append(P2 >> 0)
     half = E_z @ P1 @ terms.L1_A - (E_z @ R1_T + R2_T) @ terms.C - R2_T @ C_b @ terms.L1_A
     Sigma_11 = half + half.T + np.eye(na)
@@ -307,14 +307,6 @@ def _solve(
         P=0.5 * (P_value + P_value.T),
         mu=float(mu.value) if mu_fixed is None else mu_fixed,
     ), seconds
-
-
-def _energy(P: Any, R_T: Any) -> tuple[Any, Any]:
-    """Return trace(Z) and the constraint Z >= L^T P L for R^T = P L."""
-    import cvxpy as cp
-
-    Z = cp.Variable((R_T.shape[1],) * 2, symmetric=True)
-    return cp.trace(Z), cp.bmat([[Z, R_T.T], [R_T, P]]) >> 0
 
 
 def _multiplier(terms: _Terms, constraints: list[Any]) -> Any:

@@ -26,8 +26,9 @@ import numpy as np
 from adapters.errors import InfeasibleError
 from gains.analysis.augment import slope_matrix, slope_vertices
 from gains.plants.plant import Plant
-from gains.published.lmi import block_matrix, confirmed, gain_energy, solve_lmi
+from gains.published.lmi import block_matrix, confirmed, solve_lmi
 from gains.synthesis.continuous_observer import ContinuousObserver, check_continuous
+from gains.synthesis.solver import gain_energy
 
 
 def design_zhang2008(

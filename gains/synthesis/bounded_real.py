@@ -41,7 +41,7 @@ from adapters.errors import InfeasibleError
 from gains.analysis.augment import ErrorModel
 from gains.plants.plant import FloatArray
 from gains.synthesis.conditioning import Coordinates, with_floor
-from gains.synthesis.solver import DEFAULT, ROBUST, bordered, solve_program
+from gains.synthesis.solver import DEFAULT, ROBUST, bordered, gain_energy, solve_program
 
 _LEAST_MU_WEIGHT = 1e-4
 """Keeps mu bounded where h2 = 1 asks for the other norm alone. Smaller, it leaves mu loose (measured on the arm,
@@ -340,12 +340,7 @@ def _noise_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
 
 def _gain_energy(x: _Unknowns) -> tuple[Any, Any]:
     """Return trace(Z) and the constraint Z >= R^T P^-1 R + L_p^T L_p: what an innovation puts into the error."""
-    import cvxpy as cp
-
-    na, p = x.R.shape
-    Z = cp.Variable((p, p), symmetric=True)
-    border = [] if x.L_p is None else [x.L_p, np.zeros((x.L_p.shape[0], na))]
-    return cp.trace(Z), bordered([[Z, x.R.T], [x.R, x.P]], border) >> 0
+    return gain_energy(x.P, x.R, () if x.L_p is None else (x.L_p, np.zeros((x.L_p.shape[0], x.R.shape[0]))))
 
 
 def _solution(x: _Unknowns, noise_energy: float) -> Solution | None:

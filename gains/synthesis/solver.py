@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,7 +45,18 @@ def solve_program(program: Any, *attempts: Mapping[str, Any]) -> float:
     return seconds
 
 
-def bordered(blocks: list[list[Any]], border: list[Any]) -> Any:
+def gain_energy(P: Any, R: Any, border: Sequence[Any] = ()) -> tuple[Any, Any]:
+    """Return trace(Z) and the constraint Z >= R^T P^-1 R: the energy that an innovation of size one puts into P.
+
+    A ``border``, a last block row of the constraint as of :func:`bordered`, adds its own energy.
+    """
+    import cvxpy as cp
+
+    Z = cp.Variable((R.shape[1],) * 2, symmetric=True)
+    return cp.trace(Z), bordered([[Z, R.T], [R, P]], border) >> 0
+
+
+def bordered(blocks: list[list[Any]], border: Sequence[Any]) -> Any:
     """Return the block matrix with the given last block row (and column) and an identity in the corner."""
     import cvxpy as cp
 
