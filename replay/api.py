@@ -17,8 +17,7 @@ from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.event import AlarmEvent
 from monitor.profile import Profile, read_profile
-from monitor.vehicles.custom.fit import custom_messages
-from monitor.vehicles.kinds import fit_messages, fit_types
+from monitor.vehicles.kinds import fit_reading
 from replay.fit import FitReport, fit_profile
 from replay.player import Replay, interests, play_batches
 
@@ -117,7 +116,7 @@ def fit(
     >>> fauio.fit("multirotor", ["monday.tlog", "tuesday.tlog"], "quad/")  # doctest: +SKIP
     """
     own_model = None if model is None else Path(model)
-    wanted, types = (fit_messages(), fit_types()) if own_model is None else (custom_messages(own_model), ())
+    wanted, types = fit_reading(own_model)
     logs = [lambda path=path: Recording(path, wanted, types=types).batches() for path in recordings]
     called = name or Path(folder).resolve().name
     names = [os.fspath(path) for path in recordings]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adapters.errors import StorageError
-from monitor.vehicles.kinds import KINDS, fit_messages, fit_types
+from monitor.vehicles.kinds import KINDS, fit_reading
 from replay import attack_commands
 from replay.runs.replay_command import LOG_HELP, MAPPING_HELP, add_replay
 
@@ -110,7 +110,6 @@ def run_fit(args: argparse.Namespace) -> int:
     from adapters.logs.recordings import Recording, recording_kind
     from monitor.fitting.progress import track
     from monitor.profile import PROFILE_FILE
-    from monitor.vehicles.custom.fit import custom_messages
     from replay.fit import fit_profile
     from replay.runs.log_list import check_output_folder
 
@@ -119,7 +118,7 @@ def run_fit(args: argparse.Namespace) -> int:
     check_output_folder(args.out)
     name = args.name or args.out.resolve().name
 
-    wanted, types = (custom_messages(args.model), ()) if args.model else (fit_messages(), fit_types())
+    wanted, types = fit_reading(args.model)
 
     def log(path: Path) -> Iterator[Batch]:
         recording = Recording(path, wanted, args.mapping, types)

@@ -14,7 +14,7 @@ from adapters.batch import Batch
 from adapters.errors import InfeasibleError, ModelError, OtherVehicleError, TelemetryError, UsageError
 from adapters.output_file import write_file
 from monitor.fitting.fit_report import draw_comparison
-from monitor.fitting.fitted import BatchSource, FitRequest, Fitted
+from monitor.fitting.fitted import BatchSource, FitRequest, Fitted, kept_logs
 from monitor.fitting.flights import phase_reports
 from monitor.fitting.survey import Survey, of_one_vehicle, survey
 from monitor.profile import PROFILE_FILE, Profile, profile_table
@@ -112,11 +112,12 @@ def fit_profile(
     names = tuple(log_names) or tuple(f"recording {number}" for number in range(1, len(logs) + 1))
     surveyed: list[SurveyedLog] = []
     if not vehicle.needs_model:
-        for log, log_name in zip(logs, names, strict=True):
+        kept = kept_logs(logs)
+        for log, log_name in zip(kept, names, strict=True):
             surveyed.append(survey_log(log_name, log))
             if not force:
                 check_vehicle(vehicle, surveyed)
-        logs = [lambda log=log: of_one_vehicle(log()) for log in logs]  # type: ignore[misc]
+        logs = [lambda log=log: of_one_vehicle(log()) for log in kept]  # type: ignore[misc]
     surveys = tuple(one.survey for one in surveyed)
     request = FitRequest(name, logs, surveys, model)
     own, gate = load(vehicle.fit)(request)

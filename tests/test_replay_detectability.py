@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 from matplotlib import image
 
 import fauio
+from adapters.batch import pack
 from adapters.errors import UsageError
 from adapters.logs.mcap_log import MessageLogWriter
-from adapters.logs.recordings import read_recording
+from adapters.logs.recordings import read_batches, read_recording
 from adapters.message import Message
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
@@ -27,7 +28,7 @@ from monitor.views.palette import BLUE, PURPLE, rgba
 from replay.attacks.attack import Attack
 from replay.sensitivity.detectability import Detectability, Row, Sweep, detectability, result_lines
 from replay.sensitivity.detectability_plot import plot_detectability
-from replay.sensitivity.healthy import free_spans, onsets, play_healthy
+from replay.sensitivity.healthy import Window, free_spans, onsets, play_healthy
 from replay.sensitivity.trial import Task, run_task
 
 LOG = Path(__file__).parent / "data" / "copter_healthy_square.tlog.xz"
@@ -109,7 +110,7 @@ def test_a_window_that_raises_by_itself_says_nothing_about_the_fault(quad_profil
     late = Attack("motor1", "loss", start_ns, start_ns + 10**9, size=0.2)
     early = replace(late, channel="motor2", start_ns=111_000_000_000)
     for attack, delay in ((late, None), (early, pytest.approx(0.2, abs=0.2))):
-        (outcome,) = run_task(Task(quad_profile, "motors", 1, messages, (attack,)))
+        (outcome,) = run_task(Task(quad_profile, "motors", 1, Window(pack([]), messages), (attack,)))
         assert outcome.delay_s == delay
 
 
@@ -157,7 +158,10 @@ def test_every_window_is_watched_and_holds_no_alarm(
 
 
 def test_a_window_knows_the_phase_of_flight_from_before(quad_profile: Profile) -> None:
-    cut = play_healthy(quad_profile, read_recording(LOG)).window(80_100_000_000, 80_150_000_000)
+    window = play_healthy(quad_profile, read_batches(LOG)).window(80_100_000_000, 80_120_000_000, 80_150_000_000)
+    cut = window.messages()
+    assert window.names == {message.name for message in cut}
+    assert all(m.fields["time_boot_ms"] >= 80_120 for m in window.tail if m.name == "ATTITUDE")
     assert {message.name for message in cut[:2]} == {"HEARTBEAT", "EXTENDED_SYS_STATE"}
     times = [m.fields["time_boot_ms"] for m in cut if m.name == "ATTITUDE"]
     assert len(times) == 5

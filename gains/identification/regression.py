@@ -18,7 +18,6 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
@@ -190,6 +189,8 @@ def fit_axis(
 
 def lagged(effect: FloatArray, delay_s: float, lag_s: float, rate_hz: float) -> FloatArray:
     """Return an effect (N,) after transport delay and first-order lag, at rest before its start."""
+    from scipy.signal import lfilter
+
     steps = np.arange(len(effect)) - delay_s * rate_hz
     delayed: FloatArray = np.interp(steps, np.arange(len(effect)), effect)
     if lag_s <= 0.0:
@@ -311,6 +312,8 @@ class _Data:
         )
 
     def _simulated(self, theta: FloatArray, lag_s: float, delay_s: float) -> Iterator[FloatArray]:
+        from scipy.signal import lfilter
+
         c = theta[-1] if self.model.offset else 0.0
         for u, z, y in zip(self.u, self.z, self.y, strict=True):
             drive = theta[1] * lagged(u, delay_s, lag_s, self.rate_hz) + z @ theta[2 : 2 + z.shape[1]] + c

@@ -86,7 +86,8 @@ def residual_statistics(
     lags : int
         Number of lags, fewer where the segments are short.
     """
-    from scipy.stats import chi2
+    # not scipy.stats, which takes longer to load than this takes altogether
+    from scipy.special import gammaincc
 
     joined = np.concatenate(segments)
     joined = joined - joined.mean(axis=0)
@@ -99,7 +100,7 @@ def residual_statistics(
         pairs[lag - 1] = len(products)
         rho[lag - 1] = products.sum(axis=0) / power * (len(joined) / len(products))
     # the variance of a lag's correlation is one over its number of pairs, which is Ljung's and Box's correction
-    p = chi2.sf((rho**2 * pairs[:, None]).sum(axis=0), lags)
+    p = gammaincc(0.5 * lags, 0.5 * (rho**2 * pairs[:, None]).sum(axis=0))
     deviation = np.sqrt(power / len(joined))
     standard = joined / deviation
     return tuple(

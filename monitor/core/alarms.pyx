@@ -339,3 +339,67 @@ def walk(chains, on_event):
             if event:
                 on_event(best, row, i, event)
         rows[best] = row + 1
+
+
+def standing_rungs(const int64_t[:] below, Py_ssize_t rungs, Py_ssize_t samples):
+    """Return, for each value, the highest of some rising thresholds at which a debounce would have passed by then.
+
+    The debounce of a threshold counts a value at or above it up and any other down, never below zero; it passes while
+    its count is at least ``samples``. Counts fall from threshold to threshold: it is their differences that are kept,
+    of which a value changes two.
+
+    Parameters
+    ----------
+    below : int64 (n,)
+        How many of the thresholds are at or below each value.
+    rungs : int
+        Number of thresholds.
+    samples : int
+        Values that have to stand, at least 1.
+
+    Returns
+    -------
+    int64 (n,)
+        Index of the threshold, -1 where not even the lowest has passed.
+    """
+    if samples < 1:
+        raise ValueError("a debounce counts to 1 at least")
+    result = np.empty(below.shape[0], np.int64)
+    cdef int64_t[::1] passed = result
+    cdef int64_t[::1] fall = np.zeros(rungs + 1, np.int64)
+    # the number of thresholds whose count is above zero; the highest that passes, and its count
+    cdef Py_ssize_t counting = 0, high = -1, row, at
+    cdef int64_t count = 0
+    for row in range(below.shape[0]):
+        at = below[row]
+        if not 0 <= at <= rungs:
+            raise ValueError("a value has more thresholds below it than there are")
+        # one more for those at or below the value, one less for those above it that count
+        if high >= 0:
+            count += 1 if high < at else -1
+        if at:
+            fall[at - 1] += 1
+        if counting > at:
+            if at:
+                fall[at - 1] += 1
+            fall[counting - 1] -= 1
+        counting = max(counting, at)
+        while counting and not fall[counting - 1]:
+            counting -= 1
+        while high >= 0 and count < samples:
+            high -= 1
+            if high >= 0:
+                count += fall[high]
+        if high < 0:
+            count = 0
+            at = counting - 1
+            while at >= 0 and count + fall[at] < samples:
+                count += fall[at]
+                at -= 1
+            high = at
+            count = count + fall[at] if at >= 0 else 0
+        while high + 1 < counting and count - fall[high] >= samples:
+            count -= fall[high]
+            high += 1
+        passed[row] = high
+    return result

@@ -30,6 +30,17 @@ cdef object _each(angles, double (*function)(double) noexcept nogil):
     return results
 
 
+def exponential_mean(const double[:, :] values, double keep):
+    """Return y(k) = keep y(k-1) + (1 - keep) x(k) of each column of values x (n, m), from y(-1) = 0."""
+    result = np.empty((values.shape[0], values.shape[1]))
+    cdef double[:, ::1] mean = result
+    cdef Py_ssize_t k, i
+    for k in range(values.shape[0]):
+        for i in range(values.shape[1]):
+            mean[k, i] = (1.0 - keep) * values[k, i] + (keep * mean[k - 1, i] if k else 0.0)
+    return result
+
+
 cdef class _Lag:
     """Transport delay (between samples by a straight line) and first-order lag of one signal."""
 

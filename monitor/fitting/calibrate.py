@@ -7,11 +7,11 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from gains.identification.segment import Segment
 from gains.synthesis.gains_file import Gains
 from monitor.chain import ObserverChain
+from monitor.core.lagged import exponential_mean
 from monitor.core.sampling import VehicleClock
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.bank import whitening
@@ -66,7 +66,8 @@ def bank_rule(
     smoothed = []
     for segment in segments:
         raw = observer.run(segment.u, segment.y, restart=np.arange(len(segment.u)) == 0).residual
-        smoothed.append(lfilter([1.0 - keep], [1.0, -keep], raw, axis=0)[settled:])
+        mean = exponential_mean(raw.reshape(len(raw), -1), keep).reshape(raw.shape)
+        smoothed.append(mean[settled:])
     residuals = list(np.moveaxis(np.concatenate(smoothed), 1, 0))
     watched = tuple(any(name in edges for name in one.faults) for one in bank)
     least = 0.0 if noise is None else np.diag((_NOISE_SHARE * noise) ** 2)

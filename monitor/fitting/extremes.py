@@ -29,6 +29,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from monitor.core.alarms import standing_rungs
+
 SEPARATION_S = 2.0
 """Peaks within two seconds are one gust or manoeuvre; alarms that close are one to an operator."""
 SHAPE_LIMITS = (-0.25, 0.3)
@@ -136,19 +138,12 @@ def standing(values: NDArray[np.float64], samples: int) -> NDArray[np.float64]:
     the largest.
     """
     samples = max(1, samples)
-    reached = np.zeros(len(values))
     largest = float(values.max(initial=0.0))
     if largest <= 0.0:
-        return reached
+        return np.zeros(len(values))
     rungs = largest * np.exp(np.linspace(np.log(_FINEST), 0.0, _RUNGS))
-    for rung, above in zip(rungs, (*rungs[1:], largest), strict=True):
-        walk = np.cumsum(np.where(values >= rung, 1, -1))
-        counter = walk - np.minimum(np.minimum.accumulate(walk), 0)
-        passed = counter >= samples
-        if not passed.any():
-            break
-        reached[passed] = above
-    return reached
+    passed = standing_rungs(np.searchsorted(rungs, values, side="right"), len(rungs), samples)
+    return np.array([0.0, *rungs[1:], largest])[passed + 1]
 
 
 def _posterior(excess: NDArray[np.float64], growth: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch
+from adapters.batch import Batch, memory_bytes
 from gains.plants.model_file import write_model
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, write_gains
@@ -27,6 +27,39 @@ from monitor.sampling.transform import SampleSource
 
 BatchSource = Callable[[], Iterable[Batch]]
 """A recording; each call goes through it once from its start."""
+
+_KEPT_BYTES = 1 << 29
+"""Memory for what of recordings is kept from one time that a fit goes through them to the next. Chosen: 512 MB, some
+fifty flights of four minutes at 100 Hz; longer ones are read again."""
+
+
+def kept_logs(logs: Sequence[BatchSource]) -> list[BatchSource]:
+    """Return recordings that are read once where they fit into memory; each has to be gone through to its end."""
+    room = [_KEPT_BYTES]
+
+    def kept(log: BatchSource) -> BatchSource:
+        batches: list[Batch] | None = None
+
+        def again() -> Iterable[Batch]:
+            nonlocal batches
+            if batches is not None:
+                yield from batches
+                return
+            held: list[Batch] | None = []
+            size = 0
+            for batch in log():
+                size += memory_bytes(batch)
+                held = held if size <= room[0] else None
+                if held is not None:
+                    held.append(batch)
+                yield batch
+            if held is not None:
+                batches, room[0] = held, room[0] - size
+
+        return again
+
+    return [kept(log) for log in logs]
+
 
 _UNEXPLAINED = Times(fast_s=2.0, raise_s=2.0, clear_s=0.5)
 """A push or a collision is over sooner, two faults at once are not."""

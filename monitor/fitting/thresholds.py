@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from monitor.alarms.alarm import AlarmRule
 from monitor.chain import ObserverChain
+from monitor.core.lagged import exponential_mean
 from monitor.core.sampling import VehicleClock
 from monitor.fitting.extremes import ReturnLevel, return_level, standing
 from monitor.fitting.flights import Flight
@@ -163,7 +163,7 @@ def plain_only(found: Calibrated) -> Calibrated:
 def weighted_mean(evidence: NDArray[np.float64], seconds: float, rate_hz: float) -> NDArray[np.float64]:
     """Return the exponentially weighted mean (N,) of evidence (N,) with a time constant in seconds."""
     keep = float(np.exp(-1.0 / (seconds * rate_hz)))
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], evidence))
+    return exponential_mean(evidence[:, None], keep)[:, 0]
 
 
 def _rounded(value: float) -> float:

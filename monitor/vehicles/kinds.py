@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from monitor.vehicles.base import VehicleKind, load
@@ -66,9 +67,13 @@ def fit_messages() -> frozenset[str]:
     return frozenset[str]().union(*(load(kind.messages) for kind in KINDS if kind.messages))
 
 
-def fit_types() -> frozenset[str]:
-    """Return the types of ROS 2 that a fit without a model reads: a filter for recordings."""
-    return frozenset[str]().union(*(load(kind.types) for kind in KINDS if kind.types))
+def fit_reading(model: Path | None = None) -> tuple[frozenset[str], frozenset[str]]:
+    """Return names of messages, and types of ROS 2, that a fit reads: a filter for recordings."""
+    if model is not None:
+        from monitor.vehicles.custom.fit import custom_messages
+
+        return custom_messages(model), frozenset()
+    return fit_messages(), frozenset[str]().union(*(load(kind.types) for kind in KINDS if kind.types))
 
 
 @cache

@@ -18,6 +18,8 @@ from replay.attacks.instruments import INSTRUMENTS, SPOOFED, AttackScene, Quanti
 from replay.attacks.plant_response import PlantResponse, States, find_fault, output_signals
 
 _MALFORMED = (KeyError, TypeError, ValueError, OverflowError)
+WITHOUT_PAST = ("loss", "bias", "ramp", "noise")
+"""Kinds to which nothing matters that was measured before they begin."""
 _ANY_CLOCK = Channel("clock", "", ("",))
 
 
@@ -227,6 +229,8 @@ class Injector:
             return message
         if self._response is not None:
             self._response.feed(message, stamp_ns)
+        if stamp_ns < self._attack.start_ns and self._attack.kind in WITHOUT_PAST:
+            return message
         targets = self._targets.get(message.name)
         if targets is None:
             return message

@@ -13,7 +13,7 @@ from math import inf
 
 import numpy as np
 
-from adapters.batch import messages
+from adapters.batch import named
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.input_curve import effect_of_command
 from monitor.fitting.capability import Capability, Detection
@@ -68,9 +68,7 @@ def measure_capability(
     """
     [observer] = profile.observers
     wanted = Pipeline(profile).interests
-    played = (
-        play_healthy(profile, (m for batch in log() for m in messages(batch) if m.name in wanted)) for log in logs
-    )
+    played = (play_healthy(profile, (named(batch, wanted) for batch in log())) for log in logs)
     recordings = [recording for recording in played if observer.name in recording.flights]
     thresholds = {rule.channel: rule.threshold for rule in observer.alarms}
     limits = sorted(within_s, reverse=True)
@@ -134,7 +132,10 @@ def _tasks(
     tasks = []
     for index, onset_ns in onsets(free, count):
         recording = recordings[index]
-        window, states = recording.window(onset_ns - before_ns, onset_ns + after_ns), recording.states_of(observer.name)
+        window, states = (
+            recording.window(onset_ns - before_ns, onset_ns, onset_ns + after_ns),
+            recording.states_of(observer.name),
+        )
         tasks.append((onset_ns, Task(trial, observer.name, recording.system, window, (), states)))
     return tasks
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from adapters.errors import OtherVehicleError, UsageError
-from adapters.logs.recordings import read_recording
+from adapters.logs.recordings import read_batches
 from monitor.alarms.alarm import AlarmRule
 from monitor.pipeline import Pipeline
 from monitor.profile import ObserverProfile, Profile, read_profile
@@ -181,10 +181,10 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lam
         raise UsageError(f"--kinds {unknown[0]}: no such kind; use some of {', '.join(ATTACK_KINDS)}")
     wanted = Pipeline(profile).interests | _SCENE_MESSAGES
     try:
-        healthy = play_healthy(profile, track(read_recording(log, wanted), f"reading {log.name}"))
+        healthy = play_healthy(profile, track(read_batches(log, wanted), f"reading {log.name}", "batches"))
     except OtherVehicleError as error:
         raise OtherVehicleError(f"{log.name}: {error}") from error
-    names = frozenset(message.name for message in healthy.messages)
+    names = healthy.names
     skipped: list[str] = []
     subjects = [
         _Subject(observer, rule, attacks)
@@ -196,14 +196,15 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lam
     onsets_ns = {s.observer.name: _onsets(s.observer.name, healthy, sweep, log) for s in subjects}
     before_ns, after_ns = round(sweep.before_s * _SECOND_NS), round(sweep.after_s * _SECOND_NS)
     cut = {
-        onset: healthy.window(onset - before_ns, onset + after_ns) for onset in sorted(set().union(*onsets_ns.values()))
+        onset: healthy.window(onset - before_ns, onset, onset + after_ns)
+        for onset in sorted(set().union(*onsets_ns.values()))
     }
     tasks = [
         Task(
             profile=profile,
             observer=subject.observer.name,
             system=healthy.system,
-            messages=cut[onset],
+            window=cut[onset],
             attacks=tuple(_at(attack, onset, onset + after_ns, sweep) for attack in subject.attacks),
         )
         for subject in subjects

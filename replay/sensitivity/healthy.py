@@ -2,25 +2,47 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.batch import Batch, cut, gathered, joined, messages, one_message, pack
 from adapters.errors import OtherVehicleError
-from adapters.logs.recordings import packed
 from adapters.message import Message
+from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.estimate import Estimates
-from monitor.fitting.flights import Flight, joined_flights
+from monitor.fitting.flights import Flight, joined_flights, phase_reports
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
-from monitor.sampling.phase import FlightPhase
-from replay.attacks.injector import VehicleTime, profile_clocks
+from monitor.sampling.gate import GatedSampler
 from replay.attacks.plant_response import States
 
 Span = tuple[int, int]
+
+
+class Window(NamedTuple):
+    """The messages of a stretch: those before a time of onset, and those from it on."""
+
+    lead: Batch
+    tail: Sequence[Message]
+
+    def messages(self) -> list[Message]:
+        """Return all of them."""
+        return [*messages(self.lead), *self.tail]
+
+    def newest(self) -> list[Message]:
+        """Return the newest message of each name and sender before the onset."""
+        newest = {int(columns.position[-1]): one_message(columns, -1) for columns in self.lead.columns}
+        return [message for _, message in sorted((newest | dict(self.lead.others)).items(), key=lambda one: one[0])]
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of all of them."""
+        lead = [columns.name for columns in self.lead.columns] + [one.name for one in self.lead.others.values()]
+        return frozenset((*lead, *(message.name for message in self.tail)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,10 +51,10 @@ class Healthy:
 
     Parameters
     ----------
-    messages : Sequence[Message]
+    batches : Sequence[Batch]
         Its messages of one vehicle.
-    times_ns : Sequence[int]
-        For each of them the newest time on the vehicle's clock by then, nanoseconds.
+    newest_ns : Sequence[NDArray[np.int64]]
+        For each batch the newest time on the vehicle's clock after each message, nanoseconds.
     system : int
         The vehicle's MAVLink system.
     flights : Mapping[str, Flight]
@@ -43,8 +65,8 @@ class Healthy:
         Times at which alarms were raised, vehicle nanoseconds.
     """
 
-    messages: Sequence[Message]
-    times_ns: Sequence[int]
+    batches: Sequence[Batch]
+    newest_ns: Sequence[NDArray[np.int64]]
     system: int
     flights: Mapping[str, Flight]
     states: Mapping[str, NDArray[np.float64]]
@@ -61,17 +83,29 @@ class Healthy:
         """Return an observer's state estimates over time."""
         return States(self.flights[observer].samples.vehicle_time_ns, self.states[observer])
 
-    def window(self, start_ns: int, stop_ns: int) -> list[Message]:
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of its messages."""
+        columns = frozenset(columns.name for batch in self.batches for columns in batch.columns)
+        return columns | {message.name for batch in self.batches for message in batch.others.values()}
+
+    def window(self, start_ns: int, onset_ns: int, stop_ns: int) -> Window:
         """Return the messages of a stretch, led by the newest ones before it that tell the phase of flight."""
-        start, stop = bisect_left(self.times_ns, start_ns), bisect_left(self.times_ns, stop_ns)
         phase: dict[tuple[str, int], Message] = {}
-        for message in self.messages[:start]:
-            if message.name in FlightPhase.interests:
-                phase[message.name, message.component] = message
-        return [*phase.values(), *self.messages[start:stop]]
+        lead: list[Batch] = []
+        tail: list[Message] = []
+        for batch, newest_ns in zip(self.batches, self.newest_ns, strict=True):
+            start, onset, stop = np.searchsorted(newest_ns, (start_ns, onset_ns, stop_ns)).tolist()
+            if not lead:
+                phase |= {
+                    (message.name, message.component): message for at, message in phase_reports(batch) if at < start
+                }
+            lead += [cut(batch, start, onset)] if onset > start else []
+            tail += messages(cut(batch, onset, stop))
+        return Window(joined([pack([*phase.values()]), *lead]), tail)
 
 
-def play_healthy(profile: Profile, recorded: Iterable[Message]) -> Healthy:
+def play_healthy(profile: Profile, recorded: Iterable[Batch]) -> Healthy:
     """Run a healthy recording through a profile's pipeline; it follows the vehicle that the pipeline chooses.
 
     Raises
@@ -80,25 +114,25 @@ def play_healthy(profile: Profile, recorded: Iterable[Message]) -> Healthy:
         The recording says it is of another vehicle than the profile.
     """
     pipeline = Pipeline(profile)
-    recorded = list(recorded)
-    wanted = pipeline.interests - FlightPhase.interests
-    system = profile.system or next((message.system for message in recorded if message.name in wanted), 0)
-    messages = [message for message in recorded if message.system == system]
+    batches: list[Batch] = []
     estimates: dict[str, list[Estimates]] = {observer.name: [] for observer in profile.observers}
     alarms_ns: list[int] = []
-    for batch in packed(messages):
+    for batch in recorded:
         outputs = pipeline.run(batch)
         if pipeline.refused is not None:
             raise OtherVehicleError(f"{pipeline.refused}; take its own profile")
+        batches.append(batch)
         for output in outputs:
             if isinstance(output, Estimates):
                 estimates[output.observer].append(output)
             elif output.state == "raised":
                 alarms_ns.append(output.vehicle_time_ms * 1_000_000)
     found = {name: runs for name, runs in estimates.items() if runs}
+    system = pipeline.system
+    own = [_of_system(batch, system) for batch in batches]
     return Healthy(
-        messages=messages,
-        times_ns=_newest_ns(profile, messages),
+        batches=own,
+        newest_ns=_newest_ns(profile, own),
         system=system,
         flights={
             name: joined_flights([Flight(run.samples, run.armed) for run in runs]) for name, runs in found.items()
@@ -106,6 +140,19 @@ def play_healthy(profile: Profile, recorded: Iterable[Message]) -> Healthy:
         states={name: np.concatenate([run.x for run in runs]) for name, runs in found.items()},
         alarms_ns=alarms_ns,
     )
+
+
+def _of_system(batch: Batch, system: int) -> Batch:
+    columns = [columns for columns in batch.columns if columns.system == system]
+    return gathered(columns, {at: message for at, message in batch.others.items() if message.system == system})
+
+
+def _newest_ns(profile: Profile, batches: Iterable[Batch]) -> list[NDArray[np.int64]]:
+    clock = VehicleClock()
+    samplers = [
+        GatedSampler(observer.source, observer.rate_hz, clock, profile.gate).sampler for observer in profile.observers
+    ]
+    return [sample_batch(clock, samplers, batch).newest_ns for batch in batches]
 
 
 def free_spans(
@@ -159,12 +206,3 @@ def onsets(recordings: Sequence[Sequence[Span]], count: int) -> list[tuple[int, 
                 break
             offset -= b - a
     return list(found)
-
-
-def _newest_ns(profile: Profile, messages: Iterable[Message]) -> list[int]:
-    time = VehicleTime(profile_clocks(profile))
-    newest_ns, found = 0, []
-    for message in messages:
-        newest_ns = max(newest_ns, time.stamp(message) or 0)
-        found.append(newest_ns)
-    return found
