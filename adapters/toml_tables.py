@@ -190,13 +190,13 @@ class Table:
         if isinstance(value, Mapping):
             self.mistake(key, f"is a single table; write [[{key}]]")
             return []
-        found = []
+        tables = []
         for k, item in enumerate(self._list(key, value)):
             if isinstance(item, Mapping):
-                found.append(Table(self.file, (*self.path, key, k), item))
+                tables.append(Table(self.file, (*self.path, key, k), item))
             else:
                 self._wrong((key, k), item, "a table")
-        return found
+        return tables
 
     def text(self, key: str, default: str | None = None, check: Callable[[str], Any] | None = None) -> str:
         """Return a text; ``check`` raises a ValueError that says what is wrong with it."""

@@ -226,8 +226,8 @@ def test_half_packets_of_a_thousand_senders_cost_bounded_memory_and_nobody_elses
                 send(packet(k))
                 assert times(collect(link, 1)) == [k]
         assert len(link._parsers) <= 64
-        assert len(link._heard_ns) == 1
-        assert all(len(parser._rest) < 280 for parser in link._parsers.values())
+        assert len(link._telemetry_ns) == 1
+        assert all(len(parser._unfinished) < 280 for parser in link._parsers.values())
 
 
 def test_the_largest_datagrams_are_taken_whole_be_they_packets_or_noise() -> None:
@@ -314,7 +314,7 @@ def test_forged_packets_change_neither_losses_nor_who_is_answered() -> None:
         send(packet(2, key=KEY))
         collect(link, 1)
         assert link.statistics().lost == 0
-        assert len(link._heard_ns) == 1
+        assert len(link._telemetry_ns) == 1
 
 
 def test_without_a_key_signed_packets_are_taken_as_they_are() -> None:

@@ -147,7 +147,7 @@ def test_no_bytes_make_the_parser_fail_or_grow(pieces: list[bytes]) -> None:
     for piece in pieces:
         for kind, packet in parser.feed(piece):
             kind.decode(packet, 0)
-    assert len(parser._rest) < 280
+    assert len(parser._unfinished) < 280
 
 
 def test_a_packet_of_an_unknown_message_is_counted_and_skipped_whole() -> None:

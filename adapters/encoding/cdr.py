@@ -118,14 +118,14 @@ class _Compiler:
                 at += 1
 
         def read_fields(data: bytes, position: int) -> tuple[dict[str, Any], int]:
-            found: dict[str, Any] = {}
+            values: dict[str, Any] = {}
             for name, read in steps:
                 value, position = read(data, position)
                 if isinstance(name, str):
-                    found[name] = value
+                    values[name] = value
                 else:
-                    found.update(zip(name, value, strict=True))
-            return (found if named else {}), position
+                    values.update(zip(name, value, strict=True))
+            return (values if named else {}), position
 
         return read_fields, least
 
@@ -160,11 +160,11 @@ class _Compiler:
         def read_elements(data: bytes, position: int) -> tuple[list[Any], int]:
             count, position = (field.size, position) if field.size is not None else length(data, position)
             _check(field, count, least, len(data) - position)
-            found = []
+            elements = []
             for _ in range(count):
                 value, position = element(data, position)
-                found.append(value)
-            return found, position
+                elements.append(value)
+            return elements, position
 
         return read_elements, 4 if field.size is None else least * field.size
 

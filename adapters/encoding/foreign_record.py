@@ -74,12 +74,12 @@ def json_object(data: bytes) -> dict[str, Any]:
         It is no JSON object.
     """
     try:
-        found = json.loads(data)
+        fields = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise ValueError("not JSON") from error
-    if not isinstance(found, dict):
+    if not isinstance(fields, dict):
         raise ValueError("not a JSON object")
-    return found
+    return fields
 
 
 class ProtobufFields:

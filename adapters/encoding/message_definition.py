@@ -60,10 +60,10 @@ def canonical_type(name: str) -> str:
     TelemetryError
         It is not the name of a message type.
     """
-    found = _TYPE_NAME.fullmatch(name)
-    if not found or not found[2] or bool(found[3]) != ("::dds_::" in name):
+    match = _TYPE_NAME.fullmatch(name)
+    if not match or not match[2] or bool(match[3]) != ("::dds_::" in name):
         raise TelemetryError(f"'{name}' is not a message type; write it like sensor_msgs/msg/Imu")
-    return f"{found[1]}/{found[2]}"
+    return f"{match[1]}/{match[2]}"
 
 
 def parse_definitions(name: str, text: str) -> Definitions:
@@ -79,17 +79,17 @@ def parse_definitions(name: str, text: str) -> Definitions:
     """
     if len(text) > MAX_DEFINITION_CHARACTERS:
         raise TelemetryError(f"definition of {name}: longer than {MAX_DEFINITION_CHARACTERS} characters")
-    found: dict[str, Sequence[MessageField]] = {}
+    definitions: dict[str, Sequence[MessageField]] = {}
     for kind in ("builtin_interfaces/Time", "builtin_interfaces/Duration"):
-        found[kind] = tuple(_fields(kind, _STAMP))
+        definitions[kind] = tuple(_fields(kind, _STAMP))
     here = canonical_type(name)
     for part in _SEPARATOR.split(text):
         body = part.strip()
         if body.startswith("MSG:"):
             head, _, body = body.partition("\n")
             here = canonical_type(head.removeprefix("MSG:").strip())
-        found[here] = tuple(_fields(here, body))
-    return found
+        definitions[here] = tuple(_fields(here, body))
+    return definitions
 
 
 def find_definition(name: str, folders: Sequence[Path]) -> str:
@@ -140,11 +140,11 @@ def _fields(kind: str, text: str) -> Iterator[MessageField]:
         words = line.partition("#")[0].split(maxsplit=2)
         if not words or _is_constant(words):
             continue
-        found = _TYPE.fullmatch(words[0])
-        if not found or len(words) < 2 or not _FIELD.fullmatch(words[1]) or words[1] in names:
+        match = _TYPE.fullmatch(words[0])
+        if not match or len(words) < 2 or not _FIELD.fullmatch(words[1]) or words[1] in names:
             raise TelemetryError(f"definition of {kind}: '{line.strip()[:60]}' is no field")
         names.add(words[1])
-        yield _field(kind, words[1], found)
+        yield _field(kind, words[1], match)
 
 
 def _is_constant(words: Sequence[str]) -> bool:
@@ -152,8 +152,8 @@ def _is_constant(words: Sequence[str]) -> bool:
     return len(words) > 1 and ("=" in words[1] or (words[-1].startswith("=") and len(words) == 3))
 
 
-def _field(kind: str, name: str, found: re.Match[str]) -> MessageField:
-    type_name, bounded, count = found[1], found[2], found[3]
+def _field(kind: str, name: str, match: re.Match[str]) -> MessageField:
+    type_name, bounded, count = match[1], match[2], match[3]
     if type_name not in _PRIMITIVES:
         type_name = canonical_type(type_name if "/" in type_name else f"{kind.partition('/')[0]}/{type_name}")
     if count is None:

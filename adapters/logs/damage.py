@@ -50,9 +50,9 @@ class Scan(Protocol):
 
 def scan_damage(file: str, scan: Scan) -> Damage | None:
     """Return the damage that such a reader found, None where it found none."""
-    found = []
+    findings = []
     if scan.damaged:
-        found.append(f"{counted(scan.damaged, 'damaged place')}, {counted(scan.skipped_bytes, 'byte')} unreadable")
+        findings.append(f"{counted(scan.damaged, 'damaged place')}, {counted(scan.skipped_bytes, 'byte')} unreadable")
     if scan.broken_off:
-        found.append("breaks off at its end")
-    return Damage(file, tuple(found)) if found else None
+        findings.append("breaks off at its end")
+    return Damage(file, tuple(findings)) if findings else None

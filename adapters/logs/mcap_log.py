@@ -435,11 +435,11 @@ class MessageLogWriter:
         """Write all of it or nothing."""
         if self._failed is not None:
             raise _again(self._failed)
-        rest = memoryview(data)
+        remaining = memoryview(data)
         try:
-            while rest:
+            while remaining:
                 # an unbuffered file may take a part and say why it took no more only when asked again
-                rest = rest[self._stream.write(rest) :]
+                remaining = remaining[self._stream.write(remaining) :]
         except OSError as error:
             # what a write raises does not name the file
             self._failed = OSError(error.errno, error.strerror, getattr(self._stream, "name", None))

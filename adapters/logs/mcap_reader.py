@@ -137,35 +137,35 @@ class MessageLogReader:
 
     def statistics(self) -> ReaderStatistics:
         """Return the counts so far."""
-        found = self._records
+        records = self._records
         return ReaderStatistics(
             messages=self._messages,
             other_records=self._other_records,
-            damaged_chunks=found.damaged_chunks,
+            damaged_chunks=records.damaged_chunks,
             damaged_records=self._damaged_records,
-            lost_ways=found.lost_ways,
-            stopped_at=found.stopped_at,
-            broken_off=found.broken_off,
+            lost_ways=records.lost_ways,
+            stopped_at=records.stopped_at,
+            broken_off=records.broken_off,
             unread=dict(self._unread),
         )
 
     def damage(self) -> Damage | None:
         """Return what could not be read, None where all could; call it after the last message."""
         counts = self.statistics()
-        found = list(described(counts.unread))
+        findings = list(described(counts.unread))
         if counts.broken_off:
-            found.append(f"cannot be read from byte {counts.stopped_at} on")
+            findings.append(f"cannot be read from byte {counts.stopped_at} on")
         elif counts.stopped_at is not None:
-            found.append(f"was not finished, ends without an index at byte {counts.stopped_at}")
+            findings.append(f"was not finished, ends without an index at byte {counts.stopped_at}")
         if counts.damaged_chunks:
-            found.append(counted(counts.damaged_chunks, "damaged block"))
+            findings.append(counted(counts.damaged_chunks, "damaged block"))
         elif counts.lost_ways > counts.broken_off:
-            found.append(counted(counts.lost_ways - counts.broken_off, "damaged place"))
+            findings.append(counted(counts.lost_ways - counts.broken_off, "damaged place"))
         if counts.damaged_records:
-            found.append(f"{counted(counts.damaged_records, 'message')} cannot be decoded")
+            findings.append(f"{counted(counts.damaged_records, 'message')} cannot be decoded")
         if self._expected is not None and (lost := self._expected - self._seen()) > 0:
-            found.append(f"{lost} of {counted(self._expected, 'message')} lost")
-        return Damage(self._path.name, tuple(found), counts.stopped_at) if found else None
+            findings.append(f"{lost} of {counted(self._expected, 'message')} lost")
+        return Damage(self._path.name, tuple(findings), counts.stopped_at) if findings else None
 
     def __iter__(self) -> Iterator[Message]:
         """Return the messages.
@@ -199,32 +199,32 @@ class MessageLogReader:
         data = self._data()
         while records := list(_first(data, count)):
             by_topic: dict[int, tuple[_Topic, list[int]]] = {}
-            for place, (topic, *_) in enumerate(records):
-                by_topic.setdefault(id(topic), (topic, []))[1].append(place)
+            for index, (topic, *_) in enumerate(records):
+                by_topic.setdefault(id(topic), (topic, []))[1].append(index)
             columns: list[Columns] = []
-            places: list[int] = []
+            indices: list[int] = []
             for topic, group in by_topic.values():
-                found = self._columns(topic, [records[place] for place in group], group)
-                columns += found or ()
-                places += () if found else group
+                together = self._columns(topic, [records[index] for index in group], group)
+                columns += together or ()
+                indices += () if together else group
             single = {}
-            for place in sorted(places):
-                topic, time_ns, _, record = records[place]
+            for index in sorted(indices):
+                topic, time_ns, _, record = records[index]
                 message = self._decoded(topic, time_ns, record)
                 if message is not None:
-                    single[place] = message
+                    single[index] = message
             if columns or single:
                 yield _batch(columns, single)
 
-    def _columns(self, topic: _Topic, group: Sequence[_Raw], places: Sequence[int]) -> list[Columns] | None:
+    def _columns(self, topic: _Topic, group: Sequence[_Raw], indices: Sequence[int]) -> list[Columns] | None:
         """Return the messages of a topic and count them, None where they have to be taken one by one."""
         decode = topic.decode or self._decoder(topic)
         if not isinstance(decode, TypedRecords):
             return None
         times_ns = np.array([time_ns for _, time_ns, _, _ in group], np.int64)
-        found = decode.columns([data for *_, data in group], times_ns, np.array(places))
-        self._messages += len(group) if found else 0
-        return found
+        columns = decode.columns([data for *_, data in group], times_ns, np.array(indices))
+        self._messages += len(group) if columns else 0
+        return columns
 
     def records(self) -> Iterator[Record]:
         """Return the wanted records as they are in the file, readable or not; raises as iteration does."""
@@ -244,15 +244,15 @@ class MessageLogReader:
 
         With ``ahead_only``, those ahead of all data, for which the file need not be read to its end.
         """
-        found: dict[str, dict[str, str]] = {}
+        entries: dict[str, dict[str, str]] = {}
         for opcode, body in self._records:
             if ahead_only and opcode in (Opcode.CHUNK, Opcode.MESSAGE):
                 break
             if opcode == Opcode.METADATA:
                 with contextlib.suppress(*UNREADABLE, McapError):
                     record = Metadata.read(ReadDataStream(BytesIO(body)))
-                    found.setdefault(record.name, {}).update(record.metadata)
-        return found
+                    entries.setdefault(record.name, {}).update(record.metadata)
+        return entries
 
     def _data(self) -> Iterator[_Raw]:
         """Return topic, log time, publish time and payload of the wanted messages."""
@@ -364,10 +364,10 @@ def _first(data: Iterator[_Raw], count: int) -> Iterator[_Raw]:
 
 
 def _batch(columns: list[Columns], single: Mapping[int, Message]) -> Batch:
-    """Return what was decoded together and one by one as a batch; of the latter, what can be, as columns too."""
-    packed, place = pack([*single.values()]), np.array([*single], np.int64)
-    columns += (replace(one, position=place[one.position]) for one in packed.columns)
-    return gathered(columns, {int(place[at]): message for at, message in packed.others.items()})
+    """Return what was decoded together and group by group as a batch; of the latter, what can be, as columns too."""
+    packed, index = pack([*single.values()]), np.array([*single], np.int64)
+    columns += (replace(group, position=index[group.position]) for group in packed.columns)
+    return gathered(columns, {int(index[at]): message for at, message in packed.others.items()})
 
 
 def read_mcap_messages(path: str | os.PathLike[str], only: Container[str] | None = None) -> Iterator[Message]:
@@ -390,11 +390,11 @@ def _summary(stream: BinaryIO) -> bytes:
     if opcode != Opcode.FOOTER or magic != MCAP0_MAGIC or not start:
         return b""
     stream.seek(start)
-    found = stream.read(max(0, end + _CHECKED_FOOTER_BYTES - start))
-    if crc and zlib.crc32(found) != crc:
+    summary = stream.read(max(0, end + _CHECKED_FOOTER_BYTES - start))
+    if crc and zlib.crc32(summary) != crc:
         stream.seek(max(0, end - _MOST_SUMMARY_BYTES))
-        data, _, found = stream.read(end + _CHECKED_FOOTER_BYTES - stream.tell()).rpartition(_DATA_END)
-        found = found[_CHECKSUM_BYTES:]
-        if not data or zlib.crc32(found) != crc:
+        data, _, summary = stream.read(end + _CHECKED_FOOTER_BYTES - stream.tell()).rpartition(_DATA_END)
+        summary = summary[_CHECKSUM_BYTES:]
+        if not data or zlib.crc32(summary) != crc:
             return b""
-    return found[:-_CHECKED_FOOTER_BYTES]
+    return summary[:-_CHECKED_FOOTER_BYTES]

@@ -133,11 +133,11 @@ class McapRecords:
             return size
         # the next one is damaged, or this one's length is wrong and its end looks like a record by chance
         at = 1
-        while (found := self._find(at)) is not None and found < size:
-            if self._believable(found):
+        while (candidate := self._find(at)) is not None and candidate < size:
+            if self._believable(candidate):
                 self.lost_ways += 1
-                return found
-            at = found + 1
+                return candidate
+            at = candidate + 1
         return size
 
     def _chunk(self, size: int) -> tuple[bytes | None, int]:
@@ -194,8 +194,8 @@ class McapRecords:
         In a file of chunks nothing is looked for that might be found inside one.
         """
         window = self._window
-        found = (_CHUNKS if self._chunked else _RECORDS).search(window.data, window.at + start)
-        return None if found is None else found.start() - window.at
+        match = (_CHUNKS if self._chunked else _RECORDS).search(window.data, window.at + start)
+        return None if match is None else match.start() - window.at
 
     def _search(self, start: int) -> bool:
         """Go to the next record at least ``start`` bytes ahead; return whether there is one."""
@@ -203,17 +203,17 @@ class McapRecords:
         self.lost_ways += 1
         at = start
         while True:
-            found = self._find(at)
-            if found is None:
+            candidate = self._find(at)
+            if candidate is None:
                 window.at += min(max(at, window.left - _LONGEST_MATCH), window.left)
                 at = 0
                 if not window.fill(window.left + 1):
                     return False
-            elif self._believable(found):
-                window.at += found
+            elif self._believable(candidate):
+                window.at += candidate
                 return True
             else:
-                at = found + 1
+                at = candidate + 1
 
     def _believable(self, at: int) -> bool:
         """Return whether what looks like a record ``at`` bytes ahead is one."""
@@ -254,10 +254,10 @@ def _decompressed(shape: _Shape, data: bytes) -> bytes:
     ValueError
         Checksum, size or compression do not hold; other errors of :data:`UNREADABLE` too.
     """
-    found = _expand(shape, data)
-    if len(found) != shape.size or (shape.crc and zlib.crc32(found) != shape.crc):
+    records = _expand(shape, data)
+    if len(records) != shape.size or (shape.crc and zlib.crc32(records) != shape.crc):
         raise ValueError("the chunk is damaged")
-    return found
+    return records
 
 
 def _beginning(shape: _Shape, data: bytes) -> bytes | None:

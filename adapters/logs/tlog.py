@@ -128,7 +128,7 @@ class RecordScan:
         self.counts.skipped_bytes += skipped
         return None, at + skipped
 
-    def end(self, path: Path, rest: int, damaged: bool) -> None:
+    def end(self, path: Path, left: int, damaged: bool) -> None:
         """Take note that the log is over: so many bytes are left, and its compressed data ended early or not.
 
         Raises
@@ -136,8 +136,8 @@ class RecordScan:
         TelemetryError
             There was no packet at all.
         """
-        self.counts.skipped_bytes += rest
-        self.counts.broken_off = damaged or rest > 0 or self.noise > 0
+        self.counts.skipped_bytes += left
+        self.counts.broken_off = damaged or left > 0 or self.noise > 0
         if not self.counts.packets:
             if Path(path).stat().st_size == 0:
                 raise TelemetryError(f"{path}: is empty; was the recording started, or the copy finished?")
@@ -219,7 +219,7 @@ class TlogReader:
 
     def _records(self, buffer: bytes, data: NDArray[np.uint8], last: int) -> tuple[NDArray[np.int64], int]:
         """Return where the wanted records of a buffer begin, and where its rest begins."""
-        found: list[NDArray[np.int64]] = []
+        wanted: list[NDArray[np.int64]] = []
         at = 0
         while at <= last:
             # Damage may reach on from the buffer before.
@@ -228,8 +228,8 @@ class TlogReader:
                 starts, at = self._one_by_one(buffer, at, end, last)
             else:
                 starts, at = self._at_once(buffer, data, np.array(chained), end, last)
-            found.append(starts)
-        return np.concatenate(found) if found else np.empty(0, np.int64), at
+            wanted.append(starts)
+        return np.concatenate(wanted) if wanted else np.empty(0, np.int64), at
 
     def _at_once(
         self, buffer: bytes, data: NDArray[np.uint8], chained: NDArray[np.int64], end: int, last: int
@@ -241,24 +241,24 @@ class TlogReader:
         # A packet of an unknown message is known by the one behind it.
         bad = np.flatnonzero(~np.where(unknown, chained != chained[-1], right))
         wanted = self._wanted[packets.kind] & ~unknown
-        found: list[NDArray[np.int64]] = []
+        parts: list[NDArray[np.int64]] = []
         first, count = 0, len(chained)
         while True:
             following = np.searchsorted(bad, first)
             stop = int(bad[following]) if following < len(bad) else count
             self._scan.counts.packets += stop - first
             self._scan.counts.unknown += int(np.count_nonzero(unknown[first:stop]))
-            found.append(chained[first:stop][wanted[first:stop]])
+            parts.append(chained[first:stop][wanted[first:stop]])
             if stop == count:
                 self._reach = min(2 * self._reach, self._read_ahead_bytes)
-                return np.concatenate(found), end
+                return np.concatenate(parts), end
             at = int(chained[stop])
             starts, at = self._one_by_one(buffer, at, at, last)
-            found.append(starts)
+            parts.append(starts)
             first = int(np.searchsorted(chained, at))
             if at != end and (first == count or chained[first] != at):
                 self._reach = _SHORT_REACH
-                return np.concatenate(found), at
+                return np.concatenate(parts), at
 
     def _one_by_one(self, buffer: bytes, at: int, end: int, last: int) -> tuple[NDArray[np.int64], int]:
         """Take records up to a place, at least one, and on to the end of any damage; return as :meth:`_at_once`."""
@@ -303,7 +303,7 @@ def _batch(buffer: bytes, data: NDArray[np.uint8], starts: NDArray[np.int64]) ->
     """Return the messages of intact records."""
     packets = heads(data, starts + TIME_BYTES)
     received_ns = _times_us(data, starts).astype(np.int64) * 1_000
-    found: list[Columns] = []
+    groups: list[Columns] = []
     others: dict[int, Message] = {}
     for position in _groups(packets):
         first = int(position[0])
@@ -314,8 +314,8 @@ def _batch(buffer: bytes, data: NDArray[np.uint8], starts: NDArray[np.int64]) ->
             continue
         system, component = divmod(int(packets.sender[first]), 256)
         content = payloads(data, kind.size, packets.payload[position], packets.length[position])
-        found.append(columns(kind, (system, component), position, received_ns[position], content))
-    return Batch(len(starts), tuple(found), others)
+        groups.append(columns(kind, (system, component), position, received_ns[position], content))
+    return Batch(len(starts), tuple(groups), others)
 
 
 def _groups(packets: Heads) -> Iterator[NDArray[np.int64]]:

@@ -41,7 +41,7 @@ _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
 _TIMESPEC = struct.Struct("@ll")
 _COUNT = struct.Struct("=I")
-_NOTES_BYTES = 128
+_ANCILLARY_BYTES = 128
 # A datagram that seems to have waited longer than this came before the clock was set.
 _LONGEST_WAIT_NS = 10_000_000_000
 
@@ -95,9 +95,9 @@ def open_byte_link(url: str, may_send: bool = False) -> ByteLink:
         The URL is not understood, the address cannot be bound or resolved, the device cannot be opened, or the
         link works only for those who send.
     """
-    kind, _, rest = url.partition(":")
-    if kind == "serial" and rest:
-        return _Serial(url, rest)
+    kind, _, where = url.partition(":")
+    if kind == "serial" and where:
+        return _Serial(url, where)
     if kind == "udpout" and not may_send:
         raise TelemetryError(
             f"{url}: a monitor that only listens is never heard by the other side; let it send to us and use "
@@ -105,7 +105,7 @@ def open_byte_link(url: str, may_send: bool = False) -> ByteLink:
         )
     if kind not in ("udp", "udpin", "udpout", "tcp", "tcpin"):
         raise TelemetryError(f"{url}: unknown kind of link; {_HELP}")
-    address = resolve(url, rest)
+    address = resolve(url, where)
     if kind == "tcp":
         return _TcpClient(address)
     if kind == "tcpin":
@@ -200,20 +200,20 @@ class _Udp:
         # It ends with BlockingIOError where nothing waits any more, or with what an earlier answer met on its way.
         with contextlib.suppress(OSError):
             while len(datagrams) < _DATAGRAMS:
-                datagrams.append(self._socket.recvmsg(_READ_BYTES, _NOTES_BYTES))
+                datagrams.append(self._socket.recvmsg(_READ_BYTES, _ANCILLARY_BYTES))
         now_ns = time.time_ns()
-        return [(sender, data, self._arrival_ns(notes, now_ns)) for data, notes, _, sender in datagrams]
+        return [(sender, data, self._arrival_ns(ancillary, now_ns)) for data, ancillary, _, sender in datagrams]
 
-    def _arrival_ns(self, notes: Iterable[tuple[int, int, bytes]], now_ns: int) -> int:
+    def _arrival_ns(self, ancillary: Iterable[tuple[int, int, bytes]], now_ns: int) -> int:
         received_ns = now_ns
-        for _, kind, note in notes:
-            if kind == _SO_TIMESTAMPNS and len(note) == _TIMESPEC.size:
-                seconds, nanoseconds = _TIMESPEC.unpack(note)
+        for _, kind, content in ancillary:
+            if kind == _SO_TIMESTAMPNS and len(content) == _TIMESPEC.size:
+                seconds, nanoseconds = _TIMESPEC.unpack(content)
                 kernel_ns = seconds * 1_000_000_000 + nanoseconds
                 if 0 <= now_ns - kernel_ns <= _LONGEST_WAIT_NS:
                     received_ns = kernel_ns
-            elif kind == _SO_RXQ_OVFL and len(note) == _COUNT.size:
-                (dropped,) = _COUNT.unpack(note)
+            elif kind == _SO_RXQ_OVFL and len(content) == _COUNT.size:
+                (dropped,) = _COUNT.unpack(content)
                 self.overruns += (dropped - self._dropped) & 0xFFFFFFFF
                 self._dropped = dropped
         return received_ns

@@ -46,8 +46,8 @@ def autopilot_heartbeats(columns: Columns) -> NDArray[np.bool_]:
         return np.zeros(count, np.bool_)
     no_number = np.full(count, -1)
     kinds, autopilots = (columns.fields.get(name, no_number) for name in ("type", "autopilot"))
-    found: NDArray[np.bool_] = (kinds != _GROUND_STATION) & (autopilots != _NO_AUTOPILOT)
-    return found
+    right: NDArray[np.bool_] = (kinds != _GROUND_STATION) & (autopilots != _NO_AUTOPILOT)
+    return right
 
 
 def is_autopilot_heartbeat(message: Message) -> bool:

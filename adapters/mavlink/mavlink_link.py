@@ -109,7 +109,7 @@ class MavlinkLink:
         # By system and component id, -1 where nothing came yet: what strangers claim to be costs no memory.
         self._sequence = array("h", [-1]) * (1 << 16)
         self._lost_by_system = [0] * 256
-        self._heard_ns: OrderedDict[Hashable, int] = OrderedDict()
+        self._telemetry_ns: OrderedDict[Hashable, int] = OrderedDict()
         self._received_ns = 0
         self._messages = 0
         self._batch_s = batch_s
@@ -160,7 +160,7 @@ class MavlinkLink:
         if not self._may_send:
             raise TelemetryError(f"{self._url}: this link was opened only to listen")
         now_ns = time.time_ns()
-        senders = [sender for sender, heard_ns in list(self._heard_ns.items()) if now_ns - heard_ns < _ANSWER_NS]
+        senders = [sender for sender, last_ns in list(self._telemetry_ns.items()) if now_ns - last_ns < _ANSWER_NS]
         for packet in packets:
             self._link.write(packet, senders)
 
@@ -191,10 +191,10 @@ class MavlinkLink:
                 packets.append((kind, packet))
                 received_ns.append(arrived_ns)
         if admitted and self._may_send:
-            self._heard_ns[sender] = arrived_ns
-            self._heard_ns.move_to_end(sender)
-            if len(self._heard_ns) > _SENDERS:
-                self._heard_ns.popitem(last=False)
+            self._telemetry_ns[sender] = arrived_ns
+            self._telemetry_ns.move_to_end(sender)
+            if len(self._telemetry_ns) > _SENDERS:
+                self._telemetry_ns.popitem(last=False)
 
     def _count(self, packet: bytes) -> None:
         system, component = packet_sender(packet)

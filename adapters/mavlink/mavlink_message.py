@@ -163,14 +163,14 @@ class PacketParser:
         self.unknown = 0
         self.damaged = 0
         self.skipped_bytes = 0
-        self._rest = b""
+        self._unfinished = b""
         self._in_noise = False
 
     def feed(self, data: bytes) -> list[tuple[MavlinkType, bytes]]:
         """Take the next bytes; return the packets they complete, each with its message type."""
-        buffer = self._rest + data if self._rest else data
+        buffer = self._unfinished + data if self._unfinished else data
         types = mavlink_types()
-        found: list[tuple[MavlinkType, bytes]] = []
+        packets: list[tuple[MavlinkType, bytes]] = []
         start, size = 0, len(buffer)
         while start < size:
             if size - start < HEAD_BYTES and buffer[start] in MAGICS:
@@ -186,7 +186,7 @@ class PacketParser:
             packet = buffer[start:end]
             kind = types.get(message_number(packet))
             if kind is not None and kind.intact(packet):
-                found.append((kind, packet))
+                packets.append((kind, packet))
             elif kind is None and (end == size or buffer[end] in MAGICS):
                 self.unknown += 1
             else:
@@ -194,8 +194,8 @@ class PacketParser:
                 continue
             self._in_noise = False
             start = end
-        self._rest = buffer[start:]
-        return found
+        self._unfinished = buffer[start:]
+        return packets
 
     def _skip(self, start: int, end: int) -> int:
         self.damaged += not self._in_noise

@@ -107,7 +107,7 @@ class RequestedRate:
     requests: int = 0
     refused: bool = False
     low: bool = _internal(False)
-    heard: int = _internal(0)
+    arrivals: int = _internal(0)
     since_ns: int = _internal(0)
     retry_ns: int = _internal(_FIRST_RETRY_NS)
     not_before_ns: int = _internal(0)
@@ -117,7 +117,7 @@ class RequestedRate:
         elapsed_s = (now_ns - self.since_ns) / 1e9
         if elapsed_s < max(_MEASURED_S, _MEASURED_MESSAGES / self.asked_hz):
             return
-        self.measured_hz = self.heard / elapsed_s
+        self.measured_hz = self.arrivals / elapsed_s
         self.low = self.measured_hz < _ENOUGH * self.asked_hz
         if not self.low:
             self.retry_ns, self.not_before_ns = _FIRST_RETRY_NS, 0
@@ -125,7 +125,7 @@ class RequestedRate:
 
     def restart(self, now_ns: int) -> None:
         """Begin a new measurement."""
-        self.heard, self.since_ns = 0, now_ns
+        self.arrivals, self.since_ns = 0, now_ns
 
     def sent(self, now_ns: int) -> None:
         """Count a request; the next one waits twice as long."""
@@ -150,8 +150,8 @@ class _Vehicle:
 
     component: int
     requests: dict[str, RequestedRate]
-    heard_ns: int | None = None
-    heard_anew: bool = False
+    last_ns: int | None = None
+    arrived: bool = False
     waiting: RequestedRate | None = None
     waiting_until_ns: int = 0
 
@@ -201,12 +201,12 @@ class RateRequests:
         if vehicle is None or columns.source is not MAVLINK or columns.component != vehicle.component:
             return
         first_ns, last_ns = int(columns.received_ns[0]), int(columns.received_ns[-1])
-        if vehicle.heard_ns is None or first_ns - vehicle.heard_ns > _SILENT_NS:
+        if vehicle.last_ns is None or first_ns - vehicle.last_ns > _SILENT_NS:
             for request in vehicle.requests.values():
                 request.restart(first_ns)
-        vehicle.heard_ns, vehicle.heard_anew = last_ns, True
+        vehicle.last_ns, vehicle.arrived = last_ns, True
         if (counted := vehicle.requests.get(columns.name)) is not None:
-            counted.heard += len(columns.position)
+            counted.arrivals += len(columns.position)
         if columns.name == "COMMAND_ACK":
             for row in range(len(columns.position)):
                 self._acknowledge(vehicle, one_message(columns, row).fields)
@@ -220,7 +220,7 @@ class RateRequests:
     def _for_us(self, fields: Mapping[str, Any]) -> bool:
         addressed = (fields.get("target_system"), fields.get("target_component"))
         # Version 1 has no room for the address.
-        to_us = all(found in (0, own) for found, own in zip(addressed, self._ids, strict=True))
+        to_us = all(address in (0, own) for address, own in zip(addressed, self._ids, strict=True))
         return to_us and fields.get("command") == self._dialect.MAV_CMD_SET_MESSAGE_INTERVAL
 
     def requests(self, now_ns: int) -> list[bytes]:
@@ -243,7 +243,7 @@ class RateRequests:
         """Forget all times: the clock was set back."""
         self._heartbeat_ns = None
         for vehicle in self._vehicles.values():
-            vehicle.heard_ns = vehicle.waiting = None
+            vehicle.last_ns = vehicle.waiting = None
             for request in vehicle.requests.values():
                 request.not_before_ns = 0
 
@@ -291,9 +291,9 @@ class RateRequests:
 def _next_request(vehicle: _Vehicle, now_ns: int) -> RequestedRate | None:
     """Measure a vehicle's rates; return the request that is due."""
     # Only when it was just heard: that nothing comes any more is no low rate but silence.
-    if not vehicle.heard_anew:
+    if not vehicle.arrived:
         return None
-    vehicle.heard_anew = False
+    vehicle.arrived = False
     for request in vehicle.requests.values():
         request.measure(now_ns)
     if vehicle.waiting is not None and now_ns < vehicle.waiting_until_ns:

@@ -94,10 +94,10 @@ def send_arm(run: ArmRun, url: str, speed: float = 1.0) -> int:
     TelemetryError
         The URL is not understood.
     """
-    kind, _, rest = url.partition(":")
+    kind, _, where = url.partition(":")
     if kind not in ("udp", "udpout"):
         raise TelemetryError(f"{url}: the arm sends over UDP only; use udpout:HOST:PORT")
-    family, address = resolve(url, rest)
+    family, address = resolve(url, where)
     count = 0
     with socket.socket(family, socket.SOCK_DGRAM) as out:
         for packet in paced(arm_packets(run), speed):

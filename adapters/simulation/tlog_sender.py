@@ -61,8 +61,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="seconds to leave out")
     parser.add_argument("--stop", type=float, metavar="S", help="second to stop at")
     args = parser.parse_args(argv)
-    kind, _, rest = args.to.partition(":")
-    host, _, port = rest.rpartition(":")
+    kind, _, where = args.to.partition(":")
+    host, _, port = where.rpartition(":")
     try:
         if kind not in ("udp", "udpout") or not port.isdecimal():
             raise TelemetryError(f"{args.to}: use udp:HOST:PORT")

@@ -31,7 +31,7 @@ _QUEUE = 4096
 """Messages that wait to be read: 8 s of a vehicle at 530 a second."""
 _QUEUE_BYTES = 1 << 24
 """Memory that they may take, whatever they hold: 16 of the largest payloads."""
-_MAX_TOLD = 1000
+_MAX_LOGGED = 1000
 """Keys that are told about once each. Names come from the network: the list of them has to end."""
 
 
@@ -100,7 +100,7 @@ class ZenohLink:
         self._messages = self._dropped = self._oversized = self._malformed = 0
         self._undefined = self._connected = self._reconnections = 0
         self._lost_all = False
-        self._told: set[str] = set()
+        self._logged: set[str] = set()
         try:
             self._subscriber: Any = session.declare_subscriber(keyexpr, self._take)
         except zenoh.ZError as error:
@@ -163,8 +163,8 @@ class ZenohLink:
 
     def _say_once(self, key: str, error: ValueError) -> None:
         """Log why a payload was passed over: the first of each key, as its sender will hardly mend itself."""
-        if key not in self._told and len(self._told) < _MAX_TOLD:
-            self._told.add(key)
+        if key not in self._logged and len(self._logged) < _MAX_LOGGED:
+            self._logged.add(key)
             logging.getLogger(__name__).warning("payload of %s passed over, and more like it: %s", key, error)
 
     def statistics(self) -> ZenohLinkStatistics:

@@ -135,8 +135,8 @@ def _crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, discr
     else:
         linear[n : 2 * n, n:], constant[2 * n + p :, n:] = np.eye(n), B.T
     Q, _ = np.linalg.qr(last, mode="complete")
-    rest = Q[:, m + p :].T
-    alpha, beta = eigvals(rest @ constant, rest @ linear, homogeneous_eigvals=True)
+    projection = Q[:, m + p :].T
+    alpha, beta = eigvals(projection @ constant, projection @ linear, homogeneous_eigvals=True)
     if discrete:
         omega = np.abs(np.angle(alpha * np.conj(beta)))
         return np.unique(np.concatenate([omega, [0.0, math.pi]]))
