@@ -110,7 +110,7 @@ def test_a_viewer_that_connects_sees_everything(tmp_path: Path) -> None:
     view = live.vehicle("copter-1", [LAYOUT], THRESHOLDS, {"ATTITUDE"})
     run = fill(view)
     command = [rerun_binary(), live.url, "--save", str(path), "--bind=127.0.0.1", f"--port={free_port()}"]
-    until(lambda: live.statistics().batches > 0 and listening(port))
+    until(lambda: live.batches > 0 and listening(port))
     viewer = subprocess.Popen(command, env=os.environ | {"CI": "1"}, stderr=subprocess.DEVNULL)
     try:
         until(lambda: path.exists() and "/copter-1/log" in entities(path))
@@ -152,7 +152,7 @@ def test_values_thresholds_alarms_and_telemetry_of_all_vehicles_are_sent(receive
     live = LiveView("spawn", memory_mb=99)
     run = fill(live.vehicle("a", [LAYOUT, STANDBY], BOTH_THRESHOLDS, {"ATTITUDE"}))
     fill(live.vehicle("b", [LAYOUT], THRESHOLDS, ()))
-    until(lambda: live.statistics().batches > 0)
+    until(lambda: live.batches > 0)
     live.close()
     until(lambda: finished(receiver))
     found = tables(receiver)
@@ -181,7 +181,7 @@ def test_a_shelved_alarm_is_shown_as_such(receiver: Path) -> None:
     view = live.vehicle("a", [LAYOUT], THRESHOLDS, ())
     for alarm in (EVENTS[0], replace(EVENTS[1], state="shelved", shelved_until_ns=2**60), EVENTS[2]):
         view.event(alarm)
-    until(lambda: live.statistics().batches > 0)
+    until(lambda: live.batches > 0)
     live.close()
     until(lambda: finished(receiver))
     assert tables(receiver)["/a/alarms/motors/motor1"]["StateChange:state"] == [["warning"], ["shelved"], [""]]
@@ -199,23 +199,23 @@ def test_a_viewer_that_never_reads_stalls_nobody_and_ends_with_the_view(fake_rer
         for _ in range(1000):
             tick += 5
             view.event(event(tick, "raised", message="x" * 1000))
-        return live.statistics().dropped > 10_000
+        return live.dropped > 10_000
 
     until(feed)
     assert len(view) <= 1100
     live.close()
-    assert not live.statistics().showing
+    assert not live.showing
 
 
 def test_a_viewer_that_is_closed_costs_nothing(fake_rerun: FakeRerun) -> None:
     fake_rerun("exit 0")
     live = LiveView("spawn")
     view = live.vehicle("a", [LAYOUT], THRESHOLDS, ())
-    until(lambda: live.statistics().failures == 1)
+    until(lambda: live.failures == 1)
     fill(view)
     live.close()
     live.close()
-    assert live.statistics().showing is False
+    assert live.showing is False
 
 
 def test_a_port_that_is_taken_and_a_missing_executable_are_said_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -258,7 +258,7 @@ def test_a_flight_with_a_motor_fault_shows_its_thresholds_and_its_alarm(
         until(lambda: len(view) < 400)
     live.close()
     until(lambda: finished(receiver))
-    assert live.statistics().dropped == 0
+    assert live.dropped == 0
     found = tables(receiver)
     root = f"/{rr.escape_entity_path_part(pipeline.vehicle)}"
     assert [text for [text] in found[f"{root}/log"]["TextLog:text"]] == [

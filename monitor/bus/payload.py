@@ -36,16 +36,16 @@ def estimate_json(layout: Layout, estimates: Estimates, row: int) -> dict[str, A
         "time_ns": int(estimates.samples.time_ns[row]),
         "vehicle_time_ms": int(estimates.samples.vehicle_time_ns[row]) // 1_000_000,
         "armed": bool(estimates.armed[row]),
-        "x": named(layout.states, estimates.x[row]),
-        "fault": named(layout.faults, estimates.fault[row]),
-        "sd": named(layout.faults, estimates.sd[row]),
+        "x": _named(layout.states, estimates.x[row]),
+        "fault": _named(layout.faults, estimates.fault[row]),
+        "sd": _named(layout.faults, estimates.sd[row]),
         "coasted_s": float(estimates.coasted_s[row]),
-        "isolated": named(layout.faults, estimates.isolated[row]),
-        "residual": named(layout.outputs, estimates.residual[row]),
+        "isolated": _named(layout.faults, estimates.isolated[row]),
+        "residual": _named(layout.outputs, estimates.residual[row]),
     }
 
 
-def named(names: Sequence[str], values: NDArray[Any]) -> dict[str, float]:
+def _named(names: Sequence[str], values: NDArray[Any]) -> dict[str, float]:
     """Return a vector's entries by name."""
     return dict(zip(names, values.tolist(), strict=True))
 

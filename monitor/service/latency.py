@@ -6,8 +6,10 @@ five leading bits and how many follow.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 _LEADING_BITS = 5
 """A bucket is 2 ^ -4 of its octave wide: percentiles are exact to 6 %."""
@@ -85,16 +87,10 @@ class LatencyHistogram:
 
     def buckets(self) -> LatencyBuckets:
         """Return the histogram since the start, coarse enough to be scraped."""
-        counts, sum_ns = self._counts.copy(), self._sum_ns
-        cumulative, total, position = [], 0, 0
-        for exponent in _EXPORTED_EXPONENTS:
-            end = _first_bucket(exponent)
-            total += sum(counts[position:end])
-            position = end
-            cumulative.append(total)
-        total += sum(counts[position:])
+        below, sum_ns = [0, *accumulate(self._counts)], self._sum_ns
+        counts = [below[_first_bucket(exponent)] for exponent in _EXPORTED_EXPONENTS]
         bounds = tuple((1 << exponent) / 1e9 for exponent in _EXPORTED_EXPONENTS)
-        return LatencyBuckets(bounds, (*cumulative, total), sum_ns / 1e9)
+        return LatencyBuckets(bounds, (*counts, below[-1]), sum_ns / 1e9)
 
 
 def _first_bucket(exponent: int) -> int:
@@ -109,18 +105,11 @@ def _upper_ns(bucket: int) -> int:
 
 
 def _statistics(counts: Sequence[int], max_ns: int) -> LatencyStatistics:
-    count = sum(counts)
+    cumulative = list(accumulate(counts))
+    count = cumulative[-1]
     if count == 0:
         return LatencyStatistics()
-    p50_ns, p99_ns = (min(_quantile(counts, -(-count * percent // 100)), max_ns) for percent in (50, 99))
+    # the upper bounds of the buckets that hold the latencies of these ranks, counted from 1
+    ranks = (-(-count * percent // 100) for percent in (50, 99))
+    p50_ns, p99_ns = (min(_upper_ns(bisect_left(cumulative, rank)), max_ns) for rank in ranks)
     return LatencyStatistics(count, p50_ns / 1e9, p99_ns / 1e9, max_ns / 1e9)
-
-
-def _quantile(counts: Sequence[int], rank: int) -> int:
-    """Return the upper bound of the bucket that holds the latency of a rank, counted from 1."""
-    seen = 0
-    for bucket, count in enumerate(counts):
-        seen += count
-        if seen >= rank:
-            return _upper_ns(bucket)
-    return _LARGEST_NS

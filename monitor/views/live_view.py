@@ -10,7 +10,6 @@ import contextlib
 import threading
 import uuid
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -36,16 +35,6 @@ _CLOSE_S = 1.0
 _OWN_MB = 128
 
 
-@dataclass(frozen=True, slots=True)
-class LiveViewStatistics:
-    """Counts so far."""
-
-    showing: bool  # whether a Rerun process is there
-    batches: int  # batches it was sent
-    dropped: int  # rows and events dropped because it did not read them in time
-    failures: int  # how often it went away, grew too large or could not be started
-
-
 class LiveView:
     """Shows vehicles in one Rerun recording, a tab each, all alarms below.
 
@@ -53,6 +42,8 @@ class LiveView:
     memory for data that were shown; the oldest are dropped. A server that dies, or that grows beyond its memory because
     one of its viewers stalls, is started afresh; a viewer whose window was closed stays closed. Raises UsageError where
     the port is taken, or Rerun's executable is missing.
+
+    ``batches`` counts those sent, ``failures`` how often the process went away, grew too large or could not be started.
     """
 
     def __init__(
@@ -70,7 +61,7 @@ class LiveView:
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._process: RerunProcess | None = None
-        self._batches = self._failures = 0
+        self.batches = self.failures = 0
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
         self._thread.start()
 
@@ -83,10 +74,15 @@ class LiveView:
             self._vehicles = self._vehicles | {name: view}
         return view
 
-    def statistics(self) -> LiveViewStatistics:
-        """Return the counts so far."""
-        dropped = sum(view.dropped for view in self._vehicles.values())
-        return LiveViewStatistics(self._process is not None, self._batches, dropped, self._failures)
+    @property
+    def showing(self) -> bool:
+        """Whether a Rerun process is there."""
+        return self._process is not None
+
+    @property
+    def dropped(self) -> int:
+        """Rows and events dropped because they were not read in time."""
+        return sum(view.dropped for view in self._vehicles.values())
 
     def close(self) -> None:
         """Send the rest if that is quickly done, and end; a second call does nothing."""
@@ -103,7 +99,7 @@ class LiveView:
                 self._show()
             except Exception:
                 # whatever goes wrong with a picture, the monitor goes on
-                self._failures += 1
+                self.failures += 1
                 if self._mode == "spawn":
                     return
                 self._stop.wait(_RESTART_S)
@@ -129,7 +125,7 @@ class LiveView:
                     data = stream.read(flush_timeout_sec=_FLUSH_S)
                     if data:
                         process.write(data)
-                        self._batches += 1
+                        self.batches += 1
                     if self._mode == "serve" and process.resident_mb() > 2 * self._memory_mb + _OWN_MB:
                         raise MemoryError("a viewer holds up the server")
             finally:

@@ -165,56 +165,51 @@ class Attack:
         if added is not None:
             return lambda stamp_ns, value: value + added(stamp_ns)
         if self.kind == "scale":
-            return _Scaled(self.size or 0.0, from_home)
+            return _scaled(self.size or 0.0, from_home)
         if self.kind == "freeze":
-            return _Past(lambda _: self.start_ns, self.start_ns)
+            return _past(lambda _: self.start_ns, self.start_ns)
         if self.kind == "delay":
             late_ns = round((self.size or 0.0) * 1e9)
-            return _Past(lambda stamp_ns: stamp_ns - late_ns, self.end_ns)
+            return _past(lambda stamp_ns: stamp_ns - late_ns, self.end_ns)
         if self.kind == "replay" and self.source_ns is not None:
             source_ns, length_ns = self.source_ns, self.start_ns - self.source_ns
-            return _Past(lambda stamp_ns: source_ns + (stamp_ns - self.start_ns) % length_ns, self.start_ns)
+            return _past(lambda stamp_ns: source_ns + (stamp_ns - self.start_ns) % length_ns, self.start_ns)
         raise UsageError(f"--kind {self.kind} does not go with --channel {self.channel}")
 
 
-class _Scaled:
-    """Multiplies, about zero or about the first value."""
+def _scaled(factor: float, from_home: bool) -> Change:
+    """Return the change that multiplies, about zero or about the first value."""
+    home = None if from_home else 0.0
 
-    def __init__(self, factor: float, from_home: bool) -> None:
-        self._factor = factor
-        self._home = None if from_home else 0.0
+    def change(_: int, value: float) -> float:
+        nonlocal home
+        home = value if home is None else home
+        return home + factor * (value - home)
 
-    def __call__(self, stamp_ns: int, value: float) -> float:
-        if self._home is None:
-            self._home = value
-        return self._home + self._factor * (value - self._home)
+    return change
 
 
-class _Past:
-    """Shows the value measured closest to another time: in step with the clock, jitter or not.
+def _past(time: Callable[[int], int], until_ns: int) -> Change:
+    """Return the change that shows the value measured closest to another time: in step with the clock, jitter or not.
 
     ``time`` returns the time whose value is shown at a time. Values from ``until_ns`` on are not kept; the first one
     always is.
     """
+    stamps: list[int] = []
+    values: list[float] = []
 
-    def __init__(self, time: Callable[[int], int], until_ns: int) -> None:
-        self._time = time
-        self._until_ns = until_ns
-        self._stamps: list[int] = []
-        self._values: list[float] = []
-
-    def __call__(self, stamp_ns: int, value: float) -> float:
-        stamps = self._stamps
+    def change(stamp_ns: int, value: float) -> float:
         place = bisect_right(stamps, stamp_ns)
         known = place > 0 and stamps[place - 1] == stamp_ns
-        if not known and (stamp_ns < self._until_ns or not stamps):
+        if not known and (stamp_ns < until_ns or not stamps):
             stamps.insert(place, stamp_ns)
-            self._values.insert(place, value)
-        wanted_ns = self._time(stamp_ns)
+            values.insert(place, value)
+        wanted_ns = time(stamp_ns)
         after = min(bisect_right(stamps, wanted_ns), len(stamps) - 1)
         before = max(after - 1, 0)
-        closer = after if stamps[after] - wanted_ns < wanted_ns - stamps[before] else before
-        return self._values[closer]
+        return values[after if stamps[after] - wanted_ns < wanted_ns - stamps[before] else before]
+
+    return change
 
 
 def _generator(seed: int, stamp_ns: int) -> np.random.Generator:

@@ -50,10 +50,6 @@ class Truth:
         """Return the size at a time, zero while it does not act."""
         return self.signal(time_s) if self.start_s <= time_s < self.stop_s else 0.0
 
-    def course(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sizes at many times (N,)."""
-        return np.array([self.at(float(time_s)) for time_s in times_s])
-
 
 _DATA = Path(__file__).parent.parent / "data"
 _START_TIMEOUT_S = 30.0
@@ -219,7 +215,7 @@ def _report(scene: DemoScene, events: Sequence[AlarmEvent], replayed: Replay, ou
 def _true_course(truth: Truth, trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return times (s) and true sizes in the unit of the estimate."""
     times_s = trace.vehicle_ns / 1e9
-    size = truth.course(times_s)
+    size = np.array([truth.at(time_s) for time_s in times_s.tolist()])
     if truth.relative:
         size = size * trace.u[:, trace.layout.inputs.index(truth.channel)]
     return times_s, size
