@@ -16,13 +16,14 @@ from adapters.output_file import write_file
 from monitor.fitting.fit_report import draw_comparison
 from monitor.fitting.fitted import BatchSource, FitRequest, Fitted, kept_logs
 from monitor.fitting.flights import phase_reports
+from monitor.fitting.raw_streams import hidden
 from monitor.fitting.survey import Survey, of_one_vehicle, survey
 from monitor.profile import PROFILE_FILE, Profile, profile_table
 from monitor.sampling.gate import GateRule
 from monitor.sampling.identity import Identity, Reports, common_identity
 from monitor.sampling.slow_telemetry import slow_messages, slow_text
 from monitor.vehicles.base import VehicleKind, likely_kinds, load
-from monitor.vehicles.inertial.fit import fit_inertial
+from monitor.vehicles.inertial.fit import OBSERVER, fit_inertial
 from monitor.vehicles.kinds import KINDS, kind_named
 from replay.sensitivity.capability import measure_capability
 
@@ -128,7 +129,7 @@ def fit_profile(
             observers.append(fit_inertial(request, gate))
         except (TelemetryError, ModelError, InfeasibleError) as error:
             notes.append(f"inertial: {error}")
-    warnings = _slow(vehicle, surveys, observers) if surveys else ()
+    warnings = (*_slow(vehicle, surveys, observers), *_hidden(surveys, observers)) if surveys else ()
     measured = tuple(_measured(fitted, request, kind, gate) for fitted in observers)
     report = FitReport(kind, measured, tuple(notes), warnings)
     identity = common_identity(one.identity for one in surveyed)
@@ -220,6 +221,12 @@ def replace_kept(path: Path, text: str) -> Path | None:
         write_file(before, path.read_bytes())
     write_file(path, text)
     return before
+
+
+def _hidden(surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str, ...]:
+    """Return what the sensors' own observer does not see because its measurements are corrected before it."""
+    channels = (channel for fitted in observers if fitted.name == OBSERVER for channel in fitted.source.channels)
+    return tuple(filter(None, (hidden(surveys, channels),)))
 
 
 def _slow(kind: VehicleKind, surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ from monitor.event import Kind
         ("gps_velocity_east", "sensor", "m/s", 1.5, None, "GPS velocity is 1.5 m/s too much east"),
         ("baro", "sensor", "m", 8.0, None, "barometer reads 8 m too high"),
         ("compass", "sensor", "rad", -0.3491, None, "compass is 20 degrees too far anticlockwise"),
+        ("compass", "sensor", "rad", 7.1733, None, "compass is 51 degrees too far clockwise"),
         ("gyro_x", "sensor", "rad/s", 0.08, None, "gyro x reads 0.08 rad/s too much"),
         ("airspeed", "sensor", "m/s", -2.5, None, "airspeed reads 2.5 m/s too slow"),
         ("encoder", "sensor", "rad", 2.0, None, "encoder reads +2 rad off"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -10,13 +11,16 @@ from typing import Any
 
 import pytest
 from foreign_logs import ARM_DEFINITION, ARM_TYPE, START_NS, arm_rows, ros2_bag, stamp
+from ulog_writer import UlogWriter
 
 import fauio
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import read_recording
 from adapters.logs.tlog import read_tlog
+from adapters.message import Message
 from adapters.simulation.arm import SCENARIOS, simulate_arm
 from adapters.simulation.arm_source import arm_messages
+from adapters.source import MAVLINK
 from monitor.profile import Profile
 from replay.inspection.log_info import first_raised
 from replay.player import play
@@ -224,3 +228,103 @@ def test_an_alarm_id_in_a_foreign_recording_may_be_anything() -> None:
 
     events = [{"state": "raised", "id": ["a"]}, {"state": "raised", "id": ["a"]}, {"state": "raised", "id": {}}]
     assert first_raised(events) == [events[0], events[2]]
+
+
+def log_of(path: Path, messages: Iterable[Message]) -> Path:
+    with MessageLogWriter(path) as log:
+        for message in messages:
+            log.write(message)
+    return path
+
+
+def px4_link(*imus: str) -> Iterator[Message]:
+    """Yield two seconds of a PX4 that sends attitude and some IMU messages, armed from the first heartbeat on."""
+    heartbeat = {"type": 2, "autopilot": 12, "base_mode": 129, "custom_mode": 0, "system_status": 4}
+    values = dict.fromkeys(("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag"), 1)
+    angles = dict.fromkeys(("roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed"), 0.1)
+    for step in range(1, 101):
+        clocks = {"time_boot_ms": 20 * step}, {"time_usec": 20_000 * step}
+        yield Message(MAVLINK, "ATTITUDE", START + 20_000_000 * step, clocks[0] | angles, 1, 1)
+        if step % 50 == 1:
+            yield Message(MAVLINK, "HEARTBEAT", START + 20_000_000 * step, heartbeat | {"mavlink_version": 3}, 1, 1)
+        for imu in imus:
+            yield Message(MAVLINK, imu, START + 20_000_000 * step, clocks[imu == "HIGHRES_IMU"] | values, 1, 1)
+
+
+def test_what_a_corrected_imu_hides_is_said_and_a_raw_one_preferred(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = log_of(tmp_path / "corrected.mcap", px4_link("HIGHRES_IMU"))
+    inertial = ask(capsys, path)["vehicle"]["fits"]["inertial"]
+    assert inertial["channels"]["xgyro"] == "HIGHRES_IMU.xgyro"
+    assert inertial["hides"].startswith("HIGHRES_IMU: less the bias that the autopilot's estimator has learned")
+    text = told(capsys, path)
+    assert "hides some: HIGHRES_IMU: less the bias" in text
+    assert "SCALED_IMU is raw" in text
+    raw = log_of(tmp_path / "raw.mcap", px4_link("HIGHRES_IMU", "SCALED_IMU"))
+    inertial = ask(capsys, raw)["vehicle"]["fits"]["inertial"]
+    assert inertial["channels"]["xgyro"] == "SCALED_IMU.xgyro"
+    assert inertial["hides"] is None
+
+
+def test_a_vehicle_that_was_never_armed_is_told_what_a_flight_would_allow(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    disarmed = (
+        replace(message, fields={**message.fields, "base_mode": 1}) if message.name == "HEARTBEAT" else message
+        for message in px4_link("HIGHRES_IMU")
+    )
+    path = log_of(tmp_path / "still.mcap", disarmed)
+    found = ask(capsys, path)
+    assert found["vehicle"]["never_armed"]
+    assert found["vehicle"]["fits"]["inertial"]["possible"]
+    text = told(capsys, path)
+    assert "quadrotor of px4, 202 messages, never armed" in text
+    assert "nothing to fit: the vehicle is never armed; record a flight." in text
+
+
+def test_an_onboard_log_says_its_inputs_frame_and_the_kind_of_its_sensors(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = UlogWriter(start_us=1_000_000)
+    for name, value in (("CA_ROTOR_COUNT", 4), ("MAV_TYPE", 2)):
+        log.parameter(name, value)
+    for k, (x, y) in enumerate(((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))):
+        for axis, place in (("X", x), ("Y", y)):
+            log.parameter(f"CA_ROTOR{k}_P{axis}", place)
+    topics = {
+        "vehicle_status": "uint64_t timestamp;uint8_t arming_state;uint8_t nav_state;uint8_t system_type",
+        "vehicle_angular_velocity": "uint64_t timestamp;float[3] xyz",
+        "vehicle_attitude": "uint64_t timestamp;float[4] q",
+        "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2",
+        "actuator_motors": "uint64_t timestamp;float[12] control",
+        "vehicle_magnetometer": "uint64_t timestamp;float[3] magnetometer_ga",
+        "vehicle_torque_setpoint": "uint64_t timestamp;float[3] xyz",
+        "vehicle_thrust_setpoint": "uint64_t timestamp;float[3] xyz",
+    }
+    for name, fields in topics.items():
+        log.define(name, fields)
+    numbers = {name: log.subscribe(name) for name in topics}
+    for step in range(200):
+        values: dict[str, dict[str, Any]] = {
+            "vehicle_status": {"arming_state": 2, "nav_state": 4, "system_type": 2},
+            "vehicle_attitude": {"q": [1.0, 0.0, 0.0, 0.0]},
+            "vehicle_magnetometer": {"magnetometer_ga": [0.2, 0.0, 0.4]},
+            "actuator_motors": {"control": [0.5 + 0.01 * ((step + k) % 9) for k in range(4)] + [float("nan")] * 8},
+        }
+        for name in topics:
+            if step % {"actuator_motors": 5, "vehicle_magnetometer": 25}.get(name, 1) == 0:
+                log.add(numbers[name], name, {"timestamp": 1_000_000 + 20_000 * step, **values.get(name, {})})
+    found = ask(capsys, log.write(tmp_path / "a.ulg"))
+    assert {name: round(one["rate_hz"]) for name, one in found["vehicle"]["inputs"].items()} == {
+        "SERVO_OUTPUT_RAW": 10,
+        "ACTUATOR_CONTROL_TARGET": 50,
+    }
+    fits = found["vehicle"]["fits"]
+    assert fits["multirotor"]["watches"][:4] == ["motor1", "motor2", "motor3", "motor4"]
+    assert fits["multirotor"]["facts"][0].startswith("frame: 4 rotors as the parameters place them")
+    assert fits["multirotor"]["hides"].startswith("ATTITUDE: less the bias")
+    assert fits["inertial"]["hides"] is None
+    assert "vehicle_magnetometer at 10 Hz: it comes at 2 Hz" in fits["inertial"]["missing"][-1]
+    assert found["systems"][0]["armed_s"] == pytest.approx(3.98, abs=0.05)
+    assert [system["system"] for system in found["systems"]] == [1]

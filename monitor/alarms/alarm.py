@@ -78,9 +78,9 @@ def _sensor(channel: str, unit: str, size: float) -> str | None:
     if channel == "baro":
         return f"barometer reads {amount} too {'high' if size > 0 else 'low'}"
     if channel == "compass":
-        return (
-            f"compass is {abs(math.degrees(size)):.0f} degrees too far {'clockwise' if size > 0 else 'anticlockwise'}"
-        )
+        # the estimate counts turns on; nothing is further off than half of one
+        off = math.degrees(math.remainder(size, math.tau))
+        return f"compass is {abs(off):.0f} degrees too far {'clockwise' if off > 0 else 'anticlockwise'}"
     if channel == "airspeed":
         return f"airspeed reads {amount} too {'fast' if size > 0 else 'slow'}"
     if name in ("gyro", "accel", "attitude"):

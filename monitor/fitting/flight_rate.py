@@ -21,9 +21,16 @@ _BINS = 64 * _BINS_PER_OCTAVE
 
 
 class FlightRate:
-    """Counts the steps from stamp to stamp of one message."""
+    """Counts the steps from stamp to stamp of one message.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    repeats : bool
+        Whether messages of the same time count, as those that arrive together; else they are one measurement.
+    """
+
+    def __init__(self, *, repeats: bool = False) -> None:
+        self._repeats = repeats
         self._last_ns: int | None = None
         self._counts = np.zeros(_BINS, np.int64)
         self._sums_ns = np.zeros(_BINS, np.float64)
@@ -32,13 +39,14 @@ class FlightRate:
         self._late_ns = 0.0
 
     def add(self, stamps_ns: NDArray[np.int64]) -> None:
-        """Count the stamps (n,) of messages in the order in which they came; a measurement repeated counts once."""
+        """Count the stamps (n,) of messages in the order in which they came."""
         if not len(stamps_ns):
             return
         before = stamps_ns[:1] if self._last_ns is None else np.array([self._last_ns])
         steps = np.diff(np.concatenate([before, stamps_ns])).astype(np.float64)
+        steps = steps[self._last_ns is None :]
         self._last_ns = int(stamps_ns[-1])
-        late = steps[(steps < 0.0) & (steps > _RESTART_NS)]
+        late = steps[(steps <= 0.0 if self._repeats else steps < 0.0) & (steps > _RESTART_NS)]
         self._late += len(late)
         self._late_ns += float(late.sum())
         ahead = steps[steps > 0.0]

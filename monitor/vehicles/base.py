@@ -44,6 +44,7 @@ class Preview:
     channels: tuple[Channel, ...]  # channels that the observer would use
     rate_hz: float | None  # rate of its samples; None where no message tells
     missing: tuple[str, ...] = ()  # fault channels that need messages which are not there, and which ones
+    facts: tuple[str, ...] = ()  # what else a fit would go by, a line for people each
 
     def to_json(self) -> dict[str, Any]:
         """Return the preview as a JSON object."""
@@ -51,6 +52,7 @@ class Preview:
 
         return {
             "missing": list(self.missing),
+            "facts": list(self.facts),
             "watches": list(self.watches),
             "channels": {
                 channel.name: f"{channel.message}.{channel_table(channel)['field']}" for channel in self.channels

@@ -61,7 +61,9 @@ def _recording(found: Mapping[str, Any]) -> Iterator[str]:
 
 def _system(system: Mapping[str, Any]) -> str:
     what = " of ".join(word for word in (system["type"], system["autopilot"]) if word and word != "invalid")
-    armed = f", armed for {system['armed_s']:.0f} s" if system["armed_s"] else ""
+    armed = ", never armed" * bool(system["heartbeats"])
+    if system["armed_s"]:
+        armed = f", armed for {system['armed_s']:.0f} s"
     return f"{what or 'unknown'}, {system['messages']} messages{armed}"
 
 
@@ -90,6 +92,10 @@ def _messages(found: Mapping[str, Any]) -> Iterator[str]:
 
 def _vehicle(vehicle: Mapping[str, Any]) -> Iterator[str]:
     whose = "these topics" if vehicle["system"] is None else f"system {vehicle['system']}"
+    for name, one in vehicle["inputs"].items():
+        yield f"  {one['holds']}: {name} at {one['rate_hz']:.3g} Hz"
+    if vehicle["never_armed"]:
+        yield "  nothing to fit: the vehicle is never armed; record a flight. Of a flight with these messages:"
     yield f"  what fauio fit could make of {whose}:"
     for kind, fit in vehicle["fits"].items():
         # a vehicle that says what it is is nothing else, whatever its messages would allow
@@ -102,8 +108,12 @@ def _vehicle(vehicle: Mapping[str, Any]) -> Iterator[str]:
         yield from _listed(f"    {kind}{rate}: watches ", fit["watches"])
         places = _grouped(fit["channels"].values())
         yield from _listed("      from ", places)
+        for fact in fit["facts"]:
+            yield from _listed("      ", fact.split(" "), " ")
+        if fit["hides"]:
+            yield from _listed("      hides some: ", fit["hides"].split(" "), " ")
         for missing in fit["missing"]:
-            yield f"      lacks {missing}"
+            yield from _listed("      lacks ", missing.split(" "), " ")
 
 
 def _grouped(places: Any) -> list[str]:
@@ -161,11 +171,11 @@ def _capped(items: Sequence[str], most: int) -> list[str]:
     return [*items[:most], f"... {len(items) - most} more"] if len(items) > most else list(items)
 
 
-def _listed(start: str, items: Sequence[str]) -> Iterator[str]:
-    """Yield items behind a start, in lines of bounded width."""
+def _listed(start: str, items: Sequence[str], comma: str = ", ") -> Iterator[str]:
+    """Yield items behind a start, with a comma between them, in lines of bounded width."""
     line, indent = start, " " * (len(start) - len(start.lstrip()) + 2)
     for at, item in enumerate(items):
-        word = item + (", " if at < len(items) - 1 else "")
+        word = item + (comma if at < len(items) - 1 else "")
         if len(line) + len(word) > _WIDTH and line.strip():
             yield line.rstrip()
             line = indent

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
+from monitor.fitting.raw_streams import corrected
 from monitor.fitting.survey import Survey, common_rate_hz
 from monitor.sampling.phase import FlightPhase
 from monitor.vehicles.base import Preview
@@ -23,6 +24,10 @@ _LARGEST = 1.7e308
 """Numbers up to here are floats without overflow."""
 _SELDOM = ("GPS_RAW_INT", "SCALED_PRESSURE")
 """Messages that no autopilot sends as fast as those of its IMU; the transform waits for them."""
+_ENOUGH = 0.5
+"""Share of HIGHRES_IMU's rate from which on a raw message is preferred to a corrected one. Chosen: what a slow fault of
+a sensor loses by half the samples is little beside its fading within seconds.
+"""
 
 
 class StrapdownSource(NamedTuple):
@@ -36,18 +41,22 @@ class StrapdownSource(NamedTuple):
     seldom: tuple[str, ...]
 
 
-def strapdown_channels(examples: Mapping[str, Mapping[str, Any]]) -> StrapdownSource:
+def strapdown_channels(
+    examples: Mapping[str, Mapping[str, Any]], imus: Sequence[str] = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU")
+) -> StrapdownSource:
     """Choose the channels.
 
-    The IMU is HIGHRES_IMU (SI units, microseconds), else SCALED_IMU or RAW_IMU (which ArduPilot sends in the same
-    units). The barometer is the pressure altitude of HIGHRES_IMU, which comes with the IMU's own time stamp, else
-    the pressure of SCALED_PRESSURE. The altitude of VFR_HUD is no barometer: it is the autopilot's estimate, which a
-    fault of any sensor moves, and it has no time stamp.
+    The IMU is the first of some messages: HIGHRES_IMU (SI units, microseconds), SCALED_IMU or RAW_IMU (which ArduPilot
+    sends in the same units). The barometer is the pressure altitude of HIGHRES_IMU, which comes with the IMU's own time
+    stamp, else the pressure of SCALED_PRESSURE. The altitude of VFR_HUD is no barometer: it is the autopilot's
+    estimate, which a fault of any sensor moves, and it has no time stamp.
 
     Parameters
     ----------
     examples : Mapping[str, Mapping[str, Any]]
         Fields of one message (in motion, after the first GPS fix) for each message name that the vehicle sends.
+    imus : Sequence[str]
+        Messages of inertial measurements, the preferred ones first.
 
     Raises
     ------
@@ -56,7 +65,7 @@ def strapdown_channels(examples: Mapping[str, Mapping[str, Any]]) -> StrapdownSo
     """
     if "ATTITUDE" not in examples:
         raise TelemetryError("no ATTITUDE message: the inertial observer needs it; request it from the autopilot")
-    imu = next((name for name in ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU") if name in examples), None)
+    imu = next((name for name in imus if name in examples), None)
     if imu is None:
         raise TelemetryError("no HIGHRES_IMU, SCALED_IMU or RAW_IMU message: request one from the autopilot")
     force, rate = (1.0, 1.0) if imu == "HIGHRES_IMU" else (_G / 1000.0, 1e-3)
@@ -98,7 +107,18 @@ def common_channels(surveys: Sequence[Survey]) -> StrapdownSource:
         rates = {name: min(found.rate_hz.get(name, 0.0) for found in surveys) for name in common}
         if (found := ros_channels(examples, rates)) is not None:
             return StrapdownSource(*found)
-    return strapdown_channels(examples)
+    return strapdown_channels(examples, _imus(surveys))
+
+
+def _imus(surveys: Sequence[Survey]) -> tuple[str, ...]:
+    """Return the messages of inertial measurements, the preferred ones first: raw ones that come often enough."""
+    fast_hz = min(survey.rate_hz.get("HIGHRES_IMU", 0.0) for survey in surveys)
+
+    def second_choice(message: str) -> bool:
+        rate_hz = min(survey.rate_hz.get(message, 0.0) for survey in surveys)
+        return any(corrected(survey, message) for survey in surveys) or rate_hz < _ENOUGH * fast_hz
+
+    return tuple(sorted(("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU"), key=second_choice))
 
 
 def inertial_rate_hz(surveys: Sequence[Survey], source: StrapdownSource) -> float:

@@ -12,6 +12,8 @@ from adapters.logs.log_parameters import PARAMETER_MESSAGES
 from monitor.fitting.survey import MAX_OUTPUTS, MOTION_MESSAGES, MOTOR_MESSAGE, MotorOutput, Survey, common_rate_hz
 from monitor.sampling.phase import FlightPhase
 from monitor.vehicles.base import Preview
+from monitor.vehicles.multirotor.frames import frame_of
+from monitor.vehicles.multirotor.trim import SLOW_COMMANDS_HZ
 
 MESSAGES = MOTION_MESSAGES | FlightPhase.interests | PARAMETER_MESSAGES
 
@@ -71,7 +73,17 @@ def preview(survey: Survey) -> Preview:
     inputs, outputs = multirotor_channels([survey])
     channels = (*inputs, *outputs)
     watches = (*(channel.name for channel in inputs), "gyro_x", "gyro_y", "gyro_z")
-    return Preview(watches, channels, common_rate_hz([survey], channels))
+    return Preview(watches, channels, common_rate_hz([survey], channels), facts=_facts(survey, inputs))
+
+
+def _facts(survey: Survey, inputs: Sequence[Channel]) -> tuple[str, ...]:
+    frame = frame_of(survey.parameters, [int(channel.name.removeprefix("motor")) for channel in inputs])
+    facts = ["frame: not in the recording; the motion has to tell which way each motor turns the vehicle"]
+    if frame is not None:
+        facts = [f"frame: {frame.name}, of the vehicle's parameters"]
+    if survey.rate_hz[MOTOR_MESSAGE] < SLOW_COMMANDS_HZ:
+        facts.append("compares mean command and mean motion, in seconds: motor commands come slowly")
+    return tuple(facts)
 
 
 def multirotor_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
