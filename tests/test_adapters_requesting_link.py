@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from adapters.mavlink.mavlink_link import MavlinkLink
-from adapters.mavlink.message_rates import RateRequests, RequestingLink
+from adapters.mavlink.message_rates import RateRequests
 
 PATIENCE_S = 20.0
 
@@ -66,7 +66,7 @@ def vehicle(port: int) -> Iterator[Vehicle]:
     found.close()
 
 
-def run(link: MavlinkLink | RequestingLink, vehicle: Vehicle, seconds: float, enough: int = 1) -> None:
+def run(link: MavlinkLink, vehicle: Vehicle, seconds: float, enough: int = 1) -> None:
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline and len(vehicle.asked()) < enough:
         vehicle.heartbeat()
@@ -75,29 +75,33 @@ def run(link: MavlinkLink | RequestingLink, vehicle: Vehicle, seconds: float, en
         time.sleep(0.1)
 
 
-def asking(link: MavlinkLink, systems: tuple[int, ...] = ()) -> RequestingLink:
-    return RequestingLink(link, RateRequests(), {"ATTITUDE": 100.0}, systems, 1)
+def asking(port: int, *systems: int) -> MavlinkLink:
+    requests = RateRequests()
+    for system in systems:
+        requests.ask(system, {"ATTITUDE": 100.0})
+    if not systems:
+        requests.ask_everybody({"ATTITUDE": 100.0})
+    return MavlinkLink(f"udpin:127.0.0.1:{port}", may_send=True, requests=requests)
 
 
 def test_a_vehicle_whose_autopilot_is_heard_is_asked_for_the_rate(port: int, vehicle: Vehicle) -> None:
-    with MavlinkLink(f"udpin:127.0.0.1:{port}", may_send=True) as link:
-        run(asking(link), vehicle, PATIENCE_S)
+    with asking(port) as link:
+        run(link, vehicle, PATIENCE_S)
     assert vehicle.asked() == {(3, dialect.MAVLINK_MSG_ID_ATTITUDE, 10_000.0)}
     assert {message.get_type() for message in vehicle.heard} == {"COMMAND_LONG", "HEARTBEAT"}
 
 
 def test_only_the_systems_named_are_asked(port: int, vehicle: Vehicle) -> None:
-    with MavlinkLink(f"udpin:127.0.0.1:{port}", may_send=True) as link:
-        run(asking(link, (9,)), vehicle, 3.0)
+    with asking(port, 9) as link:
+        run(link, vehicle, 3.0)
     assert vehicle.asked() == set()
 
 
 def test_a_ground_station_is_not_asked(port: int, vehicle: Vehicle) -> None:
-    with MavlinkLink(f"udpin:127.0.0.1:{port}", may_send=True) as link:
-        reader = asking(link)
+    with asking(port) as link:
         for _ in range(60):
             vehicle.heartbeat(dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID)
-            reader.receive(0.05)
+            link.receive(0.05)
             vehicle.read()
     assert vehicle.asked() == set()
 

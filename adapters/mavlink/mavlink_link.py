@@ -13,6 +13,7 @@ from adapters.errors import TelemetryError
 from adapters.mavlink.byte_link import open_byte_link
 from adapters.mavlink.mavlink_columns import decoded
 from adapters.mavlink.mavlink_message import MavlinkType, PacketParser, mavlink_types, packet_sender, packet_sequence
+from adapters.mavlink.message_rates import RateRequests
 from adapters.mavlink.signing import SigningGuard, SigningKey, SigningStatistics
 
 # Senders whose unfinished packets are kept apart; more are unlikely, and none can exhaust memory.
@@ -81,6 +82,8 @@ class MavlinkLink:
         Time from one batch to the next while telemetry comes, seconds: what arrives meanwhile waits in the kernel,
         which notes its time of arrival. 0 hands on at once whatever is there. The first packet after a longer
         silence never waits.
+    requests : RateRequests | None
+        Requests for message rates, which go out where sending is allowed.
 
     Raises
     ------
@@ -95,6 +98,7 @@ class MavlinkLink:
         require_signed: bool = False,
         may_send: bool = False,
         batch_s: float = 0.0,
+        requests: RateRequests | None = None,
     ) -> None:
         if require_signed and key is None:
             raise TelemetryError(f"{url}: signed packets are required but there is no key to verify them with")
@@ -113,6 +117,7 @@ class MavlinkLink:
         self._received_ns = 0
         self._messages = 0
         self._batch_s = batch_s
+        self._requests = requests
         self._due_s = 0.0
 
     def receive(self, timeout_s: float) -> Batch:
@@ -141,6 +146,10 @@ class MavlinkLink:
         self._due_s = time.monotonic() + self._batch_s
         self._messages += len(packets)
         batch = decoded(packets, received_ns)
+        if self._requests is not None:
+            for columns in batch.columns:
+                self._requests.count(columns)
+            self.send(self._requests.requests(time.time_ns()))
         if self._guard is not None:
             findings = self._guard.findings(self._received_ns if packets else self._arrival(time.time_ns()))
             if findings:

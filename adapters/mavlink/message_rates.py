@@ -9,63 +9,15 @@ from __future__ import annotations
 
 import functools
 import math
-import time
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from adapters.batch import Batch, Columns, one_message
+from adapters.batch import Columns, one_message
 from adapters.errors import TelemetryError
 from adapters.mavlink.heartbeat import autopilot_heartbeats
-from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.mavlink.signing import SigningKey, unix_stamp
 from adapters.source import MAVLINK
-
-
-class RequestingLink:
-    """A link, opened with ``may_send``, and the requests for message rates that go out over it.
-
-    Some systems' component is asked, or that of every system whose autopilot is heard; rates are hertz by message name.
-    """
-
-    def __init__(
-        self,
-        link: MavlinkLink,
-        requests: RateRequests,
-        rates: Mapping[str, float],
-        systems: Collection[int],
-        component: int,
-    ) -> None:
-        self._link = link
-        self._requests = requests
-        self._rates = rates
-        self._component = component
-        self._open = not systems
-        self._asked: set[int] = set()
-        for system in systems:
-            self._ask(system)
-
-    def receive(self, timeout_s: float) -> Batch:
-        """Return what has arrived, waiting at most ``timeout_s`` for the first packet; send what is due."""
-        batch = self._link.receive(timeout_s)
-        for columns in batch.columns:
-            if self._open and columns.system not in self._asked and self._has_autopilot(columns):
-                self._ask(columns.system)
-            self._requests.count(columns)
-        self._link.send(self._requests.requests(time.time_ns()))
-        return batch
-
-    def statistics(self) -> RateStatistics:
-        """Return what was asked for and what came."""
-        return self._requests.statistics()
-
-    def _ask(self, system: int) -> None:
-        self._asked.add(system)
-        self._requests.ask(system, self._rates, self._component)
-
-    def _has_autopilot(self, columns: Columns) -> bool:
-        return columns.component == self._component and bool(autopilot_heartbeats(columns).any())
-
 
 AUTOPILOT = 1
 """Component id of autopilots."""
@@ -136,14 +88,6 @@ class RequestedRate:
         self.restart(now_ns)
 
 
-@dataclass(frozen=True, slots=True)
-class RateStatistics:
-    """Heartbeats sent so far, and the requests."""
-
-    heartbeats: int
-    rates: tuple[RequestedRate, ...]
-
-
 @dataclass(slots=True)
 class _Vehicle:
     """One vehicle; an acknowledgement does not say which message it is about, so only one request is open at a time."""
@@ -172,9 +116,9 @@ class RateRequests:
             self._packer.signing.secret_key = key.secret
             self._packer.signing.sign_outgoing = True
         self._vehicles: dict[int, _Vehicle] = {}
+        self._everybody: tuple[Mapping[str, float], int] | None = None
         self._now_ns = 0
         self._heartbeat_ns: int | None = None
-        self._heartbeats = 0
 
     def ask(self, system: int, rates: Mapping[str, float], component: int = AUTOPILOT) -> None:
         """Ask one vehicle's autopilot for these rates, hertz by message name, from now on, in place of earlier ones.
@@ -195,8 +139,16 @@ class RateRequests:
         requests = {name: RequestedRate(system, component, name, rate_hz) for name, rate_hz in rates.items()}
         self._vehicles[system] = _Vehicle(component, requests)
 
+    def ask_everybody(self, rates: Mapping[str, float], component: int = AUTOPILOT) -> None:
+        """Ask every vehicle whose autopilot is heard, as :meth:`ask` does."""
+        self._everybody = rates, component
+
     def count(self, columns: Columns) -> None:
         """Count messages that arrived; only those of the vehicles asked matter."""
+        if self._everybody is not None and columns.system not in self._vehicles:
+            rates, component = self._everybody
+            if columns.component == component and autopilot_heartbeats(columns).any():
+                self.ask(columns.system, rates, component)
         vehicle = self._vehicles.get(columns.system)
         if vehicle is None or columns.source is not MAVLINK or columns.component != vehicle.component:
             return
@@ -231,7 +183,6 @@ class RateRequests:
         packets = []
         if self._heartbeat_ns is None or now_ns - self._heartbeat_ns >= _SECOND_NS:
             self._heartbeat_ns = now_ns
-            self._heartbeats += 1
             packets.append(self._heartbeat(now_ns))
         for vehicle in self._vehicles.values():
             request = _next_request(vehicle, now_ns)
@@ -282,10 +233,11 @@ class RateRequests:
         self._packer.seq = (self._packer.seq + 1) % 256
         return packet
 
-    def statistics(self) -> RateStatistics:
-        """Return the counts so far."""
+    @property
+    def rates(self) -> tuple[RequestedRate, ...]:
+        """What became of the requests so far."""
         requests = (request for vehicle in self._vehicles.values() for request in vehicle.requests.values())
-        return RateStatistics(self._heartbeats, tuple(map(replace, requests)))
+        return tuple(map(replace, requests))
 
 
 def _next_request(vehicle: _Vehicle, now_ns: int) -> RequestedRate | None:

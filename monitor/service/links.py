@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from adapters.mavlink.mavlink_link import MavlinkLink
-from adapters.mavlink.message_rates import RateRequests, RequestingLink
+from adapters.mavlink.message_rates import RateRequests
 from adapters.mavlink.signing import SigningKey, read_key
 from adapters.zenoh.zenoh_link import ZenohLink
 from adapters.zenoh.zenoh_payload import PayloadDecoder
@@ -22,18 +22,17 @@ _FIRST_NS = 5_000_000_000
 """Silence after which a link is reported: every vehicle sends a heartbeat a second, and discovery takes a few."""
 
 
-class Counting(Protocol):
+class Counting(Link, Protocol):
     """A link that says what went through it."""
 
     def statistics(self) -> Any: ...  # noqa: D102
 
 
 class OpenedLink(NamedTuple):
-    """An open link under its name in the configuration, its reader, and the vehicle whose own it is."""
+    """An open link under its name in the configuration, and the vehicle whose own it is."""
 
     name: str
     link: Counting
-    reader: Link
     vehicle: Vehicle | None = None
 
 
@@ -46,9 +45,9 @@ def open_links(config: Config, session: zenoh.Session | None, stack: ExitStack) 
     key = None if signing.key_file is None else read_key(signing.key_file)
     opened = []
     for url in config.mavlink:
-        mavlink = MavlinkLink(url, key, signing.require, config.send.allow, batch_s)
+        mavlink = MavlinkLink(url, key, signing.require, config.send.allow, batch_s, _requests(config, key))
         stack.callback(mavlink.close)
-        opened.append(OpenedLink(url, mavlink, _requesting(mavlink, config, key)))
+        opened.append(OpenedLink(url, mavlink))
     if session is None:
         return opened
     own = [(vehicle.zenoh, vehicle) for vehicle in config.vehicles if vehicle.zenoh is not None]
@@ -56,19 +55,23 @@ def open_links(config: Config, session: zenoh.Session | None, stack: ExitStack) 
         decoder = PayloadDecoder(config.zenoh_types, () if config.definitions is None else (config.definitions,))
         link = ZenohLink(session, keyexpr, decoder, batch_s)
         stack.callback(link.close)
-        opened.append(OpenedLink(keyexpr, link, link, vehicle))
+        opened.append(OpenedLink(keyexpr, link, vehicle))
     return opened
 
 
-def _requesting(link: MavlinkLink, config: Config, key: SigningKey | None) -> Link:
-    """Return what reads a link: itself, or with requests for message rates where the config allows them."""
+def _requests(config: Config, key: SigningKey | None) -> RateRequests | None:
+    """Return the requests for message rates of a link, where the config allows them."""
     send = config.send
     if not (send.allow and send.rates):
-        return link
-    named = {vehicle.system for vehicle in config.vehicles}
-    systems = () if 0 in named or config.new_vehicles.profile is not None else named
+        return None
     requests = RateRequests(key, (send.source_system, send.source_component))
-    return RequestingLink(link, requests, send.rates, systems, send.target_component)
+    named = {vehicle.system for vehicle in config.vehicles}
+    if 0 in named or config.new_vehicles.profile is not None:
+        requests.ask_everybody(send.rates, send.target_component)
+    else:
+        for system in named:
+            requests.ask(system, send.rates, send.target_component)
+    return requests
 
 
 class FirstLook:

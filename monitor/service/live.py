@@ -63,7 +63,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         # before the links are closed, which their threads read
         stack.callback(inbox.close)
         for one in links:
-            inbox.listen(one.name, one.reader, None if one.vehicle is None else station.name_of(one.vehicle))
+            inbox.listen(one.name, one.link, None if one.vehicle is None else station.name_of(one.vehicle))
         if config.metrics.listen is not None:
             stack.callback(MetricsServer(config.metrics.listen, station.health).close)
         notifier = Notifier()

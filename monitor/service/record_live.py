@@ -93,7 +93,7 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
         inbox = Inbox(config.inbox)
         stack.callback(inbox.close)
         for one in links:
-            inbox.listen(one.name, one.reader)
+            inbox.listen(one.name, one.link)
         log.say("recording", file=str(path), telemetry=", ".join(one.name for one in links))
         first_look = FirstLook({one.name: one.link for one in links}, log)
 
