@@ -22,6 +22,8 @@ CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
 """The usual names of clock fields and the nanoseconds they count, the first one that a message has being its clock."""
 MAX_VALUE = 1e12
 """Beyond it no vehicle measures anything, in any unit; an observer that believed it would be blind for seconds."""
+STOPPED = -0.01
+"""A command below it is none of a motor: PX4 sends 900 microseconds, a tenth below the range, of one that it has stopped."""
 _LARGEST_PART, _SMALLEST_LENGTH = 1e3, 0.5
 """A quaternion is of length 1. Chosen: one that is shorter than half is none (drivers without an attitude send zeros);
 parts beyond a thousand came from elsewhere."""
@@ -65,6 +67,9 @@ class Channel:
     angle : {"roll", "pitch", "yaw"} | None
         The field holds a quaternion (``x``, ``y``, ``z``, ``w``, as ROS 2 has it): take this angle of it, radians, of
         the rotations about z, then y, then x that it stands for. None: the field is a number.
+    stopped_as : float | None
+        Of a motor's command, 0 to 1: what a value below zero counts as, which an autopilot sends of a motor that it has
+        stopped. With the command of hovering, a motor that is stopped in flight is one that delivers nothing of it.
     """
 
     name: str
@@ -78,6 +83,7 @@ class Channel:
     interpolation: Interpolation = "linear"
     period: float | None = None
     angle: Angle | None = None
+    stopped_as: float | None = None
 
     def selects(self, fields: Mapping[str, Any]) -> bool:
         """Return whether the message is one of those the channel is taken from."""
@@ -96,6 +102,8 @@ class Channel:
             value = self.scale * number + self.offset
         except OverflowError:
             return None
+        if self.stopped_as is not None and value < STOPPED:
+            return self.stopped_as
         return value if -MAX_VALUE <= value <= MAX_VALUE else None
 
     def stamp_ns(self, fields: Mapping[str, Any]) -> int | None:
@@ -177,7 +185,7 @@ def read_channel(name: str, table: Table) -> Channel:
     """Read one channel from its TOML table; mistakes are recorded in the table's file.
 
     Keys are ``message`` (a leading slash is dropped) and ``field``, both required, ``where``, ``scale``, ``offset``,
-    ``clock``, ``clock_unit_ns``, ``interpolation``, ``period``, ``angle``.
+    ``clock``, ``clock_unit_ns``, ``interpolation``, ``period``, ``angle``, ``stopped_as``.
     """
     selection = table.raw("where") or {}
     if not isinstance(selection, Mapping) or not all(isinstance(v, (int, str)) for v in selection.values()):
@@ -195,6 +203,7 @@ def read_channel(name: str, table: Table) -> Channel:
         interpolation=table.choice("interpolation", _INTERPOLATIONS, "linear"),
         period=table.number("period", above=0.0) if table.has("period") else None,
         angle=table.choice("angle", _ANGLES) if table.has("angle") else None,
+        stopped_as=table.number("stopped_as") if table.has("stopped_as") else None,
     )
     table.done()
     return channel

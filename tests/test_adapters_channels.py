@@ -184,6 +184,13 @@ def test_a_period_is_read_and_written_and_has_to_be_positive() -> None:
             parse_channel("course", {**table, "period": bad}, "profile.toml: signals")
 
 
+def test_a_motor_that_is_stopped_counts_as_the_command_it_is_given() -> None:
+    channel = Channel("motor1", "S", ("servo1_raw",), scale=0.001, offset=-1.0, stopped_as=0.5)
+    values = [channel.value({"servo1_raw": pulse}) for pulse in (900, 995, 1000, 1600)]
+    assert values == pytest.approx([0.5, -0.005, 0.0, 0.6])
+    assert parse_channel("motor1", channel_table(channel), "t") == channel
+
+
 def test_a_time_inside_a_time_is_none() -> None:
     stamp: dict[str, Any] = {"sec": 1, "nanosec": 2}
     for _ in range(2000):

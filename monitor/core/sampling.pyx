@@ -49,7 +49,7 @@ from typing import NamedTuple
 import numpy as np
 
 from adapters.batch import RecordFields
-from adapters.channels import CLOCK_UNITS_NS, MAX_VALUE, field_steps
+from adapters.channels import CLOCK_UNITS_NS, MAX_VALUE, STOPPED, field_steps
 from adapters.sample import Samples
 
 from cpython.buffer cimport PyBUF_SIMPLE, PyBUF_STRIDES, PyBUF_WRITABLE
@@ -1445,7 +1445,7 @@ cdef _Messages _of_columns(columns, list feeds):
             _select(fields, name, value, feed.chosen, count)
         _read_stamps(stream.channel, fields, feed.stamps, count)
         for i, channel in enumerate(stream.channels):
-            _read_values(fields, channel.path, channel.scale, channel.offset, feed.values + i, stream.width, count)
+            _read_values(fields, channel, feed.values + i, stream.width, count)
     return group
 
 
@@ -1586,19 +1586,21 @@ cdef int _read_times(column, nanoseconds* out, Py_ssize_t count) except -1:
     return 0
 
 
-cdef int _read_values(
-    fields, path, double scale, double offset, double* out, Py_ssize_t stride, Py_ssize_t count
-) except -1:
+cdef int _read_values(fields, channel, double* out, Py_ssize_t stride, Py_ssize_t count) except -1:
     """Read a channel's values, NaN where the field holds no number that can be one (rule 7)."""
     cdef View view
     cdef Py_ssize_t row
-    cdef double value
-    if not _open(fields, path, &view, count):
+    cdef double scale = channel.scale, offset = channel.offset, value
+    cdef bint stops = channel.stopped_as is not None
+    cdef double instead = channel.stopped_as if stops else 0.0, stopped = STOPPED
+    if not _open(fields, channel.path, &view, count):
         for row in range(count):
             out[row * stride] = float("nan")
         return 0
     for row in range(count):
         value = scale * _double_at(&view, row) + offset
+        if stops and value < stopped:
+            value = instead
         out[row * stride] = value if -_MAX_VALUE <= value <= _MAX_VALUE else float("nan")
     PyBuffer_Release(&view.buffer)
     return 0

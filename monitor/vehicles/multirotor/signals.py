@@ -106,6 +106,8 @@ def multirotor_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...],
     commands = motor_commands(surveys)
     span = commands.full - commands.stop
     scale, offset = (0.001, -1.0) if commands.pulses else (1.0 / span, -commands.stop / span)
+    means = [survey.outputs[number].mean for survey in surveys for number in commands.motors]
+    usual = float(f"{scale * sum(means) / len(means) + offset:.3g}")
     inputs = tuple(
         Channel(
             f"motor{number}",
@@ -114,6 +116,7 @@ def multirotor_channels(surveys: Sequence[Survey]) -> tuple[tuple[Channel, ...],
             scale=scale,
             offset=offset,
             where=(("port", 0),),
+            stopped_as=usual,
         )
         for number in commands.motors
     )
