@@ -255,10 +255,10 @@ def test_before_it_is_armed_for_the_first_time_a_vehicle_is_disarmed() -> None:
     assert armed(late) == [*((100 + 1000 * n, False) for n in range(7)), (6150, True), (7200, True)]
 
 
-def test_a_stopped_motor_has_no_thrust_and_not_less() -> None:
+def test_a_stopped_motor_is_what_px4_sends_of_one() -> None:
     commands = record("actuator_motors", 1.0, control=[0.5, float("nan"), 0.25, 0.0, *[float("nan")] * 8])
     fields = made([commands], "SERVO_OUTPUT_RAW")[0].fields
-    assert [fields[f"servo{n}_raw"] for n in range(1, 6)] == [1500, 1000, 1250, 1000, 1000]
+    assert [fields[f"servo{n}_raw"] for n in range(1, 6)] == [1500, 900, 1250, 1000, 900]
 
 
 def test_what_the_controllers_ask_for_is_a_message() -> None:
