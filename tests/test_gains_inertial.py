@@ -73,7 +73,9 @@ def test_scales_follow_the_sensors() -> None:
 def test_every_hypothesis_can_be_estimated_and_names_one_vertical_culprit() -> None:
     plant = inertial_plant(fitted(), "vehicle")
     found = inertial_hypotheses(plant)
-    assert [names[-1] for names in found] == ["baro", "gps_down", "accel_z"]
+    assert [names[-1] for names in found] == ["baro", "gps_down", "accel_z", "baro"]
+    motion = [{name for name in names if name.startswith(("motion", "gps_velocity"))} for names in found]
+    assert motion == [{"motion_north", "motion_east"}] * 3 + [{"gps_velocity_north", "gps_velocity_east"}]
     assert all(problem_of(plant, names) is None for names in found)
     assert all(hypothesis.design.sqrt_mu > 0.0 for hypothesis in designed())
 
@@ -110,7 +112,8 @@ def test_a_consistent_spoof_is_a_velocity_that_accelerometers_did_not_feel() -> 
     raw[:, 12], raw[:, 13] = np.hypot(north, east), np.degrees(np.arctan2(east, north))
     raw[:, 9] += 0.25 * t**2 / 111_183.0
     found = estimates(designed()[0], raw)
-    assert found["gps_velocity_north"][ONSET + 75] == pytest.approx(1.3, rel=0.15)
+    assert found["motion_north"][ONSET + 75] == pytest.approx(1.3, rel=0.15)
+    assert estimates(designed()[-1], raw)["gps_velocity_north"] == pytest.approx(found["motion_north"], abs=0.05)
     assert np.max(np.abs(found["gps_north"][50:])) < 0.3
 
 
@@ -156,8 +159,8 @@ def test_delays_are_those_of_the_sensors() -> None:
 @pytest.mark.parametrize(
     ("missing", "gone", "left"),
     [
-        ("gps", {"gps_north", "gps_velocity_east", "gps_down", "baro"}, {"accel_z", "compass", "gyro_x"}),
-        ("barometer", {"baro", "gps_down"}, {"accel_z", "gps_north"}),
+        ("gps", {"gps_north", "gps_velocity_east", "motion_east", "gps_down"}, {"accel_z", "compass", "gyro_x"}),
+        ("barometer", {"baro", "gps_down"}, {"accel_z", "gps_north", "gps_velocity_east"}),
         ("magnetometer", {"compass"}, {"baro", "gyro_z"}),
     ],
 )

@@ -19,6 +19,15 @@ from monitor.event import Kind
         ("gps_east", "sensor", "m", -3.21, None, "GPS is 3.21 m west of where the inertial sensors say"),
         ("gps_down", "sensor", "m", -4.0, None, "GPS is 4 m above where the inertial sensors say"),
         ("gps_velocity_east", "sensor", "m/s", 1.5, None, "GPS velocity is 1.5 m/s too much east"),
+        (
+            "motion_north",
+            "sensor",
+            "m/s",
+            -1.2,
+            None,
+            "GPS velocity and accelerations went 1.2 m/s apart, south: GPS, accelerometer, gyro or attitude is wrong; "
+            "which one cannot be told",
+        ),
         ("baro", "sensor", "m", 8.0, None, "barometer reads 8 m too high"),
         ("compass", "sensor", "rad", -0.3491, None, "compass is 20 degrees too far anticlockwise"),
         ("compass", "sensor", "rad", 7.1733, None, "compass is 51 degrees too far clockwise"),

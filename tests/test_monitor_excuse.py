@@ -10,7 +10,7 @@ from adapters.errors import ProfileError
 from adapters.toml_tables import TomlFile
 from monitor.alarms.alarm import AlarmRule
 from monitor.alarms.excuse import ExcuseRule, Excuses, excuse_tables, read_excuses
-from monitor.core.alarms import AlarmState, ChainRows, walk
+from monitor.core.alarms import CLEARED, AlarmState, ChainRows, walk
 from monitor.event import AlarmEvent, State
 
 RULE = ExcuseRule(("gps_velocity_north",), ("gyro_x", "gyro_y"), 20.0)
@@ -39,6 +39,17 @@ def watched(excuses: Excuses, channel: str) -> AlarmState:
     alarm.set_rule(AlarmRule("inertial", channel, "sensor", "m/s", 1.0, 0.5, 20.0, raise_s=0.0, clear_s=1.0))
     excuses.add(channel, alarm)
     return alarm
+
+
+def test_an_active_alarm_clears_although_another_explains_its_evidence() -> None:
+    excuses, codes = Excuses((RULE,)), list[int]()
+    north = watched(excuses, "gps_velocity_north")
+    north.resume(9.0, 9.0, 1.0, 0, False, False, False)
+    excuses.follow(event("gyro_x", "raised", 1.0))
+    times_ns, always = np.arange(2, 5) * 1_000_000_000, np.ones((3, 1), np.bool_)
+    rows = ChainRows([north], np.arange(3), times_ns, np.zeros(3, np.bool_), np.zeros((3, 1)), always)
+    walk([rows], lambda _observer, _row, _alarm, code: codes.append(code))
+    assert codes == [CLEARED]
 
 
 def test_evidence_is_excused_while_the_cause_is_active_and_for_its_time_after() -> None:

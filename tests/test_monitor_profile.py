@@ -39,7 +39,9 @@ def test_a_profile_holds_what_the_fit_wrote(folder: Path) -> None:
     assert isinstance(observer.isolation, BankRule)
     assert observer.isolation.hypotheses == tuple((channel,) for channel in channels)
     gains = [f"motors.{name}.gains.json" for name in channels]
-    gains += [f"inertial.{name}.gains.json" for name in ("accel_z", "baro", "gps_down")]
+    motion, speed = "motion_north+motion_east", "gps_velocity_north+gps_velocity_east"
+    culprits = (f"accel_z+{motion}", f"{motion}+baro", f"{motion}+gps_down", f"{speed}+baro")
+    gains += [f"inertial.{name}.gains.json" for name in culprits]
     assert set(profile.files) == {"profile.toml", "motors.model.toml", "inertial.model.toml", *gains}
 
 

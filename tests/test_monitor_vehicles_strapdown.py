@@ -156,6 +156,33 @@ def test_a_gyro_bias_is_a_growing_disagreement_of_its_own_axis() -> None:
     assert errors["rotation_x"] < 1e-3
 
 
+def test_a_receiver_that_is_stuck_is_off_by_what_the_vehicle_moved_and_begins_anew_when_it_goes_on() -> None:
+    raw, stuck = truth.signals(40.0), slice(1000, 2000)
+    moved = (raw[1990, 9] - raw[1000, 9]) * truth.metres_per_degree(truth.HOME[0])[0]
+    raw[stuck, 9:14] = raw[1000, 9:14]
+    transform, samples = truth.transformed(raw, {"gps_hold_s": 1.0})
+    north, speed = transform.outputs.index("gps_north"), transform.inputs.index("speed_north")
+    begins = [k for k, sample in enumerate(samples) if sample.restart]
+    assert [samples[k].vehicle_time_ns // 1_000_000_000 for k in begins] == [0, 21]
+    y, u = (np.array([getattr(s, name)[i] for s in samples[: begins[1]]]) for name, i in (("y", north), ("u", speed)))
+    off = y - washed(u, 30.0)
+    assert np.max(np.abs(off[:250])) < 0.01
+    assert off[498] == pytest.approx(-moved, rel=0.25)
+    assert samples[-1].y[north] == pytest.approx(
+        washed(np.array([s.u[speed] for s in samples[begins[1] :]]), 30.0)[-1], abs=0.05
+    )
+
+
+def test_a_magnetic_field_that_comes_seldom_is_followed_by_the_gyro_until_it_is_late() -> None:
+    raw = truth.signals(20.0)
+    raw[:, 15:18] = np.repeat(raw[::50, 15:18], 50, axis=0)
+    held, followed = (disagreement(*truth.transformed(raw, {"compass_hold_s": hold}))["heading"] for hold in (0.0, 1.0))
+    assert held > 0.2
+    assert followed < 0.01
+    raw[1000:, 15:18] = raw[1000, 15:18]
+    assert disagreement(*truth.transformed(raw, {"compass_hold_s": 1.0}))["heading"] > 1.0
+
+
 def test_pressure_becomes_altitude() -> None:
     raw = truth.signals(5.0)
     pressure = raw.copy()

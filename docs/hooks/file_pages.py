@@ -121,6 +121,7 @@ def profile_page() -> str:
                     "array of tables",
                     f"{parameters_of(BankRule)['hypotheses'][1]} In each: the keys below.",
                 ),
+                ("jump_s", "number", parameters_of(BankRule)["jump_s"][1]),
                 ("washout_s", "table", f"{parameters_of(BankRule)['washouts'][1]} By fault."),
                 ("hypotheses.faults", "list", "The faults that may act; the gains are named after them."),
                 ("hypotheses.covariance", "matrix", "Healthy covariance of its smoothed residual (p, p)."),
@@ -130,7 +131,7 @@ def profile_page() -> str:
                     "Whether it is not compared but watches for edges.",
                 ),
             ],
-            isolation | {"hypotheses.edge": False, "washout_s": None},
+            isolation | {"hypotheses.edge": False, "jump_s": 0.03, "washout_s": None},
         ),
         "\n## `alarms.CHANNEL`\n\nDefaults are those of `threshold = 1`; `clear` and `critical` grow with it.\n",
         _rows(

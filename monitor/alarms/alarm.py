@@ -72,6 +72,11 @@ def _sensor(channel: str, unit: str, size: float) -> str | None:
             return None
         word = f"{_AXES[axis][size < 0]}{'' if axis == 'down' else ' of'}"
         return f"GPS is {amount} {word} where the inertial sensors say"
+    if name == "motion" and axis in _AXES:
+        return (
+            f"GPS velocity and accelerations went {amount} apart, {_AXES[axis][size < 0]}: GPS, accelerometer, gyro or "
+            "attitude is wrong; which one cannot be told"
+        )
     if name == "gps_velocity":
         words = {"down": ("down", "up")}.get(axis, _AXES.get(axis))
         return None if words is None else f"GPS velocity is {amount} too much {words[size < 0]}"

@@ -1,6 +1,7 @@
 """Alarms that another alarm explains: a gyro jump tilts the attitude, and the tilt looks like a GPS that speeds away.
 
-While an alarm is excused its evidence neither raises nor clears it.
+While a channel is excused its evidence raises no alarm. One that is active already follows its evidence as ever, so it
+clears as soon as that is gone.
 """
 
 from __future__ import annotations

@@ -142,7 +142,8 @@ cdef class AlarmState:
     cdef int step(self, int64_t now, bint restart, double evidence, bint speaking) noexcept:
         """Process one row; return the event it causes."""
         cdef int64_t elapsed
-        if not speaking or self.excused(now):
+        # What explains the evidence keeps an alarm from being raised; one that is active follows its own evidence.
+        if not speaking or (not self.active and self.excused(now)):
             self.contiguous = False
             return C_NONE
         # The clock of a vehicle that rebooted jumps back.

@@ -16,7 +16,7 @@ class Choice:
         scaling: ArrayLike,
         groups: Sequence[NDArray[np.intp]],
         own: NDArray[np.bool_],
-        edges: Sequence[tuple[int, EdgeDetector]],
+        edges: Sequence[tuple[int, int, EdgeDetector]],
         washouts: Sequence[tuple[int, Washout]],
         keep: float,
         floor: float,

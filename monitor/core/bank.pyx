@@ -53,8 +53,8 @@ cdef class Choice:
         The hypotheses that are compared, by their number of faults, the fewest first.
     own : ndarray of bool
         Channels that not all compared hypotheses have (K, a).
-    edges : sequence of (hypothesis, EdgeDetector)
-        Those that are not compared.
+    edges : sequence of (hypothesis, column, EdgeDetector)
+        The hypotheses that are not compared, with each fault that is of theirs alone.
     washouts : sequence of (channel, Washout)
         Channels whose estimates are given back.
     keep : float
@@ -68,7 +68,7 @@ cdef class Choice:
     cdef unsigned char[::1] scaling, is_compared, remembered, counted
     cdef unsigned char[:, ::1] own
     cdef list detectors, washouts
-    cdef Py_ssize_t[::1] watched, washed
+    cdef Py_ssize_t[::1] watched, watched_column, washed
     cdef double keep, floor, share, penalty, unexplained
     cdef double[:, ::1] residual
     cdef double[::1] fault, J, cost, evidence
@@ -84,16 +84,17 @@ cdef class Choice:
         # Hypotheses in the order in which they are preferred, and the rank of the group that each belongs to.
         self.compared = np.concatenate(groups).astype(np.intp)
         self.group = np.repeat(np.arange(len(groups)), [len(members) for members in groups]).astype(np.intp)
-        self.watched = np.array([k for k, _ in edges], np.intp)
-        self.detectors = [detector for _, detector in edges]
+        self.watched = np.array([k for k, _, _ in edges], np.intp)
+        self.watched_column = np.array([column for _, column, _ in edges], np.intp)
+        self.detectors = [detector for _, _, detector in edges]
         self.washed = np.array([channel for channel, _ in washouts], np.intp)
         self.washouts = [washout for _, washout in washouts]
         self.keep, self.floor, self.share, self.penalty = keep, floor, share, penalty
         self.residual, self.fault = np.zeros((K, p)), np.zeros(len(channel))
         self.J, self.cost, self.evidence = np.zeros(K), np.zeros(K), np.zeros(a)
         self.is_compared, self.counted = np.ones(a, np.uint8), np.ones(a, np.uint8)
-        for k in self.watched:
-            self.is_compared[self.channel[self.spans[k]]] = False
+        for column in self.watched_column:
+            self.is_compared[self.channel[column]] = False
         self.remembered = np.zeros(len(self.washouts), np.uint8)
         self.believed, self.unexplained, self.coasted = self.compared[0], 0.0, False
 
@@ -259,8 +260,7 @@ cdef class Choice:
         cdef Py_ssize_t i, k, column
         cdef EdgeDetector detector
         for i in range(self.watched.shape[0]):
-            k, detector = self.watched[i], <EdgeDetector> self.detectors[i]
-            column = self.spans[k]
+            k, column, detector = self.watched[i], self.watched_column[i], <EdgeDetector> self.detectors[i]
             self.evidence[self.channel[column]] = detector.update(fault[row, column], self.J[k], complete)
             if detector.held != 0.0 and self.J[k] <= self.floor:
                 self.unexplained = 0.0

@@ -17,6 +17,8 @@ class StrapdownCore:
         gps_ticks: int,
         baro_ticks: int,
         compass_ticks: int,
+        gps_hold: int,
+        compass_hold: int,
         count: int,
         inputs: int,
         washouts: Sequence[tuple[float, float]],

@@ -10,8 +10,8 @@ import numpy as np
 from adapters.sample import Given, Samples
 
 from cpython.mem cimport PyMem_Free, PyMem_Malloc
-from libc.math cimport M_PI, atan2, cos, fabs, fmod, pow, sin, sqrt
-from libc.string cimport memcpy, memset
+from libc.math cimport M_PI, atan2, cos, fabs, fmod, hypot, pow, sin, sqrt
+from libc.string cimport memcmp, memcpy, memset
 
 STANDARD_GRAVITY = 9.80665
 """Standard acceleration of free fall, m/s^2 (ISO 80000-3)."""
@@ -27,6 +27,9 @@ cdef double _STEEPEST_COSINE = 0.05
 # reset, as where another estimator took over. That takes a few ticks at most: one that goes on for longer is believed.
 cdef double _RESET_RATE = 1.0
 cdef int _RESET_TICKS = 3
+# Chosen: twice the smallest error of a position that is worth an alarm. A fix that was the same for long and then moves
+# by less was that of a vehicle that stood still without noise, as in simulators.
+cdef double _STUCK_METRES = 1.0
 # How long the gyro or the attitude may lack before all begins anew, seconds. Chosen: as long as a gap of the samples.
 cdef double _LONGEST_S = 1.5
 # What may happen unseen while a sensor lacks. Chosen: several times what a tilt that is 30 mrad off (0.3 m/s^2) and a
@@ -89,6 +92,8 @@ cdef class StrapdownCore:
         Time between ticks, seconds.
     imu_ticks, gps_ticks, baro_ticks, compass_ticks : int
         Ticks by which to delay acceleration, GPS and barometer, and the attitude that levels the magnetometer.
+    gps_hold, compass_hold : int
+        Ticks for which a fix and a magnetic field may stay the same until the next measurement; 0: for ever.
     count : int
         Ticks of one period, the distance of the samples that are given out.
     inputs : int
@@ -103,7 +108,7 @@ cdef class StrapdownCore:
     cdef int _speeds
     cdef double _dt
     cdef _Delay _motion, _fixes, _altitudes, _levels
-    cdef int _count, _inputs, _outputs
+    cdef int _gps_hold, _compass_hold, _count, _inputs, _outputs
     cdef double[_WIDEST] _keep
     cdef double[_WIDEST] _gain
     # How many ticks a lost measurement is in what is given out, and for how many more one of each group will be.
@@ -129,6 +134,15 @@ cdef class StrapdownCore:
     cdef double[4] _origin
     cdef double _heading
     cdef int _resets
+    # The newest fix and magnetic field, for how many ticks each has been the same, and the speed.
+    cdef double[5] _fix
+    cdef double[3] _field
+    cdef double[2] _reckoned
+    cdef int _fix_age, _field_age
+    # Where a receiver was stuck, ticks until that is compared with where it goes on, and whether that is elsewhere.
+    cdef double[2] _stuck
+    cdef int _loose
+    cdef bint _unstuck
     # u of the tick before; the sum of u since the period's start, and where it began.
     cdef bint _has_before, _begun, _fresh
     cdef double[_WIDEST] _before
@@ -152,6 +166,8 @@ cdef class StrapdownCore:
         int gps_ticks,
         int baro_ticks,
         int compass_ticks,
+        int gps_hold,
+        int compass_hold,
         int count,
         int inputs,
         washouts,
@@ -165,6 +181,7 @@ cdef class StrapdownCore:
         self._fixes = _Delay.__new__(_Delay, gps_ticks, 6)
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
         self._levels = _Delay.__new__(_Delay, compass_ticks, 6)
+        self._gps_hold, self._compass_hold = gps_hold, compass_hold
         self._count, self._inputs, self._outputs = count, inputs, len(washouts)
         for i, (keep, gain) in enumerate(washouts):
             self._keep[i], self._gain[i], self._twice[i] = keep, gain, twice[i]
@@ -183,12 +200,14 @@ cdef class StrapdownCore:
         self._turning = self._placed = self._has_before = self._begun = False
         self._fresh = True
         self._heading = 0.0
-        self._resets = self._summed = self._stills = 0
-        self._still = False
+        self._resets = self._summed = self._stills = self._fix_age = self._field_age = self._loose = 0
+        self._still = self._unstuck = False
         memset(self._doubt, 0, sizeof(self._doubt))
         memset(self._lacked, 0, sizeof(self._lacked))
         memset(self._lacking, 0, sizeof(self._lacking))
         memset(self._added, 0, sizeof(self._added))
+        memset(self._fix, 0, sizeof(self._fix))
+        memset(self._field, 0, sizeof(self._field))
         memset(self._turned, 0, sizeof(self._turned))
         memset(self._y, 0, sizeof(self._y))
         memset(self._once, 0, sizeof(self._once))
@@ -225,7 +244,7 @@ cdef class StrapdownCore:
         cdef Py_ssize_t[::1] rows = ends
         cdef double[:, ::1] u = inputs, y = outputs
         for row in range(index.shape[0]):
-            if restart[row]:
+            if restart[row] or self._unstuck:
                 self.restart()
             self.find_lacking(&lost[row, 0], lacks)
             if not self.tick(&raw[row, 0], lacks, now, places, meant):
@@ -365,10 +384,13 @@ cdef class StrapdownCore:
         if not full:
             return False
         if self._gps:
+            self.follow_fix(fix, motion)
             y[0], y[1] = fix[0], fix[1]
             k = 2
             if self._speeds:
                 u[0], u[1] = fix[3], fix[4]
+                if self.stuck():
+                    u[0], u[1] = self._reckoned[0], self._reckoned[1]
                 y[2], y[3] = fix[3], fix[4]
                 i, k = 2, 4
             u[i], u[i + 1] = motion[0], motion[1]
@@ -384,7 +406,7 @@ cdef class StrapdownCore:
             u[i + axis], y[k + axis] = rate[axis], self._turned[axis]
         if self._mag:
             u[i + 3] = level[4]
-            self._heading = self._heading + _wrapped(_magnetic_heading(level, sensors) - self._heading)
+            self.follow_field(level, sensors)
             y[k + 3] = self._heading
         # The mean over a tick, by the trapezoidal rule.
         for k in range(self._inputs):
@@ -403,6 +425,44 @@ cdef class StrapdownCore:
             meant,
         )
         return True
+
+    cdef void follow_fix(self, const double* fix, const double* motion) noexcept:
+        """Follow the GPS's speed, by the accelerations while the fix stays the same.
+
+        With it the position of a receiver that is stuck is off by what the vehicle moved meanwhile. Once it goes on,
+        all that was integrated with it is void: the next tick begins anew.
+        """
+        cdef int axis
+        if fix[5]:
+            return
+        if memcmp(fix, self._fix, sizeof(self._fix)) == 0:
+            self._fix_age += 1
+            for axis in range(2):
+                self._reckoned[axis] = self._reckoned[axis] + motion[axis] * self._dt
+            return
+        if self.stuck():
+            self._stuck[0], self._stuck[1], self._loose = self._fix[0], self._fix[1], self._gps_hold
+        if self._loose:
+            # Lines from the fix where it was stuck to the next one are over by then.
+            self._loose -= 1
+            self._unstuck = self._loose == 0 and hypot(fix[0] - self._stuck[0], fix[1] - self._stuck[1]) > _STUCK_METRES
+        self._fix_age = 0
+        memcpy(self._fix, fix, sizeof(self._fix))
+        self._reckoned[0], self._reckoned[1] = fix[3], fix[4]
+
+    cdef bint stuck(self) noexcept:
+        return self._fix_age > self._gps_hold > 0
+
+    cdef void follow_field(self, const double* level, const double* field) noexcept:
+        """Follow the heading of the magnetometer, until its next measurement by the body's rates."""
+        if memcmp(field, self._field, sizeof(self._field)) != 0:
+            self._field_age = 0
+            memcpy(self._field, field, sizeof(self._field))
+        elif self._field_age < self._compass_hold:
+            self._field_age += 1
+            self._heading = self._heading + level[4] * self._dt
+            return
+        self._heading = self._heading + _wrapped(_magnetic_heading(level, field) - self._heading)
 
     cdef void reckon(self, bint imu, bint gps, bint baro, bint mag, double* y, double* meant) noexcept:
         """Let what lacks since the tick before follow what is there.

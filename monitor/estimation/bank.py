@@ -14,7 +14,7 @@ so far stays until another is clearly better (half its J), so noise does not mak
 data no fault is named, and the score sqrt(min J) is reported as unexplained.
 
 A hypothesis of a sensor fault that would explain anything (a gyro bias against the motors) may be set apart: it takes
-no part in the comparison, and its fault is evidence where its estimate has an edge
+no part in the comparison, and a fault that no compared hypothesis has is evidence where its estimate has an edge
 (:class:`monitor.core.bank.EdgeDetector`).
 
 A fault whose estimate is washed out is given back (:class:`monitor.core.bank.Washout`), and while that memory holds it
@@ -67,27 +67,26 @@ def washout_inverse(tau: float, rate_hz: float, threshold: float) -> Washout:
     return Washout(share=0.5 / (tau * rate_hz), threshold=threshold)
 
 
-_MEAN_S = 0.03
-"""Span of the running mean, seconds. Chosen: three samples at 100 Hz, so that noise of one sample is no level."""
-_GAP_S = 0.03
-"""Time that the estimate may take to jump, seconds. Chosen: as long as the mean needs to follow."""
-_FLAT_S = 0.1
-"""Time for which a level has to last, seconds. Chosen: with gap and mean an edge is known within 0.2 s of the jump."""
+_FLAT = 10.0 / 3.0
+"""Times as long as its jump a level has to last. Chosen: with jump and mean an edge is known within 0.2 s at 100 Hz."""
 HOLD_S = 10.0
 """How long an edge is held, seconds. Chosen: a longer one shows an old bias whose present size this sensor alone cannot
 tell, a shorter one clears alarms that still hold."""
 
 
-def edge_detector(rate_hz: float, limit: float, smallest: float | None, hold_s: float = HOLD_S) -> EdgeDetector:
+def edge_detector(
+    rate_hz: float, limit: float, smallest: float | None, hold_s: float = HOLD_S, jump_s: float = 0.03
+) -> EdgeDetector:
     """Return a detector of edges in one sensor fault's estimate; :meth:`EdgeDetector.run` takes n rows.
 
     ``limit`` is the largest J = r' S^-1 r of the sensor's own hypothesis with which it is believed; ``smallest`` the
     smallest edge that is held, in the unit of the estimate (None: edges only show), for ``hold_s`` seconds at most.
+    ``jump_s`` is the time that the estimate may take to jump, and the span of the mean that makes a level of it.
     """
     return EdgeDetector(
-        mean=max(1, round(_MEAN_S * rate_hz)),
-        gap=max(1, round(_GAP_S * rate_hz)),
-        flat=max(2, round(_FLAT_S * rate_hz)),
+        mean=max(1, round(jump_s * rate_hz)),
+        gap=max(1, round(jump_s * rate_hz)),
+        flat=max(2, round(_FLAT * jump_s * rate_hz)),
         longest=round(hold_s * rate_hz),
         limit=limit,
         smallest=nan if smallest is None else smallest,
@@ -131,8 +130,10 @@ class Bank:
             groups=[np.flatnonzero((sizes == size) & compared) for size in np.unique(sizes[compared])],
             own=members & ~members[compared].all(axis=0),
             edges=[
-                (k, edge_detector(rate_hz, _HEALTHY * p, thresholds.get(hypotheses[k].faults[0])))
+                (k, spans[k] + i, edge_detector(rate_hz, _HEALTHY * p, thresholds.get(name), jump_s=rule.jump_s))
                 for k in np.flatnonzero(rule.edges).tolist()
+                for i, name in enumerate(hypotheses[k].faults)
+                if not members[compared, faults.index(name)].any()
             ],
             washouts=[
                 (faults.index(name), washout_inverse(tau, rate_hz, thresholds[name]))

@@ -71,9 +71,11 @@ class BankRule:
     covariances : tuple[NDArray[np.float64], ...]
         Healthy covariance of the smoothed residual of each hypothesis (p, p).
     edges : tuple[bool, ...]
-        Which hypotheses take no part in the comparison but watch for edges of their one fault.
+        Which hypotheses take no part in the comparison but watch for edges of the faults that no other has.
     washouts : Mapping[str, float]
         Time constant, seconds, with which the estimate of a fault is washed out and has to be given back.
+    jump_s : float
+        Time that an estimate takes for an edge, seconds.
     """
 
     smoothing_s: float
@@ -84,6 +86,8 @@ class BankRule:
     covariances: tuple[NDArray[np.float64], ...]
     edges: tuple[bool, ...]
     washouts: Mapping[str, float] = field(default_factory=dict)
+    jump_s: float = 0.03
+    """Chosen: three samples at 100 Hz, as long as the mean of an edge's levels needs to follow."""
 
 
 IsolationRule = IndependentRule | SingleRule | BankRule
@@ -123,11 +127,13 @@ def read_isolation(table: Table, faults: int, outputs: int) -> IsolationRule:
             hypotheses=hypotheses,
             covariances=tuple(_covariance(entry, outputs, definite=False) for entry in entries),
             edges=tuple(entry.boolean("edge", False) for entry in entries),
+            jump_s=table.number("jump_s", 0.03, above=0.0),
             washouts=_washouts(table.table("washout_s"), {name for faults in hypotheses for name in faults}),
         )
+        compared = {name for faults, edge in zip(hypotheses, rule.edges, strict=True) if not edge for name in faults}
         for entry, found, edge in zip(entries, hypotheses, rule.edges, strict=True):
-            if edge and len(found) > 1:
-                entry.mistake("edge", "needs a hypothesis with a single fault")
+            if edge and compared.issuperset(found):
+                entry.mistake("edge", "needs a hypothesis with a fault that no compared one has")
         if all(rule.edges):
             table.mistake("hypotheses", "has none but edges; a bank needs one to compare")
         for entry in entries:
@@ -163,8 +169,9 @@ def isolation_table(rule: IsolationRule) -> dict[str, Any]:
         {"faults": list(faults), **({"edge": True} if edge else {}), "covariance": covariance.tolist()}
         for faults, covariance, edge in zip(rule.hypotheses, rule.covariances, rule.edges, strict=True)
     ]
+    jump = {"jump_s": rule.jump_s} if any(rule.edges) else {}
     washouts = {"washout_s": dict(rule.washouts)} if rule.washouts else {}
-    return {"method": "bank", **shared, **washouts, "hypotheses": hypotheses}
+    return {"method": "bank", **shared, **jump, **washouts, "hypotheses": hypotheses}
 
 
 def gains_file_names(observer: str, hypotheses: Sequence[Sequence[str]] = ()) -> tuple[str, ...]:

@@ -51,12 +51,13 @@ def bank_rule(
     settle_s: float = SETTLE_S,
     noise: NDArray[np.float64] | None = None,
     washouts: Mapping[str, float] | None = None,
+    jump_s: float = 0.03,
 ) -> BankRule:
     """Return the isolation stage of a bank, from the residuals of its hypotheses in healthy flight.
 
     ``edges`` names the faults that are watched for edges instead of compared; of each segment the first ``settle_s``
     is left out; ``noise`` (p,) of the outputs, where given, keeps a residual that a sensor fault takes up altogether
-    from counting for more than a tenth of it; ``washouts`` are the rule's.
+    from counting for more than a tenth of it; ``washouts`` and ``jump_s`` are the rule's.
 
     The covariances are taken about zero; the floor of the score is the largest one that the best hypothesis leaves
     unexplained in healthy flight, with a margin.
@@ -86,6 +87,7 @@ def bank_rule(
         covariances=covariances,
         edges=watched,
         washouts=washouts or {},
+        jump_s=jump_s,
     )
 
 

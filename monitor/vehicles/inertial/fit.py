@@ -9,12 +9,14 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from gains.synthesis.bank import compile_bank
 from monitor.alarms.excuse import ExcuseRule
 from monitor.fitting.calibrate import SETTLE_S, bank_rule
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.survey import Survey
 from monitor.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
     Calibrated,
@@ -22,11 +24,19 @@ from monitor.fitting.thresholds import (
     calibrated,
     healthy_evidence,
     healthy_levels,
+    plain_only,
 )
 from monitor.profile import FaultChannel
 from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource, TransformRule
-from monitor.vehicles.inertial.identify import WASHED_FAULTS, inertial_bank, inertial_plant, smallest_faults
+from monitor.vehicles.inertial.identify import (
+    GPS_VELOCITY,
+    MOTION,
+    WASHED_FAULTS,
+    inertial_bank,
+    inertial_plant,
+    smallest_faults,
+)
 from monitor.vehicles.inertial.ros_signals import BARE_POSITIONS
 from monitor.vehicles.inertial.sensor_fit import (
     BARE_SETTLE_S,
@@ -38,7 +48,7 @@ from monitor.vehicles.inertial.sensor_fit import (
     identify_inertial,
 )
 from monitor.vehicles.inertial.signals import common_channels, inertial_rate_hz
-from monitor.vehicles.inertial.strapdown import Strapdown
+from monitor.vehicles.inertial.strapdown import GPS, MAGNETOMETER, Strapdown
 
 OBSERVER = "inertial"
 
@@ -63,34 +73,58 @@ _SETTLE_S = 5.0
 over."""
 # Times of the alarms: two and five samples of 40 ms; the mean reaches over a few fixes of a GPS.
 _TIMES = Times(fast_s=0.08, raise_s=0.2, slow_s=4.0, clear_s=0.5)
+_JUMP_S = 0.2
+"""Time that the GPS's velocity takes for a jump, seconds: straight lines from fix to fix of receivers at 5 Hz."""
+# A jump is known after two means, itself and a level, 1.1 s. A touchdown is one, too, and autopilots know of it 1.2 to
+# 1.5 s later (11 of 12 flights): half a second more leaves them the time to say so.
+_JUMP = Times(fast_s=0.5, raise_s=0.5, clear_s=0.5)
+# What may be any of a set waits until a jump would have been known.
+_SET = Times(fast_s=9.0 * _JUMP_S, raise_s=9.0 * _JUMP_S, slow_s=4.0, clear_s=0.5)
+# A gyro's bias b tilts the attitude, which moves the magnetic heading by 10 degrees after 0.09 / b seconds (dip of 63
+# degrees), and the motion to its alarm after sqrt(0.2 / b): later by 0.6 s at most. The compass waits for it.
+_TILTED = Times(fast_s=_SET.raise_s + 0.6, raise_s=_SET.raise_s + 0.6, slow_s=4.0, clear_s=0.5)
+_MOST_OF_JUMPS = 1.5
+"""How many times the largest healthy step the level may be: steps are too rare for a tail to be fitted to them."""
 _TRIAL_DELAYS_S = tuple(0.04 * step for step in range(8))
 """Delays to try, seconds, a sample apart. Chosen: receivers that are later than 0.28 s are rare."""
 _TRIAL_S = 90.0
 """Seconds of each flight to try them on, from its middle. Chosen: several manoeuvres, in a trial of some seconds."""
+_HELD_PERIODS = 3.0
+"""A measurement that stays the same for three times its usual time is no longer waiting for the next one. Chosen: two
+of them may be lost."""
+_LEAST_STUCK_S = 1.0
+"""A receiver that gives the same fix for a second is stuck: in 27 flights of two simulators, with 5 and 8 fixes a
+second, no two fixes in a row were the same."""
 _CRITICAL = 5.0
 """A fault is critical at five times the smallest that is worth an alarm."""
 
+_FLYING = ("rotor", "copter", "wing", "vtol")
+"""Words in the types of vehicles that fly."""
 _GYROS = ("gyro_x", "gyro_y", "gyro_z")
-_POSITION, _VELOCITY = ("gps_north", "gps_east"), ("gps_velocity_north", "gps_velocity_east")
-_POOLS = (_POSITION, _VELOCITY, _GYROS)
+_POSITION = ("gps_north", "gps_east")
+_POOLS = (_POSITION, MOTION, GPS_VELOCITY, _GYROS)
 
 _EXCUSES = (
-    # A gyro that jumps tilts the attitude, which the velocity forgets with its washout.
-    ExcuseRule(_VELOCITY, _GYROS, 2.0 * _VELOCITY_WASHOUT_S),
+    # A gyro that jumps, or an estimator that is fed with a wrong GPS, tilts the attitude: motion forgets it with its
+    # washout.
+    ExcuseRule(MOTION, (*_GYROS, *_POSITION, *GPS_VELOCITY), 2.0 * _VELOCITY_WASHOUT_S),
     # The position is compared with the velocity: where that is wrong the position is no culprit.
-    ExcuseRule(_POSITION, _VELOCITY, 0.5 * _VELOCITY_WASHOUT_S),
+    ExcuseRule(_POSITION, GPS_VELOCITY, 0.5 * _VELOCITY_WASHOUT_S),
+    # A tilted attitude takes the magnetic field's dip for heading, and gravity for less of itself.
+    ExcuseRule(("compass", "accel_z"), (*_GYROS, *MOTION), 2.0 * _VELOCITY_WASHOUT_S),
 )
 
 
 def fit_alone(request: FitRequest) -> tuple[Fitted, GateRule]:
-    """Fit the inertial observer of a vehicle that has no other: armed is enough for its samples to be evidence.
+    """Fit the inertial observer alone. Of a vehicle that does not fly, armed is enough for samples to be evidence.
 
     Raises
     ------
     TelemetryError, ModelError, InfeasibleError
         As :func:`fit_inertial`.
     """
-    gate = GateRule(settle_s=SETTLE_S, require_airborne=False)
+    names = [name for survey in request.surveys for name in survey.vehicle_types]
+    gate = GateRule(settle_s=SETTLE_S, require_airborne=any(word in name for name in names for word in _FLYING))
     return fit_inertial(request, gate), gate
 
 
@@ -115,6 +149,7 @@ def fit_inertial(request: FitRequest, gate: GateRule) -> Fitted:
         "velocity_washout_s": _VELOCITY_WASHOUT_S,
         **({"position_washout_s": _POSITION_WASHOUT_S} if channels.parameters["gps"] == BARE_POSITIONS else {}),
     }
+    parameters |= _holds(surveys, channels.channels, raw, signal_hz)
     parameters |= _delays(raw, parameters, signal_hz, rate_hz)
     rule = TransformRule("strapdown", signal_hz, parameters)
     flights = [transformed(flight, Strapdown(parameters, signal_hz, rate_hz)) for flight in raw]
@@ -139,18 +174,22 @@ def fit_inertial(request: FitRequest, gate: GateRule) -> Fitted:
         noise=np.array([fit.noise[output] for output in fit.outputs]),
         # twice washed out, nothing of a fault that lasts is left to be given back
         washouts={fault: _WASHOUT_S for fault in WASHED_FAULTS if fault in names - bare},
+        edges=GPS_VELOCITY,
+        jump_s=_JUMP_S,
     )
     source = SampleSource(transform=rule, signals=channels.channels)
     designed = Fitted(OBSERVER, plant, gains, source, isolation, settle_s=settle_s)
-    evidence = healthy_evidence(designed.profile(), gate, flights, own=True)
-    alarms = _alarms(designed.profile().faults, evidence, rate_hz, smallest_faults(fit), bare)
+    own = healthy_evidence(designed.profile(), gate, flights, own=True)
+    lasting = round(_JUMP.raise_s * rate_hz)
+    jumps = [part[: max(0, len(part) - lasting)] for part in healthy_evidence(designed.profile(), gate, flights)]
+    alarms = _alarms(designed.profile().faults, own, jumps, rate_hz, smallest_faults(fit), bare)
     return replace(
         designed,
         alarms=tuple(alarms),
         flight_s=fit.seconds,
         findings=_findings(fit, parameters),
         lines=_lines(parameters, alarms),
-        excuses=_EXCUSES,
+        excuses=_excuses(names),
     )
 
 
@@ -158,6 +197,24 @@ def _rates(message_hz: float) -> tuple[float, float]:
     """Return the rate of the raw signals and that of the observer, a whole fraction of it, from the messages' rate."""
     signal_hz = min(message_hz, _FASTEST_HZ)
     return signal_hz, signal_hz / max(1, round(signal_hz / _RATE_HZ))
+
+
+def _holds(
+    surveys: Sequence[Survey], channels: Sequence[Channel], raw: Sequence[Flight], signal_hz: float
+) -> dict[str, float]:
+    """Return how long a fix and a magnetic field may stay the same until the next measurement."""
+    holds = {}
+    for index, channel in enumerate(channels):
+        if channel.name == GPS[0]:
+            slowest_hz = min(survey.rate_hz[channel.message] for survey in surveys)
+            holds["gps_hold_s"] = max(_LEAST_STUCK_S, _HELD_PERIODS / slowest_hz)
+        if channel.name == MAGNETOMETER[0]:
+            fields = [flight.samples.u[flight.evidence, index : index + len(MAGNETOMETER)] for flight in raw]
+            changes = [np.flatnonzero(np.diff(field, axis=0).any(axis=1)) for field in fields]
+            steps = np.concatenate([np.diff(change) for change in changes])
+            if len(steps) and np.median(steps) > 1.0:
+                holds["compass_hold_s"] = round(_HELD_PERIODS * float(np.median(steps)) / signal_hz, 3)
+    return holds
 
 
 def _delays(
@@ -187,31 +244,56 @@ def _delays(
 
 def _alarms(
     channels: Sequence[FaultChannel],
-    evidence: Sequence[NDArray[np.float64]],
+    own: Sequence[NDArray[np.float64]],
+    jumps: Sequence[NDArray[np.float64]],
     rate_hz: float,
     smallest: Mapping[str, float],
     swinging: Collection[str],
 ) -> list[Calibrated]:
-    """Return the alarms; channels of one kind share their levels, since what one axis has not seen another has."""
+    """Return the alarms; channels of one kind share their levels, since what one axis has not seen another has.
+
+    ``own`` is the evidence of each fault under its own hypothesis, ``jumps`` that of edges, which only show for a
+    moment, but for those that would end too soon to raise an alarm.
+    """
     share = FALSE_ALARMS_PER_HOUR / len(channels)
     places = {channel.name: at for at, channel in enumerate(channels)}
     alarms = []
     for channel in channels:
+        edges = channel.name in GPS_VELOCITY
+        times = _JUMP if edges else _SET if channel.name in MOTION else _TIMES
+        if channel.name == "compass" and places.keys() & set(MOTION):
+            times = _TILTED
         pool = next((pool for pool in _POOLS if channel.name in pool), (channel.name,))
+        evidence = jumps if edges else own
         series = [stretch[:, places[name]] for name in pool if name in places for stretch in evidence]
         floor = smallest[channel.name]
-        levels = healthy_levels(series, rate_hz, share, _TIMES)
+        shown = replace(times, fast_s=0.0, raise_s=0.0) if edges else times
+        levels = healthy_levels(series, rate_hz, share, shown, _MOST_OF_JUMPS if edges else inf)
         bare = bare_rule(OBSERVER, channel.name, channel.kind, channel.unit)
-        found = calibrated(bare, levels, 1.0, floor=floor, critical=_CRITICAL * floor, times=_TIMES)
+        found = calibrated(bare, levels, 1.0, floor=floor, critical=_CRITICAL * floor, times=times)
+        if edges:
+            found = plain_only(found)
         # what is washed out twice swings back to a seventh of a jump, of which the mean knows nothing
         alarms.append(replace(found, rule=replace(found.rule, slow=inf)) if channel.name in swinging else found)
     return alarms
 
 
+def _excuses(names: Collection[str]) -> tuple[ExcuseRule, ...]:
+    """Return the rules among channels that are there."""
+    found = []
+    for rule in _EXCUSES:
+        channels, by = (tuple(name for name in given if name in names) for given in (rule.channels, rule.by))
+        if channels and by:
+            found.append(ExcuseRule(channels, by, rule.for_s))
+    return tuple(found)
+
+
 def _findings(fit: InertialFit, parameters: Mapping[str, float]) -> dict[str, object]:
     return {
         "rate_hz": fit.rate_hz,
-        "delays_s": {key.removesuffix("_delay_s"): value for key, value in parameters.items() if "delay" in key},
+        "delays_s": {
+            key.removesuffix("_delay_s"): value for key, value in parameters.items() if key.endswith("_delay_s")
+        },
         "noise": dict(fit.noise),
         "disturbance": dict(fit.disturbance),
         "speed_scale": dict(fit.speed_scale),

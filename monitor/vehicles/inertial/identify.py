@@ -12,9 +12,11 @@ phi = exp(-T/tau) and gain = tau (1 - phi), each block is a discrete plant of it
     position   p+ = phi p + gain (w + w+)/2, w+ = phi w + gain a        y = p + f_position   where no velocity comes
 
 So a GPS position that walks away from its own velocity is a fault of the position alone; a consistent spoof of position
-and velocity shows in the velocity alone, against the accelerometers (of which it cannot be told: a horizontal
-accelerometer fault or a tilted attitude looks the same). Everything can be estimated together but for the vertical:
-two altitudes and one accelerometer name one culprit, hence one hypothesis for each of them.
+and velocity shows in the velocity alone, against the accelerometers. What drifts apart there may be any of a set, which
+is called "motion": the GPS's velocity, an accelerometer, a gyro or the autopilot's attitude, whose tilt turns gravity
+into the horizontal. Only a jump tells: tilts and accelerometers are integrated, so f_velocity alone makes edges, and
+hypotheses of its own watch for them. Everything else can be estimated together but for the vertical: two altitudes and
+one accelerometer name one culprit, hence one hypothesis for each of them.
 The scale s takes up that simulators are flat where the earth is an ellipsoid.
 """
 
@@ -39,6 +41,9 @@ from monitor.vehicles.inertial.sensor_fit import (
 )
 
 VERTICAL_CULPRITS = ("baro", "gps_down", "accel_z")
+GPS_VELOCITY = ("gps_velocity_north", "gps_velocity_east")
+"""Faults that are watched for edges, in place of those of motion."""
+MOTION = ("motion_north", "motion_east")
 WASHED_FAULTS = ("gps_north", "gps_east", "gps_down", "baro", "compass")
 """Faults whose estimate fades with ``washout_s`` although they stand; the monitor gives them back.
 
@@ -120,12 +125,15 @@ def inertial_plant(fit: InertialFit, name: str, gyro_bandwidth: float = 0.15, ac
 def inertial_hypotheses(plant: Plant) -> tuple[tuple[str, ...], ...]:
     """Return the sets of faults to make observers for: all that are told apart, with one vertical culprit each.
 
-    With one altitude only the accelerometer is left to be named, and there is one hypothesis.
+    With one altitude only the accelerometer is left to be named, and there is one hypothesis. The last one, where there
+    is motion, has the velocity of the GPS in its place, for its edges.
     """
     names = tuple(fault.name for fault in plant.faults)
     culprits = tuple(name for name in VERTICAL_CULPRITS if name in names)
-    others = tuple(name for name in names if name not in culprits)
-    return tuple((*others, culprit) for culprit in culprits) or ((others,) if others else ())
+    others = tuple(name for name in names if name not in (*culprits, *GPS_VELOCITY))
+    compared = tuple((*others, culprit) for culprit in culprits) or ((others,) if others else ())
+    edges = tuple(name for name in (*others, *GPS_VELOCITY, *culprits[:1]) if name in names and name not in MOTION)
+    return (*compared, edges) if any(name in names for name in GPS_VELOCITY) else compared
 
 
 def inertial_bank(plant: Plant) -> tuple[Hypothesis, ...]:
@@ -143,15 +151,18 @@ def inertial_bank(plant: Plant) -> tuple[Hypothesis, ...]:
 def smallest_faults(fit: InertialFit) -> dict[str, float]:
     """Return the smallest size of each fault that is worth an alarm, however calm the healthy flights were.
 
-    Positions half a metre: beyond what receivers and barometers drift within the washout. Velocity: what an attitude
-    that is wrong by 10 mrad, as good autopilots are, makes of gravity within the velocity's washout. Compass 10
-    degrees: what a power cable may do. Gyro 0.03 rad/s, accelerometer 0.5 m/s^2: beyond biases that estimators learn.
+    Positions half a metre: beyond what receivers and barometers drift within the washout. Motion: what an attitude
+    that is wrong by 10 mrad, as good autopilots are, makes of gravity within the velocity's washout. Jumps of the GPS's
+    velocity 0.3 m/s: three times the noise of a receiver (0.1 m/s, 50 % circular, in data sheets). Compass 10 degrees:
+    what a power cable may do. Gyro 0.02 rad/s: a gyro that was calibrated drifts by half of it while it warms up (0.015
+    degrees/s per kelvin over 40 kelvin, BMI088). Accelerometer 0.5 m/s^2: beyond biases that estimators learn.
     """
-    velocity = _GRAVITY * _TILT * fit.velocity_washout_s
+    motion = _GRAVITY * _TILT * fit.velocity_washout_s
     sizes = {
         **dict.fromkeys(("gps_north", "gps_east", "gps_down", "baro"), 0.5),
-        **dict.fromkeys(("gps_velocity_north", "gps_velocity_east"), velocity),
-        **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), 0.03),
+        **dict.fromkeys(MOTION, motion),
+        **dict.fromkeys(GPS_VELOCITY, 0.3),
+        **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), 0.02),
         "compass": float(np.radians(10.0)),
         "accel_z": 0.5,
     }
@@ -176,8 +187,9 @@ def _faults(
 
     for axis in HORIZONTAL:
         sensor(f"gps_{axis}", f"gps_{axis}", "m")
-    for axis in HORIZONTAL:
-        sensor(f"gps_velocity_{axis}", f"gps_velocity_{axis}", "m/s")
+    for name in ("motion", "gps_velocity"):
+        for axis in HORIZONTAL:
+            sensor(f"{name}_{axis}", f"gps_velocity_{axis}", "m/s")
     if "gps_down" in fit.outputs and "baro_down" in fit.outputs:
         sensor("gps_down", "gps_down", "m")
         sensor("baro", "baro_down", "m", -1.0)

@@ -49,6 +49,8 @@ DEFAULTS = {
     "gps_delay_s": 0.0,
     "baro_delay_s": 0.0,
     "compass_delay_s": 0.0,
+    "gps_hold_s": 0.0,
+    "compass_hold_s": 0.0,
 }
 """Parameters that are left out. Chosen: positions and angles are forgotten within 30 s, over which receivers and
 barometers drift by half a metre; velocities within 10 s, in which an attitude that is wrong by 10 mrad makes 1 m/s of
@@ -66,8 +68,9 @@ class Strapdown:
         without a velocity; 3: with a velocity in body axes in place of speed and course);
         ``washout_s``: tau of positions and angles; ``velocity_washout_s``: tau of the velocity; ``position_washout_s``:
         tau of positions without a velocity, which are washed out twice; ``gps_delay_s``,
-        ``baro_delay_s``, ``compass_delay_s``: by how much they are late against the IMU. What is left out is taken
-        from ``DEFAULTS``.
+        ``baro_delay_s``, ``compass_delay_s``: by how much they are late against the IMU; ``gps_hold_s``: how long a
+        fix may stay the same until the receiver is stuck, 0 for ever; ``compass_hold_s``: how long a magnetic field
+        may, which is followed by the gyro until then. What is left out is taken from ``DEFAULTS``.
     signal_rate_hz : float
         Samples per second that come in.
     rate_hz : float
@@ -114,6 +117,8 @@ class Strapdown:
             gps_ticks=round((latest - values["gps_delay_s"]) * signal_rate_hz) if gps else 0,
             baro_ticks=round((latest - values["baro_delay_s"]) * signal_rate_hz) if baro else 0,
             compass_ticks=round(values["compass_delay_s"] * signal_rate_hz) if mag else 0,
+            gps_hold=round(values["gps_hold_s"] * signal_rate_hz),
+            compass_hold=round(values["compass_hold_s"] * signal_rate_hz),
             count=count,
             inputs=len(self.inputs),
             washouts=[bare.get(name, fast if name.startswith("gps_velocity") else slow) for name in self.outputs],
@@ -139,7 +144,7 @@ def _checked(parameters: Mapping[str, float]) -> dict[str, float]:
         if key in ("gps", "barometer", "magnetometer"):
             good = value in range({"gps": 4, "barometer": 3}.get(key, 2))
         else:
-            good = isfinite(value) and (value > 0.0 or (value == 0.0 and key.endswith("delay_s")))
+            good = isfinite(value) and (value > 0.0 or (value == 0.0 and key.endswith(("delay_s", "hold_s"))))
         if not good:
             raise TelemetryError(f"strapdown: '{key}' = {value} is out of range")
     return values
