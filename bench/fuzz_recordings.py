@@ -153,7 +153,7 @@ def _mcap(folder: Path) -> Run:
         with only(TelemetryError):
             for message in reader:
                 _plain_message(message)
-        reader.statistics()
+        reader.damage()
         with only(TelemetryError):
             MessageLogReader(path).metadata()
 

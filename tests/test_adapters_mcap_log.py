@@ -72,9 +72,9 @@ def test_messages_come_back_in_the_order_of_writing_even_where_times_are_equal_o
     path.write_bytes({".mcap": bytes, ".mcap.xz": lzma.compress, ".mcap.gz": gzip.compress}[suffix](raw))
     reader = MessageLogReader(path)
     assert list(reader) == messages
-    assert reader.statistics().messages == len(messages)
-    assert reader.statistics().stopped_at is None
-    assert reader.statistics().damaged_chunks == reader.statistics().damaged_records == 0
+    assert reader.messages == len(messages)
+    assert reader.scan.stopped_at is None
+    assert reader.scan.damaged_chunks == reader.damaged_records == 0
 
 
 def test_other_tools_read_typed_fields_from_the_file_alone(tmp_path: Path) -> None:
@@ -175,8 +175,8 @@ while True:
     messages = list(reader)
     assert len(messages) >= 2 * flushed
     assert [message.received_ns for message in messages[::2]] == list(range(1, 1 + len(messages[::2])))
-    assert reader.statistics().stopped_at is not None
-    assert reader.statistics().damaged_chunks == 0
+    assert reader.scan.stopped_at is not None
+    assert reader.scan.damaged_chunks == 0
 
 
 def test_a_truncated_log_gives_every_message_of_its_whole_chunks(tmp_path: Path) -> None:
@@ -189,7 +189,7 @@ def test_a_truncated_log_gives_every_message_of_its_whole_chunks(tmp_path: Path)
         reader = MessageLogReader(path)
         found = list(reader)
         assert found == messages[: len(found)]
-        assert reader.statistics().stopped_at is not None
+        assert reader.scan.stopped_at is not None
         seen.append(len(found))
     assert seen == sorted(seen)
     assert seen[-1] == len(messages)
@@ -207,7 +207,7 @@ def test_a_truncated_compressed_log_gives_what_stands_before_the_break(tmp_path:
     found = list(reader)
     assert found == messages[: len(found)]
     assert len(found) > 0
-    assert reader.statistics().stopped_at is not None
+    assert reader.scan.stopped_at is not None
 
 
 def test_one_flipped_byte_costs_one_chunk_and_is_counted(tmp_path: Path) -> None:
@@ -228,8 +228,8 @@ def test_one_flipped_byte_costs_one_chunk_and_is_counted(tmp_path: Path) -> None
         numbers = [message.fields["time_boot_ms"] for message in found]
         assert found == [messages[number] for number in sorted(set(numbers))]
         assert 0 < len(messages) - len(found) < CHUNK_BYTES // 50
-        assert reader.statistics().damaged_chunks == 1
-        assert reader.statistics().stopped_at is None
+        assert reader.scan.damaged_chunks == 1
+        assert reader.scan.stopped_at is None
 
 
 @settings(max_examples=150, deadline=None)
@@ -276,8 +276,8 @@ def test_our_results_are_passed_over_and_json_that_is_no_object_is_counted(tmp_p
         log.write_record(Record("/other", "json", None, b"[]", START_NS))
     reader = MessageLogReader(path)
     assert list(reader) == [attitude(1)]
-    assert reader.statistics().other_records == 1
-    assert reader.statistics().damaged_records == 1
+    assert reader.other_records == 1
+    assert reader.damaged_records == 1
 
 
 def test_logs_without_chunks_are_read_too(tmp_path: Path) -> None:

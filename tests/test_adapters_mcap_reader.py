@@ -35,8 +35,8 @@ def two_topics(path: Path) -> Path:
 def test_only_what_is_wanted_is_decoded(tmp_path: Path) -> None:
     reader = MessageLogReader(two_topics(tmp_path / "log.mcap"), {"good"})
     assert [message.fields["n"] for message in reader] == [*range(10)]
-    assert reader.statistics().damaged_records == 0
-    assert reader.statistics().other_records == 20
+    assert reader.damaged_records == 0
+    assert reader.other_records == 20
     assert reader.damage() is None
 
 
@@ -165,4 +165,4 @@ def test_a_record_of_an_impossible_time_is_damaged(tmp_path: Path) -> None:
     rows = [(START_NS, b"{}"), ((1 << 64) - 1, b"{}"), (LATEST_NS, b"{}"), (START_NS + 1, b"{}")]
     reader = MessageLogReader(mcap_log(tmp_path / "log.mcap", "/a", ("a", "jsonschema", b"{}"), "json", rows))
     assert [message.received_ns for message in reader] == [START_NS, START_NS + 1]
-    assert reader.statistics().damaged_records == 2
+    assert reader.damaged_records == 2

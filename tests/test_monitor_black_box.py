@@ -278,7 +278,7 @@ def test_a_clip_of_a_quarter_of_the_budget_ends_early_and_is_whole(tmp_path: Pat
     finish(box)
     reader = MessageLogReader(clips(tmp_path)[0])
     assert 0 < len(list(reader)) < 100
-    assert reader.statistics().stopped_at is None
+    assert reader.scan.stopped_at is None
     assert box.statistics().dropped > 0
 
 

@@ -255,9 +255,9 @@ def test_a_full_disk_costs_what_it_cannot_hold_and_recording_goes_on_when_there_
     broken, after = (MessageLogReader(path) for path in files(tmp_path / "log"))
     for reader in (broken, after):
         list(reader)
-        assert reader.statistics().damaged_chunks == 0
+        assert reader.scan.damaged_chunks == 0
         # the summary fits where the chunk did not
-        assert reader.statistics().stopped_at is None
+        assert reader.scan.stopped_at is None
 
 
 def test_a_disk_that_refuses_each_write_is_tried_again_every_ten_seconds(tmp_path: Path) -> None:
@@ -334,8 +334,8 @@ def test_whatever_was_flushed_survives_kills_at_random_moments(tmp_path: Path, a
         for path in files(folder):
             reader = MessageLogReader(path)
             count = len(list(reader))
-            assert reader.statistics().damaged_chunks == reader.statistics().damaged_records == 0
-            assert reader.statistics().other_records >= 4 * (count - 20)
+            assert reader.scan.damaged_chunks == reader.damaged_records == 0
+            assert reader.other_records >= 4 * (count - 20)
 
 
 def test_a_clock_gone_mad_costs_its_records_and_not_the_recording(tmp_path: Path) -> None:

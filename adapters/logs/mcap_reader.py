@@ -55,40 +55,6 @@ _OUR_RESULTS = "/fauio/"
 _ZENOH_TOPICS = f"/{ZENOH}/"
 
 
-@dataclass(frozen=True, slots=True)
-class ReaderStatistics:
-    """What a log reader found so far.
-
-    Parameters
-    ----------
-    messages : int
-        Messages returned.
-    other_records : int
-        Records that are no telemetry (our own estimates and alarms), not wanted, or of topics that cannot be read.
-    damaged_chunks : int
-        Blocks of records that were lost because their checksum or compression does not hold.
-    damaged_records : int
-        Single records that cannot be decoded.
-    lost_ways : int
-        How often the next record had to be searched for.
-    stopped_at : int | None
-        Byte at which an unfinished or broken file could not be read on; None after a proper end.
-    broken_off : bool
-        Whether there is something unreadable there; an unfinished file may end between two records.
-    unread : Mapping[str, str]
-        Wanted topics that cannot be read, and why.
-    """
-
-    messages: int
-    other_records: int
-    damaged_chunks: int
-    damaged_records: int
-    lost_ways: int
-    stopped_at: int | None
-    broken_off: bool
-    unread: Mapping[str, str]
-
-
 @dataclass(slots=True)
 class _Topic:
     """A channel of the file; what decodes it is made when its first message comes."""
@@ -108,7 +74,7 @@ class MessageLogReader:
     """Reads a log's telemetry in the order it was written, also from unfinished and damaged files.
 
     Topics are those of :class:`MessageLogWriter`, and those of others (:mod:`adapters.encoding.foreign_record`).
-    Iterate over it once; :meth:`statistics` tells what was found and what was not.
+    Iterate over it once.
 
     Parameters
     ----------
@@ -119,6 +85,17 @@ class MessageLogReader:
     types : Container[str]
         ROS 2 types (``sensor_msgs/Imu``) whose topics are wanted whatever they are called, and with any of them the
         recorded telemetry over Zenoh that is JSON, of which no type is known.
+
+    Attributes
+    ----------
+    scan : McapRecords
+        The file's records, and what of them is damaged so far.
+    messages : int
+        Messages returned so far.
+    other_records : int
+        Records that are no telemetry (our own estimates and alarms), not wanted, or of topics that cannot be read.
+    damaged_records : int
+        Single records that cannot be decoded.
     """
 
     def __init__(
@@ -128,44 +105,30 @@ class MessageLogReader:
         self._only = only
         self._types = types
         self._topic: str | None = None
-        self._records = McapRecords(self._path)
+        self.scan = McapRecords(self._path)
         self._schemas: dict[int, Schema] = {}
         self._topics: dict[int, _Topic] = {}
         self._unread: dict[str, str] = {}
-        self._messages = self._other_records = self._damaged_records = 0
+        self.messages = self.other_records = self.damaged_records = 0
         self._expected: int | None = None
-
-    def statistics(self) -> ReaderStatistics:
-        """Return the counts so far."""
-        records = self._records
-        return ReaderStatistics(
-            messages=self._messages,
-            other_records=self._other_records,
-            damaged_chunks=records.damaged_chunks,
-            damaged_records=self._damaged_records,
-            lost_ways=records.lost_ways,
-            stopped_at=records.stopped_at,
-            broken_off=records.broken_off,
-            unread=dict(self._unread),
-        )
 
     def damage(self) -> Damage | None:
         """Return what could not be read, None where all could; call it after the last message."""
-        counts = self.statistics()
-        findings = list(described(counts.unread))
-        if counts.broken_off:
-            findings.append(f"cannot be read from byte {counts.stopped_at} on")
-        elif counts.stopped_at is not None:
-            findings.append(f"was not finished, ends without an index at byte {counts.stopped_at}")
-        if counts.damaged_chunks:
-            findings.append(counted(counts.damaged_chunks, "damaged block"))
-        elif counts.lost_ways > counts.broken_off:
-            findings.append(counted(counts.lost_ways - counts.broken_off, "damaged place"))
-        if counts.damaged_records:
-            findings.append(f"{counted(counts.damaged_records, 'message')} cannot be decoded")
+        scan = self.scan
+        findings = list(described(self._unread))
+        if scan.broken_off:
+            findings.append(f"cannot be read from byte {scan.stopped_at} on")
+        elif scan.stopped_at is not None:
+            findings.append(f"was not finished, ends without an index at byte {scan.stopped_at}")
+        if scan.damaged_chunks:
+            findings.append(counted(scan.damaged_chunks, "damaged block"))
+        elif scan.lost_ways > scan.broken_off:
+            findings.append(counted(scan.lost_ways - scan.broken_off, "damaged place"))
+        if self.damaged_records:
+            findings.append(f"{counted(self.damaged_records, 'message')} cannot be decoded")
         if self._expected is not None and (lost := self._expected - self._seen()) > 0:
             findings.append(f"{lost} of {counted(self._expected, 'message')} lost")
-        return Damage(self._path.name, tuple(findings), counts.stopped_at) if findings else None
+        return Damage(self._path.name, tuple(findings), scan.stopped_at) if findings else None
 
     def __iter__(self) -> Iterator[Message]:
         """Return the messages.
@@ -181,14 +144,14 @@ class MessageLogReader:
         """Return a message and count it, None where it cannot be decoded."""
         decode = topic.decode or self._decoder(topic)
         if decode is None:
-            self._other_records += 1
+            self.other_records += 1
             return None
         try:
             message = decode(data, time_ns)
         except UNREADABLE:
-            self._damaged_records += 1
+            self.damaged_records += 1
             return None
-        self._messages += 1
+        self.messages += 1
         return message
 
     def batches(self, count: int = BATCH_MESSAGES) -> Iterator[Batch]:
@@ -223,20 +186,20 @@ class MessageLogReader:
             return None
         times_ns = np.array([time_ns for _, time_ns, _, _ in group], np.int64)
         columns = decode.columns([data for *_, data in group], times_ns, np.array(indices))
-        self._messages += len(group) if columns else 0
+        self.messages += len(group) if columns else 0
         return columns
 
     def records(self) -> Iterator[Record]:
         """Return the wanted records as they are in the file, readable or not; raises as iteration does."""
         for topic, time_ns, publish_ns, data in self._data():
-            self._messages += 1
+            self.messages += 1
             yield Record(topic.topic, topic.encoding, topic.schema, data, time_ns, publish_ns=publish_ns)
 
     def payloads(self, topic: str) -> Iterator[bytes]:
         """Return the records of one topic as they are in the file; raises as iteration does."""
         self._topic = topic
         for *_, data in self._data():
-            self._other_records += 1
+            self.other_records += 1
             yield data
 
     def metadata(self, *, ahead_only: bool = False) -> dict[str, dict[str, str]]:
@@ -245,7 +208,7 @@ class MessageLogReader:
         With ``ahead_only``, those ahead of all data, for which the file need not be read to its end.
         """
         entries: dict[str, dict[str, str]] = {}
-        for opcode, body in self._records:
+        for opcode, body in self.scan:
             if ahead_only and opcode in (Opcode.CHUNK, Opcode.MESSAGE):
                 break
             if opcode == Opcode.METADATA:
@@ -257,7 +220,7 @@ class MessageLogReader:
     def _data(self) -> Iterator[_Raw]:
         """Return topic, log time, publish time and payload of the wanted messages."""
         self._learn_from_index()
-        for opcode, body in self._records:
+        for opcode, body in self.scan:
             if opcode == Opcode.CHUNK:
                 yield from self._from_chunk(body)
             elif opcode == Opcode.MESSAGE:
@@ -281,15 +244,15 @@ class MessageLogReader:
                 self._define(opcode, data[start + _RECORD_HEAD_BYTES : at])
                 continue
             if length < _MESSAGE_HEAD_BYTES:
-                self._damaged_records += 1
+                self.damaged_records += 1
                 continue
             topic = topics.get(channel)
             if topic is None or time_ns >= LATEST_NS:
-                self._damaged_records += 1
+                self.damaged_records += 1
             elif topic.wanted:
                 yield topic, time_ns, publish_ns, data[start + head_bytes : at]
             else:
-                self._other_records += 1
+                self.other_records += 1
 
     def _define(self, opcode: int, body: bytes) -> None:
         """Take in a record that says something about the others."""
@@ -300,7 +263,7 @@ class MessageLogReader:
             elif opcode == Opcode.CHANNEL:
                 self._add(Channel.read(ReadDataStream(BytesIO(body))))
         except (*UNREADABLE, McapError):
-            self._damaged_records += 1
+            self.damaged_records += 1
 
     def _add(self, channel: Channel) -> None:
         topic, encoding = channel.topic, channel.message_encoding
@@ -350,7 +313,7 @@ class MessageLogReader:
                 at += RECORD_HEAD.size + length
 
     def _seen(self) -> int:
-        return self._messages + self._other_records + self._damaged_records
+        return self.messages + self.other_records + self.damaged_records
 
 
 def _first(data: Iterator[_Raw], count: int) -> Iterator[_Raw]:

@@ -69,7 +69,16 @@ _LONGEST_MATCH = 64
 class McapRecords:
     """Iterates once over (opcode, body) of a file's records; the body of a chunk is its records, decompressed.
 
-    Its counts are those of :class:`adapters.logs.mcap_reader.ReaderStatistics`, so far.
+    Attributes
+    ----------
+    damaged_chunks : int
+        Blocks of records that were lost because their checksum or compression does not hold.
+    lost_ways : int
+        How often the next record had to be searched for.
+    stopped_at : int | None
+        Byte at which an unfinished or broken file could not be read on; None after a proper end.
+    broken_off : bool
+        Whether there is something unreadable there; an unfinished file may end between two records.
     """
 
     def __init__(self, path: Path) -> None:
