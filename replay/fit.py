@@ -232,7 +232,8 @@ def _hidden(surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str
 def _slow(kind: VehicleKind, surveys: Sequence[Survey], observers: Sequence[Fitted]) -> tuple[str, ...]:
     channels = [channel for fitted in observers for channel in fitted.source.channels]
     slow = slow_messages([found.rate_hz for found in surveys], channels, kind.wanted_hz)
-    return (slow_text(slow, kind.wanted_hz),) if slow else ()
+    onboard = all(found.onboard for found in surveys)
+    return (slow_text(slow, kind.wanted_hz, onboard=onboard),) if slow else ()
 
 
 def _measured(fitted: Fitted, request: FitRequest, kind: str, gate: GateRule) -> Fitted:

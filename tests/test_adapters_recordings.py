@@ -104,3 +104,11 @@ def test_a_folder_of_several_vehicles_names_them(tmp_path: Path) -> None:
     write(tmp_path / "b.mcap")
     with pytest.raises(TelemetryError, match=r"3 vehicles or sessions \(a-1, a-2, b\)"):
         recording_kind(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.ulg", "a.bin", "a.tlog.xz"])
+def test_what_git_lfs_has_in_place_of_a_recording_is_named(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 647120\n")
+    with pytest.raises(TelemetryError, match="is a Git LFS pointer, not the recording; get that with 'git lfs pull'"):
+        recording_kind(path)

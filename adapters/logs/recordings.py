@@ -34,6 +34,7 @@ _TYPICAL_RECORD_BYTES = 52
 _KINDS: Mapping[str, RecordingKind] = {".tlog": "tlog", ".mcap": "mcap", ".ulg": "ulog", ".bin": "dataflash"}
 _COMPRESSED = (".xz", ".gz")
 _SESSION_FILE = re.compile(r"(?P<vehicle>.+)-\d{8}T\d{6}Z-\d+", re.ASCII)
+_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 # a ROS 2 bag is a folder: its description, and files numbered without leading zeros
 _BAG_DESCRIPTION = "metadata.yaml"
 _BAG_FILE = re.compile(r"(?P<vehicle>.+)_(?P<number>\d{1,9})", re.ASCII)
@@ -46,7 +47,8 @@ def recording_kind(path: str | os.PathLike[str]) -> RecordingKind:
     ------
     TelemetryError
         The suffix is none of ``.tlog``, ``.mcap``, ``.ulg`` (PX4) and ``.bin`` (ArduPilot), plain or with ``.xz`` or
-        ``.gz`` behind; there is no such file; or a folder that is no recorded session (:func:`session_files`).
+        ``.gz`` behind; there is no such file, or what Git LFS has in its place; or a folder that is no recorded session
+        (:func:`session_files`).
     """
     file = Path(path)
     if file.is_dir():
@@ -58,6 +60,9 @@ def recording_kind(path: str | os.PathLike[str]) -> RecordingKind:
         raise TelemetryError(f"{path}: unknown kind of recording; use {known}, plain or with .xz or .gz behind")
     if not file.is_file():
         raise TelemetryError(f"{path}: no such file")
+    with contextlib.suppress(OSError), file.open("rb") as opened:
+        if opened.read(len(_LFS_POINTER)) == _LFS_POINTER:
+            raise TelemetryError(f"{path}: is a Git LFS pointer, not the recording; get that with 'git lfs pull'")
     return kind
 
 

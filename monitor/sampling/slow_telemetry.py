@@ -34,14 +34,24 @@ def slow_messages(
     return {name: rate for name, rate in rates.items() if rate < _ENOUGH * wanted_hz}
 
 
-def slow_text(slow: Mapping[str, float], wanted_hz: float) -> str:
-    """Return a line about messages that come slowly: how often, what more would show, how to get it."""
+def slow_text(slow: Mapping[str, float], wanted_hz: float, *, onboard: bool) -> str:
+    """Return a line about messages that come slowly, in onboard logs or not: what more would show, how to get it."""
     rates = ", ".join(f"{name} {rate:.3g} Hz" for name, rate in slow.items())
     return (
         f"slow telemetry: {rates}; {wanted_hz:g} Hz or more show faults sooner and smaller ones (a motor: 2 % within "
-        "0.3 s at 100 Hz, 5 % within 1 s at 10 Hz, 5 to 10 % within 5 to 10 s over a radio). Raise the rates in the autopilot "
-        "(ArduPilot SRx_*, PX4 mavlink stream) or with [send] rates of fauio.toml, record again and fit again"
+        "0.3 s at 100 Hz, 5 % within 1 s at 10 Hz, 5 to 10 % within 5 to 10 s over a radio). "
+        + (_LOG_FASTER if onboard else _SEND_FASTER)
     )
+
+
+_SEND_FASTER = (
+    "Raise the rates in the autopilot (ArduPilot SRx_*, PX4 mavlink stream) or with [send] rates of fauio.toml, record "
+    "again and fit again"
+)
+_LOG_FASTER = (
+    "Log at high rate (PX4: SDLOG_PROFILE 17) and fit again; ArduPilot logs motor outputs 10 times a second whatever "
+    "is set: record telemetry instead (fauio record)"
+)
 
 
 def spanned(source: SampleSource, rate_hz: float, rates: Mapping[str, float]) -> dict[str, float]:
