@@ -20,6 +20,8 @@ _INTERPOLATIONS: tuple[Interpolation, ...] = get_args(Interpolation)
 _ANGLES: tuple[Angle, ...] = get_args(Angle)
 CLOCK_UNITS_NS = {"time_boot_ms": 1_000_000, "time_usec": 1_000, "time_ns": 1}
 """The usual names of clock fields and the nanoseconds they count, the first one that a message has being its clock."""
+STANDARD_GRAVITY = 9.80665
+"""Standard acceleration of free fall, m/s^2 (ISO 80000-3); MAVLink counts thousandths of it."""
 MAX_VALUE = 1e12
 """Beyond it no vehicle measures anything, in any unit; an observer that believed it would be blind for seconds."""
 STOPPED = -0.01
@@ -137,6 +139,10 @@ def _angle(quaternion: Any, which: Angle) -> float | None:
     if which == "yaw":
         return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+
+
+ANY_CLOCK = Channel("clock", "", ("",))
+"""Reads the usual clock fields."""
 
 
 def _stamp(count: Any, unit_ns: int) -> int | None:

@@ -10,6 +10,7 @@ from adapters.source import CLOCK, Source
 
 # The year 2116: sums and differences of times below it fit into 64 bits.
 LATEST_NS: Final = 1 << 62
+SECOND_NS: Final = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from adapters.batch import Batch, Columns, cut
+from adapters.mavlink.heartbeat import AUTOPILOT
 from adapters.message import SILENCE, Message
 from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR
 from monitor.alarms import link_alarms
@@ -34,8 +35,6 @@ from monitor.sampling.identity import Identity
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import SamplerStatistics
 
-AUTOPILOT = 1
-"""MAV_COMP_ID_AUTOPILOT1."""
 RULES = "rules"
 STANDING = "standing"
 """Name of the message with the alarms that were active before; recordings hold it."""

@@ -6,7 +6,8 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any, Final, TypeAlias
+from math import tau
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,6 @@ clock's, or of long before it was logged, and the time of the record stands in.
 # What says that ArduPilot logs before it is armed: the parameter, and a bit of the mask in versions before it.
 _LOGGED_DISARMED = {"LOG_DISARMED": 0xFF, "LOG_BITMASK": 1 << 16}
 _LONG_AGO_NS = -(1 << 60)
-_TURN: Final = 2.0 * np.pi
 _LARGEST_QUATERNION = 2.0
 """A rotation is of length one; NaN is no number at all and not below this either."""
 _SEARCHED = 64
@@ -697,7 +697,7 @@ def _between(
     values, known = rows.values[field.name], rows.known[field.name]
     left_ns, right_ns = rows.received_ns[left], rows.received_ns[right]
     before, after = values[left], values[right]
-    period = _TURN if field.angle else field.channel.period if field.channel is not None else None
+    period = tau if field.angle else field.channel.period if field.channel is not None else None
     span_ns = np.maximum(right_ns - left_ns, 1)
     with np.errstate(over="ignore", invalid="ignore"):
         step = after - before

@@ -45,6 +45,7 @@ from numpy.typing import NDArray
 from adapters.encoding.message_record import encode
 from adapters.encoding.record import Record, Schema
 from adapters.errors import StorageError
+from adapters.logs.mcap_records import RECORD_HEAD
 from adapters.message import Message
 
 MAX_CHANNELS = 4096
@@ -60,7 +61,6 @@ _MESSAGE = np.dtype(
 )
 _CHUNK = struct.Struct("<BQQQQII4sQ")
 _MESSAGE_INDEX = struct.Struct("<BQHI")
-_RECORD_HEAD = struct.Struct("<BQ")
 _INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
 _FOOTER = struct.Struct("<BQQQ")
 _FOOTER_BYTES = 20
@@ -311,7 +311,7 @@ class MessageLogWriter:
                 self._end_chunk()
             self._failed = None
             self._begin_chunk()
-            self._write(_encoded(DataEnd(data_section_crc=0)) + self._summary(self._at + _RECORD_HEAD.size + 4))
+            self._write(_encoded(DataEnd(data_section_crc=0)) + self._summary(self._at + RECORD_HEAD.size + 4))
             self._stream.flush()
         finally:
             if self._owned is not None:
@@ -337,7 +337,7 @@ class MessageLogWriter:
         packed = self._compressor.compress(chunk)
         head = _CHUNK.pack(
             Opcode.CHUNK,
-            _CHUNK.size - _RECORD_HEAD.size + len(packed),
+            _CHUNK.size - RECORD_HEAD.size + len(packed),
             first,
             last,
             len(chunk),
@@ -383,7 +383,7 @@ class MessageLogWriter:
         data = self._data
         length = np.fromiter(map(len, data), np.int64, len(data)) + _MESSAGE_BYTES
         heads = np.zeros(len(data), _MESSAGE)
-        heads["opcode"], heads["length"] = Opcode.MESSAGE, length - _RECORD_HEAD.size
+        heads["opcode"], heads["length"] = Opcode.MESSAGE, length - RECORD_HEAD.size
         heads["channel"], heads["log"] = channel, times_ns
         heads["publish"] = times_ns
         for message, publish_ns in self._publish_ns.items():

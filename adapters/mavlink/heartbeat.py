@@ -29,10 +29,16 @@ def vehicle_type(number: int | None) -> str:
     return (enumerated("MAV_TYPE", number) or "").replace("_", " ") if number else ""
 
 
+AUTOPILOT = 1
+"""MAV_COMP_ID_AUTOPILOT1: component id of autopilots."""
+ARMED = 128
+"""MAV_MODE_FLAG_SAFETY_ARMED of ``base_mode``."""
+NO_AUTOPILOT = 8
+"""MAV_AUTOPILOT_INVALID: a component that is no flight controller."""
+PX4 = 12
+"""MAV_AUTOPILOT_PX4."""
 _GROUND_STATION = 6
 """MAV_TYPE_GCS."""
-_NO_AUTOPILOT = 8
-"""MAV_AUTOPILOT_INVALID: a component that is no flight controller."""
 
 
 def autopilot_heartbeats(columns: Columns) -> NDArray[np.bool_]:
@@ -46,7 +52,7 @@ def autopilot_heartbeats(columns: Columns) -> NDArray[np.bool_]:
         return np.zeros(count, np.bool_)
     no_number = np.full(count, -1)
     kinds, autopilots = (columns.fields.get(name, no_number) for name in ("type", "autopilot"))
-    right: NDArray[np.bool_] = (kinds != _GROUND_STATION) & (autopilots != _NO_AUTOPILOT)
+    right: NDArray[np.bool_] = (kinds != _GROUND_STATION) & (autopilots != NO_AUTOPILOT)
     return right
 
 
@@ -60,5 +66,5 @@ def is_autopilot_heartbeat(message: Message) -> bool:
         message.name == "HEARTBEAT"
         and message.source is MAVLINK
         and message.fields.get("type") != _GROUND_STATION
-        and message.fields.get("autopilot") != _NO_AUTOPILOT
+        and message.fields.get("autopilot") != NO_AUTOPILOT
     )

@@ -15,17 +15,14 @@ from typing import Any
 
 from adapters.batch import Columns, one_message
 from adapters.errors import TelemetryError
-from adapters.mavlink.heartbeat import autopilot_heartbeats
+from adapters.mavlink.heartbeat import AUTOPILOT, autopilot_heartbeats
 from adapters.mavlink.signing import SigningKey, unix_stamp
+from adapters.message import SECOND_NS
 from adapters.source import MAVLINK
-
-AUTOPILOT = 1
-"""Component id of autopilots."""
 
 OWN_IDS = (245, 191)
 """System and component id that requests are sent under: an onboard computer that is no vehicle."""
 
-_SECOND_NS = 1_000_000_000
 _ENOUGH = 0.7
 """Share of the rate that was asked for. Chosen: a link that loses a tenth and a scheduler that rounds periods are no
 news, half the rate is.
@@ -34,9 +31,9 @@ news, half the rate is.
 _MEASURED_MESSAGES = 5
 _MEASURED_S = 2.0
 _ACK_NS = 1_500_000_000
-_FIRST_RETRY_NS = 2 * _SECOND_NS
-_LAST_RETRY_NS = 64 * _SECOND_NS
-_SILENT_NS = 3 * _SECOND_NS
+_FIRST_RETRY_NS = 2 * SECOND_NS
+_LAST_RETRY_NS = 64 * SECOND_NS
+_SILENT_NS = 3 * SECOND_NS
 _LARGEST_HZ = 1000.0
 
 
@@ -181,7 +178,7 @@ class RateRequests:
             self._start_anew()
         self._now_ns = now_ns
         packets = []
-        if self._heartbeat_ns is None or now_ns - self._heartbeat_ns >= _SECOND_NS:
+        if self._heartbeat_ns is None or now_ns - self._heartbeat_ns >= SECOND_NS:
             self._heartbeat_ns = now_ns
             packets.append(self._heartbeat(now_ns))
         for vehicle in self._vehicles.values():

@@ -17,21 +17,18 @@ from typing import Any
 
 from adapters.errors import TelemetryError
 from adapters.mavlink.byte_link import resolve
+from adapters.mavlink.heartbeat import ARMED, AUTOPILOT
 from adapters.mavlink.mavlink_message import mavlink_types, message_number
-from adapters.message import Message
+from adapters.message import SECOND_NS, Message
 from adapters.simulation.arm import ArmRun
 from adapters.simulation.pacing import paced
 
 SYSTEM = 1
 """Of the simulated vehicle: what autopilots have when they are new."""
-COMPONENT = 1
-"""MAV_COMP_ID_AUTOPILOT1."""
 ARRAY_NAME = "arm"
 
-_HEARTBEAT_NS = 1_000_000_000
+_HEARTBEAT_NS = SECOND_NS
 """MAVLink's rate of heartbeats, one a second."""
-_ARMED = 128
-"""MAV_MODE_FLAG_SAFETY_ARMED."""
 _ACTIVE = 4
 """MAV_STATE_ACTIVE."""
 _MAVLINK_VERSION = 3
@@ -46,8 +43,8 @@ def arm_packets(run: ArmRun) -> Iterator[tuple[int, bytes]]:
     """Return simulated time, nanoseconds, and bytes of each MAVLink packet."""
     from pymavlink.dialects.v20 import ardupilotmega
 
-    link = ardupilotmega.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
-    heartbeat = ardupilotmega.MAVLink_heartbeat_message(0, 0, _ARMED, 0, _ACTIVE, _MAVLINK_VERSION)
+    link = ardupilotmega.MAVLink(None, srcSystem=SYSTEM, srcComponent=AUTOPILOT)
+    heartbeat = ardupilotmega.MAVLink_heartbeat_message(0, 0, ARMED, 0, _ACTIVE, _MAVLINK_VERSION)
 
     def pack(packed: ardupilotmega.MAVLink_message) -> bytes:
         packet = bytes(packed.pack(link))

@@ -2,8 +2,6 @@ from collections.abc import Sequence
 
 from adapters.sample import Given, Samples
 
-STANDARD_GRAVITY: float
-
 class StrapdownCore:
     def __init__(
         self,

@@ -7,14 +7,12 @@ are those of the C library, one tick after the other, so results do not depend o
 
 import numpy as np
 
+from adapters.channels import STANDARD_GRAVITY
 from adapters.sample import Given, Samples
 
 from cpython.mem cimport PyMem_Free, PyMem_Malloc
 from libc.math cimport M_PI, atan2, cos, fabs, fmod, hypot, pow, sin, sqrt
 from libc.string cimport memcmp, memcpy, memset
-
-STANDARD_GRAVITY = 9.80665
-"""Standard acceleration of free fall, m/s^2 (ISO 80000-3)."""
 
 cdef double _GRAVITY = STANDARD_GRAVITY
 # WGS-84: semi-major axis in metres and square of the first eccentricity.

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import tau
 
-from adapters.channels import Channel
+from adapters.channels import STANDARD_GRAVITY, Channel
 from adapters.errors import TelemetryError
 from monitor.fitting.survey import MOTOR_MESSAGE, Survey
 from monitor.sampling.phase import FlightPhase
 
-_TURN = 6.283185307179586
-_G = 9.80665
 _ATTITUDE = "ATTITUDE"
 # Messages and the m/s^2 in their units: MAVLink gives milli-g where it is not SI.
-_IMU = (("HIGHRES_IMU", 1.0), ("SCALED_IMU", _G / 1000.0), ("RAW_IMU", _G / 1000.0))
+_IMU = (("HIGHRES_IMU", 1.0), ("SCALED_IMU", STANDARD_GRAVITY / 1000.0), ("RAW_IMU", STANDARD_GRAVITY / 1000.0))
 _ANGLES = {"roll": "roll", "pitch": "pitch", "yaw": "yaw"}
 _RATES = {"roll_rate": "rollspeed", "pitch_rate": "pitchspeed", "yaw_rate": "yawspeed"}
 _FORCES = {"forward_acceleration": "xacc", "lateral_acceleration": "yacc", "vertical_acceleration": "zacc"}
@@ -57,7 +56,7 @@ def effect_signals(
             f"no accelerations in every log; record one of {', '.join(s[0] for s in _IMU)} at 50 Hz or more"
         )
     known = {
-        **{name: Channel(name, _ATTITUDE, (field,), period=_TURN) for name, field in _ANGLES.items()},
+        **{name: Channel(name, _ATTITUDE, (field,), period=tau) for name, field in _ANGLES.items()},
         **{name: Channel(name, _ATTITUDE, (field,)) for name, field in _RATES.items()},
         **{name: Channel(name, imu[0], (field,), scale=imu[1]) for name, field in _FORCES.items()},
         **servos,

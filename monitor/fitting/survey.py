@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, cut, gathered, one_message
-from adapters.channels import CLOCK_UNITS_NS, Channel
+from adapters.channels import ANY_CLOCK, CLOCK_UNITS_NS, Channel
 from adapters.logs.log_parameters import PARAMETER_MESSAGES, parameter
-from adapters.mavlink.heartbeat import vehicle_type
+from adapters.mavlink.heartbeat import ARMED, NO_AUTOPILOT, PX4, vehicle_type
 from adapters.message import LATEST_NS, Message
 from monitor.fitting.flight_rate import FlightRate
 
@@ -25,13 +25,6 @@ MOTION_MESSAGES = frozenset({MOTOR_MESSAGE, "ATTITUDE", "ATTITUDE_QUATERNION", "
 
 _GPS_MESSAGE = "GPS_RAW_INT"
 _HEARTBEAT = "HEARTBEAT"
-_NO_AUTOPILOT = 8
-"""MAV_AUTOPILOT_INVALID: the sender of such a heartbeat is no autopilot."""
-_PX4 = 12
-"""MAV_AUTOPILOT_PX4."""
-_ARMED = 128
-"""MAV_MODE_FLAG_SAFETY_ARMED of ``base_mode``."""
-_ANY_CLOCK = Channel("clock", "", ("",))
 _UNKNOWN = 65_535
 """MAVLink's value of an unknown speed or course, and the largest that a servo output can hold."""
 _PULSES_US = (800, 2200)
@@ -135,7 +128,7 @@ class _Surveyor:
         outputs = {number: tally.output() for number, tally in sorted(flown.tallies.items())}
         vehicle_types = frozenset(map(vehicle_type, self._types)) - {""}
         # whether integers are sent byte by byte is known once the autopilot has said what it is
-        px4 = self._autopilot == _PX4
+        px4 = self._autopilot == PX4
         parameters = dict(filter(None, (parameter(one, px4=px4) for one in self._parameters.values())))
         return Survey(
             counts=dict(self._counts),
@@ -154,10 +147,10 @@ class _Surveyor:
         reports = [(int(at), group.fields_at(row)) for group in heartbeats for row, at in enumerate(group.position)]
         start = 0
         for index, fields in sorted(reports, key=lambda report: report[0]):
-            if fields.get("autopilot") == _NO_AUTOPILOT:
+            if fields.get("autopilot") == NO_AUTOPILOT:
                 continue
             mode = fields.get("base_mode")
-            armed = isinstance(mode, int) and bool(mode & _ARMED)
+            armed = isinstance(mode, int) and bool(mode & ARMED)
             if armed is not self._armed:
                 yield start, index + 1, self._armed
                 start, self._armed = index + 1, armed
@@ -188,7 +181,7 @@ def _stamps(group: _Group) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     if clock is not None and group.values[clock].dtype.kind in "iuf":
         times_ns = group.values[clock].astype(np.float64) * CLOCK_UNITS_NS[clock]
     elif len(times_ns) == 1:
-        found = _ANY_CLOCK.stamp_ns(group.fields_at(0))
+        found = ANY_CLOCK.stamp_ns(group.fields_at(0))
         times_ns[0] = np.nan if found is None or abs(found) >= LATEST_NS else found
     # zero stands for no time
     good = (times_ns != 0.0) & (np.abs(times_ns) < LATEST_NS)

@@ -21,7 +21,7 @@ from adapters.encoding.protobuf_types import (
 )
 from adapters.encoding.record import Schema
 from adapters.encoding.typed_record import columns_class
-from adapters.message import Message
+from adapters.message import SECOND_NS, Message
 from adapters.sample import Samples
 from adapters.source import MAVLINK
 from monitor.bus.payload import to_json
@@ -49,7 +49,6 @@ class Topic(NamedTuple):
 
 
 _TIMES = (Field("time", TIMESTAMP), Field("vehicle_time_ns", "int64"), Field("index", "int64"))
-_SECOND_NS = 1_000_000_000
 
 
 OWN_TOPICS: Final = "/fauio/"
@@ -73,7 +72,7 @@ class _RowType:
     def rows(self, samples: Samples, values: Samples | Estimates) -> list[bytes]:
         """Return the serialized messages of the values at samples."""
         timestamps = np.empty((len(samples), 2), np.int64)
-        np.divmod(samples.time_ns, _SECOND_NS, out=(timestamps[:, 0], timestamps[:, 1]))
+        np.divmod(samples.time_ns, SECOND_NS, out=(timestamps[:, 0], timestamps[:, 1]))
         columns = (getattr(values, name) for name in self._columns)
         return self._rows.encode((timestamps, samples.vehicle_time_ns, samples.index, *columns), len(samples))
 

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 from adapters.logs.log_parameters import PARAMETER_MESSAGES, parameter
-from adapters.mavlink.heartbeat import enumerated, is_autopilot_heartbeat, vehicle_type
+from adapters.mavlink.heartbeat import PX4, enumerated, is_autopilot_heartbeat, vehicle_type
 from adapters.message import Message
 from adapters.source import MAVLINK
 
@@ -36,8 +36,6 @@ _ROTOR_COUNT, _PX4_TYPE = "CA_ROTOR_COUNT", "MAV_TYPE"
 _PARAMETERS = frozenset({"FRAME_CLASS", "FRAME_TYPE", "Q_ENABLE", _ROTOR_COUNT, _PX4_TYPE})
 _BOAT = 2
 """ArduRover's FRAME_CLASS of a boat."""
-_PX4 = 12
-"""MAV_AUTOPILOT_PX4."""
 _MOST_MOTORS = 32
 """ArduPilot's AP_MOTORS_MAX_NUM_MOTORS; PX4 has 12. More are no count of motors."""
 
@@ -113,7 +111,7 @@ class Reports:
         if message.name == "HEARTBEAT":
             return self._after_heartbeat(said) if is_autopilot_heartbeat(message) else self
         if message.name in PARAMETER_MESSAGES and (message.source.is_onboard_log or message.source is MAVLINK):
-            return self._with(parameter(message, px4=self.autopilot == _PX4))
+            return self._with(parameter(message, px4=self.autopilot == PX4))
         return self._after_text(said.get("Message")) if message.source.is_onboard_log else self
 
     def joined(self, others: Reports) -> Reports:

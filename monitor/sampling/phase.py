@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from adapters.mavlink.heartbeat import is_autopilot_heartbeat
+from adapters.mavlink.heartbeat import ARMED, is_autopilot_heartbeat
 from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.sampling.identity import Identity, Reports
 
 Landed = Literal["ground", "air", "takeoff", "landing"]
 
-# MAV_MODE_FLAG_SAFETY_ARMED, and the values of MAV_LANDED_STATE.
-_ARMED = 128
+# The values of MAV_LANDED_STATE.
 _LANDED: dict[int, Landed] = {1: "ground", 2: "air", 3: "takeoff", 4: "landing"}
 
 
@@ -74,4 +73,4 @@ class FlightPhase:
         elif is_autopilot_heartbeat(message):
             mode = message.fields.get("base_mode")
             if isinstance(mode, int):
-                self.armed = bool(mode & _ARMED)
+                self.armed = bool(mode & ARMED)

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from adapters.batch import Batch, Columns, gathered, joined
-from adapters.mavlink.heartbeat import autopilot_heartbeats
+from adapters.mavlink.heartbeat import AUTOPILOT, autopilot_heartbeats
 from adapters.message import Message
 from monitor.service.inbox import Arrival
 from monitor.service.vehicle_monitor import VehicleMonitor
-
-_AUTOPILOT = 1
-"""MAV_COMP_ID_AUTOPILOT1."""
 
 NewVehicle = Callable[[int], VehicleMonitor | None]
 
@@ -97,7 +94,7 @@ class Fleet:
                 self._by_system[system] = vehicle
                 return vehicle
         if self._new_vehicle is None or not any(
-            columns.component == _AUTOPILOT and autopilot_heartbeats(columns).any() for columns in batch.columns
+            columns.component == AUTOPILOT and autopilot_heartbeats(columns).any() for columns in batch.columns
         ):
             return None
         made = self._new_vehicle(system)

@@ -14,7 +14,7 @@ from pathlib import Path
 from adapters.batch import messages
 from adapters.errors import StorageError, TelemetryError, UsageError
 from adapters.logs.mcap_log import MessageLogWriter
-from adapters.message import Message
+from adapters.message import SECOND_NS, Message
 from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
 from monitor.service.caught_signals import caught_signals
@@ -24,7 +24,6 @@ from monitor.service.log import ServiceLog
 
 _POLL_S = 0.1
 """Chosen: how late Ctrl-C and the end of --seconds are seen."""
-_SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +109,7 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
             if seconds is not None and tally.first_ns is not None and now_ns - tally.first_ns >= seconds * 1e9:
                 break
             first_look.turn(now_ns)
-            if not 0 <= now_ns - flushed_ns < _SECOND_NS:
+            if not 0 <= now_ns - flushed_ns < SECOND_NS:
                 flushed_ns = now_ns
                 writer.flush()
                 _tell(f"{tally.seconds:.0f} s, {tally.names.total()} messages")

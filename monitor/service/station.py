@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adapters.errors import UsageError
+from adapters.message import SECOND_NS
 from adapters.zenoh.zenoh_session import endpoints
 from monitor.alarms.desk import DeskRule
 from monitor.bus.status_watch import VehicleStatus
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
     from monitor.views.live_buffer import VehicleView
     from monitor.views.live_view import LiveView
 
-_SECOND_NS = 1_000_000_000
 _MEGABYTE = 1_000_000
 
 
@@ -124,7 +124,7 @@ class Station:
         while not self._reloaded.empty():
             self._apply(self._reloaded.get())
             self.reloads += 1
-        if now_ns - self._second_ns >= _SECOND_NS or now_ns < self._second_ns:
+        if now_ns - self._second_ns >= SECOND_NS or now_ns < self._second_ns:
             self._second_ns = now_ns
             if self._journal is not None:
                 self._journal.retry()

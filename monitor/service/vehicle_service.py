@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from monitor.recording.journal import Journal
 
-_STATUS_NS = 1_000_000_000
+STATUS_NS = 1_000_000_000
 """A status a second, as the interface promises."""
 _FLUSH_NS = 500_000_000
 """Chosen: what a kill costs of a recording at most; flushing more often makes small chunks."""
@@ -96,7 +96,7 @@ class VehicleService:
         if now_ns - self._flushed_ns >= _FLUSH_NS:
             self._flushed_ns = now_ns
             self.monitor.flush()
-        if now_ns - self._status_ns >= _STATUS_NS:
+        if now_ns - self._status_ns >= STATUS_NS:
             self._status_ns = now_ns
             trouble = None if self.archive is None else self.archive.statistics().trouble
             self.last_status = self.monitor.status(now_ns, [*troubles, *([trouble] if trouble else [])], self._links())

@@ -16,7 +16,7 @@ from adapters.errors import StorageError, TelemetryError, UsageError
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import read_mcap_metadata
 from adapters.logs.recordings import read_recording, recording_kind
-from adapters.message import Message
+from adapters.message import SECOND_NS, Message
 from adapters.output_file import write_file
 from monitor.profile import read_profile
 from monitor.trace import Trace
@@ -24,7 +24,6 @@ from replay.attacks.attack import Attack, AttackSignal
 from replay.attacks.injector import Injector, Plan, Senders, inject, plan, profile_clocks, survey_senders
 
 TRUTH = "truth"
-_SECOND_NS = 1_000_000_000
 
 AttackTrack = Callable[[Iterable[Message], str], Iterable[Message]]
 
@@ -119,17 +118,17 @@ def _timed(order: Order, sender: Senders, log: Path) -> Attack:
     first_ns, last_ns = sender.first_ns or 0, sender.last_ns or 0
 
     def from_first(seconds: float) -> int:
-        return first_ns + round(seconds * _SECOND_NS)
+        return first_ns + round(seconds * SECOND_NS)
 
     start_ns = from_first(order.start_s or 0.0) if order.at_ms is None else order.at_ms * 1_000_000
     end_ns = last_ns + 1
     if order.end_s is not None:
         end_ns = from_first(order.end_s)
     elif order.duration_s is not None:
-        end_ns = start_ns + round(order.duration_s * _SECOND_NS)
+        end_ns = start_ns + round(order.duration_s * SECOND_NS)
     if not first_ns <= start_ns <= last_ns:
         raise UsageError(
-            f"{log}: the attack would begin outside; the log is {(last_ns - first_ns) / _SECOND_NS:.1f} s long, "
+            f"{log}: the attack would begin outside; the log is {(last_ns - first_ns) / SECOND_NS:.1f} s long, "
             f"{first_ns // 1_000_000} to {last_ns // 1_000_000} ms of the vehicle's clock"
         )
     source_ns = None if order.source_s is None else from_first(order.source_s)

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
-from adapters.channels import Channel, parse_channel
+from adapters.channels import ANY_CLOCK, Channel, parse_channel
 from adapters.errors import TelemetryError, UsageError
 from adapters.message import Message
 from gains.plants.plant import Fault, Plant
@@ -20,7 +20,6 @@ from replay.attacks.plant_response import PlantResponse, States, find_fault, out
 _MALFORMED = (KeyError, TypeError, ValueError, OverflowError)
 WITHOUT_PAST = ("loss", "bias", "ramp", "noise")
 """Kinds to which nothing matters that was measured before they begin."""
-_ANY_CLOCK = Channel("clock", "", ("",))
 
 
 class VehicleTime:
@@ -36,7 +35,7 @@ class VehicleTime:
     def stamp(self, message: Message) -> int | None:
         """Return the time of a message, nanoseconds; None before the first stamp."""
         clock = self._clock
-        stamp_ns = self._clocks.get(message.name, _ANY_CLOCK).stamp_ns(message.fields)
+        stamp_ns = self._clocks.get(message.name, ANY_CLOCK).stamp_ns(message.fields)
         if stamp_ns is not None and (stamp_ns > 0 or (stamp_ns == 0 and not message.source.zero_stamp_is_unset)):
             stamp_ns = clock.unwrap(stamp_ns)
             if clock.observe(stamp_ns, message.received_ns):

@@ -13,12 +13,11 @@ from dataclasses import dataclass, field
 from math import atan2, cos, degrees, hypot, radians, sin, sqrt
 from typing import Any
 
-from adapters.channels import Channel, follow
+from adapters.channels import STANDARD_GRAVITY, Channel, follow
 from adapters.message import Message
 
 MessageFields = Mapping[str, Any]
 
-_GRAVITY = 9.80665
 _WGS84_A, _WGS84_E2 = 6_378_137.0, 6.694_379_990_14e-3
 _SEA_LEVEL_HPA, _ISA_SCALE_M, _ISA_EXPONENT = 1013.25, 44_330.77, 0.190_263
 """Of the international standard atmosphere: T_0 / L = 288.15 K / 6.5 K/km, R L / g."""
@@ -247,9 +246,9 @@ INSTRUMENTS: Mapping[str, tuple[Quantity, ...]] = {
     "gyro_x": _gyro("x", "rollspeed"),
     "gyro_y": _gyro("y", "pitchspeed"),
     "gyro_z": _gyro("z", "yawspeed"),
-    "accel_x": tuple(_imu("x", "acc", _GRAVITY / 1000.0)),
-    "accel_y": tuple(_imu("y", "acc", _GRAVITY / 1000.0)),
-    "accel_z": tuple(_imu("z", "acc", _GRAVITY / 1000.0)),
+    "accel_x": tuple(_imu("x", "acc", STANDARD_GRAVITY / 1000.0)),
+    "accel_y": tuple(_imu("y", "acc", STANDARD_GRAVITY / 1000.0)),
+    "accel_z": tuple(_imu("z", "acc", STANDARD_GRAVITY / 1000.0)),
     "airspeed": (_plain("VFR_HUD", "airspeed"),),
     "attitude_roll": (_plain("ATTITUDE", "roll"),),
     "attitude_pitch": (_plain("ATTITUDE", "pitch"),),

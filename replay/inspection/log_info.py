@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from adapters.batch import Batch, Columns, one_message
 from adapters.errors import TelemetryError
 from adapters.logs.recordings import Recording, recorded_alarms, recorded_metadata, recording_kind
-from adapters.mavlink.heartbeat import enumerated, is_autopilot_heartbeat
+from adapters.mavlink.heartbeat import ARMED, enumerated, is_autopilot_heartbeat
 from adapters.message import Message
 from adapters.source import MAVLINK, ZENOH
 from monitor.event import AlarmEvent
@@ -51,8 +51,6 @@ def first_raised(events: Iterable[Event]) -> list[Event]:
     return list(found.values())
 
 
-_ARMED = 128
-"""MAV_MODE_FLAG_SAFETY_ARMED."""
 _SILENCE_NS = 10_000_000_000
 """Between heartbeats further apart nothing says that the vehicle stayed armed. Chosen: they come once a second, and a
 poor radio loses half of them.
@@ -152,7 +150,7 @@ def _note(sender: _Sender, message: Message) -> None:
     sender.heartbeats += 1
     if sender.armed_since_ns is not None and 0 < message.received_ns - sender.armed_since_ns < _SILENCE_NS:
         sender.armed_ns += message.received_ns - sender.armed_since_ns
-    sender.armed_since_ns = message.received_ns if mode & _ARMED else None
+    sender.armed_since_ns = message.received_ns if mode & ARMED else None
 
 
 def _whole(value: Any) -> int | None:

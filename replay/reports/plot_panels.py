@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.errors import printable
+from monitor.fitting.fit_report import MODEL_UNIT
 from monitor.trace import AlarmSpan, Trace
 from monitor.views.palette import Theme
 from monitor.views.panels import RunView, evidence, fault_limits
@@ -81,7 +82,6 @@ DOUBT_DEVIATIONS = 2.0
 SPAN_ALPHA: dict[str, float] = {"warning": 0.25, "critical": 0.42}
 UNWATCHED_ALPHA = 0.6
 UNWATCHED_HATCH = "//////"
-MODEL_UNIT = "model's unit"
 HELD_S = 0.5
 # a wide uncertainty may widen a panel this much of what else it shows, no more
 DOUBT_ROOM = 0.5

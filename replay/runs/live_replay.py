@@ -22,14 +22,13 @@ from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.service.vehicle_monitor import VehicleMonitor
+from monitor.service.vehicle_service import STATUS_NS
 from replay.player import interests
 from replay.runs.one_log import LogTask
 
 if TYPE_CHECKING:
     import zenoh
 
-_STATUS_NS = 1_000_000_000
-"""As the daemon does: one a second."""
 _SUBSCRIBER_S = 2.0
 """Chosen: subscribers have to be discovered before the first event; on a network that takes part of a second."""
 
@@ -126,7 +125,7 @@ class LiveReplay:
                     monitor.activate(outlet, now_ns)
                     status_ns = now_ns
                 monitor.process(pack([message]), _since(now_ns))
-                if now_ns - status_ns >= _STATUS_NS:
+                if now_ns - status_ns >= STATUS_NS:
                     status_ns = now_ns
                     monitor.status(now_ns)
                 yield message

@@ -16,6 +16,7 @@ import numpy as np
 
 from adapters.errors import OtherVehicleError, UsageError
 from adapters.logs.recordings import read_batches
+from adapters.message import SECOND_NS
 from monitor.alarms.alarm import AlarmRule
 from monitor.pipeline import Pipeline
 from monitor.profile import ObserverProfile, Profile, read_profile
@@ -24,7 +25,6 @@ from replay.attacks.injector import plan
 from replay.sensitivity.healthy import Healthy, free_spans, onsets, play_healthy
 from replay.sensitivity.trial import Outcome, Task, run_task
 
-_SECOND_NS = 1_000_000_000
 _STEPS = (0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 """Sizes to try, in units of the size that raises the alarm: from what has to be missed to what is plain."""
 _RATES = (0.25, 0.5, 1.0, 2.0, 4.0)
@@ -194,7 +194,7 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lam
     if not subjects:
         raise UsageError(skipped[0] if skipped else f"{folder}: the profile has no alarm to test")
     onsets_ns = {s.observer.name: _onsets(s.observer.name, healthy, sweep, log) for s in subjects}
-    before_ns, after_ns = round(sweep.before_s * _SECOND_NS), round(sweep.after_s * _SECOND_NS)
+    before_ns, after_ns = round(sweep.before_s * SECOND_NS), round(sweep.after_s * SECOND_NS)
     cut = {
         onset: healthy.window(onset - before_ns, onset, onset + after_ns)
         for onset in sorted(set().union(*onsets_ns.values()))
@@ -290,7 +290,7 @@ def _attack(channel: str, kind: str, size: float | None) -> Attack:
 
 def _at(attack: Attack, start_ns: int, end_ns: int, sweep: Sweep) -> Attack:
     """Return the attack with its times; a replay repeats the second half of the healthy part of the window."""
-    source_ns = start_ns - round(sweep.before_s / 2 * _SECOND_NS) if attack.kind == "replay" else None
+    source_ns = start_ns - round(sweep.before_s / 2 * SECOND_NS) if attack.kind == "replay" else None
     return replace(attack, start_ns=start_ns, end_ns=end_ns, source_ns=source_ns)
 
 
@@ -304,12 +304,12 @@ def _sizes(kind: str, threshold: float) -> tuple[float, ...]:
 
 
 def _onsets(name: str, healthy: Healthy, sweep: Sweep, log: Path) -> list[int]:
-    before_ns, after_ns = round(sweep.before_s * _SECOND_NS), round(sweep.after_s * _SECOND_NS)
+    before_ns, after_ns = round(sweep.before_s * SECOND_NS), round(sweep.after_s * SECOND_NS)
     spans_ns = healthy.spans_ns(name)
     free = free_spans(spans_ns, healthy.alarms_ns, before_ns, after_ns)
     found = [onset_ns for _, onset_ns in onsets([free], sweep.onsets)]
     if not found:
-        longest = max((b - a for a, b in spans_ns), default=0) / _SECOND_NS
+        longest = max((b - a for a, b in spans_ns), default=0) / SECOND_NS
         raise UsageError(
             f"{log}: no {sweep.before_s + sweep.after_s:g} s of watched flight without an alarm for '{name}' (longest "
             f"stretch {longest:.0f} s); give smaller --before and --after, or a longer healthy log"

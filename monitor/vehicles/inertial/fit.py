@@ -49,6 +49,7 @@ from monitor.vehicles.inertial.sensor_fit import (
 )
 from monitor.vehicles.inertial.signals import common_channels, inertial_rate_hz
 from monitor.vehicles.inertial.strapdown import GPS, MAGNETOMETER, Strapdown
+from monitor.vehicles.multirotor.identify import GYROS
 
 OBSERVER = "inertial"
 
@@ -100,18 +101,17 @@ _CRITICAL = 5.0
 
 _FLYING = ("rotor", "copter", "wing", "vtol")
 """Words in the types of vehicles that fly."""
-_GYROS = ("gyro_x", "gyro_y", "gyro_z")
 _POSITION = ("gps_north", "gps_east")
-_POOLS = (_POSITION, MOTION, GPS_VELOCITY, _GYROS)
+_POOLS = (_POSITION, MOTION, GPS_VELOCITY, GYROS)
 
 _EXCUSES = (
     # A gyro that jumps, or an estimator that is fed with a wrong GPS, tilts the attitude: motion forgets it with its
     # washout.
-    ExcuseRule(MOTION, (*_GYROS, *_POSITION, *GPS_VELOCITY), 2.0 * _VELOCITY_WASHOUT_S),
+    ExcuseRule(MOTION, (*GYROS, *_POSITION, *GPS_VELOCITY), 2.0 * _VELOCITY_WASHOUT_S),
     # The position is compared with the velocity: where that is wrong the position is no culprit.
     ExcuseRule(_POSITION, GPS_VELOCITY, 0.5 * _VELOCITY_WASHOUT_S),
     # A tilted attitude takes the magnetic field's dip for heading, and gravity for less of itself.
-    ExcuseRule(("compass", "accel_z"), (*_GYROS, *MOTION), 2.0 * _VELOCITY_WASHOUT_S),
+    ExcuseRule(("compass", "accel_z"), (*GYROS, *MOTION), 2.0 * _VELOCITY_WASHOUT_S),
 )
 
 

@@ -26,6 +26,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from adapters.channels import STANDARD_GRAVITY
 from gains.analysis.estimability import restricted
 from gains.plants.plant import Disturbance, Fault, FloatArray, Noise, Plant
 from gains.synthesis.bank import Hypothesis
@@ -55,7 +56,6 @@ _SMALLEST = 1e-4
 _H2_SHARE = 0.9
 """Weight of the mean square of errors against their worst case. Chosen: what these observers see all day is healthy
 noise."""
-_GRAVITY = 9.80665
 _TILT = 0.01
 """Error of the attitude of good autopilots, rad."""
 
@@ -157,7 +157,7 @@ def smallest_faults(fit: InertialFit) -> dict[str, float]:
     what a power cable may do. Gyro 0.02 rad/s: a gyro that was calibrated drifts by half of it while it warms up (0.015
     degrees/s per kelvin over 40 kelvin, BMI088). Accelerometer 0.5 m/s^2: beyond biases that estimators learn.
     """
-    motion = _GRAVITY * _TILT * fit.velocity_washout_s
+    motion = STANDARD_GRAVITY * _TILT * fit.velocity_washout_s
     sizes = {
         **dict.fromkeys(("gps_north", "gps_east", "gps_down", "baro"), 0.5),
         **dict.fromkeys(MOTION, motion),
@@ -168,7 +168,7 @@ def smallest_faults(fit: InertialFit) -> dict[str, float]:
     }
     if bare_positions(fit.inputs, fit.outputs):
         # the same tilt, integrated twice
-        least = max(0.5, _GRAVITY * _TILT * fit.position_washout_s**2)
+        least = max(0.5, STANDARD_GRAVITY * _TILT * fit.position_washout_s**2)
         sizes |= dict.fromkeys(("gps_north", "gps_east"), least)
     present = {name for found in inertial_hypotheses(inertial_plant(fit, "inertial")) for name in found}
     return {name: size for name, size in sizes.items() if name in present}

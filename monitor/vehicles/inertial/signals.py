@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import tau
 from typing import Any, NamedTuple
 
-from adapters.channels import Channel
+from adapters.channels import STANDARD_GRAVITY, Channel
 from adapters.errors import TelemetryError
 from monitor.fitting.raw_streams import corrected
 from monitor.fitting.survey import Survey, common_rate_hz
@@ -18,8 +19,6 @@ MESSAGES = FlightPhase.interests | frozenset(
     {"ATTITUDE", "HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "GPS_RAW_INT", "SCALED_PRESSURE"}
 )
 
-_G = 9.80665
-_TURN = 6.283185307179586
 _LARGEST = 1.7e308
 """Numbers up to here are floats without overflow."""
 _SELDOM = ("GPS_RAW_INT", "SCALED_PRESSURE")
@@ -68,10 +67,10 @@ def strapdown_channels(
     imu = next((name for name in imus if name in examples), None)
     if imu is None:
         raise TelemetryError("no HIGHRES_IMU, SCALED_IMU or RAW_IMU message: request one from the autopilot")
-    force, rate = (1.0, 1.0) if imu == "HIGHRES_IMU" else (_G / 1000.0, 1e-3)
+    force, rate = (1.0, 1.0) if imu == "HIGHRES_IMU" else (STANDARD_GRAVITY / 1000.0, 1e-3)
     channels = [Channel(name, imu, (name,), scale=force if "acc" in name else rate) for name in IMU[:6]]
     channels += [Channel(name, "ATTITUDE", (name,)) for name in ("roll", "pitch")]
-    channels.append(Channel("yaw", "ATTITUDE", ("yaw",), period=_TURN))
+    channels.append(Channel("yaw", "ATTITUDE", ("yaw",), period=tau))
     gps = _there(examples, "GPS_RAW_INT", ("lat", "lon", "vel", "cog")) and not _unknown(examples["GPS_RAW_INT"])
     if gps:
         fields = (("lat", 1e-7), ("lon", 1e-7), ("alt", 1e-3), ("vel", 1e-2), ("cog", 1e-2))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import log10
 
-from adapters.channels import Channel
+from adapters.channels import STANDARD_GRAVITY, Channel
 from adapters.errors import TelemetryError
 from adapters.logs.log_parameters import PARAMETER_MESSAGES
 from monitor.fitting.survey import MAX_OUTPUTS, MOTION_MESSAGES, MOTOR_MESSAGE, MotorOutput, Survey, common_rate_hz
@@ -17,7 +17,6 @@ from monitor.vehicles.multirotor.trim import SLOW_COMMANDS_HZ
 
 MESSAGES = MOTION_MESSAGES | FlightPhase.interests | PARAMETER_MESSAGES
 
-_GRAVITY = 9.80665
 _STILL_US = 0.5
 """An output whose standard deviation is less than half a microsecond, the unit of its messages, does not move."""
 _IDLE_US = 1050.0
@@ -42,8 +41,8 @@ _RATES = (
 # The same of vertical acceleration; MAVLink gives milli-g where it is not SI.
 _VERTICAL = (
     ("HIGHRES_IMU", "zacc", 1.0),
-    ("SCALED_IMU", "zacc", _GRAVITY / 1000.0),
-    ("RAW_IMU", "zacc", _GRAVITY / 1000.0),
+    ("SCALED_IMU", "zacc", STANDARD_GRAVITY / 1000.0),
+    ("RAW_IMU", "zacc", STANDARD_GRAVITY / 1000.0),
 )
 
 
