@@ -25,7 +25,7 @@ STANDARD_GRAVITY = 9.80665
 MAX_VALUE = 1e12
 """Beyond it no vehicle measures anything, in any unit; an observer that believed it would be blind for seconds."""
 STOPPED = -0.01
-"""A command below it is none of a motor: PX4 sends 900 microseconds, a tenth below the range, of one that it has stopped."""
+"""A command below it is none of a motor: of one that it has stopped PX4 sends 900 us, a tenth below the range."""
 _LARGEST_PART, _SMALLEST_LENGTH = 1e3, 0.5
 """A quaternion is of length 1. Chosen: one that is shorter than half is none (drivers without an attitude send zeros);
 parts beyond a thousand came from elsewhere."""

@@ -1,7 +1,7 @@
 """One observer of a vehicle from samples to events: gate -> estimator -> alarms.
 
-A sample without measurements (``measured`` of :class:`adapters.sample.Samples`) is coasted: the model goes on alone, the
-hypothesis believed stays, the uncertainty grows, and the debounce of alarms waits. After a gap that is too long for
+A sample without measurements (``measured`` of :class:`adapters.sample.Samples`) is coasted: the model goes on alone,
+the hypothesis believed stays, the uncertainty grows, and the debounce of alarms waits. After a gap that is too long for
 that the observer starts afresh, and its samples are evidence again when the effect of a wrong start on its estimates
 has died away (:mod:`monitor.estimation.affine`). A channel that is ``lost`` alone takes the evidence of those faults
 that no other output shows.

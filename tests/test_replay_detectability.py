@@ -28,7 +28,7 @@ from monitor.views.palette import BLUE, PURPLE, rgba
 from replay.attacks.attack import Attack
 from replay.sensitivity.detectability import Detectability, Row, Sweep, detectability, result_lines
 from replay.sensitivity.detectability_plot import plot_detectability
-from replay.sensitivity.healthy import Window, free_spans, onsets, play_healthy
+from replay.sensitivity.healthy import TrialWindow, free_spans, onsets, play_healthy
 from replay.sensitivity.trial import Task, run_task
 
 LOG = Path(__file__).parent / "data" / "copter_healthy_square.tlog.xz"
@@ -110,7 +110,7 @@ def test_a_window_that_raises_by_itself_says_nothing_about_the_fault(quad_profil
     late = Attack("motor1", "loss", start_ns, start_ns + 10**9, size=0.2)
     early = replace(late, channel="motor2", start_ns=111_000_000_000)
     for attack, delay in ((late, None), (early, pytest.approx(0.2, abs=0.2))):
-        (outcome,) = run_task(Task(quad_profile, "motors", 1, Window(pack([]), messages), (attack,)))
+        (outcome,) = run_task(Task(quad_profile, "motors", 1, TrialWindow(pack([]), messages), (attack,)))
         assert outcome.delay_s == delay
 
 

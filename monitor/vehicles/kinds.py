@@ -70,9 +70,8 @@ def fit_messages() -> frozenset[str]:
 def fit_reading(model: Path | None = None) -> tuple[frozenset[str], frozenset[str]]:
     """Return names of messages, and types of ROS 2, that a fit reads: a filter for recordings."""
     if model is not None:
-        from monitor.vehicles.custom.fit import custom_messages
-
-        return custom_messages(model), frozenset()
+        messages: frozenset[str] = load("monitor.vehicles.custom.fit:custom_messages")(model)
+        return messages, frozenset()
     return fit_messages(), frozenset[str]().union(*(load(kind.types) for kind in KINDS if kind.types))
 
 

@@ -23,7 +23,7 @@ from replay.attacks.plant_response import States
 Span = tuple[int, int]
 
 
-class Window(NamedTuple):
+class TrialWindow(NamedTuple):
     """The messages of a stretch: those before a time of onset, and those from it on."""
 
     lead: Batch
@@ -89,7 +89,7 @@ class Healthy:
         columns = frozenset(columns.name for batch in self.batches for columns in batch.columns)
         return columns | {message.name for batch in self.batches for message in batch.others.values()}
 
-    def window(self, start_ns: int, onset_ns: int, stop_ns: int) -> Window:
+    def window(self, start_ns: int, onset_ns: int, stop_ns: int) -> TrialWindow:
         """Return the messages of a stretch, led by the newest ones before it that tell the phase of flight."""
         phase: dict[tuple[str, int], Message] = {}
         lead: list[Batch] = []
@@ -102,7 +102,7 @@ class Healthy:
                 }
             lead += [cut(batch, start, onset)] if onset > start else []
             tail += messages(cut(batch, onset, stop))
-        return Window(joined([pack([*phase.values()]), *lead]), tail)
+        return TrialWindow(joined([pack([*phase.values()]), *lead]), tail)
 
 
 def play_healthy(profile: Profile, recorded: Iterable[Batch]) -> Healthy:

@@ -18,7 +18,7 @@ from monitor.profile import FaultChannel, Profile
 from replay.attacks.attack import Attack
 from replay.attacks.injector import WITHOUT_PAST, Injector, inject, plan, profile_clocks
 from replay.attacks.plant_response import States
-from replay.sensitivity.healthy import Window
+from replay.sensitivity.healthy import TrialWindow
 
 _SMALLEST_COMMAND = 0.02
 """Share of full command below which an estimated loss, a share of the command, is a quotient of two small numbers."""
@@ -36,7 +36,7 @@ class Task:
         The observer whose alarm is meant.
     system : int
         The vehicle's MAVLink system.
-    window : Window
+    window : TrialWindow
         The messages, those before the attacks apart.
     attacks : tuple[Attack, ...]
         The attacks, each tried by itself.
@@ -47,7 +47,7 @@ class Task:
     profile: Profile
     observer: str
     system: int
-    window: Window
+    window: TrialWindow
     attacks: tuple[Attack, ...]
     states: States | None = None
 
