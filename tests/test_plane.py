@@ -88,7 +88,7 @@ def test_a_flight_without_airspeed_is_refused_with_what_to_record(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = str(data / "copter_wind_step.tlog.xz")
-    assert fauio.main(["fit", "--vehicle", "plane", log, "-o", str(tmp_path / "p")]) == 2
+    assert fauio.main(["fit", "--vehicle", "plane", log, "-o", str(tmp_path / "p"), "--force"]) == 2
     said = capsys.readouterr().err
     assert "VFR_HUD" in said
     assert said.count("\n") == 1

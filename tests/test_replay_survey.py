@@ -126,6 +126,10 @@ def test_pulses_are_mapped_as_in_the_profile_that_comes_along(quad_folder: Path)
         tomllib.loads((folder / "profile.toml").read_text())["observers"]["motors"]["inputs"]
         for folder in (came, quad_folder)
     ]
+    for inputs in channels:
+        for channel in inputs.values():
+            # the mean command, which differs from flight to flight
+            channel.pop("stopped_as", None)
     assert channels[0] == channels[1]
     assert "command_range" not in (quad_folder / "fit.json").read_text()
 

@@ -92,5 +92,5 @@ def test_a_drive_without_velocity_is_refused_with_what_to_record(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = str(data / "copter_wind_step.tlog.xz")
-    assert fauio.main(["fit", "--vehicle", "rover", log, "-o", str(tmp_path / "p")]) == 2
+    assert fauio.main(["fit", "--vehicle", "rover", log, "-o", str(tmp_path / "p"), "--force"]) == 2
     assert "LOCAL_POSITION_NED" in capsys.readouterr().err
