@@ -161,3 +161,9 @@ def test_the_autopilot_and_the_kind_of_recording_are_known() -> None:
     assert survey(states(True)).px4
     assert not survey(states(None)).px4
     assert not survey(states(True)).onboard
+
+
+def test_a_time_field_that_is_an_array_is_no_time() -> None:
+    index = np.arange(3)
+    odd = Columns(MAVLINK, "ODD", 1, 1, index, index, {"time_usec": np.ones((3, 2), np.uint64)})
+    assert survey([Batch(3, (odd,), {})]).rate_hz == {}

@@ -177,8 +177,9 @@ def _is_fix(fields: Mapping[str, Any]) -> bool:
 def _stamps(group: _Group) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return indices and time stamps, vehicle nanoseconds, of the messages that have one (k,)."""
     times_ns = np.full(len(group.position), np.nan)
-    clock = next((name for name in CLOCK_UNITS_NS if name in group.values), None)
-    if clock is not None and group.values[clock].dtype.kind in "iuf":
+    columns = ((name, group.values[name]) for name in CLOCK_UNITS_NS if name in group.values)
+    clock = next((name for name, column in columns if column.dtype.kind in "iuf" and column.ndim == 1), None)
+    if clock is not None:
         times_ns = group.values[clock].astype(np.float64) * CLOCK_UNITS_NS[clock]
     elif len(times_ns) == 1:
         found = ANY_CLOCK.stamp_ns(group.fields_at(0))
