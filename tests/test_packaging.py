@@ -55,6 +55,10 @@ def build(folder: Path, *options: str) -> None:
             generated.unlink()
 
 
+# The wheel compiles the core, some 50 s on an idle processor: more than the suite's timeout where others are busy.
+pytestmark = pytest.mark.timeout(400)
+
+
 @pytest.fixture(scope="session")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with ``source/`` and both distributions built of it in ``dist/``."""
