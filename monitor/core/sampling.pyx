@@ -101,8 +101,8 @@ cdef int _FIRST_STEPS = 3
 # Chosen: a changed rate moves the median after 16 steps; looking every eighth step sees it at most a half later, and
 # sorting 31 steps each time would cost more than the rest of the sampling.
 cdef int _RELEARN_EVERY = 8
-# Rule 4, in quarters of a period. A lost measurement leaves two periods, and a quarter is granted for jitter: of steps of
-# 10 ms in 12 recorded flights 99.9 % lie within it. PX4's loop of 4 ms makes steps of 8, 12 and 16 ms of 100 Hz.
+# Rule 4, in quarters of a period. A lost measurement leaves two periods, and a quarter is granted for jitter: of steps
+# of 10 ms in 12 recorded flights 99.9 % lie within it. PX4's loop of 4 ms makes steps of 8, 12 and 16 ms of 100 Hz.
 cdef nanoseconds _WHOLE_QUARTERS = 7
 # Rule 5. Chosen: over four times the longest silence of 12 recorded flights; the longer, the later all other channels.
 cdef nanoseconds _SILENCE = 500 * _MILLISECOND
@@ -593,7 +593,6 @@ cdef class Lane:
         cdef double* left = self.row(0)
         cdef double* right = self.row(1)
         cdef Column* column
-        cdef double step
         cdef int i
         for i in range(self.width):
             column = self.columns + i
@@ -627,7 +626,7 @@ cdef class Lane:
         return longest
 
     cdef void average(self, nanoseconds due, nanoseconds until, double* vector) noexcept:
-        """Write the means over a time of the lines from measurement to measurement, and what holds after, into [u; y]."""
+        """Write the means over a time of the lines between measurements, and what holds after, into [u; y]."""
         cdef nanoseconds* stamps = self.stamps()
         cdef nanoseconds first, last
         cdef Column* column
@@ -1209,7 +1208,7 @@ cdef class Settling:
         self._settle_ns = settle_s * 1e9
 
     def run(self, samples, bint allowed, least_command):
-        """Return which samples count (n,): ``allowed``, the mean input at least ``least_command``, if any, and measured.
+        """Return which samples count (n,): ``allowed``, measured, the mean input at least ``least_command``, if any.
 
         A sample of which all outputs are lost does not count either.
         """

@@ -301,7 +301,8 @@ cdef class StrapdownCore:
         """Fill in which groups lack at a tick, and follow for how long that is in what is given out."""
         cdef int[_GROUPS] width
         cdef int group, i
-        width[_IMU], width[_GPS], width[_BARO], width[_MAG] = 9, (3 + self._speeds) * self._gps, self._baro, 3 * self._mag
+        width[_IMU], width[_GPS] = 9, (3 + self._speeds) * self._gps
+        width[_BARO], width[_MAG] = self._baro, 3 * self._mag
         for group in range(_GROUPS):
             lacks[group] = False
             for i in range(width[group]):
