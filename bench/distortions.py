@@ -1,6 +1,7 @@
 """What links do to telemetry, on whole recordings as columns: losses at random and in bursts, jitter, pauses.
 
-Each distortion takes the times of arrival of all messages and says which are lost and by how much the others are late.
+Each distortion takes names and times of arrival of all messages and says which are lost and by how much the others are
+late.
 """
 
 from __future__ import annotations
@@ -14,17 +15,20 @@ from numpy.typing import NDArray
 
 from adapters.batch import Batch
 
+Names = NDArray[np.str_]
 Times = NDArray[np.int64]
 Kept = NDArray[np.bool_]
-Distortion = Callable[[Times, np.random.Generator], tuple[Kept, Times]]
+Distortion = Callable[[Names, Times, np.random.Generator], tuple[Kept, Times]]
 
 
-def loss(share: float, received_ns: Times, rng: np.random.Generator) -> tuple[Kept, Times]:
+def loss(share: float, names: Names, received_ns: Times, rng: np.random.Generator) -> tuple[Kept, Times]:
     """Lose messages at random."""
     return rng.random(len(received_ns)) >= share, np.zeros_like(received_ns)
 
 
-def bursts(length_s: float, share: float, received_ns: Times, rng: np.random.Generator) -> tuple[Kept, Times]:
+def bursts(
+    length_s: float, share: float, names: Names, received_ns: Times, rng: np.random.Generator
+) -> tuple[Kept, Times]:
     """Lose everything for ``length_s``, again and again after random times, so that a share of all is lost."""
     length_ns, apart_ns = 1e9 * length_s, 1e9 * length_s * (1.0 / share - 1.0)
     span_ns = float(received_ns[-1] - received_ns[0])
@@ -34,7 +38,9 @@ def bursts(length_s: float, share: float, received_ns: Times, rng: np.random.Gen
     return (since < 0.0) | (since >= length_ns), np.zeros_like(received_ns)
 
 
-def jitter(most_s: float, in_order: bool, received_ns: Times, rng: np.random.Generator) -> tuple[Kept, Times]:
+def jitter(
+    most_s: float, in_order: bool, names: Names, received_ns: Times, rng: np.random.Generator
+) -> tuple[Kept, Times]:
     """Let each message be late by up to ``most_s``; ``in_order``: none overtakes another."""
     late = np.rint(rng.uniform(0.0, 1e9 * most_s, len(received_ns))).astype(np.int64)
     if in_order:
@@ -42,7 +48,7 @@ def jitter(most_s: float, in_order: bool, received_ns: Times, rng: np.random.Gen
     return np.ones(len(received_ns), np.bool_), late
 
 
-def held_back(length_s: float, received_ns: Times, rng: np.random.Generator) -> tuple[Kept, Times]:
+def held_back(length_s: float, names: Names, received_ns: Times, rng: np.random.Generator) -> tuple[Kept, Times]:
     """Let what comes within half of all stretches of ``length_s`` arrive at their ends."""
     stretch = np.floor((received_ns - received_ns[0]) / (1e9 * length_s)).astype(np.int64)
     held = rng.random(stretch[-1] + 1) < 0.5
@@ -50,9 +56,19 @@ def held_back(length_s: float, received_ns: Times, rng: np.random.Generator) -> 
     return np.ones(len(received_ns), np.bool_), np.where(held[stretch], ends - received_ns, 0)
 
 
-def both(first: Distortion, second: Distortion, received_ns: Times, rng: np.random.Generator) -> tuple[Kept, Times]:
+def pauses(
+    name: str, length_s: float, share: float, names: Names, received_ns: Times, rng: np.random.Generator
+) -> tuple[Kept, Times]:
+    """Lose the messages of one name only, in bursts."""
+    kept, late_ns = bursts(length_s, share, names, received_ns, rng)
+    return kept | (names != name), late_ns
+
+
+def both(
+    first: Distortion, second: Distortion, names: Names, received_ns: Times, rng: np.random.Generator
+) -> tuple[Kept, Times]:
     """Do one and the other."""
-    (kept, late), (also, later) = first(received_ns, rng), second(received_ns, rng)
+    (kept, late), (also, later) = first(names, received_ns, rng), second(names, received_ns, rng)
     return kept & also, late + later
 
 
@@ -69,18 +85,20 @@ DISTORTIONS: Mapping[str, Distortion] = {
     "jitter 200 ms": partial(jitter, 0.2, False),
     "jitter 200 ms, in order": partial(jitter, 0.2, True),
     "held back 0.5 s": partial(held_back, 0.5),
+    "GPS pauses 2 s, 20 %": partial(pauses, "GPS_RAW_INT", 2.0, 0.2),
+    "IMU pauses 0.3 s, 20 %": partial(pauses, "HIGHRES_IMU", 0.3, 0.2),
     "jitter 100 ms, 10 % lost": partial(both, partial(jitter, 0.1, False), partial(loss, 0.1)),
 }
 
 
 def distorted(batch: Batch, distort: Distortion, seed: int) -> Batch:
     """Return what arrives of a recording, in the order of arrival."""
-    received = np.zeros(batch.count, np.int64)
+    names, received = np.zeros(batch.count, "<U64"), np.zeros(batch.count, np.int64)
     for columns in batch.columns:
-        received[columns.position] = columns.received_ns
+        names[columns.position], received[columns.position] = columns.name, columns.received_ns
     for position, message in batch.others.items():
-        received[position] = message.received_ns
-    kept, late_ns = distort(received, np.random.default_rng(seed))
+        names[position], received[position] = message.name, message.received_ns
+    kept, late_ns = distort(names, received, np.random.default_rng(seed))
     received += late_ns
     order = np.flatnonzero(kept)
     order = order[np.argsort(received[order], kind="stable")]

@@ -1,115 +1,180 @@
-"""What lost measurements do to the estimates of faults: bridged by straight lines, coasted, and coasted and resumed.
+"""What bad links cost: recorded flights distorted, and what is still seen, how fast, and what is not true.
 
-    python bench/gaps.py PROFILE LOG [LOG ...] [--seeds N]
+    python bench/gaps.py PROFILES FLIGHTS [--seeds N] [--only NAME ...] [--jobs N]
 
-Messages of a recording are dropped at random, or in bursts, and what the profile's first observer then estimates is
-compared with the run without losses: root of the mean square of the difference, in healthy standard deviations of each
-estimate, mean over the channels; and the alarms of both.
+FLIGHTS is a folder of recordings with their truth (:mod:`flights`). PROFILES has a profile for each group of them, in a
+folder named after the group (``copter-quad``, ``copter-quad-noisy-sensors``); what is missing is fitted on the healthy
+flights of the group and kept there. A delay goes from the fault's onset to the arrival of the message that raises the
+alarm, as they come on the undistorted link.
 """
 
 from __future__ import annotations
 
 import argparse
-import random
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from math import inf
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
+from accounting import false_alarms, spells, verdict
+from distortions import DISTORTIONS, distorted
+from flights import Fault, Flight, read_flights
 
-from adapters.logs.recordings import read_recording
-from adapters.message import Message
-from gains.synthesis.gains_file import Gains
-from monitor.estimation.coasting import CoastingMaps, StepMap, coasting_maps
-from monitor.profile import read_profile
-from replay.player import Replay, play
+from adapters.batch import Batch, cut, joined
+from adapters.logs.recordings import packed
+from monitor.event import AlarmEvent
+from monitor.pipeline import Pipeline
+from monitor.profile import Profile, read_profile
+from monitor.vehicles.kinds import fit_messages
+from replay.fit import fit_profile
+from replay.player import interests
 
-_NEVER = 1_000_000
-_KEPT = {"HEARTBEAT", "EXTENDED_SYS_STATE"}
-_LOSSES = {
-    "2 %": (0.02, 0.0),
-    "10 %": (0.1, 0.0),
-    "30 %": (0.3, 0.0),
-    "bursts 50 ms": (0.0, 0.05),
-    "bursts 80 ms": (0.0, 0.08),
-    "bursts 95 ms": (0.0, 0.095),
-}
-_RULES = {
-    "straight lines": (_NEVER, True),
-    "coasted, not resumed": (1, False),
-    "coasted from the 1st": (1, True),
-    "coasted from the 2nd": (2, True),
-    "coasted from the 3rd": (3, True),
-}
+_STEP_S = 0.02
+"""Arrivals that are taken together where an alarm's own is looked for: as many as the daemon takes."""
+_LOOKED_S = 20.0
 
 
-def lossy(messages: Sequence[Message], share: float, burst_s: float, seed: int) -> list[Message]:
-    """Return messages without a random share of them, or without bursts that come every 0.7 s and more."""
-    rng = random.Random(seed)  # noqa: S311 - no secret
-    kept, until, following = [], 0, messages[0].received_ns
-    for message in messages:
-        now = message.received_ns
-        if burst_s and now >= following:
-            until = now + round(burst_s * 1e9)
-            following = until + round((0.2 + rng.expovariate(2.0)) * 1e9)
-        if message.name in _KEPT or (now >= until and rng.random() >= share):
-            kept.append(message)
-    return kept
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One fault, or a flight without, on one distorted link."""
+
+    distortion: str
+    flight: str
+    fault: str
+    delay_s: float | None
+    others: tuple[str, ...]
+    cleared_s: float | None
+    false: tuple[str, ...]
+    watched_s: float
 
 
-@contextmanager
-def ruled(first: int, resumed: bool) -> Iterator[None]:
-    """Let observers coast from the ``first`` lost measurement on, and resume or not."""
-
-    def maps(gains: Gains) -> CoastingMaps:
-        coast, resume = coasting_maps(gains)
-        if resumed:
-            return CoastingMaps(coast, resume)
-        more = ((0, 0), (0, resume.step.shape[1] - gains.step_matrix.shape[1]))
-        nu = ((0, 0), (0, resume.arguments.shape[1] - gains.argument_matrix.shape[1]))
-        return CoastingMaps(coast, StepMap(np.pad(gains.step_matrix, more), np.pad(gains.argument_matrix, nu)))
-
-    with (
-        patch("monitor.core.sampling.LINE_PERIODS", first),
-        patch("monitor.estimation.stack_layout.coasting_maps", maps),
-    ):
-        yield
+def profile_of(flight: Flight, flights: Sequence[Flight], folder: Path) -> Profile:
+    """Return the profile of a flight's group, fitted where there is none."""
+    path = folder / flight.group.replace(" ", "-")
+    if not (path / "profile.toml").is_file():
+        healthy = [one for one in flights if one.group == flight.group and one.healthy]
+        logs = [partial(lambda one: packed(one.messages(fit_messages())), one) for one in healthy]
+        fit_profile(healthy[0].kind, logs, path, "vehicle")
+    return read_profile(path)
 
 
-def difference(without: Replay, found: Replay) -> float:
-    """Return the difference of the first observer's estimates, in standard deviations without losses."""
-    a, b = without.traces[0], found.traces[0]
-    _, i, j = np.intersect1d(a.vehicle_ns, b.vehicle_ns, return_indices=True)
-    i, j = i[a.armed[i]], j[a.armed[i]]
-    error = np.sqrt(np.mean((b.fault[j] - a.fault[i]) ** 2, axis=0))
-    return float(np.mean(error / a.fault[a.armed].std(axis=0)))
+def arrivals(batch: Batch) -> np.ndarray:
+    """Return the time of arrival of each message, nanoseconds."""
+    found = np.zeros(batch.count, np.int64)
+    for columns in batch.columns:
+        found[columns.position] = columns.received_ns
+    for position, message in batch.others.items():
+        found[position] = message.received_ns
+    return found
 
 
-def raised(replay: Replay) -> str:
-    """Return the alarms of a run in short."""
-    return " ".join(f"{e.channel}@{e.vehicle_time_ms / 1000:.2f}" for e in replay.events if e.state == "raised") or "-"
+def arrival_of(batch: Batch, time_ms: int) -> int:
+    """Return when the first measurement stamped at or after a time arrives."""
+    columns = next(one for one in batch.columns if one.name == "ATTITUDE")
+    later = np.flatnonzero(columns.fields["time_boot_ms"] >= time_ms)
+    return int(columns.received_ns[later[0] if len(later) else -1])
+
+
+def run(profile: Profile, batch: Batch, onsets_ns: Sequence[int]) -> tuple[list[tuple[int, AlarmEvent]], float]:
+    """Return the events with when their message came, exact near onsets, and the share of ticks that was watched."""
+    pipeline, events = Pipeline(profile), []
+    at_ns, ends = arrivals(batch), set[int]()
+    for onset in onsets_ns:
+        steps = np.arange(onset, onset + round(1e9 * _LOOKED_S), round(1e9 * _STEP_S))
+        ends.update(np.searchsorted(at_ns, steps).tolist())
+    ends.update((0, batch.count))
+    samples, armed = 0, 0
+    places = sorted(ends)
+    for start, stop in pairwise(places):
+        for output in pipeline.run(cut(batch, start, stop)):
+            if isinstance(output, AlarmEvent):
+                events.append((int(at_ns[stop - 1]), output))
+            else:
+                samples, armed = samples + len(output), armed + int(np.count_nonzero(output.armed))
+    skipped = sum(one.skipped for one in pipeline.statistics().values())
+    return events, armed / max(samples + skipped, 1)
+
+
+def outcomes(flight: Flight, profile: Profile, seeds: int) -> list[Outcome]:
+    """Return what was made of a flight on each link."""
+    from adapters.logs.recordings import read_batches
+
+    whole = joined(list(read_batches(flight.log, interests(profile))))
+    if flight.touchdown_ms is not None:
+        end_ns = arrival_of(whole, flight.touchdown_ms)
+        whole = cut(whole, 0, int(np.searchsorted(arrivals(whole), end_ns)))
+    onsets = [arrival_of(whole, fault.on_ms) for fault in flight.faults]
+    found = []
+    for name, distortion in DISTORTIONS.items():
+        for seed in range(seeds if name != "none" else 1):
+            events, share = run(profile, distorted(whole, distortion, seed), onsets)
+            alarms = [event for _, event in events if event.observer not in ("link", "monitor")]
+            raised = spells(alarms)
+            false = tuple(f"{spell.channel} {spell.raised_ms / 1e3:.1f}" for spell in false_alarms(flight, raised))
+            for fault, onset in zip(flight.faults, onsets, strict=True):
+                said = verdict(fault, flight, raised)
+                delay = None if said.delay_s is None else _delay(fault, events, onset)
+                found.append(Outcome(name, flight.name, fault.kind, delay, said.others, said.cleared_s, false, share))
+                false = ()
+            if not flight.faults:
+                found.append(Outcome(name, flight.name, "", None, (), None, false, share))
+    return found
+
+
+def _delay(fault: Fault, events: Sequence[tuple[int, AlarmEvent]], onset_ns: int) -> float:
+    return next(
+        (at - onset_ns) / 1e9
+        for at, event in events
+        if event.state == "raised" and event.channel in fault.channels and event.vehicle_time_ms >= fault.on_ms
+    )
+
+
+def table(found: Sequence[Outcome]) -> list[str]:
+    """Return the table: a line for each link."""
+    flights = {one.flight: one.fault for one in found if one.fault}
+    head = ["link", *flights, "others named", "false", "standing", "watched"]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for name in DISTORTIONS:
+        here = [one for one in found if one.distortion == name]
+        cells = []
+        for flight in flights:
+            delays = [one.delay_s for one in here if one.flight == flight]
+            seen = sorted(delay for delay in delays if delay is not None)
+            missed = f", {len(delays) - len(seen)} missed" if len(seen) < len(delays) else ""
+            cells.append((f"{seen[len(seen) // 2]:.2f} ({seen[-1]:.2f})" if seen else "-") + missed)
+        others = [f"{one.flight}: {', '.join(one.others)}" for one in here if one.others]
+        false = [alarm.split()[0] for one in here for alarm in one.false]
+        standing = sum(one.cleared_s == inf for one in here)
+        watched = np.mean([one.watched_s for one in here])
+        cells += [str(len(others)), " ".join(false) or "0", str(standing), f"{100 * watched:.0f} %"]
+        lines.append("| " + " | ".join([name, *cells]) + " |")
+    return lines
 
 
 def main() -> None:
-    """Print a table for each recording."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("profile", type=Path)
-    parser.add_argument("logs", type=Path, nargs="+", metavar="LOG")
+    parser.add_argument("profiles", type=Path, metavar="PROFILES")
+    parser.add_argument("flights", type=Path, metavar="FLIGHTS")
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--only", nargs="*", default=[""], metavar="NAME", help="flights whose name holds one of these")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (2)")
     arguments = parser.parse_args()
-    profile = read_profile(arguments.profile)
-    run: Callable[[Sequence[Message]], Replay] = lambda messages: play(profile, messages, keep_traces=True)  # noqa: E731
-    for log in arguments.logs:
-        messages = [message for message in read_recording(log) if message.system == 1]
-        without = run(messages)
-        print(f"\n{log.name}: without losses {raised(without)}")
-        for loss, (share, burst_s) in _LOSSES.items():
-            for rule, (first, resumed) in _RULES.items():
-                with ruled(first, resumed):
-                    runs = [run(lossy(messages, share, burst_s, seed)) for seed in range(arguments.seeds)]
-                error = np.mean([difference(without, found) for found in runs])
-                print(f"{loss:14s} {rule:22s} {error:10.3f}   {' | '.join(map(raised, runs))}", flush=True)
+    flights = read_flights(arguments.flights)
+    chosen = [one for one in flights if any(word in one.name for word in arguments.only)]
+    profiles = [profile_of(one, flights, arguments.profiles) for one in chosen]
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        results = pool.map(outcomes, chosen, profiles, [arguments.seeds] * len(chosen))
+        found = [one for result in results for one in result]
+    sys.stdout.write("\n".join(table(found)) + "\n")
+    for one in found:
+        if one.false or one.others or (one.fault and one.delay_s is None):
+            print(one, file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -35,6 +35,9 @@ cdef double _LONGEST_S = 1.5
 cdef double _UNSEEN_ACCELERATION = 1.0
 cdef double _UNSEEN_RATE = 0.1
 
+# Chosen: faster than vehicles of these kinds climb or sink, m/s.
+cdef double _FASTEST_CLIMB = 20.0
+
 # Groups of signals that come and lack together.
 cdef enum:
     _IMU
@@ -506,9 +509,9 @@ cdef class StrapdownCore:
                 for i in range(2):
                     self.follow(y, i, meant[i] * self._dt)
             if self._baro and not lacks[_BARO]:
-                self.follow(y, down, y[height] - self._place[height])
+                self.follow(y, down, self.climb(y[height] - self._place[height]))
         if lacks[_BARO] and self._gps and not lacks[_GPS] and not lacks[_IMU]:
-            self.follow(y, height, y[down] - self._place[down])
+            self.follow(y, height, self.climb(y[down] - self._place[down]))
         if lacks[_MAG]:
             self.follow(y, self._first[_MAG], meant[self._inputs - 1] * self._dt)
         memcpy(self._place, y, sizeof(self._place))
@@ -527,6 +530,10 @@ cdef class StrapdownCore:
                 least = 0.5 * _UNSEEN_ACCELERATION * lacked_s * lacked_s
             if fabs(jump) > least:
                 self._added[i] = self._added[i] + (jump - least if jump > 0.0 else jump + least)
+
+    cdef inline double climb(self, double change) noexcept:
+        """Return a change of height since the tick before, no jump of the sensor that tells it."""
+        return min(max(change, -_FASTEST_CLIMB * self._dt), _FASTEST_CLIMB * self._dt)
 
     cdef inline void follow(self, double* y, int i, double change) noexcept:
         """Let an output change since the tick before by so much."""
