@@ -23,7 +23,7 @@ from monitor.service.latency import LatencyHistogram
 from monitor.service.metrics import METRICS, HealthCollector, metrics_table, render
 
 ROOT = Path(__file__).parent.parent
-UNITS = ("_total", "_seconds", "_bytes", "_info", "_messages", "_events", "_alarms")
+UNITS = ("_total", "_seconds", "_bytes", "_ratio", "_info", "_messages", "_events", "_alarms")
 FLAGS = ("fauio_healthy", "fauio_vehicle_state", "fauio_recorder_trouble", "fauio_link_connected", "fauio_journal_open")
 
 

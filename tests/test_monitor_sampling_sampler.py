@@ -326,7 +326,7 @@ def test_channels_that_lost_three_measurements_or_more_are_marked_as_not_measure
     assert sum(not sample.complete for sample in samples) == lost + 1
 
 
-@pytest.mark.parametrize(("lost", "bridged"), [(3, 0), (14, 0), (15, 16)])
+@pytest.mark.parametrize(("lost", "bridged"), [(3, 0), (9, 0), (10, 11)])
 def test_raw_signals_of_a_transform_bear_longer_lines(lost: int, bridged: int) -> None:
     end = 500_000 + lost * 10_000
     cut = [m for m in telemetry(0, 1_000_000) if not (m.name == "A" and 500_000 <= m.fields["time_usec"] < end)]

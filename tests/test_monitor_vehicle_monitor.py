@@ -11,6 +11,7 @@ import pytest
 from loopback import START_NS, event
 
 from adapters.batch import pack
+from adapters.link_figures import LinkFigures
 from adapters.message import Message
 from adapters.source import OPERATOR, ZENOH
 from monitor.estimate import Estimates
@@ -134,12 +135,27 @@ def test_nonsense_about_shelved_channels_is_left_out() -> None:
 def test_the_status_says_what_the_links_lost_of_all_and_of_this_vehicle(arm_profile: Profile) -> None:
     monitor = VehicleMonitor(Pipeline(arm_profile, "copter-1", 3), (), None, lambda _: None, START_NS)
     links = [
-        LinkHealth("udpin:127.0.0.1:14550", True, 100, {"lost": 9, "damaged": 2}, {3: 4, 7: 5}),
+        LinkHealth(
+            "udpin:127.0.0.1:14550",
+            True,
+            100,
+            {"lost": 9, "damaged": 2},
+            {3: 4, 7: 5},
+            LinkFigures(0.012, 0.00456, 0.2),
+        ),
         LinkHealth("arm/**", False, 0, {"dropped": 1}),
     ]
     status = monitor.status(START_NS + SECOND_NS, (), links)
     assert status["lost"] == 4
+    unknown = {"delay_s": None, "jitter_s": None, "lost_share": None}
     assert status["links"] == {
-        "udpin:127.0.0.1:14550": {"connected": True, "messages": 100, "losses": {"lost": 9, "damaged": 2}},
-        "arm/**": {"connected": False, "messages": 0, "losses": {"dropped": 1}},
+        "udpin:127.0.0.1:14550": {
+            "connected": True,
+            "messages": 100,
+            "losses": {"lost": 9, "damaged": 2},
+            "delay_s": 0.012,
+            "jitter_s": 0.0046,
+            "lost_share": 0.2,
+        },
+        "arm/**": {"connected": False, "messages": 0, "losses": {"dropped": 1}, **unknown},
     }

@@ -18,6 +18,7 @@ _DIALECT = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
 _BY_NAME = {"type": "object", "additionalProperties": {"type": ["number", "null"]}}
 _COUNT = {"type": "integer", "minimum": 0}
 _AMOUNT = {"type": "number", "minimum": 0}
+_PERHAPS = {"type": ["number", "null"], "minimum": 0}
 _TIME = {"type": "integer", "description": "Unix time, nanoseconds"}
 
 
@@ -77,6 +78,10 @@ _LINK = {
             "additionalProperties": _COUNT,
             "description": "what was lost on the link or refused, by reason, as in fauio_link_losses_total",
         },
+        "delay_s": _PERHAPS
+        | {"description": "mean time by which messages of the last minute were later than the quickest"},
+        "jitter_s": _PERHAPS | {"description": "mean change of that from one message of a kind to the next"},
+        "lost_share": _PERHAPS | {"description": "share of the last minute's packets that was lost"},
     },
     "required": ["connected", "messages", "losses"],
 }

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from adapters.link_figures import LinkFigures
 from monitor.recording.archive import ArchiveStatistics
 from monitor.recording.journal import JournalStatistics
 from monitor.service.latency import LatencyBuckets, LatencyStatistics
@@ -67,15 +68,20 @@ class LinkHealth:
     losses: Mapping[str, int] = field(default_factory=dict)
     # packets missing by their sequence numbers, of each MAVLink system that lost any
     lost_by_system: Mapping[int, int] = field(default_factory=dict)
+    figures: LinkFigures = field(default_factory=LinkFigures)  # delay, jitter and lost share of the last minute
 
 
-def link_health(name: str, statistics: Any) -> LinkHealth:
-    """Return the health of a link from what it counted."""
+Figures = Callable[[str, int, int | None], LinkFigures]
+
+
+def link_health(name: str, statistics: Any, figures: Figures) -> LinkHealth:
+    """Return the health of a link from what it counted, and from its figures by name, packets received and lost."""
     counts = asdict(statistics)
     losses = {key: counts[key] for key in _LINK_LOSSES if key in counts}
     losses |= {key: value for key, value in counts.get("signing", {}).items() if isinstance(value, int)}
     connected = bool(counts.get("connected", counts.get("connections", 1)))
-    return LinkHealth(name, connected, counts.get("messages", 0), losses, counts.get("lost_by_system", {}))
+    measured = figures(name, counts.get("messages", 0), counts.get("lost"))
+    return LinkHealth(name, connected, counts.get("messages", 0), losses, counts.get("lost_by_system", {}), measured)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from adapters.batch import Batch, cut
+from adapters.link_figures import LinkFigures, LinkMeter
 
 _POLL_S = 0.2
 """How long a link waits for telemetry before its thread looks whether it is to end; closing waits that long."""
@@ -57,6 +58,7 @@ class Inbox:
         self._closed = False
         self._threads: list[threading.Thread] = []
         self._answered: dict[str, float] = {}
+        self._meters: dict[str, LinkMeter] = {}
         self._waiting = self._arrived = self._dropped = self._errors = 0
 
     def listen(self, name: str, link: Link, vehicle: str | None = None) -> None:
@@ -67,7 +69,13 @@ class Inbox:
         thread = threading.Thread(target=self._read, args=(name, link, vehicle), name=f"link {name}", daemon=True)
         self._threads.append(thread)
         self._answered[name] = time.monotonic()
+        self._meters[name] = LinkMeter()
         thread.start()
+
+    def figures(self, name: str, received: int, lost: int | None) -> LinkFigures:
+        """Return what a link does to its telemetry, having numbered and ``lost`` so many packets."""
+        meter = self._meters.get(name)
+        return LinkFigures() if meter is None else meter.figures(received, lost)
 
     def put(self, batch: Batch, vehicle: str | None = None) -> None:
         """Add a batch; the oldest waiting messages make room."""
@@ -126,7 +134,9 @@ class Inbox:
     def _read(self, name: str, link: Link, vehicle: str | None) -> None:
         while not self._closed:
             try:
-                self.put(link.receive(_POLL_S), vehicle)
+                batch = link.receive(_POLL_S)
+                self._meters[name].count(batch)
+                self.put(batch, vehicle)
             except Exception:
                 # Whatever a link meets, monitoring of the others goes on.
                 self._errors += 1

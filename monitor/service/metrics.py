@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -18,7 +19,7 @@ from prometheus_client.metrics_core import (
 from prometheus_client.registry import Collector
 
 from monitor.event import Severity
-from monitor.service.health import Health, VehicleHealth, VehicleState, problems
+from monitor.service.health import Health, LinkHealth, VehicleHealth, VehicleState, problems
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +117,10 @@ def _quantiles(vehicle: VehicleHealth) -> dict[str, float]:
     return {"0.5": latency.p50_s, "0.99": latency.p99_s, "1": latency.max_s}
 
 
+def _figure(name: str) -> Callable[[LinkHealth], float]:
+    return lambda link: math.nan if (value := getattr(link.figures, name)) is None else value
+
+
 _HEALTH = _Parts((), lambda health: [((), health)])
 _JOURNAL = _Parts((), lambda health: [] if health.journal is None else [((), health.journal)])
 _LINK = _Parts(("link",), lambda health: [((link.name,), link) for link in health.links])
@@ -160,6 +165,11 @@ METRICS = (
     ),
     _LINK.row("fauio_link_connected", "connected", "1 while the link is open"),
     _LINK.row("fauio_link_messages_total", "messages", "messages received"),
+    _LINK.row(
+        "fauio_link_delay_seconds", _figure("delay_s"), "mean time by which messages are later than the quickest"
+    ),
+    _LINK.row("fauio_link_jitter_seconds", _figure("jitter_s"), "mean change of that from one message to the next"),
+    _LINK.row("fauio_link_lost_ratio", _figure("lost_share"), "share of the last minute's packets that was lost"),
     _LINK.row("fauio_link_losses_total", "losses", "what was lost on the link or refused", "reason"),
     _JOURNAL.row("fauio_journal_open", "open", "1 while the journal's file is open"),
     _JOURNAL.row("fauio_journal_events_total", "written", "alarm events committed"),

@@ -134,7 +134,7 @@ class Station:
             self._health = Health(
                 ProcessHealth(0.0, waiting.waiting, self._inbox.limit, waiting.dropped),
                 tuple(service.health() for service in self.services),
-                tuple(link_health(name, link.statistics()) for name, link in self._links.items()),
+                tuple(link_health(name, link.statistics(), self._inbox.figures) for name, link in self._links.items()),
                 journal,
             )
             self._say_states()

@@ -262,7 +262,12 @@ class VehicleMonitor:
             "foreign_messages": self.pipeline.foreign,
             "lost": sum(link.lost_by_system.get(self.pipeline.system, 0) for link in links),
             "links": {
-                link.name: {"connected": link.connected, "messages": link.messages, "losses": dict(link.losses)}
+                link.name: {
+                    "connected": link.connected,
+                    "messages": link.messages,
+                    "losses": dict(link.losses),
+                    **link.figures.rounded(),
+                }
                 for link in links
             },
             "latency_ms": round(recent.max_s * 1e3, 3),

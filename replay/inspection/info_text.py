@@ -47,6 +47,7 @@ def _recording(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"  recorded by a monitor of {recorded['vehicle']}, fauio {recorded.get('fauio', '?')}"
     elif "converted_from" in recorded:
         yield f"  converted from {recorded['converted_from']}"
+    yield from _link(found["link"])
     for system in found["systems"]:
         yield f"  system {system['system']}: {_system(system)}"
     yield from _alarms(found["alarms"])
@@ -57,6 +58,15 @@ def _recording(found: Mapping[str, Any]) -> Iterator[str]:
         yield "  numbers that the channels of a custom model can take (fauio fit --vehicle custom --model MODEL.toml):"
         for name, fields in found["fields"].items():
             yield from _listed(f"    {name}: ", _capped(fields, _MOST_FIELDS))
+
+
+def _link(link: Mapping[str, float | None]) -> Iterator[str]:
+    """Yield what the link did, where messages came over one: arrival times of other recordings are their stamps."""
+    delay_s, jitter_s, lost = (link[name] for name in ("delay_s", "jitter_s", "lost_share"))
+    if delay_s is None or jitter_s is None or not (delay_s or jitter_s or lost):
+        return
+    share = "" if lost is None else f", {100 * lost:.2g} % lost by their stamps"
+    yield f"  came {1e3 * delay_s:.3g} ms later than the quickest on average, {1e3 * jitter_s:.3g} ms of jitter{share}"
 
 
 def _system(system: Mapping[str, Any]) -> str:

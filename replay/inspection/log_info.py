@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns, one_message
 from adapters.errors import TelemetryError
+from adapters.link_figures import LinkMeter
 from adapters.logs.recordings import Recording, recorded_alarms, recorded_metadata, recording_kind
 from adapters.mavlink.heartbeat import ARMED, enumerated, is_autopilot_heartbeat
 from adapters.message import Message
@@ -97,10 +98,12 @@ class _Tally:
         self.first_ns: int | None = None
         self.last_ns = 0
         self.watched: int | None = None
+        self.link = LinkMeter(recent=False)
 
     def count(self, batches: Iterable[Batch]) -> Iterator[Batch]:
         """Yield the batches."""
         for batch in batches:
+            self.link.count(batch)
             ends: list[tuple[int, int]] = []
             for columns in batch.columns:
                 self._count_message(columns, columns.received_ns)
@@ -179,6 +182,7 @@ def log_info(path: Path) -> dict[str, Any]:
         "duration_s": 0.0 if first_ns is None else (tally.last_ns - first_ns) / 1e9,
         "count": tally.counts.total(),
         "messages": {name: _message(name, tally, found) for name in sorted(tally.counts)},
+        "link": tally.link.figures().rounded(),
         "systems": [_system(number, sender) for number, sender in sorted(tally.senders.items()) if sender.messages],
         "vehicle": _fits(found, tally),
         "fields": {name: _paths(fields) for name, fields in sorted(tally.examples.items())},

@@ -1,0 +1,163 @@
+"""What a link does to telemetry: delay, jitter and lost share, from sequence numbers, stamps and times of arrival.
+
+Arrival minus stamp is the offset of two clocks plus a delay. Of each kind of message the least of the last one to two
+minutes counts as no delay: what is left is how long messages are held up beyond the quickest of their kind. Jitter is
+the mean change of that from one message to the next, the difference D of RFC 3550, section 6.4.1, without its
+smoothing. Where packets are numbered their gaps are what was lost; elsewhere steps of stamps that are two or more of
+their kind's usual ones are.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.batch import Batch, Columns
+from adapters.channels import CLOCK_UNITS_NS
+
+_MINUTE_NS = 60_000_000_000
+_MOST_BATCHES = 1024
+"""Batches that wait to be looked at, the oldest giving way. Chosen: 20 s of those of a live link, 20 ms each."""
+_BROKEN_NS = 10_000_000_000
+"""Step of stamps that is no loss but a pause or another clock: where the vehicle's clock starts anew, too."""
+_LOST = 1.75
+"""Step, in usual ones, from which measurements are missing: as the sampler has it."""
+_STEPS = 31
+"""Steps of which the middle one is the usual; the same number as the sampler's."""
+
+
+class LinkFigures(NamedTuple):
+    """Means over the last minute, or all of a recording; None where nothing tells."""
+
+    delay_s: float | None = None
+    jitter_s: float | None = None
+    lost_share: float | None = None
+
+    def rounded(self) -> dict[str, float | None]:
+        """Return them as a JSON object, rounded to 0.1 ms and a hundredth of a per cent."""
+        return {name: None if value is None else round(value, 4) for name, value in self._asdict().items()}
+
+
+class _Sums(NamedTuple):
+    """What messages add to the means."""
+
+    delay_ns: float = 0.0
+    delays: int = 0
+    change_ns: float = 0.0
+    changes: int = 0
+    lost: int = 0
+    came: int = 0
+
+
+class _Stream:
+    """Messages of one kind and sender."""
+
+    def __init__(self) -> None:
+        self._stamp_ns = self._transit_ns = 0
+        self._steps: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._least_ns: deque[tuple[int, int]] = deque(maxlen=2)
+
+    def add(self, stamps: NDArray[np.int64], received: NDArray[np.int64]) -> _Sums:
+        """Go on by stamped messages in order of arrival; return what they add."""
+        if abs(int(stamps[0]) - self._stamp_ns) > _BROKEN_NS:
+            self.__init__()  # type: ignore[misc]
+        known = bool(self._steps.size or self._stamp_ns)
+        transit = received - stamps
+        minute = int(received[-1]) // _MINUTE_NS
+        least = int(transit.min())
+        if self._least_ns and self._least_ns[-1][0] == minute:
+            self._least_ns[-1] = minute, min(least, self._least_ns[-1][1])
+        else:
+            self._least_ns.append((minute, least))
+        delays = transit - min(one for _, one in self._least_ns)
+        before = np.concatenate([[self._transit_ns], transit]) if known else transit
+        changes = np.abs(np.diff(before))
+        ordered = np.unique(np.concatenate([[self._stamp_ns], stamps]) if known else stamps)
+        steps = np.diff(ordered)
+        steps = steps[steps < _BROKEN_NS]
+        self._steps = np.concatenate([self._steps, steps])[-_STEPS:]
+        self._stamp_ns, self._transit_ns = int(ordered[-1]), int(transit[-1])
+        usual = float(np.median(self._steps)) if len(self._steps) >= _STEPS else np.inf
+        late = steps[steps > _LOST * usual]
+        return _Sums(
+            float(delays.sum()),
+            len(delays),
+            float(changes.sum()),
+            len(changes),
+            int(np.rint(late / usual).sum()) - len(late),
+            len(steps) if usual < np.inf else 0,
+        )
+
+
+class LinkMeter:
+    """Measures a link by the messages that come over it.
+
+    ``recent`` looks at the last minute only, as messages came; otherwise at all.
+    """
+
+    def __init__(self, recent: bool = True) -> None:
+        self._recent = recent
+        self._waiting: deque[Batch] = deque(maxlen=_MOST_BATCHES if recent else None)
+        self._streams: dict[tuple[str, int, int], _Stream] = {}
+        self._sums: deque[tuple[int, _Sums]] = deque()
+        self._numbered: deque[tuple[int, int, int]] = deque()
+
+    def count(self, batch: Batch) -> None:
+        """Take a batch, from any thread."""
+        if batch.count:
+            self._waiting.append(batch)
+        if not self._recent:
+            self._look()
+
+    def figures(self, received: int = 0, lost: int | None = None) -> LinkFigures:
+        """Return the figures; ``received`` packets and ``lost`` ones so far where they are numbered."""
+        self._look()
+        total = _Sums(*np.sum([sums for _, sums in self._sums], axis=0)) if self._sums else _Sums()
+        share = total.lost / (total.lost + total.came) if total.came else None
+        if lost is not None:
+            now_ns = self._sums[-1][0] if self._sums else 0
+            self._numbered.append((now_ns, received, lost))
+            while self._recent and self._numbered[0][0] < now_ns - _MINUTE_NS:
+                self._numbered.popleft()
+            _, first_received, first_lost = self._numbered[0] if len(self._numbered) > 1 else (0, 0, 0)
+            gone = lost - first_lost
+            share = gone / (gone + received - first_received) if received > first_received else None
+        return LinkFigures(
+            total.delay_ns / total.delays / 1e9 if total.delays else None,
+            total.change_ns / total.changes / 1e9 if total.changes else None,
+            share,
+        )
+
+    def _look(self) -> None:
+        parts: dict[tuple[str, int, int], list[Columns]] = {}
+        while self._waiting:
+            for columns in self._waiting.popleft().columns:
+                if columns.source.is_telemetry and not columns.source.is_onboard_log:
+                    parts.setdefault((columns.name, columns.system, columns.component), []).append(columns)
+        for key, alike in parts.items():
+            stamps = _stamps(alike)
+            if stamps is not None:
+                received = np.concatenate([columns.received_ns for columns in alike])
+                # A repeated stamp is one measurement.
+                new = np.flatnonzero(np.diff(stamps, prepend=stamps[0] - 1))
+                sums = self._streams.setdefault(key, _Stream()).add(stamps[new], received[new])
+                self._sums.append((int(received[-1]), sums))
+        if not self._recent and len(self._sums) > _MOST_BATCHES:
+            self._sums = deque([(0, _Sums(*np.sum([sums for _, sums in self._sums], axis=0)))])
+        while self._recent and self._sums and self._sums[0][0] < self._sums[-1][0] - _MINUTE_NS:
+            self._sums.popleft()
+
+
+def _stamps(alike: list[Columns]) -> NDArray[np.int64] | None:
+    """Return the stamps of messages on their sender's clock, nanoseconds; None where they have none."""
+    for name, unit_ns in CLOCK_UNITS_NS.items():
+        if name in alike[0].fields:
+            parts = [columns.fields.get(name) for columns in alike]
+            if any(part is None or part.ndim != 1 or part.dtype.kind not in "iu" for part in parts):
+                return None
+            stamps = np.concatenate([part.astype(np.int64) for part in parts if part is not None])
+            return stamps * unit_ns if np.all((stamps > 0) & (stamps < (1 << 62) // unit_ns)) else None
+    return None
