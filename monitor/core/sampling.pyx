@@ -119,8 +119,9 @@ LINE_PERIODS = 3
 """Lost measurements of a channel from which the observer coasts (rule 4): of 1, 2, 3 the best of those measured
 (docs/measurements.md, bench/gaps.py)."""
 RAW_LINE_S = 0.1
-"""Longest line of a raw signal that counts as measured (rule 4), seconds. Measured with bursts of a tenth of a second on 45
-flights: of .06, .1 and .15 s the last raises gyros in brisk flight (7 times), the first costs a third of the evidence."""
+"""Longest line of a raw signal that counts as measured (rule 4), seconds. Measured with bursts of 0.1 s on 45
+flights: of .06, .1 and .15 s the last raises gyros in brisk flight (7 times), the first costs a third of the
+evidence."""
 MAX_GAP_S = 1.5
 """Default of ``max_gap_s``. Chosen: as long as a fault is taken to have grown before a restart
 (:mod:`monitor.estimation.affine`), after which coasting tells no more than beginning anew; and a burst of a second."""

@@ -30,8 +30,8 @@ cdef int _RESET_TICKS = 3
 cdef double _STUCK_METRES = 1.0
 # How long the gyro or the attitude may lack before all begins anew, seconds. Chosen: as long as a gap of the samples.
 cdef double _LONGEST_S = 1.5
-# What may happen unseen while a sensor lacks: what a tilt that is 30 mrad off and a gyro that is 1 degree per second off
-# do. Measured on four healthy flights: after 1 to 2.5 s the way is 0.05 to 0.16 m off (root of the mean square).
+# What may happen unseen while a sensor lacks: what a tilt that is 30 mrad off and a gyro that is 1 degree per second
+# off do. Measured on four healthy flights: after 1 to 2.5 s the way is 0.05 to 0.16 m off (root of the mean square).
 cdef double _UNSEEN_ACCELERATION = 0.3
 cdef double _UNSEEN_RATE = 0.02
 # Chosen: faster than vehicles of these kinds climb or sink, m/s.
@@ -524,7 +524,7 @@ cdef class StrapdownCore:
         memcpy(self._place, y, sizeof(self._place))
 
     cdef void come_back(self, int group, double lacked_s, double* meant) noexcept:
-        """Go on from what a sensor was taken to be, unless it comes back further away than the vehicle may have gone."""
+        """Go on from what a sensor was taken to be, unless it comes back further off than the vehicle may have gone."""
         cdef double jump, least, turn
         cdef bint moves = group == _GPS and self._speeds, blind = group == _GPS and self._blind
         cdef int i
