@@ -25,7 +25,7 @@ from adapters.errors import PayloadError, TelemetryError, UndefinedTypeError
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink import mavlink_link
 from adapters.mavlink.mavlink_message import PacketParser
-from adapters.mavlink.signing import SigningKey, read_key
+from adapters.mavlink.signing import SigningGuard, SigningKey, read_key
 from adapters.message import Message
 from adapters.source import ZENOH
 from adapters.zenoh.zenoh_payload import PayloadDecoder
@@ -123,10 +123,10 @@ class _Pieces:
 
 def _mavlink(folder: Path) -> Run:
     links = []
-    for key, required in ((None, False), (_KEY, False), (_KEY, True)):
+    for guard in (None, SigningGuard(_KEY, require_signed=False), SigningGuard(_KEY)):
         pieces = _Pieces()
         with mock.patch.object(mavlink_link, "open_byte_link", return_value=pieces):
-            links.append((mavlink_link.MavlinkLink("udpin:", key, required, may_send=True), pieces))
+            links.append((mavlink_link.MavlinkLink("udpin:", guard, may_send=True), pieces))
 
     def run(data: bytes) -> None:
         draw = Draw(data)

@@ -18,7 +18,7 @@ from adapters.batch import messages as each
 from adapters.errors import TelemetryError
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.mavlink.message_rates import RateRequests
-from adapters.mavlink.signing import SigningKey, unix_stamp
+from adapters.mavlink.signing import SigningGuard, SigningKey, unix_stamp
 from adapters.message import Message
 from adapters.source import LINK, MAVLINK
 
@@ -277,7 +277,7 @@ def test_flipped_bits_and_random_bytes_cost_no_intact_packet_and_make_none_up() 
 
 def test_a_key_lets_in_what_is_signed_and_keeps_out_forgeries_which_are_told_of() -> None:
     forger = SigningKey(b"f" * 32)
-    with udp(key=KEY, require_signed=True) as (link, send):
+    with udp(guard=SigningGuard(KEY)) as (link, send):
         send(packet(1, key=KEY))
         send(packet(2, key=forger, stamp=(1 << 48) - 1))
         send(packet(3))
@@ -294,7 +294,7 @@ def test_a_key_lets_in_what_is_signed_and_keeps_out_forgeries_which_are_told_of(
 
 
 def test_refused_packets_are_told_of_even_when_nothing_else_comes() -> None:
-    with udp(key=KEY) as (link, send):
+    with udp(guard=SigningGuard(KEY)) as (link, send):
         for _ in range(3):
             send(packet(1, key=SigningKey(b"f" * 32)))
         messages: list[Message] = []
@@ -305,7 +305,7 @@ def test_refused_packets_are_told_of_even_when_nothing_else_comes() -> None:
 
 
 def test_forged_packets_change_neither_losses_nor_who_is_answered() -> None:
-    with udp(key=KEY, may_send=True) as (link, send):
+    with udp(guard=SigningGuard(KEY), may_send=True) as (link, send):
         send(packet(1, key=KEY))
         collect(link, 1)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as forger:
@@ -323,9 +323,24 @@ def test_without_a_key_signed_packets_are_taken_as_they_are() -> None:
         assert times(collect(link, 3)) == [1, 2, 3]
 
 
-def test_signatures_cannot_be_required_without_a_key() -> None:
-    with pytest.raises(TelemetryError, match="no key to verify them with"):
-        MavlinkLink("udpin:127.0.0.1:0", require_signed=True)
+def test_what_one_link_has_brought_is_a_replay_on_every_other_link() -> None:
+    guard = SigningGuard(KEY)
+    with udp(guard=guard) as (first, send_first), udp(guard=guard) as (second, send_second):
+        recorded = [packet(k, key=KEY, stamp=unix_stamp(time.time_ns()) + k) for k in range(20)]
+        for data in recorded:
+            send_first(data)
+        collect(first, 20)
+        for data in recorded:
+            send_second(data)
+        while sum(vars_of(second)) < 20:
+            assert not [m for m in each(second.receive(0.05)) if m.source == MAVLINK]
+        send_second(packet(40, key=KEY, stamp=unix_stamp(time.time_ns()) + 40))
+        assert times(collect(second, 1)) == [40]
+
+
+def vars_of(link: MavlinkLink) -> tuple[int, int]:
+    counts = link.statistics().signing
+    return counts.late, counts.replayed
 
 
 def test_the_secret_of_a_key_that_is_handed_out_on_the_link_is_not_passed_on() -> None:
@@ -336,7 +351,7 @@ def test_the_secret_of_a_key_that_is_handed_out_on_the_link_is_not_passed_on() -
 
 
 def test_times_of_arrival_do_not_fall_while_the_clock_does_not() -> None:
-    with udp(key=KEY) as (link, send):
+    with udp(guard=SigningGuard(KEY)) as (link, send):
         messages: list[Message] = []
         for k in range(200):
             send(packet(k, key=KEY if k % 3 else SigningKey(b"f" * 32), system=1 + k % 5))
@@ -352,7 +367,9 @@ def test_a_vehicle_behind_udpout_is_asked_for_rates_and_answers() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         vehicle.bind(("127.0.0.1", 0))
         vehicle.settimeout(10.0)
-        with MavlinkLink(f"udpout:127.0.0.1:{vehicle.getsockname()[1]}", key=KEY, may_send=True) as link:
+        with MavlinkLink(
+            f"udpout:127.0.0.1:{vehicle.getsockname()[1]}", guard=SigningGuard(KEY), may_send=True
+        ) as link:
             requests = RateRequests(KEY)
             link.send(requests.requests(time.time_ns()))
             heartbeat, monitor = vehicle.recvfrom(1000)

@@ -177,34 +177,32 @@ def test_even_holders_of_the_key_get_only_bounded_memory() -> None:
 
 
 @pytest.mark.parametrize("version_1", [False, True])
-def test_unsigned_packets_pass_unless_signatures_are_required(version_1: bool) -> None:
+def test_unsigned_packets_pass_only_where_signatures_are_not_required(version_1: bool) -> None:
     packet = unsigned(attitude(), version_1=version_1)
-    assert SigningGuard(KEY).admits(packet, NOW_NS)
-    strict = SigningGuard(KEY, require_signed=True)
-    assert not strict.admits(packet, NOW_NS)
-    assert strict.statistics().unsigned == 1
+    assert SigningGuard(KEY, require_signed=False).refusal(packet, NOW_NS) is None
+    assert SigningGuard(KEY).refusal(packet, NOW_NS) is SignatureVerdict.UNSIGNED
 
 
 @pytest.mark.parametrize("version_1", [False, True])
 def test_what_radios_add_needs_no_signature(version_1: bool) -> None:
-    guard = SigningGuard(KEY, require_signed=True)
+    guard = SigningGuard(KEY)
     for kind in (ardupilotmega.MAVLink_radio_status_message, ardupilotmega.MAVLink_radio_message):
-        assert guard.admits(unsigned(kind(1, 1, 1, 1, 1, 1, 1), 51, version_1), NOW_NS)
+        assert guard.refusal(unsigned(kind(1, 1, 1, 1, 1, 1, 1), 51, version_1), NOW_NS) is None
     assert guard.findings(NOW_NS) == []
 
 
 def test_refused_packets_are_told_of_by_system_at_once_and_then_every_second() -> None:
-    guard = SigningGuard(KEY, require_signed=True)
+    guard = SigningGuard(KEY)
     assert guard.findings(NOW_NS) == []
-    assert not guard.admits(forged(STAMP, system=7), NOW_NS)
+    assert guard.refusal(forged(STAMP, system=7), NOW_NS) is not None
     (first,) = guard.findings(NOW_NS)
     assert (first.source, first.name, first.system, first.received_ns) == (LINK, "signing", 7, NOW_NS)
     assert first.fields == {"forged": 1, "replayed": 0, "unsigned": 0}
     for k in range(100):
         now = NOW_NS + k
-        assert not guard.admits(forged(STAMP, system=7), now)
-        assert not guard.admits(unsigned(attitude(), system=9), now)
-        assert guard.admits(signed(STAMP + k), now)
+        assert guard.refusal(forged(STAMP, system=7), now) is not None
+        assert guard.refusal(unsigned(attitude(), system=9), now) is not None
+        assert guard.refusal(signed(STAMP + k), now) is None
         assert [message.system for message in guard.findings(now)] == ([9] if k == 0 else [])
     later = guard.findings(NOW_NS + SECOND_NS + 1)
     assert [(message.system, dict(message.fields)) for message in later] == [
@@ -213,20 +211,43 @@ def test_refused_packets_are_told_of_by_system_at_once_and_then_every_second() -
     ]
     assert guard.findings(NOW_NS + 5 * SECOND_NS) == []
     assert first.fields["forged"] == 1
-    counts = guard.statistics()
-    assert (counts.forged, counts.replayed, counts.unsigned, counts.late) == (101, 0, 100, 0)
 
 
 def test_replays_are_told_of_and_late_packets_only_counted() -> None:
     guard = SigningGuard(KEY)
     old = signed(STAMP)
-    assert guard.admits(old, NOW_NS)
-    assert not guard.admits(old, NOW_NS)
+    assert guard.refusal(old, NOW_NS) is None
+    assert guard.refusal(old, NOW_NS) is SignatureVerdict.LATE
     assert guard.findings(NOW_NS) == []
-    assert not guard.admits(old, NOW_NS + 60 * SECOND_NS)
+    assert guard.refusal(old, NOW_NS + 60 * SECOND_NS) is not None
     (found,) = guard.findings(NOW_NS + 60 * SECOND_NS)
     assert found.fields == {"forged": 0, "replayed": 1, "unsigned": 0}
-    assert guard.statistics().late == 1
+
+
+def test_what_was_recorded_before_a_restart_is_a_replay_after_it(tmp_path: Path) -> None:
+    recorded = [signed(STAMP + k, link_id=k % 2) for k in range(50)]
+    state = tmp_path / "made" / "signing.state"
+    guard = SigningGuard(KEY, state=state)
+    assert all(guard.refusal(packet, NOW_NS) is None for packet in recorded)
+    guard.save()
+    again = SigningGuard(KEY, state=state)
+    assert {again.refusal(packet, NOW_NS + SECOND_NS) for packet in recorded} == {SignatureVerdict.REPLAYED}
+    assert again.refusal(signed(STAMP + 50), NOW_NS + SECOND_NS) is None
+    # without it the packets of the last minute are a new stream's
+    assert SigningGuard(KEY).refusal(recorded[0], NOW_NS + SECOND_NS) is None
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"1/1": 3}', '{"1/1/1": -3}', '{"1/1/1": "x"}', '{"a/b/c": 1}'])
+def test_a_state_file_that_cannot_be_read_stops_nothing_and_is_said(
+    content: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    state = tmp_path / "signing.state"
+    state.write_text(content)
+    guard = SigningGuard(KEY, state=state)
+    assert "signing.state: time stamps of signatures cannot be read" in caplog.text
+    assert guard.refusal(signed(STAMP), NOW_NS) is None
+    guard.save()
+    assert SigningGuard(KEY, state=state).refusal(signed(STAMP), NOW_NS + SECOND_NS) is SignatureVerdict.REPLAYED
 
 
 @given(st.lists(st.binary(min_size=12, max_size=300), max_size=30), st.booleans())
@@ -234,8 +255,8 @@ def test_replays_are_told_of_and_late_packets_only_counted() -> None:
 def test_no_bytes_make_the_guard_fail(packets: list[bytes], require_signed: bool) -> None:
     guard = SigningGuard(KEY, require_signed)
     for packet in packets:
-        guard.admits(b"\xfd" + packet[:1] + b"\x01" + packet.ljust(25, b"\0"), NOW_NS)
-        guard.admits(b"\xfe" + packet, NOW_NS)
+        guard.refusal(b"\xfd" + packet[:1] + b"\x01" + packet.ljust(25, b"\0"), NOW_NS)
+        guard.refusal(b"\xfe" + packet, NOW_NS)
     assert all(message.fields for message in guard.findings(NOW_NS))
 
 

@@ -22,7 +22,7 @@ from adapters.errors import TelemetryError
 from adapters.logs.tlog import read_tlog
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.mavlink.mavlink_message import packet_sender, packet_sequence
-from adapters.mavlink.signing import SigningKey
+from adapters.mavlink.signing import SigningGuard, SigningKey
 from adapters.message import Message
 
 ROOT = Path(__file__).parent.parent
@@ -66,7 +66,7 @@ def test_a_flight_begins_anew_until_the_time_is_over() -> None:
 def test_a_link_receives_all_of_all_vehicles(port: int) -> None:
     flights = [read_flight(FLIGHT, system) for system in (4, 5, 6)]
     sent: dict[int, array[int]] = {}
-    with MavlinkLink(f"udpin:127.0.0.1:{port}", KEY, require_signed=True) as link:
+    with MavlinkLink(f"udpin:127.0.0.1:{port}", SigningGuard(KEY)) as link:
 
         def send() -> None:
             sent.update(send_fleet(fleet_packets(flights), f"udp:127.0.0.1:{port}", 5.0, signer=Signer(KEY)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from array import array
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from adapters.mavlink.byte_link import open_byte_link
 from adapters.mavlink.mavlink_columns import decoded
 from adapters.mavlink.mavlink_message import MavlinkType, PacketParser, mavlink_types, packet_sender, packet_sequence
 from adapters.mavlink.message_rates import RateRequests
-from adapters.mavlink.signing import SigningGuard, SigningKey, SigningStatistics
+from adapters.mavlink.signing import SigningGuard, SigningStatistics
 
 # Senders whose unfinished packets are kept apart; more are unlikely, and none can exhaust memory.
 _SENDERS = 64
@@ -71,11 +71,9 @@ class MavlinkLink:
     ----------
     url : str
         See :func:`adapters.mavlink.byte_link.open_byte_link`.
-    key : SigningKey | None
-        Packets with a signature that is not this key's, and old ones sent again, are refused. Without a key signed
-        packets are taken unverified.
-    require_signed : bool
-        Whether unsigned packets are refused too, but for what telemetry radios add.
+    guard : SigningGuard | None
+        Refuses packets for their signatures; links of the same vehicles share one. Without it signatures are not
+        looked at.
     may_send : bool
         Whether :meth:`send` is allowed.
     batch_s : float
@@ -88,26 +86,24 @@ class MavlinkLink:
     Raises
     ------
     TelemetryError
-        The link cannot be opened, or signatures are required but there is no key to verify them with.
+        The link cannot be opened.
     """
 
     def __init__(
         self,
         url: str,
-        key: SigningKey | None = None,
-        require_signed: bool = False,
+        guard: SigningGuard | None = None,
         may_send: bool = False,
         batch_s: float = 0.0,
         requests: RateRequests | None = None,
     ) -> None:
-        if require_signed and key is None:
-            raise TelemetryError(f"{url}: signed packets are required but there is no key to verify them with")
         self._url = url
         self._may_send = may_send
         # Half a second of work that the first packet would have to wait for.
         mavlink_types()
         self._link = open_byte_link(url, may_send)
-        self._guard = None if key is None else SigningGuard(key, require_signed)
+        self._guard = guard
+        self._refused: Counter[str] = Counter()
         self._parsers: OrderedDict[Hashable, PacketParser] = OrderedDict()
         self._retired = PacketParser()
         # By system and component id, -1 where nothing came yet: what strangers claim to be costs no memory.
@@ -192,7 +188,8 @@ class MavlinkLink:
         guard = self._guard
         admitted = False
         for kind, packet in self._parser(sender).feed(data):
-            if guard is not None and not guard.admits(packet, arrived_ns):
+            if guard is not None and (verdict := guard.refusal(packet, arrived_ns)) is not None:
+                self._refused[verdict.name.lower()] += 1
                 continue
             admitted = True
             self._count(packet)
@@ -244,7 +241,7 @@ class MavlinkLink:
             skipped_bytes=sum(parser.skipped_bytes for parser in parsers),
             connections=self._link.connections,
             overruns=self._link.overruns,
-            signing=SigningStatistics() if self._guard is None else self._guard.statistics(),
+            signing=SigningStatistics(**self._refused),
         )
 
     def close(self) -> None:

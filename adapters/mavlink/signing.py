@@ -14,8 +14,12 @@ from __future__ import annotations
 import enum
 import hashlib
 import hmac
+import json
+import logging
 import os
 import stat
+import threading
+import time
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +27,7 @@ from pathlib import Path
 from adapters.errors import TelemetryError
 from adapters.mavlink.mavlink_message import message_number, packet_sender, packet_signed
 from adapters.message import Message
+from adapters.output_file import write_file
 from adapters.source import LINK
 
 SIGNING = "signing"
@@ -145,7 +150,11 @@ class _Stream:
 
 
 class SignatureVerifier:
-    """Verifies the packets of one link by its key; its memory is bounded."""
+    """Verifies the packets of all links that share a key; its memory is bounded.
+
+    A stream is a (link id, system, component) of the signatures, whichever link brings it: what one link has brought
+    is a replay on every other.
+    """
 
     def __init__(self, key: SigningKey) -> None:
         self._key = key
@@ -178,10 +187,33 @@ class SignatureVerifier:
         self._newest = max(self._newest, stamp)
         return stream.take(stamp, now_ns)
 
+    def stamps(self) -> dict[str, int]:
+        """Return the newest time stamp of each stream, the longest silent one first."""
+        return {"/".join(map(str, name)): stream.newest for name, stream in self._streams.items()}
+
+    def restore(self, stamps: object, now_ns: int) -> None:
+        """Go on from an earlier run's :meth:`stamps`, at Unix time ``now_ns``.
+
+        Raises
+        ------
+        ValueError
+            They are no such thing.
+        """
+        if not isinstance(stamps, dict):
+            raise ValueError("no table of time stamps")
+        streams: OrderedDict[tuple[int, int, int], _Stream] = OrderedDict()
+        for name, stamp in stamps.items():
+            link_id, system, component = (int(number) for number in name.split("/"))
+            if not isinstance(stamp, int) or not 0 <= stamp < 1 << (8 * _STAMP_BYTES):
+                raise ValueError(f"{stamp!r:.40} is no time stamp")
+            streams[link_id, system, component] = _Stream(stamp, now_ns)
+        self._streams = streams
+        self._newest = max((stream.newest for stream in streams.values()), default=0)
+
 
 @dataclass(frozen=True, slots=True)
 class SigningStatistics:
-    """Packets refused so far.
+    """Packets of one link refused so far.
 
     A ``forged`` one has another key's signature, a ``replayed`` one is a valid packet of earlier; a ``late`` one is
     valid, but came twice or behind its successor within a second or two. ``unsigned`` ones count where signatures are
@@ -195,38 +227,67 @@ class SigningStatistics:
 
 
 class SigningGuard:
-    """Lets in the packets of one link that may be trusted, and tells of the others, system by system.
+    """Lets in the packets that may be trusted, and tells of the others, system by system; all links share one.
 
     Where signatures are required, the reports that telemetry radios add themselves (RADIO_STATUS, RADIO) still need
-    none.
+    none. With a ``state`` file the newest time stamps come from it, and go to it with :meth:`save`, so that a restart
+    opens no door to what was recorded before it. Each link may call it from a thread of its own.
     """
 
-    def __init__(self, key: SigningKey, require_signed: bool = False) -> None:
+    def __init__(self, key: SigningKey, require_signed: bool = True, state: Path | None = None) -> None:
         self._verifier = SignatureVerifier(key)
         self._require_signed = require_signed
-        self._late = 0
+        self._lock = threading.Lock()
         # By claimed system id, which is one byte: this cannot grow past 256 entries.
         self._refused: dict[int, dict[str, int]] = {}
         self._reported_ns: dict[int, int] = {}
         self._unreported: set[int] = set()
+        self._state = state
+        self._saved: dict[str, int] = {}
+        if state is not None and state.exists():
+            try:
+                self._verifier.restore(json.loads(state.read_bytes()), time.time_ns())
+            except (OSError, ValueError) as error:
+                text = "%s: time stamps of signatures cannot be read (%s): packets of the last minute can be replayed"
+                logging.getLogger(__name__).error(text, state, error)
 
-    def admits(self, packet: bytes, now_ns: int) -> bool:
-        """Return whether an intact packet is let in; count it where not."""
-        verdict = self._verifier.check(packet, now_ns)
-        if verdict is SignatureVerdict.VALID:
-            return True
-        if verdict is SignatureVerdict.LATE:
-            self._late += 1
-            return False
-        if verdict is SignatureVerdict.UNSIGNED and (
-            not self._require_signed or message_number(packet) in _FROM_RADIOS
-        ):
-            return True
-        system, _ = packet_sender(packet)
-        counts = self._refused.setdefault(system, dict.fromkeys(_FINDINGS, 0))
-        counts[verdict.name.lower()] += 1
-        self._unreported.add(system)
-        return False
+    def save(self) -> None:
+        """Write the newest time stamps to the state file where they have changed; what cannot be written is logged.
+
+        Call it once a second, in a thread that may wait for a disk: what came after the last call can be replayed
+        after a crash.
+        """
+        if self._state is None:
+            return
+        with self._lock:
+            stamps = self._verifier.stamps()
+        if stamps == self._saved:
+            return
+        try:
+            self._state.parent.mkdir(parents=True, exist_ok=True)
+            write_file(self._state, json.dumps(stamps))
+        except OSError as error:
+            logging.getLogger(__name__).warning("%s: time stamps of signatures not kept: %s", self._state, error)
+        else:
+            self._saved = stamps
+
+    def refusal(self, packet: bytes, now_ns: int) -> SignatureVerdict | None:
+        """Return why an intact packet is not let in, None where it is; count it where not."""
+        with self._lock:
+            verdict = self._verifier.check(packet, now_ns)
+            if verdict is SignatureVerdict.VALID:
+                return None
+            if verdict is SignatureVerdict.LATE:
+                return verdict
+            if verdict is SignatureVerdict.UNSIGNED and (
+                not self._require_signed or message_number(packet) in _FROM_RADIOS
+            ):
+                return None
+            system, _ = packet_sender(packet)
+            counts = self._refused.setdefault(system, dict.fromkeys(_FINDINGS, 0))
+            counts[verdict.name.lower()] += 1
+            self._unreported.add(system)
+            return verdict
 
     def findings(self, now_ns: int) -> list[Message]:
         """Return what is new about each system, at most once a second.
@@ -235,20 +296,17 @@ class SigningGuard:
         -------
         list[Message]
             Of source ``link`` and name ``signing``, from the system that the refused packets claimed to come from;
-            ``forged``, ``replayed`` and ``unsigned`` count them since the link was opened.
+            ``forged``, ``replayed`` and ``unsigned`` count them since the start, over all links.
         """
-        due = [
-            system
-            for system in sorted(self._unreported)
-            if not 0 <= now_ns - self._reported_ns.get(system, now_ns - _REPORT_NS) < _REPORT_NS
-        ]
-        for system in due:
-            self._reported_ns[system] = now_ns
-            self._unreported.discard(system)
-        return [Message(LINK, SIGNING, now_ns, dict(self._refused[system]), system=system) for system in due]
-
-    def statistics(self) -> SigningStatistics:
-        """Return the counts so far."""
-        refused = list(self._refused.values())
-        totals = {name: sum(counts[name] for counts in refused) for name in _FINDINGS}
-        return SigningStatistics(**totals, late=self._late)
+        if not self._unreported:
+            return []
+        with self._lock:
+            due = [
+                system
+                for system in sorted(self._unreported)
+                if not 0 <= now_ns - self._reported_ns.get(system, now_ns - _REPORT_NS) < _REPORT_NS
+            ]
+            for system in due:
+                self._reported_ns[system] = now_ns
+                self._unreported.discard(system)
+            return [Message(LINK, SIGNING, now_ns, dict(self._refused[system]), system=system) for system in due]

@@ -177,7 +177,16 @@ class Signing:
     """MAVLink 2 signing."""
 
     key_file: Path | None = _key(None, _path, "File with the key, 32 bytes or 64 hexadecimal digits.", "signing.key")
-    require: bool = _key(False, _truth, "Whether unsigned packets are refused.", True)
+    require: bool | None = _key(
+        None, _truth, "Whether unsigned packets are refused; with a key they are unless this says otherwise.", False
+    )
+    state_file: Path | None = _key(
+        None,
+        _path,
+        "File that keeps the newest time stamps of signatures across restarts; where it is left out, the journal's "
+        "with `.signing` behind its name.",
+        "signing.state",
+    )
 
 
 @dataclass(frozen=True)

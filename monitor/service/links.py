@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from adapters.mavlink.mavlink_link import MavlinkLink
 from adapters.mavlink.message_rates import RateRequests
-from adapters.mavlink.signing import SigningKey, read_key
+from adapters.mavlink.signing import SigningGuard, SigningKey, read_key
 from adapters.zenoh.zenoh_link import ZenohLink
 from adapters.zenoh.zenoh_payload import PayloadDecoder
 from monitor.configuration.config import Config, Vehicle
@@ -36,16 +36,30 @@ class OpenedLink(NamedTuple):
     vehicle: Vehicle | None = None
 
 
-def open_links(config: Config, session: zenoh.Session | None, stack: ExitStack) -> list[OpenedLink]:
+def signing_guard(config: Config) -> SigningGuard | None:
+    """Return what verifies the signatures of all links, None where there is no key.
+
+    Raises TelemetryError where the key cannot be used.
+    """
+    signing, journal = config.signing, config.journal.path
+    if signing.key_file is None:
+        return None
+    beside = None if journal is None else journal.with_name(f"{journal.name}.signing")
+    return SigningGuard(read_key(signing.key_file), signing.require is not False, signing.state_file or beside)
+
+
+def open_links(
+    config: Config, session: zenoh.Session | None, stack: ExitStack, guard: SigningGuard | None
+) -> list[OpenedLink]:
     """Open all links of a configuration, those over Zenoh where there is a session; nothing reads them yet.
 
     Raises UsageError or TelemetryError where a link, the signing key or a message definition cannot be used.
     """
-    signing, batch_s = config.signing, config.batch_ms / 1e3
-    key = None if signing.key_file is None else read_key(signing.key_file)
+    batch_s = config.batch_ms / 1e3
+    key = None if config.signing.key_file is None else read_key(config.signing.key_file)
     opened = []
     for url in config.mavlink:
-        mavlink = MavlinkLink(url, key, signing.require, config.send.allow, batch_s, _requests(config, key))
+        mavlink = MavlinkLink(url, guard, config.send.allow, batch_s, _requests(config, key))
         stack.callback(mavlink.close)
         opened.append(OpenedLink(url, mavlink))
     if session is None:

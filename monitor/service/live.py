@@ -18,7 +18,7 @@ from monitor.recording.journal import Journal
 from monitor.service.caught_signals import caught_signals
 from monitor.service.daemon import Daemon
 from monitor.service.inbox import Inbox
-from monitor.service.links import FirstLook, open_links
+from monitor.service.links import FirstLook, open_links, signing_guard
 from monitor.service.log import ServiceLog
 from monitor.service.metrics_server import MetricsServer
 from monitor.service.station import Station
@@ -54,8 +54,12 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
             open_session(config.connect, config.listen, config.zenoh_config, config.zenoh_mode)
         )
         journal = _open_journal(config, log, stack)
+        guard = signing_guard(config)
+        if guard is not None:
+            stack.callback(guard.save)
+            _each_second(guard.save, "signing state", stack)
         inbox = Inbox(config.inbox)
-        links = open_links(config, session, stack)
+        links = open_links(config, session, stack, guard)
         views = _open_views(config, log, stack)
         counted = {one.name: one.link for one in links}
         station = Station(config, read_again, session, inbox, journal, log, counted, views)
@@ -123,17 +127,22 @@ def _open_journal(config: Config, log: ServiceLog, stack: ExitStack) -> Journal 
     stack.callback(journal.close)
     if journal.set_aside is not None:
         log.say("journal damaged", level="error", set_aside=str(journal.set_aside), now="a new one was begun")
+    _each_second(journal.sync, "journal sync", stack)
+    return journal
+
+
+def _each_second(work: Callable[[], None], name: str, stack: ExitStack) -> None:
+    """Do work that may wait for a disk once a second, in a thread that ends with the stack."""
     done = threading.Event()
 
-    def sync() -> None:
+    def repeat() -> None:
         while not done.wait(_SYNC_S):
-            journal.sync()
+            work()
 
-    thread = threading.Thread(target=sync, name="journal sync", daemon=True)
+    thread = threading.Thread(target=repeat, name=name, daemon=True)
     thread.start()
     stack.callback(thread.join, 5.0)
     stack.callback(done.set)
-    return journal
 
 
 def _open_views(config: Config, log: ServiceLog, stack: ExitStack) -> list[LiveView]:

@@ -19,7 +19,7 @@ from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
 from monitor.service.caught_signals import caught_signals
 from monitor.service.inbox import Inbox
-from monitor.service.links import FirstLook, open_links
+from monitor.service.links import FirstLook, open_links, signing_guard
 from monitor.service.log import ServiceLog
 
 _POLL_S = 0.1
@@ -86,7 +86,7 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
         if _over_zenoh(config):
             opened = open_session(config.connect, config.listen, config.zenoh_config, config.zenoh_mode)
             session = stack.enter_context(opened)
-        links = open_links(config, session, stack)
+        links = open_links(config, session, stack, signing_guard(config))
         writer = stack.enter_context(MessageLogWriter(path))
         writer.add_metadata("fauio", {"fauio": version("fauio")})
         inbox = Inbox(config.inbox)
