@@ -24,7 +24,7 @@ from monitor.alarms import link_alarms
 from monitor.alarms.alarm import TUNABLE
 from monitor.alarms.desk import AlarmDesk, DeskRule, desk_rule, rule_fields
 from monitor.alarms.excuse import Excuses
-from monitor.alarms.link_alarms import HEARTBEAT_NS, LinkAlarms, StaleAlarm
+from monitor.alarms.link_alarms import HEARTBEAT_NS, SET_BACK_NS, LinkAlarms, StaleAlarm
 from monitor.chain import ObserverChain, alarm_events
 from monitor.core.arrivals import Arrivals
 from monitor.core.sampling import VehicleClock, sample_batch
@@ -247,6 +247,7 @@ class Pipeline:
             self._link.heartbeat_ns,
             HEARTBEAT_NS,
             self._link.awaits_heartbeat,
+            SET_BACK_NS,
         )
         before_ns = self._clock.newest_ns
         for chain in self._chains:

@@ -46,7 +46,7 @@ class Clips:
     def __init__(self, name: str, portions: int, inbox: Inbox, written: list[str]) -> None:
         self.name, self.left, self.inbox, self.written = name, portions, inbox, written
 
-    def work(self, now_ns: int, troubles: Sequence[str]) -> None: ...
+    def work(self, steady_ns: int, now_ns: int, troubles: Sequence[str]) -> None: ...
 
     def work_on_clips(self, now_ns: int) -> bool:
         if not self.left:
@@ -62,7 +62,7 @@ def test_clips_are_written_by_turns_once_no_message_waits(quad_profile: Profile,
     services = [Clips("one", 3, inbox, written), Clips("two", 1, inbox, written), Clips("three", 2, inbox, written)]
     vehicle = VehicleMonitor(Pipeline(quad_profile, "one", 1), (), None, lambda event: None, 0)
 
-    def every_turn(now_ns: int) -> None:
+    def every_turn(steady_ns: int) -> None:
         if not any(service.left for service in services):
             daemon.stop()
 

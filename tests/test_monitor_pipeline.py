@@ -291,3 +291,25 @@ def test_an_alarm_with_fields_of_the_wrong_type_does_not_stand_after_a_restart(
     for name, value in (("vehicle_time_ms", "x"), ("estimate", [1]), ("observer", {}), ("latched", 1)):
         standing = Message(JOURNAL, "standing", 1, {"seq": 1, "alarms": [{**first.to_json(), name: value}]})
         assert outputs(quad_profile, [standing]) == []
+
+
+@pytest.mark.parametrize("hours", [-1, 1])
+@pytest.mark.parametrize("pieces", [1, 50])
+def test_a_clock_that_is_set_hides_neither_a_fault_nor_the_end_of_telemetry(
+    quad_profile: Profile, flight: list[Message], expected: list[AlarmEvent], hours: int, pieces: int
+) -> None:
+    step_ns, middle_ns = hours * 3600 * 10**9, flight[len(flight) // 4].received_ns
+    stepped = [
+        dataclasses.replace(message, received_ns=message.received_ns + step_ns * (message.received_ns > middle_ns))
+        for message in flight
+    ]
+    end_ns = stepped[-1].received_ns
+    stepped += [silence(end_ns + tenth * 10**8) for tenth in range(1, 40)]
+    pipeline, size = Pipeline(quad_profile), -(-len(stepped) // pieces)
+    batches = [pack(stepped[at : at + size]) for at in range(0, len(stepped), size)]
+    found = only_events(output for batch in batches for output in pipeline.run(batch))
+    [fault] = (event for event in expected if event.state == "raised")
+    raised = [(event.channel, event.vehicle_time_ms) for event in found if event.state == "raised"]
+    assert (fault.channel, fault.vehicle_time_ms) in raised
+    assert found[-1].channel == "telemetry"
+    assert (found[-1].state, found[-1].time_ns) == ("raised", end_ns + 2 * 10**9)

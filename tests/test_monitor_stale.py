@@ -36,3 +36,20 @@ def test_a_replay_that_only_sees_messages_gives_the_same_events_as_a_live_clock(
     assert live_events[0].id == live_events[1].id
     assert live_events[1].message == "telemetry is back after 5.0 s"
     assert not live.active
+
+
+def test_silence_counts_from_where_a_clock_was_set_back() -> None:
+    alarm = stale()
+    alarm.follow(T0, 0)
+    hour = 3600 * SECOND
+    assert alarm.silence(T0 - hour) == []
+    (event,) = alarm.silence(T0 - hour + 3 * SECOND)
+    assert (event.state, event.time_ns) == ("raised", T0 - hour + 2 * SECOND)
+
+
+def test_a_silence_ends_after_it_began_by_both_clocks() -> None:
+    alarm = stale()
+    alarm.follow(T0, 10 * SECOND)
+    raised, cleared = alarm.follow(T0 + 5 * SECOND, 10 * SECOND)
+    assert (raised.time_ns, raised.vehicle_time_ms) == (T0 + 2 * SECOND, 12_000)
+    assert (cleared.time_ns, cleared.vehicle_time_ms) == (T0 + 5 * SECOND, 15_000)

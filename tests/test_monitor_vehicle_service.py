@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 from loopback import Endpoint, until
@@ -37,7 +38,7 @@ def service(endpoint: Endpoint, arm_profile: Profile) -> Iterator[VehicleService
 
 def works(service: VehicleService) -> bool:
     """Let a service do what is due, return whether it speaks."""
-    service.work(time.time_ns(), ())
+    service.work(time.monotonic_ns(), time.time_ns(), ())
     return service.monitor.active
 
 
@@ -49,7 +50,7 @@ def test_one_that_was_frozen_gives_way_before_it_says_anything_to_one_that_may_h
     other = Election(endpoint.client(), f"fauio/{VEHICLE}")
     until(lambda: other.others == 1)
     assert works(service)
-    service.work(time.time_ns() + 2 * SECOND_NS, ())
+    service.work(time.monotonic_ns() + 2 * SECOND_NS, time.time_ns(), ())
     assert not service.monitor.active
     until(lambda: other.leads)
     assert not works(service)
@@ -59,8 +60,28 @@ def test_one_that_was_frozen_gives_way_before_it_says_anything_to_one_that_may_h
 
 def test_a_standby_makes_a_status_of_its_own_and_publishes_none(endpoint: Endpoint, service: VehicleService) -> None:
     with endpoint.client().declare_subscriber(f"fauio/{VEHICLE}/status") as statuses:
-        service.work(time.time_ns() + SECOND_NS, ())
+        service.work(time.monotonic_ns() + SECOND_NS, time.time_ns(), ())
         assert service.last_status["role"] == "standby"
         assert statuses.try_recv() is None
         until(lambda: works(service))
         assert b'"active"' in statuses.recv().payload.to_bytes()
+
+
+@pytest.mark.parametrize("step_ns", [-3600 * SECOND_NS, 3600 * SECOND_NS])
+def test_a_clock_that_is_set_an_hour_back_or_forth_delays_neither_status_nor_flush(
+    endpoint: Endpoint, arm_profile: Profile, step_ns: int
+) -> None:
+    flushed: list[int] = []
+    archive = SimpleNamespace(batch=str, estimates=str, event=str, flush=lambda: flushed.append(1))
+    start_ns, steady_ns = time.time_ns(), time.monotonic_ns()
+    monitor = VehicleMonitor(Pipeline(arm_profile, VEHICLE), (archive,), None, lambda _: None, start_ns)
+    service = VehicleService(monitor, DeskRule(), endpoint.session, Config())
+    stamps = []
+    for tenth in range(1, 60):
+        elapsed_ns = tenth * SECOND_NS // 10
+        service.work(steady_ns + elapsed_ns, start_ns + elapsed_ns + (step_ns if tenth > 20 else 0), ())
+        stamps.append(service.last_status.get("time_ns"))
+    service.close()
+    assert len(set(stamps) - {None}) == 5
+    assert stamps[-1] == pytest.approx(start_ns + step_ns + 5 * SECOND_NS, abs=SECOND_NS)
+    assert len(flushed) >= 10

@@ -160,8 +160,10 @@ class AlarmDesk:
         events: list[AlarmEvent] = []
         if not self._shelved and FLOOD_KEY not in self._active:
             return events
+        # A clock that was set back shall not make a flood of seconds one of hours.
+        self._flood_until_ns = min(self._flood_until_ns, now_ns + round(self.rule.flood_s * 1e9))
         for key in self._held_back:
-            self._shelved[key] = max(self._shelved[key], self._flood_until_ns)
+            self._shelved[key] = self._flood_until_ns
         # In order of their ends and at those times, so that it does not matter when the next message comes.
         ends = [(until, 0, key) for key, until in self._shelved.items()]
         ends += [(self._flood_until_ns, 1, FLOOD_KEY)] * (FLOOD_KEY in self._active)

@@ -24,6 +24,9 @@ HEARTBEAT_NS = 10_000_000_000
 years, one that loses 30 % once in three days."""
 _MOST_PACKETS = 1 << 62
 """Counts of a recording are cut off here, so that the sum of three fits into 64 bits."""
+SET_BACK_NS = 10_000_000_000
+"""A message that seems to have come earlier by as much was not late: the clock was set back. Datagrams wait in the
+kernel for less (``adapters/mavlink/byte_link.py``)."""
 _UPDATE_NS = 1_000_000_000
 """Updates come at most once a second, as those of all alarms do."""
 
@@ -206,15 +209,19 @@ class StaleAlarm:
         """
         events = self.silence(received_ns)
         if self._since_ns is not None:
-            silent_s = (received_ns - (self._carried_ns or received_ns)) / 1e9
-            events.append(self._event("cleared", received_ns, vehicle_ns, f"telemetry is back after {silent_s:.1f} s"))
+            silent_ns = received_ns - (self._carried_ns or received_ns)
+            # The message itself tells the vehicle's clock only later: what is known of it is from before the silence.
+            back_ns = max(vehicle_ns, self._vehicle_ns + silent_ns)
+            text = f"telemetry is back after {silent_ns / 1e9:.1f} s"
+            events.append(self._event("cleared", received_ns, back_ns, text))
             self._since_ns = None
-        self._carried_ns = received_ns if self._carried_ns is None else max(received_ns, self._carried_ns)
-        self._vehicle_ns = vehicle_ns
+        self.pass_over(received_ns, vehicle_ns)
         return events
 
     def silence(self, now_ns: int) -> list[AlarmEvent]:
         """Let Unix time come to ``now_ns``; return the event of telemetry going stale, once."""
+        if self._carried_ns is not None and self._carried_ns - now_ns >= SET_BACK_NS:
+            self._carried_ns = now_ns
         if self._since_ns is not None or self._carried_ns is None or now_ns - self._carried_ns < self.limit_ns:
             return []
         self._since_ns = self._carried_ns + self.limit_ns
@@ -229,7 +236,9 @@ class StaleAlarm:
 
     def pass_over(self, received_ns: int, vehicle_ns: int) -> None:
         """Follow messages without a silence: the newest with a channel, the vehicle's time at the last of them."""
-        self._carried_ns = received_ns if self._carried_ns is None else max(received_ns, self._carried_ns)
+        carried_ns = self._carried_ns
+        if carried_ns is None or not 0 <= carried_ns - received_ns < SET_BACK_NS:
+            self._carried_ns = received_ns
         self._vehicle_ns = vehicle_ns
 
     def adopt(self, event: AlarmEvent) -> None:

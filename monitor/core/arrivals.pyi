@@ -34,4 +34,5 @@ class Arrivals:
         heartbeat_ns: int,
         without_heartbeat_ns: int,
         awaits_heartbeat: bool,
+        set_back_ns: int,
     ) -> Segment: ...

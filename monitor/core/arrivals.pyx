@@ -192,6 +192,7 @@ cdef class Arrivals:
         int64_t heartbeat_ns,
         int64_t without_heartbeat_ns,
         bint awaits_heartbeat,
+        int64_t set_back_ns,
     ):
         """Return how far the segment that a message begins reaches.
 
@@ -212,6 +213,8 @@ cdef class Arrivals:
             When the last heartbeat came (0: none), and the time without one after which a message does more.
         awaits_heartbeat : bool
             Whether a heartbeat does more.
+        set_back_ns : int
+            How much earlier a message shows that the clock was set back.
         """
         cdef int64_t carried = 0 if carried_ns is None else carried_ns
         cdef Py_ssize_t stop = start + 1, carrier = start if self._arrivals[start].marks & CARRIES else -1
@@ -228,7 +231,8 @@ cdef class Arrivals:
             elif heartbeat_ns and arrival.received - heartbeat_ns >= without_heartbeat_ns:
                 break
             if arrival.marks & CARRIES:
-                carried = max(carried, arrival.received)
+                if arrival.received > carried or carried - arrival.received >= set_back_ns:
+                    carried = arrival.received
                 carrier = stop
             stop += 1
         return Segment(stop, carried, carrier, heartbeat_ns)

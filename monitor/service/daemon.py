@@ -26,8 +26,10 @@ class Daemon:
     """Runs the vehicles of one process on live links.
 
     ``services`` returns the vehicles' services, which may become more; ``troubles`` what is wrong with links and disks,
-    for the status; ``every_turn`` is called about twenty times a second with Unix time, for reloads and retries.
+    for the status; ``every_turn`` is called about twenty times a second with the steady time, for reloads and retries.
     ``batch_s`` is how long links let telemetry wait to form batches.
+
+    What is due goes by the steady time (nanoseconds of the monotonic clock), which nobody sets; Unix time only stamps.
     """
 
     def __init__(
@@ -58,14 +60,14 @@ class Daemon:
         busy = False
         while not self._stopping:
             arrivals = self._inbox.take(_PAUSE_S if busy else _POLL_S)
-            now_ns = time.time_ns()
+            steady_ns = time.monotonic_ns()
             # Elect first: after a process freeze another monitor may be active.
-            if not 0 <= due_ns - now_ns <= _EVERY_NS:
-                due_ns = now_ns + _EVERY_NS
-                self._every_turn(now_ns)
+            if steady_ns >= due_ns:
+                due_ns = steady_ns + _EVERY_NS
+                self._every_turn(steady_ns)
                 troubles = self._troubles()
                 for service in self._services():
-                    service.work(now_ns, troubles)
+                    service.work(steady_ns, time.time_ns(), troubles)
             self._process(arrivals)
             # Time may pass only where nothing older waits, here or in the links: it would end a silence.
             if self._inbox.empty:

@@ -96,12 +96,12 @@ class FirstLook:
         self._log = log
         self._due_ns: int | None = 0
 
-    def turn(self, now_ns: int) -> None:
-        """Look once, when it is due."""
-        if self._due_ns is None or now_ns < self._due_ns:
+    def turn(self, steady_ns: int) -> None:
+        """Look once, when it is due by the monotonic clock."""
+        if self._due_ns is None or steady_ns < self._due_ns:
             return
         if self._due_ns == 0:
-            self._due_ns = now_ns + _FIRST_NS
+            self._due_ns = steady_ns + _FIRST_NS
             return
         self._due_ns = None
         for name, link in self._links.items():

@@ -77,7 +77,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
 
         first_look = FirstLook({one.name: one.link for one in links}, log)
 
-        def every_turn(now_ns: int) -> None:
+        def every_turn(steady_ns: int) -> None:
             nonlocal handled, undecided, other
             new = received[handled:]
             handled += len(new)
@@ -91,11 +91,11 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
                 if other is not None:
                     daemon.stop()
             reloads = station.reloads
-            station.turn(now_ns)
+            station.turn(steady_ns)
             if station.reloads != reloads:
                 notifier.ready(f"monitoring {len(station.services)} vehicles")
             notifier.feed(not inbox.stuck())
-            first_look.turn(now_ns)
+            first_look.turn(steady_ns)
 
         daemon = Daemon(
             inbox, station.fleet, lambda: station.services, station.troubles, every_turn, config.batch_ms / 1e3

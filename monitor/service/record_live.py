@@ -102,14 +102,17 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
                     tally.add(message)
                     writer.write(message)
 
-        flushed_ns = time.time_ns()
+        flushed_ns = time.monotonic_ns()
+        ends_ns: int | None = None
         while not {signal.SIGINT, signal.SIGTERM} & set(received):
             record(_POLL_S)
-            now_ns = time.time_ns()
-            if seconds is not None and tally.first_ns is not None and now_ns - tally.first_ns >= seconds * 1e9:
+            now_ns = time.monotonic_ns()
+            if seconds is not None and tally.first_ns is not None and ends_ns is None:
+                ends_ns = now_ns + round(seconds * 1e9)
+            if ends_ns is not None and now_ns >= ends_ns:
                 break
             first_look.turn(now_ns)
-            if not 0 <= now_ns - flushed_ns < SECOND_NS:
+            if now_ns - flushed_ns >= SECOND_NS:
                 flushed_ns = now_ns
                 writer.flush()
                 _tell(f"{tally.seconds:.0f} s, {tally.names.total()} messages")

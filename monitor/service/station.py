@@ -115,17 +115,17 @@ class Station:
     def health(self) -> Health:
         """Return everything as of at most a second ago; any thread may call it."""
         health = self._health
-        age_s = max(0.0, (time.time_ns() - self._turn_ns) / 1e9) if self._turn_ns else 0.0
+        age_s = (time.monotonic_ns() - self._turn_ns) / 1e9 if self._turn_ns else 0.0
         return replace(health, process=replace(health.process, loop_age_s=age_s))
 
-    def turn(self, now_ns: int) -> None:
-        """Do what is due for the daemon as a whole; called about twenty times a second."""
-        self._turn_ns = now_ns
+    def turn(self, steady_ns: int) -> None:
+        """Do what is due for the daemon as a whole; called about twenty times a second with the steady time."""
+        self._turn_ns = steady_ns
         while not self._reloaded.empty():
             self._apply(self._reloaded.get())
             self.reloads += 1
-        if now_ns - self._second_ns >= SECOND_NS or now_ns < self._second_ns:
-            self._second_ns = now_ns
+        if steady_ns - self._second_ns >= SECOND_NS:
+            self._second_ns = steady_ns
             if self._journal is not None:
                 self._journal.retry()
             self._troubles = tuple(self._find_troubles())

@@ -6,6 +6,7 @@ the vehicle is active, this one is on standby, and continues the other's alarms 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
@@ -56,7 +57,7 @@ class BatchSink(Protocol):
 class _Second:
     """Counts since the last status."""
 
-    started_ns: int
+    started_ns: int  # of the monotonic clock
     messages: int = 0
     samples: int = 0
 
@@ -89,7 +90,7 @@ class VehicleMonitor:
         self._layouts = {layout.observer: layout for layout in pipeline.layouts}
         self._latest: dict[str, Estimates] = {}
         self._watch = TelemetryWatch(pipeline.profile.observers, pipeline.needs, now_ns)
-        self._second = _Second(now_ns)
+        self._second = _Second(time.monotonic_ns())
         self.messages = self.samples = self.events = 0
 
     @property
@@ -197,7 +198,8 @@ class VehicleMonitor:
 
     def pass_time(self, now_ns: int) -> None:
         """Let the pipeline know that time has passed without telemetry; record it where that changed something."""
-        if now_ns - self._watch.latest_ns < _SILENCE_NS:
+        # Before the latest message it is where the clock was set back: the pipeline counts from there on.
+        if 0 <= now_ns - self._watch.latest_ns < _SILENCE_NS:
             return
         batch = pack([silence(now_ns)])
         outputs = self.pipeline.run(batch)
@@ -229,7 +231,8 @@ class VehicleMonitor:
         come over.
         """
         self._note_shelved()
-        elapsed_s = max((now_ns - self._second.started_ns) / 1e9, 1e-9)
+        steady_ns = time.monotonic_ns()
+        elapsed_s = max((steady_ns - self._second.started_ns) / 1e9, 1e-9)
         recent = self.latency.end_interval()
         behind = recent.p99_s > _BEHIND_S
         reasons = [*troubles]
@@ -280,7 +283,7 @@ class VehicleMonitor:
             "profile": self.pipeline.profile.digest,
             "versions": {"fauio": _VERSION},
         }
-        self._second = _Second(now_ns)
+        self._second = _Second(steady_ns)
         if self._outlet is not None:
             self._outlet.status(status)
         return status

@@ -73,31 +73,36 @@ class VehicleService:
         self._election: Election | None = None
         self._others: AlarmSubscriber | None = None
         self._root = vehicle_root(config.prefix, monitor.name)
-        self._status_ns = self._flushed_ns = self._decided_ns = time.time_ns()
-        monitor.process(pack([rules_message(desk, monitor.pipeline.profile, self._status_ns)]))
+        # all of the monotonic clock
+        self._status_ns = self._flushed_ns = self._decided_ns = time.monotonic_ns()
+        now_ns = time.time_ns()
+        monitor.process(pack([rules_message(desk, monitor.pipeline.profile, now_ns)]))
         if config.standby.enabled:
             # With history: events published while this monitor was not running belong in its journal too.
             self._others = AlarmSubscriber(session, monitor.name, config.prefix, history=True)
             self._election = Election(session, self._root, config.standby.takeover_s)
         else:
-            self._activate(self._status_ns)
+            self._activate(now_ns)
 
     def retune(self, desk: DeskRule, profile: Profile) -> None:
         """Apply another desk's rule and a profile's alarm sizes from now on."""
         self.monitor.process(pack([rules_message(desk, profile, time.time_ns())]))
 
-    def work(self, now_ns: int, troubles: Sequence[str]) -> None:
-        """Do what is due: activate or deactivate, answer operators, flush, publish the status."""
-        self._decide(now_ns)
+    def work(self, steady_ns: int, now_ns: int, troubles: Sequence[str]) -> None:
+        """Do what is due: activate or deactivate, answer operators, flush, publish the status.
+
+        What is due goes by the steady time (the monotonic clock's), stamps by Unix time.
+        """
+        self._decide(steady_ns, now_ns)
         # clips grow also where there is never a moment to spare
         self.work_on_clips(now_ns)
         if self._operators is not None:
             self._answer(self._operators)
-        if now_ns - self._flushed_ns >= _FLUSH_NS:
-            self._flushed_ns = now_ns
+        if steady_ns - self._flushed_ns >= _FLUSH_NS:
+            self._flushed_ns = steady_ns
             self.monitor.flush()
-        if now_ns - self._status_ns >= STATUS_NS:
-            self._status_ns = now_ns
+        if steady_ns - self._status_ns >= STATUS_NS:
+            self._status_ns = steady_ns
             trouble = None if self.archive is None else self.archive.statistics().trouble
             self.last_status = self.monitor.status(now_ns, [*troubles, *([trouble] if trouble else [])], self._links())
 
@@ -122,7 +127,7 @@ class VehicleService:
         if self._recordings is not None:
             self._recordings.close()
 
-    def _decide(self, now_ns: int) -> None:
+    def _decide(self, steady_ns: int, now_ns: int) -> None:
         if self._election is None or self._others is None:
             return
         for _ in range(_PEER_EVENTS_AT_ONCE):
@@ -132,7 +137,7 @@ class VehicleService:
         else:
             # More events wait; only after the last of them can this monitor continue from them.
             return
-        away_ns, self._decided_ns = now_ns - self._decided_ns, now_ns
+        away_ns, self._decided_ns = steady_ns - self._decided_ns, steady_ns
         if away_ns > _AWAY_NS and self.monitor.active:
             # After a freeze of the process another monitor may be active: elect anew before publishing.
             self._election.close()
@@ -142,7 +147,7 @@ class VehicleService:
             logging.getLogger(__name__).warning("active for %s from now on", self.monitor.name)
             self._activate(now_ns)
             # A status at once shows the new active monitor.
-            self._status_ns = 0
+            self._status_ns = steady_ns - STATUS_NS
         elif not leads and self.monitor.active:
             logging.getLogger(__name__).warning("another monitor is active for %s; on standby", self.monitor.name)
             if self._operators is not None:
