@@ -177,20 +177,20 @@ def cut(batch: Batch, start: int, stop: int) -> Batch:
         first, last = np.searchsorted(group.position, (start, stop))
         if first == last:
             continue
-        part = slice(int(first), int(last))
-        columns.append(
-            Columns(
-                source=group.source,
-                name=group.name,
-                system=group.system,
-                component=group.component,
-                position=group.position[part] - start,
-                received_ns=group.received_ns[part],
-                fields=_rows(group.fields, part),
-            )
-        )
+        part = rows_of(group, slice(int(first), int(last)))
+        columns.append(replace(part, position=part.position - start))
     others = {index - start: message for index, message in batch.others.items() if start <= index < stop}
     return Batch(stop - start, tuple(columns), others)
+
+
+def rows_of(columns: Columns, part: slice) -> Columns:
+    """Return some of the messages of columns, at the positions that they have."""
+    return replace(
+        columns,
+        position=columns.position[part],
+        received_ns=columns.received_ns[part],
+        fields=_rows(columns.fields, part),
+    )
 
 
 def _rows(fields: Fields, part: slice) -> Fields:
@@ -226,7 +226,7 @@ def gathered(columns: Iterable[Columns], single: Mapping[int, Message]) -> Batch
     return Batch(len(indices), tuple(closed), dict(zip(rank.tolist(), others.values(), strict=False)))
 
 
-def named(batch: Batch, names: Container[str]) -> Batch:
+def of_names(batch: Batch, names: Container[str]) -> Batch:
     """Return the messages of some names as a batch."""
     columns = [columns for columns in batch.columns if columns.name in names]
     others = {index: message for index, message in batch.others.items() if message.name in names}

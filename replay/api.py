@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 
 from adapters.batch import Batch
@@ -16,6 +17,8 @@ from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.event import AlarmEvent
+from monitor.fitting.flights import part_of
+from monitor.fitting.kept_flights import kept_model
 from monitor.profile import Profile, read_profile
 from monitor.vehicles.kinds import fit_reading
 from replay.fit import FitReport, fit_profile
@@ -86,6 +89,10 @@ def fit(
     name: str | None = None,
     model: str | os.PathLike[str] | None = None,
     force: bool = False,
+    rate_hz: float | None = None,
+    start_s: float = 0.0,
+    end_s: float | None = None,
+    update: bool = False,
 ) -> FitReport:
     """Learn a vehicle from recordings of healthy flights and write its profile, as ``fauio fit`` does.
 
@@ -105,6 +112,12 @@ def fit(
         Plant model with free parameters; for ``custom``, and for no other kind.
     force : bool
         Whether to go on where a recording says it is of another kind of vehicle, or of another vehicle than the first.
+    rate_hz : float | None
+        Samples per second of the vehicle's own observer; None: as many as its messages allow.
+    start_s, end_s : float
+        Part of each recording to fit, seconds since its first message.
+    update : bool
+        Whether the folder is a profile that learns these recordings beside the flights that it keeps.
 
     Raises
     ------
@@ -116,11 +129,25 @@ def fit(
     >>> fauio.fit("multirotor", ["monday.tlog", "tuesday.tlog"], "quad/")  # doctest: +SKIP
     """
     own_model = None if model is None else Path(model)
-    wanted, types = fit_reading(own_model)
-    logs = [lambda path=path: Recording(path, wanted, types=types).batches() for path in recordings]
-    called = name or Path(folder).resolve().name
+    into = Path(folder)
+    wanted, types = fit_reading(own_model or (kept_model(into) if update else None))
+
+    def log(path: str) -> Iterable[Batch]:
+        batches = Recording(path, wanted, types=types).batches()
+        return batches if not start_s and end_s is None else part_of(batches, start_s, end_s, path)
+
     names = [os.fspath(path) for path in recordings]
-    return fit_profile(kind, logs, Path(folder), called, own_model, log_names=names, force=force)
+    return fit_profile(
+        kind,
+        [partial(log, path) for path in names],
+        into,
+        name or (read_profile(into).name if update else into.resolve().name),
+        own_model,
+        log_names=names,
+        force=force,
+        rate_hz=rate_hz,
+        update=into if update else None,
+    )
 
 
 def check(model: Plant | str | os.PathLike[str], rate_hz: float | None = None) -> Check:

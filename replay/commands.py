@@ -9,14 +9,18 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adapters.errors import StorageError
-from monitor.vehicles.kinds import KINDS, fit_reading
+from adapters.errors import StorageError, UsageError
+from monitor.vehicles.kinds import KINDS
 from replay import attack_commands
 from replay.runs.replay_command import LOG_HELP, MAPPING_HELP, add_replay
 
 if TYPE_CHECKING:
     from adapters.batch import Batch
     from adapters.logs.damage import Damage
+
+
+_FASTEST_HZ = 1000.0
+"""Chosen: no telemetry is faster, and the grid would cost memory for nothing."""
 
 
 def add_parsers(subparsers: Any) -> None:
@@ -56,10 +60,25 @@ def _add_fit(subparsers: Any) -> None:
         description="Identify a vehicle from healthy flights, design its observer, and calibrate its alarms.",
         epilog="example: fauio fit --vehicle multirotor monday.tlog tuesday.tlog -o quad/",
     )
-    parser.add_argument("--vehicle", required=True, choices=[kind.name for kind in KINDS], help="kind of vehicle")
+    parser.add_argument("--vehicle", choices=[kind.name for kind in KINDS], help="kind of vehicle")
+    parser.add_argument(
+        "--update",
+        type=Path,
+        metavar="PROFILE",
+        help="learn more flights of this profile's vehicle, beside those that it keeps; edits of profile.toml stay",
+    )
     parser.add_argument("--model", type=Path, metavar="MODEL.toml", help="model with free parameters (custom only)")
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=LOG_HELP)
-    parser.add_argument("-o", "--out", required=True, type=Path, metavar="PROFILE", help="profile folder to write")
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="PROFILE", help="profile folder to write (default with --update: that one)"
+    )
+    parser.add_argument(
+        "--start", type=float, default=0.0, metavar="S", help="leave out what is sooner than S seconds into each log"
+    )
+    parser.add_argument("--end", type=float, metavar="S", help="leave out what is later than S seconds into each log")
+    parser.add_argument(
+        "--rate", type=float, metavar="HZ", help="samples per second of the observer (default: as the messages come)"
+    )
     parser.add_argument("--mapping", type=Path, metavar="FILE.toml", help=MAPPING_HELP)
     parser.add_argument("--name", metavar="NAME", help="name of the vehicle in topics (default: the folder's name)")
     parser.add_argument(
@@ -108,45 +127,78 @@ def run_fit(args: argparse.Namespace) -> int:
     """Run ``fauio fit``."""
     from adapters.errors import InfeasibleError, ModelError, TelemetryError
     from adapters.logs.recordings import Recording, recording_kind
-    from monitor.fitting.progress import track
-    from monitor.profile import PROFILE_FILE
+    from monitor.fitting.flights import part_of
+    from monitor.fitting.kept_flights import kept_model
+    from monitor.fitting.progress import Stages, track
+    from monitor.profile import PROFILE_FILE, read_profile
+    from monitor.vehicles.kinds import fit_reading
     from replay.fit import fit_profile
     from replay.runs.log_list import check_output_folder
 
+    _check_fit(args)
     for path in args.logs:
         recording_kind(path)
-    check_output_folder(args.out)
-    name = args.name or args.out.resolve().name
-
-    wanted, types = fit_reading(args.model)
+    out = args.out or args.update
+    check_output_folder(out)
+    name = args.name or (read_profile(args.update).name if args.update else out.resolve().name)
+    wanted, types = fit_reading(args.model or (kept_model(args.update) if args.update else None))
 
     def log(path: Path) -> Iterator[Batch]:
         recording = Recording(path, wanted, args.mapping, types)
         batches = track(recording.batches(), f"reading {path.name}", weigh=lambda batch: batch.count)
-        yield from batches
+        whole = not args.start and args.end is None
+        yield from batches if whole else part_of(batches, args.start, args.end, str(path))
         damage[path] = recording.damage()
 
     damage: dict[Path, tuple[Damage, ...]] = {}
     logs = [lambda path=path: log(path) for path in args.logs]
+    stages = Stages()
     try:
-        names = [str(path) for path in args.logs]
-        report = fit_profile(args.vehicle, logs, args.out, name, args.model, log_names=names, force=args.force)
+        report = fit_profile(
+            args.vehicle or "",
+            logs,
+            out,
+            name,
+            args.model,
+            log_names=[str(path) for path in args.logs],
+            force=args.force,
+            rate_hz=args.rate,
+            stage=stages.done,
+            update=args.update,
+        )
     except (TelemetryError, ModelError, InfeasibleError) as error:
         raise type(error)(_about_logs(str(error), args.logs, args.model)) from error
+    stages.flush()
     found = _warn(one for path in args.logs for one in damage.get(path, ()))
     for warning in report.warnings:
         sys.stderr.write(f"fauio: {warning}\n")
     if report.set_aside is not None:
-        was = args.out / PROFILE_FILE
-        sys.stderr.write(f"fauio: {was} is written anew; what stood there, edited or not, is {report.set_aside}\n")
+        was, kept = out / PROFILE_FILE, f" but for {', '.join(report.edits)}" if report.edits else ""
+        edited = "as it was" if args.update else "edited or not"
+        sys.stderr.write(f"fauio: {was} is written anew{kept}; what stood there, {edited}, is {report.set_aside}\n")
+    for left_out in report.left_out:
+        sys.stderr.write(f"fauio: {out}: {left_out} is kept no longer, there is room for the newest flights only\n")
     if args.json:
         _say(json.dumps(report.to_json() | {"damage": found}))
         return 0
-    _say(f"{args.out}: profile of '{name}' from {len(args.logs)} logs")
+    more = "updated with" if args.update else "from"
+    _say(f"{out}: profile of '{name}' {more} {len(args.logs)} logs")
     for line in report.text():
         _say(line)
     _say("Thresholds stand in profile.toml and may be edited; fit.txt and fit.png tell what the fit is worth.")
     return 0
+
+
+def _check_fit(args: argparse.Namespace) -> None:
+    """Refuse options of ``fauio fit`` that contradict each other."""
+    if args.update is None and args.vehicle is None:
+        raise UsageError(f"--vehicle is missing: one of {', '.join(kind.name for kind in KINDS)}")
+    if args.update is None and args.out is None:
+        raise UsageError("-o PROFILE is missing: the folder to write")
+    if args.start < 0.0 or (args.end is not None and not args.start < args.end):
+        raise UsageError("--start and --end are seconds into each log, the first from 0 on and before the second")
+    if args.rate is not None and not 0.0 < args.rate <= _FASTEST_HZ:
+        raise UsageError(f"--rate {args.rate:g}: has to be above 0 and at most {_FASTEST_HZ:g} samples a second")
 
 
 def run_convert(args: argparse.Namespace) -> int:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import tomli_w
 
@@ -16,11 +18,24 @@ from adapters.output_file import write_file
 from monitor.fitting.fit_report import draw_comparison
 from monitor.fitting.fitted import BatchSource, FitRequest, Fitted, kept_logs
 from monitor.fitting.flights import phase_reports
+from monitor.fitting.kept_flights import (
+    FOLDER,
+    MODEL,
+    Extent,
+    KeptFit,
+    KeptFlight,
+    extent_of,
+    kept_model,
+    read_kept,
+    with_edits,
+    write_kept,
+)
 from monitor.fitting.raw_streams import hidden
 from monitor.fitting.survey import Survey, of_one_vehicle, survey
-from monitor.profile import PROFILE_FILE, Profile, profile_table
+from monitor.profile import PROFILE_FILE, Profile, profile_table, read_profile
 from monitor.sampling.gate import GateRule
 from monitor.sampling.identity import Identity, Reports, common_identity
+from monitor.sampling.phase import FlightPhase
 from monitor.sampling.slow_telemetry import slow_messages, slow_text
 from monitor.vehicles.base import VehicleKind, likely_kinds, load
 from monitor.vehicles.inertial.fit import OBSERVER, fit_inertial
@@ -47,6 +62,10 @@ class FitReport:
         What makes the profile worse than it could be.
     set_aside : Path | None
         Where the profile.toml went that stood in the folder before, with what a person may have edited in it.
+    edits : tuple[str, ...]
+        What of it was kept, of a profile that was updated.
+    left_out : tuple[str, ...]
+        Flights that the profile no longer keeps, for lack of room: updates to come are without them.
     """
 
     vehicle: str
@@ -54,6 +73,8 @@ class FitReport:
     notes: tuple[str, ...]
     warnings: tuple[str, ...] = ()
     set_aside: Path | None = None
+    edits: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as a JSON object."""
@@ -63,6 +84,8 @@ class FitReport:
             "notes": list(self.notes),
             **({"warnings": list(self.warnings)} if self.warnings else {}),
             **({"set_aside": str(self.set_aside)} if self.set_aside is not None else {}),
+            **({"edits": list(self.edits)} if self.edits else {}),
+            **({"left_out": list(self.left_out)} if self.left_out else {}),
         }
 
     def text(self, details: bool = False) -> list[str]:
@@ -80,13 +103,16 @@ def fit_profile(
     *,
     log_names: Sequence[str] = (),
     force: bool = False,
+    rate_hz: float | None = None,
+    stage: Callable[[str], None] = lambda _: None,
+    update: Path | None = None,
 ) -> FitReport:
     """Write a profile.
 
     Parameters
     ----------
     kind : str
-        Name of one of :data:`monitor.vehicles.kinds.KINDS`.
+        Name of one of :data:`monitor.vehicles.kinds.KINDS`; with ``update`` it may be empty, for the profile's own.
     logs : Sequence[BatchSource]
         Healthy recordings; each call of a log goes through it once from the start.
     folder : Path
@@ -99,41 +125,111 @@ def fit_profile(
         What the recordings are called; empty: by their numbers.
     force : bool
         Whether to go on where a recording says it is of another kind of vehicle, or of another vehicle than the first.
+    rate_hz : float | None
+        Samples per second of the vehicle's own observer, at most as many as its messages allow; None: as many.
+    stage : Callable[[str], None]
+        Called with each stage that is done.
+    update : Path | None
+        Profile whose flights are fitted too, from what it keeps of them, and whose edits are kept.
 
     Raises
     ------
     OtherVehicleError
         A recording says so, and nothing forces it.
+    UsageError, ProfileError
+        The rate is more than the messages allow; the profile to update is of another kind, keeps nothing of its
+        flights, or has a recording already.
     TelemetryError, ModelError, InfeasibleError
         The recordings do not hold what is needed, do not excite an axis, or allow no certified design.
     """
+    before = None if update is None else _Before(update, read_profile(update), read_kept(update))
+    if before is not None:
+        if kind not in ("", before.profile.vehicle):
+            raise UsageError(f"--vehicle {kind}: {before.folder} is the profile of kind {before.profile.vehicle}")
+        kind, model, rate_hz = before.profile.vehicle, model or before.model, rate_hz or before.kept.rate_hz
     vehicle = kind_named(kind)
     if vehicle.needs_model != (model is not None):
         raise UsageError(f"--vehicle {kind}: {'needs' if model is None else 'takes no'} --model MODEL.toml")
-    names = tuple(log_names) or tuple(f"recording {number}" for number in range(1, len(logs) + 1))
+    flights = () if before is None else before.kept.flights
+    stored = [partial(one.batches, before.folder) for one in flights] if before is not None else []
+    sources = kept_logs([*stored, *logs])
+    names = (*(one.name for one in flights), *(log_names or FitRequest(name, logs).names))
+    added: list[tuple[str, Extent]] = []
     surveyed: list[SurveyedLog] = []
-    if not vehicle.needs_model:
-        kept = kept_logs(logs)
-        for log, log_name in zip(kept, names, strict=True):
-            surveyed.append(survey_log(log_name, log))
+    for number, (log, log_name) in enumerate(zip(sources, names, strict=True)):
+        if number >= len(flights):
+            added.append((Path(log_name).name, extent_of(log)))
+            _check_new(added[-1], flights)
+        if not vehicle.needs_model:
+            surveyed.append(survey_log(log_name, log, None if before is None else before.profile.identity))
             if not force:
                 check_vehicle(vehicle, surveyed)
-        logs = [lambda log=log: of_one_vehicle(log()) for log in kept]  # type: ignore[misc]
+        stage(f"read {log_name} ({number + 1} of {len(names)})")
+    if not vehicle.needs_model:
+        sources = [partial(_of_one_vehicle, log) for log in sources]
     surveys = tuple(one.survey for one in surveyed)
-    request = FitRequest(name, logs, surveys, model)
-    own, gate = load(vehicle.fit)(request)
-    observers: list[Fitted] = [own]
+    request = FitRequest(name, sources, surveys, model, [Path(one).name for one in names], rate_hz)
+    fitted, gate = load(vehicle.fit)(request)
+    if fitted.agreement is not None and (apart := fitted.agreement.left_out):
+        request = request.without(apart)
+        again, gate = load(vehicle.fit)(request)
+        fitted = replace(again, agreement=fitted.agreement)
+    observers: list[Fitted] = [fitted]
+    stage(f"identified, designed and calibrated {fitted.name}")
     notes: list[str] = []
     if vehicle.inertial_too:
         try:
             observers.append(fit_inertial(request, gate))
+            stage("calibrated and designed inertial")
         except (TelemetryError, ModelError, InfeasibleError) as error:
             notes.append(f"inertial: {error}")
     warnings = (*_slow(vehicle, surveys, observers), *_hidden(surveys, observers)) if surveys else ()
-    measured = tuple(_measured(fitted, request, kind, gate) for fitted in observers)
+    measured = tuple(_measured(one, request, kind, gate) for one in observers)
+    stage("measured what will be detected")
     report = FitReport(kind, measured, tuple(notes), warnings)
     identity = common_identity(one.identity for one in surveyed)
-    return replace(report, set_aside=write_profile(folder, name, kind, gate, report, identity))
+    content = profile_content(name, kind, gate, report, identity)
+    edits: list[str] = []
+    merged = content
+    if before is not None:
+        merged, edits = with_edits(content, before.kept.written, before.edited)
+    set_aside = write_profile(folder, name, report, merged)
+    new = [(*one, log) for one, log in zip(added, sources[len(flights) :], strict=True)]
+    wanted = {channel.message for one in observers for channel in one.source.channels} | FlightPhase.interests
+    left_out = write_kept(folder, content, rate_hz, flights, new, wanted, update)
+    if model is not None:
+        write_file(folder / FOLDER / MODEL, model.read_bytes())
+    return replace(report, set_aside=set_aside, edits=tuple(edits), left_out=left_out)
+
+
+class _Before(NamedTuple):
+    """The profile that is updated."""
+
+    folder: Path
+    profile: Profile
+    kept: KeptFit
+
+    @property
+    def model(self) -> Path | None:
+        """The model file of a custom vehicle."""
+        return kept_model(self.folder)
+
+    @property
+    def edited(self) -> dict[str, Any]:
+        """The profile's table as it is now."""
+        return tomllib.loads(self.profile.files[PROFILE_FILE].decode())
+
+
+def _of_one_vehicle(log: BatchSource) -> Iterable[Batch]:
+    return of_one_vehicle(log())
+
+
+def _check_new(added: tuple[str, Extent], flights: Sequence[KeptFlight]) -> None:
+    """Make sure that a recording is none of those that a profile was fitted to."""
+    name, span = added
+    for one in flights:
+        if one.span == span:
+            raise UsageError(f"{name}: the profile was fitted to it already, as {one.name}; leave it out")
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,8 +241,8 @@ class SurveyedLog:
     identity: Identity
 
 
-def survey_log(name: str, log: BatchSource) -> SurveyedLog:
-    """Go through a recording once, for the vehicle that sends what is fitted."""
+def survey_log(name: str, log: BatchSource, known: Identity | None = None) -> SurveyedLog:
+    """Go through a recording once, for the vehicle that sends what is fitted, of which ``known`` is known."""
     reports: dict[int, Reports] = {}
     systems: set[int] = set()
 
@@ -165,7 +261,10 @@ def survey_log(name: str, log: BatchSource) -> SurveyedLog:
     found = survey(chosen(of_one_vehicle(followed(log()))))
     # an onboard log's own records have no system
     said = reports.get(0, Reports()).joined(reports.get(max(systems, default=0), Reports()))
-    return SurveyedLog(name, found, said.identity)
+    identity = said.identity
+    if known is not None and identity.difference(known) is None:
+        identity = common_identity([identity, known])
+    return SurveyedLog(name, found, identity)
 
 
 def check_vehicle(kind: VehicleKind, surveyed: Sequence[SurveyedLog]) -> None:
@@ -192,21 +291,23 @@ def check_vehicle(kind: VehicleKind, surveyed: Sequence[SurveyedLog]) -> None:
             )
 
 
-def write_profile(
-    folder: Path, name: str, kind: str, gate: GateRule, report: FitReport, identity: Identity
-) -> Path | None:
-    """Write what was fitted as a profile folder; return where another profile.toml went that stood there."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for fitted in report.observers:
-        fitted.write(folder)
+def profile_content(name: str, kind: str, gate: GateRule, report: FitReport, identity: Identity) -> dict[str, Any]:
+    """Return profile.toml of what was fitted."""
     tables = {fitted.name: fitted.table() for fitted in report.observers}
     known = {found.rule.channel for fitted in report.observers for found in fitted.alarms}
     rules = (rule for fitted in report.observers for rule in fitted.excuses)
     excuses = [rule for rule in rules if known.issuperset((*rule.channels, *rule.by))]
-    content = profile_table(name=name, vehicle=kind, identity=identity, gate=gate, observers=tables, excuses=excuses)
+    return profile_table(name=name, vehicle=kind, identity=identity, gate=gate, observers=tables, excuses=excuses)
+
+
+def write_profile(folder: Path, name: str, report: FitReport, content: Mapping[str, Any]) -> Path | None:
+    """Write what was fitted as a profile folder; return where another profile.toml went that stood there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for fitted in report.observers:
+        fitted.write(folder)
     set_aside = replace_kept(folder / PROFILE_FILE, tomli_w.dumps(content, multiline_strings=False))
     write_file(folder / "fit.json", json.dumps(report.to_json(), indent=1) + "\n")
-    write_file(folder / "fit.txt", "\n".join([f"{name} ({kind})", *report.text(details=True)]) + "\n")
+    write_file(folder / "fit.txt", "\n".join([f"{name} ({report.vehicle})", *report.text(details=True)]) + "\n")
     drawn = {fitted.name: fitted.comparison for fitted in report.observers if fitted.comparison is not None}
     for observer, comparison in drawn.items():
         file = "fit.png" if len(drawn) == 1 else f"fit.{observer}.png"

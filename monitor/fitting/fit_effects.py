@@ -25,6 +25,7 @@ from gains.synthesis.gains_file import Gains
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.isolation_rule import IndependentRule
+from monitor.fitting.agreement import Agreement, ComparedEffect, FlightEffects, agreement, flight_effects
 from monitor.fitting.calibrate import SETTLE_S
 from monitor.fitting.effect_signals import EffectSignals
 from monitor.fitting.effectiveness import HealthyRun, calibrate_effectiveness, response_delay_s
@@ -96,6 +97,9 @@ _SMOOTHING_S = 0.05
 _LEAST_RUN_S = 1.0
 """Shorter stretches of evidence, after settling, hold fewer than ten independent samples."""
 # Evidence is exactly zero where nothing is certain, so any size tells.
+_SCATTER = 0.03
+"""Least scatter between recordings of an actuator's effect. Chosen: speed and air, by which deflections are scaled, are
+known within some per cent."""
 _THRESHOLD, _CLEAR, _CRITICAL = 0.001, 0.0005, 0.25
 _RAISE_S, _CLEAR_S = 0.15, 0.3
 
@@ -134,7 +138,7 @@ def fit_effects(
     TelemetryError, ModelError, InfeasibleError
         The recordings do not hold what is needed, excite no axis, or allow no certified design.
     """
-    rate_hz = min(signals.rate_hz, _OBSERVER_HZ)
+    rate_hz = request.fraction_hz(signals.rate_hz, min(signals.rate_hz, _OBSERVER_HZ))
     source = SampleSource(inputs=signals.channels)
     raw = [flight_samples(log(), source, signals.rate_hz, replace(gate, airborne_command=0.0)) for log in request.logs]
     reference = _reference_speed(kind, raw)
@@ -183,6 +187,7 @@ def fit_effects(
         lines=tuple(_lines(fit, rate_hz, reference, reading)),
         details=() if comparison is None else ("on data kept back:", *comparison_lines(comparison)),
         comparison=comparison,
+        agreement=_agreement(plant, gains.faults, request.names, [flight.segments() for flight in flights]),
     )
     return fitted, gate
 
@@ -246,6 +251,34 @@ def _observed(gains: Gains, flight: Flight) -> list[tuple[NDArray[np.float64], N
         for rows in flight.stretches(at_restart=True)
         if rows.stop - rows.start > least
     ]
+
+
+def _agreement(
+    plant: Plant, actuators: Sequence[str], names: Sequence[str], flights: Sequence[Sequence[Segment]]
+) -> Agreement:
+    """Compare the share of its pooled effect that each actuator has in a recording with that in the others.
+
+    Offsets of the outputs are each recording's own.
+    """
+    effects = [ComparedEffect(name, f"{name} acts {{}} less", f"{name} acts {{}} more", _SCATTER) for name in actuators]
+    places = [plant.inputs.index(name) for name in actuators]
+    others = [place for place in range(len(plant.inputs)) if place not in places]
+    n, rate_hz = len(plant.states), plant.rate_hz or 1.0
+    std = np.array([disturbance.scale for disturbance in plant.disturbances])
+    found: list[FlightEffects | str] = []
+    for name, segments in zip(names, flights, strict=True):
+        usable = [segment for segment in segments if len(segment.u) > 1]
+        if not usable:
+            found.append(name)
+            continue
+        u = np.concatenate([segment.u[:-1] for segment in usable])
+        now, after = (np.concatenate([one.y[part] for one in usable]) for part in (slice(None, -1), slice(1, None)))
+        offsets = np.broadcast_to(np.eye(n), (len(u), n, n))
+        regressors = np.concatenate([u[:, None, places] * plant.B[:, places], offsets], axis=2)
+        target = after - now @ plant.A.T - u[:, others] @ plant.B[:, others].T
+        one = flight_effects(name, regressors, target, std, rate_hz)
+        found.append(one if isinstance(one, str) else one.first(len(places)))
+    return agreement(effects, found)
 
 
 def _findings(

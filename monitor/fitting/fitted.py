@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.batch import Batch, memory_bytes
+from adapters.errors import UsageError
 from gains.plants.model_file import write_model
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, write_gains
@@ -18,6 +19,7 @@ from monitor.alarms.alarm import AlarmRule
 from monitor.alarms.excuse import ExcuseRule
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.isolation_rule import BankRule, IsolationRule, gains_file_names
+from monitor.fitting.agreement import Agreement
 from monitor.fitting.capability import Capability, capability_text
 from monitor.fitting.fit_report import Comparison
 from monitor.fitting.survey import Survey
@@ -73,6 +75,39 @@ class FitRequest:
     logs: Sequence[BatchSource]  # healthy recordings
     surveys: Sequence[Survey] = ()  # what each of them holds; empty for a kind that needs a model
     model: Path | None = None  # model file with free parameters, of a kind that needs one
+    log_names: Sequence[str] = ()  # what the recordings are called
+    rate_hz: float | None = None  # samples per second of the observer; None: as the messages come
+
+    def without(self, names: Collection[str]) -> FitRequest:
+        """Return the request without some of its recordings."""
+        kept = [number for number, name in enumerate(self.names) if name not in names]
+        return replace(
+            self,
+            logs=[self.logs[number] for number in kept],
+            surveys=[self.surveys[number] for number in kept] if self.surveys else (),
+            log_names=[self.names[number] for number in kept],
+        )
+
+    def grid_hz(self, most_hz: float) -> float:
+        """Return the samples per second of an observer whose messages allow ``most_hz``; refuse more."""
+        if self.rate_hz is None:
+            return most_hz
+        if self.rate_hz > most_hz:
+            raise UsageError(
+                f"--rate {self.rate_hz:g}: the recordings allow {most_hz:g} samples a second; ask for that or less"
+            )
+        return self.rate_hz
+
+    def fraction_hz(self, signal_hz: float, usual_hz: float) -> float:
+        """Return the samples per second behind a transform of signals: a whole fraction of theirs."""
+        if self.rate_hz is None:
+            return usual_hz
+        return signal_hz / max(1, round(signal_hz / self.grid_hz(signal_hz)))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the recordings are called; by their numbers where nobody says."""
+        return tuple(self.log_names) or tuple(f"recording {number}" for number in range(1, len(self.logs) + 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +131,7 @@ class Fitted:
     measured: bool = False  # whether to measure on the recordings what will be detected
     capability: tuple[Capability, ...] = ()  # what will be detected, and how fast
     excuses: tuple[ExcuseRule, ...] = ()  # which of its alarms explain evidence of which others
+    agreement: Agreement | None = None  # which flights disagree
 
     @property
     def sqrt_mu(self) -> float:
@@ -135,11 +171,17 @@ class Fitted:
         for gains, file in zip(self.gains, gains_file_names(self.name, hypotheses), strict=True):
             write_gains(gains, folder / file)
 
+    def _agreement(self, details: bool) -> list[str]:
+        if self.agreement is None:
+            return []
+        return self.agreement.details() if details else self.agreement.lines()
+
     def report(self) -> dict[str, Any]:
         """Return what was found as a JSON object."""
         return {
             **self.findings,
             "flight_s": self.flight_s,
+            **({"flights": self.agreement.to_json()} if self.agreement is not None else {}),
             "sqrt_mu": self.sqrt_mu,
             "alarms": {found.rule.channel: _alarm_report(found) for found in self.alarms},
             "capability": {one.channel: asdict(one) | {"text": capability_text(one)} for one in self.capability},
@@ -151,6 +193,7 @@ class Fitted:
             f"{self.name}: {self.flight_s:.0f} s of healthy samples, certified sqrt(mu) {self.sqrt_mu:.4g}",
             *(f"  {line}" for line in self.lines),
             *(f"  {line}" for line in self.details if details),
+            *(f"  {line}" for line in self._agreement(details)),
             *(f"  sees {capability_text(one)}" for one in self.capability),
         ]
 

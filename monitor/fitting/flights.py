@@ -9,7 +9,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.batch import Batch, cut, one_message
+from adapters.batch import Batch, Columns, cut, gathered, one_message, rows_of
+from adapters.errors import TelemetryError
 from adapters.message import Message
 from adapters.sample import Samples
 from gains.identification.segment import Segment
@@ -66,6 +67,47 @@ class Flight:
             breaks |= self.samples.restart[rows[1:]]
         for stretch in np.split(rows, np.flatnonzero(breaks) + 1) if len(rows) else ():
             yield slice(int(stretch[0]), int(stretch[-1]) + 1)
+
+
+def part_of(batches: Iterable[Batch], start_s: float, end_s: float | None, name: str) -> Iterator[Batch]:
+    """Yield the messages of a recording from ``start_s`` to ``end_s`` seconds after its first one arrived.
+
+    What tells the phase of flight, and which vehicle it is, comes along from before.
+
+    Raises
+    ------
+    TelemetryError
+        The recording, called ``name``, ends before.
+    """
+    first_ns = last_ns = None
+    inside = False
+    for batch in batches:
+        arrivals = [(columns.received_ns[0], columns.received_ns[-1]) for columns in batch.columns]
+        arrivals += [(message.received_ns, message.received_ns) for message in batch.others.values()]
+        first_ns = min(int(first) for first, _ in arrivals) if first_ns is None and arrivals else first_ns
+        if first_ns is None:
+            continue
+        last_ns = max([int(last) for _, last in arrivals] + ([last_ns] if last_ns is not None else []))
+        start_ns = first_ns + round(start_s * 1e9)
+        end_ns = first_ns + round(end_s * 1e9) if end_s is not None else last_ns + 1
+        others = {
+            at: message
+            for at, message in batch.others.items()
+            if message.received_ns < end_ns
+            and (message.received_ns >= start_ns or message.name in FlightPhase.interests)
+        }
+        parts = [_arrived(columns, start_ns, end_ns) for columns in batch.columns]
+        part = gathered([columns for columns in parts if len(columns.position)], others)
+        inside = inside or (last_ns >= start_ns and part.count > 0)
+        yield part
+    if not inside:
+        lasts_s = 0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
+        raise TelemetryError(f"{name}: lasts {lasts_s:.0f} s and holds nothing from --start {start_s:g} s on")
+
+
+def _arrived(columns: Columns, start_ns: int, end_ns: int) -> Columns:
+    since = 0 if columns.name in FlightPhase.interests else int(np.searchsorted(columns.received_ns, start_ns))
+    return rows_of(columns, slice(since, int(np.searchsorted(columns.received_ns, end_ns))))
 
 
 def flight_samples(batches: Iterable[Batch], source: SampleSource, rate_hz: float, gate: GateRule) -> Flight:

@@ -1,16 +1,48 @@
-"""A progress bar on a terminal, with the time that is left where the end is known; nothing in a pipe."""
+"""How far a long command has come: a bar on a terminal, with the time that is left; in a pipe a line for each stage."""
 
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
+
+from adapters.errors import printable
 
 T = TypeVar("T")
 
 _SHOW_EVERY = 2000
 """Messages between updates of the bar: some hundred updates per second would cost more than reading."""
+
+
+_PATIENCE_S = 5.0
+"""Chosen: what is refused within five seconds is refused in a single line."""
+
+
+class Stages:
+    """Says on stderr which stages are done, a line each, where that is no terminal.
+
+    The first lines wait until the command has run for a while, or is done: one that is refused soon says only why.
+    """
+
+    def __init__(self) -> None:
+        self._started_s = time.monotonic()
+        self._waiting: list[str] = []
+
+    def done(self, stage: str) -> None:
+        """Say that a stage is done."""
+        elapsed_s = time.monotonic() - self._started_s
+        self._waiting.append(f"{printable(f'fauio: {elapsed_s:.0f} s: {stage}')}\n")
+        if elapsed_s >= _PATIENCE_S:
+            self.flush()
+
+    def flush(self) -> None:
+        """Say what waits to be said."""
+        if not sys.stderr.isatty():
+            sys.stderr.writelines(self._waiting)
+            sys.stderr.flush()
+        self._waiting.clear()
 
 
 def track(

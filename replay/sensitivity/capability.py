@@ -13,7 +13,7 @@ from math import inf
 
 import numpy as np
 
-from adapters.batch import named
+from adapters.batch import of_names
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.input_curve import effect_of_command
 from monitor.fitting.capability import Capability, Detection
@@ -68,7 +68,7 @@ def measure_capability(
     """
     [observer] = profile.observers
     wanted = Pipeline(profile).interests
-    played = (play_healthy(profile, (named(batch, wanted) for batch in log())) for log in logs)
+    played = (play_healthy(profile, (of_names(batch, wanted) for batch in log())) for log in logs)
     recordings = [recording for recording in played if observer.name in recording.flights]
     thresholds = {rule.channel: rule.threshold for rule in observer.alarms}
     limits = sorted(within_s, reverse=True)

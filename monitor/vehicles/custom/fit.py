@@ -88,7 +88,7 @@ def fit_custom(request: FitRequest) -> tuple[Fitted, GateRule]:
     gate = _gate(model)
     names = {channel.message for channel in source.channels}
     own = [partial(_of_one_system, log, names) for log in logs]
-    rate_hz = model.example.rate_hz or _rate_hz(own, source.channels, str(model_path))
+    rate_hz = request.grid_hz(model.example.rate_hz or _rate_hz(own, source.channels, str(model_path)))
     stretches = [flight_samples(log(), source, rate_hz, gate).segments() for log in own]
     segments = [segment for flight in stretches for segment in flight]
     fit = identify(model, *split_segments(stretches), rate_hz)

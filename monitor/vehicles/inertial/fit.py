@@ -125,11 +125,13 @@ def fit_alone(request: FitRequest) -> tuple[Fitted, GateRule]:
     """
     names = [name for survey in request.surveys for name in survey.vehicle_types]
     gate = GateRule(settle_s=SETTLE_S, require_airborne=any(word in name for name in names for word in _FLYING))
-    return fit_inertial(request, gate), gate
+    return fit_inertial(request, gate, alone=True), gate
 
 
-def fit_inertial(request: FitRequest, gate: GateRule) -> Fitted:
+def fit_inertial(request: FitRequest, gate: GateRule, *, alone: bool = False) -> Fitted:
     """Measure on healthy recordings how well the sensors agree, design the bank, calibrate its alarms.
+
+    ``alone``: it is the vehicle's only observer, whose rate may be asked for.
 
     Raises
     ------
@@ -141,6 +143,8 @@ def fit_inertial(request: FitRequest, gate: GateRule) -> Fitted:
     settle_s = BARE_SETTLE_S if channels.parameters["gps"] == BARE_POSITIONS else _SETTLE_S
     gate = replace(gate, settle_s=max(gate.settle_s, settle_s))
     signal_hz, rate_hz = _rates(inertial_rate_hz(surveys, channels))
+    if alone:
+        rate_hz = request.fraction_hz(signal_hz, rate_hz)
     raw_source = SampleSource(inputs=channels.channels)
     raw = [flight_samples(log(), raw_source, signal_hz, replace(gate, airborne_command=0.0)) for log in logs]
     parameters = {

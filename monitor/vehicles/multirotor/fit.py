@@ -33,6 +33,7 @@ from monitor.fitting.thresholds import (
 from monitor.profile import FaultChannel
 from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource
+from monitor.vehicles.multirotor.flight_motors import motor_agreement
 from monitor.vehicles.multirotor.frames import Frame, frame_of
 from monitor.vehicles.multirotor.identify import GYROS, RATE_AXES, MultirotorFit, identify_multirotor, multirotor_plant
 from monitor.vehicles.multirotor.signals import motor_commands, multirotor_channels, range_text
@@ -69,8 +70,9 @@ def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> t
         Number of taps of the model's lag that was found, None without a fit.
     """
     training, rest = split_segments(flights)
+    places = {id(segment.u): number for number, flight in enumerate(flights) for segment in flight}
     try:
-        fit = identify_multirotor(training, rate_hz)
+        fit = identify_multirotor(training, rate_hz, flights=[places.get(id(one.u), -1) for one in training])
     except ModelError:
         return None, None
     usable = [segment for segment in rest if len(segment.u) > (HORIZON_S + 1.0) * rate_hz + len(fit.taps)]
@@ -183,6 +185,7 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
         details=identified.details,
         comparison=identified.comparison,
         measured=True,
+        agreement=motor_agreement(model, request.names, [flight.segments() for flight in identified.flights], motors),
     )
     return fitted, gate
 
@@ -190,12 +193,13 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
 def _fast(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], outputs: Sequence[Channel]) -> _Identified:
     """Identify how the body rates answer the commands, sample by sample."""
     source = SampleSource(tuple(inputs), tuple(outputs))
-    rate_hz = common_rate_hz(request.surveys, source.channels)
+    rate_hz = request.grid_hz(common_rate_hz(request.surveys, source.channels))
     flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]
     stretches = [flight.segments() for flight in flights]
     segments = [segment for flight in stretches for segment in flight]
+    numbers = [number for number, flight in enumerate(stretches) for _ in flight]
     comparison, taps = compare_kept_back(stretches, rate_hz)
-    model = identify_multirotor(segments, rate_hz, taps)
+    model = identify_multirotor(segments, rate_hz, taps, numbers)
     uncertainty, drift = motor_uncertainty(model, segments), response_drift(model, stretches)
     motors = tuple(channel.name for channel in inputs)
     explained = ", ".join(f"{axis} {100 * share:.1f} %" for axis, share in zip(_AXES, model.explained, strict=True))
@@ -227,7 +231,9 @@ def _slow(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], output
     commands_hz = min(survey.rate_hz[MOTOR_MESSAGE] for survey in request.surveys)
     rates = tuple(outputs[: len(RATE_AXES)])
     source = SampleSource(tuple(replace(channel, interpolation="mean") for channel in inputs), rates)
-    rate_hz = min(float(f"{commands_hz / COMMANDS_PER_TICK:.3g}"), common_rate_hz(request.surveys, rates))
+    rate_hz = request.grid_hz(
+        min(float(f"{commands_hz / COMMANDS_PER_TICK:.3g}"), common_rate_hz(request.surveys, rates))
+    )
     flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]
     segments = usable_segments([segment for flight in flights for segment in flight.segments()], rate_hz)
     frame, origin = _frame(request, gate, inputs, rates)

@@ -89,8 +89,13 @@ class _Regression:
     after: NDArray[np.float64]
 
 
-def identify_multirotor(segments: Sequence[Segment], rate_hz: float, taps: int | None = None) -> MultirotorFit:
+def identify_multirotor(
+    segments: Sequence[Segment], rate_hz: float, taps: int | None = None, flights: Sequence[int] | None = None
+) -> MultirotorFit:
     """Fit the model of the module's docstring by alternating least squares.
+
+    Each flight has offsets c of its own, of which the fit keeps the mean: another payload or propeller moves the mean
+    commands, and taken for the motion's cause that would be the end of every effect.
 
     Parameters
     ----------
@@ -100,6 +105,8 @@ def identify_multirotor(segments: Sequence[Segment], rate_hz: float, taps: int |
         Samples per second of the grid.
     taps : int | None
         Number of taps; None takes the fewest that are as good as the longest delay's.
+    flights : Sequence[int] | None
+        Which flight each segment is of; None: all of one.
 
     Raises
     ------
@@ -107,15 +114,17 @@ def identify_multirotor(segments: Sequence[Segment], rate_hz: float, taps: int |
         Too few samples, fewer motors than axes to tell apart, or an axis that was not excited.
     """
     longest = max(2, round(_MAX_DELAY_S * rate_hz))
+    numbers = [0] * len(segments) if flights is None else flights
     usable = [segment for segment in segments if len(segment.u) > longest + 2]
+    of = [number for number, segment in zip(numbers, segments, strict=True) if len(segment.u) > longest + 2]
     samples = sum(len(segment.u) - longest - 1 for segment in usable)
     if not usable or samples < 20 * rate_hz:
         raise ModelError(
             f"only {samples / rate_hz:.0f} s of healthy flight in the logs; at least 20 s in the air are needed"
         )
-    best = _alternate(_regression(usable, taps or longest, skip=longest))
+    best = _alternate(_regression(usable, of, taps or longest, skip=longest))
     for length in range(1, longest if taps is None else 0):
-        shorter = _alternate(_regression(usable, length, skip=longest))
+        shorter = _alternate(_regression(usable, of, length, skip=longest))
         if np.all(shorter.std <= 1.01 * best.std):
             best = shorter
             break
@@ -229,14 +238,24 @@ class _Alternation:
     t_value: NDArray[np.float64]
 
 
-def _regression(segments: Sequence[Segment], length: int, skip: int | None = None) -> _Regression:
-    skip = length if skip is None else skip
+def _regression(segments: Sequence[Segment], flights: Sequence[int], length: int, skip: int) -> _Regression:
     u = [np.vstack([s.u[skip - d : len(s.u) - 1 - d] for s in segments]) for d in range(length)]
+    flight = np.repeat(flights, [len(s.u) - skip - 1 for s in segments])
+
+    def within(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take each flight's mean away, and the mean of all instead: offsets of flights no longer matter."""
+        if len(set(flights)) == 1:
+            return values
+        centred = values.copy()
+        for number in set(flights):
+            centred[flight == number] -= values[flight == number].mean(axis=0)
+        return np.asarray(centred + values.mean(axis=0))
+
     return _Regression(
-        u=u,
-        u2=[block**2 for block in u],
-        now=np.vstack([s.y[skip:-1, :3] for s in segments]),
-        after=np.vstack([s.y[skip + 1 :, :3] for s in segments]),
+        u=[within(block) for block in u],
+        u2=[within(block**2) for block in u],
+        now=within(np.vstack([s.y[skip:-1, :3] for s in segments])),
+        after=within(np.vstack([s.y[skip + 1 :, :3] for s in segments])),
     )
 
 

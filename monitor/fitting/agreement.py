@@ -1,0 +1,281 @@
+"""Which of a vehicle's flights disagree: each one's own estimate of the effects against that of the others.
+
+Flights of one vehicle differ by more than their standard errors say: batteries, wind, trim. So between flights there is
+a scatter tau of its own, estimated from the others (DerSimonian and Laird, Controlled Clinical Trials 7, 1986), and a
+flight f disagrees where
+
+    (x_f - m)' (C_f + diag(tau^2 + v))^-1 (x_f - m)     x_f, C_f: its estimates and their covariance; m, v: mean and
+                                                        its variance of the others, weighted 1 / (C + tau^2)
+
+is larger than a chi-square of as many degrees of freedom as there are estimates is by chance. One that is far off is
+left out where two thirds of the flights agree: thresholds that have to bear a propeller that was cut for one flight see
+none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+_CHANCE = 1e-3
+"""A fit says that some flight disagrees where none does once in a thousand fits."""
+_SIGMA = 3.0
+"""Estimates that are named: those three standard deviations off and more."""
+_FAR, _FAR_SIGMA = 0.05, 5.0
+"""A flight is left out where an estimate is apart from the others' by 5 %, of which a profile makes an alarm, and by
+five standard deviations, which chance does not do."""
+_LEFT_OUT = 1.0 / 3.0
+"""Share of the flights that may be left out: of more nobody knows which are right."""
+_MOST_NAMED = 3
+"""Chosen: what a line can hold."""
+_BLOCK_S = (2.0, 5.0)
+"""Shortest and longest blocks whose errors are taken as independent, seconds: gusts and manoeuvres take some. There
+have to be twice as many as coefficients, or their covariance is of no use: a flight that is shorter says nothing.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedEffect:
+    """An estimate that each flight makes: its name, what it says when it is smaller or larger than in the others.
+
+    ``scatter`` is the least that healthy flights scatter, whatever their standard errors are.
+    """
+
+    name: str
+    less: str
+    more: str
+    scatter: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightEffects:
+    """What one flight says of the effects.
+
+    ``values`` (k,) and ``covariance`` (k, k) are in shares, of the pooled effects for instance;
+    ``seconds`` is the healthy flight they are from.
+    """
+
+    name: str
+    seconds: float
+    values: FloatArray
+    covariance: FloatArray
+
+    def first(self, count: int) -> FlightEffects:
+        """Return the first estimates alone."""
+        return FlightEffects(self.name, self.seconds, self.values[:count], self.covariance[:count, :count])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightVerdict:
+    """How one flight goes with the others.
+
+    ``weight`` is its share in the mean of all, ``apart`` how far each estimate is from the others' mean and ``sigma``
+    how many standard deviations that is (k,). ``chi_square`` of ``freedom`` degrees is exceeded by chance with
+    probability ``chance``.
+    """
+
+    name: str
+    seconds: float
+    weight: float
+    apart: FloatArray
+    sigma: FloatArray
+    chi_square: float
+    freedom: int
+    chance: float
+    disagrees: bool
+    left_out: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agreement:
+    """How the flights of a fit go together; ``silent`` are those too short to say anything."""
+
+    effects: tuple[ComparedEffect, ...]
+    verdicts: tuple[FlightVerdict, ...]
+    silent: tuple[str, ...] = ()
+
+    def lines(self) -> list[str]:
+        """Return a line for each flight that disagrees."""
+        return [
+            f"{one.name} disagrees with the other flights{' and is left out' if one.left_out else ''}: {self._why(one)}"
+            for one in self.verdicts
+            if one.disagrees
+        ]
+
+    @property
+    def left_out(self) -> frozenset[str]:
+        """Names of the flights that are left out."""
+        return frozenset(one.name for one in self.verdicts if one.left_out)
+
+    def details(self) -> list[str]:
+        """Return a line for each flight: how long it is, what it counts, how it goes with the others."""
+        found = [
+            f"{one.name}: {one.seconds:.0f} s, weight {100 * one.weight:.0f} %, chi-square {one.chi_square:.1f} of "
+            f"{one.freedom}"
+            + (f": disagrees, {self._why(one)}" if one.disagrees else "")
+            + ("; left out" if one.left_out else "")
+            for one in self.verdicts
+        ]
+        return ["flights, each against the others:", *(f"  {line}" for line in found)] if found else []
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Return the verdicts as JSON objects."""
+        names = [effect.name for effect in self.effects]
+        return [
+            {
+                "flight": one.name,
+                "seconds": one.seconds,
+                "weight": one.weight,
+                "chi_square": one.chi_square,
+                "degrees_of_freedom": one.freedom,
+                "chance": one.chance,
+                "disagrees": one.disagrees,
+                "left_out": one.left_out,
+                "apart": dict(zip(names, one.apart.tolist(), strict=True)),
+                "sigma": dict(zip(names, one.sigma.tolist(), strict=True)),
+            }
+            for one in self.verdicts
+        ]
+
+    def _why(self, one: FlightVerdict) -> str:
+        order = np.argsort(-np.abs(one.sigma))[:_MOST_NAMED]
+        named = [k for k in order if abs(one.sigma[k]) >= _SIGMA] or order[:1].tolist()
+        said = [
+            (self.effects[k].more if one.apart[k] > 0.0 else self.effects[k].less).format(
+                f"{100 * abs(one.apart[k]):.0f} %"
+            )
+            + f" ({abs(one.sigma[k]):.0f} sigma)"
+            for k in named
+        ]
+        return ", ".join(said)
+
+
+def agreement(effects: Sequence[ComparedEffect], flights: Sequence[FlightEffects | str]) -> Agreement:
+    """Compare each flight with the others.
+
+    Parameters
+    ----------
+    effects : Sequence[ComparedEffect]
+        What each flight estimates (k).
+    flights : Sequence[FlightEffects | str]
+        The flights; of one that says nothing, its name.
+    """
+    speaking = [flight for flight in flights if isinstance(flight, FlightEffects)]
+    silent = tuple(flight for flight in flights if isinstance(flight, str))
+    least = np.array([effect.scatter for effect in effects]) ** 2
+    left: set[int] = set()
+    most = int(_LEFT_OUT * len(speaking))
+    verdicts: list[FlightVerdict] = []
+    while len(speaking) > 1:
+        verdicts = [_verdict(speaking, at, left, least) for at in range(len(speaking))]
+        far = [at for at, one in enumerate(verdicts) if at not in left and _is_far(one)]
+        if not far or len(left) >= most:
+            break
+        left.add(max(far, key=lambda at: verdicts[at].chi_square))
+    shares = _weights(speaking, left, least)
+    return Agreement(
+        tuple(effects),
+        tuple(
+            replace(one, left_out=at in left, weight=share)
+            for at, (one, share) in enumerate(zip(verdicts, shares, strict=False))
+        ),
+        silent,
+    )
+
+
+def _verdict(flights: Sequence[FlightEffects], at: int, left: Collection[int], least: FloatArray) -> FlightVerdict:
+    """Compare a flight with the others that are not left out."""
+    flight = flights[at]
+    others = [one for number, one in enumerate(flights) if number != at and number not in left]
+    values = np.array([one.values for one in others])
+    variances = np.array([np.diag(one.covariance) for one in others])
+    tau2 = _scatter(values, variances, least)
+    weight = 1.0 / (variances + tau2)
+    apart = flight.values - (weight * values).sum(axis=0) / weight.sum(axis=0)
+    spread = flight.covariance + np.diag(tau2 + 1.0 / weight.sum(axis=0))
+    chi_square = float(apart @ np.linalg.solve(spread, apart))
+    chance = _chance(chi_square, len(apart))
+    return FlightVerdict(
+        name=flight.name,
+        seconds=flight.seconds,
+        weight=0.0,
+        apart=apart,
+        sigma=apart / np.sqrt(np.diag(spread)),
+        chi_square=chi_square,
+        freedom=len(apart),
+        chance=chance,
+        disagrees=chance < _CHANCE / len(flights),
+    )
+
+
+def _is_far(one: FlightVerdict) -> bool:
+    return one.disagrees and bool(np.any((np.abs(one.apart) >= _FAR) & (np.abs(one.sigma) >= _FAR_SIGMA)))
+
+
+def _weights(flights: Sequence[FlightEffects], left: Collection[int], least: FloatArray) -> list[float]:
+    """Return each flight's share in the mean of all that are not left out."""
+    kept = [number for number in range(len(flights)) if number not in left]
+    values = np.array([flights[number].values for number in kept])
+    variances = np.array([np.diag(flights[number].covariance) for number in kept])
+    if len(kept) < 1:
+        return []
+    weights = 1.0 / (variances + _scatter(values, variances, least))
+    shares = dict(zip(kept, (weights / weights.sum(axis=0)).mean(axis=1).tolist(), strict=True))
+    return [shares.get(number, 0.0) for number in range(len(flights))]
+
+
+def _scatter(values: FloatArray, variances: FloatArray, least: FloatArray) -> FloatArray:
+    """Return the variance between flights of each estimate (k,), by the moments of DerSimonian and Laird."""
+    count = len(values)
+    if count < 2:
+        return least
+    weight = 1.0 / np.maximum(variances, np.finfo(float).tiny)
+    mean = (weight * values).sum(axis=0) / weight.sum(axis=0)
+    excess = (weight * (values - mean) ** 2).sum(axis=0) - (count - 1)
+    room = weight.sum(axis=0) - (weight**2).sum(axis=0) / weight.sum(axis=0)
+    return np.asarray(np.maximum(excess / room, least))
+
+
+def _chance(chi_square: float, freedom: int) -> float:
+    from scipy.special import gammaincc
+
+    return float(gammaincc(0.5 * freedom, 0.5 * chi_square))
+
+
+def flight_effects(
+    name: str, regressors: FloatArray, target: FloatArray, std: FloatArray, rate_hz: float
+) -> FlightEffects | str:
+    """Estimate the effects in one flight by least squares; return its name where it is too short to tell.
+
+    Parameters
+    ----------
+    name : str
+        The flight's.
+    regressors : FloatArray
+        What each coefficient adds to each output (N, n, k).
+    target : FloatArray
+        What they have to add up to (N, n).
+    std : FloatArray
+        Error of each output (n,).
+    rate_hz : float
+        Samples per second.
+    """
+    coefficients, seconds = regressors.shape[2], len(target) / rate_hz
+    if seconds < 2 * coefficients * _BLOCK_S[0]:
+        return name
+    blocks = max(2 * coefficients, int(seconds / _BLOCK_S[1]))
+    X, t = regressors / std[:, None], target / std
+    gram = np.einsum("tok,tol->kl", X, X)
+    inverse = np.linalg.pinv(gram, hermitian=True)
+    theta = inverse @ np.einsum("tok,to->k", X, t)
+    scores = np.einsum("tok,to->tk", X, t - X @ theta)
+    sums = np.stack([part.sum(axis=0) for part in np.array_split(scores, blocks)])
+    # errors within a block may be of any colour: White 1980, Arellano 1987
+    covariance = inverse @ (sums.T @ sums) @ inverse * blocks / (blocks - coefficients)
+    return FlightEffects(name, len(target) / rate_hz, theta, covariance)

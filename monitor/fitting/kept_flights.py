@@ -1,0 +1,255 @@
+"""What a profile keeps of the flights it was fitted to, so that one can be added without the recordings of the others.
+
+PROFILE/flights/fit.json       kind, rate, and the flights in order: file, name, span of arrival, number of messages
+PROFILE/flights/fitted.toml    profile.toml as the fit wrote it: what differs from it a person has edited
+PROFILE/flights/NNNN.npz       one flight: the messages that the observers and the phase of flight come from, as columns
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tomllib
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple
+from zipfile import BadZipFile
+
+import numpy as np
+import tomli_w
+
+from adapters.batch import Batch, Columns, joined, of_names
+from adapters.errors import ProfileError
+from adapters.message import Message
+from adapters.output_file import write_file
+from adapters.source import SOURCES
+from monitor.fitting.fitted import BatchSource
+
+FOLDER, FITTED, MODEL = "flights", "fitted.toml", "model.toml"
+_LIST, _FORMAT = "fit.json", 1
+"""The list of flights, and the number of its layout: a reader refuses what it does not know."""
+_MOST_BYTES = 128_000_000
+"""Size of all kept flights together. Chosen: 40 to 80 flights of four minutes at 100 Hz; the oldest go first."""
+_ABOUT = "about"
+_CALIBRATED = ("isolation", "effectiveness", "transform", "sees")
+"""Keys of profile.toml that a fit measures anew whatever they were."""
+
+
+class Extent(NamedTuple):
+    """When the first and the last message of a recording arrived, Unix nanoseconds, and how many there are."""
+
+    first_ns: int
+    last_ns: int
+    messages: int
+
+
+@dataclass(frozen=True, slots=True)
+class KeptFlight:
+    """A flight that a profile keeps."""
+
+    file: str
+    name: str
+    span: Extent
+    flight_bytes: int
+
+    def batches(self, folder: Path) -> Iterable[Batch]:
+        """Read it."""
+        path = folder / FOLDER / self.file
+        try:
+            with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as arrays:
+                yield _batch({name: arrays[name] for name in arrays.files})
+        except (OSError, EOFError, BadZipFile, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ProfileError(f"{path}: cannot be read ({error}); fit the profile anew to all its logs") from error
+
+
+@dataclass(frozen=True, slots=True)
+class KeptFit:
+    """What a profile keeps of its fit.
+
+    ``rate_hz`` is what was asked for, ``written`` profile.toml as the fit wrote it.
+    """
+
+    rate_hz: float | None
+    flights: tuple[KeptFlight, ...]
+    written: Mapping[str, Any]
+
+
+def read_kept(folder: Path) -> KeptFit:
+    """Read what a profile keeps of its fit.
+
+    Raises
+    ------
+    ProfileError
+        It keeps nothing, or that cannot be read.
+    """
+    path = folder / FOLDER / _LIST
+    try:
+        found = json.loads(path.read_bytes())
+        if found["format"] != _FORMAT:
+            raise ProfileError(f"{path}: 'format' is not {_FORMAT}; fit the profile anew to all its logs")
+        flights = [KeptFlight(one["file"], one["name"], Extent(*one["span"]), one["bytes"]) for one in found["flights"]]
+        written = tomllib.loads((folder / FOLDER / FITTED).read_text(encoding="utf-8"))
+        return KeptFit(found["rate_hz"], tuple(flights), written)
+    except FileNotFoundError as error:
+        raise ProfileError(
+            f"{folder}: keeps no flights of its fit; fit it anew to all its logs, then --update adds to them"
+        ) from error
+    except ProfileError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ProfileError(f"{path}: cannot be read ({error}); fit the profile anew to all its logs") from error
+
+
+def kept_model(folder: Path) -> Path | None:
+    """Return the model file with free parameters that a profile keeps; None where its kind needs none."""
+    path = folder / FOLDER / MODEL
+    return path if path.is_file() else None
+
+
+def extent_of(log: BatchSource) -> Extent:
+    """Go through a recording for its span."""
+    first_ns = last_ns = count = 0
+    for batch in log():
+        arrivals = [int(at) for columns in batch.columns for at in columns.received_ns[[0, -1]]]
+        arrivals += [message.received_ns for message in batch.others.values()]
+        if arrivals:
+            first_ns = min(arrivals) if not count else first_ns
+            last_ns = max(last_ns, *arrivals)
+            count += batch.count
+    return Extent(first_ns, last_ns, count)
+
+
+def write_kept(
+    folder: Path,
+    content: Mapping[str, Any],
+    rate_hz: float | None,
+    known: Sequence[KeptFlight],
+    added: Sequence[tuple[str, Extent, BatchSource]],
+    names: Collection[str],
+    source: Path | None = None,
+) -> tuple[str, ...]:
+    """Write what a profile keeps of its fit; return the names of flights for which there was no room.
+
+    Parameters
+    ----------
+    folder : Path
+        The profile's.
+    content : Mapping[str, Any]
+        profile.toml as the fit found it, without edits of before.
+    rate_hz : float | None
+        The rate that was asked for.
+    known : Sequence[KeptFlight]
+        Flights that ``source`` keeps already; None: the folder itself.
+    added : Sequence[tuple[str, Extent, BatchSource]]
+        Further flights: name, span and messages.
+    names : Collection[str]
+        Names of the messages to keep of them.
+    """
+    place = folder / FOLDER
+    place.mkdir(parents=True, exist_ok=True)
+    if source is not None and source.resolve() != folder.resolve():
+        for one in known:
+            shutil.copyfile(source / FOLDER / one.file, place / one.file)
+    flights = list(known)
+    number = max((int(one.file.partition(".")[0]) for one in known), default=0)
+    for name, span, log in added:
+        number += 1
+        data = _flight_file(joined([*(of_names(batch, names) for batch in log())] or [Batch(0, (), {})]))
+        flights.append(KeptFlight(f"{number:04d}.npz", name, span, len(data)))
+        write_file(place / flights[-1].file, data)
+    dropped = []
+    while sum(one.flight_bytes for one in flights) > _MOST_BYTES and len(flights) > 1:
+        dropped.append(flights.pop(0).name)
+    kept = {one.file for one in flights}
+    listed = [
+        {"file": one.file, "name": one.name, "span": list(one.span), "bytes": one.flight_bytes} for one in flights
+    ]
+    write_file(place / FITTED, tomli_w.dumps(content, multiline_strings=False))
+    write_file(place / _LIST, json.dumps({"format": _FORMAT, "rate_hz": rate_hz, "flights": listed}, indent=1) + "\n")
+    for path in place.glob("*.npz"):
+        if path.name not in kept:
+            path.unlink()
+    return tuple(dropped)
+
+
+def _flight_file(batch: Batch) -> bytes:
+    """Return a batch as an .npz file without pickles: numbers as arrays, all else as JSON."""
+    arrays: dict[str, Any] = {}
+    columns = []
+    for number, one in enumerate(batch.columns):
+        ids = {"source": one.source.name, "name": one.name, "system": one.system, "component": one.component}
+        columns.append({**ids, "fields": list(one.fields)})
+        arrays[f"{number}"] = np.stack([one.position, one.received_ns])
+        for place, values in enumerate(one.fields.values()):
+            arrays[f"{number}.{place}"] = values
+    others = [
+        {
+            "at": at,
+            "source": message.source.name,
+            "name": message.name,
+            "received_ns": message.received_ns,
+            "fields": dict(message.fields),
+            "system": message.system,
+            "component": message.component,
+        }
+        for at, message in batch.others.items()
+    ]
+    about = json.dumps({"count": batch.count, "columns": columns, "others": others})
+    arrays[_ABOUT] = np.frombuffer(about.encode(), np.uint8)
+    stream = BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def _batch(arrays: Mapping[str, Any]) -> Batch:
+    about = json.loads(arrays[_ABOUT].tobytes())
+    columns = []
+    for number, one in enumerate(about["columns"]):
+        position, received_ns = arrays[f"{number}"]
+        fields = {name: arrays[f"{number}.{place}"] for place, name in enumerate(one["fields"])}
+        source = SOURCES[one["source"]]
+        columns.append(Columns(source, one["name"], one["system"], one["component"], position, received_ns, fields))
+    others = {
+        one["at"]: Message(
+            SOURCES[one["source"]], one["name"], one["received_ns"], one["fields"], one["system"], one["component"]
+        )
+        for one in about["others"]
+    }
+    return Batch(about["count"], tuple(columns), others)
+
+
+def with_edits(
+    fitted: Mapping[str, Any], written: Mapping[str, Any], edited: Mapping[str, Any], path: str = ""
+) -> tuple[dict[str, Any], list[str]]:
+    """Return a profile's table as newly fitted, with what a person had edited in the one before; and where.
+
+    Parameters
+    ----------
+    fitted : Mapping[str, Any]
+        As newly fitted.
+    written, edited : Mapping[str, Any]
+        As the fit before wrote it, and as it is now.
+    path : str
+        Where the table stands, for the list of edits.
+    """
+    found, edits = dict(fitted), list[str]()
+    for key in {**written, **edited}:
+        place = f"{path}{key}"
+        if key in _CALIBRATED or written.get(key) == edited.get(key):
+            continue
+        if isinstance(now := edited.get(key), Mapping) and isinstance(before := written.get(key), Mapping):
+            if isinstance(new := fitted.get(key), Mapping):
+                found[key], below = with_edits(new, before, now, f"{place}.")
+                edits += below
+        elif key not in edited:
+            if found.pop(key, None) is not None:
+                edits.append(place)
+        else:
+            found[key] = edited[key]
+            edits.append(place)
+    # a threshold that was lowered by hand lies below what was fitted to clear it
+    if isinstance(found.get("clear"), float) and found["clear"] > found.get("threshold", found["clear"]):
+        found["clear"] = found["threshold"] / 2.0
+    return found, edits

@@ -1,0 +1,143 @@
+"""Flights that disagree: found where they do, not found where they do not, left out where most agree."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gains.identification.segment import Segment
+from monitor.fitting.agreement import Agreement, ComparedEffect, FlightEffects, agreement, flight_effects
+from monitor.vehicles.multirotor.flight_motors import motor_agreement
+from monitor.vehicles.multirotor.identify import MultirotorFit, identify_multirotor
+
+EFFECTS = (
+    ComparedEffect("motor1", "motor1 pushes {} less", "motor1 pushes {} more", 0.01),
+    ComparedEffect("motor2", "motor2 pushes {} less", "motor2 pushes {} more", 0.01),
+)
+RATE_HZ = 50.0
+
+
+def flight(name: str, values: list[float], error: float = 0.01) -> FlightEffects:
+    return FlightEffects(name, 100.0, np.array(values), np.eye(len(values)) * error**2)
+
+
+def disagreeing(found: Agreement) -> list[str]:
+    return [one.name for one in found.verdicts if one.disagrees]
+
+
+def test_flights_that_scatter_as_they_say_agree() -> None:
+    random = np.random.default_rng(1)
+    false = 0
+    for _ in range(200):
+        flights = [flight(str(k), (1.0 + 0.014 * random.normal(size=2)).tolist()) for k in range(8)]
+        false += bool(disagreeing(agreement(EFFECTS, flights)))
+    assert false <= 3
+
+
+def test_a_flight_whose_motor_is_weak_disagrees_and_is_left_out_of_many() -> None:
+    flights = [flight(str(k), [1.0 + 0.005 * (-1) ** k, 1.0]) for k in range(5)] + [flight("cut", [1.0, 0.85])]
+    found = agreement(EFFECTS, flights)
+    assert disagreeing(found) == ["cut"]
+    assert found.left_out == {"cut"}
+    assert found.lines() == ["cut disagrees with the other flights and is left out: motor2 pushes 15 % less (10 sigma)"]
+    assert sum(one.weight for one in found.verdicts) == pytest.approx(1.0)
+    assert [one.weight for one in found.verdicts if one.left_out] == [0.0]
+
+
+def test_a_second_odd_flight_does_not_hide_the_first() -> None:
+    flights = [flight(str(k), [1.0, 1.0]) for k in range(7)]
+    flights += [flight("cut", [1.0, 0.85]), flight("worn", [0.88, 1.0])]
+    assert agreement(EFFECTS, flights).left_out == {"cut", "worn"}
+
+
+def test_of_two_flights_nobody_knows_which_is_right() -> None:
+    found = agreement(EFFECTS, [flight("a", [1.0, 1.0]), flight("b", [1.0, 0.8])])
+    assert disagreeing(found) == ["a", "b"]
+    assert found.left_out == frozenset()
+
+
+def test_a_small_difference_is_said_and_left_in() -> None:
+    flights = [flight(str(k), [1.0, 1.0], 0.001) for k in range(6)] + [flight("odd", [1.0, 0.952], 0.001)]
+    found = agreement(EFFECTS, flights)
+    assert disagreeing(found) == ["odd"]
+    assert found.left_out == frozenset()
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_too_few_flights_to_compare_are_no_disagreement(count: int) -> None:
+    found = agreement(EFFECTS, ["short", *(flight("a", [1.0, 1.0]) for _ in range(count))])
+    assert (found.verdicts, found.silent, found.lines(), found.details()) == ((), ("short",), [], [])
+
+
+def test_standard_errors_cover_the_truth() -> None:
+    """Of coloured errors, too: 95 % intervals hold the truth in 90 to 99 %."""
+    random = np.random.default_rng(3)
+    inside = total = 0
+    for _ in range(100):
+        x = np.convolve(random.normal(size=(3000 + 24)), np.ones(25) / 5.0, "valid")
+        e = np.convolve(random.normal(size=(3000 + 24)), np.ones(25) / 5.0, "valid")
+        regressors = np.stack([np.column_stack([x, np.ones(3000)])], axis=1)
+        found = flight_effects("a", regressors, (0.9 * x + e)[:, None], np.ones(1), RATE_HZ)
+        assert isinstance(found, FlightEffects)
+        error = np.sqrt(found.covariance[0, 0])
+        inside += abs(found.values[0] - 0.9) < 2.0 * error
+        total += 1
+    assert 0.9 <= inside / total <= 0.99
+
+
+def test_a_flight_that_is_too_short_says_nothing() -> None:
+    regressors = np.ones((300, 1, 2))
+    assert flight_effects("a", regressors, np.ones((300, 1)), np.ones(1), RATE_HZ) == "a"
+
+
+def quad(weak: float, seed: int, offset: float = 0.0) -> list[Segment]:
+    """Return a flight of a quad in plus whose motor 3 has a share of its effect, under a controller that levels it."""
+    random = np.random.default_rng(seed)
+    mixer = np.array([[1, -1, 0, 1], [1, 1, 0, 1], [1, 0, 1, -1], [1, 0, -1, -1]], float)
+    effect = np.array([[-1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0], [0.1, 0.1, -0.1, -0.1]])
+    count = round(90 * RATE_HZ)
+    u, y = np.empty((count, 4)), np.empty((count, 4))
+    rate, angle = np.zeros(3), np.zeros(3)
+    share = np.array([1.0, 1.0, weak, 1.0])
+    trim = np.zeros(3)
+    for k in range(count):
+        if k % 40 == 0:
+            wanted = 0.3 * random.normal(size=3)
+        command = 0.4 * (wanted - angle) - 0.25 * rate + trim
+        trim -= 0.002 * (angle - wanted)
+        u[k] = 0.5 + mixer @ np.concatenate([[0.01 * random.normal()], np.clip(command, -0.3, 0.3)]) * [1, 1, 1, 1]
+        y[k] = [*rate, -9.81]
+        rate = 0.97 * rate + effect @ (share * u[k]) + [0.0, offset, 0.0] + 0.002 * random.normal(size=3)
+        angle = angle + rate / RATE_HZ
+    return [Segment(u, y)]
+
+
+def identified(flights: list[list[Segment]]) -> MultirotorFit:
+    segments = [segment for one in flights for segment in one]
+    return identify_multirotor(segments, RATE_HZ, 1, list(range(len(flights))))
+
+
+def motors(flights: list[list[Segment]]) -> NDArray[np.float64]:
+    names = [str(number) for number in range(len(flights))]
+    found = motor_agreement(identified(flights), names, flights, ["motor1", "motor2", "motor3", "motor4"])
+    return np.array([one.apart for one in found.verdicts])
+
+
+def test_the_share_of_a_motor_is_told_in_flight() -> None:
+    flights = [quad(1.0, seed) for seed in range(4)] + [quad(0.88, 9)]
+    names = ["1", "2", "3", "4", "cut"]
+    found = motor_agreement(identified(flights), names, flights, ["motor1", "motor2", "motor3", "motor4"])
+    assert found.left_out == {"cut"}
+    apart = dict(zip((effect.name for effect in found.effects), found.verdicts[-1].apart, strict=True))
+    assert apart["motor3"] == pytest.approx(-0.12, abs=0.02)
+    assert abs(apart["motor1"]) < 0.02
+
+
+def test_a_payload_that_hangs_askew_is_no_weak_motor_and_spoils_no_effect() -> None:
+    flights = [quad(1.0, seed) for seed in range(3)] + [quad(1.0, 9, offset=0.05)]
+    fit = identified(flights)
+    assert fit.B[1, 2] == pytest.approx(1.0, abs=0.03)
+    apart = motors(flights)
+    assert np.abs(apart[-1][:4]).max() < 0.02
+    assert abs(apart[-1][5]) > 0.02
