@@ -58,7 +58,9 @@ def _add_fit(subparsers: Any) -> None:
         "fit",
         help="learn a vehicle from healthy recordings: model, certified gains, thresholds",
         description="Identify a vehicle from healthy flights, design its observer, and calibrate its alarms.",
-        epilog="example: fauio fit --vehicle multirotor monday.tlog tuesday.tlog -o quad/",
+        epilog="example: fauio fit --vehicle multirotor monday.tlog tuesday.tlog -o quad/\n"
+        "example: fauio fit --update quad/ wednesday.tlog\n"
+        "example: fauio fit --vehicle multirotor --start 60 --end 400 long.ulg -o quad/",
     )
     parser.add_argument("--vehicle", choices=[kind.name for kind in KINDS], help="kind of vehicle")
     parser.add_argument(

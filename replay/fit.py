@@ -23,7 +23,6 @@ from monitor.fitting.kept_flights import (
     MODEL,
     Extent,
     KeptFit,
-    KeptFlight,
     extent_of,
     kept_model,
     read_kept,
@@ -159,7 +158,7 @@ def fit_profile(
     for number, (log, log_name) in enumerate(zip(sources, names, strict=True)):
         if number >= len(flights):
             added.append((Path(log_name).name, extent_of(log)))
-            _check_new(added[-1], flights)
+            _check_new(added[-1], [*((one.name, one.span) for one in flights), *added[:-1]])
         if not vehicle.needs_model:
             surveyed.append(survey_log(log_name, log, None if before is None else before.profile.identity))
             if not force:
@@ -224,12 +223,12 @@ def _of_one_vehicle(log: BatchSource) -> Iterable[Batch]:
     return of_one_vehicle(log())
 
 
-def _check_new(added: tuple[str, Extent], flights: Sequence[KeptFlight]) -> None:
-    """Make sure that a recording is none of those that a profile was fitted to."""
+def _check_new(added: tuple[str, Extent], others: Iterable[tuple[str, Extent]]) -> None:
+    """Make sure that a recording is none of the others: it would count twice."""
     name, span = added
-    for one in flights:
-        if one.span == span:
-            raise UsageError(f"{name}: the profile was fitted to it already, as {one.name}; leave it out")
+    for other, extent in others:
+        if extent == span:
+            raise UsageError(f"{name}: is fitted already, as {other}; leave it out")
 
 
 @dataclass(frozen=True, slots=True)

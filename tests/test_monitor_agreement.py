@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from gains.identification.segment import Segment
 from monitor.fitting.agreement import Agreement, ComparedEffect, FlightEffects, agreement, flight_effects
@@ -32,7 +31,8 @@ def test_flights_that_scatter_as_they_say_agree() -> None:
     for _ in range(200):
         flights = [flight(str(k), (1.0 + 0.014 * random.normal(size=2)).tolist()) for k in range(8)]
         false += bool(disagreeing(agreement(EFFECTS, flights)))
-    assert false <= 3
+    # the scatter between flights is an estimate, too
+    assert false <= 8
 
 
 def test_a_flight_whose_motor_is_weak_disagrees_and_is_left_out_of_many() -> None:
@@ -40,7 +40,7 @@ def test_a_flight_whose_motor_is_weak_disagrees_and_is_left_out_of_many() -> Non
     found = agreement(EFFECTS, flights)
     assert disagreeing(found) == ["cut"]
     assert found.left_out == {"cut"}
-    assert found.lines() == ["cut disagrees with the other flights and is left out: motor2 pushes 15 % less (10 sigma)"]
+    assert found.lines() == ["cut disagrees with the other flights and is left out: motor2 pushes 15 % less (12 sigma)"]
     assert sum(one.weight for one in found.verdicts) == pytest.approx(1.0)
     assert [one.weight for one in found.verdicts if one.left_out] == [0.0]
 
@@ -118,26 +118,54 @@ def identified(flights: list[list[Segment]]) -> MultirotorFit:
     return identify_multirotor(segments, RATE_HZ, 1, list(range(len(flights))))
 
 
-def motors(flights: list[list[Segment]]) -> NDArray[np.float64]:
+def compared(flights: list[list[Segment]]) -> Agreement:
     names = [str(number) for number in range(len(flights))]
-    found = motor_agreement(identified(flights), names, flights, ["motor1", "motor2", "motor3", "motor4"])
-    return np.array([one.apart for one in found.verdicts])
+    return motor_agreement(identified(flights), names, flights, ["motor1", "motor2", "motor3", "motor4"])
 
 
-def test_the_share_of_a_motor_is_told_in_flight() -> None:
-    flights = [quad(1.0, seed) for seed in range(4)] + [quad(0.88, 9)]
-    names = ["1", "2", "3", "4", "cut"]
-    found = motor_agreement(identified(flights), names, flights, ["motor1", "motor2", "motor3", "motor4"])
-    assert found.left_out == {"cut"}
-    apart = dict(zip((effect.name for effect in found.effects), found.verdicts[-1].apart, strict=True))
-    assert apart["motor3"] == pytest.approx(-0.12, abs=0.02)
-    assert abs(apart["motor1"]) < 0.02
+def test_a_weak_motor_is_named_with_its_share() -> None:
+    verdicts = compared([quad(1.0, seed) for seed in range(4)] + [quad(0.88, 9)])
+    assert disagreeing(verdicts) == ["4"]
+    assert verdicts.left_out == {"4"}
+    assert verdicts.lines()[0].startswith("4 disagrees with the other flights and is left out: motor3 pushes 12 % less")
 
 
 def test_a_payload_that_hangs_askew_is_no_weak_motor_and_spoils_no_effect() -> None:
-    flights = [quad(1.0, seed) for seed in range(3)] + [quad(1.0, 9, offset=0.05)]
-    fit = identified(flights)
-    assert fit.B[1, 2] == pytest.approx(1.0, abs=0.03)
-    apart = motors(flights)
-    assert np.abs(apart[-1][:4]).max() < 0.02
-    assert abs(apart[-1][5]) > 0.02
+    flights = [quad(1.0, seed) for seed in range(3)] + [quad(1.0, 9, offset=0.1)]
+    assert identified(flights).B[1, 2] == pytest.approx(1.0, abs=0.03)
+    verdicts = compared(flights)
+    assert disagreeing(verdicts) == ["3"]
+    assert (
+        "3 disagrees with the other flights and is left out: is out of trim about pitch by 20 %" in verdicts.lines()[0]
+    )
+
+
+def heavier(flight: list[Segment], begin: float, end: float) -> list[Segment]:
+    """Return a flight whose mean command is larger by a share, at its begin and at its end."""
+    return [Segment(one.u + 0.5 * np.linspace(begin, end, len(one.u))[:, None], one.y) for one in flight]
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "says"),
+    [
+        (0.15, 0.15, "commands 15 % more thrust ("),
+        (0.0, 0.25, "commands 24 % more thrust at its end than at its begin ("),
+        (0.15, -0.1, "commands 25 % less thrust at its end than at its begin ("),
+    ],
+)
+def test_a_payload_or_a_battery_that_sags_shows_in_the_thrust(begin: float, end: float, says: str) -> None:
+    flights = [quad(1.0, seed) for seed in range(4)]
+    assert disagreeing(compared(flights)) == []
+    verdicts = compared([*flights, heavier(quad(1.0, 9), begin, end)])
+    assert disagreeing(verdicts) == ["4"]
+    assert says in verdicts.lines()[0]
+
+
+def test_how_lively_a_flight_was_is_no_disagreement() -> None:
+    flights = [quad(1.0, seed) for seed in range(3)]
+    calm = quad(1.0, 5)
+    hover = [
+        Segment(0.5 + (one.u - 0.5) * 0.2 + 0.002 * np.random.default_rng(1).normal(size=one.u.shape), 0.2 * one.y)
+        for one in calm
+    ]
+    assert disagreeing(compared([*flights, hover])) == []

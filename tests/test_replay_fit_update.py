@@ -92,7 +92,7 @@ def test_an_updated_profile_may_go_elsewhere_and_can_be_updated_there(
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ((LOGS[0],), f"{LOGS[0]}: the profile was fitted to it already, as {LOGS[0]}; leave it out"),
+        ((LOGS[0],), f"{LOGS[0]}: is fitted already, as {LOGS[0]}; leave it out"),
         (("--vehicle", "rover", LOGS[1]), "--vehicle rover: {profile} is the profile of kind inertial"),
         (("plane_healthy.tlog.xz",), f"says it is a fixed wing, {LOGS[0]} that it is a ground rover"),
     ],
@@ -124,7 +124,30 @@ def test_a_damaged_flight_is_named(
     path.write_bytes(damage)
     assert fauio.main(["fit", "--update", str(profile), str(data / LOGS[1])]) == 2
     [line] = capsys.readouterr().err.splitlines()
-    assert f"{path}: cannot be read" in line
+    assert f"{path}: is not as the fit wrote it, damaged or changed; fit the profile anew to all its logs" in line
+
+
+@given(cut=st.integers(0, 400), byte=st.integers(0, 255))
+def test_a_list_of_flights_that_is_damaged_is_one_line_or_none(first: Path, cut: int, byte: int) -> None:
+    path = first / "flights" / "fit.json"
+    whole = path.read_bytes()
+    try:
+        path.write_bytes(whole[:cut] + bytes([byte]) + whole[cut + 1 :])
+        for flight in read_kept(first).flights:
+            list(flight.batches(first))
+    except ProfileError as error:
+        assert "\n" not in str(error)
+    finally:
+        path.write_bytes(whole)
+
+
+def test_a_flight_that_is_given_twice_is_refused(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = str(data / LOGS[0])
+    assert fitted(tmp_path / "p", "--vehicle", "inertial", log, log) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert f"{LOGS[0]}: is fitted already, as {LOGS[0]}; leave it out" in line
 
 
 def test_a_kept_flight_is_the_flight(first: Path, data: Path) -> None:

@@ -8,14 +8,15 @@ PROFILE/flights/NNNN.npz       one flight: the messages that the observers and t
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tomllib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 import tomli_w
@@ -32,7 +33,9 @@ _LIST, _FORMAT = "fit.json", 1
 """The list of flights, and the number of its layout: a reader refuses what it does not know."""
 _MOST_BYTES = 128_000_000
 """Size of all kept flights together. Chosen: 40 to 80 flights of four minutes at 100 Hz; the oldest go first."""
+_FILE = re.compile(r"\d{4,9}\.npz")
 _ABOUT = "about"
+_ANEW = "fit the profile anew to all its logs"
 _CALIBRATED = ("isolation", "effectiveness", "transform", "sees")
 """Keys of profile.toml that a fit measures anew whatever they were."""
 
@@ -47,21 +50,44 @@ class Extent(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class KeptFlight:
-    """A flight that a profile keeps."""
+    """A flight that a profile keeps; ``digest`` is the SHA-256 of its file."""
 
     file: str
     name: str
     span: Extent
     flight_bytes: int
+    digest: str
 
     def batches(self, folder: Path) -> Iterable[Batch]:
         """Read it."""
         path = folder / FOLDER / self.file
         try:
-            with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as arrays:
-                yield _batch({name: arrays[name] for name in arrays.files})
-        except (OSError, EOFError, BadZipFile, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ProfileError(f"{path}: cannot be read ({error}); fit the profile anew to all its logs") from error
+            data = path.read_bytes()
+        except OSError as error:
+            raise ProfileError(f"{path}: cannot be read ({error}); {_ANEW}") from error
+        if sha256(data).hexdigest() != self.digest:
+            raise ProfileError(f"{path}: is not as the fit wrote it, damaged or changed; {_ANEW}")
+        with np.load(BytesIO(data), allow_pickle=False) as arrays:
+            yield _batch({name: arrays[name] for name in arrays.files})
+
+    @classmethod
+    def of_json(cls, listed: Mapping[str, Any]) -> KeptFlight:
+        """Read one of the list."""
+        span = Extent(*map(int, listed["span"]))
+        kept = cls(listed["file"], str(listed["name"]), span, int(listed["bytes"]), listed["sha256"])
+        if not _FILE.fullmatch(kept.file):
+            raise ValueError(f"{kept.file!r} is no name of a flight")
+        return kept
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what the list holds of it."""
+        return {
+            "file": self.file,
+            "name": self.name,
+            "span": list(self.span),
+            "bytes": self.flight_bytes,
+            "sha256": self.digest,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,20 +112,21 @@ def read_kept(folder: Path) -> KeptFit:
     """
     path = folder / FOLDER / _LIST
     try:
-        found = json.loads(path.read_bytes())
-        if found["format"] != _FORMAT:
-            raise ProfileError(f"{path}: 'format' is not {_FORMAT}; fit the profile anew to all its logs")
-        flights = [KeptFlight(one["file"], one["name"], Extent(*one["span"]), one["bytes"]) for one in found["flights"]]
+        content = json.loads(path.read_bytes())
+        if content["format"] != _FORMAT:
+            raise ProfileError(f"{path}: 'format' is not {_FORMAT}; {_ANEW}")
+        flights = tuple(KeptFlight.of_json(listed) for listed in content["flights"])
+        rate_hz = None if content["rate_hz"] is None else float(content["rate_hz"])
         written = tomllib.loads((folder / FOLDER / FITTED).read_text(encoding="utf-8"))
-        return KeptFit(found["rate_hz"], tuple(flights), written)
+        return KeptFit(rate_hz, flights, written)
     except FileNotFoundError as error:
         raise ProfileError(
             f"{folder}: keeps no flights of its fit; fit it anew to all its logs, then --update adds to them"
         ) from error
     except ProfileError:
         raise
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ProfileError(f"{path}: cannot be read ({error}); fit the profile anew to all its logs") from error
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise ProfileError(f"{path}: cannot be read ({error!r}); {_ANEW}") from error
 
 
 def kept_model(folder: Path) -> Path | None:
@@ -150,22 +177,20 @@ def write_kept(
     place = folder / FOLDER
     place.mkdir(parents=True, exist_ok=True)
     if source is not None and source.resolve() != folder.resolve():
-        for one in known:
-            shutil.copyfile(source / FOLDER / one.file, place / one.file)
+        for flight in known:
+            shutil.copyfile(source / FOLDER / flight.file, place / flight.file)
     flights = list(known)
-    number = max((int(one.file.partition(".")[0]) for one in known), default=0)
+    number = max((int(flight.file.partition(".")[0]) for flight in known), default=0)
     for name, span, log in added:
         number += 1
         data = _flight_file(joined([*(of_names(batch, names) for batch in log())] or [Batch(0, (), {})]))
-        flights.append(KeptFlight(f"{number:04d}.npz", name, span, len(data)))
+        flights.append(KeptFlight(f"{number:04d}.npz", name, span, len(data), sha256(data).hexdigest()))
         write_file(place / flights[-1].file, data)
     dropped = []
-    while sum(one.flight_bytes for one in flights) > _MOST_BYTES and len(flights) > 1:
+    while sum(flight.flight_bytes for flight in flights) > _MOST_BYTES and len(flights) > 1:
         dropped.append(flights.pop(0).name)
-    kept = {one.file for one in flights}
-    listed = [
-        {"file": one.file, "name": one.name, "span": list(one.span), "bytes": one.flight_bytes} for one in flights
-    ]
+    kept = {flight.file for flight in flights}
+    listed = [flight.to_json() for flight in flights]
     write_file(place / FITTED, tomli_w.dumps(content, multiline_strings=False))
     write_file(place / _LIST, json.dumps({"format": _FORMAT, "rate_hz": rate_hz, "flights": listed}, indent=1) + "\n")
     for path in place.glob("*.npz"):

@@ -136,7 +136,8 @@ class _Identified:
 def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
     """Identify the motors' model on healthy recordings, design its bank, calibrate its alarms.
 
-    Where motor commands come slower than :data:`SLOW_COMMANDS_HZ`, the observer compares mean command and mean motion.
+    Where motor commands come slower than :data:`SLOW_COMMANDS_HZ`, or a slower grid is asked for, the observer compares
+    mean command and mean motion.
 
     Raises
     ------
@@ -146,7 +147,8 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
     surveys = request.surveys
     gate = multirotor_gate(surveys)
     inputs, outputs = multirotor_channels(surveys)
-    slow = min(survey.rate_hz[MOTOR_MESSAGE] for survey in surveys) < SLOW_COMMANDS_HZ
+    commands_hz = min(survey.rate_hz[MOTOR_MESSAGE] for survey in surveys)
+    slow = min(commands_hz, request.rate_hz or commands_hz) < SLOW_COMMANDS_HZ
     identified = (_slow if slow else _fast)(request, gate, inputs, outputs)
     model, segments = identified.model, identified.segments
     motors = tuple(channel.name for channel in inputs)
