@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 # What is compiled on installing: a change installs anew.
-CORE := $(wildcard monitor/core/*.pyx monitor/core/*.pxd)
+CORE := $(wildcard adapters/mavlink/*.pyx monitor/core/*.pyx monitor/core/*.pxd)
 
 # Five processes for two cores: half of what the suite takes is waiting for daemons, in real time, and for networks. Files of
 # such tests are spread over the others (tests/conftest.py).

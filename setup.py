@@ -1,10 +1,10 @@
-"""The compiled core of the package, as ``pyproject.toml`` cannot list it by a pattern."""
+"""The compiled modules of the package, as ``pyproject.toml`` cannot list them by a pattern."""
 
 from pathlib import Path
 
 from setuptools import Extension, setup
 
-CORE = sorted(Path("monitor/core").glob("*.pyx"))
+CORE = sorted(path for package in ("adapters", "monitor") for path in Path(package).rglob("*.pyx"))
 
 setup(
     ext_modules=[

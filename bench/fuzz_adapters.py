@@ -24,7 +24,8 @@ from adapters.encoding.message_record import decoder, encode
 from adapters.errors import PayloadError, TelemetryError, UndefinedTypeError
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink import mavlink_link
-from adapters.mavlink.mavlink_message import PacketParser
+from adapters.mavlink.mavlink_columns import dialect
+from adapters.mavlink.packets import PacketList, PacketScanner
 from adapters.mavlink.signing import SigningGuard, SigningKey, read_key
 from adapters.message import Message
 from adapters.source import ZENOH
@@ -136,12 +137,13 @@ def _mavlink(folder: Path) -> Run:
         places = draw.take(8)
         content = stream(draw)
         parts = cut(Draw(places), content)
-        whole, apart = PacketParser(), PacketParser()
-        found = whole.feed(content)
-        found_apart = [one for part in parts for one in apart.feed(part)]
-        # Whether a packet of unknown kind ends where it says is known only by what follows, as far as that has come.
-        if not whole.unknown and not apart.unknown:
-            assert (found_apart, apart.skipped_bytes) == (found, whole.skipped_bytes)
+        whole, apart = PacketScanner(dialect()), PacketScanner(dialect())
+        packets, packets_apart = PacketList(dialect()), PacketList(dialect())
+        whole.scan(content, packets)
+        for part in parts:
+            apart.scan(part, packets_apart)
+        assert packets_apart.items() == packets.items()
+        assert (apart.skipped_bytes, apart.unknown) == (whole.skipped_bytes, whole.unknown)
         pieces.waiting = [(sender, part, START_NS + step_ns) for part in parts]
         for message in messages(link.receive(0.0)):
             record = encode(message)

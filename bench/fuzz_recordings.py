@@ -9,7 +9,6 @@ import itertools
 import lzma
 from collections.abc import Iterable
 from pathlib import Path
-from unittest import mock
 
 from fuzz_adapters import DATA, START_NS, packet
 from fuzz_input import Draw, random_inputs
@@ -20,12 +19,13 @@ from adapters.encoding.foreign_record import foreign_decoder
 from adapters.encoding.message_record import decoder, encode
 from adapters.encoding.record import Record, Schema
 from adapters.errors import TelemetryError
-from adapters.logs import tlog
 from adapters.logs.compressed import CompressedFile
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader
 from adapters.logs.tlog import TlogReader, read_tlog
-from adapters.mavlink.mavlink_message import mavlink_types, message_number
+from adapters.mavlink.mavlink_columns import decoded, dialect, wanted_kinds
+from adapters.mavlink.mavlink_message import mavlink_types
+from adapters.mavlink.packets import PacketList, PacketScanner
 from adapters.message import Message
 from adapters.source import CLOCK, LINK, MAVLINK, OPERATOR, ZENOH
 
@@ -46,10 +46,11 @@ def _tlog(folder: Path) -> Run:
         one_by_one, at_once = [], []
         with only(TelemetryError):
             for time_ns, recorded in reader.packets():
-                message = mavlink_types()[message_number(recorded)].decode(recorded, time_ns)
+                PacketScanner(dialect()).scan(recorded, single := PacketList(dialect()), time_ns)
+                (message,) = messages(decoded(single, wanted_kinds()))
                 encode(message)
                 one_by_one.append(repr(message))
-        with only(TelemetryError), mock.patch.object(tlog, "_FEW", 1):
+        with only(TelemetryError):
             at_once = [repr(message) for batch in batches for message in messages(batch)]
         assert (at_once, batches.statistics()) == (one_by_one, reader.statistics())
 
@@ -129,9 +130,9 @@ def _schemas() -> list[Schema]:
 
 
 _ATTITUDE = [
-    Message(MAVLINK, "ATTITUDE", START_NS, kind.decode(bytes.fromhex("fd000000000101") + b"\x1e\0\0\0\0", 0).fields)
-    for kind in [mavlink_types()[30]]
-] + [Message(ZENOH, "x", START_NS, {})]
+    mavlink_types()[30].decode(bytes(28), START_NS, 0, 0),
+    Message(ZENOH, "x", START_NS, {}),
+]
 
 
 def _mcap(folder: Path) -> Run:

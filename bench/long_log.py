@@ -12,15 +12,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.logs.compressed import CompressedFile
-from adapters.logs.tlog import TIME_BYTES
-from adapters.mavlink.mavlink_columns import PADDING, heads, kinds
-from adapters.mavlink.mavlink_message import MAGIC_1
+from adapters.logs.tlog import TlogReader
+from adapters.mavlink.mavlink_message import MAGIC_1, mavlink_types, message_number
 
 # Fields of the vehicle's clock and of Unix time, and their units in a microsecond.
 _CLOCKS = {"time_boot_ms": 1_000, "time_usec": 1, "time_unix_usec": 1}
 _PAUSE_US = 1_000_000
-_CHECKSUM_BYTES = 2
+TIME_BYTES = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,15 +40,10 @@ class LongLog:
     """
 
     def __init__(self, path: Path) -> None:
-        self._data = np.frombuffer(b"".join(CompressedFile(path)) + bytes(PADDING), np.uint8)
-        starts, size = [], len(self._data) - PADDING
-        at = 0
-        while at + TIME_BYTES + 8 <= size:
-            magic, length = int(self._data[at + 8]), int(self._data[at + 9])
-            signed = magic != MAGIC_1 and self._data[at + 10] & 1
-            starts.append(at)
-            at += TIME_BYTES + length + (8 if magic == MAGIC_1 else 12 + 13 * int(signed))
-        self._starts = np.array(starts if at <= size else starts[:-1], np.int64)
+        records = [(time_ns // 1_000).to_bytes(TIME_BYTES) + packet for time_ns, packet in TlogReader(path).packets()]
+        self._data = np.frombuffer(b"".join(records), np.uint8)
+        self._starts = np.cumsum([0, *map(len, records[:-1])])
+        self._numbers = np.array([message_number(record[TIME_BYTES:]) for record in records])
         stamps = self._stamps(self._data)
         self.duration_s = float(stamps[-1] - stamps[0]) / 1e6
         # whole milliseconds: all of the vehicle's clocks move by the same time
@@ -82,11 +75,13 @@ class LongLog:
         return data[rows].view(">u8")[:, 0].astype(np.uint64)
 
     def _find_clocks(self) -> None:
-        packets = heads(self._data, self._starts + TIME_BYTES)
+        at = self._starts + TIME_BYTES
+        payloads = at + np.where(self._data[at] == MAGIC_1, 6, 10)
+        lengths = self._data[at + 1].astype(np.int64)
         self._clocks: list[_Clock] = []
         changed = np.zeros(len(self._starts), np.bool_)
-        for kind in np.unique(packets.kind[packets.kind >= 0]).tolist():
-            table = kinds()[kind].table
+        for number in np.unique(self._numbers).tolist():
+            table = mavlink_types()[number].table
             types = dict(zip(table.fieldnames, table.fieldtypes, strict=True))
             offset = 0
             codes = table.native_format.decode()[1:]
@@ -94,13 +89,12 @@ class LongLog:
                 width = np.dtype(code).itemsize
                 if name in _CLOCKS and types[name] in ("uint32_t", "uint64_t"):
                     # zeros at a packet's end are not sent
-                    rows = (packets.kind == kind) & (packets.length >= offset + width)
-                    self._clocks.append(_Clock(packets.payload[rows] + offset, np.dtype(f"<{code}"), _CLOCKS[name]))
+                    rows = (self._numbers == number) & (lengths >= offset + width)
+                    self._clocks.append(_Clock(payloads[rows] + offset, np.dtype(f"<{code}"), _CLOCKS[name]))
                     changed |= rows
                 offset += width * length
-        ends = packets.payload + packets.length
-        extra = np.array([kind.table.crc_extra for kind in kinds()], np.uint8)[packets.kind]
-        size = ends - self._starts - TIME_BYTES - 1
+        extra = np.array([mavlink_types()[number].extra for number in self._numbers.tolist()], np.uint8)
+        size = payloads + lengths - at - 1
         self._checked = [
             (self._starts[rows] + TIME_BYTES + 1, int(one), extra[rows])
             for one in np.unique(size[changed])
@@ -109,7 +103,7 @@ class LongLog:
 
     def _moved(self, later_us: int) -> bytes:
         if later_us == 0:
-            return self._data[:-PADDING].tobytes()
+            return self._data.tobytes()
         data = self._data.copy()
         stamps = (self._stamps(data) + np.uint64(later_us)).astype(">u8")
         data[self._starts[:, None] + np.arange(TIME_BYTES)] = stamps[:, None].view(np.uint8)
@@ -126,7 +120,7 @@ class LongLog:
             crc = _accumulated(crc, extra)
             data[starts + size] = crc & 0xFF
             data[starts + size + 1] = crc >> 8
-        return data[:-PADDING].tobytes()
+        return data.tobytes()
 
 
 def _accumulated(crc: NDArray[np.uint16], byte: NDArray[np.uint8]) -> NDArray[np.uint16]:

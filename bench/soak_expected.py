@@ -12,8 +12,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "tools"))
 
 from fleet_sender import SentFlight, fleet_packets
 
-from adapters.mavlink.mavlink_columns import decoded
-from adapters.mavlink.mavlink_message import PacketParser
+from adapters.mavlink.mavlink_columns import decoded, dialect, wanted_kinds
+from adapters.mavlink.packets import PacketList, PacketScanner
 from monitor.estimate import Estimates
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
@@ -60,7 +60,7 @@ def expected(profile: Profile, flight: SentFlight, seconds: float = inf) -> Expe
         The third turn differs from the second.
     """
     pipeline = Pipeline(profile, system=flight.system)
-    parser = PacketParser()
+    scanner = PacketScanner(dialect())
     size = len(flight.packets)
     turn_s = (flight.packets[-1][0] + 1e7) / 1e9
     turns: list[list[int]] = []
@@ -71,8 +71,8 @@ def expected(profile: Profile, flight: SentFlight, seconds: float = inf) -> Expe
         if index == 0:
             turns.append([])
             samples = 0
-        batch = decoded(packets := parser.feed(packet), [_START_NS + due_ns] * len(packets))
-        for output in pipeline.run(batch):
+        scanner.scan(packet, packets := PacketList(dialect()), _START_NS + due_ns)
+        for output in pipeline.run(decoded(packets, wanted_kinds())):
             if isinstance(output, Estimates):
                 samples += len(output)
                 known_ns = output.samples.known_ns

@@ -122,7 +122,7 @@ def test_many_senders_cost_bounded_memory() -> None:
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
                 out.sendto(b"x" + packet(k, system=k + 1), address)
         collect(link, 100)
-        assert len(link._parsers) <= 64
+        assert len(link._scanners) <= 64
         assert link.statistics().skipped_bytes == 100
 
 
@@ -225,9 +225,9 @@ def test_half_packets_of_a_thousand_senders_cost_bounded_memory_and_nobody_elses
             if k % 100 == 0:
                 send(packet(k))
                 assert times(collect(link, 1)) == [k]
-        assert len(link._parsers) <= 64
+        assert len(link._scanners) <= 64
         assert len(link._telemetry_ns) == 1
-        assert all(len(parser._unfinished) < 280 for parser in link._parsers.values())
+        assert all(scanner.waiting < 280 for scanner in link._scanners.values())
 
 
 def test_the_largest_datagrams_are_taken_whole_be_they_packets_or_noise() -> None:

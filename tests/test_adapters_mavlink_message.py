@@ -8,16 +8,13 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from packet_stream import PacketStream, packet_sequence
 from pymavlink.dialects.v20 import ardupilotmega
 
-from adapters.mavlink.mavlink_message import (
-    PacketParser,
-    mavlink_types,
-    message_number,
-    packet_sender,
-    packet_sequence,
-)
+from adapters.mavlink.mavlink_message import message_number, packet_sender
 from adapters.source import MAVLINK
+
+ATTITUDE = 30
 
 
 def link() -> ardupilotmega.MAVLink:
@@ -39,6 +36,10 @@ def attitude(sequence: int = 0, version_1: bool = False) -> bytes:
     return bytes(message.pack(sender, force_mavlink1=version_1))
 
 
+UNKNOWN = bytes([0xFD, 4, 0, 0, 0, 7, 9, *(59_999).to_bytes(3, "little"), 0xFD, 0xFE, 1, 2, 3, 4])
+PIECES = [attitude(), attitude(version_1=True), attitude()[:-1] + b"x", UNKNOWN, b"\xfd", b"\xfe", b"\xfd\xff\0"]
+
+
 def same(ours: Any, theirs: Any) -> bool:
     if isinstance(ours, list):
         return len(ours) == len(theirs) and all(same(a, b) for a, b in zip(ours, theirs, strict=True))
@@ -54,8 +55,7 @@ def test_every_message_of_the_dialect_decodes_as_pymavlink_decodes_it(payload: b
         if version_1 and number > 255:
             continue
         packet = random_packet(number, payload, version_1)
-        ((kind, found),) = PacketParser().feed(packet)
-        message = kind.decode(found, 12)
+        (message,) = PacketStream().messages(packet, 12)
         theirs = link().decode(bytearray(packet)).to_dict()
         assert message.name == theirs.pop("mavpackettype")
         assert list(message.fields) == list(theirs)
@@ -71,17 +71,17 @@ def test_every_message_of_the_dialect_decodes_as_pymavlink_decodes_it(payload: b
 def test_fields_are_plain_numbers_text_and_lists() -> None:
     allowed = {int, float, str, list}
     for number in ardupilotmega.mavlink_map:
-        ((kind, packet),) = PacketParser().feed(random_packet(number, bytes(range(255))))
-        for value in kind.decode(packet, 0).fields.values():
+        (message,) = PacketStream().messages(random_packet(number, bytes(range(255))))
+        for value in message.fields.values():
             assert type(value) in allowed
             if isinstance(value, list):
                 assert {type(one) for one in value} <= {int, float}
 
 
 def test_text_ends_at_its_first_zero_byte() -> None:
-    message = ardupilotmega.MAVLink_statustext_message(6, b"Arming motors")
-    ((kind, packet),) = PacketParser().feed(bytes(message.pack(link())))
-    assert kind.decode(packet, 0).fields["text"] == "Arming motors"
+    packet = bytes(ardupilotmega.MAVLink_statustext_message(6, b"Arming motors").pack(link()))
+    (message,) = PacketStream().messages(packet)
+    assert message.fields["text"] == "Arming motors"
 
 
 def test_sender_number_and_sequence_stand_in_both_versions_headers() -> None:
@@ -96,34 +96,34 @@ def test_a_signed_packet_is_taken_with_its_signature_skipped() -> None:
     sender.signing.sign_outgoing = True
     packet = bytes(ardupilotmega.MAVLink_attitude_message(5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0).pack(sender))
     assert packet[2] == 1
-    parser = PacketParser()
-    ((kind, found),) = parser.feed(packet)
-    assert kind.decode(found, 0).fields["roll"] == 1.0
-    assert parser.skipped_bytes == 0
+    stream = PacketStream()
+    assert stream.packets(packet) == [packet]
+    (message,) = stream.messages(packet)
+    assert message.fields["roll"] == 1.0
+    assert stream.scanner.skipped_bytes == 0
 
 
 @given(st.lists(st.integers(1, 40), max_size=60), st.booleans())
 @settings(deadline=None)
 def test_packets_cut_anywhere_are_put_together(cuts: list[int], version_1: bool) -> None:
-    stream = b"".join(attitude(k, version_1) for k in range(20))
-    parser = PacketParser()
-    found = []
+    data = b"".join(attitude(k, version_1) for k in range(20))
+    stream = PacketStream()
+    packets = []
     for cut in cuts:
-        found += parser.feed(stream[:cut])
-        stream = stream[cut:]
-    found += parser.feed(stream)
-    assert [packet_sequence(packet) for _, packet in found] == list(range(20))
-    assert (parser.damaged, parser.skipped_bytes) == (0, 0)
+        packets += stream.packets(data[:cut])
+        data = data[cut:]
+    packets += stream.packets(data)
+    assert [packet_sequence(packet) for packet in packets] == list(range(20))
+    assert (stream.scanner.damaged, stream.scanner.skipped_bytes) == (0, 0)
 
 
 @given(st.binary(max_size=300), st.binary(max_size=300))
 @settings(deadline=None)
 def test_noise_between_packets_costs_no_packet(noise: bytes, more: bytes) -> None:
-    parser = PacketParser()
-    stream = noise + attitude(1) + more + attitude(2) + attitude(3)
+    data = noise + attitude(1) + more + attitude(2) + attitude(3)
     # What a false start is waiting for comes with later packets, at most 280 bytes of them.
-    found = parser.feed(stream + b"".join(attitude(4 + k) for k in range(10)))
-    sequences = [packet_sequence(packet) for kind, packet in found if kind.name == "ATTITUDE"]
+    packets = PacketStream().packets(data + b"".join(attitude(4 + k) for k in range(10)))
+    sequences = [packet_sequence(packet) for packet in packets if message_number(packet) == ATTITUDE]
     assert sequences[:3] == [1, 2, 3]
 
 
@@ -134,8 +134,7 @@ def test_a_flipped_bit_costs_at_most_its_own_packet(data: st.DataObject) -> None
     stream = bytearray(b"".join(packets))
     place = data.draw(st.integers(0, len(packets[0]) * 10 - 1))
     stream[place] ^= 1 << data.draw(st.integers(0, 7))
-    parser = PacketParser()
-    sequences = [packet_sequence(packet) for _, packet in parser.feed(bytes(stream))]
+    sequences = [packet_sequence(packet) for packet in PacketStream().packets(bytes(stream))]
     assert set(range(10)) - set(sequences) <= {place // len(packets[0])}
     assert set(range(10, 20)) <= set(sequences)
 
@@ -143,50 +142,34 @@ def test_a_flipped_bit_costs_at_most_its_own_packet(data: st.DataObject) -> None
 @given(st.lists(st.binary(max_size=400), max_size=20))
 @settings(deadline=None)
 def test_no_bytes_make_the_parser_fail_or_grow(pieces: list[bytes]) -> None:
-    parser = PacketParser()
+    stream = PacketStream()
     for piece in pieces:
-        for kind, packet in parser.feed(piece):
-            kind.decode(packet, 0)
-    assert len(parser._unfinished) < 280
+        stream.messages(piece)
+    assert stream.scanner.waiting <= 280
 
 
 def test_a_packet_of_an_unknown_message_is_counted_and_skipped_whole() -> None:
-    number = next(n for n in range(50_000, 60_000) if n not in mavlink_types())
-    unknown = bytes([0xFD, 4, 0, 0, 0, 7, 9, *number.to_bytes(3, "little"), 0xFD, 0xFE, 1, 2, 3, 4])
-    parser = PacketParser()
-    found = parser.feed(attitude(1) + unknown + attitude(2))
-    assert [packet_sequence(packet) for _, packet in found] == [1, 2]
-    assert (parser.unknown, parser.damaged) == (1, 0)
+    stream = PacketStream()
+    packets = stream.packets(attitude(1) + UNKNOWN + attitude(2))
+    assert [packet_sequence(packet) for packet in packets] == [1, 2]
+    assert (stream.scanner.unknown, stream.scanner.damaged) == (1, 0)
 
 
 @pytest.mark.parametrize("flags", [2, 0x80, 0xFF])
 def test_unknown_incompatibility_flags_make_a_packet_unreadable(flags: int) -> None:
     packet = bytearray(attitude())
     packet[2] = flags
-    parser = PacketParser()
-    assert parser.feed(bytes(packet) + attitude(1))[-1][1] == attitude(1)
-    assert parser.damaged >= 1
+    stream = PacketStream()
+    assert stream.packets(bytes(packet) + attitude(1))[-1] == attitude(1)
+    assert stream.scanner.damaged >= 1
 
 
 @pytest.mark.parametrize("junk", [b"\xfe", b"\xfd", b"\xfd\xff\0\0\0"], ids=["1", "2", "2 with a known id"])
-def test_junk_in_which_every_byte_could_begin_a_packet_costs_few_checksums(
-    junk: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    summed = 0
-
-    class Checksum:
-        crc = -1
-
-        def __init__(self, data: bytes) -> None:
-            nonlocal summed
-            summed += 1
-
-    for kind in mavlink_types().values():
-        monkeypatch.setattr(kind, "_checksum", Checksum)
-    parser = PacketParser()
-    parser.feed((junk * 65_507)[:65_507])
-    assert summed < 65_507 / 5
-    assert parser.skipped_bytes > 65_000
+def test_junk_in_which_every_byte_could_begin_a_packet_is_skipped(junk: bytes) -> None:
+    stream = PacketStream()
+    assert stream.packets((junk * 65_507)[:65_507]) == []
+    assert stream.scanner.skipped_bytes > 65_000
+    assert stream.scanner.waiting <= 280
 
 
 @pytest.mark.parametrize("version_1", [False, True])
@@ -195,5 +178,29 @@ def test_a_payload_longer_than_the_definition_is_a_packet_of_version_2_only(vers
     message = ardupilotmega.MAVLink_message(30, table.msgname)
     body = b"\1" * (table.unpacker.size + 3)
     packet = bytes(message._pack(link(), table.crc_extra, body, force_mavlink1=version_1))
-    found = PacketParser().feed(packet)
-    assert [kind.name for kind, _ in found] == ([] if version_1 else ["ATTITUDE"])
+    assert [message.name for message in PacketStream().messages(packet)] == ([] if version_1 else ["ATTITUDE"])
+
+
+@pytest.mark.parametrize("version_1", [False, True])
+def test_packets_of_bad_checksum_are_counted_each(version_1: bool) -> None:
+    bad = attitude(version_1=version_1)[:-1] + b"x"
+    stream = PacketStream()
+    assert stream.packets(attitude(1, version_1) + 5 * bad + attitude(2, version_1) + bad)
+    assert (stream.scanner.bad_checksums, stream.scanner.damaged) == (6, 2)
+    assert stream.scanner.skipped_bytes == 6 * len(bad)
+
+
+@given(st.lists(st.one_of(st.binary(max_size=40), st.sampled_from(PIECES)), max_size=12), st.lists(st.integers(1, 60)))
+@settings(deadline=None)
+def test_what_is_found_and_counted_does_not_depend_on_cuts(pieces: list[bytes], cuts: list[int]) -> None:
+    data = b"".join(pieces)
+    whole, parts = PacketStream(), PacketStream()
+    expected = whole.packets(data)
+    packets = []
+    for cut in cuts:
+        packets += parts.packets(data[:cut])
+        data = data[cut:]
+    packets += parts.packets(data)
+    assert packets == expected
+    counts = ("intact", "unknown", "bad_checksums", "damaged", "skipped_bytes", "in_damage", "waiting")
+    assert [getattr(parts.scanner, name) for name in counts] == [getattr(whole.scanner, name) for name in counts]

@@ -6,11 +6,11 @@ import itertools
 from typing import Any
 
 import pytest
+from packet_stream import PacketStream
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from adapters.batch import pack
 from adapters.errors import TelemetryError
-from adapters.mavlink.mavlink_message import PacketParser
 from adapters.mavlink.message_rates import RateRequests, RequestedRate
 from adapters.mavlink.signing import SignatureVerdict, SignatureVerifier, SigningKey
 from adapters.message import Message
@@ -22,7 +22,7 @@ STEP_NS = SECOND_NS // 20
 
 
 def decoded(packets: list[bytes], now_ns: int) -> list[Message]:
-    return [kind.decode(packet, now_ns) for packet in packets for kind, _ in PacketParser().feed(packet)]
+    return [message for packet in packets for message in PacketStream().messages(packet, now_ns)]
 
 
 class Vehicle:

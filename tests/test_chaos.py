@@ -10,9 +10,9 @@ import chaos
 import pytest
 from chaos import Sufferer
 from fleet_sender import Due
+from packet_stream import PacketStream
 
 from adapters.logs.recordings import packed
-from adapters.mavlink.mavlink_message import PacketParser
 from adapters.mavlink.signing import SigningGuard
 from adapters.message import Message, silence
 from monitor.event import AlarmEvent
@@ -47,7 +47,7 @@ def packets_of(log: Path, distortion: str) -> list[Due]:
 
 def raised(profile: Profile, packets: Sequence[Due]) -> list[AlarmEvent]:
     """Return the alarms raised, those of the link left out; time passes where nothing comes."""
-    parser, guard = PacketParser(), SigningGuard(chaos.KEY, require_signed=False)
+    stream, guard = PacketStream(), SigningGuard(chaos.KEY, require_signed=False)
     messages: list[Message] = []
     heard_ns = START_NS
     for due, data in packets:
@@ -55,9 +55,9 @@ def raised(profile: Profile, packets: Sequence[Due]) -> list[AlarmEvent]:
         for then_ns in range(heard_ns + TENTH_NS, now_ns, TENTH_NS):
             messages.append(silence(then_ns))
         heard_ns = now_ns
-        for kind, packet in parser.feed(data):
+        for packet in stream.packets(data):
             if guard.refusal(packet, now_ns) is None:
-                messages.append(kind.decode(packet, now_ns))
+                messages += PacketStream().messages(packet, now_ns)
         messages += guard.findings(now_ns)
     pipeline = Pipeline(profile, system=7)
     found = [output for batch in packed(messages) for output in pipeline.run(batch)]

@@ -12,8 +12,8 @@ from pathlib import Path
 import chaos
 import pytest
 from fleet_sender import Due, fleet_packets, read_flight
+from packet_stream import PacketStream, packet_sequence
 
-from adapters.mavlink.mavlink_message import PacketParser, packet_sequence
 from adapters.mavlink.signing import SignatureVerdict, SignatureVerifier
 from adapters.message import Message
 
@@ -33,8 +33,8 @@ def rng() -> random.Random:
 
 
 def messages(packets: Sequence[Due]) -> list[Message]:
-    parser = PacketParser()
-    return [kind.decode(found, due) for due, packet in packets for kind, found in parser.feed(packet)]
+    stream = PacketStream()
+    return [message for due, packet in packets for message in stream.messages(packet, due)]
 
 
 def in_order(packets: Sequence[Due]) -> bool:
@@ -108,9 +108,9 @@ def test_flipped_bits_damage_some_packets(packets: list[Due], rng: random.Random
 
 
 def test_noise_between_packets_costs_hardly_one_of_them(packets: list[Due], rng: random.Random) -> None:
-    parser = PacketParser()
-    found = [found for _, data in chaos.babble(packets, rng) for _, found in parser.feed(data)]
-    assert parser.skipped_bytes > 10_000
+    stream = PacketStream()
+    found = [packet for _, data in chaos.babble(packets, rng) for packet in stream.packets(data)]
+    assert stream.scanner.skipped_bytes > 10_000
     # Noise that claims to be a packet of an unknown kind cannot be told from one: it takes what stands in it along.
     assert len({packet for _, packet in packets} - set(found)) < 10
 

@@ -252,7 +252,7 @@ def relay(log: str, address: str, system: int, speed: float) -> None:
             changed = bytearray(packet)
             changed[5 if version_2 else 3] = system
             end = (10 if version_2 else 6) + packet[1]
-            extra = types[message_number(packet)]._extra
+            extra = bytes([types[message_number(packet)].extra])
             crc = x25crc(bytes(changed[1:end]) + extra).crc
             changed[end : end + 2] = crc.to_bytes(2, "little")
             out.sendto(changed, (host, int(port)))

@@ -14,11 +14,12 @@ from pathlib import Path
 import pytest
 from daemons import ENVIRONMENT, FAUIO, Flight, free_ports
 from loopback import publisher
+from packet_stream import PacketStream
 
 import fauio
 from adapters.logs.recordings import read_recording
 from adapters.logs.tlog import TlogReader
-from adapters.mavlink.mavlink_message import PacketParser, message_number
+from adapters.mavlink.mavlink_message import message_number
 from adapters.simulation.pacing import paced
 from adapters.source import MAVLINK, ZENOH
 from adapters.zenoh.zenoh_session import open_session
@@ -154,7 +155,7 @@ def test_it_asks_for_the_rates_of_a_configuration_whose_profile_is_yet_to_be_mad
         for packet in paced(slow, 1.0):
             vehicle.sendto(packet, ("127.0.0.1", port))
             with contextlib.suppress(BlockingIOError):
-                asked |= {message_number(one) for _, one in PacketParser().feed(vehicle.recv(4096))}
+                asked |= {message_number(packet) for packet in PacketStream().packets(vehicle.recv(4096))}
             if COMMAND_LONG in asked:
                 break
     assert COMMAND_LONG in asked

@@ -16,12 +16,13 @@ import fleet_sender
 import pytest
 from fleet_sender import Signer, fleet_packets, main, read_flight, send_fleet
 from loopback import until
+from packet_stream import packet_sequence
 
 from adapters.batch import messages as each
 from adapters.errors import TelemetryError
 from adapters.logs.tlog import read_tlog
 from adapters.mavlink.mavlink_link import MavlinkLink
-from adapters.mavlink.mavlink_message import packet_sender, packet_sequence
+from adapters.mavlink.mavlink_message import packet_sender
 from adapters.mavlink.signing import SigningGuard, SigningKey
 from adapters.message import Message
 

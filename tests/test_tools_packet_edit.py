@@ -7,11 +7,12 @@ from typing import Any
 
 import pytest
 from packet_edit import checksummed, readdressed, signed
+from packet_stream import PacketStream
 from pymavlink.dialects.v20 import ardupilotmega
 
 from adapters.errors import TelemetryError
 from adapters.logs.tlog import TlogReader
-from adapters.mavlink.mavlink_message import MAGIC_1, PacketParser
+from adapters.mavlink.mavlink_message import MAGIC_1
 from adapters.mavlink.signing import SignatureVerdict, SignatureVerifier, SigningKey, unix_stamp
 
 NOW_NS = 1_795_251_917_265_689_600
@@ -49,7 +50,7 @@ def test_version_1_is_readdressed_too() -> None:
 
 def test_a_damaged_packet_becomes_a_valid_one(packets: list[bytes]) -> None:
     damaged = packets[0][:-1] + bytes([packets[0][-1] ^ 1])
-    assert PacketParser().feed(damaged) == []
+    assert PacketStream().packets(damaged) == []
     assert checksummed(damaged) == packets[0]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from array import array
 from collections import Counter, OrderedDict
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass
@@ -11,9 +10,9 @@ from dataclasses import dataclass
 from adapters.batch import Batch, joined, pack
 from adapters.errors import TelemetryError
 from adapters.mavlink.byte_link import open_byte_link
-from adapters.mavlink.mavlink_columns import decoded
-from adapters.mavlink.mavlink_message import MavlinkType, PacketParser, mavlink_types, packet_sender, packet_sequence
+from adapters.mavlink.mavlink_columns import decoded, dialect, wanted_kinds
 from adapters.mavlink.message_rates import RateRequests
+from adapters.mavlink.packets import PacketList, PacketScanner, SequenceCounter
 from adapters.mavlink.signing import SigningGuard, SigningStatistics
 
 # Senders whose unfinished packets are kept apart; more are unlikely, and none can exhaust memory.
@@ -21,9 +20,8 @@ _SENDERS = 64
 _PIECES = 1024
 """Pieces of one batch: a flood of junk must not keep the caller here."""
 _ANSWER_NS = 10_000_000_000
-# Further behind than networks reorder, a packet is the first after a restart or a long gap.
-_REORDERED = 32
 _SETTLING_NS = 1_000_000_000
+_COUNTS = ("unknown", "bad_checksums", "damaged", "skipped_bytes")
 # It carries the secret that packets are signed with, and everything given out here is recorded.
 _SECRET = "SETUP_SIGNING"  # noqa: S105 - the name of a message
 
@@ -43,6 +41,8 @@ class MavlinkLinkStatistics:
         The same of each system that lost any.
     unknown : int
         Packets of messages that are not in the dialect.
+    bad_checksums : int
+        Packets with a wrong checksum, as far as damage left where they begin.
     damaged, skipped_bytes : int
         Places with bytes that belong to no intact packet, and those bytes.
     connections : int
@@ -57,6 +57,7 @@ class MavlinkLinkStatistics:
     lost: int
     lost_by_system: Mapping[int, int]
     unknown: int
+    bad_checksums: int
     damaged: int
     skipped_bytes: int
     connections: int
@@ -100,15 +101,14 @@ class MavlinkLink:
         self._url = url
         self._may_send = may_send
         # Half a second of work that the first packet would have to wait for.
-        mavlink_types()
+        self._dialect = dialect()
+        self._wanted = wanted_kinds(without=(_SECRET,))
         self._link = open_byte_link(url, may_send)
         self._guard = guard
         self._refused: Counter[str] = Counter()
-        self._parsers: OrderedDict[Hashable, PacketParser] = OrderedDict()
-        self._retired = PacketParser()
-        # By system and component id, -1 where nothing came yet: what strangers claim to be costs no memory.
-        self._sequence = array("h", [-1]) * (1 << 16)
-        self._lost_by_system = [0] * 256
+        self._scanners: OrderedDict[Hashable, PacketScanner] = OrderedDict()
+        self._counts = dict.fromkeys(_COUNTS, 0)  # of senders that were forgotten
+        self._sequences = SequenceCounter()
         self._telemetry_ns: OrderedDict[Hashable, int] = OrderedDict()
         self._received_ns = 0
         self._messages = 0
@@ -124,8 +124,7 @@ class MavlinkLink:
         """
         now_s = time.monotonic()
         until_s = now_s + timeout_s
-        packets: list[tuple[MavlinkType, bytes]] = []
-        received_ns: list[int] = []
+        packets = PacketList(self._dialect)
         due_s = min(self._due_s, until_s)
         if self._link.stamps_arrivals:
             if due_s > now_s:
@@ -135,13 +134,14 @@ class MavlinkLink:
         while left > 0:
             pieces = self._link.read((due_s if packets else until_s) - time.monotonic())
             for sender, data, arrived_ns in pieces:
-                self._receive(sender, data, arrived_ns, packets, received_ns)
+                self._receive(sender, data, self._arrival(arrived_ns), packets)
             left -= max(len(pieces), 1)
             if time.monotonic() >= (due_s if packets else until_s):
                 break
         self._due_s = time.monotonic() + self._batch_s
-        self._messages += len(packets)
-        batch = decoded(packets, received_ns)
+        self._sequences.count(packets)
+        batch = decoded(packets, self._wanted)
+        self._messages += batch.count
         if self._requests is not None:
             for columns in batch.columns:
                 self._requests.count(columns)
@@ -175,70 +175,41 @@ class MavlinkLink:
             self._received_ns = received_ns
         return self._received_ns
 
-    def _receive(
-        self,
-        sender: Hashable,
-        data: bytes,
-        arrived_ns: int,
-        packets: list[tuple[MavlinkType, bytes]],
-        received_ns: list[int],
-    ) -> None:
-        """Append the packets that a piece completes, and their time of arrival, where they are admitted."""
-        arrived_ns = self._arrival(arrived_ns)
-        guard = self._guard
-        admitted = False
-        for kind, packet in self._parser(sender).feed(data):
-            if guard is not None and (verdict := guard.refusal(packet, arrived_ns)) is not None:
-                self._refused[verdict.name.lower()] += 1
-                continue
-            admitted = True
-            self._count(packet)
-            if kind.name != _SECRET:
-                packets.append((kind, packet))
-                received_ns.append(arrived_ns)
-        if admitted and self._may_send:
+    def _receive(self, sender: Hashable, data: bytes, arrived_ns: int, packets: PacketList) -> None:
+        """Append the packets that a piece completes where they are admitted."""
+        before = len(packets)
+        self._scanner(sender).scan(data, packets, arrived_ns)
+        if self._guard is not None:
+            refusals = [self._guard.refusal(packet, arrived_ns) for _, packet in packets.items(before)]
+            self._refused.update(verdict.name.lower() for verdict in refusals if verdict is not None)
+            packets.keep(before, [verdict is None for verdict in refusals])
+        if self._may_send and len(packets) > before:
             self._telemetry_ns[sender] = arrived_ns
             self._telemetry_ns.move_to_end(sender)
             if len(self._telemetry_ns) > _SENDERS:
                 self._telemetry_ns.popitem(last=False)
 
-    def _count(self, packet: bytes) -> None:
-        system, component = packet_sender(packet)
-        place = system << 8 | component
-        before = self._sequence[place]
-        sequence = packet_sequence(packet)
-        ahead = (sequence - before) & 0xFF
-        if before < 0 or 128 <= ahead < 256 - _REORDERED:
-            self._sequence[place] = sequence
-        elif 0 < ahead < 128:
-            self._lost_by_system[system] += ahead - 1
-            self._sequence[place] = sequence
-
-    def _parser(self, sender: Hashable) -> PacketParser:
-        parser = self._parsers.get(sender)
-        if parser is None:
-            parser = self._parsers[sender] = PacketParser()
-            if len(self._parsers) > _SENDERS:
-                self._retire(self._parsers.popitem(last=False)[1])
+    def _scanner(self, sender: Hashable) -> PacketScanner:
+        scanner = self._scanners.get(sender)
+        if scanner is None:
+            scanner = self._scanners[sender] = PacketScanner(self._dialect)
+            if len(self._scanners) > _SENDERS:
+                _, forgotten = self._scanners.popitem(last=False)
+                self._counts = {name: self._counts[name] + getattr(forgotten, name) for name in _COUNTS}
         else:
-            self._parsers.move_to_end(sender)
-        return parser
-
-    def _retire(self, parser: PacketParser) -> None:
-        self._retired.unknown += parser.unknown
-        self._retired.damaged += parser.damaged
-        self._retired.skipped_bytes += parser.skipped_bytes
+            self._scanners.move_to_end(sender)
+        return scanner
 
     def statistics(self) -> MavlinkLinkStatistics:
         """Return the counts so far."""
-        parsers = (self._retired, *self._parsers.values())
+        lost = self._sequences.lost()
+        scanners = list(self._scanners.values())
+        counts = {name: self._counts[name] + sum(getattr(one, name) for one in scanners) for name in _COUNTS}
         return MavlinkLinkStatistics(
             messages=self._messages,
-            lost=sum(self._lost_by_system),
-            lost_by_system={system: lost for system, lost in enumerate(self._lost_by_system) if lost},
-            unknown=sum(parser.unknown for parser in parsers),
-            damaged=sum(parser.damaged for parser in parsers),
-            skipped_bytes=sum(parser.skipped_bytes for parser in parsers),
+            lost=sum(lost.values()),
+            lost_by_system=lost,
+            **counts,
             connections=self._link.connections,
             overruns=self._link.overruns,
             signing=SigningStatistics(**self._refused),

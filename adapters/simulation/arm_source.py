@@ -15,10 +15,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from adapters.batch import messages
 from adapters.errors import TelemetryError
 from adapters.mavlink.byte_link import resolve
 from adapters.mavlink.heartbeat import ARMED, AUTOPILOT
-from adapters.mavlink.mavlink_message import mavlink_types, message_number
+from adapters.mavlink.mavlink_columns import decoded, dialect, wanted_kinds
+from adapters.mavlink.packets import PacketList, PacketScanner
 from adapters.message import SECOND_NS, Message
 from adapters.simulation.arm import ArmRun
 from adapters.simulation.pacing import paced
@@ -65,8 +67,10 @@ def arm_packets(run: ArmRun) -> Iterator[tuple[int, bytes]]:
 
 def arm_messages(run: ArmRun, start_unix_ns: int) -> Iterator[Message]:
     """Return the run as a MAVLink link without delay would receive it, simulated time 0 being ``start_unix_ns``."""
+    scanner, packets = PacketScanner(dialect()), PacketList(dialect())
     for time_ns, packet in arm_packets(run):
-        yield mavlink_types()[message_number(packet)].decode(packet, start_unix_ns + time_ns)
+        scanner.scan(packet, packets, start_unix_ns + time_ns)
+    return messages(decoded(packets, wanted_kinds()))
 
 
 def arm_payloads(run: ArmRun) -> Iterator[tuple[int, bytes]]:

@@ -18,7 +18,7 @@ VehicleState = Literal["starting", "monitoring", "degraded", "stale"]
 LOOP_LIMIT_S = 5.0
 """Chosen: far longer than any turn of the loop takes, sooner than systemd's watchdog (systemd/fauio@.service) acts."""
 
-_LINK_LOSSES = ("lost", "unknown", "damaged", "overruns", "dropped", "oversized", "malformed")
+_LINK_LOSSES = ("lost", "unknown", "bad_checksums", "damaged", "overruns", "dropped", "oversized", "malformed")
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 
