@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimates, Layout
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.bank import EstimatorRun
+from monitor.estimation.changes import ChangeStage
 from monitor.estimation.effectiveness import EffectivenessEstimator, EffectivenessRule, EffectivenessRun
 from monitor.estimation.estimator import make_estimator
 from monitor.estimation.isolation_rule import keep_share
@@ -186,6 +187,10 @@ class ObserverChain:
         self._since_measured = SinceMeasured()
         self._command = CommandUnits(profile)
         self._effectiveness = EffectivenessStage(profile.effectiveness, profile.faults, gains.inputs, gains.rate_hz)
+        self._changes = None
+        if profile.changes is not None and profile.model is not None:
+            inputs = [channel.input for channel in profile.faults]
+            self._changes = ChangeStage(profile.model, gains.rate_hz, inputs, profile.changes)
         self._excuses = excuses or Excuses(())
         # Faults first, then the alarm of what no fault explains: the order in which a row is processed.
         rules = sorted(profile.alarms, key=lambda rule: rule.kind == "residual")
@@ -193,6 +198,9 @@ class ObserverChain:
         self._states = tuple(alarm.state for alarm in self._alarms)
         self._faults = [names.index(rule.channel) for rule in rules if rule.kind != "residual"]
         self._fault_of = np.array(self._faults, np.intp)
+        # the alarm of each fault, and behind them what an index of -1 finds: no alarm
+        self._alarm_of = np.full(len(names) + 1, -1, np.intp)
+        self._alarm_of[self._fault_of] = np.arange(len(self._faults))
         for alarm in self._alarms[: len(self._faults)]:
             self._excuses.add(alarm.rule.channel, alarm.state)
 
@@ -300,8 +308,16 @@ class ObserverChain:
             elif fault in commands:
                 scaled[alarm] = commands[fault]
         samples = estimates.samples
-        rows = ChainRows(self._states, position, samples.vehicle_time_ns, samples.restart, evidence, speaking)
+        changes = self._changes_of(estimates)
+        rows = ChainRows(self._states, position, samples.vehicle_time_ns, samples.restart, evidence, speaking, *changes)
         return ChainRun(estimates, rows, self._alarms, scaled, relative, found.smoothed, found.unexplained)
+
+    def _changes_of(self, estimates: Estimates) -> tuple[NDArray[Any], ...]:
+        """Return the alarm whose sudden change each row names, its nats, size and onset; nothing without a test."""
+        if self._changes is None:
+            return ()
+        run = self._changes.run(estimates.samples, estimates.armed, estimates.isolated)
+        return self._alarm_of[run.named], run.nats, run.size, run.onset_ns
 
 
 def shown_in(plant: Plant | None, layout: Layout) -> NDArray[np.bool_]:

@@ -23,6 +23,7 @@ from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, read_gains
 from monitor.alarms.alarm import LEAST, AlarmRule
 from monitor.alarms.excuse import ExcuseRule, excuse_tables, read_excuses
+from monitor.estimation.changes import ChangeRule, changes_table, read_changes
 from monitor.estimation.effectiveness import EffectivenessRule, effectiveness_table, read_effectiveness
 from monitor.estimation.isolation_rule import (
     IsolationRule,
@@ -116,6 +117,8 @@ class ObserverProfile:
         take to forget a wrong start (:mod:`monitor.estimation.affine`).
     effectiveness : Mapping[str, EffectivenessRule]
         Faults whose evidence is read against the deflection at which they arise, by name.
+    changes : ChangeRule | None
+        How sudden changes are told from noise; None: not at all.
     model : Plant | None
         The model the gains were designed for; without one the uncertainty of the estimates is not known.
     """
@@ -128,6 +131,7 @@ class ObserverProfile:
     alarms: tuple[AlarmRule, ...]
     settle_s: float = 0.0
     effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
+    changes: ChangeRule | None = None
     model: Plant | None = None
 
     @property
@@ -235,6 +239,7 @@ def observer_table(
     alarms: Sequence[AlarmRule],
     settle_s: float = 0.0,
     effectiveness: Mapping[str, EffectivenessRule] | None = None,
+    changes: ChangeRule | None = None,
     sees: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Return an observer's part of profile.toml, as :func:`read_profile` reads it back.
@@ -248,6 +253,8 @@ def observer_table(
         "isolation": isolation_table(isolation),
         "alarms": {rule.channel: _alarm_table(rule, said.get(rule.channel)) for rule in alarms},
     }
+    if changes is not None:
+        table["changes"] = changes_table(changes)
     if effectiveness:
         table["effectiveness"] = {name: effectiveness_table(rule) for name, rule in effectiveness.items()}
     return table
@@ -261,6 +268,8 @@ def _alarm_table(rule: AlarmRule, sees: str | None) -> dict[str, float | str]:
         table |= {"fast": rule.fast, "fast_s": rule.fast_s}
     if rule.slow < math.inf:
         table |= {"slow": rule.slow, "slow_s": rule.slow_s}
+    if rule.nats < math.inf:
+        table |= {"nats": rule.nats, "least": rule.least}
     if rule.latch_s:
         table["latch_s"] = rule.latch_s
     if sees:
@@ -318,6 +327,7 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
         effectiveness=read_effectiveness(
             table.table("effectiveness"), {f.name: f.input for f in faults}, shared.inputs, bank=len(gains) > 1
         ),
+        changes=read_changes(table.table("changes"), shared.outputs) if table.has("changes") else None,
         model=read_model(model),
     )
     table.done()

@@ -309,3 +309,48 @@ def test_events_do_not_depend_on_where_batches_end(
         part = slice(a, b)
         events += process(parts, evidence[part], times_ns[part], restart=restart[part], speaking=speaking[part])
     assert repr(events) == repr(expected)
+
+
+def sudden(alarm: Alarm, rows: list[tuple[float, float, float]], onset: int = 0, start: int = 0) -> list[AlarmEvent]:
+    """Return the events of rows of evidence, nats and size of a change that began at sample ``onset``."""
+    evidence, nats, size = np.array(rows).T
+    count = len(evidence)
+    times_ns = (start + np.arange(count)) * STEP_NS
+    always, nothing = np.ones(count, np.bool_), np.zeros((count, 0))
+    samples = Samples(
+        np.arange(count), times_ns, times_ns, nothing, nothing, ~always, always, times_ns, always, nothing > 0
+    )
+    onset_ns = np.full(count, onset * STEP_NS)
+    changed = np.zeros(count, np.intp)
+    found = [alarm.state], np.arange(count), times_ns, ~always, evidence[:, None], always[:, None]
+    events: list[AlarmEvent] = []
+    walk(
+        [ChainRows(*found, changed, nats, size, onset_ns)],
+        lambda _observer, row, _alarm, code: events.append(alarm.event(code, samples, row, 0.5)),
+    )
+    return events
+
+
+SUDDEN = replace(RULE, nats=100.0, least=0.008)
+
+
+def test_a_sudden_change_that_is_certain_raises_at_once() -> None:
+    (event,) = sudden(new_alarm(SUDDEN), [(0.0, 99.0, -0.05), (0.0, 100.0, -0.05), (0.0, 300.0, -0.06)])
+    assert (event.state, event.estimate, event.vehicle_time_ms) == ("raised", -0.05, 10)
+
+
+def test_a_sudden_change_that_is_too_small_for_an_alarm_raises_nothing() -> None:
+    assert not sudden(new_alarm(SUDDEN), [(0.0, 1e4, -0.007)] * 5)
+
+
+def test_a_change_to_more_than_commanded_waits_for_the_estimate() -> None:
+    alarm = new_alarm(SUDDEN)
+    assert not sudden(alarm, [(0.005, 1e4, 0.05)] * 5)
+    assert sudden(alarm, [(0.012, 1e4, 0.05)], start=5)[0].state == "raised"
+
+
+def test_a_change_that_has_been_reported_and_has_ended_is_not_raised_again() -> None:
+    alarm = new_alarm(SUDDEN)
+    events = sudden(alarm, [(-0.05, 200.0, -0.05)] * 20 + [(0.0, 200.0, -0.05)] * 80)
+    assert [event.state for event in events] == ["raised", "cleared"]
+    assert sudden(alarm, [(0.0, 200.0, -0.05)], onset=110, start=115)[0].state == "raised"

@@ -125,7 +125,7 @@ def common_fields(plant: Plant, matrices: ObserverMatrices | None) -> dict[str, 
         "fault_units": tuple(fault.unit for fault in faults),
         "fault_inputs": tuple(None if fault.input is None else plant.inputs.index(fault.input) for fault in faults),
         "input_taps": plant.taps,
-        "input_curves": _input_curves(plant),
+        "input_curves": input_curves(plant),
         "nonlinearities": tuple(ScalarNonlinearity(g.expression, g.arguments) for g in plant.nonlinearities),
     }
 
@@ -169,7 +169,7 @@ def _provable(summary: dict[str, Any], design: Design) -> dict[str, Any]:
     return {**summary, "certificate": {**summary["certificate"], "P": design.P.tolist(), "multipliers": multipliers}}
 
 
-def _input_curves(plant: Plant) -> FloatArray:
+def input_curves(plant: Plant) -> FloatArray:
     """Return the coefficients of the inputs' static curves as one array (s, degree)."""
     degree = max((len(curve) for curve in plant.curves), default=1)
     curves = np.zeros((len(plant.inputs), degree))

@@ -1,7 +1,9 @@
-"""From a channel's evidence to alarm events: three paths to raise it, hysteresis, debounce by time, severity, latching.
+"""From a channel's evidence to alarm events: four paths to raise it, hysteresis, debounce by time, severity, latching.
 
 Paths, each with its own size and time, whichever comes first:
 
+- sudden: a change of at least ``least`` that is certain, by a log-likelihood ratio of ``nats`` at once
+  (:mod:`monitor.estimation.changes`);
 - fast: evidence beyond ``fast`` for ``fast_s``, for large faults;
 - plain: evidence beyond ``threshold`` for ``raise_s``;
 - slow: the exponentially weighted mean over ``slow_s`` beyond ``slow``, for small and creeping faults; evidence enters
@@ -129,6 +131,9 @@ class AlarmRule:
         Quiet that an alarm which comes and goes needs before it clears; 0: never latched.
     critical_ahead_s : float
         How far ahead its growth is looked at for severity, seconds; 0: not at all.
+    nats, least : float
+        Log-likelihood ratio of a sudden change that raises it at once, and the smallest size it has to have; infinite
+        nats: no such path.
     sees : str
         What size of fault it sees how fast, for people; empty where that was not measured.
     """
@@ -151,6 +156,8 @@ class AlarmRule:
     latch_s: float = 0.0
     critical_ahead_s: float = 5.0
     """Time that a pilot needs to land or to let go: chosen."""
+    nats: float = math.inf
+    least: float = 0.0
     sees: str = ""
 
 

@@ -52,6 +52,10 @@ class ChainRows:
         restart: NDArray[np.bool_],
         evidence: NDArray[np.float64],
         speaking: NDArray[np.bool_],
+        changed: NDArray[np.intp] | None = None,
+        nats: NDArray[np.float64] | None = None,
+        size: NDArray[np.float64] | None = None,
+        onset_ns: NDArray[np.int64] | None = None,
     ) -> None: ...
 
 def evidence_of(

@@ -38,6 +38,15 @@ cdef enum:
     C_CLEARED = 3
 
 
+# Before the first moment of any vehicle's clock.
+cdef int64_t LONG_AGO = -(1 << 62)
+
+cdef struct Change:
+    # a sudden change of one channel, with the nats that speak for it: zero for none
+    double nats, size
+    int64_t onset_ns
+
+
 cdef class Trend:
     """Slope of one channel's evidence since its alarm was raised: see :mod:`monitor.alarms.alarm`."""
 
@@ -84,9 +93,10 @@ cdef class AlarmState:
     """
 
     cdef double threshold, clear, critical_size, raise_ns, clear_ns, fast, fast_ns, slow, slow_ns, latch_ns, ahead_s
+    cdef double nats, least
     cdef readonly bint active, critical, creeping, recurring
     cdef readonly double shown, peak, size, reported
-    cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns
+    cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns
     cdef bint contiguous
     cdef double mean
     cdef Trend trend
@@ -100,6 +110,7 @@ cdef class AlarmState:
         self.active = self.contiguous = self.excused_now = False
         self.counter_ns = self.fast_counter_ns = 0
         self.raised_count = 0
+        self.last_ns = self.ended_ns = LONG_AGO
         self.mean = 0.0
         self.excused_spans = None
 
@@ -110,6 +121,7 @@ cdef class AlarmState:
         self.fast, self.fast_ns = rule.fast, rule.fast_s * NANOSECONDS
         self.slow, self.slow_ns = rule.slow, rule.slow_s * NANOSECONDS
         self.latch_ns, self.ahead_s = rule.latch_s * NANOSECONDS, rule.critical_ahead_s
+        self.nats, self.least = rule.nats, rule.least
 
     def set_excuse(self, bint now, spans):
         """Set when other alarms explain the evidence: always from now on, or in spans of vehicle time (m, 2), ns."""
@@ -128,6 +140,7 @@ cdef class AlarmState:
     def deactivate(self):
         """Stop being active without an event."""
         self.active = False
+        self.ended_ns = self.last_ns
 
     cdef bint excused(self, int64_t now) noexcept:
         cdef Py_ssize_t i
@@ -139,9 +152,12 @@ cdef class AlarmState:
                     return True
         return False
 
-    cdef int step(self, int64_t now, bint restart, double evidence, bint speaking) noexcept:
+    cdef int step(self, int64_t now, bint restart, double evidence, bint speaking, const Change* change) noexcept:
         """Process one row; return the event it causes."""
         cdef int64_t elapsed
+        if not self.active and self.is_certain(change, evidence) and not self.excused(now):
+            self.last_ns, self.contiguous = now, True
+            return self.raise_alarm(now, change.size, self.least, False)
         # What explains the evidence keeps an alarm from being raised; one that is active follows its own evidence.
         if not speaking or (not self.active and self.excused(now)):
             self.contiguous = False
@@ -153,6 +169,15 @@ cdef class AlarmState:
         if self.active:
             return self.follow(now, evidence, elapsed)
         return self.debounce(now, evidence, elapsed)
+
+    cdef bint is_certain(self, const Change* change, double evidence) noexcept:
+        """Return whether a sudden change raises the alarm; one to more than commanded needs the estimate's word.
+
+        What began before the alarm ended has been reported.
+        """
+        if not (change.nats >= self.nats and fabs(change.size) >= self.least and change.onset_ns > self.ended_ns):
+            return False
+        return change.size < 0.0 or evidence >= self.clear
 
     cdef void average(self, bint restart, double evidence, int64_t elapsed) noexcept:
         """Weighted mean over slow_s of evidence that enters with twice ``slow`` at most."""
@@ -217,6 +242,7 @@ cdef class AlarmState:
             self.counter_ns += elapsed
             if self.counter_ns >= (self.latch_ns if self.recurring else self.clear_ns):
                 self.active = False
+                self.ended_ns = now
                 self.counter_ns = 0
                 self.mean = 0.0
                 return C_CLEARED
@@ -253,6 +279,9 @@ cdef class ChainRows:
         Signed sizes.
     speaking : bool (n, A)
         Where a row is evidence of a channel.
+    changed : intp (n,), optional
+        The alarm of which a sudden change is named at each row, -1 for none; with its ``nats`` and ``size``, float64,
+        and ``onset_ns``, int64 (n,).
     """
 
     cdef tuple alarms
@@ -260,11 +289,22 @@ cdef class ChainRows:
     cdef const uint8_t[:] restart
     cdef const double[:, :] evidence
     cdef const uint8_t[:, :] speaking
+    cdef const Py_ssize_t[:] changed
+    cdef const double[:] nats, size
+    cdef const int64_t[:] onset_ns
 
-    def __init__(self, alarms, position, times_ns, restart, evidence, speaking):
+    def __init__(self, alarms, position, times_ns, restart, evidence, speaking, changed=None, nats=None, size=None,
+                 onset_ns=None):
         self.alarms = tuple(alarms)
         self.position, self.times_ns = position, times_ns
         self.restart, self.evidence, self.speaking = restart, evidence, speaking
+        self.changed, self.nats, self.size, self.onset_ns = changed, nats, size, onset_ns
+
+    cdef Change change_of(self, Py_ssize_t row, Py_ssize_t alarm) noexcept:
+        cdef Change change = Change(0.0, 0.0, 0)
+        if self.changed is not None and self.changed[row] == alarm:
+            change.nats, change.size, change.onset_ns = self.nats[row], self.size[row], self.onset_ns[row]
+        return change
 
 
 def evidence_of(const double[:, :] isolated, const double[:] unexplained, const uint8_t[:] armed,
@@ -320,6 +360,7 @@ def walk(chains, on_event):
     cdef ChainRows chain
     cdef AlarmState alarm
     cdef int event
+    cdef Change change
     cdef list rows = [0] * count
     while True:
         best = -1
@@ -336,7 +377,9 @@ def walk(chains, on_event):
         row = rows[best]
         for i in range(len(chain.alarms)):
             alarm = <AlarmState>chain.alarms[i]
-            event = alarm.step(chain.times_ns[row], chain.restart[row], chain.evidence[row, i], chain.speaking[row, i])
+            change = chain.change_of(row, i)
+            event = alarm.step(
+                chain.times_ns[row], chain.restart[row], chain.evidence[row, i], chain.speaking[row, i], &change)
             if event:
                 on_event(best, row, i, event)
         rows[best] = row + 1

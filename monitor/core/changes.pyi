@@ -1,0 +1,26 @@
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+class ChangeTest:
+    def __init__(
+        self,
+        dynamics: Array,
+        curves: Array,
+        taps: Array,
+        judged: Sequence[int],
+        actuators: Sequence[int],
+        whitening: Array,
+        variance: Array,
+        hold: int,
+        window: int,
+        clip: float,
+    ) -> None: ...
+    def innovations(self, u: Array, y: Array, usable: Flags, restart: Flags) -> tuple[Array, Array, Flags]: ...
+    def run(
+        self, u: Array, y: Array, usable: Flags, restart: Flags, armed: Flags, believed: Array
+    ) -> tuple[NDArray[np.intp], Array, Array, NDArray[np.int64]]: ...

@@ -1,0 +1,186 @@
+"""Sudden losses on simulated flights of exact truth: seen within samples, named right, never in coloured noise."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from adapters.sample import Samples
+from adapters.toml_tables import parse_toml, toml_value
+from monitor.estimation.changes import CLIP, ChangeRule, ChangeStage, changes_table, read_changes
+from monitor.fitting.changes import fit_changes, healthy_nats
+from monitor.fitting.flights import Flight
+from monitor.profile import FaultChannel
+from monitor.vehicles.multirotor.identify import RATE_AXES, MultirotorFit, multirotor_plant
+
+HZ = 100.0
+MOTORS = ("motor1", "motor2", "motor3", "motor4")
+FIT = MultirotorFit(
+    rate_hz=HZ,
+    a=np.array([0.97, 0.97, 0.98]),
+    B=np.array([[-0.8, 0.8, 0.8, -0.8], [0.8, -0.8, 0.8, -0.8], [0.03, 0.03, -0.03, -0.03], [-4.0, -4.0, -4.0, -4.0]]),
+    c=np.zeros(4),
+    taps=np.array([0.3, 0.5, 0.2]),
+    kappa=0.5,
+    residual_std=np.array([2e-3, 2e-3, 5e-4, 0.3]),
+    explained=np.ones(3),
+    t_value=np.full(3, 1000.0),
+    samples=10_000,
+)
+HOVER = 0.5
+MOTOR_CHANNELS = [FaultChannel(motor, "actuator", "", place) for place, motor in enumerate(MOTORS)]
+
+
+PLANT = multirotor_plant(FIT, "quad", MOTORS)
+
+
+def flight(
+    rng: np.random.Generator,
+    seconds: float,
+    *,
+    loss: float = 0.0,
+    motor: int = 0,
+    at_s: float = 0.0,
+    turn: float = 0.0,
+    jump: float = 0.0,
+) -> Flight:
+    """Return a hovering flight in gusts, steadied by a controller, with a loss of a motor or a jump of gyro x.
+
+    ``turn`` is the amplitude of rates that the pilot asks for, rad/s.
+    """
+    n, lag = round(seconds * HZ), len(FIT.taps)
+    u, y = np.full((n, 4), HOVER), np.zeros((n, 4))
+    share, rate, gust = np.ones(4), np.zeros(3), np.zeros(3)
+    delivered = np.tile(HOVER + FIT.kappa * HOVER**2, (n + lag, 4))
+    mixer = np.linalg.pinv(FIT.B[:3])
+    trim = FIT.B[:3] @ delivered[0]
+    for k in range(n):
+        wanted = turn * np.sin(2 * np.pi * k / HZ * np.array([0.7, 0.5, 0.3]))
+        u[k] = np.clip(HOVER + mixer @ (0.15 * (wanted - rate)), 0.0, 1.0)
+        share[motor] = 1.0 - loss if k >= at_s * HZ else 1.0
+        delivered[k + lag] = share * (u[k] + FIT.kappa * u[k] ** 2)
+        gust = 0.9 * gust + rng.normal(size=3) * np.array([4e-4, 4e-4, 1e-4])
+        y[k, :3] = rate + rng.normal(size=3) * 1e-4
+        y[k, 0] += jump if k >= at_s * HZ else 0.0
+        v = FIT.taps @ delivered[k + lag : k : -1]
+        y[k, 3] = FIT.B[3] @ v + rng.normal() * 0.3
+        rate = FIT.a * rate + FIT.B[:3] @ v - trim + gust
+    times = np.arange(n, dtype=np.int64) * round(1e9 / HZ)
+    always = np.ones(n, np.bool_)
+    nothing = np.zeros((n, 8), np.bool_)
+    samples = Samples(np.arange(n), times, times, u, y, always & (np.arange(n) == 0), always, times, always, nothing)
+    return Flight(samples, times >= 1_000_000_000)
+
+
+@pytest.fixture(scope="module")
+def rule() -> ChangeRule:
+    rng = np.random.default_rng(1)
+    found = fit_changes(PLANT, HZ, RATE_AXES, [flight(rng, 60.0, turn=turn) for turn in (0.0, 0.4)])
+    assert found is not None
+    return found
+
+
+def stage(rule: ChangeRule) -> ChangeStage:
+    return ChangeStage(PLANT, HZ, range(len(MOTORS)), rule)
+
+
+def seen(rule: ChangeRule, flown: Flight, nats: float) -> NDArray[np.intp]:
+    """Return the rows at which a loss of one per cent and more is named with so many nats."""
+    run = stage(rule).run(flown.samples, flown.armed, np.zeros((len(flown), 4)))
+    return np.flatnonzero((run.nats >= nats) & (run.size < -0.01 * HOVER))
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**16), st.integers(0, 3), st.floats(0.05, 0.4), st.sampled_from([0.0, 0.4]))
+def test_a_sudden_loss_is_named_within_a_tenth_of_a_second(
+    rule: ChangeRule, seed: int, motor: int, loss: float, turn: float
+) -> None:
+    flown = flight(np.random.default_rng(seed), 6.0, loss=loss, motor=motor, at_s=4.0, turn=turn)
+    run = stage(rule).run(flown.samples, flown.armed, np.zeros((len(flown), 4)))
+    rows = np.flatnonzero((run.nats >= 0.5 * CLIP**2) & (run.size < -0.01 * HOVER))
+    assert 400 <= rows[0] <= 410
+    assert set(run.named[rows]) == {motor}
+
+
+def test_the_size_and_the_onset_are_right_after_half_a_second(rule: ChangeRule) -> None:
+    flown = flight(np.random.default_rng(3), 6.0, loss=0.2, motor=2, at_s=4.0)
+    run = stage(rule).run(flown.samples, flown.armed, np.zeros((len(flown), 4)))
+    assert run.size[450] == pytest.approx(-0.2 * flown.samples.u[450, 2], rel=0.1)
+    assert run.onset_ns[450] / 1e9 == pytest.approx(4.0, abs=0.03)
+
+
+def test_gusts_and_manoeuvres_reach_no_alarm(rule: ChangeRule) -> None:
+    for seed, turn in enumerate((0.0, 0.4, 0.8)):
+        assert not len(seen(rule, flight(np.random.default_rng(50 + seed), 60.0, turn=turn), 0.5 * CLIP**2))
+
+
+def test_a_jump_of_a_gyro_is_no_motor(rule: ChangeRule) -> None:
+    flown = flight(np.random.default_rng(5), 6.0, jump=0.05, at_s=4.0)
+    assert not len(seen(rule, flown, 0.5 * CLIP**2))
+
+
+def test_one_damaged_sample_is_no_loss(rule: ChangeRule) -> None:
+    flown = flight(np.random.default_rng(6), 6.0)
+    flown.samples.y[400, :3] += [40.0, -80.0, 3.0]
+    assert not len(seen(rule, flown, 1.05 * 0.5 * CLIP**2))
+
+
+def test_the_end_of_a_loss_that_is_believed_is_no_motor_that_delivers_more_or_less(rule: ChangeRule) -> None:
+    ill = flight(np.random.default_rng(7), 8.0, loss=0.15, motor=1, at_s=0.0)
+    well = flight(np.random.default_rng(7), 8.0)
+    both = Flight(ill.samples, ill.armed)
+    both.samples.y[400:] = well.samples.y[400:]
+    both.samples.u[400:] = well.samples.u[400:]
+    believed = np.zeros((len(both), 4))
+    believed[:420, 1] = -0.15 * HOVER
+    run = stage(rule).run(both.samples, both.armed, believed)
+    assert set(run.named[405:420]) <= {-1, 1}
+
+
+def test_it_does_not_matter_how_samples_are_cut(rule: ChangeRule) -> None:
+    flown = flight(np.random.default_rng(8), 4.0, loss=0.1, at_s=3.0)
+    whole = stage(rule).run(flown.samples, flown.armed, np.zeros((400, 4)))
+    cut = stage(rule)
+    parts = [
+        cut.run(flown.samples.part(k, k + 7), flown.armed[k : k + 7], np.zeros((len(flown.armed[k : k + 7]), 4)))
+        for k in range(0, 400, 7)
+    ]
+    for one, other in zip(whole, zip(*parts, strict=True), strict=True):
+        np.testing.assert_array_equal(one, np.concatenate(other))
+
+
+def test_samples_that_are_not_evidence_or_incomplete_name_nothing(rule: ChangeRule) -> None:
+    flown = flight(np.random.default_rng(9), 5.0, loss=0.3, at_s=3.0)
+    flown.samples.complete[300:] = False
+    assert not len(seen(rule, flown, 1.0))
+    flown = flight(np.random.default_rng(9), 5.0, loss=0.3, at_s=3.0)
+    flown.armed[300:] = False
+    assert not len(seen(rule, flown, 1.0))
+
+
+def test_the_fitted_variance_grows_with_what_excites_the_noise() -> None:
+    rng = np.random.default_rng(11)
+    flown = [flight(rng, 60.0, turn=0.6) for _ in range(2)]
+    for one in flown:
+        one.samples.y[:, :3] *= 1.0 + rng.normal(size=(len(one), 3)) * 0.01
+    rule = fit_changes(PLANT, HZ, RATE_AXES, flown)
+    assert rule is not None
+    assert rule.variance[0, 1] == pytest.approx(0.01**2 / 2, rel=0.9)
+
+
+def test_the_nats_of_an_alarm_are_more_than_one_row_can_have(rule: ChangeRule) -> None:
+    flown = [flight(np.random.default_rng(12), 60.0)]
+    assert healthy_nats(PLANT, HZ, MOTOR_CHANNELS, rule, flown, 0.02) > 0.5 * CLIP**2
+
+
+def test_too_short_flights_have_no_test() -> None:
+    assert fit_changes(PLANT, HZ, RATE_AXES, [flight(np.random.default_rng(0), 3.0)]) is None
+
+
+def test_the_rule_reads_back_as_it_was_written(rule: ChangeRule) -> None:
+    text = "\n".join(f"{key} = {toml_value(value)}" for key, value in changes_table(rule).items())
+    read = read_changes(parse_toml("p.toml", text.encode(), ValueError).root, RATE_AXES)
+    assert read.outputs == rule.outputs
+    np.testing.assert_array_equal(read.whitening, rule.whitening)
+    np.testing.assert_array_equal(read.variance, rule.variance)
