@@ -17,6 +17,7 @@ from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, write_gains
 from monitor.alarms.alarm import AlarmRule
 from monitor.alarms.excuse import ExcuseRule
+from monitor.estimation.changes import ChangeRule
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.isolation_rule import BankRule, IsolationRule, gains_file_names
 from monitor.fitting.agreement import Agreement
@@ -122,6 +123,7 @@ class Fitted:
     alarms: tuple[Calibrated, ...] = ()  # calibrated alarm rules
     # how the estimates of faults that scale a deflection are read, by fault
     effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
+    changes: ChangeRule | None = None  # how sudden changes are told from noise
     flight_s: float = 0.0  # healthy flight it was fitted on, seconds
     findings: Mapping[str, Any] = field(default_factory=dict)  # what the identification found, for ``fit.json``
     lines: tuple[str, ...] = ()  # the same for people
@@ -149,6 +151,7 @@ class Fitted:
             alarms=tuple(found.rule for found in self.alarms),
             settle_s=self.settle_s,
             effectiveness=self.effectiveness,
+            changes=self.changes,
         )
 
     def table(self) -> dict[str, Any]:
@@ -161,6 +164,7 @@ class Fitted:
             alarms=alarms,
             settle_s=self.settle_s,
             effectiveness=self.effectiveness,
+            changes=self.changes,
             sees=sees,
         )
 

@@ -13,8 +13,11 @@ from adapters.channels import Channel
 from adapters.errors import ModelError
 from gains.identification.segment import Segment
 from gains.identification.shooting import split_segments
+from gains.plants.plant import Plant
 from gains.synthesis.bank import compile_bank, design_bank
+from monitor.estimation.changes import ChangeRule
 from monitor.fitting.calibrate import SETTLE_S, bank_rule
+from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.fit_report import Comparison, comparison_json, comparison_lines
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule, unexplained_alarm
 from monitor.fitting.flights import Flight, flight_samples
@@ -159,7 +162,8 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
     channels = bare.profile().faults
     evidence = healthy_evidence(bare.profile(), gate, identified.flights)
     hover = np.median(np.concatenate([segment.u for segment in segments]), axis=0)
-    alarms = _alarms(channels, evidence, hover, identified, rule.score_floor)
+    changes, nats = _changes(plant, channels, identified)
+    alarms = _alarms(channels, evidence, hover, identified, rule.score_floor, nats)
     commands = motor_commands(surveys)
     ranges = {} if commands.pulses else {"command_range": {"none": commands.stop, "full": commands.full}}
     fitted = Fitted(
@@ -169,6 +173,7 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
         source=identified.source,
         isolation=rule,
         alarms=tuple(alarms),
+        changes=changes,
         flight_s=sum(len(segment.u) for segment in segments) / model.rate_hz,
         findings={
             "rate_hz": model.rate_hz,
@@ -293,12 +298,28 @@ def _frame(
     return frame, "the motion"
 
 
+def _changes(
+    plant: Plant, channels: Sequence[FaultChannel], identified: _Identified
+) -> tuple[ChangeRule | None, float]:
+    """Return how sudden losses are told from noise, and the nats that raise an alarm; infinite without.
+
+    Means over commands that come slowly hold too little of a moment for it.
+    """
+    flights = identified.flights
+    changes = fit_changes(plant, identified.model.rate_hz, RATE_AXES, flights) if identified.gyros else None
+    if changes is None:
+        return None, math.inf
+    share = FALSE_ALARMS_PER_HOUR / (len(channels) + 1)
+    return changes, float(f"{healthy_nats(plant, identified.model.rate_hz, channels, changes, flights, share):.4g}")
+
+
 def _alarms(
     channels: Sequence[FaultChannel],
     evidence: Sequence[NDArray[np.float64]],
     hover: NDArray[np.float64],
     identified: _Identified,
     score_floor: float,
+    nats: float,
 ) -> list[Calibrated]:
     """Return the alarms: motors pooled relative to their hover commands, gyros pooled, and what nothing explains.
 
@@ -320,6 +341,7 @@ def _alarms(
         bare = bare_rule(OBSERVER, channel.name, channel.kind, channel.unit)
         if command is not None:
             floor, critical = identified.smallest_loss * command, _CRITICAL_LOSS * command
+            bare = replace(bare, nats=nats, least=float(f"{floor:.4g}"))
             alarms.append(calibrated(bare, of_motors, command, floor=floor, critical=critical, times=identified.times))
         elif of_gyros is not None:
             jump = calibrated(bare, of_gyros, 1.0, floor=_SMALLEST_JUMP, critical=4 * _SMALLEST_JUMP, times=_JUMP)
