@@ -33,7 +33,7 @@ from monitor.estimation.isolation_rule import keep_share
 from monitor.estimation.uncertainty import Uncertainty
 from monitor.event import AlarmEvent
 from monitor.profile import FaultChannel, ObserverProfile
-from monitor.sampling.gate import GatedSampler, GateRule
+from monitor.sampling.gate import FlightGate, GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler, SamplerStatistics
 
@@ -128,6 +128,7 @@ class ChainRun:
     """Estimates of one observer over n samples, and the evidence of its A alarms in them."""
 
     estimates: Estimates
+    position: NDArray[np.int64]  # place in the batch of the message that completed each sample (n,)
     rows: ChainRows  # evidence, as the alarms process it
     alarms: Sequence[Alarm]  # the alarms, in the order of the evidence's columns
     # by alarm: what its size takes its share of (n,), where that makes sense
@@ -179,6 +180,7 @@ class ObserverChain:
         )
         observer = AffineObserver(profile.gains)
         rule = replace(gate, settle_s=max(gate.settle_s, profile.settle_s or observer.settling_s()))
+        self.source, self.settle_s = profile.source, rule.settle_s
         self._sampler = GatedSampler(profile.source, gains.rate_hz, clock, rule)
         thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
         self._estimator = make_estimator(observer, profile.isolation, names, thresholds)
@@ -223,6 +225,11 @@ class ObserverChain:
     def sampler(self) -> Sampler:
         """What turns messages into samples, of raw signals where a transform follows."""
         return self._sampler.sampler
+
+    @property
+    def gate(self) -> FlightGate:
+        """What says which samples are evidence."""
+        return self._sampler.gate
 
     def adopt(self, event: AlarmEvent) -> None:
         """Go on from an alarm event that another run of the monitor, or another monitor, made."""
@@ -310,7 +317,7 @@ class ObserverChain:
         samples = estimates.samples
         changes = self._changes_of(estimates)
         rows = ChainRows(self._states, position, samples.vehicle_time_ns, samples.restart, evidence, speaking, *changes)
-        return ChainRun(estimates, rows, self._alarms, scaled, relative, found.smoothed, found.unexplained)
+        return ChainRun(estimates, position, rows, self._alarms, scaled, relative, found.smoothed, found.unexplained)
 
     def _changes_of(self, estimates: Estimates) -> tuple[NDArray[Any], ...]:
         """Return the alarm whose sudden change each row names, its nats, size and onset; nothing without a test."""

@@ -8,7 +8,7 @@ from dataclasses import MISSING, dataclass, fields
 from types import UnionType
 from typing import Annotated, Any, Final, Literal, NamedTuple, TypeGuard, get_args, get_origin, get_type_hints
 
-Kind = Literal["actuator", "sensor", "residual", "stale", "security", "system"]
+Kind = Literal["actuator", "sensor", "residual", "stale", "security", "system", "blind"]
 State = Literal["raised", "updated", "acknowledged", "shelved", "cleared"]
 Severity = Literal["warning", "critical"]
 
@@ -29,7 +29,7 @@ class AlarmEvent:
     vehicle: str
     observer: str
     channel: str
-    kind: Kind  # ``system``: trouble of the monitor's own
+    kind: Kind  # ``system``: trouble of the monitor's own; ``blind``: a vehicle flies and is not watched
     state: State
     severity: Severity
     estimate: Annotated[float | None, "size of the fault now, in unit"]

@@ -7,7 +7,7 @@ that passes, what the link found out, an operator's command, other thresholds, a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from operator import itemgetter
@@ -20,17 +20,20 @@ from adapters.batch import Batch, Columns, cut
 from adapters.mavlink.heartbeat import AUTOPILOT
 from adapters.message import SILENCE, Message
 from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR
+from monitor import blind
 from monitor.alarms import link_alarms
 from monitor.alarms.alarm import TUNABLE
 from monitor.alarms.desk import AlarmDesk, DeskRule, desk_rule, rule_fields
 from monitor.alarms.excuse import Excuses
 from monitor.alarms.link_alarms import HEARTBEAT_NS, SET_BACK_NS, LinkAlarms, StaleAlarm
-from monitor.chain import ObserverChain, alarm_events
+from monitor.blind import BlindAlarm, Watching
+from monitor.chain import ChainRun, ObserverChain, alarm_events
 from monitor.core.arrivals import Arrivals
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent, is_seq, valid_event
 from monitor.profile import Profile
+from monitor.sampling.gate import allows
 from monitor.sampling.identity import Identity
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import SamplerStatistics
@@ -82,6 +85,7 @@ class Pipeline:
         self._wanted = frozenset[str]().union(*(chain.interests for chain in self._chains))
         self._stale = StaleAlarm(self.vehicle, profile.stale_s)
         self._link = LinkAlarms(self.vehicle)
+        self._blind = BlindAlarm(self.vehicle, self._chains)
         self._desk = AlarmDesk(self.vehicle, DeskRule())
         self._system = profile.system if system is None else system
         self._component = component
@@ -117,7 +121,7 @@ class Pipeline:
         link = (link_alarms.SIGNING, link_alarms.HEARTBEAT)
         return frozenset(
             {(chain.layout.observer, channel) for chain in self._chains for channel in chain.channels}
-            | {(link_alarms.OBSERVER, link_alarms.TELEMETRY)}
+            | {(link_alarms.OBSERVER, link_alarms.TELEMETRY), (blind.OBSERVER, blind.CHANNEL)}
             | {(link_alarms.OBSERVER, name) for name in link}
         )
 
@@ -125,6 +129,16 @@ class Pipeline:
     def stale(self) -> bool:
         """Whether telemetry is stale."""
         return self._stale.active
+
+    @property
+    def blind(self) -> str | None:
+        """What of a flying vehicle is not watched, and why; None where all is."""
+        active = self._blind.active
+        return None if active is None else active.message
+
+    def watching(self, now_ns: int) -> dict[str, Watching]:
+        """Return how each observer watches at a Unix time."""
+        return self._blind.watching(now_ns, self._clock.newest_ns, self._flies(), contested=False)
 
     @property
     def system(self) -> int:
@@ -239,9 +253,10 @@ class Pipeline:
         # A flood that begins in the segment lasts for flood_s.
         flood_ns = start_ns + round(self._desk.rule.flood_s * 1e9)
         shelved_ns = self._desk.due_ns
+        blind_ns = self._blind.due_ns(self._flies(), start_ns)
         segment = arrivals.segment(
             start,
-            min(flood_ns, self._link.due_ns, flood_ns if shelved_ns is None else shelved_ns),
+            min(flood_ns, blind_ns, self._link.due_ns, flood_ns if shelved_ns is None else shelved_ns),
             self._stale.carried_ns,
             self._stale.limit_ns,
             self._link.heartbeat_ns,
@@ -252,23 +267,44 @@ class Pipeline:
         before_ns = self._clock.newest_ns
         for chain in self._chains:
             chain.enter(self._phase)
-        taken = sample_batch(
-            self._clock, [chain.sampler for chain in self._chains], cut(arrivals.batch, start, segment.stop)
-        )
+        batch = cut(arrivals.batch, start, segment.stop)
+        taken = sample_batch(self._clock, [chain.sampler for chain in self._chains], batch)
         # Its newest time before a message is the one after the message before.
         if segment.carrier >= 0:
             at = segment.carrier - start
             self._stale.pass_over(segment.carried_ns, int(taken.newest_ns[at - 1]) if at else before_ns)
         last = segment.stop - start - 1
         self._link.pass_over(segment.heartbeat_ns, int(taken.newest_ns[last - 1]) if last else before_ns)
-        runs = [
-            run
+        each = [
+            chain.run(samples, position, self._phase)
             for chain, samples, position in zip(self._chains, taken.samples, taken.position, strict=True)
-            if (run := chain.run(samples, position, self._phase)) is not None
         ]
+        runs = [run for run in each if run is not None]
+        self._follow_evidence(batch, each, lambda position: arrivals.received_ns(start + position))
         outputs.extend(run.estimates for run in runs)
         outputs.extend(self._through_desk(alarm_events(runs, self._excuses)))
         return segment.stop
+
+    def _follow_evidence(self, batch: Batch, runs: Sequence[ChainRun | None], received: Callable[[int], int]) -> None:
+        """Follow what evidence the messages of a segment gave."""
+        self._blind.receive(batch)
+        idle_ns = 0
+        for chain, flow, run in zip(self._chains, self._blind.flows, runs, strict=True):
+            if run is not None:
+                flow.follow(run, received)
+                if chain.gate.idle >= 0:
+                    idle_ns = max(idle_ns, received(int(run.position[chain.gate.idle])))
+        if not self._flies():
+            idle_ns = max(idle_ns, received(batch.count - 1))
+        if idle_ns:
+            self._blind.wait_from(idle_ns)
+
+    def _flies(self) -> bool:
+        """Return whether evidence is expected: in flight by what the vehicle reports, else by its commands."""
+        if not allows(self.profile.gate, self._phase):
+            return False
+        airborne = [chain.gate.airborne for chain in self._chains if chain.gate.airborne is not None]
+        return self._phase.landed is not None or (any(airborne) if airborne else self._phase.armed is not False)
 
     def _run_own(self, message: Message) -> list[AlarmEvent]:
         """Process a message that is no telemetry."""
@@ -288,7 +324,8 @@ class Pipeline:
         events = self._stale.silence(now_ns)
         if self._stale.active:
             self._link.silent()
-        return events
+            self._blind.pause(now_ns)
+        return events + self._blind.process(now_ns, self._clock.newest_ns, self._flies(), contested=False)
 
     def _through_desk(self, events: Iterable[AlarmEvent]) -> list[AlarmEvent]:
         return [published for event in events for published in self._desk.process(event)]
@@ -298,6 +335,8 @@ class Pipeline:
         for event in events:
             if event.latched:
                 continue
+            if (event.observer, event.channel) == (blind.OBSERVER, blind.CHANNEL):
+                self._blind.adopt(event)
             if event.observer == link_alarms.OBSERVER:
                 (self._stale if event.channel == link_alarms.TELEMETRY else self._link).adopt(event)
             for chain in self._chains:

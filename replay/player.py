@@ -15,12 +15,13 @@ from adapters.batch import messages as messages_of
 from adapters.errors import OtherVehicleError
 from adapters.logs.recordings import packed
 from adapters.message import Message
+from monitor.blind import CHANNEL, OBSERVER
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.sampling.sampler import SamplerStatistics
-from monitor.trace import Trace, TraceBuilder
+from monitor.trace import Trace, TraceBuilder, alarm_spans
 
 if TYPE_CHECKING:
     from monitor.recording.archive import Archive
@@ -83,6 +84,14 @@ class Replay:
     watches: Mapping[str, Watch]
     foreign: int
     mismatch: str | None = None
+
+    def unwatched(self, end_ns: int) -> list[tuple[str, float]]:
+        """Return what of the flight was not watched, and for how long, seconds; the recording ends at ``end_ns``."""
+        spans = [span for span in alarm_spans(self.events) if (span.observer, span.channel) == (OBSERVER, CHANNEL)]
+        return [
+            (span.history[0].message, max(0, (end_ns if span.end_ns is None else span.end_ns) - span.start_ns) / 1e9)
+            for span in spans
+        ]
 
 
 def play(profile: Profile, messages: Iterable[Message], **options: Any) -> Replay:

@@ -190,6 +190,18 @@ def test_it_does_not_matter_where_batches_end(cuts: list[int], seed: int, which:
     assert_same(in_batches(profile, messages, cuts), in_batches(profile, messages), profile)
 
 
+def test_cuts_do_not_matter_while_a_vehicle_is_not_watched(quad_profile: Profile, data: Path) -> None:
+    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
+    first_ns = messages[0].received_ns
+    lost = [m for m in messages if m.name != "GPS_RAW_INT" or not 5 <= (m.received_ns - first_ns) / 1e9 < 25]
+    lost = [m for m in lost if m.name != "ATTITUDE" or not 12 <= (m.received_ns - first_ns) / 1e9 < 19]
+    whole = in_batches(quad_profile, lost)
+    assert {event.kind for event in whole.events} == {"blind"}
+    rng = random.Random(3)
+    cuts = list(accumulate(rng.choice((1, 5, 10, 11, 40, 900)) for _ in range(len(lost) // 60)))
+    assert_same(in_batches(quad_profile, lost, cuts), whole, quad_profile)
+
+
 def test_cuts_do_not_matter_for_the_arm(arm_profile: Profile) -> None:
     messages = list(arm_messages(simulate_arm(SCENARIOS["case2"], 10.0, 100.0), 10**18))
     assert_same(in_batches(arm_profile, messages, range(0, 2000, 3)), in_batches(arm_profile, messages), arm_profile)

@@ -86,11 +86,30 @@ _LINK = {
     "required": ["connected", "messages", "losses"],
 }
 
+_EVIDENCE_TIME = {"type": ["integer", "null"], "description": "Unix time of its last evidence, nanoseconds; null: none"}
+_WATCHING = {
+    "type": "object",
+    "properties": {
+        "share": _AMOUNT | {"maximum": 1, "description": "of the last minute of vehicle time, with evidence"},
+        "last_ns": _EVIDENCE_TIME,
+        "why_not": {
+            "type": ["string", "null"],
+            "description": "what keeps it from having evidence: on_ground, gap, settling, clock, contradicted or "
+            "no_message NAME; null where nothing does",
+        },
+        "sensors": {"type": "object", "additionalProperties": _EVIDENCE_TIME},
+    },
+    "required": ["share", "last_ns", "why_not", "sensors"],
+}
+
 _STATUS = _object(
     "Status",
     "How a vehicle's monitor is doing, once a second on PREFIX/VEHICLE/status.",
     {
-        "state": {"enum": ["starting", "monitoring", "degraded", "stale"]},
+        "state": {
+            "enum": ["starting", "monitoring", "blind", "degraded", "stale"],
+            "description": "blind: the vehicle flies and is not watched, or not by all observers and sensors",
+        },
         "vehicle": {"type": "string"},
         "time_ns": _TIME,
         "messages": _COUNT | {"description": "messages since the start"},
@@ -105,6 +124,11 @@ _STATUS = _object(
         },
         "latency_ms": {"type": "number", "description": "longest time from arrival to result in the last second"},
         "active_alarms": _COUNT,
+        "watching": {
+            "type": "object",
+            "additionalProperties": _WATCHING,
+            "description": "how each observer watches now",
+        },
         "observers": {
             "type": "object",
             "additionalProperties": {"type": "object"},

@@ -20,7 +20,7 @@ _MAX_REASONS = 10
 """Chosen: more do not fit on a screen."""
 _MAX_TEXT = 300
 """Letters of a reason. Chosen: three lines of a terminal."""
-_STATES = ("starting", "monitoring", "degraded", "stale")
+_STATES = ("starting", "monitoring", "blind", "degraded", "stale")
 _FIGURES = re.compile(r"[0-9.]+")
 
 
@@ -29,7 +29,7 @@ class VehicleStatus:
     """A vehicle's status in short."""
 
     vehicle: str
-    state: str = "starting"  # ``starting``, ``monitoring``, ``degraded`` or ``stale``
+    state: str = "starting"  # ``starting``, ``monitoring``, ``blind``, ``degraded`` or ``stale``
     reasons: tuple[str, ...] = ()  # what keeps it from being watched as it should
 
     @property

@@ -183,6 +183,10 @@ cdef class Arrivals:
             return Message(owner.source, owner.name, arrival.received, {}, owner.system, owner.component)
         return report
 
+    def received_ns(self, Py_ssize_t i):
+        """Return when a message arrived."""
+        return self._arrivals[i].received
+
     def segment(
         self,
         Py_ssize_t start,

@@ -1200,10 +1200,19 @@ cdef class Settling:
     ----------
     settle_s : float
         How long it has to have held, seconds of vehicle time; a restart counts as its beginning.
+
+    Attributes
+    ----------
+    idle : int
+        The last row of the latest run whose mean input was too small; -1 where none was.
+    commanded : bool
+        Whether the mean input was large enough in the last row for which that was asked.
     """
 
     cdef double _settle_ns
     cdef bint _holds
+    cdef readonly Py_ssize_t idle
+    cdef readonly bint commanded
     cdef nanoseconds _since
 
     def __init__(self, double settle_s):
@@ -1226,13 +1235,16 @@ cdef class Settling:
         cdef unsigned char[::1] flags = admitted
         if by_command:
             u = samples.u
+        self.idle = -1
         for row in range(times.shape[0]):
             holds = allowed
-            if holds and by_command:
+            if by_command:
                 total = 0.0
                 for i in range(u.shape[1]):
                     total = total + u[row, i]
-                holds = total / u.shape[1] >= least
+                self.commanded = total / u.shape[1] >= least
+                if not self.commanded:
+                    holds, self.idle = False, row
             if holds and (restart[row] or not self._holds):
                 self._since = times[row]
             self._holds = holds

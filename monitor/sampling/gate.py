@@ -57,11 +57,25 @@ def read_gate(table: Table, default: GateRule) -> GateRule:
 
 
 class FlightGate:
-    """Says which samples are evidence; keeps since when the rules hold."""
+    """Says which samples are evidence; keeps since when the rules hold.
+
+    ``by_command`` says whether the mean command ever had to tell that the vehicle flies.
+    """
 
     def __init__(self, rule: GateRule) -> None:
         self._rule = rule
         self._settling = Settling(rule.settle_s)
+        self.by_command = False
+
+    @property
+    def idle(self) -> int:
+        """The last row of the latest samples with a mean command too small for flight; -1 where there was none."""
+        return self._settling.idle
+
+    @property
+    def airborne(self) -> bool | None:
+        """Whether the mean command was one of flight when last asked; None where it never was."""
+        return self._settling.commanded if self.by_command else None
 
     def admitted(self, phase: FlightPhase, samples: Samples, commands: bool = True) -> NDArray[np.bool_]:
         """Return which samples count as evidence (n,): complete ones, the flight phase being the same for all of them.
@@ -70,7 +84,8 @@ class FlightGate:
         """
         rule = self._rule
         by_command = rule.require_airborne and phase.landed is None and commands
-        return self._settling.run(samples, _allowed(rule, phase), rule.airborne_command if by_command else None)
+        self.by_command |= by_command
+        return self._settling.run(samples, allows(rule, phase), rule.airborne_command if by_command else None)
 
 
 class GatedSamples(NamedTuple):
@@ -116,9 +131,14 @@ class GatedSampler:
         """What turns messages into samples, of raw signals where a transform follows."""
         return self._sampler if isinstance(self._sampler, Sampler) else self._sampler.sampler
 
+    @property
+    def gate(self) -> FlightGate:
+        """What says which samples are evidence."""
+        return self._gate
+
     def enter(self, phase: FlightPhase) -> None:
         """Restart the samples where the phase has come to allow evidence."""
-        allowed = _allowed(self._rule, phase)
+        allowed = allows(self._rule, phase)
         if allowed and not self._allowed:
             self._sampler.restart()
         self._allowed = allowed
@@ -140,7 +160,7 @@ class GatedSampler:
         return GatedSamples(samples, self.admitted(samples, phase))
 
 
-def _allowed(rule: GateRule, phase: FlightPhase) -> bool:
+def allows(rule: GateRule, phase: FlightPhase) -> bool:
     """Return whether the reported flight phase allows evidence; unknown states do not block, another vehicle does."""
     if phase.contradiction is not None or (rule.require_armed and phase.armed is False):
         return False

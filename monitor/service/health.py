@@ -14,7 +14,7 @@ from monitor.recording.archive import ArchiveStatistics
 from monitor.recording.journal import JournalStatistics
 from monitor.service.latency import LatencyBuckets, LatencyStatistics
 
-VehicleState = Literal["starting", "monitoring", "degraded", "stale"]
+VehicleState = Literal["starting", "monitoring", "blind", "degraded", "stale"]
 LOOP_LIMIT_S = 5.0
 """Chosen: far longer than any turn of the loop takes, sooner than systemd's watchdog (systemd/fauio@.service) acts."""
 
@@ -38,6 +38,8 @@ class ObserverHealth:
     samples: int = 0  # samples it was fed
     # measurements it did without, by reason (``late``, ``invalid``, ``skipped`` ...)
     losses: Mapping[str, int] = field(default_factory=dict)
+    share: float = 0.0  # of the last minute in which it had evidence
+    evidence_age_s: float | None = None  # time since it had some; None: it never had
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +48,7 @@ class VehicleHealth:
 
     name: str
     state: VehicleState  # as in its status topic
+    blind: str | None = None  # what of it is not watched although it flies, and why; None where all is
     messages: int = 0  # messages that its pipeline took
     dropped: int = 0  # messages for it that were dropped before
     events: int = 0
@@ -110,7 +113,8 @@ class Health:
 def problems(health: Health) -> list[str]:
     """Return what keeps the monitor from doing its work now, one line each.
 
-    A vehicle that is silent, faulty, switched off or lacks some telemetry is none: alarms and its status say so.
+    A vehicle that flies without being watched is one. One that is silent, faulty, switched off or lacks some telemetry
+    is none: alarms and its status say so.
     """
     found = []
     process = health.process
@@ -119,6 +123,8 @@ def problems(health: Health) -> list[str]:
     if process.inbox_capacity and process.inbox_depth >= process.inbox_capacity:
         found.append(f"the inbox is full ({process.inbox_depth} messages): messages are dropped")
     for vehicle in health.vehicles:
+        if vehicle.blind is not None:
+            found.append(f"{vehicle.name}: {vehicle.blind}")
         if vehicle.recorder is not None and vehicle.recorder.trouble is not None:
             found.append(f"{vehicle.name} is not recorded: {vehicle.recorder.trouble}")
     journal = health.journal
@@ -136,7 +142,13 @@ def health_json(health: Health) -> dict[str, Any]:
         "status": "trouble" if found else "ok",
         "problems": found,
         "vehicles": {
-            vehicle.name: {"state": vehicle.state, "active_alarms": sum(vehicle.active.values())}
+            vehicle.name: {
+                "state": vehicle.state,
+                "active_alarms": sum(vehicle.active.values()),
+                "watching": {
+                    one.name: {"share": one.share, "evidence_age_s": one.evidence_age_s} for one in vehicle.observers
+                },
+            }
             for vehicle in health.vehicles
         },
         "links": {link.name: {"connected": link.connected, "messages": link.messages} for link in health.links},

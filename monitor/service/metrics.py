@@ -132,6 +132,10 @@ _OBSERVER = _Parts(
     ("vehicle", "observer"),
     lambda health: [((one.name, observer.name), observer) for one in health.vehicles for observer in one.observers],
 )
+_EVIDENCE = _Parts(
+    _OBSERVER.labels,
+    lambda health: [(own, one) for own, one in _OBSERVER.of(health) if one.evidence_age_s is not None],
+)
 
 METRICS = (
     MetricRow("fauio_build_info", ("version",), "1, with the version of fauio", lambda _: [((version("fauio"),), 1.0)]),
@@ -155,6 +159,12 @@ METRICS = (
         "quantile",
     ),
     _OBSERVER.row("fauio_observer_samples_total", "samples", "samples fed to the observer"),
+    _OBSERVER.row("fauio_evidence_ratio", "share", "share of the last minute in which the observer had evidence"),
+    _EVIDENCE.row(
+        "fauio_evidence_age_seconds",
+        "evidence_age_s",
+        "time since the observer had evidence; absent while it never had",
+    ),
     _OBSERVER.row("fauio_observer_losses_total", "losses", "measurements that the observer did without", "reason"),
     _RECORDER.row("fauio_recorder_records_total", "records", "records written"),
     _RECORDER.row("fauio_recorder_lost_total", "lost", "records that could not be written"),

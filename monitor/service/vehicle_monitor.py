@@ -240,7 +240,8 @@ class VehicleMonitor:
             # While the monitor lags, messages may be queued, not missing.
             self._watch.pause(now_ns)
         else:
-            reasons += self._watch.lacks(now_ns)
+            lacks = self._watch.lacks(now_ns)
+            reasons += lacks if self.pipeline.blind is None else [self.pipeline.blind]
         if behind:
             reasons.append(f"the monitor does not keep up: {recent.p99_s:.1f} s behind")
         if (mismatch := self.pipeline.mismatch) is not None:
@@ -248,6 +249,8 @@ class VehicleMonitor:
         state = "starting"
         if self.pipeline.stale:
             state = "stale"
+        elif self.pipeline.blind is not None:
+            state = "blind"
         elif self.samples or self.pipeline.refused:
             state = "degraded" if reasons else "monitoring"
         active = self.pipeline.desk.active
@@ -279,6 +282,7 @@ class VehicleMonitor:
             "active_alarms": len(active),
             "shelved": dict(self.pipeline.desk.shelved),
             "out_of_service": sorted(self.pipeline.desk.rule.out_of_service),
+            "watching": {name: asdict(watching) for name, watching in self.pipeline.watching(now_ns).items()},
             "observers": {name: asdict(counts) for name, counts in self.pipeline.statistics().items()},
             "profile": self.pipeline.profile.digest,
             "versions": {"fauio": _VERSION},
@@ -288,17 +292,25 @@ class VehicleMonitor:
             self._outlet.status(status)
         return status
 
-    def health(self, state: VehicleState, recorder: ArchiveStatistics | None) -> VehicleHealth:
-        """Return how it is doing in a state of its last status, with its recording, if any."""
+    def health(self, state: VehicleState, recorder: ArchiveStatistics | None, now_ns: int) -> VehicleHealth:
+        """Return how it is doing at a Unix time in a state of its last status, with its recording, if any."""
+        watching = self.pipeline.watching(now_ns)
         severities = [event.severity for event in self.pipeline.desk.active]
         return VehicleHealth(
             name=self.name,
             state=state,
+            blind=self.pipeline.blind,
             messages=self.messages,
             events=self.events,
             active={severity: severities.count(severity) for severity in get_args(Severity)},
             observers=tuple(
-                ObserverHealth(name, counts.samples, {key: getattr(counts, key) for key in _LOSSES})
+                ObserverHealth(
+                    name,
+                    counts.samples,
+                    {key: getattr(counts, key) for key in _LOSSES},
+                    share=watching[name].share,
+                    evidence_age_s=watching[name].age_s(now_ns),
+                )
                 for name, counts in self.pipeline.statistics().items()
             ),
             latency=self.latency.interval(),

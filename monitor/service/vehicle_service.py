@@ -113,7 +113,7 @@ class VehicleService:
     def health(self) -> VehicleHealth:
         """Return how the vehicle is doing."""
         recorder = None if self.archive is None else self.archive.statistics()
-        return self.monitor.health(self.last_status.get("state", "starting"), recorder)
+        return self.monitor.health(self.last_status.get("state", "starting"), recorder, time.time_ns())
 
     def close(self) -> None:
         """Deactivate and finish the recordings."""

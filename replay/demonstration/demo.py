@@ -168,7 +168,7 @@ def _watch(scene: DemoScene, subscriber: AlarmSubscriber, sender_command: Sequen
         until: float | None = None
         while until is None or time.monotonic() < until:
             event = subscriber.receive(0.1)
-            if event is not None and event.kind != "stale":
+            if event is not None and event.kind not in ("stale", "blind"):
                 events.append(event)
                 _say(_announce(scene, event))
             if until is None and sender.poll() is not None:
@@ -196,7 +196,7 @@ def _announce(scene: DemoScene, event: AlarmEvent) -> str:
 
 
 def _report(scene: DemoScene, events: Sequence[AlarmEvent], replayed: Replay, out: Path, vehicle: str) -> int:
-    same = [event for event in replayed.events if event.kind != "stale"] == list(events)
+    same = [event for event in replayed.events if event.kind not in ("stale", "blind")] == list(events)
     _say(f"replaying the recording gives the same {len(events)} events: {'yes' if same else 'NO'}")
     missing = [
         truth.channel

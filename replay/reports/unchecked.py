@@ -35,6 +35,7 @@ def unchecked(
     """Return what a run could not check, the gravest first, from what went in (facts, damage) and what came out."""
     return [
         *([Unchecked("everything that was found or not found", replay.mismatch)] if replay.mismatch else []),
+        *(Unchecked(f"{seconds:.0f} s in flight", why) for why, seconds in replay.unwatched(facts.last_ns or 0)),
         *(Unchecked(f"what is missing of {one.file}", "; ".join(one.found)) for one in damage),
         *(one for observer in profile.observers for one in _observer(profile, observer, replay)),
         *(one for observer in profile.observers for one in _bridged(observer, replay.watches[observer.name])),

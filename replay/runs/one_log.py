@@ -64,6 +64,7 @@ class LogOutcome:
     samples: int = 0
     evidence: int = 0
     watched_s: float = 0.0  # time over which alarms could be raised, seconds
+    unwatched: tuple[tuple[str, float], ...] = ()  # what of the flight was not watched, and for how long, seconds
     # messages that the log lacks, by observer that therefore watched nothing
     lacking: Mapping[str, tuple[str, ...]] | None = None
     mismatch: str | None = None  # what says that it is of another vehicle than the profile's
@@ -80,7 +81,8 @@ class LogOutcome:
         found: dict[str, Any] = {"log": self.log}
         if self.error is not None:
             found["error"] = self.error
-        found |= {"samples": self.samples, "evidence": self.evidence}
+        found |= {"samples": self.samples, "evidence": self.evidence, "watched_s": round(self.watched_s, 3)}
+        found["unwatched"] = [{"why": why, "seconds": round(seconds, 3)} for why, seconds in self.unwatched]
         found["lacking"] = {name: list(lacks) for name, lacks in (self.lacking or {}).items()}
         if self.mismatch is not None:
             found["mismatch"] = self.mismatch
@@ -138,7 +140,8 @@ def _replay(
         on_event=on_event,
         force=task.force,
     )
-    verdict, facts = _verdict(found, profile), meter.facts()
+    facts = meter.facts()
+    verdict = _verdict(found, profile, facts.last_ns or 0)
     truth = known_truth(task.path, found.traces) if task.plot or task.rrd or task.report else {}
     _write(profile, task, found, truth, f"{Path(task.log).name}: {verdict}")
     if task.report:
@@ -168,6 +171,7 @@ def _replay(
         samples=found.samples,
         evidence=found.evidence,
         watched_s=found.watched_s,
+        unwatched=tuple(found.unwatched(facts.last_ns or 0)),
         lacking=dict(found.lacking),
         mismatch=found.mismatch,
         damage=recording.damage(),
@@ -190,7 +194,7 @@ def _write(profile: Profile, task: LogTask, found: Replay, truth: TrueSizes, tit
         write_rrd(task.rrd, shown)
 
 
-def _verdict(found: Replay, profile: Profile) -> str:
+def _verdict(found: Replay, profile: Profile, end_ns: int) -> str:
     """Return in a sentence what a replay found."""
     if not found.samples:
         needed = ", ".join(sorted(interests(profile)))
@@ -206,7 +210,9 @@ def _verdict(found: Replay, profile: Profile) -> str:
     raised = len(first_raised(found.events))
     alarms = {0: "no alarm", 1: "1 alarm"}.get(raised, f"{raised} alarms")
     blind = "".join(f"; {name} saw nothing (no {', '.join(lacks)})" for name, lacks in found.lacking.items())
-    return f"{alarms} in {found.watched_s:.0f} s of watched flight{blind}{other}"
+    unwatched_s = sum(seconds for _, seconds in found.unwatched(end_ns))
+    part = f"; not all was watched for {unwatched_s:.0f} s of flight" if unwatched_s else ""
+    return f"{alarms} in {found.watched_s:.0f} s of watched flight{blind}{part}{other}"
 
 
 def _reason(task: LogTask, error: Exception) -> str:

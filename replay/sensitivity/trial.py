@@ -104,7 +104,7 @@ def _run(task: Task, attack: Attack) -> Outcome:
         if isinstance(output, Estimates):
             if output.observer == task.observer:
                 errors += _errors(attack, observer.faults[index], output, index, late_ns)
-        elif output.state != "raised" or output.kind == "stale":
+        elif output.state != "raised" or output.kind in ("stale", "blind"):
             continue
         elif output.vehicle_time_ms < attack.start_ns // 1_000_000:
             void = True

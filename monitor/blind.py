@@ -1,0 +1,327 @@
+"""Whether evidence flows: when each observer and each sensor had some last, why not, and the alarm of a blind vehicle.
+
+A vehicle without an alarm is healthy only where it is watched. So where an observer of a flying vehicle, or one of the
+sensors it compares, has had no evidence for 5 s, ``monitor/blind`` is raised and says which and why. It clears when
+evidence has come again, or with the flight. On the ground nothing is expected, and while telemetry is stale its own
+alarm says so. A message that never came is no loss but a link or a log without it: the status and a replay's verdict
+name it, and the alarm does where nothing else of the vehicle is watched.
+
+Decided on messages and their times of arrival alone, like everything in the pipeline.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.batch import Batch
+from adapters.message import SECOND_NS
+from monitor.alarms.desk import OBSERVER as MONITOR
+from monitor.alarms.link_alarms import SET_BACK_NS
+from monitor.event import UNNUMBERED, AlarmEvent, Severity, State, fixed_rule_event
+
+if TYPE_CHECKING:
+    from monitor.chain import ChainRun, ObserverChain
+
+OBSERVER: Final = MONITOR
+CHANNEL: Final = "blind"
+LIMIT_NS = 5_000_000_000
+"""Twice the longest time without evidence of a sensor in flight over 90 recordings: 2.5 s, of a GPS over a radio; of
+onboard links and logs 0.2 s."""
+_LEAST_SAMPLES = 3
+"""Of an observer so slow that it has fewer samples in that time, as many have to lack. Over a radio at 1,200 bytes a
+second it has one in 6.8 s; chosen, as one may be lost."""
+_SLOT_NS = 500_000_000
+"""How often an active alarm is looked at. Chosen: its end is known half a second late at most."""
+_UPDATE_NS = SECOND_NS
+"""Updates come at most once a second, as those of all alarms do."""
+_SHARE_S = 60
+"""The last minute, of which the status gives the share with evidence."""
+_SENSORS = {"gps": "GPS", "lat": "GPS", "lon": "GPS", "baro": "barometer", "heading": "compass", "xmag": "compass"}
+"""By the first part of a channel's name; other channels go by their messages."""
+
+
+@dataclass(slots=True)
+class _Group:
+    """Outputs of an observer that stand or fall together."""
+
+    label: str  # the sensor's name; empty for those of an observer that have none of their own
+    messages: tuple[str, ...]
+    columns: list[int]  # among the observer's outputs
+    since_ns: int = 0  # Unix time from which evidence is waited for: of the last that came
+    granted_ns: int = LIMIT_NS  # how long it is waited for
+    evidence_ns: int = 0  # when it came last; 0: never
+
+
+@dataclass(frozen=True, slots=True)
+class Watching:
+    """How an observer watches now."""
+
+    share: float  # of the last minute of vehicle time in which it had evidence
+    last_ns: int | None  # Unix time of its last evidence; None: it had none
+    why_not: str | None  # a word for what keeps it from having evidence; None where nothing does
+    sensors: Mapping[str, int | None]  # when each of its sensors had evidence last
+
+    def age_s(self, now_ns: int) -> float | None:
+        """Return the time since it had evidence, seconds; None where it never had."""
+        return None if self.last_ns is None else max(0.0, (now_ns - self.last_ns) / 1e9)
+
+
+class EvidenceFlow:
+    """What one observer had of evidence."""
+
+    def __init__(self, chain: ObserverChain) -> None:
+        self.chain = chain
+        layout = chain.layout
+        self.name = layout.observer
+        self.messages = dict.fromkeys(sorted(chain.interests), 0)
+        grouped: dict[str, list[int]] = {}
+        for column, output in enumerate(layout.outputs):
+            grouped.setdefault(_sensor(output), []).append(column)
+        named = {
+            label: tuple(sorted({one.message for one in chain.source.channels if _sensor(one.name) == label}))
+            for label in grouped
+        }
+        self.groups = [_Group(label, named[label], columns) for label, columns in grouped.items()]
+        self.limit_ns = max(LIMIT_NS, round(_LEAST_SAMPLES * 1e9 / layout.rate_hz))
+        # A message that long away is why: over a radio the longest step of one was 2.5 s (LIMIT_NS).
+        self.missing_ns = self.limit_ns // 2
+        self.settle_ns = round(chain.settle_s * 1e9)
+        self._inputs = len(layout.inputs)
+        self._rows_ns = 0
+        self._overdue: list[bool] = [False]
+        self._lost: tuple[str, ...] = ()
+        self._seconds: deque[tuple[int, int]] = deque()
+
+    def wait_from(self, now_ns: int) -> None:
+        """Expect nothing until a Unix time, and evidence as long after it as settling takes and the alarm grants."""
+        for group in self.groups:
+            if now_ns >= group.since_ns:
+                group.since_ns, group.granted_ns = now_ns, self.limit_ns + self.settle_ns
+
+    def receive(self, name: str, first_ns: int, last_ns: int) -> None:
+        """Follow messages of one name, the first and the last of which came at these Unix times."""
+        if not self.messages[name]:
+            for group in self.groups:
+                if not group.evidence_ns:
+                    group.since_ns, group.granted_ns = first_ns, self.limit_ns + self.settle_ns
+        self.messages[name] = last_ns
+
+    def follow(self, run: ChainRun, received: Callable[[int], int]) -> None:
+        """Follow samples; ``received`` says when the message of a position arrived."""
+        armed, samples, position = run.estimates.armed, run.estimates.samples, run.position
+        self._rows_ns = received(int(position[-1]))
+        lost = samples.lost[:, self._inputs :]
+        is_lost = bool(lost.any())
+        self._lost = tuple(self._labels(lost[-1])) if is_lost else ()
+        count = int(np.count_nonzero(armed))
+        if not count:
+            return
+        second = int(samples.vehicle_time_ns[-1]) // SECOND_NS
+        if self._seconds and self._seconds[-1][0] == second:
+            count += self._seconds.pop()[1]
+        self._seconds.append((second, count))
+        for group in self.groups:
+            rows = np.flatnonzero(armed & ~lost[:, group.columns].all(axis=1) if is_lost else armed)
+            if rows.size:
+                group.since_ns = group.evidence_ns = received(int(position[rows[-1]]))
+                group.granted_ns = self.limit_ns
+
+    @property
+    def overdue(self) -> bool:
+        """Whether all evidence is overdue at the time of the latest :meth:`lacks`."""
+        return all(self._overdue)
+
+    def awaits(self, now_ns: int) -> bool:
+        """Return whether the first evidence of one of its sensors may still come in time."""
+        return any(not group.evidence_ns and now_ns - group.since_ns < group.granted_ns for group in self.groups)
+
+    def lacks(self, now_ns: int, contested: bool, *, any_message: bool) -> list[tuple[str, str]]:
+        """Return what keeps evidence that is overdue, for people and as the status's word.
+
+        ``any_message`` says whether messages count that never came.
+        """
+        self._overdue = [now_ns - group.since_ns >= group.granted_ns for group in self.groups]
+        never = {name for name, came_ns in self.messages.items() if not came_ns and not any_message}
+        if self.overdue:
+            return [] if never else [self.reason(now_ns, contested)]
+        return [
+            (f"no {group.label}", f"no_message {group.messages[0]}")
+            for group, late in zip(self.groups, self._overdue, strict=True)
+            if late and group.messages and not never.issuperset(group.messages)
+        ]
+
+    def reason(self, now_ns: int, vehicle_contested: bool) -> tuple[str, str]:
+        """Return why the observer has no evidence, for people and as the status's word."""
+        missing = [name for name, came_ns in self.messages.items() if now_ns - came_ns >= self.missing_ns]
+        if vehicle_contested:
+            return "telemetry that contradicts itself", "contradicted"
+        if missing:
+            labels = dict.fromkeys(self._label_of(name) for name in missing)
+            return f"no {' and no '.join(labels)}", f"no_message {missing[0]}"
+        if now_ns - self._rows_ns >= self.missing_ns:
+            return "measurements that do not come together", "gap"
+        if self._lost:
+            return f"no {' and no '.join(self._lost)}", "gap"
+        return "estimates without time to settle", "settling"
+
+    def watching(self, now_ns: int, vehicle_ns: int, flying: bool, contested: bool) -> Watching:
+        """Return how it watches at a Unix time."""
+        second = vehicle_ns // SECOND_NS
+        while self._seconds and not second - _SHARE_S <= self._seconds[0][0] <= second:
+            self._seconds.popleft()
+        span_s = min(_SHARE_S, second - self._seconds[0][0] + 1) if self._seconds else 1
+        share = min(1.0, sum(count for _, count in self._seconds) / (self.chain.layout.rate_hz * span_s))
+        last_ns = max((group.evidence_ns for group in self.groups), default=0)
+        why = None
+        if not flying:
+            why = "on_ground"
+        elif now_ns - last_ns >= self.missing_ns:
+            why = self.reason(now_ns, contested)[1]
+        sensors = {group.label or self.name: group.evidence_ns or None for group in self.groups}
+        return Watching(round(share, 3), last_ns or None, why, sensors)
+
+    def _labels(self, lost: NDArray[np.bool_]) -> Iterator[str]:
+        for group in self.groups:
+            if lost[group.columns].all():
+                yield group.label or " and no ".join(group.messages) or self.name
+
+    def _label_of(self, message: str) -> str:
+        return next((group.label for group in self.groups if group.label and message in group.messages), message)
+
+
+class BlindAlarm:
+    """State of the alarm of a vehicle that flies without being watched."""
+
+    def __init__(self, vehicle: str, chains: Sequence[ObserverChain]) -> None:
+        self._vehicle = vehicle
+        self.flows = [EvidenceFlow(chain) for chain in chains]
+        self._active: AlarmEvent | None = None
+        self._slot = 0
+        self._started = False
+
+    @property
+    def active(self) -> AlarmEvent | None:
+        """The last event of the active alarm."""
+        return self._active
+
+    def due_ns(self, flying: bool, now_ns: int) -> int:
+        """Return the Unix time from which a message may cause an event here."""
+        if self._active is not None:
+            return (self._slot + 1) * _SLOT_NS
+        if not flying:
+            # Should it take off among the messages to come, evidence would be overdue this much later at the earliest.
+            return now_ns + LIMIT_NS
+        due = [group.since_ns + group.granted_ns for flow in self.flows for group in flow.groups]
+        # What is overdue already is so for good, or until a message comes for the first time: that is waited for anew.
+        return min([now_ns + LIMIT_NS, *(due_ns for due_ns in due if due_ns > now_ns)])
+
+    def receive(self, batch: Batch) -> None:
+        """Follow when messages of each name came."""
+        entries = [(columns.name, columns.received_ns[[0, -1]].tolist()) for columns in batch.columns]
+        entries += [(message.name, [message.received_ns] * 2) for message in batch.others.values()]
+        for flow in self.flows:
+            for name, (first_ns, last_ns) in entries:
+                if name in flow.messages:
+                    flow.receive(name, first_ns, last_ns)
+
+    def pause(self, now_ns: int) -> None:
+        """Expect no evidence while telemetry is stale, which its own alarm says; what was overdue before remains so."""
+        if self._active is None:
+            self.wait_from(now_ns)
+
+    def wait_from(self, now_ns: int) -> None:
+        """Expect no evidence until a Unix time."""
+        for flow in self.flows:
+            flow.wait_from(now_ns)
+
+    def process(self, now_ns: int, vehicle_ns: int, flying: bool, contested: bool) -> list[AlarmEvent]:
+        """Let Unix time come to ``now_ns``; return the events that this causes.
+
+        ``flying`` says whether evidence is expected, ``contested`` whether what arrives contradicts itself.
+        """
+        if not self._started:
+            self._started = True
+            self.wait_from(now_ns)
+        for flow in self.flows:
+            for group in flow.groups:
+                # Of a clock that was set back.
+                if group.since_ns - now_ns >= SET_BACK_NS:
+                    group.since_ns = now_ns
+        slot, active = now_ns // _SLOT_NS, self._active
+        if active is None and not flying:
+            return []
+        if active is not None:
+            if 0 <= self._slot - slot < SET_BACK_NS // _SLOT_NS:
+                return []
+            self._slot = slot
+        lacks = {flow.name: flow.lacks(now_ns, contested, any_message=False) for flow in self.flows} if flying else {}
+        nothing = flying and all(flow.overdue for flow in self.flows)
+        if nothing:
+            lacks = {flow.name: flow.lacks(now_ns, contested, any_message=True) for flow in self.flows}
+        if not any(lacks.values()):
+            if active is None or (flying and any(flow.awaits(now_ns) for flow in self.flows)):
+                return []
+            return [self._clear(active, now_ns, vehicle_ns, flying)]
+        texts = [
+            f"{flow.name}: {why} for {flow.limit_ns / 1e9:.2g} s" for flow in self.flows for why, _ in lacks[flow.name]
+        ]
+        text = "the vehicle flies and is not watched: " + "; ".join(texts)
+        severity: Severity = "critical" if nothing else "warning"
+        if active is not None:
+            if (active.message, active.severity) == (text, severity) or now_ns - active.time_ns < _UPDATE_NS:
+                return []
+            return [self._next(active, "updated", now_ns, vehicle_ns, text, severity)]
+        self._slot = slot
+        self._active = fixed_rule_event(
+            self._vehicle,
+            OBSERVER,
+            CHANNEL,
+            kind="blind",
+            state="raised",
+            severity=severity,
+            unit="s",
+            threshold=LIMIT_NS / 1e9,
+            time_ns=now_ns,
+            vehicle_time_ms=vehicle_ns // 1_000_000,
+            message=text,
+        )
+        return [self._active]
+
+    def adopt(self, event: AlarmEvent) -> None:
+        """Go on from an event that another run of the monitor, or another monitor, made."""
+        self._active = None if event.state == "cleared" else event
+
+    def watching(self, now_ns: int, vehicle_ns: int, flying: bool, contested: bool) -> dict[str, Watching]:
+        """Return how each observer watches at a Unix time."""
+        return {flow.name: flow.watching(now_ns, vehicle_ns, flying, contested) for flow in self.flows}
+
+    def _clear(self, active: AlarmEvent, now_ns: int, vehicle_ns: int, flying: bool) -> AlarmEvent:
+        text = "the vehicle is watched again" if flying else "the vehicle is no longer in flight"
+        event = self._next(active, "cleared", now_ns, vehicle_ns, text, active.severity)
+        self._active = None
+        return event
+
+    def _next(
+        self, active: AlarmEvent, state: State, now_ns: int, vehicle_ns: int, text: str, severity: Severity
+    ) -> AlarmEvent:
+        self._active = replace(
+            active,
+            state=state,
+            severity=severity,
+            time_ns=max(now_ns, active.time_ns),
+            vehicle_time_ms=vehicle_ns // 1_000_000,
+            message=text,
+            seq=UNNUMBERED,
+        )
+        return self._active
+
+
+def _sensor(channel: str) -> str:
+    """Return the sensor that a channel's name speaks of; empty where it speaks of none."""
+    return _SENSORS.get(channel.partition("_")[0], "")

@@ -1,0 +1,95 @@
+"""A flying vehicle without evidence raises ``monitor/blind``; one on the ground, or without a sensor, does not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from adapters.logs.recordings import packed, read_recording
+from adapters.message import Message
+from monitor.blind import LIMIT_NS
+from monitor.event import AlarmEvent
+from monitor.pipeline import Pipeline, handover_message
+from monitor.profile import Profile
+
+
+@pytest.fixture(scope="module")
+def flight(data: Path) -> list[Message]:
+    """Return 55 s of a healthy flight with all sensors."""
+    return list(read_recording(data / "copter_healthy_square.tlog.xz"))
+
+
+def events_of(profile: Profile, messages: Sequence[Message], pipeline: Pipeline | None = None) -> list[AlarmEvent]:
+    pipeline = pipeline or Pipeline(profile)
+    outputs = [output for batch in packed(messages) for output in pipeline.run(batch)]
+    return [event for event in outputs if isinstance(event, AlarmEvent)]
+
+
+def blind_of(profile: Profile, messages: Sequence[Message]) -> list[AlarmEvent]:
+    return [event for event in events_of(profile, messages) if event.kind == "blind"]
+
+
+def without(messages: Sequence[Message], names: Sequence[str], start_s: float, stop_s: float = 1e9) -> list[Message]:
+    first_ns = messages[0].received_ns
+
+    def lost(message: Message) -> bool:
+        return message.name in names and start_s <= (message.received_ns - first_ns) / 1e9 < stop_s
+
+    return [message for message in messages if not lost(message)]
+
+
+def test_a_healthy_flight_is_watched_and_says_so(quad_profile: Profile, flight: list[Message]) -> None:
+    pipeline = Pipeline(quad_profile)
+    assert events_of(quad_profile, flight, pipeline) == []
+    for watching in pipeline.watching(flight[-1].received_ns).values():
+        assert watching.share > 0.8
+        assert watching.why_not is None
+        assert watching.age_s(flight[-1].received_ns) is not None
+    assert pipeline.blind is None
+
+
+def test_a_gps_that_stops_is_named_within_seconds_and_clears_when_it_is_back(
+    quad_profile: Profile, flight: list[Message]
+) -> None:
+    raised, cleared = blind_of(quad_profile, without(flight, ["GPS_RAW_INT"], 20.0, 35.0))
+    assert (raised.observer, raised.channel, raised.state, raised.severity) == ("monitor", "blind", "raised", "warning")
+    assert raised.message == "the vehicle flies and is not watched: inertial: no GPS for 5 s"
+    assert 4.5 <= (raised.time_ns - flight[0].received_ns) / 1e9 - 20.0 <= 7.5
+    assert cleared.state == "cleared"
+    assert 35.0 <= (cleared.time_ns - flight[0].received_ns) / 1e9 <= 42.0
+
+
+def test_a_message_that_never_came_is_no_loss(quad_profile: Profile, flight: list[Message]) -> None:
+    assert blind_of(quad_profile, without(flight, ["GPS_RAW_INT"], 0.0)) == []
+
+
+def test_it_is_critical_where_nothing_is_watched(quad_profile: Profile, flight: list[Message]) -> None:
+    first, *more = blind_of(quad_profile, without(flight, ["ATTITUDE"], 20.0))
+    assert "no ATTITUDE for 5 s" in first.message
+    assert {event.severity for event in (first, *more)} >= {"critical"}
+
+
+@pytest.mark.parametrize(
+    ("name", "fields"), [("HEARTBEAT", {"base_mode": 81}), ("EXTENDED_SYS_STATE", {"landed_state": 1})]
+)
+def test_on_the_ground_nothing_is_expected(
+    quad_profile: Profile, flight: list[Message], name: str, fields: dict[str, int]
+) -> None:
+    grounded = [
+        replace(message, fields={**message.fields, **fields}) if message.name == name else message for message in flight
+    ]
+    pipeline = Pipeline(quad_profile)
+    assert events_of(quad_profile, grounded, pipeline) == []
+    assert {one.why_not for one in pipeline.watching(flight[-1].received_ns).values()} == {"on_ground"}
+
+
+def test_an_adopted_alarm_stays_until_there_is_evidence(quad_profile: Profile, flight: list[Message]) -> None:
+    adopted = blind_of(quad_profile, without(flight, ["GPS_RAW_INT"], 20.0))[0]
+    start = next(place for place, m in enumerate(flight) if m.received_ns > adopted.time_ns + LIMIT_NS)
+    message = handover_message([adopted], adopted.seq, flight[start].received_ns)
+    events = events_of(quad_profile, [message, *flight[start:]])
+    assert [event.state for event in events] == ["updated", "cleared"]
+    assert events[-1].time_ns - flight[start].received_ns > 1_000_000_000
