@@ -68,7 +68,7 @@ class ExtendedKalmanFilter:
         Sigma = kept @ self._Sigma @ kept.T + K @ model.R @ K.T
         self.x = estimate[: self._n]
         self.fault = np.concatenate([estimate[self._nz :], estimate[self._n : self._nz]])
-        arguments = model.H @ estimate
+        arguments = model.H @ estimate + discrete.H_known @ np.append(u, 1.0)
         values = np.array([g(*arguments[span]) for g, span in zip(self._g, self._spans, strict=True)])
         slopes = [d(*arguments[span]) for ds, span in zip(self._slopes, self._spans, strict=True) for d in ds]
         A = model.A + model.G @ slope_matrix(discrete, np.array(slopes)) @ model.H

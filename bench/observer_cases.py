@@ -136,10 +136,12 @@ def textbook(case: Case) -> Callable[[Array, Array], Estimates]:
     """Return the loop over samples that writes the observer's equations as they stand in the theory."""
     plant, gains = case.plant, case.gains
     n, a1 = len(plant.states), len(plant.actuator_faults)
-    C_b = augment(plant).C_b
+    A, C_b = plant.A, augment(plant).C_b
     N, J, L1, F, L_p, L_i = gains.N, gains.J, gains.L1, gains.F, gains.L_p, gains.L_i
+    moved = bool(gains.L_q.size)
+    L_q, F_q = (gains.L_q, gains.F_q) if moved else (np.zeros((len(L_i), n)), np.zeros_like(L_i))
     B, c, G, E_f = plant.B, plant.c, plant.G, plant.E_f
-    H = np.vstack([np.zeros((0, n)), *(g.rows for g in plant.nonlinearities)])
+    H, H_v, h, H_f = plant.H, plant.H_known[:, :-1], plant.H_known[:, -1], plant.H_f
     nonlinear = bool(plant.nonlinearities)
 
     def run(u: Array, y: Array) -> Estimates:
@@ -149,13 +151,17 @@ def textbook(case: Case) -> Callable[[Array, Array], Estimates]:
         for k in range(len(u)):
             zeta = eta + F @ y[k]
             yt = y[k] - C_b @ zeta
+            if moved:
+                q = q + F_q @ y[k]
             fa = q + L_p @ yt
             x = zeta[:n]
             force = B @ u[k] + c + E_f @ fa
             if nonlinear:
-                force = force + G @ np.sin(H @ x)
+                force = force + G @ np.sin(H @ x + H_v @ u[k] + h + H_f @ q)
             eta = N @ eta + J @ y[k] + L1 @ force
             q = q + L_i @ yt
+            if moved:
+                q = q + L_q @ (A @ x + force)
             found.x[k] = x
             found.fault[k] = np.concatenate([fa, zeta[n:]])
             found.residual[k] = yt

@@ -58,6 +58,7 @@ _DISCRETE_OPTIONS = {
     "gain_weight": None,
     "gain_bound": None,
     "vertex_free": False,
+    "published_inverse": False,
     "common_p": None,
 }
 """Options that a design in continuous time refuses, with their defaults."""
@@ -144,6 +145,11 @@ def add_parsers(subparsers: Any) -> None:
         "--vertex-free",
         action="store_true",
         help="prove all slopes at once, in place of each combination of their bounds (where these are too many)",
+    )
+    parser.add_argument(
+        "--published-inverse",
+        action="store_true",
+        help="keep the pseudo-inverse of the paper for L1 and F, in place of finding them with the gains",
     )
     parser.add_argument(
         "--common-p",
@@ -304,9 +310,9 @@ def _design_discrete(plant: Plant, args: argparse.Namespace) -> tuple[dict[str, 
 
     if stray := [name for name in ("decay_rates", *_SCALARS) if getattr(args, name) is not None]:
         raise UsageError(f"{plant.name}: --{stray[0].replace('_', '-')} belongs to a continuous design (--continuous)")
-    P = None
+    P, inverse = None, None
     if args.common_p is not None:
-        P = common_matrix(plant, args.rate, read_gains(args.common_p), str(args.common_p))
+        P, inverse = common_matrix(plant, args.rate, read_gains(args.common_p), str(args.common_p))
     design = design_convex(
         plant,
         args.rate,
@@ -317,6 +323,8 @@ def _design_discrete(plant: Plant, args: argparse.Namespace) -> tuple[dict[str, 
         h2=args.h2,
         vertices=False if args.vertex_free else None,
         P=P,
+        inverse=inverse,
+        free_inverse=not args.published_inverse,
     )
     certificate = certify(plant, design)
     return design_report(plant, design, certificate), compile_gains(plant, design, certificate)

@@ -30,6 +30,18 @@ def test_L1_T_plus_F_Cb_is_the_identity() -> None:
         np.testing.assert_allclose(identity * size / size[:, None], np.eye(nz), atol=1e-10)
 
 
+def test_a_moved_left_inverse_is_one_too() -> None:
+    for seed in range(10):
+        plant = random_plant(seed, 1, 1)
+        found = augment(plant)
+        n, nz = len(plant.states), len(found.L1)
+        assert found.W1.shape == (len(plant.outputs) - 1, n)
+        Y = np.random.default_rng(seed).normal(size=(nz + 1, len(found.W1)))
+        other, T = found.moved(Y), np.eye(n, nz)
+        np.testing.assert_allclose(other.L1 @ T + other.F @ other.C_b, np.eye(nz), atol=1e-10)
+        np.testing.assert_allclose(other.L_q @ T + other.F_q @ other.C_b, 0.0, atol=1e-10)
+
+
 def test_with_unit_errors_and_outputs_it_is_the_plain_pseudo_inverse() -> None:
     plant = builtin_model("arm")
     stacked = np.vstack([np.eye(4, 5), np.hstack([plant.C, plant.D_f])])
@@ -59,7 +71,8 @@ def test_the_augmentation_follows_a_change_of_units() -> None:
 def test_the_error_system_is_what_plant_and_textbook_observer_do(seed: int, order: int) -> None:
     rng = np.random.default_rng(seed)
     plant = random_plant(seed, 1, 1)
-    found = augment(plant)
+    found = augment(plant, order)
+    found = found.moved(rng.normal(size=(len(found.L1) + order, len(found.W1))))
     model = error_model(plant, found, order)
     n, p, nz = len(plant.states), len(plant.outputs), len(found.L1)
     K, L_i, L_p = rng.normal(size=(nz, p)), rng.normal(size=(order, p)), rng.normal(size=(1, p))
@@ -74,23 +87,24 @@ def test_the_error_system_is_what_plant_and_textbook_observer_do(seed: int, orde
     w1, w2 = rng.normal(size=(steps, 2)), rng.normal(size=(steps, 2))
     scale1 = np.array([d.scale for d in plant.disturbances])
     scale2 = np.array([d.scale for d in plant.noises])
-    x, eta, q = rng.normal(size=n), rng.normal(size=nz), rng.normal(size=order)
+    x, eta, own = rng.normal(size=n), rng.normal(size=nz), rng.normal(size=order)
     errors, inputs, outputs = [], [], []
     for k in range(steps):
         y = plant.C @ x + plant.D_f @ f_s[k] + plant.D_1 @ (scale2 * w2[k])
-        zeta = eta + found.F @ y
+        zeta, q = eta + found.F @ y, own + found.F_q @ y
         fault = np.append(f_a[k], (f_a[k + 1] - f_a[k]) * plant.rate_hz)
         yt = y - found.C_b @ zeta
         fa = q[:1] + L_p @ yt
         errors.append(np.concatenate([np.append(x, f_s[k]) - zeta, fault[:order] - q]))
         outputs.append(np.concatenate([np.append(x, f_s[k]) - zeta, f_a[k] - fa]) * model.weights)
-        eta = N @ eta + J @ y + found.L1 @ (plant.B @ v[k] + plant.c + plant.E_f @ fa)
-        q = q + np.append(q[1:] / plant.rate_hz, 0.0) + L_i @ yt
+        driven = plant.B @ v[k] + plant.c + plant.E_f @ fa
+        eta = N @ eta + J @ y + found.L1 @ driven
+        own = q + np.append(q[1:] / plant.rate_hz, 0.0) + found.L_q @ (plant.A @ zeta[:n] + driven) + L_i @ yt
         x = plant.A @ x + plant.B @ v[k] + plant.c + plant.E_f @ f_a[k] + plant.E_1 @ (scale1 * w1[k])
         if k + 1 < steps:
             step = np.diff(f_a[k : k + 1 + order, 0], order) * plant.rate_hz**order / plant.actuator_faults[0].rate
             inputs.append(np.concatenate([w1[k], w2[k], w1[k + 1], w2[k + 1], step]))
-    injection = np.vstack([K + found.L1 @ plant.E_f @ L_p, L_i])
+    injection = model.injection(K, L_i, L_p)
     C_e, D_e = model.output(L_p)
     for k in range(steps - 1):
         after = (model.A[0] - injection @ model.C) @ errors[k] + (model.B - injection @ model.D) @ inputs[k]
@@ -105,7 +119,16 @@ def test_a_vertex_is_the_plant_with_its_nonlinearity_replaced_by_the_slope() -> 
     assert model.slopes.tolist() == [[-1.0], [1.0]]
     for A, slope in zip(model.A, (-1.0, 1.0), strict=True):
         linear = replace(
-            plant, A=plant.A + slope * plant.G @ np.array([[0, 0, 1.0, 0]]), nonlinearities=(), G=np.zeros(0)
+            plant,
+            A=plant.A + slope * plant.G @ plant.H,
+            nonlinearities=(),
+            G=np.zeros(0),
+            faults=tuple(
+                replace(f, ahead=np.zeros(0), input=None, column=f.column + slope * plant.G @ f.ahead)
+                if f.kind == "actuator"
+                else replace(f, ahead=np.zeros(0))
+                for f in plant.faults
+            ),
         )
         np.testing.assert_allclose(A, error_model(linear, augment(linear)).A[0], atol=1e-15)
 

@@ -7,6 +7,7 @@ import pytest
 from gains_samples import multirotor, random_plant
 
 from adapters.errors import InaccurateError
+from gains.analysis.augment import augment, integrators
 from gains.plants.discretise import discretise
 from gains.plants.model_file import builtin_model, model_hash
 from gains.plants.plant import FloatArray, Plant
@@ -60,19 +61,21 @@ def run_textbook(plant: Plant, design: Design, u: FloatArray, y: FloatArray) -> 
     n, a2 = len(plant.states), len(plant.sensor_faults)
     T, C_b = np.eye(n, n + a2), np.hstack([plant.C, plant.D_f])
     v = np.array([effect(plant, u_k) for u_k in u]).reshape(len(u), len(plant.inputs))
-    eta, q, outputs = design.gains.L1 @ np.linalg.pinv(plant.C) @ y[0], np.zeros(len(design.gains.L_p)), []
-    rate, ramps = np.zeros(len(q)), len(design.gains.L_i) > len(q)
+    a1, order = len(design.gains.L_p), design.integrator_order
+    found = design.gains.inverse(augment(plant, order))
+    start, outputs = np.linalg.pinv(plant.C) @ y[0], []
+    eta, own = found.L1 @ start, found.L_q @ start
+    chain = integrators(a1, order, design.rate_hz)
     for k, y_k in enumerate(y):
         filtered = sum((h * v[max(k - d, 0)] for d, h in enumerate(plant.taps)), start=np.zeros(len(plant.inputs)))
         zeta = eta + design.gains.F @ y_k
         yt = y_k - C_b @ zeta
-        fa = q + design.gains.L_p @ yt
-        g = np.array([np.sin(item.rows @ T @ zeta)[0] for item in plant.nonlinearities]).reshape(-1)
+        q = own + found.F_q @ y_k
+        fa = q[:a1] + design.gains.L_p @ yt
+        g = np.sin(plant.H @ T @ zeta + plant.H_known @ np.append(filtered, 1.0) + plant.H_f @ q[:a1])
         drive = plant.B @ filtered + plant.c + plant.G @ g + plant.E_f @ fa
         eta = design.gains.N @ eta + design.gains.J @ y_k + design.gains.L1 @ drive
-        q = q + rate / design.rate_hz + design.gains.L_i[: len(q)] @ yt
-        if ramps:
-            rate = rate + design.gains.L_i[len(q) :] @ yt
+        own = chain @ q + found.L_q @ (plant.A @ T @ zeta + drive) + design.gains.L_i @ yt
         outputs.append(np.concatenate([zeta, fa, yt]))
     return np.array(outputs)
 
@@ -111,6 +114,11 @@ def test_a_restart_explains_a_consistent_output_without_a_fault() -> None:
     np.testing.assert_allclose(yt, 0.0, atol=1e-12)
 
 
+def arm_step(discrete: Plant, x: FloatArray, f_a: FloatArray) -> FloatArray:
+    """Return x one sample later without inputs."""
+    return discrete.A @ x + discrete.G @ np.sin(discrete.H @ x + discrete.H_f @ f_a) + discrete.E_f @ f_a
+
+
 def test_the_estimates_of_the_arm_settle_on_constant_faults() -> None:
     plant = builtin_model("arm-disturbed")
     design = design_convex(plant, 100.0)
@@ -119,7 +127,7 @@ def test_the_estimates_of_the_arm_settle_on_constant_faults() -> None:
     x, outputs, f_a, f_s = np.array([0.1, 0.0, -0.1, 0.0]), [], np.array([0.3]), np.array([-0.2])
     for _ in range(2000):
         outputs.append(discrete.C @ x + discrete.D_f @ f_s)
-        x = discrete.A @ x + discrete.G[:, 0] * np.sin(x[2]) + discrete.E_f @ f_a
+        x = arm_step(discrete, x, f_a)
     estimate = run_map(discrete, gains, np.zeros((2000, 1)), np.array(outputs))[-1]
     assert estimate[4] == pytest.approx(f_s[0], abs=1e-6)
     assert estimate[5] == pytest.approx(f_a[0], abs=1e-6)
@@ -133,7 +141,7 @@ def test_a_ramping_fault_is_followed_without_the_lag_that_one_integrator_has() -
     f_a = slope * np.arange(steps) / 100.0
     for k in range(steps):
         outputs.append(discrete.C @ x)
-        x = discrete.A @ x + discrete.G[:, 0] * np.sin(x[2]) + discrete.E_f[:, 0] * f_a[k]
+        x = arm_step(discrete, x, f_a[[k]])
     lags = []
     for order in (1, 2):
         design = design_convex(plant, 100.0, integrator_order=order)

@@ -58,7 +58,8 @@ def test_the_norm_is_the_highest_gain_over_the_frequencies() -> None:
     plant = continuous_plant(5, 1, 1, nonlinear=1)
     design = design_continuous(plant)
     certificate = certify(plant, design)
-    system = closed_error_system(error_model(plant, augment(plant)), design.gains, "integral")
+    model = error_model(plant, design.gains.inverse(augment(plant)))
+    system = closed_error_system(model, design.gains, "integral")
     eye = np.eye(len(design.P))
     gains = [
         np.linalg.norm(system.C @ np.linalg.solve(1j * w * eye - A, system.B) + system.D, 2)

@@ -62,7 +62,7 @@ def test_a_range_of_decay_rates_is_kept_at_every_vertex(decay: tuple[float, floa
 def test_dearer_gains_are_smaller_and_the_bound_pays_for_them() -> None:
     plant = builtin_model("arm-disturbed")
     cheap, dear = design_continuous(plant), design_continuous(plant, gain_weight=0.1)
-    assert dear.gains.gain_max_abs < 0.1 * cheap.gains.gain_max_abs
+    assert dear.gains.gain_max_abs < 0.2 * cheap.gains.gain_max_abs
     assert dear.sqrt_mu > cheap.sqrt_mu
 
 
@@ -144,8 +144,8 @@ def test_a_discrete_model_is_refused() -> None:
 
 
 def test_rates_that_no_gains_reach_are_said_to_be_infeasible() -> None:
-    with pytest.raises(InfeasibleError, match=r"no gains make the error decay|neither gains nor a proof"):
-        design_continuous(builtin_model("arm-disturbed"), decay=(20.0, 20.5))
+    with pytest.raises(InfeasibleError, match="no gains make every error decay at 2000 rad/s"):
+        design_continuous(builtin_model("arm-disturbed"), decay=(2000.0, 2001.0))
 
 
 def test_gains_that_no_certificate_confirms_are_never_returned(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,8 +31,9 @@ def test_the_floor_of_the_disturbed_arm_does_not_depend_on_the_slope(slope: floa
 
 def test_the_sampled_floor_counts_a_constant_disturbance_in_both_samples() -> None:
     plant = builtin_model("arm-disturbed")
-    for rate in (10.0, 1000.0):
-        assert floor_sqrt_mu(plant, rate).value == pytest.approx(0.136284 / math.sqrt(2.0), rel=1e-5)
+    # at rest the middle of a sample is predicted without gravity, wrong by its effect within half of it
+    for rate, share in ((10.0, 5e-3), (1000.0, 1e-5)):
+        assert floor_sqrt_mu(plant, rate).value == pytest.approx(0.136284 / math.sqrt(2.0), rel=share)
 
 
 def test_nothing_hides_where_nothing_disturbs() -> None:

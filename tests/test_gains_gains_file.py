@@ -64,7 +64,7 @@ def rows(key: str, edit: Callable[[list[list[Any]]], None]) -> Callable[[dict[st
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (change("format", 2), "'format' is not 1"),
+        (change("format", 3), "'format' is not 2"),
         (lambda document: document.pop("K"), "'K' is missing"),
         (change("model", 3), "'model' is not text"),
         (change("states", ["x0"]), "where the names make it"),
@@ -113,7 +113,7 @@ def test_a_damaged_file_is_refused_in_one_line(
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe", b"[" * 100_000, b"3", b"null", b"[]"])
 def test_what_is_no_gains_file_is_refused(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "gains.json").write_bytes(content)
-    with pytest.raises(ModelError, match=r"gains.json: (not JSON|'format' is not 1)"):
+    with pytest.raises(ModelError, match=r"gains.json: (not JSON|'format' is not 2)"):
         read_gains(tmp_path / "gains.json")
 
 

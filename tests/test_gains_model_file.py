@@ -315,3 +315,16 @@ def test_a_matrix_in_lists_has_the_shape_of_the_names(rows: str, message: str, t
     text = TEXT.replace('[C]\nencoder = "angle"', "").replace("taps =", f"C = {rows}\ntaps =")
     with pytest.raises(ModelError, match=message):
         read(text, tmp_path)
+
+
+def test_a_sampled_plant_is_written_and_read_back_with_what_it_looks_ahead(tmp_path: Path) -> None:
+    arm = builtin_model("arm-disturbed")
+    (g,) = arm.nonlinearities
+    arm = replace(arm, c=np.ones(4), nonlinearities=(replace(g, rates=np.array([2.0])),))
+    plant = discretise(arm, 20.0)
+    write_model(plant, tmp_path / "sampled.toml")
+    again = read_model(tmp_path / "sampled.toml")
+    assert model_hash(again) == model_hash(plant)
+    assert np.array_equal(again.H_f, plant.H_f)
+    assert np.array_equal(again.H_known, plant.H_known)
+    assert again.nonlinearities[0].rates.tolist() == [2.0]

@@ -157,8 +157,19 @@ def model_page() -> str:
     )
     nonlinearity = _named(
         Nonlinearity,
-        renamed={"arguments": "", "rows": "arguments", "slopes": "slope", "ranges": "range"},
-        kinds={"arguments": "vector by argument", **dict.fromkeys(("slope", "range"), "[low, high] by argument")},
+        renamed={
+            "arguments": "",
+            "rows": "arguments",
+            "slopes": "slope",
+            "ranges": "range",
+            "rates": "rate",
+            "ahead": "",
+        },
+        kinds={
+            "arguments": "vector by argument",
+            "rate": "number by argument",
+            **dict.fromkeys(("slope", "range"), "[low, high] by argument"),
+        },
     )
     parts = [
         _MODEL_HEAD,
@@ -167,11 +178,18 @@ def model_page() -> str:
         _rows(plant, _defaults(Plant)),
         "\n## `[[nonlinearity]]`\n",
         _rows(
-            [*nonlinearity, ("into", "vector", "Which states it drives: its column of G.")],
-            {"slope": Words("derived"), "range": Words("everywhere")},
+            [
+                *nonlinearity,
+                ("into", "vector", "Which states it drives: its column of G."),
+                ("inputs", "vector by argument", "Of a sampled model: what inputs add to the arguments."),
+                ("faults", "vector by argument", "Of a sampled model: what actuator faults add to the arguments."),
+                ("offset", "number by argument", "Of a sampled model: what time adds to the arguments."),
+            ],
+            {"slope": Words("derived"), "range": Words("everywhere"), "rate": Words("not said")}
+            | dict.fromkeys(("inputs", "faults", "offset"), Words("none")),
         ),
         "\n## `[[fault]]`\n\nEither `input` or `into`.\n",
-        _rows(_named(Fault, renamed={"column": "into"}, kinds={"into": "vector"}), _defaults(Fault)),
+        _rows(_named(Fault, renamed={"column": "into", "ahead": ""}, kinds={"into": "vector"}), _defaults(Fault)),
         "\n## `[[disturbance]]`, `[[noise]]`\n\nUnknown inputs of the states, and of the outputs.\n",
         _rows(
             [

@@ -1,23 +1,29 @@
 """The augmented state zeta = [x; f_s] and the error system that the injection gains close.
 
-With T = [I 0], A_z = [A 0], Cb = [C D_f], E = [E_1 0], D = [0 D_1] and L1 T + F Cb = I the observer
+With T = [I 0], A_z = [A 0], Cb = [C D_f], E = [E_1 0], D = [0 D_1] and a left inverse of Theta = [T; Cb],
+[L1 F; L_q F_q] Theta = [I; 0], the observer
 
-    eta+ = N eta + J y + L1 (B v + c + G g(x^) + E_f fa^),   zeta^ = eta + F y,   x^ = T zeta^
-    q+   = q + L_i yt,   fa^ = q + L_p yt,   yt = y - Cb zeta^,   N = L1 A_z - K Cb,   J = N F + K
+    zeta^ = eta + F y,   x^ = T zeta^       q^ = q + F_q y,   fa^ = q^ + L_p yt       yt = y - Cb zeta^
+    eta+  = L1 x^+ + K yt                   q+ = q^ + L_q x^+ + L_i yt
+    x^+   = A x^ + B v + c + G g(nu^) + E_f fa^,   nu^ = H x^ + H_v v + h + H_f q^
 
-has the errors zeta~ = zeta - zeta^ and z = f_a - q with, for Kb = K + L1 E_f L_p and slopes Delta of g,
+(eta+ = N eta + J y + L1 (B v + c + G g + E_f fa^) with N = L1 A_z - K Cb, J = N F + K) has the errors
+zeta~ = zeta - zeta^ and z = f_a - q^ with, for [Kb; L_ib] = [K; L_i] + [L1; L_q] E_f L_p and slopes Delta of g,
 
-    [zeta~; z]+ = ( [L1 A_z + L1 G Delta H T, L1 E_f; 0, I] - [Kb; L_i] [Cb 0] ) [zeta~; z]
-                  + ( [L1 E, -F D, 0; 0, 0, I] - [Kb; L_i] [D 0 0] ) [w; w+; df_a]
+    [zeta~; z]+ = ( [L1; L_q] [A_z + G Delta H T, E_f + G Delta H_f] + [0 0; 0 I] - [Kb; L_ib] [Cb 0] ) [zeta~; z]
+                  + ( [L1 E, -F D, 0; L_q E, -F_q D, I] - [Kb; L_ib] [D 0 0] ) [w; w+; df_a]
     e = [zeta~; fa~],   fa~ = z - L_p (Cb zeta~ + D w),   df_a = f_a+ - f_a
+
+Every left inverse is [L1 F] = [L1_0 F_0] + Y [W1 W2], [W1 W2] Theta = 0, with any Y (na, k): the last rows of Y are
+[L_q F_q]. The published observer has the pseudo-inverse and no L_q, F_q.
 
 For actuator faults that ramp, integrators of order 2 estimate their rate r = (f_a+ - f_a) / T too:
 
-    q1+ = q1 + T q2 + L_i1 yt,   q2+ = q2 + L_i2 yt,   fa^ = q1 + L_p yt,   z = [f_a - q1; r - q2]
+    q1+ = q1^ + T q2^ + L_i1 yt,   q2+ = q2^ + L_i2 yt,   fa^ = q1^ + L_p yt,   z = [f_a - q1^; r - q2^]
 
-so that A_a has [I, T I; 0, I] for its last I, [L1 E_f, 0] for L1 E_f, and r+ - r takes the place of df_a.
+so that A_a has [I, T I; 0, I] for its last I, and r+ - r takes the place of df_a.
 
-With the slopes anywhere between their bounds, L1 G Delta H T in A_a is that of their mean plus Gs diag(delta) Hs with
+With the slopes anywhere between their bounds, what holds Delta in A_a is that of their mean plus Gs diag(delta) Hs with
 |delta_i| <= 1: a column of Gs and a row of Hs for each slope that varies.
 
 Each w is divided by its scale, df_a (or r+ - r) by rate / rate_hz, and each error by the size that matters.
@@ -26,7 +32,7 @@ Each w is divided by its scale, df_a (or r+ - r) by rate / rate_hz, and each err
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,12 +51,37 @@ sure, never wrong: a matter of time alone (measured: .6 ms for the norm of a sys
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Augmentation:
-    """L1 (nz, n), F (nz, p), A_z (n, nz) and Cb (p, nz) of a plant."""
+    """A left inverse of [T; Cb], and what is left free in it.
+
+    Parameters
+    ----------
+    L1, F, L_q, F_q : FloatArray
+        (nz, n), (nz, p), (nq, n) and (nq, p).
+    W1, W2 : FloatArray
+        Basis (k, n + p) of the left null space of [T; Cb].
+    A_z, C_b : FloatArray
+        (n, nz) and (p, nz).
+    """
 
     L1: FloatArray
     F: FloatArray
+    L_q: FloatArray
+    F_q: FloatArray
+    W1: FloatArray
+    W2: FloatArray
     A_z: FloatArray
     C_b: FloatArray
+
+    def moved(self, Y: FloatArray) -> Augmentation:
+        """Return the left inverse with Y [W1 W2] added, Y (nz + nq, k)."""
+        zeta, q = Y[: len(self.L1)], Y[len(self.L1) :]
+        return replace(
+            self,
+            L1=self.L1 + zeta @ self.W1,
+            F=self.F + zeta @ self.W2,
+            L_q=self.L_q + q @ self.W1,
+            F_q=self.F_q + q @ self.W2,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,10 +102,14 @@ class ErrorModel:
         Gs (na, k) and Hs (k, na) of the k slopes that vary.
     B, C, D : FloatArray
         (na, nw), (p, na) and (p, nw); columns of B and D: [w; w+; df_a], each in units of its scale.
+    into : FloatArray
+        [L1; L_q] E_f (na, a1).
     weights : FloatArray
         One over the error that matters, for each entry of e (nz + a1,).
     a1 : int
         Number of actuator faults: the last entries of e, and their errors after zeta~ in [zeta~; z].
+    free : FreeRows
+        What a moved left inverse adds.
     """
 
     name: str
@@ -86,8 +121,10 @@ class ErrorModel:
     B: FloatArray
     C: FloatArray
     D: FloatArray
+    into: FloatArray
     weights: FloatArray
     a1: int
+    free: FreeRows
 
     @property
     def sizes(self) -> FloatArray:
@@ -96,9 +133,8 @@ class ErrorModel:
         return np.concatenate([errors, errors[len(errors) - self.a1 :]])[: len(self.B)]
 
     def injection(self, K: FloatArray, L_i: FloatArray, L_p: FloatArray) -> FloatArray:
-        """Return [Kb; L_i] (na, p), Kb = K + L1 E_f L_p."""
-        nz = len(K)
-        return np.vstack([K + self.mean[:nz, nz : nz + self.a1] @ L_p, L_i])
+        """Return [Kb; L_ib] (na, p)."""
+        return np.vstack([K, L_i]) + self.into @ L_p
 
     def output(self, L_p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return (C_e, D_e) of the weighted error e for the direct gain L_p (a1, p)."""
@@ -109,8 +145,20 @@ class ErrorModel:
         return self.weights[:, None] * C_e, self.weights[:, None] * D_e
 
 
-def augment(plant: Plant) -> Augmentation:
-    """Return L1, F, A_z and Cb of a plant.
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeRows:
+    """What Y multiplies: A (vertices, k, na), mean (k, na), B (k, nw), G (k, slopes), F (k, p) and into (k, a1)."""
+
+    A: FloatArray
+    mean: FloatArray
+    B: FloatArray
+    G: FloatArray
+    F: FloatArray
+    into: FloatArray
+
+
+def augment(plant: Plant, integrator_order: int = 1) -> Augmentation:
+    """Return A_z, Cb and the pseudo-inverse as a left inverse, with what is free in it, of a plant.
 
     [L1 F] is the pseudo-inverse of [T; Cb] with each row in units of the error that matters there, for a state
     its own and for an output the largest that a state's error makes: the result follows a change of units. Where
@@ -122,7 +170,7 @@ def augment(plant: Plant) -> Augmentation:
         Directions of faults depend on each other.
     """
     check_independence(plant)
-    n, a2 = len(plant.states), len(plant.sensor_faults)
+    n, a2, nq = len(plant.states), len(plant.sensor_faults), integrator_order * len(plant.actuator_faults)
     T = np.eye(n, n + a2)
     C_b = np.hstack([plant.C, plant.D_f])
     largest = np.max(np.abs(plant.C) * plant.state_errors, axis=1)
@@ -130,7 +178,17 @@ def augment(plant: Plant) -> Augmentation:
     columns = np.concatenate([plant.state_errors, 1.0 / np.max(np.abs(plant.D_f) * rows[n:, None], axis=0)])
     scaled = rows[:, None] * np.vstack([T, C_b]) * columns
     inverse = columns[:, None] * np.linalg.pinv(scaled) * rows
-    return Augmentation(inverse[:, :n], inverse[:, n:], plant.A @ T, C_b)
+    free = np.linalg.svd(scaled)[0][:, n + a2 :].T * rows
+    return Augmentation(
+        L1=inverse[:, :n],
+        F=inverse[:, n:],
+        L_q=np.zeros((nq, n)),
+        F_q=np.zeros((nq, len(C_b))),
+        W1=free[:, :n],
+        W2=free[:, n:],
+        A_z=plant.A @ T,
+        C_b=C_b,
+    )
 
 
 def error_model(
@@ -146,42 +204,50 @@ def error_model(
     InfeasibleError
         More slopes vary than vertices can be enumerated for, and a sample will not do.
     """
-    L1, F = augmentation.L1, augmentation.F
-    nz, n = L1.shape
+    nz, n = augmentation.L1.shape
     a1, p = len(plant.actuator_faults), len(plant.outputs)
     na = nz + a1 * integrator_order
     q = len(plant.disturbances) + len(plant.noises)
-    # A_a = [L1 A_z, L1 E_f; 0, I]
-    A_a = np.zeros((na, na))
-    A_a[:nz, : nz + a1] = np.hstack([L1 @ augmentation.A_z, L1 @ plant.E_f])
-    if plant.rate_hz is not None:
-        A_a[nz:, nz:] = integrators(a1, integrator_order, plant.rate_hz)
-    # B = [L1 E, -F D, 0; 0, 0, I], each column in units of what drives it
-    B = np.zeros((na, 2 * q + a1))
-    B[:nz, :q], B[:nz, q : 2 * q] = L1 @ plant.E, -F @ plant.D
-    B[na - a1 :, 2 * q :] = np.diag([fault.rate / (plant.rate_hz or 1.0) for fault in plant.actuator_faults])
+    # how [x^; q^] moves x and the arguments of g
+    moves, arguments = np.zeros((n, na)), np.zeros((len(plant.H), na))
+    moves[:, : nz + a1] = np.hstack([augmentation.A_z, plant.E_f])
+    arguments[:, :n], arguments[:, nz : nz + a1] = plant.H, plant.H_f
     slopes = sampled_vertices(plant) if sampled else slope_vertices(plant)
-    # Gs and Hs: mean plus Gs diag(delta) Hs, without slopes that are constant or do not reach the error
-    middle, half, into, rows = _slope_ranges(plant)
-    varying = (half > 0.0) & np.any(L1 @ into, axis=0) & np.any(rows, axis=1)
-    G, H = np.zeros((na, np.sum(varying))), np.zeros((np.sum(varying), na))
-    G[:nz], H[:, :n] = (L1 @ into * half)[:, varying], rows[varying]
-    mean = A_a.copy()
-    mean[:nz, :n] += L1 @ into * middle @ rows
-    A = np.repeat(A_a[None], len(slopes), axis=0)
-    A[:, :nz, :n] += (L1 @ into * slopes[:, None]) @ rows
+    middle, half, into = _slope_ranges(plant)
+    sloped = moves + (into * slopes[:, None]) @ arguments
+    mean = moves + into * middle @ arguments
+    L = np.vstack([augmentation.L1, augmentation.L_q])
+    F = np.vstack([augmentation.F, augmentation.F_q])
+    still = np.zeros((na, na))
+    if plant.rate_hz is not None:
+        still[nz:, nz:] = integrators(a1, integrator_order, plant.rate_hz)
+    # each column in units of what drives it
+    steps = np.zeros((na, a1))
+    steps[na - a1 :] = np.diag([fault.rate / (plant.rate_hz or 1.0) for fault in plant.actuator_faults])
+    # without slopes that are constant or do not reach the states
+    varying = (half > 0.0) & np.any(into, axis=0) & np.any(arguments, axis=1)
+    W1, W2 = augmentation.W1, augmentation.W2
     return ErrorModel(
         name=plant.name,
         slopes=slopes,
-        A=A,
-        mean=mean,
-        G=G,
-        H=H,
-        B=B,
+        A=L @ sloped + still,
+        mean=L @ mean + still,
+        G=(L @ into * half)[:, varying],
+        H=arguments[varying],
+        B=np.hstack([L @ plant.E, -F @ plant.D, steps]),
         C=np.hstack([augmentation.C_b, np.zeros((p, na - nz))]),
         D=np.hstack([plant.D, np.zeros((p, q + a1))]),
+        into=L @ plant.E_f,
         weights=1.0 / plant.errors,
         a1=a1,
+        free=FreeRows(
+            A=W1 @ sloped,
+            mean=W1 @ mean,
+            B=np.hstack([W1 @ plant.E, -W2 @ plant.D, np.zeros((len(W1), a1))]),
+            G=(W1 @ into * half)[:, varying],
+            F=W2,
+            into=W1 @ plant.E_f,
+        ),
     )
 
 
@@ -228,6 +294,8 @@ def varying_slopes(plant: Plant) -> int:
 def sloped_dynamics(plant: Plant, *, sampled: bool = False) -> tuple[FloatArray, FloatArray]:
     """Return A + G Delta H (count, n, n) and the slopes (count, arguments), at their mean first, then at every vertex.
 
+    How actuator faults move the states there is E_f + G Delta H_f (:func:`sloped_faults`).
+
     Where they are ``sampled``, the vertices are those of :func:`sampled_vertices`.
 
     Raises
@@ -236,17 +304,22 @@ def sloped_dynamics(plant: Plant, *, sampled: bool = False) -> tuple[FloatArray,
         Too many slopes vary.
     """
     slopes = sampled_vertices(plant) if sampled else slope_vertices(plant)
-    middle, _, into, rows = _slope_ranges(plant)
+    middle, _, into = _slope_ranges(plant)
     if len(slopes) > 1:
         slopes = np.vstack([middle, slopes])
-    return np.asarray(plant.A + (into * slopes[:, None]) @ rows, dtype=np.float64), slopes
+    return np.asarray(plant.A + (into * slopes[:, None]) @ plant.H, dtype=np.float64), slopes
 
 
-def _slope_ranges(plant: Plant) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the middle and half the width of each slope, and G (n, arguments) and H (arguments, n) of its argument."""
+def sloped_faults(plant: Plant, slopes: FloatArray) -> FloatArray:
+    """Return E_f + G Delta H_f (n, a1) at slopes (arguments,)."""
+    return np.asarray(plant.E_f + _slope_ranges(plant)[2] * slopes @ plant.H_f, dtype=np.float64)
+
+
+def _slope_ranges(plant: Plant) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the middle and half the width of each slope, and G (n, arguments) of its argument."""
     low, high = np.vstack([np.zeros((0, 2)), *(g.slopes for g in plant.nonlinearities)]).T
     owner = [i for i, g in enumerate(plant.nonlinearities) for _ in g.arguments]
-    return 0.5 * (low + high), 0.5 * (high - low), plant.G[:, owner], plant.H
+    return 0.5 * (low + high), 0.5 * (high - low), plant.G[:, owner]
 
 
 def slope_matrix(plant: Plant, slopes: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gains.analysis.augment import sloped_dynamics
+from gains.analysis.augment import sloped_dynamics, sloped_faults
 from gains.analysis.hidden_modes import row_norms, step_matrix
 from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
@@ -74,13 +74,13 @@ def floor_sqrt_mu(plant: Plant, rate_hz: float | None = None, integrator_order: 
     dynamics, slopes = sloped_dynamics(plant, sampled=True)
     best = Floor(0.0, 0.0)
     for A, slope in zip(dynamics, slopes, strict=True):
-        value, omega = _highest(plant, A, integrator_order)
+        value, omega = _highest(plant, A, sloped_faults(plant, slope), integrator_order)
         if value > best.value * (1.0 + _TIE):
             best = Floor(value, omega, tuple(slope.tolist()))
     return best
 
 
-def _highest(plant: Plant, A: FloatArray, order: int) -> tuple[float, float]:
+def _highest(plant: Plant, A: FloatArray, E_f: FloatArray, order: int) -> tuple[float, float]:
     """Return the floor at the highest point of a frequency grid, refined by golden section."""
     if plant.rate_hz is not None:
         grid = math.pi * plant.rate_hz * np.geomspace(10.0**-_DECADES, 1.0, _GRID)
@@ -89,14 +89,14 @@ def _highest(plant: Plant, A: FloatArray, order: int) -> tuple[float, float]:
         fastest = max(float(rates.max(initial=0.0)), 1.0)
         grid = fastest * np.geomspace(10.0**-_DECADES, 1e3, _GRID)
     omega = np.concatenate([[0.0], grid])
-    floors = _floors(plant, A, omega, order)
+    floors = _floors(plant, A, E_f, omega, order)
     top = int(np.argmax(floors >= np.max(floors) * (1.0 - _TIE)))
     best, where = float(floors[top]), float(omega[top])
     low, high = float(omega[max(top - 1, 0)]), float(omega[min(top + 1, len(omega) - 1)])
     ratio = (math.sqrt(5.0) - 1.0) / 2.0
     for _ in range(_REFINEMENTS if 0.0 < best < math.inf else 0):
         inner = np.array([high - ratio * (high - low), low + ratio * (high - low)])
-        floors = _floors(plant, A, inner, order)
+        floors = _floors(plant, A, E_f, inner, order)
         better = int(np.argmax(floors))
         if floors[better] > best * (1.0 + _TIE):
             best, where = float(floors[better]), float(inner[better])
@@ -104,7 +104,7 @@ def _highest(plant: Plant, A: FloatArray, order: int) -> tuple[float, float]:
     return best, where
 
 
-def _floors(plant: Plant, A: FloatArray, omega: FloatArray, order: int) -> FloatArray:
+def _floors(plant: Plant, A: FloatArray, E_f: FloatArray, omega: FloatArray, order: int) -> FloatArray:
     """Return the floor at each frequency."""
     n, p = plant.C.shape[1], len(plant.C)
     a1, a2 = len(plant.actuator_faults), len(plant.sensor_faults)
@@ -112,7 +112,7 @@ def _floors(plant: Plant, A: FloatArray, omega: FloatArray, order: int) -> Float
     unit = np.concatenate([plant.errors, np.ones(q)])
     constant = np.zeros((n + p, n + a + q))
     constant[:n, :n], constant[n:, :n] = step_matrix(A, plant.domain), plant.C
-    constant[n:, n : n + a2], constant[:n, n + a2 : n + a] = plant.D_f, plant.E_f
+    constant[n:, n : n + a2], constant[:n, n + a2 : n + a] = plant.D_f, E_f
     constant[:n, n + a :], constant[n:, n + a :] = plant.E, plant.D
     # exp(j omega h) - 1 without the cancellation that would cost the low frequencies their digits
     turn = 1j * omega if plant.rate_hz is None else np.expm1(1j * omega / plant.rate_hz)

@@ -19,6 +19,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -115,15 +116,30 @@ def model_hash(plant: Plant) -> str:
         "taps": plant.taps,
         "curves": plant.curves,
         "nonlinearities": [
-            [g.expression, g.arguments, g.rows.tolist(), g.slopes.tolist(), g.ranges.tolist()]
+            [
+                g.expression,
+                g.arguments,
+                g.rows.tolist(),
+                g.slopes.tolist(),
+                g.ranges.tolist(),
+                *_stated(g.rates, g.ahead),
+            ]
             for g in plant.nonlinearities
         ],
-        "faults": [[f.name, f.kind, f.column.tolist(), f.rate, f.error, f.unit, f.input] for f in plant.faults],
+        "faults": [
+            [f.name, f.kind, f.column.tolist(), f.rate, f.error, f.unit, f.input, *_stated(f.ahead)]
+            for f in plant.faults
+        ],
         "disturbances": [[w.name, w.column.tolist(), w.scale] for w in plant.disturbances],
         "noises": [[w.name, w.column.tolist(), w.scale] for w in plant.noises],
         "state_errors": plant.state_errors.tolist(),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _stated(*arrays: FloatArray) -> list[Any]:
+    """Return the arrays that say something; those that do not leave the hash of a model what it always was."""
+    return [array.tolist() for array in arrays] if any(array.any() for array in arrays) else []
 
 
 def read_plant(file: TomlFile) -> Plant:
@@ -144,8 +160,12 @@ def read_plant(file: TomlFile) -> Plant:
     A, B = read_matrix(root, "A", states, states), read_matrix(root, "B", states, inputs)
     C, c = read_matrix(root, "C", outputs, states), read_vector(root, "offset", states)
     taps, curves = root.numbers("taps", [1.0]), read_by_name(root, "curves", inputs, [1.0])
-    nonlinearities = [_nonlinearity(table, states) for table in root.tables("nonlinearity")]
+    tables = root.tables("nonlinearity")
     faults = [_fault(table, states, outputs) for table in root.tables("fault")]
+    read = [_nonlinearity(table, states, inputs, [fault.name for fault in faults]) for table in tables]
+    nonlinearities = [(g, into) for g, into, _ in read]
+    moved = np.vstack([np.zeros((0, len(faults))), *(rows for _, _, rows in read)])
+    faults = [replace(fault, ahead=moved[:, k]) for k, fault in enumerate(faults)]
     disturbances = [Disturbance(*_signal(table, states)) for table in root.tables("disturbance")]
     noises = [Noise(*_signal(table, outputs)) for table in root.tables("noise")]
     errors = _errors(root.table("error"), states)
@@ -179,8 +199,10 @@ def read_plant(file: TomlFile) -> Plant:
         raise
 
 
-def _nonlinearity(table: Table, states: Sequence[str]) -> tuple[Nonlinearity, FloatArray]:
-    """Return g_i and its column of G; slopes are derived where the file does not declare them."""
+def _nonlinearity(
+    table: Table, states: Sequence[str], inputs: Sequence[str], faults: Sequence[str]
+) -> tuple[Nonlinearity, FloatArray, FloatArray]:
+    """Return g_i, its column of G and how faults move its arguments; slopes that are not declared are derived."""
     expression = table.text("expression")
     into = read_vector(table, "into", states)
     if not into.any() and table.good("into"):
@@ -188,6 +210,9 @@ def _nonlinearity(table: Table, states: Sequence[str]) -> tuple[Nonlinearity, Fl
     arguments, rows = read_rows(table, "arguments", states)
     ranges = read_intervals(table, "range", arguments, (-math.inf, math.inf))
     slopes = read_intervals(table, "slope", arguments, None) if table.has("slope") else None
+    rates = read_vector(table, "rate", arguments)
+    known = np.column_stack([read_matrix(table, "inputs", arguments, inputs), read_vector(table, "offset", arguments)])
+    moved = read_matrix(table, "faults", arguments, faults)
     table.done()
     if table.good("expression", "arguments", "range", "slope"):
         try:
@@ -197,7 +222,7 @@ def _nonlinearity(table: Table, states: Sequence[str]) -> tuple[Nonlinearity, Fl
                 check_slopes(expression, arguments, ranges, slopes)
         except ModelError as error:
             table.mistake("expression", f": {error}")
-    return Nonlinearity(expression, arguments, rows, np.array(slopes), np.array(ranges)), into
+    return Nonlinearity(expression, arguments, rows, np.array(slopes), np.array(ranges), rates, known), into, moved
 
 
 def _fault(table: Table, states: Sequence[str], outputs: Sequence[str]) -> Fault:
@@ -273,7 +298,17 @@ def _nonlinearity_table(plant: Plant, index: int) -> dict[str, Any]:
     }
     if np.isfinite(g.ranges).any():
         table["range"] = dict(zip(g.arguments, g.ranges.tolist(), strict=True))
-    return table
+    first = sum(len(other.arguments) for other in plant.nonlinearities[:index])
+    known = plant.H_known[first : first + len(g.arguments)]
+    faults = [fault for fault in plant.faults if fault.ahead.any()]
+    moved = np.array([fault.ahead[first : first + len(g.arguments)] for fault in faults]).T
+    more = {
+        "rate": _by_name(g.rates, g.arguments) if g.rates.size else {},
+        "inputs": _rows_by_name(known[:, :-1], g.arguments, plant.inputs),
+        "offset": _by_name(known[:, -1], g.arguments),
+        "faults": _rows_by_name(moved, g.arguments, [fault.name for fault in faults]) if faults else {},
+    }
+    return table | {key: value for key, value in more.items() if value}
 
 
 def _fault_table(plant: Plant, fault: Fault) -> dict[str, Any]:

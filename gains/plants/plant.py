@@ -6,6 +6,9 @@ In continuous time (``domain == "continuous"``; x' becomes x+ in a discrete mode
     y   = C x + D_f f_s + D_1 w_2                           y (p,), f_s (a2,), w_2 (q2,)
     v_i = sum_d taps[d] curve_i(u_i(k - d)),   curve_i(u) = c1 u + c2 u^2 + ...      known input nonlinearity
     g_i = g_i(H_i x),   a_ij <= dg_i/dnu_j <= b_ij                                    G is (n, m)
+
+A sampled plant looks at its nonlinearities in the middle of the sample that begins: nu = H x + H_v v + h + H_f f_a
+(:mod:`gains.plants.discretise`).
 """
 
 from __future__ import annotations
@@ -65,6 +68,8 @@ class Fault:
         Unit of the estimate, for people.
     input : str | None
         The input whose effect v the fault changes: estimate over command is then a relative loss.
+    ahead : FloatArray
+        How an actuator fault moves the arguments of all nonlinearities (arguments,); empty stands for zeros.
     """
 
     name: str
@@ -74,6 +79,7 @@ class Fault:
     error: float = 1.0
     unit: str = ""
     input: str | None = None
+    ahead: FloatArray = field(default_factory=_nothing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +119,11 @@ class Nonlinearity:
         Bounds a_ij <= dg_i/dnu_j <= b_ij (number of arguments, 2).
     ranges : FloatArray
         Box of the arguments on which the bounds hold (number of arguments, 2).
+    rates : FloatArray
+        How fast each argument moves at most, per second (number of arguments,); empty where that is not said. What a
+        sample leaves out of the nonlinearity is then one more disturbance (:mod:`gains.plants.discretise`).
+    ahead : FloatArray
+        [H_v, h] (number of arguments, s + 1): what inputs and time add to the arguments; empty stands for zeros.
     """
 
     expression: str
@@ -120,6 +131,8 @@ class Nonlinearity:
     rows: FloatArray
     slopes: FloatArray
     ranges: FloatArray
+    rates: FloatArray = field(default_factory=_nothing)
+    ahead: FloatArray = field(default_factory=_nothing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,7 +218,7 @@ class Plant:
             raise PlantError(f"error.{bad} is not positive; it is the size of error that matters", "error", bad)
         put("taps", _checked_taps(self.taps))
         put("curves", _checked_curves(self.curves, self.inputs))
-        put("nonlinearities", tuple(_checked_nonlinearity(g, n, i) for i, g in enumerate(self.nonlinearities)))
+        put("nonlinearities", tuple(_checked_nonlinearity(g, n, s, i) for i, g in enumerate(self.nonlinearities)))
         put("faults", tuple(_checked_fault(fault, self, i) for i, fault in enumerate(self.faults)))
         put("disturbances", tuple(_checked_signal(w, n, "disturbance", i) for i, w in enumerate(self.disturbances)))
         put("noises", tuple(_checked_signal(w, p, "noise", i) for i, w in enumerate(self.noises)))
@@ -256,6 +269,19 @@ class Plant:
     def H(self) -> FloatArray:
         """Arguments of all nonlinearities, one after the other: nu = H x (arguments, n)."""
         return np.vstack([np.zeros((0, len(self.states))), *(g.rows for g in self.nonlinearities)])
+
+    @property
+    def H_known(self) -> FloatArray:
+        """What is known besides x of those arguments: [H_v, h] (arguments, s + 1)."""
+        width = len(self.inputs) + 1
+        rows = (g.ahead if g.ahead.size else np.zeros((len(g.arguments), width)) for g in self.nonlinearities)
+        return np.vstack([np.zeros((0, width)), *rows])
+
+    @property
+    def H_f(self) -> FloatArray:
+        """How actuator faults move those arguments (arguments, a1)."""
+        none = np.zeros(len(self.H))
+        return _stacked((fault.ahead if fault.ahead.size else none for fault in self.actuator_faults), len(none))
 
     @property
     def errors(self) -> FloatArray:
@@ -347,7 +373,7 @@ def _checked_curves(curves: tuple[tuple[float, ...], ...], inputs: tuple[str, ..
     return values
 
 
-def _checked_nonlinearity(g: Nonlinearity, n: int, index: int) -> Nonlinearity:
+def _checked_nonlinearity(g: Nonlinearity, n: int, s: int, index: int) -> Nonlinearity:
     key, path, count = f"nonlinearity '{g.expression}'", ("nonlinearity", index), len(g.arguments)
     if not count:
         raise PlantError(f"{key} has no arguments", *path, "arguments")
@@ -358,8 +384,18 @@ def _checked_nonlinearity(g: Nonlinearity, n: int, index: int) -> Nonlinearity:
     ranges.setflags(write=False)
     if np.any(slopes[:, 0] > slopes[:, 1]):
         raise PlantError(f"{key}: 'slope' needs the lower bound before the upper one", *path, "slope")
+    rates = checked_array(g.rates, (count,), f"{key}: rate", *path, "rate") if np.any(g.rates) else _nothing()
+    if np.any(rates < 0.0):
+        slowest = np.min(rates)
+        raise PlantError(f"{key}: 'rate' holds {slowest:g}; an argument moves at a positive rate", *path, "rate")
+    ahead = checked_array(g.ahead, (count, s + 1), f"{key}: ahead", *path) if np.any(g.ahead) else _nothing()
     return replace(
-        g, rows=checked_array(g.rows, (count, n), f"{key}: arguments", *path, "arguments"), slopes=slopes, ranges=ranges
+        g,
+        rows=checked_array(g.rows, (count, n), f"{key}: arguments", *path, "arguments"),
+        slopes=slopes,
+        ranges=ranges,
+        rates=rates,
+        ahead=ahead,
     )
 
 
@@ -387,7 +423,9 @@ def _checked_fault(fault: Fault, plant: Plant, index: int) -> Fault:
     for name, value in (("rate", fault.rate), ("error", fault.error)):
         if not (np.isfinite(value) and value > 0.0):
             raise PlantError(f"{key}: '{name}' is {value}; it must be positive", *path, name)
-    return replace(fault, column=column, rate=float(fault.rate), error=float(fault.error))
+    reach = (sum(len(g.arguments) for g in plant.nonlinearities),)
+    ahead = checked_array(fault.ahead, reach, f"{key}: ahead", *path) if np.any(fault.ahead) else _nothing()
+    return replace(fault, column=column, rate=float(fault.rate), error=float(fault.error), ahead=ahead)
 
 
 def _checked_signal(signal: Signal, size: int, key: str, index: int) -> Signal:

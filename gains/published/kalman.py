@@ -84,7 +84,7 @@ def filter_model(plant: Plant, rate_hz: float | None = None) -> FilterModel:
         A=A,
         C=C,
         G=G,
-        H=plant.H @ np.eye(n, na),
+        H=np.hstack([discrete.H, np.zeros((len(plant.H), nz - n)), discrete.H_f]),
         Q=Q,
         R=R + FLOOR**2 * np.diag(floor),
     )
@@ -137,7 +137,14 @@ def _compiled(plant: Plant, model: FilterModel, K: FloatArray) -> Gains:
     note = "f_s is assumed to be a random walk of its rate; no bound is claimed"
     return Gains(
         **common_fields(plant, matrices),
-        **recursion(discrete, z, moved, np.vstack([estimate, innovation]), np.eye(na, n) @ np.linalg.pinv(plant.C)),
+        **recursion(
+            discrete,
+            z,
+            moved,
+            np.vstack([estimate, innovation]),
+            np.eye(na, n) @ np.linalg.pinv(plant.C),
+            estimate[nz:],
+        ),
         method="ekf",
         domain="discrete",
         rate_hz=rate_hz,

@@ -66,7 +66,9 @@ def blocks_of(plant: Plant) -> tuple[PlantBlock, ...]:
     )
 
 
-def design_blocks(plant: Plant, *, gain_weight: float = GAIN_WEIGHT, h2: float = 0.0) -> Design:
+def design_blocks(
+    plant: Plant, *, gain_weight: float = GAIN_WEIGHT, h2: float = 0.0, free_inverse: bool = True
+) -> Design:
     """Design an observer for a discrete plant without nonlinearities block by block and prove it.
 
     Each block has a state, an output and a fault; all are designed with the same options.
@@ -83,12 +85,16 @@ def design_blocks(plant: Plant, *, gain_weight: float = GAIN_WEIGHT, h2: float =
         if not (block.states and block.outputs and (block.sensor_faults or block.actuator_faults)):
             names = [plant.states[i] for i in block.states] + [plant.outputs[i] for i in block.outputs]
             raise ModelError(f"{plant.name}: no fault concerns {', '.join(names)}; leave them out of the model")
-    designs = [design_convex(block_plant(plant, block), h2=h2, gain_weight=gain_weight) for block in blocks]
+    designs = [
+        design_convex(block_plant(plant, block), h2=h2, gain_weight=gain_weight, free_inverse=free_inverse)
+        for block in blocks
+    ]
     augmentation = augment(plant)
     n, p = len(plant.states), len(plant.outputs)
     a1, a2 = len(plant.actuator_faults), len(plant.sensor_faults)
     nz = n + a2
     K, L_i, L_p = np.zeros((nz, p)), np.zeros((a1, p)), np.zeros((a1, p))
+    L, F = np.zeros((nz + a1, n)), np.zeros((nz + a1, p))
     P = np.zeros((nz + a1, nz + a1))
     for block, part in zip(blocks, designs, strict=True):
         zeta = [*block.states, *(n + k for k in block.sensor_faults)]
@@ -97,6 +103,10 @@ def design_blocks(plant: Plant, *, gain_weight: float = GAIN_WEIGHT, h2: float =
         L_i[np.ix_(block.actuator_faults, block.outputs)] = part.gains.L_i
         L_p[np.ix_(block.actuator_faults, block.outputs)] = part.gains.L_p
         P[np.ix_(whole, whole)] = part.P
+        own = part.gains.inverse(augment(block_plant(plant, block)))
+        L[np.ix_(whole, block.states)] = np.vstack([own.L1, own.L_q])
+        F[np.ix_(whole, block.outputs)] = np.vstack([own.F, own.F_q])
+    augmentation = replace(augmentation, L1=L[:nz], F=F[:nz], L_q=L[nz:], F_q=F[nz:])
     design = Design(
         method="convex",
         rate_hz=plant.rate_hz,

@@ -7,9 +7,10 @@ For the discrete error system of :mod:`gains.analysis.augment`, a full P and R =
     [ *   *                         mu I        D_f^T  ]
     [ *   *                         *           I      ]
 
-jointly linear in (P, R, L_p, mu), with C_f = W_f ([0 I] - L_p Ca) and D_f = -W_f L_p D. It is that of the
-theory with the rows of e that hold no unknown, C_x = W_x [I 0], taken out by a Schur complement, and with the
-columns of [B; D] replaced by as many as their rank, for only [B; D] [B; D]^T enters.
+jointly linear in (P, R, L_p, mu), with C_f = W_f ([0 I] - L_p Ca) and D_f = -W_f L_p D. A left inverse that is moved
+by Y adds Y times the free rows of :mod:`gains.analysis.augment` to A_a, B and Gs; with Yb = P Y it stays linear, in
+(P, R, L_p, Yb, mu). It is that of the theory with the rows of e that hold no unknown, C_x = W_x [I 0], taken out by a
+Schur complement, and with the columns of [B; D] replaced by as many as their rank, for only [B; D] [B; D]^T enters.
 
 Multipliers Lambda = diag(lambda) >= 0 put one inequality in place of those of all vertices (S-procedure): the vertex
 is the mean, P B gains the columns P Gs, mu I the diagonal Lambda, and P - C_x^T C_x loses Hs^T Lambda Hs. It implies
@@ -38,14 +39,22 @@ from typing import Any
 import numpy as np
 
 from adapters.errors import InfeasibleError
-from gains.analysis.augment import ErrorModel
+from gains.analysis.augment import Augmentation, ErrorModel, FreeRows
 from gains.plants.plant import FloatArray
 from gains.synthesis.conditioning import Coordinates, with_floor
+from gains.synthesis.design import ObserverMatrices, observer_matrices
 from gains.synthesis.solver import DEFAULT, ROBUST, bordered, gain_energy, solve_program
 
 _LEAST_MU_WEIGHT = 1e-4
 """Keeps mu bounded where h2 = 1 asks for the other norm alone. Smaller, it leaves mu loose (measured on the arm,
 sqrt(mu) 1.07 in place of .37 at 1e-6); larger, it takes part in the choice.
+"""
+_NO_ROW = 1e-9
+"""Of the largest free row, in units of the errors: above what rounding leaves of none, below every one that counts."""
+_AT_ONCE = 10.0
+"""Price in continuous time of what an output puts into the error at once, through the left inverse, against what a gain
+puts there in a time constant. Measured on the disturbed arm: at 1, 10, 100 sqrt(mu) is .14514, .14517, .14525 with the
+fastest pole at -6300, -650, -220 rad/s. In discrete time a sample is the unit of both.
 """
 _INSIDE = 1e-6
 """Share by which gains stay within their bound: ten times what the solver leaves of a constraint."""
@@ -74,8 +83,12 @@ class Inequality:
         Those of the solver.
     direct : FloatArray
         Size of L_p in the user's units, for outputs in the solver's (a1,).
-    L1_E_f : FloatArray
-        (nz, a1), in the user's units.
+    into : FloatArray
+        [L1; L_q] E_f of the pseudo-inverse (na, a1), in the user's units.
+    free : FreeRows
+        What Yb multiplies, its rows of size one; none where the left inverse stays the pseudo-inverse.
+    basis : FloatArray
+        Those rows by the model's (k, rows).
     A, B, C, D : FloatArray
         A_a at every vertex, or with multipliers at the mean alone (vertices, na, na); the reduced B and D.
     C_x, C_f0 : FloatArray
@@ -99,7 +112,9 @@ class Inequality:
     looseness: float
     coordinates: Coordinates
     direct: FloatArray
-    L1_E_f: FloatArray
+    into: FloatArray
+    free: FreeRows
+    basis: FloatArray
     A: FloatArray
     B: FloatArray
     C: FloatArray
@@ -118,6 +133,7 @@ class Solution:
 
     P: FloatArray
     R: FloatArray
+    Yb: FloatArray
     L_p: FloatArray
     mu: float
     noise_energy: float
@@ -136,16 +152,22 @@ def inequality(
     gain_bound: float = np.inf,
     looseness: float = 1.0,
     omega: float | None = None,
+    free: bool = True,
 ) -> Inequality:
     """Return the model in the solver's coordinates, with as few columns as matter; discrete, with the floor of noise.
 
     The options are those of :class:`Inequality`; the model is one at every vertex unless there are multipliers, and one
-    in continuous time where there is ``omega``.
+    in continuous time where there is ``omega``. Its left inverse stays unless it is ``free``.
     """
     S, Y = coordinates.S, coordinates.Y
     na, nz = len(S), len(model.weights) - model.a1
     driven, pace = (with_floor(model, S, Y), 1.0) if omega is None else (model, omega)
-    into = np.vstack([np.linalg.solve(S, driven.B) / pace, np.linalg.solve(Y, driven.D)])
+    rows = driven.free
+    seen = np.hstack([rows.mean @ S, rows.B]) / pace
+    left, singular, _ = np.linalg.svd(seen, full_matrices=False)
+    kept = singular > _NO_ROW * np.max(singular, initial=0.0) if free else np.zeros(len(singular), dtype=np.bool_)
+    basis = (left[:, kept] / singular[kept]).T
+    into = np.vstack([np.linalg.solve(S, driven.B) / pace, np.linalg.solve(Y, driven.D), basis @ rows.B / pace])
     left, singular, _ = np.linalg.svd(into, full_matrices=False)
     columns = left * singular
     errors = (model.weights[:, None] * S[: len(model.weights)]) / np.sqrt(coordinates.mu)
@@ -166,11 +188,20 @@ def inequality(
         looseness=looseness,
         coordinates=coordinates,
         direct=np.sqrt(coordinates.mu) / model.weights[nz:],
-        L1_E_f=model.mean[:nz, nz : nz + model.a1],
+        into=model.into,
+        free=FreeRows(
+            A=basis @ (rows.mean[None] if multipliers else rows.A) @ S / pace,
+            mean=basis @ rows.mean @ S / pace,
+            B=columns[na + len(Y) :],
+            G=basis @ rows.G[:, used] * np.sqrt(balance),
+            F=basis @ rows.F @ Y * (1.0 if omega is None else _AT_ONCE),
+            into=basis @ rows.into,
+        ),
+        basis=basis,
         A=np.asarray(np.linalg.solve(S, dynamics @ S), dtype=np.float64) / pace,
         B=columns[:na],
         C=np.asarray(np.linalg.solve(Y, model.C @ S), dtype=np.float64),
-        D=columns[na:],
+        D=columns[na : na + len(Y)],
         C_x=errors[:nz],
         C_f0=errors[nz:],
         G=G * np.sqrt(balance),
@@ -190,6 +221,7 @@ class _Unknowns:
 
     P: Any
     R: Any
+    Yb: Any
     L_p: Any
     mu: Any
     bound: Any
@@ -221,10 +253,11 @@ def solve_bounded_real(problem: Inequality, fixed: tuple[float, float] | None = 
     x = _unknowns(problem)
     margin = cp.Variable()
     slack, constraints = (0.0, []) if fixed is None else (margin, [x.mu == fixed[0]])
-    for A in problem.A:
-        constraints.append(_bounded_real(problem, x, A, slack))
+    for vertex in range(len(problem.A)):
+        PA = _moved(problem, x, vertex)
+        constraints.append(_bounded_real(problem, x, PA, slack))
         if problem.pole_radius < 1.0:
-            constraints.append(_decaying(problem, x, A, slack))
+            constraints.append(_decaying(problem, x, PA, slack))
     share = problem.h2
     noise_energy: Any = 0.0
     if share > 0.0:
@@ -235,7 +268,7 @@ def solve_bounded_real(problem: Inequality, fixed: tuple[float, float] | None = 
     if problem.gain_bound < np.inf:
         constraints += _bounded(problem, x.P, x.R, x.L_p)
     if fixed is None:
-        gain_energy, holds = _gain_energy(x)
+        gain_energy, holds = _gain_energy(problem, x)
         constraints.append(holds)
         worst_case = max(1.0 - share, _LEAST_MU_WEIGHT) * x.mu
         objective = cp.Minimize(worst_case + share * noise_energy + problem.gain_weight * gain_energy)
@@ -262,11 +295,11 @@ def solve_continuous(problem: Inequality, low: float, high: float) -> tuple[Solu
     import cvxpy as cp
 
     x = _unknowns(problem)
-    gain_energy, holds = _gain_energy(x)
+    gain_energy, holds = _gain_energy(problem, x)
     # ahead of the others it lets the solver prove that rates are out of reach; behind them the solver stops short
     constraints = [holds]
-    for A in problem.A:
-        PA = x.P @ A - x.R @ problem.C
+    for vertex in range(len(problem.A)):
+        PA = _moved(problem, x, vertex)
         inside = -(PA + PA.T)
         rows = [[inside - problem.C_x.T @ problem.C_x, -x.PB], [-x.PB.T, x.mu * np.eye(problem.B.shape[1])]]
         constraints.append(bordered(rows, [] if x.L_p is None else [x.C_f, x.D_f]) >> 0)
@@ -286,29 +319,40 @@ def _unknowns(problem: Inequality) -> _Unknowns:
     """Return the unknowns, P as a constant in the solver's coordinates where it is given."""
     import cvxpy as cp
 
-    (na, _), p, a1, k = problem.B.shape, len(problem.C), problem.a1, len(problem.H)
+    (na, _), p, a1, k, free = problem.B.shape, len(problem.C), problem.a1, len(problem.H), len(problem.basis)
     S = problem.coordinates.S
     given = None if problem.P is None else S.T @ problem.P @ S / problem.coordinates.mu
     P = cp.Variable((na, na), symmetric=True) if given is None else cp.Constant(given)
     R, L_p = cp.Variable((na, p)), cp.Variable((a1, p)) if a1 else None
+    Yb = cp.Variable((na, free)) if free else None
     return _Unknowns(
         P=P,
         R=R,
+        Yb=Yb,
         L_p=L_p,
         mu=cp.Variable(),
         bound=cp.Variable(k) if k else None,
         decay=cp.Variable(k) if k else None,
-        PB=P @ problem.B - R @ problem.D,
-        PG=P @ problem.G,
+        PB=_with_free(P @ problem.B - R @ problem.D, Yb, problem.free.B),
+        PG=_with_free(P @ problem.G, Yb, problem.free.G),
         C_f=None if L_p is None else problem.C_f0 - L_p @ problem.C,
         D_f=None if L_p is None else -L_p @ problem.D,
     )
 
 
-def _bounded_real(problem: Inequality, x: _Unknowns, A: FloatArray, slack: Any) -> Any:
+def _with_free(product: Any, Yb: Any, rows: FloatArray) -> Any:
+    """Return P X with what the left inverse adds to it."""
+    return product if Yb is None else product + Yb @ rows
+
+
+def _moved(problem: Inequality, x: _Unknowns, vertex: int) -> Any:
+    """Return P A of the closed error system at a vertex, or at the mean with multipliers."""
+    return _with_free(x.P @ problem.A[vertex] - x.R @ problem.C, x.Yb, problem.free.A[vertex])
+
+
+def _bounded_real(problem: Inequality, x: _Unknowns, PA: Any, slack: Any) -> Any:
     """Return the inequality of the module's docstring at one vertex, or at the mean with multipliers."""
     (na, nw), a1, k = problem.B.shape, problem.a1, len(problem.H)
-    PA = x.P @ A - x.R @ problem.C
     rows = [
         [x.P, PA, x.PB],
         [PA.T, x.P - problem.C_x.T @ problem.C_x, np.zeros((na, nw))],
@@ -319,13 +363,12 @@ def _bounded_real(problem: Inequality, x: _Unknowns, A: FloatArray, slack: Any) 
     return bordered(_sloped(rows, x.PG, problem.H, x.bound), border) >> slack * np.eye(2 * na + nw + k + a1)
 
 
-def _decaying(problem: Inequality, x: _Unknowns, A: FloatArray, slack: Any) -> Any:
+def _decaying(problem: Inequality, x: _Unknowns, PA: Any, slack: Any) -> Any:
     """Return [P, P A; *, r^2 P] >= 0 at one vertex, or at the mean with multipliers: poles within r."""
     import cvxpy as cp
 
-    PA = x.P @ A - x.R @ problem.C
     rows = [[x.P, PA], [PA.T, problem.pole_radius**2 * x.P]]
-    return cp.bmat(_sloped(rows, x.PG, problem.H, x.decay)) >> slack * np.eye(2 * len(A) + len(problem.H))
+    return cp.bmat(_sloped(rows, x.PG, problem.H, x.decay)) >> slack * np.eye(2 * len(problem.B) + len(problem.H))
 
 
 def _noise_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
@@ -338,9 +381,20 @@ def _noise_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
     return cp.trace(W), bordered([[W, x.PB.T], [x.PB, x.P]], border) >> 0
 
 
-def _gain_energy(x: _Unknowns) -> tuple[Any, Any]:
-    """Return trace(Z) and the constraint Z >= R^T P^-1 R + L_p^T L_p: what an innovation puts into the error."""
-    return gain_energy(x.P, x.R, () if x.L_p is None else (x.L_p, np.zeros((x.L_p.shape[0], x.R.shape[0]))))
+def _gain_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
+    """Return trace(Z) and the constraint Z >= R^T P^-1 R + L_p^T L_p: what an innovation puts into the error.
+
+    What an output puts there through what moves the left inverse is priced alike: a move that gains nothing stays out.
+    """
+    import cvxpy as cp
+
+    if x.Yb is None:
+        return gain_energy(x.P, x.R, () if x.L_p is None else (x.L_p, np.zeros((x.L_p.shape[0], x.R.shape[0]))))
+    gains = cp.hstack([x.R, x.Yb @ problem.free.F])
+    if x.L_p is None:
+        return gain_energy(x.P, gains)
+    a1, p = x.L_p.shape
+    return gain_energy(x.P, gains, (cp.hstack([x.L_p, np.zeros((a1, p))]), np.zeros((a1, x.R.shape[0]))))
 
 
 def _solution(x: _Unknowns, noise_energy: float) -> Solution | None:
@@ -351,6 +405,7 @@ def _solution(x: _Unknowns, noise_energy: float) -> Solution | None:
     return Solution(
         P=x.P.value,
         R=x.R.value,
+        Yb=np.zeros((x.R.shape[0], 0)) if x.Yb is None else x.Yb.value,
         L_p=np.zeros((0, x.R.shape[1])) if x.L_p is None else x.L_p.value,
         mu=float(x.mu.value),
         noise_energy=noise_energy,
@@ -358,13 +413,24 @@ def _solution(x: _Unknowns, noise_energy: float) -> Solution | None:
     )
 
 
-def user_gains(problem: Inequality, injection: Any, L_p: Any) -> tuple[Any, Any, Any]:
-    """Return K, L_i and L_p in the user's units for P^-1 R and L_p in the solver's: numbers, or expressions of them."""
+def user_gains(problem: Inequality, injection: Any, L_p: Any, Y: FloatArray | None = None) -> tuple[Any, Any, Any]:
+    """Return K, L_i and L_p in the user's units for P^-1 R and L_p in the solver's: numbers, or expressions of them.
+
+    ``Y`` moves the left inverse, by :attr:`Inequality.basis` (:func:`user_inverse`).
+    """
     S, inverse = problem.coordinates.S, np.linalg.inv(problem.coordinates.Y)
-    gains = problem.omega * S @ injection @ inverse
     direct = np.diag(problem.direct) @ L_p @ inverse
-    nz = len(problem.L1_E_f)
-    return gains[:nz] - problem.L1_E_f @ direct, gains[nz:], direct
+    into = problem.into if Y is None else problem.into + Y @ problem.free.into
+    gains = problem.omega * S @ injection @ inverse - into @ direct
+    nz = len(problem.C_x)
+    return gains[:nz], gains[nz:], direct
+
+
+def user_design(problem: Inequality, solution: Solution, augmentation: Augmentation) -> ObserverMatrices:
+    """Return the observer of a solution in the user's units; the left inverse is the augmentation's, moved."""
+    Y = problem.coordinates.S @ np.linalg.solve(solution.P, solution.Yb)
+    gains = user_gains(problem, np.linalg.solve(solution.P, solution.R), solution.L_p, Y)
+    return observer_matrices(augmentation.moved(Y @ problem.basis), *gains)
 
 
 def _bounded(problem: Inequality, P: Any, R: Any, L_p: Any) -> list[Any]:

@@ -44,7 +44,7 @@ from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.design import Design, FaultState, ObserverMatrices, design_figures, observer_matrices
 
-_CONSISTENCY = 1e-9
+CONSISTENCY = 1e-9
 """Relative. The norm is enclosed to 2e-9, and N and J follow from K to rounding."""
 _UNIT_ROUNDOFF = np.finfo(np.float64).eps / 2.0
 
@@ -110,7 +110,8 @@ def certify(plant: Plant, design: Design) -> Certificate:
     discrete, rate_hz = design.rate_hz is not None, design.rate_hz or 1.0
     if discrete:
         plant = discretise(plant, rate_hz)
-    augmentation, gains = augment(plant), design.gains
+    gains = design.gains
+    augmentation = gains.inverse(augment(plant, design.integrator_order))
     free = design.multipliers is not None
     model = error_model(plant, augmentation, design.integrator_order, sampled=free)
     system = closed_error_system(model, gains, design.fault_state, with_mean=free)
@@ -125,8 +126,8 @@ def certify(plant: Plant, design: Design) -> Certificate:
         holds=margin > 0.0
         and (poles_max < 1.0 and poles_max <= design.pole_radius if discrete else poles_max < 0.0)
         and gains.gain_max_abs <= design.gain_bound
-        and max(norm.upper for norm in norms) <= design.sqrt_mu * (1.0 + _CONSISTENCY)
-        and _consistent(gains, observer_matrices(augmentation, gains.K, gains.L_i, gains.L_p)),
+        and max(norm.upper for norm in norms) <= design.sqrt_mu * (1.0 + CONSISTENCY)
+        and _consistent(plant, gains, observer_matrices(augmentation, gains.K, gains.L_i, gains.L_p)),
         proof="multipliers" if free else "vertices",
         slopes=len(system.A),
         margin=margin,
@@ -134,7 +135,7 @@ def certify(plant: Plant, design: Design) -> Certificate:
         norm_hz=worst.omega * rate_hz / (2.0 * math.pi),
         poles_max=poles_max,
         poles_min=float(np.min(poles)),
-        h2=None if energy is None else math.sqrt(max(energy, 0.0)) * (1.0 + _CONSISTENCY),
+        h2=None if energy is None else math.sqrt(max(energy, 0.0)) * (1.0 + CONSISTENCY),
     )
 
 
@@ -310,10 +311,23 @@ def _scaled_margin(matrix: FloatArray, rounding: FloatArray, operations: int) ->
     return float(eigenvalues[0] - _UNIT_ROUNDOFF * (formed + decomposed))
 
 
-def _consistent(gains: ObserverMatrices, expected: ObserverMatrices) -> bool:
-    """Return whether N and J, which run, belong to K, which is certified, and L1 and F to the plant."""
-    pairs = ((getattr(gains, name), getattr(expected, name)) for name in ("N", "J", "L1", "F"))
-    return all(
-        bool(np.max(np.abs(a - b), initial=0.0) <= _CONSISTENCY * max(1.0, np.max(np.abs(b), initial=0.0)))
+def _consistent(plant: Plant, gains: ObserverMatrices, expected: ObserverMatrices) -> bool:
+    """Return whether N and J, which run, belong to K, which is certified, and [L1 F; L_q F_q] inverts [T; Cb]."""
+    pairs = ((getattr(gains, name), getattr(expected, name)) for name in ("N", "J"))
+    return inverse_error(plant, gains) <= CONSISTENCY and all(
+        bool(np.max(np.abs(a - b), initial=0.0) <= CONSISTENCY * max(1.0, np.max(np.abs(b), initial=0.0)))
         for a, b in pairs
     )
+
+
+def inverse_error(plant: Plant, gains: ObserverMatrices) -> float:
+    """Return by how much [L1 F; L_q F_q] [T; Cb] is off [I; 0], in units of the errors that matter and of its sizes."""
+    n, nz = len(plant.states), len(gains.L1)
+    C_b, T, unit = np.hstack([plant.C, plant.D_f]), np.eye(n, nz), plant.errors
+    L, F, rows = gains.L1, gains.F, unit[:nz]
+    if gains.L_q.size:
+        rates = np.resize(unit[nz:], len(gains.L_q))
+        L, F, rows = np.vstack([L, gains.L_q]), np.vstack([F, gains.F_q]), np.concatenate([rows, rates])
+    scale = unit[:nz] / rows[:, None]
+    off = np.abs(L @ T + F @ C_b - np.eye(len(L), nz)) * scale
+    return float(np.max(off) / max(1.0, np.max(np.abs(F) @ np.abs(C_b) * scale)))

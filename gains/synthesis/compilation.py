@@ -3,11 +3,12 @@
 With s = [eta; q; v(k-1); ...; v(k-L)] and vb = h_0 v + h_1 v(k-1) + ... the observer of :mod:`gains.analysis.augment`
 reads
 
-    zeta^ = eta + F y                         yt  = y - Cb zeta^                      fa^ = q + L_p yt
-    eta+  = N eta + J y + L1 (B vb + c + G g + E_f fa^)                               q+  = q + L_i yt
+    zeta^ = eta + F y                         yt  = y - Cb zeta^                      fa^ = q^ + L_p yt
+    eta+  = N eta + J y + L1 (B vb + c + G g + E_f fa^)                               q^  = q + F_q y
+    q+    = q^ + L_q (A x^ + B vb + c + G g + E_f fa^) + L_i yt                       nu  = H x^ + H_v vb + h + H_f q^
 
 and every line is linear in z = [s; v; y; 1; g]: each is written as a product with rows that select parts of z.
-Integrators of order 2 have q = [q1; q2], fa^ = q1 + L_p yt and q1+ = q1 + T q2 + ...
+Integrators of order 2 have q = [q1; q2], fa^ = q1^ + L_p yt and q1+ = q1^ + T q2^ + ...
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from gains.analysis.augment import augment, integrators
 from gains.plants.discretise import discretise
 from gains.plants.model_file import model_hash
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.certificate import Certificate, design_report
+from gains.synthesis.certificate import CONSISTENCY, Certificate, design_report, inverse_error
 from gains.synthesis.design import Design, ObserverMatrices
 from gains.synthesis.gains_file import Gains, ScalarNonlinearity
 
@@ -39,25 +40,27 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
         raise InaccurateError(f"{plant.name}: the gains' certificate does not hold; they are not for use")
     rate_hz, observer = float(design.rate_hz or 0.0), design.gains
     discrete = discretise(plant, rate_hz)
-    C_b = augment(discrete).C_b
+    inverse = observer.inverse(augment(discrete, design.integrator_order))
+    C_b = inverse.C_b
     nz, a1 = len(observer.K), len(plant.actuator_faults)
     z = selection(discrete, nz + a1 * design.integrator_order)
-    eta, q = z.own[:nz], z.own[nz:]
-    # zeta^ = eta + F y, yt = y - Cb zeta^, fa^ = q + L_p yt
+    eta, q = z.own[:nz], z.own[nz:] + inverse.F_q @ z.y
     zeta = eta + observer.F @ z.y
     yt = z.y - C_b @ zeta
     fa = q[:a1] + observer.L_p @ yt
-    # eta+ = N eta + J y + L1 (B vb + c + G g + E_f fa^), q+ = q + L_i yt
+    driven = z.drive(discrete) + discrete.E_f @ fa
     moved = [
-        observer.N @ eta + observer.J @ z.y + observer.L1 @ (z.drive(discrete) + discrete.E_f @ fa),
-        integrators(a1, design.integrator_order, rate_hz) @ q + observer.L_i @ yt,
+        observer.N @ eta + observer.J @ z.y + observer.L1 @ driven,
+        integrators(a1, design.integrator_order, rate_hz) @ q
+        + inverse.L_q @ (inverse.A_z @ zeta + driven)
+        + observer.L_i @ yt,
     ]
-    # a restart takes x = C^+ y without faults, hence eta = L1 x (zeta~ = L1 x - eta = 0)
+    # a restart takes x = C^+ y without faults, hence eta = L1 x (zeta~ = L1 x - eta = 0) and q = L_q x
     start = np.zeros((len(z.own), len(plant.outputs)))
-    start[:nz] = observer.L1 @ np.linalg.pinv(discrete.C)
+    start[:] = np.vstack([inverse.L1, inverse.L_q]) @ np.linalg.pinv(discrete.C)
     return Gains(
         **common_fields(plant, observer),
-        **recursion(discrete, z, np.vstack(moved), np.vstack([zeta, fa, yt]), start),
+        **recursion(discrete, z, np.vstack(moved), np.vstack([zeta, fa, yt]), start, q[:a1]),
         method=design.method,
         domain="discrete",
         rate_hz=rate_hz,
@@ -77,8 +80,12 @@ class Selection(NamedTuple):
 
     def drive(self, plant: Plant) -> FloatArray:
         """Return B vb + c + G g: what drives the states of a discrete plant."""
-        effect = np.kron(plant.taps, np.eye(len(self.v))) @ np.vstack([self.v, self.past])
-        return np.asarray(plant.B @ effect + plant.c[:, None] * self.one + plant.G @ self.g, dtype=np.float64)
+        return np.asarray(plant.B @ self.effect(plant) + plant.c[:, None] * self.one + plant.G @ self.g)
+
+    def effect(self, plant: Plant) -> FloatArray:
+        """Return vb."""
+        taps = np.kron(plant.taps, np.eye(len(self.v)))
+        return np.asarray(taps @ np.vstack([self.v, self.past]), dtype=np.float64)
 
 
 def selection(plant: Plant, own: int) -> Selection:
@@ -88,20 +95,24 @@ def selection(plant: Plant, own: int) -> Selection:
     return Selection(*np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1]))
 
 
-def recursion(plant: Plant, z: Selection, moved: FloatArray, outputs: FloatArray, start: FloatArray) -> dict[str, Any]:
+def recursion(
+    plant: Plant, z: Selection, moved: FloatArray, outputs: FloatArray, start: FloatArray, q: FloatArray
+) -> dict[str, Any]:
     """Return the compiled matrices of a discrete plant's observer.
 
     ``moved`` and ``outputs`` give, by z, its own states one sample later and [x^; f_s^; fa^; yt]; ``start`` (own, p)
-    its own states at a restart, from y.
+    its own states at a restart, from y; ``q`` the actuator faults that the nonlinearities see.
     """
     s, delays = len(z.v), len(plant.taps) - 1
     initial = np.zeros((len(z.own) + len(z.past), s + start.shape[1] + 1))
     initial[: len(z.own), s:-1] = start
     initial[len(z.own) :, :s] = np.tile(np.eye(s), (delays, 1))
+    x = outputs[: len(plant.states)]
+    nu = plant.H @ x + plant.H_known @ np.vstack([z.effect(plant), z.one]) + plant.H_f @ q
     return {
         "step_matrix": np.vstack([moved, np.vstack([z.v, z.past])[: len(z.past)], outputs]),
-        # arguments of g, H x^: they know all of z but g itself
-        "argument_matrix": plant.H @ outputs[: len(plant.states), : z.g.shape[1] - len(z.g)],
+        # they know all of z but g itself
+        "argument_matrix": nu[:, : z.g.shape[1] - len(z.g)],
         "initial_matrix": initial,
     }
 
@@ -130,8 +141,10 @@ def common_fields(plant: Plant, matrices: ObserverMatrices | None) -> dict[str, 
     }
 
 
-def common_matrix(plant: Plant, rate_hz: float | None, gains: Gains, source: str) -> FloatArray:
-    """Return the Lyapunov matrix of an earlier design, for another one of a plant whose gains may be exchanged with it.
+def common_matrix(
+    plant: Plant, rate_hz: float | None, gains: Gains, source: str
+) -> tuple[FloatArray, ObserverMatrices]:
+    """Return the Lyapunov matrix of an earlier design, and its observer, for another one that may be exchanged with it.
 
     ``source`` says where the earlier gains come from, for errors.
 
@@ -150,8 +163,8 @@ def common_matrix(plant: Plant, rate_hz: float | None, gains: Gains, source: str
     ):
         if here != there:
             raise ModelError(f"{source}: its {what} not that of {plant.name}: the designs cannot share a proof")
-    augmentation = augment(discretise(plant, gains.rate_hz))
-    if gains.F.shape != augmentation.F.shape or not np.allclose(gains.F, augmentation.F, rtol=1e-9, atol=0.0):
+    matrices = ObserverMatrices(**{field.name: getattr(gains, field.name) for field in fields(ObserverMatrices)})
+    if not matrices.L1.size or inverse_error(discretise(plant, gains.rate_hz), matrices) > CONSISTENCY:
         raise ModelError(f"{source}: its sensors or errors that matter are not those of {plant.name}")
     certificate = gains.report.get("certificate")
     try:
@@ -160,7 +173,7 @@ def common_matrix(plant: Plant, rate_hz: float | None, gains: Gains, source: str
         raise ModelError(f"{source}: its certificate has no 'P'; make the file again with 'fauio design'") from error
     if P.ndim != 2 or P.shape != P.T.shape or not np.all(np.isfinite(P)) or np.linalg.eigvalsh(P)[0] <= 0.0:
         raise ModelError(f"{source}: 'P' of its certificate is not a positive definite matrix")
-    return P
+    return P, matrices
 
 
 def _provable(summary: dict[str, Any], design: Design) -> dict[str, Any]:

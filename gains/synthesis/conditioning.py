@@ -98,6 +98,7 @@ def with_floor(model: ErrorModel, S: FloatArray, Y: FloatArray) -> ErrorModel:
         model,
         B=np.hstack([model.B, FLOOR * S, np.zeros((na, p))]),
         D=np.hstack([model.D, np.zeros((p, na)), FLOOR * Y]),
+        free=replace(model.free, B=np.pad(model.free.B, ((0, 0), (0, na + p)))),
     )
 
 

@@ -88,11 +88,19 @@ class ContinuousObserver:
         return self.step[:, len(self.step) :]
 
 
-def fauio_observer(plant: Plant, K: FloatArray, L_i: FloatArray, L_p: FloatArray, method: str) -> ContinuousObserver:
+def fauio_observer(
+    plant: Plant,
+    K: FloatArray,
+    L_i: FloatArray,
+    L_p: FloatArray,
+    method: str,
+    inverse: ObserverMatrices | None = None,
+) -> ContinuousObserver:
     """Return the observer of the paper's structure for given gains, as yet without a bound.
 
     eta' = N eta + J y + L1 (B v + c + G g(x^) + E_f fa^),  zeta^ = eta + F y,  yt = y - Cb zeta^
-    q'   = L_i yt,  fa^ = q + L_p yt;  s = [eta; q]. The paper's law fa^' = beta L2 (yt + yt') is
+    q'   = L_i yt + L_q x^',  fa^ = q + F_q y + L_p yt;  s = [eta; q], with the left inverse of ``inverse``, else the
+    pseudo-inverse. The paper's law fa^' = beta L2 (yt + yt') is
     L_p = L_i = beta L2, integrated once so that nothing is differentiated. K is (nz, p), L_i and L_p are (a1, p).
 
     Raises
@@ -102,20 +110,23 @@ def fauio_observer(plant: Plant, K: FloatArray, L_i: FloatArray, L_p: FloatArray
     """
     check_continuous(plant)
     augmentation = augment(plant)
+    if inverse is not None:
+        augmentation = inverse.inverse(augmentation)
     matrices = observer_matrices(augmentation, K, L_i, L_p)
-    n, p, a1 = len(plant.states), len(plant.outputs), len(plant.actuator_faults)
-    nz = n + len(plant.sensor_faults)
+    p, a1 = len(plant.outputs), len(plant.actuator_faults)
+    nz = len(plant.states) + len(plant.sensor_faults)
     eta, q, y = np.split(np.eye(nz + a1 + p), [nz, nz + a1])
-    # zeta^ = eta + F y, yt = y - Cb zeta^, fa^ = q + L_p yt, as rows that multiply [eta; q; y]
+    # zeta^ = eta + F y, yt = y - Cb zeta^, fa^ = q + F_q y + L_p yt, as rows that multiply [eta; q; y]
     zeta = eta + matrices.F @ y
     yt = y - augmentation.C_b @ zeta
-    fa = q + L_p @ yt
-    into = np.vstack([matrices.L1, np.zeros((a1, n))])
+    fa = q + augmentation.F_q @ y + L_p @ yt
+    into = np.vstack([augmentation.L1, augmentation.L_q])
+    moved = augmentation.A_z @ zeta + plant.E_f @ fa
     return ContinuousObserver(
         plant=plant,
         method=method,
         # eta' without what is driven from outside, and q'
-        step=np.vstack([matrices.N @ eta + matrices.J @ y + matrices.L1 @ plant.E_f @ fa, L_i @ yt]),
+        step=np.vstack([augmentation.L1 @ moved + K @ yt, augmentation.L_q @ moved + L_i @ yt]),
         output=np.vstack([zeta, fa, yt]),
         into=into,
         start=into @ np.linalg.pinv(plant.C),
@@ -126,7 +137,7 @@ def fauio_observer(plant: Plant, K: FloatArray, L_i: FloatArray, L_p: FloatArray
 def designed_observer(plant: Plant, design: Design) -> ContinuousObserver:
     """Return the observer of a continuous design."""
     gains = design.gains
-    observer = fauio_observer(plant, gains.K, gains.L_i, gains.L_p, design.method)
+    observer = fauio_observer(plant, gains.K, gains.L_i, gains.L_p, design.method, gains)
     return replace(observer, sqrt_mu=design.sqrt_mu, solve_s=design.solve_s, total_s=design.total_s, notes=design.notes)
 
 

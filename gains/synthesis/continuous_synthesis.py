@@ -24,11 +24,11 @@ from gains.analysis.augment import ErrorModel, augment, error_model
 from gains.analysis.estimability import check_existence
 from gains.analysis.hinf import hinf_norm
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.bounded_real import inequality, solve_continuous, user_gains
+from gains.synthesis.bounded_real import inequality, solve_continuous, user_design
 from gains.synthesis.certificate import ClosedErrorSystem, certify, closed_error_system
 from gains.synthesis.conditioning import FLOOR, Coordinates, doubled
 from gains.synthesis.continuous_observer import check_continuous
-from gains.synthesis.design import Design, observer_matrices
+from gains.synthesis.design import Design
 from gains.synthesis.solver import DEFAULT, ROBUST, bordered, solve_program
 
 GAIN_WEIGHT = 1e-4
@@ -88,9 +88,8 @@ def design_continuous(
     solution, solve_s = solve_continuous(problem, low, high)
     if solution is None:
         raise InaccurateError(f"{plant.name}: the solver found neither gains nor a proof that there are none")
-    K, L_i, L_p = user_gains(problem, np.linalg.solve(solution.P, solution.R), solution.L_p)
-    gains = observer_matrices(augmentation, K, L_i, L_p)
-    system = closed_error_system(model, gains)
+    gains = user_design(problem, solution, augmentation)
+    system = closed_error_system(error_model(plant, gains.inverse(augmentation)), gains)
     # Then a P that proves these gains, as little above their least mu as passes the certificate
     for P, mu, seconds in proofs(system, coordinates.S):
         solve_s += seconds

@@ -27,10 +27,10 @@ from gains.analysis.augment import LARGEST_VERTEX_COUNT, Augmentation, ErrorMode
 from gains.analysis.estimability import check_existence
 from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
-from gains.synthesis.bounded_real import Inequality, Solution, inequality, solve_bounded_real, user_gains
+from gains.synthesis.bounded_real import Inequality, Solution, inequality, solve_bounded_real, user_design
 from gains.synthesis.certificate import certify
 from gains.synthesis.conditioning import kalman_coordinates
-from gains.synthesis.design import Design, observer_matrices
+from gains.synthesis.design import Design, ObserverMatrices
 
 GAIN_WEIGHT = 1e-3
 """Price of the gains. Measured on the disturbed arm at 100 Hz: sqrt(mu) is .2 % above the least (.14034, .14009) with
@@ -65,6 +65,8 @@ def design_convex(
     h2: float = 0.0,
     vertices: bool | None = None,
     P: FloatArray | None = None,
+    inverse: ObserverMatrices | None = None,
+    free_inverse: bool = True,
 ) -> Design:
     """Design an observer for a plant and prove it.
 
@@ -96,6 +98,13 @@ def design_convex(
     P : FloatArray | None
         Lyapunov matrix (na, na) of an earlier design for the same error system, in the user's units. Designs with one
         P may be exchanged for each other while they run, at any time: x~' P x~ proves the largest of their bounds.
+    inverse : ObserverMatrices | None
+        An observer of this plant whose left inverse [L1 F; L_q F_q] is kept: that of the design which P is of, for
+        designs that may be exchanged have to have one error. None leaves the pseudo-inverse where P is given.
+    free_inverse : bool
+        Whether the left inverse is found with the gains. Else it is the pseudo-inverse, as published; so it is where P
+        is given, or a bound of the gains, which F would go around (on the arm at 100 Hz with .01 for the largest gain:
+        sqrt(mu) = .144).
 
     Returns
     -------
@@ -129,15 +138,17 @@ def design_convex(
     if not 0.0 <= h2 <= 1.0:
         raise ModelError(f"{plant.name}: an H2 share of {h2} does not lie in [0, 1]")
     discrete = discretise(plant, rate_hz)
-    augmentation = augment(discrete)
+    augmentation = augment(discrete, integrator_order)
+    size = len(augmentation.L1) + len(augmentation.L_q)
+    if P is not None and P.shape != (size, size):
+        raise ModelError(f"{plant.name}: the Lyapunov matrix is {P.shape}, not {(size, size)}: is it of this model?")
+    if inverse is not None:
+        augmentation = inverse.inverse(augmentation)
     too_many = 1 << varying_slopes(plant) > LARGEST_VERTEX_COUNT
     sampled = vertices is False or (vertices is None and too_many)
     # A chain of integrators hides the same modes as one: what exists for order 1 exists for order 2.
     notes = check_existence(discrete, sampled=sampled)
     model = error_model(discrete, augmentation, integrator_order, sampled=sampled)
-    if P is not None and P.shape != model.mean.shape:
-        size = len(model.mean)
-        raise ModelError(f"{plant.name}: the Lyapunov matrix is {P.shape}, not {(size, size)}: is it of this model?")
 
     def bounded(bound: float, looseness: float = 1.0, caution: float = 0.0) -> Design:
         pose = partial(
@@ -149,6 +160,7 @@ def design_convex(
             h2=h2,
             P=P,
             gain_bound=bound,
+            free=free_inverse and P is None and inverse is None and gain_bound is None,
             looseness=looseness,
         )
         return _searched(discrete, augmentation, _problems(pose, model, vertices, too_many))
@@ -245,14 +257,12 @@ def _solutions(problem: Inequality) -> Iterator[tuple[Solution, float]]:
 def _design(plant: Plant, augmentation: Augmentation, problem: Inequality, solution: Solution) -> Design:
     """Return a solution as gains in the user's units, with mu raised by the smallest slack."""
     mu = problem.coordinates.mu
-    # [Kb; L_i] = P^-1 R, then K = Kb - L1 E_f L_p
-    K, L_i, L_p = user_gains(problem, np.linalg.solve(solution.P, solution.R), solution.L_p)
     inverse = np.linalg.inv(problem.coordinates.S)
     P = mu * inverse.T @ solution.P @ inverse
     return Design(
         method="convex",
         rate_hz=plant.rate_hz,
-        gains=observer_matrices(augmentation, K, L_i, L_p),
+        gains=user_design(problem, solution, augmentation),
         P=0.5 * (P + P.T) if problem.P is None else problem.P,
         mu=mu * solution.mu * (1.0 + _SLACKS[0]),
         multipliers=mu * solution.multipliers / problem.balance if problem.multipliers else None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -24,6 +24,8 @@ class ObserverMatrices:
         (nz, p), (a1, p) and (a1, p); integrators of order 2 have L_i = [L_i1; L_i2] (2 a1, p).
     L1, F, N, J : FloatArray
         (nz, n), (nz, p), (nz, nz) and (nz, p).
+    L_q, F_q : FloatArray
+        (nq, n) and (nq, p); (0, 0) where q is moved by innovations alone.
     """
 
     K: FloatArray
@@ -33,6 +35,14 @@ class ObserverMatrices:
     F: FloatArray
     N: FloatArray
     J: FloatArray
+    L_q: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    F_q: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def inverse(self, augmentation: Augmentation) -> Augmentation:
+        """Return the augmentation of the same plant with the left inverse of this observer."""
+        nq, none = len(self.L_i), not self.L_q.size
+        L_q, F_q = (np.zeros((nq, M.shape[1])) if none else own for M, own in ((self.L1, self.L_q), (self.F, self.F_q)))
+        return replace(augmentation, L1=self.L1, F=self.F, L_q=L_q, F_q=F_q)
 
     @property
     def gain_max_abs(self) -> float:
@@ -44,7 +54,7 @@ def observer_matrices(augmentation: Augmentation, K: FloatArray, L_i: FloatArray
     """Return all matrices of the observer for its gains: N = L1 A_z - K Cb, J = N F + K."""
     L1, F = augmentation.L1, augmentation.F
     N = L1 @ augmentation.A_z - K @ augmentation.C_b
-    return ObserverMatrices(K, L_i, L_p, L1, F, N, N @ F + K)
+    return ObserverMatrices(K, L_i, L_p, L1, F, N, N @ F + K, augmentation.L_q, augmentation.F_q)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

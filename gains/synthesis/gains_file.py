@@ -16,8 +16,10 @@ from adapters.output_file import write_file
 from adapters.toml_tables import is_number
 from gains.plants.expression import compile_expression
 
-FORMAT = 1
+FORMAT = 2
 """Number of the layout: a reader refuses what it does not know."""
+_ADDED: Mapping[str, Any] = {"L_q": {"shape": [0, 0], "rows": []}, "F_q": {"shape": [0, 0], "rows": []}}
+"""What files of layout 1 do not have, and what it means there."""
 _LARGEST_FILE = 16 << 20
 """Bytes. A quadrotor has 10,000, the sensors of a vehicle 26,000; a file from elsewhere shall not fill the memory."""
 
@@ -57,7 +59,7 @@ class Gains:
     step_matrix, argument_matrix, initial_matrix : NDArray[np.float64]
         [s+; zeta^; fa^; yt] = step_matrix [s; v; y; 1; g], nu = argument_matrix [s; v; y; 1] and
         s = initial_matrix [v; y; 1] at a restart.
-    K, L_i, L_p, L1, F, N, J : NDArray[np.float64]
+    K, L_i, L_p, L1, F, N, J, L_q, F_q : NDArray[np.float64]
         The observer's matrices as the theory writes them, for people; empty where it has another structure.
     report : Mapping[str, Any]
         What the design is worth: bound, norm, certificate.
@@ -88,6 +90,8 @@ class Gains:
     F: NDArray[np.float64]
     N: NDArray[np.float64]
     J: NDArray[np.float64]
+    L_q: NDArray[np.float64]
+    F_q: NDArray[np.float64]
     report: Mapping[str, Any]
 
 
@@ -124,8 +128,10 @@ def read_gains(path: str | Path) -> Gains:
         raise ModelError(f"{path}: not JSON; make gains with 'fauio design'") from error
     if too_large:
         raise ModelError(f"{path}: larger than {_LARGEST_FILE >> 20} MiB; this is no gains file")
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
+    if not isinstance(document, dict) or document.get("format") not in (1, FORMAT):
         raise ModelError(f"{path}: 'format' is not {FORMAT}; make the file again with 'fauio design'")
+    if document["format"] == 1:
+        document = {**_ADDED, **document}
     missing = [field.name for field in fields(Gains) if field.name not in document]
     if missing:
         raise ModelError(f"{path}: '{missing[0]}' is missing; make the file again with 'fauio design'")
@@ -172,10 +178,12 @@ def _check_shapes(gains: Gains) -> None:
         "K": (nz, p),
         "L_i": (nq, p),
         "L_p": (a1, p),
+        "L_q": (nq, n),
+        "F_q": (nq, p),
     }
     for name, shape in (compiled | structural).items():
         actual = getattr(gains, name).shape
-        if actual != shape and not (continuous and name in structural and actual == (0, 0)):
+        if actual != shape and not ((continuous or name in _ADDED) and name in structural and actual == (0, 0)):
             raise ModelError(f"'{name}' is {actual} where the names make it {shape}")
     if gains.input_curves.shape[0] != s or gains.input_curves.shape[1] < 1:
         raise ModelError("'input_curves' does not have a row for each input")

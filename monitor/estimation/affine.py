@@ -42,9 +42,9 @@ def settling_s(gains: Gains) -> float:
     In seconds, at most a minute. A restart takes the states from the outputs, x = C^+ y; what the outputs do not show
     starts at zero, whatever the vehicle was doing. Two copies of one observer fed with the same (u, y) differ by d(k) =
     M_ss^k d(0), so from the compiled step alone it follows how the estimates of faults are off after a start that is
-    wrong by d(0) = L1 x, C x = 0. An observer all of whose states are measured has nothing to forget, however slow its
-    poles. Gains of another structure than :mod:`gains.analysis.augment` count as zero: nothing tells which of their
-    states the outputs show.
+    wrong by d(0) = [L1; L_q] x, C x = 0. An observer all of whose states are measured has nothing to forget, however
+    slow its poles. Gains of another structure than :mod:`gains.analysis.augment` count as zero: nothing tells which of
+    their states the outputs show.
     """
     n, a = len(gains.states), len(gains.faults)
     if not gains.L1.size or not a:
@@ -55,7 +55,7 @@ def settling_s(gains: Gains) -> float:
     ns = len(gains.initial_matrix)
     M_ss, M_fs = gains.step_matrix[:ns, :ns], gains.step_matrix[ns + n : ns + n + a, :ns]
     d = np.zeros((ns, len(unseen)))
-    d[: len(gains.L1)] = gains.L1 @ unseen.T
+    d[: len(_into(gains))] = _into(gains) @ unseen.T
     errors = []
     for _ in range(round(_LONGEST_S * gains.rate_hz)):
         errors.append(np.abs(M_fs @ d).max(axis=1))
@@ -64,6 +64,11 @@ def settling_s(gains: Gains) -> float:
     largest = series.max(axis=0)
     off = np.any((series > _FORGOTTEN * largest) & (largest > _NEGLIGIBLE), axis=1)
     return float(np.flatnonzero(off)[-1] + 1) / gains.rate_hz if off.any() else 0.0
+
+
+def _into(gains: Gains) -> NDArray[np.float64]:
+    """Return [L1; L_q] (nz + nq, n): how x moves the observer's own states."""
+    return np.vstack([gains.L1, gains.L_q if gains.L_q.size else np.zeros((len(gains.L_i), gains.L1.shape[1]))])
 
 
 def unseen_states(gains: Gains) -> NDArray[np.float64]:
@@ -87,8 +92,8 @@ def error_system(gains: Gains, plant: Plant) -> ErrorSystem:
 
     It says how far the estimates may be off, from the very matrices that run.
 
-    With the exact observer state S [x; f_a] = [L1 x; f_a], the error delta = s - S [x; f_a] of the recursion and the
-    error phi = f^ - f of its fault estimates follow
+    With the exact observer state S [x; f_a] = [L1 x; f_a + L_q x], the error delta = s - S [x; f_a] of the recursion
+    and the error phi = f^ - f of its fault estimates follow
 
         [delta; phi]+ = A [delta; phi] + B w,        w = [w_1; w_2; df_a; df_s] white, each as large as designed for,
 
@@ -116,12 +121,13 @@ def error_system(gains: Gains, plant: Plant) -> ErrorSystem:
             B -= M[:, -a:] @ moving
         Q[kind] = B @ B.T
     start = np.zeros((nd + a, nd + a))
-    wrong = gains.L1 @ (unseen_states(gains).T @ (unseen_states(gains) * plant.state_errors))
-    start[:nz, :nz] = wrong @ wrong.T
+    wrong = _into(gains) @ (unseen_states(gains).T @ (unseen_states(gains) * plant.state_errors))
+    start[:nd, :nd] = wrong @ wrong.T
     seen = gains.initial_matrix[:nd, s : s + p] @ noisy
     start[:nd, :nd] += seen @ seen.T
     of_q = np.arange(nz, nz + a1)
-    start[of_q, of_q] += (_PRIOR_S * gains.rate_hz * disturbed[of_q].sum(axis=1)) ** 2
+    rates = {fault.name: fault.rate for fault in plant.faults}
+    start[of_q, of_q] += [(_PRIOR_S * rates[name]) ** 2 for name in gains.faults[:a1]]
     return ErrorSystem(A, Q, solve_discrete_lyapunov(A[_MEASURED], Q[_MEASURED]), start)
 
 
@@ -134,7 +140,7 @@ def _inputs(gains: Gains, plant: Plant) -> tuple[NDArray[np.float64], NDArray[np
     D_1 = np.array([w.scale * w.column for w in plant.noises]).reshape(-1, p).T
     q1, q2, a = E_1.shape[1], D_1.shape[1], len(steps)
     disturbed, noisy, moving = (np.zeros((k, q1 + q2 + a)) for k in (nz + len(gains.L_i), p, a))
-    disturbed[:nz, :q1] = gains.L1 @ E_1
+    disturbed[:, :q1] = _into(gains) @ E_1
     disturbed[nz : nz + a1, q1 + q2 : q1 + q2 + a1] = steps[:a1, :a1]
     noisy[:, q1 : q1 + q2] = D_1
     moving[a1:, q1 + q2 + a1 :] = steps[a1:, a1:]
