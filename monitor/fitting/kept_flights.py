@@ -17,11 +17,12 @@ from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
+from zlib import crc32
 
 import numpy as np
 import tomli_w
 
-from adapters.batch import Batch, Columns, joined, of_names
+from adapters.batch import Batch, Columns, joined, of_names, one_message
 from adapters.errors import ProfileError
 from adapters.message import Message
 from adapters.output_file import write_file
@@ -41,11 +42,16 @@ _CALIBRATED = ("isolation", "effectiveness", "transform", "sees")
 
 
 class Extent(NamedTuple):
-    """When the first and the last message of a recording arrived, Unix nanoseconds, and how many there are."""
+    """What tells recordings apart.
+
+    When the first and the last message arrived, Unix nanoseconds, how many there are, and a checksum of the last
+    message of each name.
+    """
 
     first_ns: int
     last_ns: int
     messages: int
+    checksum: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +144,7 @@ def kept_model(folder: Path) -> Path | None:
 def extent_of(log: BatchSource) -> Extent:
     """Go through a recording for its span."""
     first_ns = last_ns = count = 0
+    last: dict[tuple[str, int, int], Message] = {}
     for batch in log():
         arrivals = [int(at) for columns in batch.columns for at in columns.received_ns[[0, -1]]]
         arrivals += [message.received_ns for message in batch.others.values()]
@@ -145,7 +152,10 @@ def extent_of(log: BatchSource) -> Extent:
             first_ns = min(arrivals) if not count else first_ns
             last_ns = max(last_ns, *arrivals)
             count += batch.count
-    return Extent(first_ns, last_ns, count)
+        for message in (*(one_message(columns, -1) for columns in batch.columns), *batch.others.values()):
+            last[message.name, message.system, message.component] = message
+    said = repr(sorted((key, message.fields) for key, message in last.items()))
+    return Extent(first_ns, last_ns, count, crc32(said.encode()))
 
 
 def write_kept(
