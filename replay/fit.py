@@ -30,7 +30,7 @@ from monitor.fitting.kept_flights import (
     write_kept,
 )
 from monitor.fitting.raw_streams import hidden
-from monitor.fitting.survey import Survey, of_one_vehicle, survey
+from monitor.fitting.survey import MOTOR_MESSAGE, Survey, of_one_vehicle, survey
 from monitor.profile import PROFILE_FILE, Profile, profile_table, read_profile
 from monitor.sampling.gate import GateRule
 from monitor.sampling.identity import Identity, Reports, common_identity
@@ -333,7 +333,8 @@ def _slow(kind: VehicleKind, surveys: Sequence[Survey], observers: Sequence[Fitt
     channels = [channel for fitted in observers for channel in fitted.source.channels]
     slow = slow_messages([found.rate_hz for found in surveys], channels, kind.wanted_hz)
     onboard = all(found.onboard for found in surveys)
-    return (slow_text(slow, kind.wanted_hz, onboard=onboard),) if slow else ()
+    commands_hz = slow.get(MOTOR_MESSAGE) if kind.name == "multirotor" else None
+    return (slow_text(slow, kind.wanted_hz, onboard=onboard, commands_hz=commands_hz),) if slow else ()
 
 
 def _measured(fitted: Fitted, request: FitRequest, kind: str, gate: GateRule) -> Fitted:

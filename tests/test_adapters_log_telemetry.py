@@ -328,3 +328,25 @@ def test_however_disordered_a_log_is_its_messages_do_not_depend_on_cuts(
 
 def no_more(_: Collection[str]) -> list[Batch]:
     return []
+
+
+def outputs(ms: float, instance: int, *values: float) -> Message:
+    name = "actuator_outputs" + (f"/{instance}" if instance else "")
+    return record(name, ms, output=[*values, *[0.0] * (16 - len(values))])
+
+
+@pytest.mark.parametrize("begin_ms", [0.0, 8000.0])
+def test_of_a_topics_instances_the_one_that_moves_fills_the_message(begin_ms: float) -> None:
+    records = [rates(0.0)] * (begin_ms > 0.0)
+    for k in range(20):
+        # moves only after the seconds that are looked at first
+        pulse = 1500.0 + 10.0 * max(0, k - 15)
+        ms = begin_ms + 500.0 * k
+        records += [outputs(ms, 0), outputs(ms + 1, 1, pulse, pulse), outputs(ms + 2, 2, 900.0 + k)]
+    made_of = [m.fields["servo1_raw"] for m in made(records, "SERVO_OUTPUT_RAW")]
+    assert made_of == [1500 + 10 * max(0, k - 15) for k in range(20)]
+
+
+def test_where_no_instance_moves_more_than_another_the_first_fills_the_message() -> None:
+    records = [outputs(ms, instance, 1000.0 + ms + instance) for ms in (0.0, 100.0) for instance in (0, 1)]
+    assert [m.fields["servo1_raw"] for m in made(records, "SERVO_OUTPUT_RAW")] == [1000, 1100]

@@ -11,7 +11,7 @@ from adapters.channels import Channel
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import read_recording
 from monitor.profile import Profile
-from monitor.sampling.slow_telemetry import SELDOM, slow_messages, spanned
+from monitor.sampling.slow_telemetry import SELDOM, motor_gain, slow_messages, slow_text, spanned
 from replay.inspection.log_info import log_info
 
 FAST = ("ATTITUDE", "HIGHRES_IMU", "SERVO_OUTPUT_RAW")
@@ -41,6 +41,13 @@ def test_slow_messages_are_those_far_below_what_is_wanted_and_not_slow_by_nature
 def test_topics_with_positions_are_slow_by_nature_whatever_they_are_called() -> None:
     channels = [Channel("lat", "gps/fix", ("latitude",)), Channel("xacc", "imu", ("linear_acceleration", "x"))]
     assert slow_messages([{"gps/fix": 5.0, "imu": 10.0}], channels, 25.0) == {"imu": 10.0}
+
+
+def test_advice_of_more_telemetry_has_its_gain_in_figures() -> None:
+    slow = {"SERVO_OUTPUT_RAW": 10.0}
+    assert motor_gain(10.0) in slow_text(slow, 50.0, onboard=False, commands_hz=10.0)
+    assert "instead of 7 to 15 % within 10 to 20 s" in motor_gain(1.0)
+    assert "motor" not in slow_text({"HIGHRES_IMU": 10.0}, 25.0, onboard=False)
 
 
 @pytest.mark.long

@@ -320,7 +320,16 @@ def test_an_onboard_log_says_its_inputs_frame_and_the_kind_of_its_sensors(
         "SERVO_OUTPUT_RAW": 10,
         "ACTUATOR_CONTROL_TARGET": 50,
     }
+    assert found["vehicle"]["inputs"]["SERVO_OUTPUT_RAW"]["from"] == "actuator_motors"
+    text = told(capsys, tmp_path / "a.ulg")
+    assert "outputs to motors and servos: SERVO_OUTPUT_RAW at 10 Hz, from actuator_motors" in text
+    # what a log says is no link, and gaps in it nothing that a link lost
+    assert "lost by their stamps" not in text
     fits = found["vehicle"]["fits"]
+    assert fits["multirotor"]["missing"][-1] == (
+        "SERVO_OUTPUT_RAW at 50 Hz: it comes at 10 Hz; 100 Hz would show a motor's loss of 1.5 to 4 % within 1 s "
+        "instead of 15 to 20 %"
+    )
     assert fits["multirotor"]["watches"][:4] == ["motor1", "motor2", "motor3", "motor4"]
     assert fits["multirotor"]["facts"][0].startswith("frame: 4 rotors as the parameters place them")
     assert fits["multirotor"]["hides"].startswith("ATTITUDE: less the bias")

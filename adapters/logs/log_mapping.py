@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from math import isnan, nan
@@ -26,6 +26,8 @@ _ANGLES: Final[tuple[Angle, ...]] = ("roll", "pitch", "yaw")
 _OF_CHANNELS = ("field", "scale", "offset", "period", "interpolation")
 _LONGEST_REPEAT_S = 1e6
 """Chosen: twelve days, longer than any log; in nanoseconds it fits 64 bits."""
+_INSTANCES = 4
+"""Instances of a topic that PX4 has (ORB_MULTI_MAX_INSTANCES) until 1.12, and of outputs since."""
 # Of two ways to fill a message, the later one only where it comes this much more often.
 _CLEARLY = 1.5
 # Stamps are as fine as the log's own, and as large: whole milliseconds of 32 bits hold neither microseconds nor UTC.
@@ -101,13 +103,25 @@ class MessageRule:
     """One way to fill a MAVLink message: the name of the log's record that makes one, and where its fields come from.
 
     They are all fields in the order of the definition, elements of an array one by one. A state is repeated after
-    ``repeat_ns``.
+    ``repeat_ns``. Of a topic with several instances the one counts of which most elements of the list ``moves`` change
+    in the log: a mixer's outputs are logged whether anything is connected to them or not.
     """
 
     message: str
     topic: str
     fields: tuple[FieldRule, ...]
     repeat_ns: int | None
+    moves: str | None = None
+
+    @property
+    def instances(self) -> tuple[str, ...]:
+        """Names of the topic's records, of each instance that may fill the message."""
+        return (self.topic, *(f"{self.topic}/{k}" for k in range(1, _INSTANCES) if self.moves))
+
+    def of_instance(self, topic: str) -> MessageRule:
+        """Return the rule for one instance of its topic."""
+        own = tuple(replace(field, topic=topic) if field.topic == self.topic else field for field in self.fields)
+        return replace(self, topic=topic, fields=own, moves=None)
 
     @property
     def linear(self) -> Mapping[str, bool]:
@@ -126,12 +140,12 @@ class MessageRule:
     @property
     def topics(self) -> frozenset[str]:
         """Names of all records that fill the message."""
-        found = {self.topic, *(field.topic for field in self.fields if field.channel is not None)}
+        found = {*self.instances, *(field.topic for field in self.fields if field.channel is not None)}
         return frozenset(found if self.before is None else found | {PARAMETERS})
 
     def text(self) -> str:
         """Return the rule in a line: message, record, and what is joined to it."""
-        joined = sorted(self.topics - {self.topic, PARAMETERS})
+        joined = sorted(self.topics - {*self.instances, PARAMETERS})
         return f"{self.message} from {self.topic}" + (f" with {', '.join(joined)}" if joined else "")
 
     def fillable(self, examples: Mapping[str, Mapping[str, Any]]) -> bool:
@@ -229,6 +243,7 @@ def _kinds(message: str) -> dict[str, tuple[str, int]] | None:
 def _rule(message: str, kinds: Mapping[str, tuple[str, int]], table: Table) -> MessageRule:
     topic = table.text("topic", check=not_empty)
     repeat_s = table.number("repeat_s", above=0.0, at_most=_LONGEST_REPEAT_S) if table.has("repeat_s") else nan
+    moves = table.text("moves", check=not_empty) if table.has("moves") else None
     fields: list[FieldRule] = []
     for name, (code, length) in kinds.items():
         if code and not length:
@@ -243,7 +258,7 @@ def _rule(message: str, kinds: Mapping[str, tuple[str, int]], table: Table) -> M
             fields += (_field(f"{name}[{k}]", code, topic, one) for k, one in enumerate([*elements, *rest]))
     table.done()
     repeat_ns = None if isnan(repeat_s) else round(repeat_s * 1e9)
-    return MessageRule(message, topic, tuple(fields), repeat_ns)
+    return MessageRule(message, topic, tuple(fields), repeat_ns, moves)
 
 
 def _field(name: str, code: str, topic: str, table: Table | None) -> FieldRule:

@@ -56,6 +56,7 @@ def telemetry(
     mapping: LogMapping,
     only: Collection[str] | None,
     anew: Callable[[Collection[str]], Iterable[Batch]],
+    chosen: Callable[[MessageRule], object] = lambda _: None,
 ) -> Iterator[Batch]:
     """Return a log's records and, behind each, the MAVLink messages that it makes.
 
@@ -71,9 +72,11 @@ def telemetry(
         Names of records and MAVLink messages wanted; None wants all.
     anew : Callable
         Reads the log once more, records of some names only: that a vehicle is armed at the begin of a log, its first
-        record of arming or disarming says.
+        record of arming or disarming says, and which of a topic's instances moves, all of it.
+    chosen : Callable
+        Called with each rule by which messages are filled.
     """
-    making = _Telemetry(mapping, only, anew)
+    making = _Telemetry(mapping, only, anew, chosen)
     remaining = iter(batches)
     ahead: list[Batch] = []
     for batch in remaining:
@@ -91,10 +94,15 @@ class _Telemetry:
     """The rules in use, and what decides on those that are not yet."""
 
     def __init__(
-        self, mapping: LogMapping, only: Collection[str] | None, anew: Callable[[Collection[str]], Iterable[Batch]]
+        self,
+        mapping: LogMapping,
+        only: Collection[str] | None,
+        anew: Callable[[Collection[str]], Iterable[Batch]],
+        chosen: Callable[[MessageRule], object],
     ) -> None:
         rules = {name: found for name, found in mapping.rules.items() if only is None or name in only}
         self._only = only
+        self._anew, self._chosen = anew, chosen
         self._states = {
             name: _first_state(found, anew) for name, found in rules.items() if any(rule.before for rule in found)
         }
@@ -102,7 +110,7 @@ class _Telemetry:
         self._counts: Counter[str] = Counter()
         self._examples: dict[str, Mapping[str, Any]] = {}
         self._fillers: list[_Filler] = []
-        self._logged_disarmed = False
+        self._logged_disarmed = self._begun = False
         self._relations: Counter[int] = Counter()
         self._looked_at = 0
         self._first_ns: int | None = None
@@ -158,11 +166,28 @@ class _Telemetry:
     def choose(self) -> None:
         """Decide for the messages that what was counted can fill."""
         for name, rule in self._open.guess(self._counts, self._examples).items():
-            self._fillers.append(self._filler(rule))
+            self._fillers.append(self._filler(self._moving(rule)))
             self._open = LogMapping({key: found for key, found in self._open.rules.items() if key != name})
+
+    def _moving(self, rule: MessageRule) -> MessageRule:
+        """Return the rule for the instance of its topic that moves; the first one where as many elements do."""
+        there = [topic for topic in rule.instances if topic in self._examples or self._begun]
+        if rule.moves is None or len(there) < 2:
+            return rule
+        spans: dict[str, tuple[NDArray[Any], NDArray[Any]]] = {}
+        for batch in self._anew(there):
+            for topic in there:
+                values = _Recorded.of(batch, topic).at((rule.moves,))
+                if values is not None and values.ndim == 2 and len(values):
+                    low, high = np.fmin.reduce(values), np.fmax.reduce(values)
+                    before = spans.get(topic, (low, high))
+                    spans[topic] = np.fmin(low, before[0]), np.fmax(high, before[1])
+        moving = {topic: int((high > low).sum()) for topic, (low, high) in spans.items()}
+        return rule.of_instance(max(there, key=lambda topic: moving.get(topic, 0)))
 
     def begin(self) -> None:
         """Say with the first record what states hold until the first record that changes them."""
+        self._begun = True
         for rule, first in self._states.values():
             self._fillers.append(self._filler(rule))
             if rule.before is not None:
@@ -171,6 +196,7 @@ class _Telemetry:
                 self._fillers[-1].begin({one.name: begin for one in rule.fields if one.before})
 
     def _filler(self, rule: MessageRule) -> _Filler:
+        self._chosen(rule)
         relation = self._relations.most_common(1)
         return _Filler(rule, len(self._fillers), relation[0][0] if relation else None)
 

@@ -17,7 +17,7 @@ from adapters.message import Message
 
 if TYPE_CHECKING:
     from adapters.encoding.record import Record
-    from adapters.logs.log_mapping import LogMapping
+    from adapters.logs.log_mapping import LogMapping, MessageRule
 
 T = TypeVar("T")
 
@@ -137,6 +137,7 @@ class Recording:
         self._only = only
         self._types = types
         self._damage: list[Damage] = []
+        self._topics: dict[str, str] = {}
 
     def __iter__(self) -> Iterator[Message]:
         """Return the messages one by one, as :meth:`batches` holds them."""
@@ -153,7 +154,15 @@ class Recording:
         from adapters.logs.log_telemetry import telemetry
 
         wanted = None if self._only is None else self._tables.topics(self._only) | frozenset(self._only)
-        return telemetry(self._read(wanted, count), self._tables, self._only, self._anew)
+        return telemetry(self._read(wanted, count), self._tables, self._only, self._anew, self._note_topic)
+
+    @property
+    def topics(self) -> Mapping[str, str]:
+        """Names of the onboard log's records that made the messages read so far, by the message's name."""
+        return self._topics
+
+    def _note_topic(self, rule: MessageRule) -> None:
+        self._topics[rule.message] = rule.topic
 
     def _anew(self, only: Collection[str]) -> Iterator[Batch]:
         for file in self._files:

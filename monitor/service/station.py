@@ -26,6 +26,7 @@ from monitor.recording.journal import Journal
 from monitor.recording.record_encoder import RecordEncoder
 from monitor.recording.recorder import Recorder
 from monitor.recording.retention import FileSeries
+from monitor.sampling.slow_telemetry import motor_gain
 from monitor.service.fleet import Fleet
 from monitor.service.health import Health, LinkHealth, ProcessHealth, link_health
 from monitor.service.inbox import Inbox
@@ -33,6 +34,7 @@ from monitor.service.links import Counting
 from monitor.service.log import Level, ServiceLog
 from monitor.service.vehicle_monitor import VehicleMonitor
 from monitor.service.vehicle_service import VehicleService
+from monitor.vehicles.multirotor.trim import COMMANDS_PER_TICK
 
 if TYPE_CHECKING:
     import zenoh
@@ -231,6 +233,11 @@ class Station:
             zenoh=", ".join(self._listens) or "no listener",
             topics=f"{config.prefix}/{name}/**",
         )
+        for observer in self._profiles[vehicle.profile].observers if vehicle.profile else ():
+            if any(channel.interpolation == "mean" for channel in observer.source.inputs):
+                gain = motor_gain(COMMANDS_PER_TICK * observer.rate_hz)
+                advice = f"{gain}; ask for it with [send] rates, record, fit again"
+                self._log.say("slow profile", vehicle=name, observer=observer.name, advice=advice)
 
     def _say_states(self) -> None:
         """Log how each vehicle's status has changed: not every one has a subscriber."""

@@ -63,7 +63,7 @@ def _recording(found: Mapping[str, Any]) -> Iterator[str]:
 def _link(link: Mapping[str, float | None]) -> Iterator[str]:
     """Yield what the link did, where messages came over one: arrival times of other recordings are their stamps."""
     delay_s, jitter_s, lost = (link[name] for name in ("delay_s", "jitter_s", "lost_share"))
-    if delay_s is None or jitter_s is None or not (delay_s or jitter_s or lost):
+    if delay_s is None or jitter_s is None or not (delay_s or jitter_s):
         return
     share = "" if lost is None else f", {100 * lost:.2g} % lost by their stamps"
     yield f"  came {1e3 * delay_s:.3g} ms later than the quickest on average, {1e3 * jitter_s:.3g} ms of jitter{share}"
@@ -103,7 +103,8 @@ def _messages(found: Mapping[str, Any]) -> Iterator[str]:
 def _vehicle(vehicle: Mapping[str, Any]) -> Iterator[str]:
     whose = "these topics" if vehicle["system"] is None else f"system {vehicle['system']}"
     for name, one in vehicle["inputs"].items():
-        yield f"  {one['holds']}: {name} at {one['rate_hz']:.3g} Hz"
+        place = "" if one["from"] is None else f", from {one['from']}"
+        yield f"  {one['holds']}: {name} at {one['rate_hz']:.3g} Hz{place}"
     if vehicle["never_armed"]:
         yield "  nothing to fit: the vehicle is never armed; record a flight. Of a flight with these messages:"
     yield f"  what fauio fit could make of {whose}:"

@@ -26,7 +26,7 @@ from monitor.fitting.progress import track
 from monitor.fitting.raw_streams import hidden
 from monitor.fitting.survey import MOTOR_MESSAGE, Survey, of_one_vehicle, survey
 from monitor.sampling.identity import Reports
-from monitor.sampling.slow_telemetry import slow_messages
+from monitor.sampling.slow_telemetry import motor_gain, slow_messages
 from monitor.vehicles.base import Preview, VehicleKind, likely_kinds, load
 from monitor.vehicles.kinds import KINDS
 
@@ -184,7 +184,7 @@ def log_info(path: Path) -> dict[str, Any]:
         "messages": {name: _message(name, tally, found) for name in sorted(tally.counts)},
         "link": tally.link.figures().rounded(),
         "systems": [_system(number, sender) for number, sender in sorted(tally.senders.items()) if sender.messages],
-        "vehicle": _fits(found, tally),
+        "vehicle": _fits(found, tally, recording.topics),
         "fields": {name: _paths(fields) for name, fields in sorted(tally.examples.items())},
         "recorded": recorded_metadata(path) or None,
         "alarms": first_raised(recorded_alarms(path)),
@@ -219,7 +219,7 @@ def _enumerated(enumeration: str, number: int | None) -> str | None:
     return None if number is None else enumerated(enumeration, number)
 
 
-def _fits(found: Survey, tally: _Tally) -> dict[str, Any] | None:
+def _fits(found: Survey, tally: _Tally, topics: Mapping[str, str]) -> dict[str, Any] | None:
     """Return which observers could be fitted to the vehicle's messages, None where there is no vehicle."""
     sender = None if tally.watched is None else tally.senders.get(tally.watched)
     if sender is None:
@@ -244,7 +244,7 @@ def _fits(found: Survey, tally: _Tally) -> dict[str, Any] | None:
         "likely": likely[0].name if likely else None,
         "never_armed": found.never_armed,
         "inputs": {
-            name: {"holds": holds, "rate_hz": found.rate_hz[name]}
+            name: {"holds": holds, "rate_hz": found.rate_hz[name], "from": topics.get(name)}
             for name, holds in _INPUTS.items()
             if name in found.rate_hz
         },
@@ -259,7 +259,11 @@ def _fit(kind: VehicleKind, found: Survey) -> dict[str, Any]:
         nothing: dict[str, Any] = {"watches": [], "channels": {}, "rate_hz": None, "facts": [], "hides": None}
         return {"possible": False, "missing": [str(error)], **nothing}
     slow = slow_messages([found.rate_hz], preview.channels, kind.wanted_hz)
-    seldom = [f"{name} at {kind.wanted_hz:g} Hz: it comes at {rate:.3g} Hz" for name, rate in slow.items()]
+    seldom = [
+        f"{name} at {kind.wanted_hz:g} Hz: it comes at {rate:.3g} Hz"
+        + (f"; {motor_gain(rate)}" if kind.name == "multirotor" and name == MOTOR_MESSAGE else "")
+        for name, rate in slow.items()
+    ]
     json = preview.to_json()
     hides = hidden([found], preview.channels)
     return {"possible": True, **json, "missing": json["missing"] + seldom, "hides": hides}

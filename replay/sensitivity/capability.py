@@ -28,6 +28,8 @@ from replay.sensitivity.trial import Task, run_task
 
 WITHIN_S = (2.0, 1.0, 0.25)
 """Delays that the smallest detected fault is asked for, seconds: what a pilot, a failsafe and a controller can use."""
+_TICKS = 10
+"""Ticks of a slow observer in the longest delay: as long as evidence has to last on it at most."""
 ONSETS = 3
 """Times of onset for each size. Chosen: they show a size that is missed now and then, and keep a fit to seconds."""
 
@@ -50,7 +52,7 @@ _ACTIVE_SHARE = 0.5
 def measure_capability(
     profile: Profile,
     logs: Sequence[BatchSource],
-    within_s: Sequence[float] = WITHIN_S,
+    within_s: Sequence[float] | None = None,
     count: int = ONSETS,
 ) -> tuple[Capability, ...]:
     """Measure what an observer detects, for each fault channel whose alarm has a positive threshold.
@@ -62,7 +64,7 @@ def measure_capability(
     logs : Sequence[BatchSource]
         Healthy recordings.
     within_s : Sequence[float]
-        Delays asked for, seconds.
+        Delays asked for, seconds; None: :data:`WITHIN_S`, longer in proportion for an observer of few ticks a second.
     count : int
         How many onsets to try, spread over the recordings (where the command matters, for a loss).
     """
@@ -71,6 +73,9 @@ def measure_capability(
     played = (play_healthy(profile, (of_names(batch, wanted) for batch in log())) for log in logs)
     recordings = [recording for recording in played if observer.name in recording.flights]
     thresholds = {rule.channel: rule.threshold for rule in observer.alarms}
+    if within_s is None:
+        longer = max(1.0, _TICKS / observer.rate_hz / WITHIN_S[0])
+        within_s = [float(f"{delay * longer:.2g}") for delay in WITHIN_S]
     limits = sorted(within_s, reverse=True)
     found = []
     for fault in track(observer.faults, f"measuring what {observer.name} will detect", "faults"):
