@@ -57,7 +57,7 @@ def test_the_fit_reports_what_it_learned(quad_folder: Path) -> None:
     report = json.loads((quad_folder / "fit.json").read_text())["observers"]["motors"]
     assert report["motors"] == ["motor1", "motor2", "motor3", "motor4"]
     assert report["rate_hz"] == 100.0
-    assert min(report["explained"].values()) > 0.9
+    assert max(report["axis_relative_error"].values()) < 0.05
     hover = report["hover_command"]
     assert max(report["alarms"][motor]["threshold"] / hover[motor] for motor in report["motors"]) < 0.05
     assert report["alarms"]["motor1"]["level_low"] <= report["alarms"]["motor1"]["level_high"]

@@ -115,7 +115,7 @@ def quad(weak: float, seed: int, offset: float = 0.0) -> list[Segment]:
 
 def identified(flights: list[list[Segment]]) -> MultirotorFit:
     segments = [segment for one in flights for segment in one]
-    return identify_multirotor(segments, RATE_HZ, 1, list(range(len(flights))))
+    return identify_multirotor(segments, RATE_HZ, flights=list(range(len(flights))))[0]
 
 
 def compared(flights: list[list[Segment]]) -> Agreement:

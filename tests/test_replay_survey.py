@@ -115,7 +115,7 @@ def test_a_quadrotor_that_sends_speeds_is_fitted_and_the_range_is_stated(data: P
     assert fitted.findings["command_range"] == {"none": 150.0, "full": 1000.0}
     assert "motor commands are no pulses of 1000 to 2000 us but " in fitted.text()[1]
     assert "150 is taken as no command, 1000 as full command" in fitted.text()[1]
-    assert min(fitted.findings["explained"].values()) > 0.9
+    assert max(fitted.findings["axis_relative_error"].values()) < 0.05
     pulses = tomllib.loads((quad_folder / "profile.toml").read_text())["observers"]["motors"]
     assert set(pulses["alarms"]) == {found.rule.channel for found in fitted.alarms}
 

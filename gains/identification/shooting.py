@@ -56,9 +56,9 @@ def split_segments(logs: Sequence[Sequence[Segment]]) -> tuple[list[Segment], li
         cut = min(max(left, 0), len(segment.u))
         left -= len(segment.u)
         if cut:
-            training.append(Segment(segment.u[:cut], segment.y[:cut]))
+            training.append(segment.part(0, cut))
         if cut < len(segment.u):
-            validation.append(Segment(segment.u[cut:], segment.y[cut:]))
+            validation.append(segment.part(cut, len(segment.u)))
     return training, validation
 
 

@@ -55,16 +55,20 @@ class Flight:
         restart[1:] |= np.diff(rows) != 1
         return Flight(replace(samples, restart=restart), self.armed[rows])
 
-    def segments(self) -> list[Segment]:
-        """Return the stretches of evidence without a break."""
-        return [Segment(self.samples.u[rows], self.samples.y[rows]) for rows in self.stretches(at_restart=True)]
+    def segments(self, bridged: int = 1) -> list[Segment]:
+        """Return the stretches of evidence; those up to ``bridged`` rows apart as one with a break in it."""
+        return [
+            Segment(self.samples.u[rows], self.samples.y[rows], None if bridged == 1 else self.armed[rows])
+            for rows in self.stretches(at_restart=True, bridged=bridged)
+        ]
 
-    def stretches(self, *, at_restart: bool) -> Iterator[slice]:
+    def stretches(self, *, at_restart: bool, bridged: int = 1) -> Iterator[slice]:
         """Yield the rows of each stretch of evidence; a restart ends a stretch if ``at_restart``."""
         rows = self.evidence
-        breaks = np.diff(rows) != 1
+        breaks = np.diff(rows) > bridged
         if at_restart:
-            breaks |= self.samples.restart[rows[1:]]
+            restarts = np.cumsum(self.samples.restart)
+            breaks |= restarts[rows[1:]] > restarts[rows[:-1]]
         for stretch in np.split(rows, np.flatnonzero(breaks) + 1) if len(rows) else ():
             yield slice(int(stretch[0]), int(stretch[-1]) + 1)
 

@@ -38,7 +38,14 @@ from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource
 from monitor.vehicles.multirotor.flight_motors import motor_agreement
 from monitor.vehicles.multirotor.frames import Frame, frame_of
-from monitor.vehicles.multirotor.identify import GYROS, RATE_AXES, MultirotorFit, identify_multirotor, multirotor_plant
+from monitor.vehicles.multirotor.identify import (
+    GYROS,
+    RATE_AXES,
+    MotorUncertainty,
+    MultirotorFit,
+    identify_multirotor,
+    multirotor_plant,
+)
 from monitor.vehicles.multirotor.signals import motor_commands, multirotor_channels, range_text
 from monitor.vehicles.multirotor.trim import (
     COMMANDS_PER_TICK,
@@ -49,41 +56,33 @@ from monitor.vehicles.multirotor.trim import (
     smallest_loss,
     usable_segments,
 )
-from monitor.vehicles.multirotor.validation import (
-    Drift,
-    MotorUncertainty,
-    motor_uncertainty,
-    predict_rates,
-    response_drift,
-)
+from monitor.vehicles.multirotor.validation import Drift, predict_rates, response_drift
 
 SHOWN_S = 10.0
 """Seconds drawn: as many as show single manoeuvres over the width of a page."""
 
 
-def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> tuple[Comparison | None, int | None]:
+def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> Comparison | None:
     """Fit on most of the recordings and compare with the rest: the last of three or more, else the last quarter.
 
     Returns
     -------
-    comparison : Comparison | None
-        The liveliest seconds of the rest and statistics of all of it; None where what is left to fit on is too short
-        or excites too little, or nothing long enough is left to compare with.
-    taps : int | None
-        Number of taps of the model's lag that was found, None without a fit.
+    Comparison | None
+        The liveliest seconds of the rest and statistics of all of it; None where what is left to fit on is too short,
+        or nothing long enough is left to compare with.
     """
     training, rest = split_segments(flights)
     places = {id(segment.u): number for number, flight in enumerate(flights) for segment in flight}
     try:
-        fit = identify_multirotor(training, rate_hz, flights=[places.get(id(one.u), -1) for one in training])
+        fit, _ = identify_multirotor(training, rate_hz, flights=[places.get(id(one.u), -1) for one in training])
     except ModelError:
-        return None, None
-    usable = [segment for segment in rest if len(segment.u) > (HORIZON_S + 1.0) * rate_hz + len(fit.taps)]
+        return None
+    unbroken = [segment for kept in rest for segment in kept.unbroken()]
+    usable = [segment for segment in unbroken if len(segment.u) > (HORIZON_S + 1.0) * rate_hz + len(fit.taps)]
     if not usable:
-        return None, len(fit.taps)
+        return None
     one_step, ahead = predict_rates(fit, usable, 1), predict_rates(fit, usable, horizon_samples(rate_hz))
-    comparison = compared(RATE_AXES, "body rates (rad/s)", one_step, ahead, rate_hz, SHOWN_S)
-    return comparison, len(fit.taps)
+    return compared(RATE_AXES, "body rates (rad/s)", one_step, ahead, rate_hz, SHOWN_S)
 
 
 OBSERVER = "motors"
@@ -91,6 +90,9 @@ OBSERVER = "motors"
 _AIRBORNE_SHARE = 0.5
 """Share of the mean command, which is that of hovering. Chosen: motors idle far below half of it, descents stay
 above."""
+_BRIDGED_S = 0.5
+"""Breaks in the evidence that identification bridges. Chosen: over a shorter one the commands, on a straight line, tell
+what the body rates do; after a longer one they begin anew."""
 _SMALLEST_LOSS = 0.015
 """Smallest loss at hover worth an alarm. Measured on healthy flights: the standard errors of motors' effects are 0.5 to
 1.4 %, so that a smaller loss may be the model's own error."""
@@ -204,12 +206,12 @@ def _fast(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], output
     flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]
     stretches = [flight.segments() for flight in flights]
     segments = [segment for flight in stretches for segment in flight]
-    numbers = [number for number, flight in enumerate(stretches) for _ in flight]
-    comparison, taps = compare_kept_back(stretches, rate_hz)
-    model = identify_multirotor(segments, rate_hz, taps, numbers)
-    uncertainty, drift = motor_uncertainty(model, segments), response_drift(model, stretches)
+    records = [flight.segments(round(_BRIDGED_S * rate_hz)) for flight in flights]
+    comparison = compare_kept_back(records, rate_hz)
+    model, uncertainty, origin = _identify(request, gate, inputs, outputs, records, rate_hz)
+    drift = response_drift(model, stretches)
     motors = tuple(channel.name for channel in inputs)
-    explained = ", ".join(f"{axis} {100 * share:.1f} %" for axis, share in zip(_AXES, model.explained, strict=True))
+    known = ", ".join(f"{axis} {100 * error:.1f} %" for axis, error in zip(_AXES, uncertainty.of_axes, strict=True))
     return _Identified(
         model=model,
         source=source,
@@ -219,8 +221,9 @@ def _fast(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], output
         gyros=True,
         times=Times(),
         smallest_loss=_SMALLEST_LOSS,
-        findings=_findings(model, motors, uncertainty, drift),
-        line=f"model {rate_hz:g} Hz, explains {explained} of each rate's changes",
+        findings={**_findings(model, motors, uncertainty, drift), "geometry": origin},
+        line=f"model {rate_hz:g} Hz, motors {1000 * uncertainty.times_s.sum():.0f} ms late; standard errors of what "
+        f"they do: {known}" + "".join(f"; {axis} axis from geometry only ({of})" for axis, of in origin.items()),
         details=(
             *_details(motors, uncertainty, drift),
             *(
@@ -231,6 +234,38 @@ def _fast(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], output
         ),
         comparison=comparison,
     )
+
+
+def _identify(
+    request: FitRequest,
+    gate: GateRule,
+    inputs: Sequence[Channel],
+    outputs: Sequence[Channel],
+    records: Sequence[Sequence[Segment]],
+    rate_hz: float,
+) -> tuple[MultirotorFit, MotorUncertainty, dict[str, str]]:
+    """Return the model, how well it is known, and by axis where its geometry is from if the flights do not tell.
+
+    Raises
+    ------
+    ModelError
+        Too little flight, or nothing tells what the motors do about any axis.
+    """
+    segments = [record for flight in records for record in flight]
+    numbers = [number for number, flight in enumerate(records) for _ in flight]
+    model, uncertainty = identify_multirotor(segments, rate_hz, flights=numbers)
+    unsure = uncertainty.unsure
+    if not unsure.any():
+        return model, uncertainty, {}
+    try:
+        frame, origin = _frame(request, gate, inputs, outputs[: len(RATE_AXES)])
+    except ModelError as error:
+        if uncertainty.nothing:
+            raise ModelError(f"the flights hold no manoeuvres that tell what the motors do, and {error}") from None
+        return model, uncertainty, {}
+    effects = frame.effects * unsure[:, None]
+    model, uncertainty = identify_multirotor(segments, rate_hz, effects, numbers)
+    return model, uncertainty, dict.fromkeys(np.array(_AXES)[unsure].tolist(), f"{frame.name}, {origin}")
 
 
 def _slow(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], outputs: Sequence[Channel]) -> _Identified:
@@ -354,10 +389,11 @@ def _findings(
     model: MultirotorFit, motors: Sequence[str], uncertainty: MotorUncertainty, drift: Drift
 ) -> dict[str, object]:
     return {
-        "explained": dict(zip(_AXES, model.explained.tolist(), strict=True)),
-        "t_value": dict(zip(_AXES, model.t_value.tolist(), strict=True)),
+        "axis_relative_error": dict(zip(_AXES, uncertainty.of_axes.tolist(), strict=True)),
+        "damping_per_s": dict(zip(_AXES, (-np.log(model.a) * model.rate_hz).tolist(), strict=True)),
+        **dict(zip(("delay_s", "lag_s", "filter_s"), uncertainty.times_s.tolist(), strict=True)),
         "lag_taps": model.taps.tolist(),
-        "thrust_curvature": model.kappa,
+        "thrust_square_share": model.square,
         "effectiveness_error": {motor: uncertainty.B_error[:, i].tolist() for i, motor in enumerate(motors)},
         "effectiveness_relative_error": dict(zip(motors, uncertainty.relative.tolist(), strict=True)),
         "response_drift_per_minute": {"value": drift.per_minute, "standard_error": drift.error},

@@ -30,7 +30,7 @@ from adapters.errors import ModelError
 from gains.identification.segment import Segment
 from monitor.fitting.thresholds import Times
 from monitor.vehicles.multirotor.frames import Frame, standard_frames
-from monitor.vehicles.multirotor.identify import MultirotorFit
+from monitor.vehicles.multirotor.identify import USUAL, MultirotorFit
 
 FloatArray = NDArray[np.float64]
 
@@ -40,9 +40,6 @@ SLOW_COMMANDS_HZ = 25.0
 COMMANDS_PER_TICK = 2
 """Commands in a tick, at least. Measured on ArduPilot and PX4 at 10 Hz and on radios at 2 Hz: two see a motor with
 12 to 15 % less after 0.6 to 4 s, three after 0.5 to 11 s, with as few false alarms; more are later still."""
-_USUAL = (450.0, 450.0, 22.0)
-"""rad/s^2 that a torque e of one gives about roll, pitch and yaw, where the flights do not tell p_1: the geometric
-mean of two quads of 1 and 3 kg (PX4's SIH 175, 175, 13.5; ArduPilot's simulator 1200, 1200, 37)."""
 _SHOWS = 0.5
 """Share of the torque's variance that motion explains, from which on p_1 is taken from the flights as it is. Below, it
 lies between the regressions of either on the other, which are further apart than a factor of two."""
@@ -127,7 +124,7 @@ def identify_trim(segments: Sequence[Segment], rate_hz: float, frame: Frame) -> 
     lag = min(_LAGS, key=lambda h: sum(np.log(axis.error_std) for axis in _axes(usable, g, h, change, middle)))
     axes = _axes(usable, g, lag, change, middle)
     # y' = (e - p_0 - p_2 y) / p_1, held over a tick (exact discretisation of a first-order system).
-    p1 = np.array([_torque_per_motion(axis, 1.0 / usual) for axis, usual in zip(axes, _USUAL, strict=False)])
+    p1 = np.array([_torque_per_motion(axis, 1.0 / usual) for axis, usual in zip(axes, USUAL, strict=False)])
     decay = np.maximum([axis.p[2] / slope / rate_hz for axis, slope in zip(axes, p1, strict=True)], _SLOWEST)
     a = np.exp(-decay)
     gain = -np.expm1(-decay) / decay / p1 / rate_hz
@@ -140,10 +137,8 @@ def identify_trim(segments: Sequence[Segment], rate_hz: float, frame: Frame) -> 
         B=B,
         c=c,
         taps=taps,
-        kappa=0.0,
+        square=0.0,
         residual_std=_one_step_std(usable, a, B, c, taps),
-        explained=np.array([axis.explained for axis in axes]),
-        t_value=np.array([axis.t_value for axis in axes]),
         samples=sum(len(segment.u) - 2 for segment in usable),
     )
 

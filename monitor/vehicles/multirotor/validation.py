@@ -1,12 +1,7 @@
-"""How far to trust a multirotor's model: uncertainty of what its motors do, prediction of data kept back, drift.
+"""How far to trust a multirotor's model: prediction of data kept back, and drift.
 
-In the symbols of :mod:`monitor.vehicles.multirotor.identify`, with w(k) = sum_d h_d v(k-d) and the errors of one step
-e_o(k) = y_o(k+1) - a_o y_o(k) - B_o w(k) - c_o, the coefficients of an axis have the covariance
-
-    (X'X)^-1 (sum_b X_b' e_b e_b' X_b) (X'X)^-1,         b: blocks of a few seconds,
-
-which holds whatever the errors' colour and however they vary from block to block (White 1980, Arellano 1987). Taps
-and thrust curve are taken as known.
+In the symbols of :mod:`monitor.vehicles.multirotor.identify`, with w(k) = sum_d h_d v(k-d) the errors of one step are
+e_o(k) = y_o(k+1) - a_o y_o(k) - B_o w(k) - c_o.
 """
 
 from __future__ import annotations
@@ -19,7 +14,7 @@ from numpy.typing import NDArray
 
 from gains.identification.segment import Segment
 from monitor.fitting.predictions import Prediction
-from monitor.vehicles.multirotor.identify import MultirotorFit, control_directions
+from monitor.vehicles.multirotor.identify import MultirotorFit
 
 FloatArray = NDArray[np.float64]
 
@@ -31,29 +26,6 @@ _SURE = 3.0
 """Standard errors from which on a drift is certain."""
 _MATTERS = 0.01
 """A drift of less than a per cent over a flight is below every alarm."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MotorUncertainty:
-    """How well the recordings determine what the motors do.
-
-    As far as an autopilot moves them: in directions that no control drives, which more than four motors have, B is an
-    assumption and has no standard error.
-
-    Parameters
-    ----------
-    B_error : FloatArray
-        Standard errors of B's rows of body rates (3, s).
-    relative : FloatArray
-        Standard error of each motor's effect as a share of it (s,), the axes weighted by how well they show it.
-    drive : FloatArray
-        Root mean square over the recordings of what the uncertainty of all coefficients puts into the next body
-        rates (3,).
-    """
-
-    B_error: FloatArray
-    relative: FloatArray
-    drive: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,24 +48,6 @@ class Drift:
     def matters(self) -> bool:
         """Whether it is certain and more than a per cent over the flight."""
         return abs(self.per_minute) > _SURE * self.error and abs(self.per_minute) * self.minutes > _MATTERS
-
-
-def motor_uncertainty(fit: MultirotorFit, segments: Sequence[Segment]) -> MotorUncertainty:
-    """Return how far to trust the coefficients, from the segments they were fitted on."""
-    now, effect, after = _equations(fit, segments)
-    mean, V = control_directions(effect)
-    z = (effect - mean) @ V
-    s = fit.B.shape[1]
-    B_error, drive = np.empty((3, s)), np.empty(3)
-    for o in range(3):
-        X = np.column_stack([now[:, o], z, np.ones(len(z))])
-        e = after[:, o] - fit.a[o] * now[:, o] - effect @ fit.B[o] - fit.c[o]
-        covariance = _clustered(X, e, fit.rate_hz)
-        B_error[o] = np.sqrt(np.diag(V @ covariance[1:-1, 1:-1] @ V.T))
-        drive[o] = np.sqrt(np.trace(covariance @ (X.T @ X)) / len(X))
-    weight = 1.0 / fit.residual_std[:3, None]
-    relative = np.linalg.norm(weight * B_error, axis=0) / np.linalg.norm(weight * fit.B[:3], axis=0)
-    return MotorUncertainty(B_error, relative, drive)
 
 
 def predict_rates(fit: MultirotorFit, segments: Sequence[Segment], steps: int) -> list[Prediction]:
@@ -144,7 +98,7 @@ def response_drift(fit: MultirotorFit, flights: Sequence[Sequence[Segment]]) -> 
 
 def motor_effect(fit: MultirotorFit, u: FloatArray) -> FloatArray:
     """Return w(k) of commands ``u`` (N, s) for k = L - 1, ..., N - 2, L the number of taps (max(0, N - L), s)."""
-    v = u + fit.kappa * u**2
+    v = (1.0 - fit.square) * u + fit.square * u**2
     count = max(0, len(u) - len(fit.taps))
     return np.asarray(sum(h * v[len(fit.taps) - 1 - d :][:count] for d, h in enumerate(fit.taps)))
 

@@ -1,0 +1,96 @@
+"""Errors of a model that are correlated in time, as an autoregression, and equations filtered until they are white.
+
+With errors e(k) = sum_j d_j e(k-j) + eps(k) generalised least squares weighs every equation by what is new in it: the
+filter 1 - sum_j d_j q^-j goes over both of its sides. A row without a measurement of its own breaks the filter; rows
+after it are predicted from as many as there are since, each with the variance of that shorter prediction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from gains.plants.plant import FloatArray
+
+_RIDGE = 1e-8
+"""Of the variance: predictions of very smooth errors do not hang on rounding, 1e-16 of their squares."""
+_LEAST = 2
+"""Errors before a row that have to be known for it to count. After a break commands have answered disturbances that no
+row shows; two rows predict all but a few per cent of errors that are correlated as those of real flights (.87 to .98).
+"""
+
+
+class Autoregression(NamedTuple):
+    """Predictors of an error from the errors before it, of orders 0, 1, ..., p."""
+
+    coefficients: tuple[FloatArray, ...]  # of e(k-1), ..., e(k-m) for each order m
+    variances: FloatArray  # what each leaves (p + 1,)
+
+
+def autoregression(errors: Sequence[FloatArray], own: Sequence[NDArray[np.bool_]], longest: int) -> Autoregression:
+    """Return the autoregression of errors by least squares.
+
+    Parameters
+    ----------
+    errors, own : Sequence
+        By stretch: errors (N,), and which of them are known (N,).
+    longest : int
+        Its order; less where too few rows in a row are known.
+    """
+    while True:
+        gram, count = np.zeros((longest + 1, longest + 1)), 0
+        for e, known in zip(errors, own, strict=True):
+            rows = np.flatnonzero(known & (known_before(known) >= longest))
+            past = np.stack([e[rows - j] for j in range(longest + 1)])
+            gram += past @ past.T
+            count += len(rows)
+        if longest == _LEAST or count >= 0.5 * sum(int(known.sum()) for known in own):
+            break
+        longest = max(_LEAST, longest // 2)
+    gram = gram / max(count, 1)
+    gram += max(_RIDGE * gram[0, 0], np.finfo(np.float64).tiny) * np.eye(longest + 1)
+    coefficients: list[FloatArray] = [np.zeros(0)]
+    for m in range(1, longest + 1):
+        coefficients.append(np.asarray(np.linalg.solve(gram[1 : m + 1, 1 : m + 1], gram[1 : m + 1, 0])))
+    variances = np.array([gram[0, 0] - d @ gram[1 : len(d) + 1, 0] for d in coefficients])
+    return Autoregression(tuple(coefficients), variances)
+
+
+def whitened(columns: FloatArray, own: NDArray[np.bool_], noise: Autoregression) -> tuple[NDArray[np.intp], FloatArray]:
+    """Return the rows that count and the filtered columns there, all with the variance of the longest prediction.
+
+    Parameters
+    ----------
+    columns : FloatArray
+        Both sides of the equations (c, N).
+    own : NDArray[np.bool_]
+        Which rows are known (N,).
+    noise : Autoregression
+        The errors' colour.
+    """
+    before = known_before(own)
+    order = len(noise.variances) - 1
+    filtered = lfilter(np.append(1.0, -noise.coefficients[order]), [1.0], columns, axis=-1)
+    rows = np.flatnonzero(own & (before >= _LEAST))
+    for m in range(_LEAST, order):
+        short = rows[before[rows] == m]
+        if len(short):
+            left = columns[:, short] - sum(d * columns[:, short - 1 - j] for j, d in enumerate(noise.coefficients[m]))
+            filtered[:, short] = left * np.sqrt(noise.variances[order] / noise.variances[m])
+    return rows, filtered[:, rows]
+
+
+def past_errors(errors: FloatArray, own: NDArray[np.bool_], rows: NDArray[np.intp], order: int) -> FloatArray:
+    """Return what the noise's coefficients multiply: the errors before some rows, zero where not known (p, n)."""
+    before = known_before(own)[rows]
+    return np.stack([np.where(before > j, errors[rows - 1 - j], 0.0) for j in range(order)])
+
+
+def known_before(own: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return how many rows in a row are known before each that is (N,)."""
+    index = np.arange(len(own))
+    return np.asarray(index - 1 - np.maximum.accumulate(np.where(own, -1, index)))
