@@ -10,6 +10,7 @@ their kind's usual ones are.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -50,6 +51,10 @@ class _Sums(NamedTuple):
     changes: int = 0
     lost: int = 0
     came: int = 0
+
+
+def _total(sums: Iterable[_Sums]) -> _Sums:
+    return _Sums(*map(sum, zip(_Sums(), *sums, strict=True)))
 
 
 class _Stream:
@@ -115,7 +120,7 @@ class LinkMeter:
     def figures(self, received: int = 0, lost: int | None = None) -> LinkFigures:
         """Return the figures; ``received`` packets and ``lost`` ones so far where they are numbered."""
         self._look()
-        total = _Sums(*np.sum([sums for _, sums in self._sums], axis=0)) if self._sums else _Sums()
+        total = _total(sums for _, sums in self._sums)
         share = total.lost / (total.lost + total.came) if total.came else None
         if lost is not None:
             now_ns = self._sums[-1][0] if self._sums else 0
@@ -137,16 +142,19 @@ class LinkMeter:
             for columns in self._waiting.popleft().columns:
                 if columns.source.is_telemetry and not columns.source.is_onboard_log:
                     parts.setdefault((columns.name, columns.system, columns.component), []).append(columns)
+        newest_ns, sums = 0, []
         for key, alike in parts.items():
             stamps = _stamps(alike)
             if stamps is not None:
                 received = np.concatenate([columns.received_ns for columns in alike])
                 # A repeated stamp is one measurement.
                 new = np.flatnonzero(np.diff(stamps, prepend=stamps[0] - 1))
-                sums = self._streams.setdefault(key, _Stream()).add(stamps[new], received[new])
-                self._sums.append((int(received[-1]), sums))
+                sums.append(self._streams.setdefault(key, _Stream()).add(stamps[new], received[new]))
+                newest_ns = max(newest_ns, int(received[-1]))
+        if sums:
+            self._sums.append((newest_ns, _total(sums)))
         if not self._recent and len(self._sums) > _MOST_BATCHES:
-            self._sums = deque([(0, _Sums(*np.sum([sums for _, sums in self._sums], axis=0)))])
+            self._sums = deque([(0, _total(sums for _, sums in self._sums))])
         while self._recent and self._sums and self._sums[0][0] < self._sums[-1][0] - _MINUTE_NS:
             self._sums.popleft()
 

@@ -198,8 +198,9 @@ class VehicleMonitor:
 
     def pass_time(self, now_ns: int) -> None:
         """Let the pipeline know that time has passed without telemetry; record it where that changed something."""
-        # Before the latest message it is where the clock was set back: the pipeline counts from there on.
-        if 0 <= now_ns - self._watch.latest_ns < _SILENCE_NS:
+        # Far before the latest message it is where the clock was set back: the pipeline counts from there on. A little
+        # before it there may be messages that links still hold.
+        if abs(now_ns - self._watch.latest_ns) < _SILENCE_NS:
             return
         batch = pack([silence(now_ns)])
         outputs = self.pipeline.run(batch)
