@@ -41,7 +41,7 @@ class AlarmEvent:
     since_ns: Annotated[int, "Unix time of the sample that raised the alarm"]
     peak: Annotated[float | None, "largest estimate since it was raised"]
     message: Annotated[str, "one sentence for a person"]
-    seq: Annotated[int, "counts the vehicle's events from 1"]
+    seq: Annotated[int, "number of the event among the vehicle's: later ones have larger numbers"]
     acknowledged: Annotated[bool, "somebody has said that they know"] = False
     latched: Annotated[bool, "it stays active although its cause is gone, until it is reset"] = False
     shelved_until_ns: Annotated[int | None, "Unix time at which shelving ends"] = None

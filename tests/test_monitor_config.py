@@ -159,6 +159,10 @@ def test_a_mistake_is_named_with_its_line_and_its_mend(tmp_path: Path, text: str
         ("profile = '.'\nmavlink = 'udpin:0.0.0.0:1'", "2: 'mavlink' is 'udpin:0.0.0.0:1', which other machines"),
         ("profile = '.'\nmavlink = 'udpout:127.0.0.1:1'", "2: 'mavlink' is 'udpout:127.0.0.1:1', where nothing comes"),
         (FINE + "[signing]\nrequire = true", "4: 'signing.require' is true without a key; name it with key_file"),
+        (
+            FINE + "[standby]\nenabled = true",
+            "4: 'standby.enabled' is true without a key, so that anybody on the network",
+        ),
         (FINE + "[signing]\nkey_file = 'key'", "key: no such file; paths are relative to the configuration file"),
         (FINE + "[send.rates]\nATTITUDE = 1", "3: 'send.rates' are to be requested, but nothing may be sent"),
         (FINE + "[commands]\nmax_shelve_minutes = 5", "'commands.default_shelve_minutes' is 60; it must be at most"),
@@ -235,7 +239,7 @@ def test_the_worked_example_is_right_and_shows_every_key(tmp_path: Path) -> None
     text = (ROOT / "docs/config-example.toml").read_text()
     for folder in ("quad", "rover", "px4_msgs"):
         (tmp_path / folder).mkdir()
-    for file in ("zenoh.json5", "signing.key"):
+    for file in ("zenoh.json5", "signing.key", "standby.key"):
         (tmp_path / file).touch()
     found = read(tmp_path, text)
     assert [vehicle.name for vehicle in found.vehicles] == ["copter-1", "copter-2", "rover"]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from loopback import Endpoint, until
 
 from monitor.alarms.desk import DeskRule
+from monitor.bus.seal import Seal
 from monitor.configuration.config import Config, Standby
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
@@ -19,6 +21,7 @@ from monitor.service.vehicle_service import VehicleService
 
 VEHICLE = "copter-1"
 SECOND_NS = 1_000_000_000
+SECRET = bytes(range(32))
 
 
 @pytest.fixture
@@ -29,9 +32,12 @@ def endpoint() -> Iterator[Endpoint]:
 
 
 @pytest.fixture
-def service(endpoint: Endpoint, arm_profile: Profile) -> Iterator[VehicleService]:
+def service(endpoint: Endpoint, arm_profile: Profile, tmp_path: Path) -> Iterator[VehicleService]:
+    key = tmp_path / "standby.key"
+    key.write_text(SECRET.hex())
+    key.chmod(0o600)
     monitor = VehicleMonitor(Pipeline(arm_profile, VEHICLE), (), None, lambda _: None, time.time_ns())
-    one = VehicleService(monitor, DeskRule(), endpoint.session, Config(standby=Standby(True, 0.5)))
+    one = VehicleService(monitor, DeskRule(), endpoint.session, Config(standby=Standby(True, 0.5, key)))
     yield one
     one.close()
 
@@ -47,12 +53,15 @@ def test_one_that_was_frozen_gives_way_before_it_says_anything_to_one_that_may_h
 ) -> None:
     until(lambda: works(service))
     assert service.last_status["role"] == "active"
-    other = Election(endpoint.client(), f"fauio/{VEHICLE}")
-    until(lambda: other.others == 1)
-    assert works(service)
+    other = Election(endpoint.client(), f"fauio/{VEHICLE}", Seal(SECRET))
+
+    def both_there() -> bool:
+        return works(service) and not other.turn() and other.others == 1
+
+    until(both_there)
     service.work(time.monotonic_ns() + 2 * SECOND_NS, time.time_ns(), ())
     assert not service.monitor.active
-    until(lambda: other.leads)
+    until(lambda: not works(service) and other.turn())
     assert not works(service)
     other.close()
     until(lambda: works(service))

@@ -7,12 +7,13 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from daemons import DaemonProcess, Flight, Watcher, filled_in, free_ports
-from loopback import until
+from loopback import event, until
 
 from adapters.logs.recordings import read_recording
 from monitor.event import AlarmEvent, event_from_json
@@ -37,6 +38,9 @@ class Pair:
         tcp = free_ports(2)
         values = {"14550": str(self.udp[0]), "14551": str(self.udp[1]), "7447": str(tcp[0]), "7448": str(tcp[1])}
         values['"quad/"'] = json.dumps(str(profile))
+        key = folder / "standby.key"
+        key.write_text("5a" * 32)
+        key.chmod(0o600)
         self.configs = {name: filled_in(f"standby-{name}.toml", folder, values) for name in "ab"}
         self.running: dict[str, DaemonProcess] = {}
         for name in self.configs:
@@ -181,6 +185,25 @@ def test_an_alarm_lives_on_under_its_id_whoever_is_killed_and_when(
     recording = max((pair.folder / f"recordings-{second}" / VEHICLE).iterdir())
     replayed = play(quad_profile, read_recording(recording), vehicle=VEHICLE).events
     assert said[-1] in replayed
+
+
+def test_what_somebody_without_the_key_says_silences_nobody_and_gets_into_no_journal(pair: Pair) -> None:
+    watcher, stranger = pair.watcher, pair.watcher.session
+    token = stranger.liveliness().declare_token(f"fauio/{VEHICLE}/candidate/{0:020d}-00000000")
+    forged = event(9, "motor2", vehicle=VEHICLE, id="forged")
+    for seq in (9, (1 << 53) - 1, 1 << 53):
+        said = json.dumps(replace(forged, seq=seq).to_json())
+        stranger.put(f"fauio/{VEHICLE}/alarm/motors/motor2", said, attachment=b"x" * 32)
+    since = time.monotonic()
+    until(lambda: time.monotonic() > since + 3.0)
+    assert len(watcher.seen("/status", since)) >= 2
+    token.undeclare()
+    pair.running[pair.leader].kill()
+    pair.takes_over(time.monotonic(), pair.voice)
+    assert not pair.active()
+    for name in "ab":
+        pair.running[name].kill()
+        assert "forged" not in {event.id for event in pair.journal(name)}
 
 
 def test_a_fault_that_begins_before_the_other_takes_over_is_raised_once_and_standing_by_is_silent(

@@ -12,6 +12,7 @@ from zenoh import ext
 
 from monitor.bus.keys import alarm_key, estimate_key, vehicle_root
 from monitor.bus.payload import estimate_json, to_json
+from monitor.bus.seal import Seal
 from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent
 
@@ -32,7 +33,8 @@ class Publisher:
 
     At most ``estimate_rate_hz`` estimates a second go out per observer, on the samples' own time; 0 publishes none.
     ``journal`` returns all past events from a Unix time in nanoseconds on; without it a bounded number of those that
-    were published here is kept. Raises UsageError where the vehicle's name or the prefix cannot be part of a key.
+    were published here is kept. A ``seal`` proves to the other monitors of the vehicle who says an event. Raises
+    UsageError where the vehicle's name or the prefix cannot be part of a key.
     """
 
     def __init__(
@@ -43,8 +45,10 @@ class Publisher:
         prefix: str = "fauio",
         estimate_rate_hz: float = 10.0,
         journal: Callable[[int], Sequence[AlarmEvent]] | None = None,
+        seal: Seal | None = None,
     ) -> None:
         self._journal = journal
+        self._seal = seal
         self._session = session
         self._root = vehicle_root(prefix, vehicle)
         self._period_ns = round(1e9 / estimate_rate_hz) if estimate_rate_hz > 0 else 0
@@ -95,7 +99,8 @@ class Publisher:
                 sample_miss_detection=ext.MissDetectionConfig(heartbeat=HEARTBEAT_S, sporadic_heartbeat=None),
                 publisher_detection=True,
             )
-        publisher.put(to_json(event.to_json()))
+        payload = to_json(event.to_json())
+        publisher.put(payload, attachment=self._attachment(key, payload))
 
     def estimates(self, estimates: Estimates) -> None:
         """Publish the first estimate of each slot of time that has none yet."""
@@ -132,7 +137,7 @@ class Publisher:
         with query:
             for key, event in latest.items():
                 if query.key_expr.intersects(zenoh.KeyExpr(key)):
-                    query.reply(key, to_json(event.to_json()), encoding=zenoh.Encoding.APPLICATION_JSON)
+                    self._reply(query, key, to_json(event.to_json()))
 
     def _past(self, since_ns: int) -> Sequence[AlarmEvent]:
         if self._journal is not None:
@@ -155,4 +160,11 @@ class Publisher:
                 with self._lock:
                     events = [event for event in self._latest.values() if event.state != "cleared"]
             payload = to_json([event.to_json() for event in events])
-            query.reply(f"{self._root}/alarms", payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+            self._reply(query, f"{self._root}/alarms", payload)
+
+    def _reply(self, query: zenoh.Query, key: str, payload: bytes) -> None:
+        encoding = zenoh.Encoding.APPLICATION_JSON
+        query.reply(key, payload, encoding=encoding, attachment=self._attachment(key, payload))
+
+    def _attachment(self, key: str, payload: bytes) -> bytes | None:
+        return None if self._seal is None else self._seal.attachment(key, payload)

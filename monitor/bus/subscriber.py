@@ -12,6 +12,7 @@ from zenoh import ext
 
 from monitor.bus.keys import ANY, vehicle_of, vehicle_root
 from monitor.bus.payload import decode_payload
+from monitor.bus.seal import Seal
 from monitor.event import AlarmEvent, valid_event
 
 HELD_EVENTS = 10_000
@@ -37,11 +38,13 @@ class AlarmSubscriber:
         What the keys begin with.
     history : bool
         Begin with the past events the monitor still knows, and not only with the latest of each channel.
+    seal : Seal | None
+        Take only what has its proof.
 
     Attributes
     ----------
     invalid : int
-        Payloads that were no alarm events.
+        Payloads that were no alarm events, or had no proof.
     lost : int
         Events dropped because the reader did not take them.
 
@@ -52,8 +55,14 @@ class AlarmSubscriber:
     """
 
     def __init__(
-        self, session: zenoh.Session, vehicle: str = ANY, prefix: str = "fauio", history: bool = False
+        self,
+        session: zenoh.Session,
+        vehicle: str = ANY,
+        prefix: str = "fauio",
+        history: bool = False,
+        seal: Seal | None = None,
     ) -> None:
+        self._seal = seal
         self.invalid = 0
         self.lost = 0
         self._session = session
@@ -96,7 +105,7 @@ class AlarmSubscriber:
         self._alarms.undeclare()
 
     def _on_alarm(self, sample: zenoh.Sample) -> None:
-        event = valid_event(decode_payload(sample.payload))
+        event = valid_event(decode_payload(sample.payload)) if self._admits(sample) else None
         if event is not None and self._history and self._hold(event):
             return
         self._take(event)
@@ -148,12 +157,15 @@ class AlarmSubscriber:
             self._session.get(key, zenoh.handlers.Callback(on_reply, on_end), timeout=HISTORY_TIMEOUT_S)
 
     def _on_history(self, reply: zenoh.Sample) -> None:
-        events = decode_payload(reply.payload)
+        events = decode_payload(reply.payload) if self._admits(reply) else None
         if not isinstance(events, list):
             self._take(None)
             return
         for event in events:
             self._take(valid_event(event))
+
+    def _admits(self, sample: zenoh.Sample) -> bool:
+        return self._seal is None or self._seal.holds(sample)
 
     def _take(self, event: AlarmEvent | None) -> None:
         with self._changed:

@@ -237,6 +237,13 @@ class Standby:
         "How long the other one has to be gone, seconds: a connection that breaks is back in less. One "
         "that is stopped hands over at once.",
     )
+    key_file: Path | None = _key(
+        None,
+        _path,
+        "File with the secret that both daemons share, 64 hexadecimal digits: only who has it has a say in which is "
+        "active, and in what happened.",
+        "standby.key",
+    )
 
 
 @dataclass(frozen=True)

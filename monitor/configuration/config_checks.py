@@ -28,6 +28,7 @@ def conflicts(config: Config) -> Iterator[Conflict]:
     yield from _telemetry(config)
     yield from link_conflicts(config)
     yield from _sizes(config)
+    yield from _standby(config)
     yield from _profiles(config)
     yield from _channels(config)
 
@@ -184,6 +185,15 @@ def _sizes(config: Config) -> Iterator[Conflict]:
         )
 
 
+def _standby(config: Config) -> Iterator[Conflict]:
+    if config.standby.enabled and config.standby.key_file is None:
+        what = (
+            "is true without a key, so that anybody on the network could silence both; name one with key_file, made by "
+            "'(umask 077; openssl rand -hex 32 > standby.key)', the same for both"
+        )
+        yield Conflict(("standby", "enabled"), what, (("standby", "key_file"),))
+
+
 def _profiles(config: Config) -> Iterator[Conflict]:
     folders: list[tuple[KeyPath, Path | None]] = [
         (("profile",), config.profile),
@@ -202,6 +212,7 @@ def _files(config: Config) -> Iterator[Conflict]:
     files: list[tuple[KeyPath, Path | None]] = [
         (("zenoh_config",), config.zenoh_config),
         (("signing", "key_file"), config.signing.key_file),
+        (("standby", "key_file"), config.standby.key_file),
     ]
     for path, file in files:
         if file is not None and not file.is_file():

@@ -1,86 +1,204 @@
-"""Which of several monitors of one vehicle is active: the oldest that is alive, as liveliness tokens say."""
+"""Which of several monitors of one vehicle is active: the oldest whose main loop is heard, one term after the other."""
 
 from __future__ import annotations
 
+import logging
 import math
 import secrets
 import threading
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+from monitor.bus.payload import decode_payload, to_json
+from monitor.bus.seal import Seal
 
 if TYPE_CHECKING:
     import zenoh
 
+DEADLINE_S = 2.0
+"""A monitor whose main loop is not heard for so long is not there: the status comes once a second, so this is when the
+second one is missing. Chosen: shorter takes a busy machine for a dead one."""
+_BEAT_S = 0.25
+"""Chosen: a deadline is eight beats, and the answer that a newcomer waits for comes within its discovery."""
 _DISCOVERY_S = 1.0
 """Chosen: on a network peers are discovered in part of a second; a monitor that decided sooner could raise alarms
 beside another.
 """
+_MOST_PEERS = 1024
+"""Only holders of the key get an entry; of more than these the longest silent one is forgotten."""
+_TERM_BITS = 20
+"""Events of a term: a million, below which numbers stay exact in JavaScript (2^53) until the year 2242."""
+_SLOT_BITS = 16
+"""Two that become active in the same second, apart from each other, number from different sixteenths of a term, most
+likely."""
+
+
+def first_number(last: int, now_ns: int) -> int:
+    """Return the number before the first event of a new term, where ``last`` is the largest that is known.
+
+    A term is the Unix time in seconds at which it began, or the one after the last known, whichever is later. So a
+    number is not given twice even where the disk took none of the last ones.
+    """
+    term = max(now_ns // 1_000_000_000, term_of(last) + 1)
+    return term << _TERM_BITS | secrets.randbelow(1 << (_TERM_BITS - _SLOT_BITS)) << _SLOT_BITS
+
+
+def term_of(number: int) -> int:
+    """Return the term that an event's number belongs to."""
+    return number >> _TERM_BITS
+
+
+@dataclass(slots=True)
+class _Peer:
+    """What is known of another monitor; times are of the monotonic clock, in seconds."""
+
+    beat: int = 0
+    active: bool = False
+    term: int = 0
+    heard_s: float = -math.inf
+    answered_s: float = -math.inf  # when it last said that it hears this monitor
+    lost_s: float = math.inf  # when its token was last lost; infinite once it was heard after that
 
 
 class Election:
     """One monitor's candidacy for a vehicle whose keys begin with ``root``; the session is left open by :meth:`close`.
 
-    Every candidate holds the liveliness token ``<root>/candidate/<start time>-<random>``; the smallest name that is
-    alive leads. A monitor that is killed or cannot be reached loses its token, at once where its connection breaks,
-    otherwise with the session's lease; the next one leads ``takeover_s`` seconds later, unless the token is back by
-    then. One that stops says so with a ``put`` on its token's key, and the next one leads at once. One that was started
-    anew is younger and waits. Where a network was split and is whole again, the younger of two leaders steps down.
+    Every monitor says four times a second, on ``<root>/candidate/<start time>-<random>`` and from its main loop,
+    whether it is active, in which term, and whom it hears. Only what is sealed with the shared secret counts, and only
+    from one that hears this monitor: so nobody without the key has a say, and nothing that was recorded earlier has.
+    The others take one for dead that is not heard for :data:`DEADLINE_S`, though its process and its connection may
+    live, and one whose liveliness token is gone after ``takeover_s``. One that stops says so, and the next one leads
+    at once.
+
+    While none is active the oldest leads, in a term of its own. The active one gives way only to one that is active in
+    a later term: who was taken for dead and comes back yields.
+
+    Attributes
+    ----------
+    term : int
+        Term in which this monitor is active, or was; set by who knows the numbers of earlier events.
     """
 
-    def __init__(self, session: zenoh.Session, root: str, takeover_s: float = 0.5) -> None:
+    def __init__(self, session: zenoh.Session, root: str, seal: Seal, takeover_s: float = 0.5) -> None:
+        import zenoh
+
         self.name = f"{time.time_ns():020d}-{secrets.token_hex(4)}"
+        self.term = 0
+        self._seal = seal
         self._takeover_s = takeover_s
-        self._counts_until: dict[str, float] = {self.name: math.inf}
+        self._active = False
+        self._beat = 0
+        self._due_s = 0.0
+        self._peers: dict[str, _Peer] = {}
+        self._forged = False
         self._lock = threading.Lock()
         self._decides_at = time.monotonic() + _DISCOVERY_S
         self._session = session
         self._key = f"{root}/candidate/{self.name}"
         everyone = f"{root}/candidate/*"
         liveliness = session.liveliness()
-        self._resignations: Any = session.declare_subscriber(everyone, self._on_resignation)
-        self._subscriber: Any = liveliness.declare_subscriber(everyone, self._on_token, history=True)
+        self._beats: Any = session.declare_subscriber(everyone, self._on_beat)
+        self._subscriber: Any = liveliness.declare_subscriber(everyone, self._on_token)
+        self._publisher: Any = session.declare_publisher(
+            self._key, congestion_control=zenoh.CongestionControl.DROP, express=True
+        )
         self._token: Any = liveliness.declare_token(self._key)
 
-    @property
-    def leads(self) -> bool:
-        """Whether this monitor is to be active; not before others have had a second to show up."""
-        now = time.monotonic()
+    def turn(self) -> bool:
+        """Say that this monitor is here; return whether it is to be active.
+
+        Call it often, from the loop that monitors: what this does not come round to is no longer said. It is false
+        before others have had a second to show up.
+        """
+        now_s = time.monotonic()
         with self._lock:
-            for name in [name for name, until in self._counts_until.items() if until <= now]:
-                del self._counts_until[name]
-            return now >= self._decides_at and min(self._counts_until) == self.name
+            alive = {name: peer for name, peer in self._peers.items() if self._is_alive(peer, now_s)}
+            others = [(peer.term, name) for name, peer in alive.items() if peer.active]
+            if self._active:
+                # Of two in one term, which were apart when they began, the older one stays.
+                self._active = not any(
+                    term > self.term or (term == self.term and name < self.name) for term, name in others
+                )
+            elif now_s >= self._decides_at and not others:
+                self._active = all(self.name < name for name in alive)
+            due = now_s >= self._due_s
+            hears = [name for name, peer in self._peers.items() if now_s - peer.heard_s < DEADLINE_S]
+        if due:
+            self._due_s = now_s + _BEAT_S
+            payload = self._said(hears)
+            self._publisher.put(payload, attachment=self._seal.attachment(self._key, payload))
+        return self._active
 
     @property
     def others(self) -> int:
-        """Number of other candidates that are alive."""
+        """Number of other monitors that are alive."""
+        now_s = time.monotonic()
         with self._lock:
-            return sum(until == math.inf for until in self._counts_until.values()) - 1
+            return sum(self._is_alive(peer, now_s) for peer in self._peers.values())
 
     def close(self) -> None:
         """Give up the candidacy: the next one leads at once."""
         import zenoh
 
+        payload = self._said([], stops=True)
         # What may be dropped is dropped on a busy machine, and the next one would wait for nothing.
-        self._session.put(self._key, b"resigns", congestion_control=zenoh.CongestionControl.BLOCK, express=True)
-        self._token.undeclare()
-        self._subscriber.undeclare()
-        self._resignations.undeclare()
+        self._session.put(
+            self._key,
+            payload,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            express=True,
+            attachment=self._seal.attachment(self._key, payload),
+        )
+        for declared in (self._token, self._publisher, self._subscriber, self._beats):
+            declared.undeclare()
+
+    def _is_alive(self, peer: _Peer, now_s: float) -> bool:
+        return now_s - peer.answered_s < DEADLINE_S and now_s - peer.lost_s < self._takeover_s
+
+    def _said(self, hears: list[str], stops: bool = False) -> bytes:
+        self._beat += 1
+        state = {"beat": self._beat, "active": self._active, "term": self.term, "hears": hears, "stops": stops}
+        return to_json(state)
+
+    def _on_beat(self, sample: zenoh.Sample) -> None:
+        name = _name(sample)
+        if name == self.name:
+            return
+        if not self._seal.holds(sample):
+            if not self._forged:
+                self._forged = True
+                text = "somebody without the standby's key speaks as a monitor on %s; it has no say"
+                logging.getLogger(__name__).warning(text, sample.key_expr)
+            return
+        said = decode_payload(sample.payload)
+        if not isinstance(said, dict) or not said.keys() >= {"beat", "active", "term", "hears", "stops"}:
+            return
+        now_s = time.monotonic()
+        with self._lock:
+            peer = self._peers.get(name)
+            if peer is None:
+                if len(self._peers) >= _MOST_PEERS:
+                    del self._peers[min(self._peers, key=lambda one: self._peers[one].heard_s)]
+                peer = self._peers[name] = _Peer()
+                # it waits for an answer
+                self._due_s = 0.0
+            if said["beat"] <= peer.beat:
+                return
+            peer.beat, peer.active, peer.term = said["beat"], said["active"], said["term"]
+            peer.heard_s, peer.lost_s = now_s, math.inf
+            if said["stops"]:
+                peer.heard_s = peer.answered_s = -math.inf
+            elif self.name in said["hears"]:
+                peer.answered_s = now_s
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         import zenoh
 
-        name = _name(sample)
         with self._lock:
-            if sample.kind == zenoh.SampleKind.PUT:
-                self._counts_until[name] = math.inf
-            elif name != self.name and name in self._counts_until:
-                self._counts_until[name] = time.monotonic() + self._takeover_s
-
-    def _on_resignation(self, sample: zenoh.Sample) -> None:
-        name = _name(sample)
-        with self._lock:
-            if name != self.name:
-                self._counts_until.pop(name, None)
+            peer = self._peers.get(_name(sample))
+            if peer is not None and sample.kind == zenoh.SampleKind.DELETE:
+                peer.lost_s = min(peer.lost_s, time.monotonic())
 
 
 def _name(sample: zenoh.Sample) -> str:

@@ -23,6 +23,7 @@ from monitor.service.log import ServiceLog
 from monitor.service.metrics_server import MetricsServer
 from monitor.service.station import Station
 from monitor.service.systemd import Notifier
+from monitor.service.watchdog import Watchdog
 
 if TYPE_CHECKING:
     from monitor.views.live_view import LiveView
@@ -95,6 +96,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
             if station.reloads != reloads:
                 notifier.ready(f"monitoring {len(station.services)} vehicles")
             notifier.feed(not inbox.stuck())
+            watchdog.feed()
             first_look.turn(steady_ns)
 
         daemon = Daemon(
@@ -105,7 +107,10 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         # What is kept for weeks need not be searched for garbage again and again, which takes longer than an alarm.
         gc.collect()
         gc.freeze()
+        watchdog = Watchdog()
+        stack.callback(watchdog.close)
         daemon.run()
+        watchdog.close()
         notifier.stopping()
         inbox.close()
         daemon.finish(_FINISH_S)

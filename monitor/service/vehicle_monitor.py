@@ -23,6 +23,7 @@ from monitor.estimate import Estimates
 from monitor.event import AlarmEvent, Severity
 from monitor.pipeline import Pipeline, handover_message
 from monitor.recording.archive import ArchiveStatistics
+from monitor.service.election import first_number
 from monitor.service.health import LinkHealth, ObserverHealth, VehicleHealth, VehicleState
 from monitor.service.latency import LatencyHistogram
 from monitor.service.telemetry_watch import TelemetryWatch
@@ -36,9 +37,8 @@ _VERSION = version("fauio")
 _SILENCE_NS = 100_000_000
 """Silence after which time passes by messages of its own: a tenth of the shortest time that an alarm counts (1 s)."""
 _BEHIND_S = 1.0
-_TAKEOVER_SEQ_GAP = 100
-"""Sequence numbers skipped on takeover: the other monitor may have assigned some that never arrived here. It publishes
-at most ten alarm events at once of a channel; chosen: far above what one burst can hold."""
+_FENCE_NS = 1_000_000_000
+"""Without an answer of the election for so long, nothing is published: another monitor takes over after 2 s."""
 _LARGEST_SEQ = 1 << 53
 _MOST_CHANNELS = 4096
 _LOSSES = ("late", "invalid", "untimed", "doubted", "incomplete", "skipped")
@@ -86,6 +86,7 @@ class VehicleMonitor:
         self._outlet: Publisher | None = None
         self._peer_events: dict[tuple[str, str], AlarmEvent] = {}
         self._peer_seq = 0
+        self._confirmed_ns: int | None = None
         self._shelved: Mapping[str, int] = {}
         self._layouts = {layout.observer: layout for layout in pipeline.layouts}
         self._latest: dict[str, Estimates] = {}
@@ -114,17 +115,20 @@ class VehicleMonitor:
         """Begin to publish, continuing the active alarms of an earlier run or of another monitor.
 
         ``alarms`` are the last events of the active alarms in the journal, ``seq`` is the number of its last event,
-        ``shelved`` says which channels operators had shelved in it, and until when. Events received from another
-        monitor are known already. :meth:`deactivate` closes the outlet.
+        behind which a new term of numbers begins, ``shelved`` says which channels operators had shelved in it, and
+        until when. Events received from another monitor are known already. :meth:`deactivate` closes the outlet.
         """
         self._outlet = outlet
         received = [event for event in self._peer_events.values() if event.state != "cleared"]
         active = {event.id: event for event in (*alarms, *received)}
-        seq = max(seq, self._peer_seq + _TAKEOVER_SEQ_GAP if self._peer_events else 0)
+        seq = first_number(max(seq, self._peer_seq, self.pipeline.desk.seq), now_ns)
         self._peer_events = {}
-        if active or seq or shelved or self.pipeline.desk.active:
-            in_order = sorted(active.values(), key=lambda event: event.seq)
-            self.process(pack([handover_message(in_order, seq, now_ns, shelved)]))
+        in_order = sorted(active.values(), key=lambda event: event.seq)
+        self.process(pack([handover_message(in_order, seq, now_ns, shelved)]))
+
+    def confirm(self, steady_ns: int) -> None:
+        """Note the steady time at which this monitor was still to be active; without, it always is."""
+        self._confirmed_ns = steady_ns
 
     def deactivate(self) -> None:
         """Stop publishing; go on monitoring on standby."""
@@ -327,6 +331,9 @@ class VehicleMonitor:
     def _publish(self, outputs: Sequence[Estimates | AlarmEvent]) -> list[AlarmEvent]:
         """Record all outputs, publish them where this monitor is active; return the published events."""
         outlet = self._outlet
+        if self._confirmed_ns is not None and time.monotonic_ns() - self._confirmed_ns > _FENCE_NS:
+            # It was away: another monitor may be active by now.
+            outlet = None
         events = []
         for output in outputs:
             if isinstance(output, Estimates):

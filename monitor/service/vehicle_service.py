@@ -10,17 +10,20 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from adapters.batch import pack
+from adapters.errors import UsageError
+from adapters.mavlink.signing import read_key
 from monitor.alarms.desk import DeskRule
 from monitor.bus.keys import vehicle_root
 from monitor.bus.operators import Operators
 from monitor.bus.publisher import Publisher
+from monitor.bus.seal import Seal
 from monitor.bus.subscriber import AlarmSubscriber
 from monitor.configuration.config import Config
 from monitor.event import AlarmEvent
 from monitor.pipeline import rules_message
 from monitor.profile import Profile
 from monitor.recording.archive import Archive
-from monitor.service.election import Election
+from monitor.service.election import Election, term_of
 from monitor.service.health import LinkHealth, VehicleHealth
 from monitor.service.vehicle_monitor import VehicleMonitor
 
@@ -70,6 +73,7 @@ class VehicleService:
         self._recordings = recordings
         self._links = links
         self._operators: Operators | None = None
+        self._seal: Seal | None = None
         self._election: Election | None = None
         self._others: AlarmSubscriber | None = None
         self._root = vehicle_root(config.prefix, monitor.name)
@@ -79,8 +83,11 @@ class VehicleService:
         monitor.process(pack([rules_message(desk, monitor.pipeline.profile, now_ns)]))
         if config.standby.enabled:
             # With history: events published while this monitor was not running belong in its journal too.
-            self._others = AlarmSubscriber(session, monitor.name, config.prefix, history=True)
-            self._election = Election(session, self._root, config.standby.takeover_s)
+            if config.standby.key_file is None:
+                raise UsageError("[standby] needs a key_file")
+            self._seal = Seal(read_key(config.standby.key_file).secret)
+            self._others = AlarmSubscriber(session, monitor.name, config.prefix, history=True, seal=self._seal)
+            self._election = Election(session, self._root, self._seal, config.standby.takeover_s)
         else:
             self._activate(now_ns)
 
@@ -128,7 +135,7 @@ class VehicleService:
             self._recordings.close()
 
     def _decide(self, steady_ns: int, now_ns: int) -> None:
-        if self._election is None or self._others is None:
+        if self._election is None or self._others is None or self._seal is None:
             return
         for _ in range(_PEER_EVENTS_AT_ONCE):
             if (event := self._others.receive(0.0)) is None:
@@ -141,11 +148,13 @@ class VehicleService:
         if away_ns > _AWAY_NS and self.monitor.active:
             # After a freeze of the process another monitor may be active: elect anew before publishing.
             self._election.close()
-            self._election = Election(self._session, self._root, self._config.standby.takeover_s)
-        leads = self._election.leads
+            self._election = Election(self._session, self._root, self._seal, self._config.standby.takeover_s)
+        leads = self._election.turn()
+        self.monitor.confirm(steady_ns)
         if leads and not self.monitor.active:
             logging.getLogger(__name__).warning("active for %s from now on", self.monitor.name)
             self._activate(now_ns)
+            self._election.term = term_of(self.monitor.pipeline.desk.seq)
             # A status at once shows the new active monitor.
             self._status_ns = steady_ns - STATUS_NS
         elif not leads and self.monitor.active:
@@ -160,7 +169,7 @@ class VehicleService:
         name, layouts = monitor.name, monitor.pipeline.layouts
         past = None if journal is None else functools.partial(journal.events, name, limit=_PAST_EVENTS)
         config, commands = self._config, self._config.commands
-        outlet = Publisher(self._session, name, layouts, config.prefix, config.estimate_rate_hz, journal=past)
+        outlet = Publisher(self._session, name, layouts, config.prefix, config.estimate_rate_hz, past, self._seal)
         monitor.activate(outlet, now_ns, *_remembered(journal, name))
         limits = commands.default_shelve_minutes, commands.max_shelve_minutes
         self._operators = Operators(self._session, self._root, commands.allow, *limits)
@@ -185,5 +194,5 @@ def _remembered(journal: Journal | None, vehicle: str) -> tuple[Sequence[AlarmEv
         return journal.active(vehicle), journal.last_seq(vehicle), journal.shelved(vehicle)
     except OSError as error:
         logging.getLogger(__name__).warning("alarms from before the start are not known: %s", error)
-        # Numbers used before would be mistaken for known events: the Unix time in seconds is above them all.
-        return (), int(time.time()), {}
+        # The new term of numbers is above all that were used before.
+        return (), 0, {}
