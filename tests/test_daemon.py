@@ -1,6 +1,7 @@
 """One daemon with several vehicles: who appears, who commands, what is kept, and what changes while it runs."""
 
 import json
+import shutil
 import signal
 import socket
 import subprocess
@@ -207,10 +208,7 @@ def test_vehicles_named_and_new_are_watched_commanded_recorded_and_journaled(
 def test_a_reload_changes_thresholds_without_losing_a_sample_and_a_wrong_one_changes_nothing(
     tmp_path: Path, quad_folder: Path, data: Path
 ) -> None:
-    profile = tmp_path / "quad"
-    profile.mkdir()
-    for file in quad_folder.iterdir():
-        (profile / file.name).write_bytes(file.read_bytes())
+    profile = Path(shutil.copytree(quad_folder, tmp_path / "quad"))
     daemon = RunningDaemon(tmp_path, profile, '[[vehicle]]\nname = "first"\nsystem = 1\n')
     try:
         subscriber = AlarmSubscriber(daemon.session)
