@@ -158,6 +158,16 @@ def one_message(columns: Columns, row: int) -> Message:
     )
 
 
+def arrival_times(batch: Batch) -> NDArray[np.int64]:
+    """Return the Unix time of arrival of each of n messages (n,), nanoseconds."""
+    times = np.zeros(batch.count, np.int64)
+    for columns in batch.columns:
+        times[columns.position] = columns.received_ns
+    for index, message in batch.others.items():
+        times[index] = message.received_ns
+    return times
+
+
 def memory_bytes(batch: Batch) -> int:
     """Return about how much memory a batch takes."""
     columns = 0

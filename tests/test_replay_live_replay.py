@@ -17,6 +17,7 @@ import zenoh
 from loopback import free_port, until
 
 import fauio
+from adapters.batch import messages
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.recordings import read_recording
 from adapters.logs.tlog import TlogReader
@@ -98,7 +99,7 @@ def test_packets_go_out_as_they_came_and_when_they_are_due(
         url = f"udp:127.0.0.1:{receiver.getsockname()[1]}"
         profile, task = read_profile(QUAD), LogTask(log.name, log)
         with LiveReplay(4.0, udp=url) as live:
-            names = [message.name for message in live.messages(profile, task, None)]
+            names = [message.name for batch in live.batches(profile, task, None) for message in messages(batch)]
         reader.join()
     assert received == [packet for _, packet in packets]
     assert "ATTITUDE" in names

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from adapters.batch import messages
+from adapters.batch import Batch, Columns, arrival_times
 from adapters.errors import StorageError, TelemetryError, UsageError
-from adapters.logs.mcap_log import MessageLogWriter
 from adapters.message import SECOND_NS, Message
 from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
+from monitor.recording.record_encoder import RecordEncoder
+from monitor.recording.recorder import Recorder
 from monitor.service.caught_signals import caught_signals
 from monitor.service.inbox import Inbox
 from monitor.service.links import FirstLook, open_links, signing_guard
@@ -87,8 +88,9 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
             opened = open_session(config.connect, config.listen, config.zenoh_config, config.zenoh_mode)
             session = stack.enter_context(opened)
         links = open_links(config, session, stack, signing_guard(config))
-        writer = stack.enter_context(MessageLogWriter(path))
-        writer.add_metadata("fauio", {"fauio": version("fauio")})
+        encoder = RecordEncoder(())
+        about = {"fauio": version("fauio")}
+        recorder = stack.enter_context(Recorder(path, encoder.topics, about, {}, strict=True))
         inbox = Inbox(config.inbox)
         stack.callback(inbox.close)
         for one in links:
@@ -98,9 +100,8 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
 
         def record(timeout_s: float) -> None:
             for arrival in inbox.take(timeout_s):
-                for message in messages(arrival.batch):
-                    tally.add(message)
-                    writer.write(message)
+                tally.add(arrival.batch)
+                recorder.record(encoder.batch(arrival.batch))
 
         flushed_ns = time.monotonic_ns()
         ends_ns: int | None = None
@@ -114,19 +115,20 @@ def _record(config: Config, path: Path, seconds: float | None, as_json: bool) ->
             first_look.turn(now_ns)
             if now_ns - flushed_ns >= SECOND_NS:
                 flushed_ns = now_ns
-                writer.flush()
+                recorder.flush()
                 _tell(f"{tally.seconds:.0f} s, {tally.names.total()} messages")
         inbox.close()
         while not inbox.empty:
             record(0.0)
         _tell("")
+        counts = recorder.statistics()
         return LiveRecording(
-            messages=writer.statistics().records,
+            messages=counts.records - counts.unrecordable,
             names=len(tally.names),
             systems=tuple(sorted(tally.systems)),
             seconds=tally.seconds,
             dropped=inbox.statistics().dropped,
-            unrecordable=writer.statistics().unrecordable,
+            unrecordable=encoder.unrecordable + counts.unrecordable,
             interrupted=signal.SIGINT in received,
             links=", ".join(one.name for one in links),
         )
@@ -141,12 +143,16 @@ class _Tally:
         self.first_ns: int | None = None
         self._last_ns = 0
 
-    def add(self, message: Message) -> None:
-        self.first_ns = message.received_ns if self.first_ns is None else self.first_ns
-        self._last_ns = message.received_ns
-        self.names[message.name] += 1
-        if message.source.is_telemetry and message.source.has_ids:
-            self.systems.add(message.system)
+    def add(self, batch: Batch) -> None:
+        times_ns = arrival_times(batch).tolist()
+        self.first_ns = times_ns[0] if self.first_ns is None else self.first_ns
+        self._last_ns = times_ns[-1]
+        self.names.update({columns.name: len(columns.position) for columns in batch.columns})
+        self.names.update(message.name for message in batch.others.values())
+        senders: list[Columns | Message] = [*batch.columns, *batch.others.values()]
+        for sender in senders:
+            if sender.source.is_telemetry and sender.source.has_ids:
+                self.systems.add(sender.system)
 
     @property
     def seconds(self) -> float:

@@ -7,15 +7,17 @@ import socket
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from itertools import pairwise
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Self
 
-from adapters.batch import pack
+import numpy as np
+
+from adapters.batch import Batch, arrival_times, cut
 from adapters.errors import UsageError
-from adapters.logs.recordings import read_recording, recording_kind
+from adapters.logs.recordings import read_batches, recording_kind
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink.byte_link import Address, resolve
-from adapters.message import Message
 from adapters.simulation.pacing import paced
 from monitor.bus.keys import alarm_key, vehicle_root
 from monitor.event import AlarmEvent
@@ -29,6 +31,8 @@ from replay.runs.one_log import LogTask
 if TYPE_CHECKING:
     import zenoh
 
+_BATCH_NS = 20_000_000
+"""What a daemon's links collect before they hand it over, unless configured otherwise: ``batch_ms``."""
 _SUBSCRIBER_S = 2.0
 """Chosen: subscribers have to be discovered before the first event; on a network that takes part of a second."""
 
@@ -70,17 +74,15 @@ class LiveReplay:
                 self._session = stack.enter_context(open_session(connect, listen))
             self._closers = stack.pop_all()
 
-    def messages(self, profile: Profile, task: LogTask, vehicle: str | None) -> Iterator[Message]:
-        """Return all messages of a log, each when it is due, after what it led to was published.
+    def batches(self, profile: Profile, task: LogTask, vehicle: str | None) -> Iterator[Batch]:
+        """Return all messages of a log, 20 ms of them when the last is due, after what they led to was published.
 
         A monitor of its own takes them first: what it says is published with the keys and payloads of the daemon, the
         status once a second of the log's time. It begins when somebody subscribes to alarms, at the latest after 2 s.
         Raises UsageError where the log cannot be read, or packets are to be sent and it holds none.
         """
         only = None if task.record else interests(profile)
-        source: Iterable[tuple[int, Message | bytes]] = (
-            (message.received_ns, message) for message in read_recording(task.path, only)
-        )
+        source: Iterable[tuple[int, Batch | bytes]] = _as_links_collect(read_batches(task.path, only))
         if self._to is not None:
             if recording_kind(task.path) != "tlog":
                 raise UsageError(f"{task.log}: --udp sends packets as they came, which only .tlog files hold")
@@ -98,18 +100,18 @@ class LiveReplay:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _sent(self, items: Iterable[Message | bytes]) -> Iterator[Message]:
-        """Send the packets among items, return the messages."""
+    def _sent(self, items: Iterable[Batch | bytes]) -> Iterator[Batch]:
+        """Send the packets among items, return the batches."""
         for item in items:
             if not isinstance(item, bytes):
                 yield item
             elif self._socket is not None and self._to is not None:
                 self._socket.sendto(item, self._to[1])
 
-    def _monitored(self, messages: Iterator[Message], pipeline: Pipeline) -> Iterator[Message]:
-        """Yield messages after a monitor of their vehicle has processed them and published the results."""
+    def _monitored(self, batches: Iterator[Batch], pipeline: Pipeline) -> Iterator[Batch]:
+        """Yield batches after a monitor of their vehicle has processed them and published the results."""
         if self._session is None:
-            yield from messages
+            yield from batches
             return
         from monitor.bus.publisher import Publisher
 
@@ -118,21 +120,30 @@ class LiveReplay:
         monitor: VehicleMonitor | None = None
         status_ns = now_ns = 0
         try:
-            for message in messages:
-                now_ns = message.received_ns
+            for batch in batches:
+                now_ns = int(arrival_times(batch)[-1])
                 if monitor is None:
                     monitor = VehicleMonitor(pipeline, (), None, self._on_event, now_ns)
                     monitor.activate(outlet, now_ns)
                     status_ns = now_ns
-                monitor.process(pack([message]), _since(now_ns))
+                monitor.process(batch, _since(now_ns))
                 if now_ns - status_ns >= STATUS_NS:
                     status_ns = now_ns
                     monitor.status(now_ns)
-                yield message
+                yield batch
             if monitor is not None and now_ns > status_ns:
                 monitor.status(now_ns)
         finally:
             outlet.close()
+
+
+def _as_links_collect(batches: Iterable[Batch]) -> Iterator[tuple[int, Batch]]:
+    """Return batches as a daemon gets them, each with the arrival of its last message."""
+    for batch in batches:
+        times_ns = arrival_times(batch)
+        ends = np.flatnonzero(np.diff(times_ns // _BATCH_NS)) + 1
+        for start, stop in pairwise((0, *ends.tolist(), batch.count)):
+            yield int(times_ns[stop - 1]), cut(batch, start, stop)
 
 
 def _await_subscriber(session: zenoh.Session, key: str) -> None:
@@ -149,7 +160,7 @@ def _matches(publisher: Any) -> bool:
 
 
 def _since(received_ns: int) -> Callable[[], int]:
-    """Return a clock that shows a message's time of arrival now: what it says later is how long the monitor took."""
+    """Return a clock that shows this time of arrival now: what it says later is how long the monitor took."""
     started_ns = time.monotonic_ns()
     return lambda: received_ns + time.monotonic_ns() - started_ns
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from adapters.errors import FauioError, OtherVehicleError
 from adapters.logs.damage import Damage
-from adapters.logs.recordings import Recording, packed, recorded_vehicle, recording_kind
+from adapters.logs.recordings import Recording, recorded_vehicle, recording_kind
 from monitor.event import AlarmEvent
 from monitor.fitting.progress import recording_bytes, track
 from monitor.profile import Profile
@@ -124,8 +124,7 @@ def _replay(
     recording = Recording(task.path, None if task.record else interests(profile), task.mapping)
     meter = RecordingMeter()
     if live is not None:
-        # One by one: what follows from a message is published before the next one is due.
-        batches = packed(live.messages(profile, task, vehicle), 1)
+        batches = live.batches(profile, task, vehicle)
     else:
         batches = recording.batches()
         if progress:
