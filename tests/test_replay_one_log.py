@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from loopback import event
 
 from adapters.logs.recordings import read_recording
-from adapters.message import Message
-from monitor.profile import Profile, read_profile
+from monitor.profile import read_profile
 from replay.player import interests, play
+from replay.runs.live_replay import LiveReplay
 from replay.runs.one_log import LogOutcome, LogTask, replay_log
 
 QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
 PROFILE = read_profile(QUAD)
 
 
-class AsItIs:
-    """Messages of a log without any pacing."""
-
-    def messages(self, profile: Profile, task: LogTask, vehicle: str | None) -> Iterator[Message]:
-        del vehicle
-        return read_recording(task.path, interests(profile))
-
-
-def test_a_log_is_told_as_it_plays_message_by_message(data: Path) -> None:
+def test_a_log_is_told_as_it_plays_also_as_if_live(data: Path) -> None:
     path = data / "copter_motor3_090.tlog.xz"
     read = list(read_recording(path, interests(PROFILE)))
     found = play(PROFILE, read)
-    for live in (None, AsItIs()):
+    for live in (None, LiveReplay()):
         outcome = replay_log(PROFILE, LogTask("the flight", path), live=live)
         assert outcome.events == found.events
         assert (outcome.samples, outcome.evidence) == (found.samples, found.evidence)
