@@ -35,7 +35,7 @@ from monitor.event import AlarmEvent, is_seq, valid_event
 from monitor.profile import Profile
 from monitor.sampling.gate import allows
 from monitor.sampling.identity import Identity
-from monitor.sampling.phase import FlightPhase
+from monitor.sampling.phase import CONTESTED, FlightPhase
 from monitor.sampling.sampler import SamplerStatistics
 
 RULES = "rules"
@@ -118,7 +118,7 @@ class Pipeline:
     @property
     def channels(self) -> frozenset[tuple[str, str]]:
         """Observer and channel of everything that can be an alarm, the desk's own left out."""
-        link = (link_alarms.SIGNING, link_alarms.HEARTBEAT)
+        link = (link_alarms.SIGNING, link_alarms.HEARTBEAT, link_alarms.IMPOSTOR)
         return frozenset(
             {(chain.layout.observer, channel) for chain in self._chains for channel in chain.channels}
             | {(link_alarms.OBSERVER, link_alarms.TELEMETRY), (blind.OBSERVER, blind.CHANNEL)}
@@ -131,6 +131,11 @@ class Pipeline:
         return self._stale.active
 
     @property
+    def contradictions(self) -> Sequence[str]:
+        """What arrived lately that two senders must have sent, a sentence each."""
+        return [CONTESTED[name] for name in self._phase.contested]
+
+    @property
     def blind(self) -> str | None:
         """What of a flying vehicle is not watched, and why; None where all is."""
         active = self._blind.active
@@ -138,7 +143,7 @@ class Pipeline:
 
     def watching(self, now_ns: int) -> dict[str, Watching]:
         """Return how each observer watches at a Unix time."""
-        return self._blind.watching(now_ns, self._clock.newest_ns, self._flies(), contested=False)
+        return self._blind.watching(now_ns, self._clock.newest_ns, *self._flight())
 
     @property
     def system(self) -> int:
@@ -244,6 +249,7 @@ class Pipeline:
         self._phase.feed(message)
         events = self._silence(now_ns)
         events += self._link.process(message, vehicle_ns)
+        events += self._link.contradict(self.contradictions, now_ns)
         if message.name in self._wanted:
             events += self._stale.follow(now_ns, vehicle_ns)
         return events
@@ -265,6 +271,9 @@ class Pipeline:
             SET_BACK_NS,
         )
         before_ns = self._clock.newest_ns
+        for report in arrivals.reports(start + 1, segment.stop):
+            # None of them changes the phase, but another may, with them.
+            self._phase.feed(report)
         for chain in self._chains:
             chain.enter(self._phase)
         batch = cut(arrivals.batch, start, segment.stop)
@@ -299,6 +308,10 @@ class Pipeline:
         if idle_ns:
             self._blind.wait_from(idle_ns)
 
+    def _flight(self) -> tuple[bool, bool]:
+        """Return whether evidence is expected, and whether what arrives contradicts itself."""
+        return self._flies(), bool(self.contradictions)
+
     def _flies(self) -> bool:
         """Return whether evidence is expected: in flight by what the vehicle reports, else by its commands."""
         if not allows(self.profile.gate, self._phase):
@@ -325,7 +338,7 @@ class Pipeline:
         if self._stale.active:
             self._link.silent()
             self._blind.pause(now_ns)
-        return events + self._blind.process(now_ns, self._clock.newest_ns, self._flies(), contested=False)
+        return events + self._blind.process(now_ns, self._clock.newest_ns, *self._flight())
 
     def _through_desk(self, events: Iterable[AlarmEvent]) -> list[AlarmEvent]:
         return [published for event in events for published in self._desk.process(event)]

@@ -52,3 +52,59 @@ def test_other_messages_change_nothing() -> None:
     phase.feed(Message(ZENOH, "HEARTBEAT", 0, {"base_mode": 209}))
     phase.feed(mavlink("HEARTBEAT"))
     assert (phase.armed, phase.landed) == (None, None)
+
+
+def beat(at_s: float, mode: int, kind: int = 2) -> Message:
+    fields = {"type": kind, "autopilot": 3, "base_mode": mode}
+    return Message(MAVLINK, "HEARTBEAT", round(at_s * 1e9), fields, 1, 1)
+
+
+def landed(at_s: float, state: int) -> Message:
+    return Message(MAVLINK, "EXTENDED_SYS_STATE", round(at_s * 1e9), {"landed_state": state}, 1, 1)
+
+
+def states(messages: list[Message]) -> list[tuple[bool | None, str | None, tuple[str, ...]]]:
+    phase, found = FlightPhase(), []
+    for message in sorted(messages, key=lambda message: message.received_ns):
+        phase.feed(message)
+        found.append((phase.armed, phase.landed, phase.contested))
+    return found
+
+
+def test_heartbeats_of_two_senders_are_contested_and_the_vehicle_stays_armed() -> None:
+    true = [beat(second, 209) for second in range(45)]
+    forged = [beat(10.4 + second, 81) for second in range(10)]
+    found = states(true + forged)
+    assert found[9] == (True, None, ())
+    first = next(place for place, (_, _, contested) in enumerate(found) if contested)
+    assert first <= 10 + 5
+    assert all(armed and contested == ("HEARTBEAT",) for armed, _, contested in found[first:29])
+    assert found[-1] == (True, None, ())
+
+
+def test_landed_states_of_two_senders_are_contested_at_less_than_the_usual_rate() -> None:
+    true = [landed(0.5 * step, 2) for step in range(60)]
+    found = states(true + [landed(10.2 + 2.0 * step, 1) for step in range(8)])
+    first = next(place for place, (_, _, contested) in enumerate(found) if contested)
+    assert first < 20 + 14
+    assert all(state == "air" for _, state, contested in found if contested)
+
+
+def test_a_landing_that_bounces_is_no_contest() -> None:
+    says = [2] * 20 + [4, 4, 1, 2, 1, 2, 1, 1, 1, 1]
+    found = states([landed(0.5 * step, state) for step, state in enumerate(says)])
+    assert all(not contested for _, _, contested in found)
+    assert found[-1][1] == "ground"
+
+
+def test_a_landing_reported_over_two_links_a_second_apart_is_no_contest() -> None:
+    says = [209] * 10 + [81] * 10
+    found = states([beat(at + delay, mode) for at, mode in enumerate(says) for delay in (0.02, 1.2)])
+    assert all(not contested for _, _, contested in found)
+    assert found[-1][0] is False
+
+
+def test_a_contest_ends_with_the_true_reports_on_the_ground() -> None:
+    true = [beat(at, 209 if at < 20 else 81) for at in range(40)]
+    found = states(true + [beat(10.4 + at, 81) for at in range(12)])
+    assert found[-1] == (False, None, ())

@@ -5,6 +5,7 @@ Decided on messages and their times of arrival alone, like everything in the pip
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
@@ -16,6 +17,7 @@ OBSERVER = "link"
 SIGNING = "signing"
 HEARTBEAT = "link"
 TELEMETRY = "telemetry"
+IMPOSTOR = "impostor"
 
 _QUIET_NS = 10_000_000_000
 """Time without a wrong signature after which an attack is over; chosen, as long as the heartbeat's."""
@@ -36,7 +38,8 @@ class LinkAlarms:
 
     ``signing`` is raised by the first packet whose signature is forged, replayed or missing where one is required,
     reports once a second how many there were, and clears after 10 s without another. ``link`` is raised where other
-    telemetry goes on but the autopilot's heartbeat has not come for 10 s.
+    telemetry goes on but the autopilot's heartbeat has not come for 10 s. ``impostor`` is active while messages
+    contradict each other so that two senders must have sent them.
     """
 
     def __init__(self, vehicle: str) -> None:
@@ -84,6 +87,16 @@ class LinkAlarms:
         """Follow messages that cause nothing: the newest heartbeat, the vehicle's time at the last of them."""
         self._vehicle_ms = vehicle_ns // 1_000_000
         self._heartbeat_ns = heartbeat_ns or self._heartbeat_ns
+
+    def contradict(self, contested: Sequence[str], now_ns: int) -> list[AlarmEvent]:
+        """Follow what contradicts itself at a Unix time, a sentence each; return the events that a change causes."""
+        active = self._active.get(IMPOSTOR)
+        if not contested:
+            return [] if active is None else [self._clear(IMPOSTOR, now_ns, "nothing contradicts itself any more")]
+        text = f"a second sender speaks in the vehicle's name: {'; '.join(contested)}"
+        if active is None:
+            return [self._raise(IMPOSTOR, "security", "critical", now_ns, None, "", text)]
+        return [] if active.message == text else [self._event(IMPOSTOR, active, "updated", now_ns, None, text)]
 
     def quiet(self, now_ns: int) -> list[AlarmEvent]:
         """Let Unix time come to ``now_ns``; return the events that this causes."""
@@ -138,7 +151,7 @@ class LinkAlarms:
             severity=severity,
             estimate=size,
             unit=unit,
-            threshold=1.0 if channel == SIGNING else HEARTBEAT_NS / 1e9,
+            threshold=HEARTBEAT_NS / 1e9 if channel == HEARTBEAT else 1.0,
             time_ns=now_ns,
             vehicle_time_ms=self._vehicle_ms,
             message=text,

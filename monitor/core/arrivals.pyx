@@ -132,9 +132,9 @@ cdef class Arrivals:
             message = self._reports[i]
             if is_autopilot_heartbeat(message):
                 self._arrivals[<Py_ssize_t>i].marks |= HEARTBEAT
-            before = follower.copy()
+            before = follower.state
             follower.feed(message)
-            if follower != before:
+            if follower.state != before:
                 self._arrivals[<Py_ssize_t>i].marks |= BEGINS
         return 0
 
@@ -182,6 +182,10 @@ cdef class Arrivals:
         if report is None:
             return Message(owner.source, owner.name, arrival.received, {}, owner.system, owner.component)
         return report
+
+    def reports(self, Py_ssize_t start, Py_ssize_t stop):
+        """Return the messages start <= i < stop of the flight phase, in their order."""
+        return [self._reports[i] for i in sorted(self._reports) if start <= i < stop]
 
     def received_ns(self, Py_ssize_t i):
         """Return when a message arrived."""

@@ -1,8 +1,16 @@
-"""Flight phase as the vehicle reports it: armed or not, on the ground or in the air; and which vehicle it is."""
+"""Flight phase as the vehicle reports it: armed or not, on the ground or in the air; and which vehicle it is.
+
+The newest report holds, unless two senders answer by turns. Reports of one sender keep their period, and of a value
+that changes and changes back the reports around it are two periods apart. Where another's come in between they are
+one. So reports are contested from the third such change within 10 s on, or from the eighth change of any kind; then
+the vehicle is taken to be the one that flies as long as reports say so: watched on the ground it may raise an alarm too
+many, not watched in the air it may fall.
+"""
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from itertools import pairwise
+from typing import ClassVar, Literal, NamedTuple
 
 from adapters.mavlink.heartbeat import ARMED, is_autopilot_heartbeat
 from adapters.message import Message
@@ -13,6 +21,70 @@ Landed = Literal["ground", "air", "takeoff", "landing"]
 
 # The values of MAV_LANDED_STATE.
 _LANDED: dict[int, Landed] = {1: "ground", 2: "air", 3: "takeoff", 4: "landing"}
+CONTESTED = {
+    "HEARTBEAT": "its HEARTBEAT says by turns that it is armed and that it is not, or another vehicle",
+    "EXTENDED_SYS_STATE": "its EXTENDED_SYS_STATE says by turns that it flies and that it does not",
+}
+"""What contradicts itself, by message."""
+_WINDOW_NS = 10_000_000_000
+"""Over which changes are counted: ten heartbeats at MAVLink's rate of one a second."""
+_TURNS = 3
+"""Changes within one period that are an attack. Two come from one landing where two links of a vehicle differ by a
+second; a second sender at the vehicle's own rate makes them in 2 s."""
+_CHANGES = 8
+"""Changes at any rate that are one: landing and bouncing twice are six. A second sender makes them in 4 s."""
+_PERIODS = 1.5
+"""Longest step that is one period and not two, of reports with a jitter of half a period."""
+_RECENT_NS = 3_000_000_000
+"""How long a contested report counts: three heartbeats, as one or two may be lost."""
+_MOST_REPORTS = 64
+"""Reports that are remembered. Chosen: at 6 Hz more than the window, and a flood of them costs no more."""
+
+
+class Said(NamedTuple):
+    """Newest reports on one matter: times of arrival and values, and until when they are contested."""
+
+    times: tuple[int, ...] = ()
+    values: tuple[object, ...] = ()
+    until_ns: int = 0
+
+    def after(self, now_ns: int, value: object) -> Said:
+        """Return what is remembered after another report."""
+        first = next((i for i, time in enumerate(self.times) if 0 <= now_ns - time < _WINDOW_NS), len(self.times))
+        first = max(first, len(self.times) - _MOST_REPORTS + 1)
+        times, values = (*self.times[first:], now_ns), (*self.values[first:], value)
+        until_ns = self.until_ns if self.until_ns - now_ns <= _WINDOW_NS else 0
+        if values.count(value) < len(values) and _contested(times, values):
+            until_ns = now_ns + _WINDOW_NS // 2
+        return Said(times, values, until_ns)
+
+    @property
+    def contested(self) -> bool:
+        """Whether two senders answer by turns."""
+        return bool(self.times) and self.times[-1] < self.until_ns
+
+    def recent(self) -> list[object]:
+        """Return the values of the last seconds."""
+        return [
+            value for time, value in zip(self.times, self.values, strict=True) if self.times[-1] - time < _RECENT_NS
+        ]
+
+
+def _contested(times: tuple[int, ...], values: tuple[object, ...]) -> bool:
+    changes = sum(a != b for a, b in pairwise(values))
+    if changes >= _CHANGES:
+        return True
+    steps = sorted(b - a for (a, x), (b, y) in pairwise(zip(times, values, strict=True)) if x == y)
+    if not steps:
+        return False
+    one_period = _PERIODS * steps[len(steps) // 2]
+    return (
+        sum(
+            values[i - 1] == values[i + 1] != values[i] and times[i + 1] - times[i - 1] <= one_period
+            for i in range(1, len(values) - 1)
+        )
+        >= _TURNS
+    )
 
 
 class FlightPhase:
@@ -33,6 +105,8 @@ class FlightPhase:
         What the vehicle has said of itself.
     contradiction : str | None
         What says that it is another vehicle than the one the profile was fitted to; None where nothing does.
+    contested : tuple[str, ...]
+        Names of the messages that two senders answer by turns.
     interests : frozenset[str]
         Names of the messages it reads.
     """
@@ -44,12 +118,15 @@ class FlightPhase:
         self.landed: Landed | None = None
         self.reports = Reports()
         self.contradiction: str | None = None
+        self.contested: tuple[str, ...] = ()
         self._fitted = fitted
+        self._beats = Said()
+        self._landings = Said()
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, FlightPhase) and vars(self) == vars(other)
-
-    __hash__ = None  # type: ignore[assignment]
+    @property
+    def state(self) -> tuple[object, ...]:
+        """All that decides something now; what else is remembered may change without a consequence."""
+        return self.armed, self.landed, self.reports, self.contradiction, self.contested
 
     def copy(self) -> FlightPhase:
         """Return a phase of its own with the same state."""
@@ -61,16 +138,33 @@ class FlightPhase:
         """Follow a message; one of no interest changes nothing."""
         if message.name not in self.interests:
             return
-        reports = self.reports.after(message)
-        if reports is not self.reports:
-            self.reports = reports
-            self.contradiction = None if self._fitted is None else reports.identity.contradiction(self._fitted)
+        now_ns, is_heartbeat = message.received_ns, is_autopilot_heartbeat(message)
+        if is_heartbeat:
+            said = message.fields
+            mode = said.get("base_mode")
+            armed = bool(mode & ARMED) if isinstance(mode, int) else None
+            self._beats = self._beats.after(now_ns, (armed, said.get("type"), said.get("autopilot")))
+        self._identify(message)
         if message.source is not MAVLINK:
             return
         if message.name == "EXTENDED_SYS_STATE":
             state = message.fields.get("landed_state")
             self.landed = _LANDED.get(state) if isinstance(state, int) else None
-        elif is_autopilot_heartbeat(message):
-            mode = message.fields.get("base_mode")
-            if isinstance(mode, int):
-                self.armed = bool(mode & ARMED)
+            self._landings = self._landings.after(now_ns, self.landed)
+            if self._landings.contested and "air" in self._landings.recent():
+                self.landed = "air"
+        elif is_heartbeat and isinstance(mode, int):
+            self.armed = armed
+            if self._beats.contested:
+                self.armed = any(isinstance(one, tuple) and one[0] for one in self._beats.recent())
+        contests = {"HEARTBEAT": self._beats, "EXTENDED_SYS_STATE": self._landings}
+        self.contested = tuple(name for name, said in contests.items() if said.contested)
+
+    def _identify(self, message: Message) -> None:
+        """Follow what a message says of which vehicle it is."""
+        reports = self.reports.after(message)
+        if reports is self.reports:
+            return
+        contradiction = None if self._fitted is None else reports.identity.contradiction(self._fitted)
+        if contradiction is None or not self._beats.contested:
+            self.reports, self.contradiction = reports, contradiction

@@ -49,6 +49,7 @@ class VehicleHealth:
     name: str
     state: VehicleState  # as in its status topic
     blind: str | None = None  # what of it is not watched although it flies, and why; None where all is
+    impostor: str | None = None  # what says that another sender speaks in its name; None where nothing does
     messages: int = 0  # messages that its pipeline took
     dropped: int = 0  # messages for it that were dropped before
     events: int = 0
@@ -123,6 +124,8 @@ def problems(health: Health) -> list[str]:
     if process.inbox_capacity and process.inbox_depth >= process.inbox_capacity:
         found.append(f"the inbox is full ({process.inbox_depth} messages): messages are dropped")
     for vehicle in health.vehicles:
+        if vehicle.impostor is not None:
+            found.append(f"{vehicle.name}: a second sender speaks in its name: {vehicle.impostor}")
         if vehicle.blind is not None:
             found.append(f"{vehicle.name}: {vehicle.blind}")
         if vehicle.recorder is not None and vehicle.recorder.trouble is not None:

@@ -246,6 +246,7 @@ class VehicleMonitor:
             self._watch.pause(now_ns)
         else:
             lacks = self._watch.lacks(now_ns)
+            reasons += self.pipeline.contradictions
             reasons += lacks if self.pipeline.blind is None else [self.pipeline.blind]
         if behind:
             reasons.append(f"the monitor does not keep up: {recent.p99_s:.1f} s behind")
@@ -305,6 +306,7 @@ class VehicleMonitor:
             name=self.name,
             state=state,
             blind=self.pipeline.blind,
+            impostor="; ".join(self.pipeline.contradictions) or None,
             messages=self.messages,
             events=self.events,
             active={severity: severities.count(severity) for severity in get_args(Severity)},

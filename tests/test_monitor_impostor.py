@@ -1,0 +1,88 @@
+"""Forged messages beside true ones raise ``link/impostor``, and the watch goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from adapters.logs.recordings import packed, read_recording
+from adapters.message import Message
+from adapters.source import MAVLINK
+from monitor.event import AlarmEvent
+from monitor.pipeline import Pipeline
+from monitor.profile import Profile
+
+Forge = Callable[[list[Message], int], Message]
+
+
+def disarmed(sent: list[Message], now_ns: int) -> Message:
+    del sent
+    return Message(MAVLINK, "HEARTBEAT", now_ns, {"type": 2, "autopilot": 3, "base_mode": 81, "system_status": 3}, 1, 1)
+
+
+def another_vehicle(sent: list[Message], now_ns: int) -> Message:
+    return replace(disarmed(sent, now_ns), fields={"type": 1, "autopilot": 3, "base_mode": 209})
+
+
+def on_ground(sent: list[Message], now_ns: int) -> Message:
+    del sent
+    return Message(MAVLINK, "EXTENDED_SYS_STATE", now_ns, {"vtol_state": 0, "landed_state": 1}, 1, 1)
+
+
+def with_forged(messages: list[Message], forge: Forge, period_s: float, start_s: float = 0.3) -> list[Message]:
+    """Return messages with one that is forged every so often."""
+    made: list[Message] = []
+    due_ns = messages[0].received_ns + round(start_s * 1e9)
+    for message in messages:
+        while message.received_ns >= due_ns:
+            made.append(forge(made, due_ns))
+            due_ns += round(period_s * 1e9)
+        made.append(message)
+    return made
+
+
+def events_of(profile: Profile, messages: list[Message], pipeline: Pipeline | None = None) -> list[AlarmEvent]:
+    pipeline = pipeline or Pipeline(profile)
+    outputs = [output for batch in packed(messages) for output in pipeline.run(batch)]
+    return [event for event in outputs if isinstance(event, AlarmEvent)]
+
+
+@pytest.mark.parametrize(
+    ("forge", "period_s", "names"),
+    [
+        (disarmed, 1.0, "HEARTBEAT"),
+        (disarmed, 0.5, "HEARTBEAT"),
+        (another_vehicle, 1.0, "HEARTBEAT"),
+        (on_ground, 0.9, "EXTENDED_SYS_STATE"),
+    ],
+)
+def test_forged_reports_are_an_impostor_and_hide_no_fault(
+    quad_profile: Profile, data: Path, forge: Forge, period_s: float, names: str
+) -> None:
+    messages = list(read_recording(data / "copter_motor2_080.tlog.xz"))
+    [plain] = [event for event in events_of(quad_profile, messages) if event.state == "raised"]
+    events = events_of(quad_profile, with_forged(messages, forge, period_s))
+    [impostor] = [event for event in events if event.channel == "impostor"]
+    assert (impostor.observer, impostor.kind, impostor.severity) == ("link", "security", "critical")
+    assert names in impostor.message
+    assert impostor.time_ns - messages[0].received_ns < 5_000_000_000
+    [motor] = [event for event in events if event.channel == "motor2" and event.state == "raised"]
+    assert abs(motor.time_ns - plain.time_ns) < 100_000_000
+
+
+def test_a_healthy_flight_has_no_impostor(quad_profile: Profile, data: Path) -> None:
+    for name in ("copter_healthy_square", "copter_healthy_vel_gusty"):
+        assert events_of(quad_profile, list(read_recording(data / f"{name}.tlog.xz"))) == []
+
+
+def test_the_alarm_clears_when_the_forgeries_end(quad_profile: Profile, data: Path) -> None:
+    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
+    half = len(messages) // 2
+    attacked = [*with_forged(messages[:half], disarmed, 1.0), *messages[half:]]
+    assert [(event.channel, event.state) for event in events_of(quad_profile, attacked)] == [
+        ("impostor", "raised"),
+        ("impostor", "cleared"),
+    ]
