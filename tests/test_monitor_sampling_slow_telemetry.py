@@ -92,3 +92,12 @@ def test_a_command_that_holds_until_the_next_one_may_come_seldom(quad_profile: P
     held = tuple(replace(channel, interpolation="previous") for channel in source.inputs)
     found = spanned(replace(source, inputs=held), 100.0, dict.fromkeys(FAST, 4.0))
     assert set(found) == {channel.message for channel in source.outputs}
+
+
+def test_a_replay_of_a_log_far_slower_than_the_profile_says_so(
+    slow_log: Path, quad_folder: Path, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fauio.main(["replay", str(quad_folder), str(slow_log)]) == 0
+    assert "; motors sees faults late or not at all: ATTITUDE 10 Hz, " in capsys.readouterr().out
+    assert fauio.main(["replay", str(quad_folder), str(data / "copter_wind_step.tlog.xz")]) == 0
+    assert "late or not at all" not in capsys.readouterr().out

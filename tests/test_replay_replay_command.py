@@ -62,6 +62,10 @@ def test_a_log_without_the_profiles_messages_is_a_failure(tmp_path: Path, capsys
     assert fauio.main(["replay", QUAD, str(log), "--json"]) == 2
     said = capsys.readouterr()
     assert "no samples; the log lacks channels of the profile" in said.err
+    assert "(needed: ATTITUDE, " in said.err
+    assert "motors saw nothing (no " in said.err
+    # what operators send is none of the vehicle's
+    assert "shelve" not in said.err
     assert "no samples" in json.loads(said.out)["error"]
 
 

@@ -79,3 +79,12 @@ def spanned(source: SampleSource, rate_hz: float, rates: Mapping[str, float]) ->
     if source.transform is not None:
         names -= _seldom(source.channels)
     return {name: rate_hz / rates[name] for name in sorted(names) if 0.0 < rates.get(name, 0.0) < rate_hz / _SPANNED}
+
+
+def seldom_text(observer: str, source: SampleSource, rate_hz: float, rates: Mapping[str, float]) -> str | None:
+    """Return a line about an observer that samples much faster than its messages come; None where it does not."""
+    slow = spanned(source, rate_hz, rates)
+    if not slow:
+        return None
+    seldom = ", ".join(f"{name} {rates[name]:.2g} Hz" for name in slow)
+    return f"{observer} sees faults late or not at all: {seldom} for {rate_hz:g} samples a second"

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from monitor.profile import ObserverProfile
-from monitor.sampling.slow_telemetry import spanned
+from monitor.sampling.slow_telemetry import seldom_text
 
 _LACKING_NS = 5_000_000_000
 """Chosen: ten times the half second of silence that is a gap; a message that long away does not come."""
@@ -101,8 +101,4 @@ class TelemetryWatch:
             return None
         # by the vehicle's clock, which in a simulation may run at another speed
         rates = {name: observer.rate_hz * count / samples for name, count in self._counts.items()}
-        slow = spanned(observer.source, observer.rate_hz, rates)
-        if not slow:
-            return None
-        seldom = ", ".join(f"{name} {rates[name]:.2g} Hz" for name in slow)
-        return f"{observer.name} sees faults late or not at all: {seldom} for {observer.rate_hz:g} samples a second"
+        return seldom_text(observer.name, observer.source, observer.rate_hz, rates)

@@ -60,6 +60,14 @@ class RecordingFacts:
         return 0.0 if self.first_ns is None or self.last_ns is None else (self.last_ns - self.first_ns) * 1e-9
 
     @property
+    def rates(self) -> dict[str, float]:
+        """Messages per second by name, of the sender that sent most often."""
+        rates: dict[str, float] = {}
+        for stream in self.streams:
+            rates[stream.name] = max(rates.get(stream.name, 0.0), stream.rate_hz)
+        return rates
+
+    @property
     def messages(self) -> int:
         """Number of messages."""
         return sum(stream.count for stream in self.streams)

@@ -105,9 +105,7 @@ def _bridged(observer: ObserverProfile, watch: Watch) -> Iterator[Unchecked]:
 
 def _interpolated(observer: ObserverProfile, facts: RecordingFacts) -> Iterator[Unchecked]:
     """Say which messages come much more seldom than the observer samples."""
-    rates: dict[str, float] = {}
-    for stream in facts.streams:
-        rates[stream.name] = max(rates.get(stream.name, 0.0), stream.rate_hz)
+    rates = facts.rates
     spans = spanned(observer.source, observer.rate_hz, rates)
     if spans:
         seldom = _and([f"{name} {rates[name]:.3g} times a second" for name in spans])

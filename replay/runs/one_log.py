@@ -15,11 +15,12 @@ from adapters.logs.recordings import Recording, recorded_vehicle, recording_kind
 from monitor.event import AlarmEvent
 from monitor.fitting.progress import recording_bytes, track
 from monitor.profile import Profile
+from monitor.sampling.slow_telemetry import seldom_text
 from monitor.views.panels import RunView, TrueSizes
 from replay.attacks.inject import known_truth
 from replay.inspection.log_info import first_raised
 from replay.player import Replay, interests, play_batches
-from replay.reports.recording_facts import RecordingMeter
+from replay.reports.recording_facts import RecordingFacts, RecordingMeter
 
 if TYPE_CHECKING:
     from replay.runs.live_replay import LiveReplay
@@ -140,7 +141,7 @@ def _replay(
         force=task.force,
     )
     facts = meter.facts()
-    verdict = _verdict(found, profile, facts.last_ns or 0)
+    verdict = _verdict(found, profile, facts)
     truth = known_truth(task.path, found.traces) if task.plot or task.rrd or task.report else {}
     _write(profile, task, found, truth, f"{Path(task.log).name}: {verdict}")
     if task.report:
@@ -193,11 +194,13 @@ def _write(profile: Profile, task: LogTask, found: Replay, truth: TrueSizes, tit
         write_rrd(task.rrd, shown)
 
 
-def _verdict(found: Replay, profile: Profile, end_ns: int) -> str:
+def _verdict(found: Replay, profile: Profile, facts: RecordingFacts) -> str:
     """Return in a sentence what a replay found."""
+    blind = "".join(f"; {name} saw nothing (no {', '.join(lacks)})" for name, lacks in found.lacking.items())
     if not found.samples:
-        needed = ", ".join(sorted(interests(profile)))
-        return f"no samples; the log lacks channels of the profile (needed: {needed})"
+        channels = (channel for observer in profile.observers for channel in observer.source.channels)
+        needed = ", ".join(sorted({channel.message for channel in channels}))
+        return f"no samples; the log lacks channels of the profile (needed: {needed}){blind}"
     if not found.evidence and found.mismatch is not None:
         return f"nothing was watched; {found.mismatch}"
     if not found.evidence:
@@ -208,10 +211,11 @@ def _verdict(found: Replay, profile: Profile, end_ns: int) -> str:
     other = f"; {found.mismatch}" if found.mismatch is not None else ""
     raised = len(first_raised(found.events))
     alarms = {0: "no alarm", 1: "1 alarm"}.get(raised, f"{raised} alarms")
-    blind = "".join(f"; {name} saw nothing (no {', '.join(lacks)})" for name, lacks in found.lacking.items())
-    unwatched_s = sum(seconds for _, seconds in found.unwatched(end_ns))
+    sparse = (seldom_text(one.name, one.source, one.rate_hz, facts.rates) for one in profile.observers)
+    late = "".join(f"; {line}" for line in sparse if line)
+    unwatched_s = sum(seconds for _, seconds in found.unwatched(facts.last_ns or 0))
     part = f"; not all was watched for {unwatched_s:.0f} s of flight" if unwatched_s else ""
-    return f"{alarms} in {found.watched_s:.0f} s of watched flight{blind}{part}{other}"
+    return f"{alarms} in {found.watched_s:.0f} s of watched flight{blind}{part}{late}{other}"
 
 
 def _reason(task: LogTask, error: Exception) -> str:
