@@ -79,6 +79,7 @@ DISTORTIONS: Mapping[str, Distortion] = {
     "50 % lost": partial(loss, 0.5),
     "bursts 50 ms, 20 %": partial(bursts, 0.05, 0.2),
     "bursts 100 ms, 20 %": partial(bursts, 0.1, 0.2),
+    "bursts 100 ms, 2.5 a second": partial(bursts, 0.1, 0.25),
     "bursts 300 ms, 20 %": partial(bursts, 0.3, 0.2),
     "bursts 1 s, 20 %": partial(bursts, 1.0, 0.2),
     "jitter 50 ms": partial(jitter, 0.05, False),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -152,12 +152,12 @@ def until(messages: Iterable[Message], end_ms: int | None) -> Iterator[Message]:
         yield message
 
 
-def read_flights(folder: Path) -> list[Flight]:
-    """Return the flights of a folder whose recording is there."""
+def read_flights(folder: Path, recordings: Sequence[str] = _RECORDINGS) -> list[Flight]:
+    """Return the flights of a folder whose recording is there: what follows its name, the first that there is."""
     flights = []
     for path in sorted(folder.glob("*.json")):
         entry = json.loads(path.read_text(encoding="utf-8"))
-        logs = (folder / f"{path.stem}{suffix}" for suffix in _RECORDINGS)
+        logs = (folder / f"{path.stem}{suffix}" for suffix in recordings)
         log = next((log for log in logs if log.is_file()), None)
         if log is not None and isinstance(entry, dict) and "vehicle" in entry:
             flights.append(flight(entry, path.stem, log))
