@@ -4,8 +4,8 @@
 
 FLIGHTS is a folder of recordings with their truth (:mod:`flights`); ENDING chooses between several of one flight.
 PROFILES has a profile for each group of them, in a folder named after the group (``copter-quad``,
-``copter-quad-noisy-sensors``); what is missing is fitted on the healthy flights of the group and kept there. A delay goes
-from the fault's onset to the arrival of the message that raises the alarm, as they come on the undistorted link.
+``copter-quad-noisy-sensors``); what is missing is fitted on the healthy flights of the group and kept there. A delay
+goes from the fault's onset to the arrival of the message that raises the alarm, as they come on the undistorted link.
 """
 
 from __future__ import annotations
