@@ -100,7 +100,7 @@ def read_model(path: str | Path) -> Plant:
 
 def write_model(plant: Plant, path: str | Path) -> None:
     """Write a plant model with tables by name; :func:`read_model` gives an equal plant back."""
-    write_file(path, _text(_document(plant)))
+    write_file(path, _text(model_document(plant)))
 
 
 def model_hash(plant: Plant) -> str:
@@ -256,8 +256,8 @@ def _errors(table: Table, states: Sequence[str]) -> FloatArray:
     return errors
 
 
-def _document(plant: Plant) -> dict[str, Any]:
-    """Return the document of a plant, leaving out what is default."""
+def model_document(plant: Plant) -> dict[str, Any]:
+    """Return the tables of a plant's model file, leaving out what is default."""
     document: dict[str, Any] = {"name": plant.name}
     if plant.description:
         document["description"] = plant.description

