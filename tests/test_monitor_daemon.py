@@ -1,7 +1,4 @@
-"""The daemon's loop: what had arrived when it was told to end is taken, as far as there is time; clips can wait."""
-
-from collections.abc import Sequence
-from typing import Any, cast
+"""The daemon's loop: what had arrived when it was told to end is taken, as far as there is time."""
 
 import pytest
 
@@ -38,35 +35,3 @@ def test_what_waits_at_the_end_is_taken_within_the_time_there_is(
     daemon.finish(patience_s)
     assert vehicle.messages == taken
     assert inbox.statistics().waiting == WAITING - taken
-
-
-class Clips:
-    """A service that has so many portions of clips to write."""
-
-    def __init__(self, name: str, portions: int, inbox: Inbox, written: list[str]) -> None:
-        self.name, self.left, self.inbox, self.written = name, portions, inbox, written
-
-    def work(self, steady_ns: int, now_ns: int, troubles: Sequence[str]) -> None: ...
-
-    def work_on_clips(self, now_ns: int) -> bool:
-        if not self.left:
-            return False
-        assert self.inbox.empty
-        self.left -= 1
-        self.written.append(self.name)
-        return True
-
-
-def test_clips_are_written_by_turns_once_no_message_waits(quad_profile: Profile, inbox: Inbox) -> None:
-    written: list[str] = []
-    services = [Clips("one", 3, inbox, written), Clips("two", 1, inbox, written), Clips("three", 2, inbox, written)]
-    vehicle = VehicleMonitor(Pipeline(quad_profile, "one", 1), (), None, lambda event: None, 0)
-
-    def every_turn(steady_ns: int) -> None:
-        if not any(service.left for service in services):
-            daemon.stop()
-
-    daemon = Daemon(inbox, Fleet([vehicle]), lambda: cast(Any, services), lambda: (), every_turn)
-    daemon.run()
-    assert written == ["two", "three", "one", "three", "one", "one"]
-    assert vehicle.messages == WAITING

@@ -1,8 +1,7 @@
 """The journal: every alarm event exactly once, on disk before it is published, whatever becomes of the process.
 
-An SQLite database in WAL mode. What :meth:`Journal.write` has committed survives ``kill -9``; a power cut can take
-events that the operating system had not yet put on the disk, those since the last :meth:`Journal.sync`, and never
-damages earlier ones.
+An SQLite database in WAL mode, whose every commit waits for the disk (``synchronous = FULL``): what
+:meth:`Journal.write` has committed survives ``kill -9`` and a power cut.
 """
 
 from __future__ import annotations
@@ -144,7 +143,7 @@ class JournalStatistics:
 class Journal:
     """Append-only journal of alarm events with one writer in this process and readers in any thread.
 
-    No trouble of the disk raises from :meth:`write`, :meth:`retry`, :meth:`sync` or :meth:`close`: events wait in
+    No trouble of the disk raises from :meth:`write`, :meth:`retry` or :meth:`close`: events wait in
     memory, in order, until :meth:`retry` (called once a second) can write them. Queries give the events on disk, each
     over a connection of its own, so readers and writer do not wait for each other. Beyond ``max_events`` the oldest
     events are deleted, a few with each new one, but never the latest event of an alarm that is not cleared. A damaged
@@ -168,7 +167,6 @@ class Journal:
         self._last_error: str | None = None
         self._connection: sqlite3.Connection | None = None
         self._events = 0
-        self._unsynced = False
         with self._lock:
             self._open()
 
@@ -178,16 +176,19 @@ class Journal:
         An event is identified by its vehicle and ``seq``. The first freeze frame of an alarm (inputs, outputs,
         estimates and thresholds at the moment) is kept by its id.
         """
+        self.write_all([(event, frame)])
+
+    def write_all(self, events: Iterable[tuple[AlarmEvent, Mapping[str, Any] | None]]) -> None:
+        """Commit events with their freeze frames as :meth:`write` does, in one transaction: one wait for the disk."""
         with self._lock:
-            row = self._row(event, frame)
-            if row is None:
-                return
+            rows = [row for event, frame in events if (row := self._row(event, frame)) is not None]
             # After those that wait, so that the order is kept.
-            if self._pending or not self._commit([row]):
-                if len(self._pending) >= MAX_PENDING:
-                    self._pending.popleft()
-                    self._counts["dropped"] += 1
-                self._pending.append(row)
+            if not rows or (not self._pending and self._commit(rows)):
+                return
+            self._pending.extend(rows)
+            while len(self._pending) > MAX_PENDING:
+                self._pending.popleft()
+                self._counts["dropped"] += 1
 
     def shelve(self, vehicle: str, channels: Mapping[str, int]) -> None:
         """Replace the stored channels (``observer/channel``) that are shelved, and the times until which they are."""
@@ -209,24 +210,6 @@ class Journal:
                     self._pending.popleft()
             self._commit_shelved()
             return len(self._pending)
-
-    def sync(self) -> None:
-        """Put written events on the disk, so that a power cut cannot take them; takes as long as the disk does.
-
-        Call it once a second, which bounds the loss of a power cut, in a thread other than the one that monitors.
-        """
-        if not self._unsynced:
-            return
-        self._unsynced = False
-        try:
-            descriptor = os.open(f"{self._path}-wal", os.O_RDONLY)
-            try:
-                os.fdatasync(descriptor)
-            finally:
-                os.close(descriptor)
-        except OSError as error:
-            self._unsynced = True
-            self._last_error = f"{self._path}: {error.strerror}"
 
     def statistics(self) -> JournalStatistics:
         """Return the counts so far."""
@@ -287,7 +270,6 @@ class Journal:
                 with contextlib.suppress(sqlite3.Error):
                     self._connection.close()
                 self._connection = None
-                self._unsynced = False
 
     def _open(self) -> None:
         try:
@@ -348,7 +330,6 @@ class Journal:
         if conflict is not None:
             self._last_error = f"{self._path}: {conflict}"
         self._events += counts["written"] - counts["pruned"]
-        self._unsynced = self._unsynced or counts["written"] > 0
         return True
 
     def _commit_shelved(self) -> None:
@@ -357,7 +338,6 @@ class Journal:
             if not self._transact(functools.partial(shelve, vehicle=vehicle, channels=channels)):
                 return
             del self._shelved[vehicle]
-            self._unsynced = True
 
     def _transact(self, work: Callable[[sqlite3.Connection], None]) -> bool:
         """Let ``work`` write in one transaction; return whether the disk took it."""

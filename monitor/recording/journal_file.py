@@ -164,7 +164,7 @@ def _prepare(path: Path, connection: sqlite3.Connection) -> None:
     if tables and version > SCHEMA_VERSION:
         raise StorageError(f"{path}: journal of version {version}, written by a newer fauio: update, or move it away")
     connection.execute("PRAGMA journal_mode = WAL")
-    connection.execute("PRAGMA synchronous = NORMAL")
+    connection.execute("PRAGMA synchronous = FULL")
     connection.execute(f"PRAGMA wal_autocheckpoint = {WAL_PAGES}")
     page_bytes = connection.execute("PRAGMA page_size").fetchone()[0]
     connection.execute(f"PRAGMA journal_size_limit = {2 * WAL_PAGES * page_bytes}")

@@ -17,9 +17,8 @@ _POLL_S = 0.05
 """Chosen: how late an idle loop sees signals, requests and time; waking twenty times a second costs nothing
 measurable.
 """
-# in between portions of longer work the links' threads get their turn
-_PAUSE_S = 0.002
 _EVERY_NS = 50_000_000
+"""Chosen: as often as an idle loop wakes."""
 
 
 class Daemon:
@@ -48,7 +47,6 @@ class Daemon:
         self._every_turn = every_turn
         self._held_ns = round(1e9 * batch_s)
         self._stopping = False
-        self._clips_turn = 0
 
     def stop(self) -> None:
         """Ask :meth:`run` to return after the present batches."""
@@ -57,9 +55,8 @@ class Daemon:
     def run(self) -> None:
         """Monitor until :meth:`stop`."""
         due_ns = 0
-        busy = False
         while not self._stopping:
-            arrivals = self._inbox.take(_PAUSE_S if busy else _POLL_S)
+            arrivals = self._inbox.take(_POLL_S)
             steady_ns = time.monotonic_ns()
             # Elect first: after a process freeze another monitor may be active.
             if steady_ns >= due_ns:
@@ -74,22 +71,12 @@ class Daemon:
                 now_ns = time.time_ns()
                 for monitor in self._fleet:
                     monitor.pass_time(now_ns - self._held_ns)
-                busy = self._work_on_clips(now_ns)
 
     def finish(self, patience_s: float) -> None:
         """Process what still waits in the inbox, for so long at most; use it once the links are closed."""
         until = time.monotonic() + patience_s
         while not self._inbox.empty and time.monotonic() < until:
             self._process(self._inbox.take(0.0))
-
-    def _work_on_clips(self, now_ns: int) -> bool:
-        """Let the next vehicle that has clips to write do some of it; return whether there was one."""
-        services = self._services()
-        for _ in services:
-            self._clips_turn = (self._clips_turn + 1) % len(services)
-            if services[self._clips_turn].work_on_clips(now_ns):
-                return True
-        return False
 
     def _process(self, arrivals: Sequence[Arrival]) -> None:
         for vehicle, batch in self._fleet.routed(arrivals):

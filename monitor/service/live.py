@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from adapters.errors import OtherVehicleError
 from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
+from monitor.recording.background import BackgroundJournal
 from monitor.recording.journal import Journal
 from monitor.service.caught_signals import caught_signals
 from monitor.service.daemon import Daemon
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from monitor.views.live_view import LiveView
 
 _SYNC_S = 1.0
-"""Chosen: what a power cut costs of recordings and journal."""
+"""Chosen: what a crash costs of the signatures' time stamps."""
 _FINISH_S = 1.0
 """For what still waits at the end: a monitor that could not keep up may have more than there is time for."""
 
@@ -122,18 +123,18 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         return 130 if signal.SIGINT in received else 0
 
 
-def _open_journal(config: Config, log: ServiceLog, stack: ExitStack) -> Journal | None:
+def _open_journal(config: Config, log: ServiceLog, stack: ExitStack) -> BackgroundJournal | None:
     if config.journal.path is None:
         return None
     # where it cannot be made the journal says what is wrong
     with contextlib.suppress(OSError):
         config.journal.path.parent.mkdir(parents=True, exist_ok=True)
     journal = Journal(config.journal.path, config.journal.max_events)
-    stack.callback(journal.close)
+    background = BackgroundJournal(journal)
+    stack.callback(background.close)
     if journal.set_aside is not None:
         log.say("journal damaged", level="error", set_aside=str(journal.set_aside), now="a new one was begun")
-    _each_second(journal.sync, "journal sync", stack)
-    return journal
+    return background
 
 
 def _each_second(work: Callable[[], None], name: str, stack: ExitStack) -> None:

@@ -21,8 +21,8 @@ from monitor.configuration.config import Config, Vehicle
 from monitor.pipeline import Pipeline
 from monitor.profile import PROFILE_FILE, Profile, read_profile
 from monitor.recording.archive import Archive
+from monitor.recording.background import BackgroundArchive, BackgroundJournal, wait_for
 from monitor.recording.black_box import BlackBox
-from monitor.recording.journal import Journal
 from monitor.recording.record_encoder import RecordEncoder
 from monitor.recording.recorder import Recorder
 from monitor.recording.retention import FileSeries
@@ -43,6 +43,9 @@ if TYPE_CHECKING:
     from monitor.views.live_view import LiveView
 
 _MEGABYTE = 1_000_000
+_SETTLE_S = 0.1
+"""How long an alarm waits for the disk. Chosen: a hundred times what a commit takes on a healthy one, and short beside
+what people notice; who waited in vain does not wait again until the disk has caught up."""
 
 
 class Station:
@@ -59,7 +62,7 @@ class Station:
         read_again: Callable[[], Config],
         session: zenoh.Session,
         inbox: Inbox,
-        journal: Journal | None,
+        journal: BackgroundJournal | None,
         log: ServiceLog,
         links: Mapping[str, Counting],
         views: Sequence[LiveView] = (),
@@ -212,13 +215,15 @@ class Station:
         with ExitStack() as stack:
             archive = self._archive(pipeline, profile, stack)
             archives: list[Any] = [] if archive is None else [archive]
+            disks = [*archives, *([] if self._journal is None else [self._journal])]
+            settle = functools.partial(wait_for, disks, _SETTLE_S)
             needed = frozenset[str]().union(*pipeline.needs.values())
             shown = [
                 view.vehicle(pipeline.vehicle, pipeline.layouts, pipeline.thresholds, needed) for view in self._views
             ]
             self._shown[pipeline.vehicle] = shown
             archives += shown
-            monitor = VehicleMonitor(pipeline, archives, self._journal, self._log.event, time.time_ns())
+            monitor = VehicleMonitor(pipeline, archives, self._journal, self._log.event, time.time_ns(), settle)
             desk, links, recordings = self._desk(vehicle), functools.partial(self._links_of, vehicle), stack.pop_all()
             service = VehicleService(monitor, desk, self._session, config, self._journal, archive, recordings, links)
         self._services[pipeline.vehicle] = service
@@ -255,7 +260,7 @@ class Station:
         names = self._shared_links | {vehicle.zenoh}
         return tuple(link for link in self._health.links if link.name in names)
 
-    def _archive(self, pipeline: Pipeline, profile: Profile, stack: ExitStack) -> Archive | None:
+    def _archive(self, pipeline: Pipeline, profile: Profile, stack: ExitStack) -> BackgroundArchive | None:
         config, name = self._config, pipeline.vehicle
         encoder = RecordEncoder(pipeline.layouts)
         common = (encoder.topics, pipeline.metadata(), profile.files)
@@ -274,7 +279,6 @@ class Station:
             )
         if target is not None:
             recorder = Recorder(target, *common)
-            stack.callback(recorder.close)
         if config.black_box.folder is not None:
             clips = config.black_box
             black_box = BlackBox(
@@ -285,17 +289,15 @@ class Station:
                 after_s=clips.after_s,
                 budget_bytes=round(clips.budget_mb * _MEGABYTE),
             )
-            stack.callback(black_box.close)
         if recorder is None and black_box is None:
             return None
-        archive = Archive(encoder, recorder, black_box)
+        archive = BackgroundArchive(Archive(encoder, recorder, black_box), name)
         stack.callback(self._finish, archive, recorder, pipeline)
         return archive
 
-    def _finish(self, archive: Archive, recorder: Recorder | None, pipeline: Pipeline) -> None:
+    def _finish(self, archive: BackgroundArchive, recorder: Recorder | None, pipeline: Pipeline) -> None:
         """End recordings with the clock's mapping, which is known only then."""
-        archive.add_metadata(pipeline.metadata())
-        archive.close()
+        archive.close(pipeline.metadata())
         if recorder is not None and (reason := recorder.statistics().failed) is not None:
             self._log.say("recording incomplete", level="error", vehicle=pipeline.vehicle, reason=reason)
 

@@ -1,6 +1,7 @@
 """One monitored vehicle: its pipeline, its recording and publishing, its status.
 
-An event is on disk before it is published: first the recording, then the journal, then Zenoh. While another monitor of
+An event is on disk before it is published: in the recording and in the journal, then on Zenoh; a disk that takes long
+is not waited for. While another monitor of
 the vehicle is active, this one is on standby, and continues the other's alarms when that one is gone.
 """
 
@@ -30,6 +31,7 @@ from monitor.service.telemetry_watch import TelemetryWatch
 
 if TYPE_CHECKING:
     from monitor.bus.publisher import Publisher
+    from monitor.recording.background import BackgroundJournal
     from monitor.recording.journal import Journal
 
 # read once: it stands in a file of the installation
@@ -66,17 +68,20 @@ class VehicleMonitor:
     """State of one monitored vehicle.
 
     ``archives`` record and show it, ``journal`` keeps its alarm events for ever, ``on_event`` is called with every
-    event that this monitor publishes. ``now_ns`` is the Unix time of the start.
+    event that this monitor publishes. ``settle`` waits for the disk before events are published. ``now_ns`` is the Unix
+    time of the start.
     """
 
     def __init__(
         self,
         pipeline: Pipeline,
         archives: Sequence[BatchSink],
-        journal: Journal | None,
+        journal: BackgroundJournal | Journal | None,
         on_event: Callable[[AlarmEvent], None],
         now_ns: int,
+        settle: Callable[[], object] = lambda: None,
     ) -> None:
+        self._settle = settle
         self.pipeline = pipeline
         self.latency = LatencyHistogram()
         self.alarm_latency = LatencyHistogram()
@@ -360,6 +365,8 @@ class VehicleMonitor:
         for event in events:
             if self._journal is not None:
                 self._journal.write(event, self.freeze_frame(event) if event.state == "raised" else None)
+        self._settle()
+        for event in events:
             outlet.event(event)
             self._on_event(event)
         return events

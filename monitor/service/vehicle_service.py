@@ -22,15 +22,13 @@ from monitor.configuration.config import Config
 from monitor.event import AlarmEvent
 from monitor.pipeline import rules_message
 from monitor.profile import Profile
-from monitor.recording.archive import Archive
+from monitor.recording.background import BackgroundArchive, BackgroundJournal
 from monitor.service.election import Election, term_of
 from monitor.service.health import LinkHealth, VehicleHealth
 from monitor.service.vehicle_monitor import VehicleMonitor
 
 if TYPE_CHECKING:
     import zenoh
-
-    from monitor.recording.journal import Journal
 
 STATUS_NS = 1_000_000_000
 """A status a second, as the interface promises."""
@@ -42,8 +40,6 @@ _PEER_EVENTS_AT_ONCE = 500
 """Chosen: events of the active monitor that one turn of the loop takes, so that telemetry does not wait."""
 _PAST_EVENTS = 4096
 """Events that the history starts with: as many as the publisher keeps."""
-# records of clips: about a millisecond's worth, which is what an alarm may have to wait for
-_CLIP_PORTION = 30
 
 
 class VehicleService:
@@ -59,8 +55,8 @@ class VehicleService:
         desk: DeskRule,
         session: zenoh.Session,
         config: Config,
-        journal: Journal | None = None,
-        archive: Archive | None = None,
+        journal: BackgroundJournal | None = None,
+        archive: BackgroundArchive | None = None,
         recordings: ExitStack | None = None,
         links: Callable[[], Sequence[LinkHealth]] = tuple,
     ) -> None:
@@ -101,8 +97,8 @@ class VehicleService:
         What is due goes by the steady time (the monotonic clock's), stamps by Unix time.
         """
         self._decide(steady_ns, now_ns)
-        # clips grow also where there is never a moment to spare
-        self.work_on_clips(now_ns)
+        if self.archive is not None:
+            self.archive.work(now_ns)
         if self._operators is not None:
             self._answer(self._operators)
         if steady_ns - self._flushed_ns >= _FLUSH_NS:
@@ -112,10 +108,6 @@ class VehicleService:
             self._status_ns = steady_ns
             trouble = None if self.archive is None else self.archive.statistics().trouble
             self.last_status = self.monitor.status(now_ns, [*troubles, *([trouble] if trouble else [])], self._links())
-
-    def work_on_clips(self, now_ns: int) -> bool:
-        """Write a little of the clips that are open; return whether there was anything."""
-        return self.archive is not None and self.archive.work(_CLIP_PORTION, now_ns) > 0
 
     def health(self) -> VehicleHealth:
         """Return how the vehicle is doing."""
@@ -186,7 +178,7 @@ class VehicleService:
             operators.accept(command, events[-1] if events else None)
 
 
-def _remembered(journal: Journal | None, vehicle: str) -> tuple[Sequence[AlarmEvent], int, Mapping[str, int]]:
+def _remembered(journal: BackgroundJournal | None, vehicle: str) -> tuple[Sequence[AlarmEvent], int, Mapping[str, int]]:
     """Return the active alarms of the journal, the number of its last event, the shelved channels."""
     if journal is None:
         return (), 0, {}

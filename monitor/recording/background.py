@@ -1,0 +1,234 @@
+"""What waits for a disk, in threads of its own: a disk that hangs costs recordings, not monitoring."""
+
+from __future__ import annotations
+
+import functools
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from adapters.batch import Batch
+from monitor.estimate import Estimates
+from monitor.event import AlarmEvent
+from monitor.recording.archive import Archive, ArchiveStatistics
+from monitor.recording.journal import MAX_PENDING, Journal, JournalStatistics
+
+ROWS = 30_000
+"""Messages and samples of a vehicle that wait for its recording. Chosen: 30 s of one that makes 1,000 a second, in some
+10 MB, so that the hiccups of an SD card (seconds) cost nothing."""
+_JOBS = 50_000
+"""Jobs of any size that wait: beside rows, alarm events and flushes."""
+_CLIP_RECORDS = 300
+"""Records of clips written in one turn, twenty times a second: about 10 ms, six times what a vehicle makes."""
+_STALLED_S = 1.0
+"""A disk that takes this long is said to hang: a thousand times what it takes otherwise."""
+FINISH_S = 8.0
+"""For what still waits at the end. Chosen: the unit allows 20 s for stopping, and there are two threads to wait for."""
+
+
+class DiskThread:
+    """Does jobs one after the other in a thread; those that find too much waiting are refused.
+
+    ``stalled_s`` says for how long the job in hand has been waiting for the disk, 0 where it has not for long.
+    """
+
+    def __init__(self, name: str, limit: int) -> None:
+        self._jobs: deque[tuple[Callable[[], object], int]] = deque()
+        self._limit = limit
+        self._waiting = 0
+        self._given = self._done = 0
+        self._begun_s: float | None = None
+        self._in_vain = False
+        self._closing = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def put(self, job: Callable[[], object], size: int = 0) -> bool:
+        """Have a job done; return whether there was room for it."""
+        with self._changed:
+            if (size and self._waiting + size > self._limit) or len(self._jobs) >= _JOBS or self._closing:
+                return False
+            self._jobs.append((job, size))
+            self._waiting += size
+            self._given += 1
+            self._changed.notify_all()
+            return True
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until all that was put is done; return whether it is.
+
+        Who has waited in vain does not wait again until the thread has caught up.
+        """
+        with self._changed:
+            given = self._given
+            if self._in_vain:
+                return self._done >= given
+            done = self._changed.wait_for(lambda: self._done >= given, max(timeout_s, 0.0))
+            self._in_vain = not done
+            return done
+
+    @property
+    def stalled_s(self) -> float:
+        """Seconds for which the job in hand has kept the others waiting, 0 below a second."""
+        begun_s = self._begun_s
+        stalled_s = 0.0 if begun_s is None else time.monotonic() - begun_s
+        return stalled_s if stalled_s >= _STALLED_S else 0.0
+
+    def close(self, timeout_s: float) -> bool:
+        """Do what waits, for so long at most, and end; return whether all was done."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._jobs or self._closing)
+                if not self._jobs:
+                    return
+                job, size = self._jobs.popleft()
+                self._begun_s = time.monotonic()
+            try:
+                job()
+            except Exception:
+                # Whatever a disk makes of it, the next job is done.
+                logging.getLogger(__name__).exception("%s failed", self._thread.name)
+            with self._changed:
+                self._begun_s = None
+                self._waiting -= size
+                self._done += 1
+                if not self._jobs:
+                    self._in_vain = False
+                self._changed.notify_all()
+
+
+class BackgroundArchive:
+    """An archive that is written in a thread; what there is no room for is lost, counted."""
+
+    def __init__(self, archive: Archive, vehicle: str) -> None:
+        self._archive = archive
+        self._thread = DiskThread(f"recording of {vehicle}", ROWS)
+        self._lost = 0
+
+    def batch(self, batch: Batch) -> None:
+        """Record telemetry as received."""
+        self._put(functools.partial(self._archive.batch, batch), batch.count)
+
+    def estimates(self, estimates: Estimates) -> None:
+        """Record estimates and the samples they were computed from."""
+        self._put(functools.partial(self._archive.estimates, estimates), len(estimates))
+
+    def event(self, event: AlarmEvent) -> None:
+        """Record an alarm event behind all that came before; a raised alarm begins a clip of the black box."""
+        self._put(functools.partial(self._archive.event, event))
+
+    def flush(self) -> None:
+        """Hand the recording to the operating system, or try a disk again that refused; call it on a timer."""
+        self._thread.put(self._archive.flush)
+
+    def work(self, now_ns: int) -> None:
+        """Write some of the open clips; call it on a timer."""
+        self._thread.put(functools.partial(self._archive.work, _CLIP_RECORDS, now_ns))
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until all is written; return whether it is."""
+        return self._thread.wait(timeout_s)
+
+    def close(self, metadata: Mapping[str, str]) -> None:
+        """Finish the recording and the open clips with more metadata, as far as the disk takes them in time."""
+        self._thread.put(functools.partial(self._archive.add_metadata, metadata))
+        self._thread.put(self._archive.close)
+        if not self._thread.close(FINISH_S):
+            logging.getLogger(__name__).error("a recording is not finished: the disk does not answer")
+
+    def statistics(self) -> ArchiveStatistics:
+        """Return the counts so far, and the trouble with the disk."""
+        counts = self._archive.statistics()
+        trouble = counts.trouble
+        if stalled_s := self._thread.stalled_s:
+            trouble = f"recording waits for a disk that has not answered for {stalled_s:.0f} s"
+        return replace(counts, lost=counts.lost + self._lost, trouble=trouble)
+
+    def _put(self, job: Callable[[], object], rows: int = 0) -> None:
+        if not self._thread.put(job, rows):
+            self._lost += max(rows, 1)
+
+
+class BackgroundJournal:
+    """A journal that is written in a thread, all events that wait in one transaction (group commit)."""
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+        self._thread = DiskThread("journal", MAX_PENDING)
+        self._lock = threading.Lock()
+        self._waiting: list[tuple[AlarmEvent, Mapping[str, Any] | None]] = []
+        self._dropped = 0
+        self._counts = journal.statistics()
+        # read without the disk
+        self.active, self.shelved, self.last_seq = journal.active, journal.shelved, journal.last_seq
+        self.events = journal.events
+
+    def write(self, event: AlarmEvent, frame: Mapping[str, Any] | None = None) -> None:
+        """Have an event committed, once however often it is given."""
+        with self._lock:
+            if len(self._waiting) >= MAX_PENDING:
+                del self._waiting[0]
+                self._dropped += 1
+            self._waiting.append((event, frame))
+            first = len(self._waiting) == 1
+        if first:
+            self._thread.put(self._write)
+
+    def shelve(self, vehicle: str, channels: Mapping[str, int]) -> None:
+        """Have the stored channels that are shelved replaced."""
+        self._thread.put(functools.partial(self._journal.shelve, vehicle, dict(channels)))
+
+    def retry(self) -> None:
+        """Have events written that the disk refused; call it once a second."""
+        self._thread.put(self._retry)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until all events are on the disk, as far as it takes them; return whether that is over."""
+        return self._thread.wait(timeout_s)
+
+    def statistics(self) -> JournalStatistics:
+        """Return the counts so far, without waiting for the disk."""
+        with self._lock:
+            waiting = len(self._waiting)
+        counts, stalled_s = self._counts, self._thread.stalled_s
+        if not stalled_s:
+            return replace(counts, dropped=counts.dropped + self._dropped)
+        error = f"the disk has not answered for {stalled_s:.0f} s"
+        pending = counts.pending + max(waiting, 1)
+        return replace(counts, pending=pending, dropped=counts.dropped + self._dropped, last_error=error)
+
+    def close(self) -> None:
+        """Write what waits, as far as the disk takes it in time, and close."""
+        self._thread.put(self._journal.close)
+        if not self._thread.close(FINISH_S):
+            logging.getLogger(__name__).error("the journal is not closed: the disk does not answer")
+
+    def _write(self) -> None:
+        with self._lock:
+            waiting, self._waiting = self._waiting, []
+        self._journal.write_all(waiting)
+        self._counts = self._journal.statistics()
+
+    def _retry(self) -> None:
+        self._journal.retry()
+        self._counts = self._journal.statistics()
+
+
+def wait_for(parts: Sequence[BackgroundArchive | BackgroundJournal], timeout_s: float) -> bool:
+    """Wait until all is written, for so long in all; return whether it is."""
+    until_s, done = time.monotonic() + timeout_s, True
+    for part in parts:
+        done = part.wait(until_s - time.monotonic()) and done
+    return done
