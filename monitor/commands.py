@@ -127,17 +127,18 @@ def run_record(args: argparse.Namespace) -> int:
     from monitor.service.record_live import record_live
 
     config = read_config(args.config, _given(args, ("listen", "connect")), links_only=True)
-    found = record_live(config, args.out, args.seconds, as_json=args.json)
+    recording = record_live(config, args.out, args.seconds, as_json=args.json)
     if args.json:
-        sys.stdout.write(json.dumps({"file": str(args.out)} | asdict(found)) + "\n")
+        sys.stdout.write(json.dumps({"file": str(args.out)} | asdict(recording)) + "\n")
     else:
-        senders = f", from system {', '.join(map(str, found.systems))}" if found.systems else ""
-        lost = f"; {found.dropped} more came too fast" if found.dropped else ""
+        senders = f", from system {', '.join(map(str, recording.systems))}" if recording.systems else ""
+        lost = f"; {recording.dropped} more came too fast" if recording.dropped else ""
         sys.stdout.write(
-            f"{args.out}: {found.messages} messages of {found.names} kinds in {found.seconds:.1f} s{senders}{lost}\n"
+            f"{args.out}: {recording.messages} messages of {recording.names} kinds in "
+            f"{recording.seconds:.1f} s{senders}{lost}\n"
             f"See what can be fitted to it: fauio info {args.out}\n"
         )
-    return 130 if found.interrupted else 0
+    return 130 if recording.interrupted else 0
 
 
 def run_run(args: argparse.Namespace) -> int:

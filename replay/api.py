@@ -221,8 +221,8 @@ def design(
         from gains.analysis.estimability import restricted
 
         plant = restricted(plant, tuple(faults))
-    found = design_convex(plant, rate_hz, pole_radius=pole_radius, h2=h2)
-    return compile_gains(plant, found, certify(plant, found))
+    designed = design_convex(plant, rate_hz, pole_radius=pole_radius, h2=h2)
+    return compile_gains(plant, designed, certify(plant, designed))
 
 
 def _plant(model: Plant | str | os.PathLike[str]) -> Plant:

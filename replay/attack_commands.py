@@ -164,15 +164,15 @@ def run_detectability(args: argparse.Namespace) -> int:
         after_s=args.after,
         jobs=args.jobs,
     )
-    found = detectability(args.profile, args.log, sweep, track)
+    result = detectability(args.profile, args.log, sweep, track)
     if args.json:
-        _say(json.dumps(result_json(found)))
+        _say(json.dumps(result_json(result)))
     else:
-        _say("\n".join(result_lines(found)))
+        _say("\n".join(result_lines(result)))
     if args.plot:
         from replay.sensitivity.detectability_plot import plot_detectability
 
-        plot_detectability(args.plot, found)
+        plot_detectability(args.plot, result)
     return 0
 
 

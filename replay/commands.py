@@ -171,7 +171,7 @@ def run_fit(args: argparse.Namespace) -> int:
     except (TelemetryError, ModelError, InfeasibleError) as error:
         raise type(error)(_about_logs(str(error), args.logs, args.model)) from error
     stages.flush()
-    found = _warn(one for path in args.logs for one in damage.get(path, ()))
+    damaged = _warn(one for path in args.logs for one in damage.get(path, ()))
     for warning in report.warnings:
         sys.stderr.write(f"fauio: {warning}\n")
     if report.set_aside is not None:
@@ -181,7 +181,7 @@ def run_fit(args: argparse.Namespace) -> int:
     for left_out in report.left_out:
         sys.stderr.write(f"fauio: {out}: {left_out} is kept no longer, there is room for the newest flights only\n")
     if args.json:
-        _say(json.dumps(report.to_json() | {"damage": found}))
+        _say(json.dumps(report.to_json() | {"damage": damaged}))
         return 0
     more = "updated with" if args.update else "from"
     _say(f"{out}: profile of '{name}' {more} {len(args.logs)} logs")
@@ -230,8 +230,8 @@ def run_info(args: argparse.Namespace) -> int:
     from replay.inspection.info import info
     from replay.inspection.info_text import info_text
 
-    found = info(args.file)
-    sys.stdout.write(json.dumps(found) + "\n" if args.json else info_text(found))
+    content = info(args.file)
+    sys.stdout.write(json.dumps(content) + "\n" if args.json else info_text(content))
     return 0
 
 
@@ -243,9 +243,9 @@ def _about_logs(line: str, logs: Sequence[Path], model: Path | None) -> str:
     return f"{', '.join(path.name for path in logs[:3])}{rest}: {line}"
 
 
-def _warn(found: Iterable[Damage]) -> list[dict[str, Any]]:
+def _warn(damaged: Iterable[Damage]) -> list[dict[str, Any]]:
     """Say on stderr what of recordings could not be read, a line for each file; return it for JSON."""
-    damage = list(found)
+    damage = list(damaged)
     for one in damage:
         sys.stderr.write(f"fauio: {one.line()}; all else was read\n")
     return [one.to_json() for one in damage]

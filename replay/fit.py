@@ -293,7 +293,7 @@ def check_vehicle(kind: VehicleKind, surveyed: Sequence[SurveyedLog]) -> None:
 def profile_content(name: str, kind: str, gate: GateRule, report: FitReport, identity: Identity) -> dict[str, Any]:
     """Return profile.toml of what was fitted."""
     tables = {fitted.name: fitted.table() for fitted in report.observers}
-    known = {found.rule.channel for fitted in report.observers for found in fitted.alarms}
+    known = {alarm.rule.channel for fitted in report.observers for alarm in fitted.alarms}
     rules = (rule for fitted in report.observers for rule in fitted.excuses)
     excuses = [rule for rule in rules if known.issuperset((*rule.channels, *rule.by))]
     return profile_table(name=name, vehicle=kind, identity=identity, gate=gate, observers=tables, excuses=excuses)

@@ -126,11 +126,11 @@ class MessageRule:
     @property
     def linear(self) -> Mapping[str, bool]:
         """Names of the records between which values are interpolated, and whether the message needs them."""
-        found: dict[str, bool] = {}
+        required: dict[str, bool] = {}
         for field in self.fields:
             if field.joined and field.channel is not None and field.channel.interpolation == "linear":
-                found[field.topic] = found.get(field.topic, False) or field.required
-        return found
+                required[field.topic] = required.get(field.topic, False) or field.required
+        return required
 
     @property
     def before(self) -> tuple[int, int] | None:
@@ -140,8 +140,8 @@ class MessageRule:
     @property
     def topics(self) -> frozenset[str]:
         """Names of all records that fill the message."""
-        found = {*self.instances, *(field.topic for field in self.fields if field.channel is not None)}
-        return frozenset(found if self.before is None else found | {PARAMETERS})
+        topics = {*self.instances, *(field.topic for field in self.fields if field.channel is not None)}
+        return frozenset(topics if self.before is None else topics | {PARAMETERS})
 
     def text(self) -> str:
         """Return the rule in a line: message, record, and what is joined to it."""

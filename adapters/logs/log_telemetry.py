@@ -100,13 +100,13 @@ class _Telemetry:
         anew: Callable[[Collection[str]], Iterable[Batch]],
         chosen: Callable[[MessageRule], object],
     ) -> None:
-        rules = {name: found for name, found in mapping.rules.items() if only is None or name in only}
+        rules = {name: tried for name, tried in mapping.rules.items() if only is None or name in only}
         self._only = only
         self._anew, self._chosen = anew, chosen
         self._states = {
-            name: _first_state(found, anew) for name, found in rules.items() if any(rule.before for rule in found)
+            name: _first_state(tried, anew) for name, tried in rules.items() if any(rule.before for rule in tried)
         }
-        self._open = LogMapping({name: found for name, found in rules.items() if name not in self._states})
+        self._open = LogMapping({name: tried for name, tried in rules.items() if name not in self._states})
         self._counts: Counter[str] = Counter()
         self._examples: dict[str, Mapping[str, Any]] = {}
         self._fillers: list[_Filler] = []
@@ -167,7 +167,7 @@ class _Telemetry:
         """Decide for the messages that what was counted can fill."""
         for name, rule in self._open.guess(self._counts, self._examples).items():
             self._fillers.append(self._filler(self._moving(rule)))
-            self._open = LogMapping({key: found for key, found in self._open.rules.items() if key != name})
+            self._open = LogMapping({key: tried for key, tried in self._open.rules.items() if key != name})
 
     def _moving(self, rule: MessageRule) -> MessageRule:
         """Return the rule for the instance of its topic that moves; the first one where as many elements do."""
@@ -630,11 +630,11 @@ class _Recorded:
     @classmethod
     def of(cls, batch: Batch, name: str) -> _Recorded:
         """Return the records of a name in a batch."""
-        found = [one for one in batch.columns if one.name == name]
+        groups = [one for one in batch.columns if one.name == name]
         others = {at: message for at, message in batch.others.items() if message.name == name}
-        if len(found) == 1 and not others:
-            return cls(found[0].position, found[0].received_ns, found[0], ())
-        for one in found:
+        if len(groups) == 1 and not others:
+            return cls(groups[0].position, groups[0].received_ns, groups[0], ())
+        for one in groups:
             others |= {int(at): one_message(one, row) for row, at in enumerate(one.position)}
         at = sorted(others)
         messages = [others[position] for position in at]
@@ -652,26 +652,26 @@ class _Recorded:
             if len(steps) > 1 or not isinstance(place, int) or values.ndim < 2 or place >= values.shape[1]:
                 return None
             return values[:, place]
-        found = [follow(message.fields, path) for message in self.messages]
-        if found and all(isinstance(one, list) and len(one) == len(found[0]) for one in found):
-            values = np.array(found)
-        elif all(type(one) is bool for one in found):
-            values = np.array(found, np.bool_)
-        elif all(isinstance(one, int) for one in found):
-            values = np.array([int(one) for one in found])
+        raw = [follow(message.fields, path) for message in self.messages]
+        if raw and all(isinstance(one, list) and len(one) == len(raw[0]) for one in raw):
+            values = np.array(raw)
+        elif all(type(one) is bool for one in raw):
+            values = np.array(raw, np.bool_)
+        elif all(isinstance(one, int) for one in raw):
+            values = np.array([int(one) for one in raw])
         else:
-            values = np.array([one if type(one) in (int, float) else np.nan for one in found], np.float64)
+            values = np.array([one if type(one) in (int, float) else np.nan for one in raw], np.float64)
         return values if values.dtype.kind in "biuf" else None
 
 
 def _series(records: _Recorded, fields: Sequence[FieldRule]) -> _Series:
     """Return the values of some fields of records."""
-    found = {one.name: _values(one, records) for one in fields}
+    columns = {one.name: _values(one, records) for one in fields}
     return _Series(
         records.position,
         records.received_ns,
-        {name: values for name, (values, _) in found.items()},
-        {name: known for name, (_, known) in found.items()},
+        {name: values for name, (values, _) in columns.items()},
+        {name: known for name, (_, known) in columns.items()},
     )
 
 
@@ -766,14 +766,14 @@ def _first_state(
     Without any it is the first way, and None.
     """
     for batch in anew({rule.topic for rule in rules}):
-        found: list[tuple[int, int, int]] = []
+        starts: list[tuple[int, int, int]] = []
         for k, rule in enumerate(rules):
             records = _Recorded.of(batch, rule.topic)
             for one in rule.fields:
                 number, known = _values(one, records)
                 if one.before:
-                    found += [(int(records.position[row]), k, int(number[row])) for row in np.flatnonzero(known)[:1]]
-        if found:
-            _, k, value = min(found)
+                    starts += [(int(records.position[row]), k, int(number[row])) for row in np.flatnonzero(known)[:1]]
+        if starts:
+            _, k, value = min(starts)
             return rules[k], value
     return rules[0], None

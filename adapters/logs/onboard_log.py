@@ -103,11 +103,11 @@ class RecordLayout:
 
     def columns(self, records: NDArray[np.void]) -> dict[str, FieldValues]:
         """Return the fields of n records by name: an array of n rows, or a list of n values that are no numbers."""
-        found: dict[str, FieldValues] = {}
+        columns: dict[str, FieldValues] = {}
         for one in self.fields:
             values = np.ascontiguousarray(records[one.name])
-            found[one.name] = values if one.convert is None else one.convert(values)
-        return found
+            columns[one.name] = values if one.convert is None else one.convert(values)
+        return columns
 
     def rows(self, records: NDArray[np.void]) -> list[dict[str, Any]]:
         """Return the fields of n records, one mapping for each."""
@@ -214,11 +214,11 @@ class LogClock:
         count : int
             Their number n.
         """
-        found = own_stamps_ns(fields, count)
+        stamps_ns = own_stamps_ns(fields, count)
         if name in self._start.foreign:
-            found[:] = NO_TIME
-        found[(found < self._least_ns) | (found >= self._end_ns)] = NO_TIME
-        return found
+            stamps_ns[:] = NO_TIME
+        stamps_ns[(stamps_ns < self._least_ns) | (stamps_ns >= self._end_ns)] = NO_TIME
+        return stamps_ns
 
     def received_ns(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the times of arrival of n records in order (n,); one without a stamp has that of the one before."""
@@ -259,9 +259,9 @@ class StartScan(LogClock):
 
     def stamps_ns(self, name: str, fields: Mapping[str, Any], count: int) -> NDArray[np.int64]:
         """Return the times since boot of ``count`` records, and keep them."""
-        found = super().stamps_ns(name, fields, count)
-        self._stamps.setdefault(name, []).append(found[found != NO_TIME])
-        return found
+        stamps_ns = super().stamps_ns(name, fields, count)
+        self._stamps.setdefault(name, []).append(stamps_ns[stamps_ns != NO_TIME])
+        return stamps_ns
 
     def found(self, batches: Iterable[Batch], head_ns: int | None = None) -> LogStart:
         """Return where the clock begins of a log that is read with this clock.
@@ -480,7 +480,7 @@ def first_relation(
             )
             for at, message in batch.others.items()
         ]
-        found: list[tuple[int, int]] = []
+        candidates: list[tuple[int, int]] = []
         for position, boot_ns, columns in rows:
             numbers = []
             for name in fields:
@@ -490,9 +490,9 @@ def first_relation(
                 numbers.append(values.astype(np.int64))
             offset_ns, good = relation(boot_ns, *numbers)
             good &= (boot_ns > 0) & (offset_ns >= 0) & (offset_ns < LATEST_NS)
-            found += ((int(position[row]), int(offset_ns[row])) for row in np.flatnonzero(good)[:1])
-        if found:
-            return min(found)[1]
+            candidates += ((int(position[row]), int(offset_ns[row])) for row in np.flatnonzero(good)[:1])
+        if candidates:
+            return min(candidates)[1]
     return None
 
 

@@ -90,11 +90,11 @@ def session_files(folder: str | os.PathLike[str]) -> list[Path]:
         name = _BAG_FILE
     else:
         name = _SESSION_FILE
-    found = {_vehicle(file, name): None for file in files}
-    if len(found) > 1:
-        names = ", ".join([*found][:4]) + (", ..." if len(found) > 4 else "")
+    vehicles = {_vehicle(file, name): None for file in files}
+    if len(vehicles) > 1:
+        names = ", ".join([*vehicles][:4]) + (", ..." if len(vehicles) > 4 else "")
         raise TelemetryError(
-            f"{folder}: holds recordings of {len(found)} vehicles or sessions ({names}); "
+            f"{folder}: holds recordings of {len(vehicles)} vehicles or sessions ({names}); "
             "give one file, or put the files of one vehicle into a folder of their own"
         )
     return files
@@ -195,8 +195,8 @@ class Recording:
                     raise
                 self._damage.append(Damage(file.name, (str(error).removeprefix(f"{file}: "),), 0))
             else:
-                found = damage()
-                self._damage.extend([found] if found else [])
+                damaged = damage()
+                self._damage.extend([damaged] if damaged else [])
 
     def damage(self) -> tuple[Damage, ...]:
         """Return what could not be read of the files that were read to their end."""
@@ -300,13 +300,13 @@ def recorded_alarms(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
     from adapters.encoding.foreign_record import json_object
     from adapters.logs.mcap_reader import MessageLogReader
 
-    found = []
+    alarms = []
     for file in session_files(path) if Path(path).is_dir() else [Path(path)]:
         with contextlib.suppress(TelemetryError):
             for payload in MessageLogReader(file).payloads(ALARM_TOPIC):
                 with contextlib.suppress(ValueError):
-                    found.append(json_object(payload))
-    return found
+                    alarms.append(json_object(payload))
+    return alarms
 
 
 def recorded_metadata(path: str | os.PathLike[str]) -> dict[str, str]:
@@ -346,10 +346,10 @@ def _plain(file: Path) -> Path:
 def _vehicle(file: Path, name: re.Pattern[str]) -> str:
     """Return whose session a file belongs to; one of another name is a session of its own."""
     stem = _plain(file).stem
-    found = name.fullmatch(stem)
-    return found["vehicle"] if found else stem
+    match = name.fullmatch(stem)
+    return match["vehicle"] if match else stem
 
 
 def _bag_number(file: Path) -> int:
-    found = _BAG_FILE.fullmatch(_plain(file).stem)
-    return int(found["number"]) if found else 0
+    match = _BAG_FILE.fullmatch(_plain(file).stem)
+    return int(match["number"]) if match else 0

@@ -206,9 +206,9 @@ class UlogReader:
         topic = self._topics.get(number)
         if kind != _DATA or topic is None or not topic.least <= size <= topic.most:
             return None
-        found = _HEAD.size + size, topic.kind if topic.kind.wanted else None
-        self._heads[head] = found
-        return found
+        known = _HEAD.size + size, topic.kind if topic.kind.wanted else None
+        self._heads[head] = known
+        return known
 
     def _single(self, window: Window, records: Records) -> bool:
         """Take the record that ends the chain, or go on to where the next one is; return whether there may be any."""
@@ -233,7 +233,7 @@ class UlogReader:
             return True
         start = window.at + _HEAD.size
         try:
-            found = self._take[kind](window.data[start : start + size])
+            decoded = self._take[kind](window.data[start : start + size])
         except TelemetryError:
             raise
         except (ValueError, struct.error):
@@ -245,8 +245,8 @@ class UlogReader:
             return True
         self._records += 1
         window.at += length
-        if found is not None and (self._only is None or found[0] in self._only):
-            records.add_decoded(*found)
+        if decoded is not None and (self._only is None or decoded[0] in self._only):
+            records.add_decoded(*decoded)
         return True
 
     def _open(self, window: Window) -> None:
@@ -295,8 +295,8 @@ class UlogReader:
     def _standing(self, window: Window, searched: int) -> int | None:
         """Return how many bytes ahead the next topic's record with another behind it, or a mark, begins."""
         start = window.at
-        for found in _RESUMES.finditer(window.data, start + _HEAD.size, start + searched):
-            ahead = found.start() - (_HEAD.size - 1) - start
+        for match in _RESUMES.finditer(window.data, start + _HEAD.size, start + searched):
+            ahead = match.start() - (_HEAD.size - 1) - start
             size, kind = _HEAD.unpack_from(window.data, start + ahead)
             if kind == _DATA:
                 if self._stands(window, ahead) and self._stands(window, ahead + _HEAD.size + size):

@@ -73,16 +73,16 @@ def parse_format(definition: bytes) -> tuple[str, tuple[UlogField, ...]]:
     ValueError
         It is none.
     """
-    found = _FORMAT.fullmatch(definition.decode("ascii"))
-    if found is None:
+    match = _FORMAT.fullmatch(definition.decode("ascii"))
+    if match is None:
         raise ValueError("no format definition")
     fields = []
-    for field in filter(None, found["fields"].split(";")):
+    for field in filter(None, match["fields"].split(";")):
         parts = _FIELD.fullmatch(field)
         if parts is None:
             raise ValueError(f"no field: {field}")
         fields.append(UlogField(parts["name"], parts["type"], int(parts["count"]) if parts["count"] else None))
-    return found["name"], tuple(fields)
+    return match["name"], tuple(fields)
 
 
 def compile_type(name: str, formats: Mapping[str, tuple[UlogField, ...]]) -> UlogType:
@@ -161,12 +161,12 @@ def decode_keyed(data: bytes) -> tuple[str, str, Any]:
         The bytes are no such thing.
     """
     length = data[0] if data else 0
-    found = _KEYED.fullmatch(data[1 : 1 + length].decode("ascii"))
-    if found is None:
+    match = _KEYED.fullmatch(data[1 : 1 + length].decode("ascii"))
+    if match is None:
         raise ValueError("no name and type")
-    name, kind = found["name"], found["type"]
+    name, kind = match["name"], match["type"]
     value = data[1 + length :]
-    count = int(found["count"]) if found["count"] else None
+    count = int(match["count"]) if match["count"] else None
     if kind == "char":
         return name, f"char[{len(value)}]", record_text(value)
     code = _CODES.get(kind)
@@ -175,4 +175,4 @@ def decode_keyed(data: bytes) -> tuple[str, str, Any]:
     if (count or 1) * struct.calcsize("<" + code) != len(value):
         raise ValueError("value of another size than its type")
     values = struct.unpack(f"<{count or 1}{code}", value)
-    return name, found.group(0).rsplit(" ", 1)[0], values[0] if count is None else list(values)
+    return name, match.group(0).rsplit(" ", 1)[0], values[0] if count is None else list(values)

@@ -59,9 +59,9 @@ def lag_taps(times_s: FloatArray, rate_hz: float, length: int | None = None) -> 
         total = np.cumsum(np.append(np.zeros(_FINE), pulse))
         pulse = (total[_FINE:] - total[:-_FINE]) / _FINE
     response = pulse[_FINE - 1 :: _FINE] * _FINE
-    found = response[2 : taps + 2].copy()
-    found[0] += response[:2].sum()
-    return np.asarray(found / found.sum())
+    shares = response[2 : taps + 2].copy()
+    shares[0] += response[:2].sum()
+    return np.asarray(shares / shares.sum())
 
 
 def shortened(taps: FloatArray) -> FloatArray:

@@ -57,9 +57,9 @@ def alarm_message(
         return f"{channel} delivers {100 * abs(relative):.0f} % {'less' if relative < 0 else 'more'} than commanded"
     if channel.startswith("disturbance_"):
         return f"{channel.removeprefix('disturbance_')} is disturbed by {_size(size, unit)}: no fault"
-    found = _sensor(channel, unit, size)
-    if found is not None:
-        return found
+    sentence = _sensor(channel, unit, size)
+    if sentence is not None:
+        return sentence
     return (
         f"{channel} reads {_size(size, unit)} off" if kind == "sensor" else f"{channel} is off by {_size(size, unit)}"
     )

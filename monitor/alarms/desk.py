@@ -52,10 +52,10 @@ def desk_rule(fields: Mapping[str, object], default: DeskRule) -> DeskRule:
     """Return the rule that a message's fields describe; what they lack or spell wrong stays as it is."""
 
     def names(key: str, before: frozenset[str]) -> frozenset[str]:
-        found = fields.get(key)
-        if not isinstance(found, Sequence) or isinstance(found, str):
+        entries = fields.get(key)
+        if not isinstance(entries, Sequence) or isinstance(entries, str):
             return before
-        return frozenset(name for name in found if isinstance(name, str))
+        return frozenset(name for name in entries if isinstance(name, str))
 
     raised, within = fields.get("flood_raised"), fields.get("flood_s")
     return DeskRule(

@@ -113,15 +113,15 @@ class Operators:
 
 def _fields(query: zenoh.Query) -> dict[str, Any] | None:
     """Return what a command's payload says, only the known keys, None where it is no such thing."""
-    found = None if query.payload is None or len(query.payload) > _MAX_BYTES else decode_payload(query.payload)
-    if not isinstance(found, dict):
+    request = None if query.payload is None or len(query.payload) > _MAX_BYTES else decode_payload(query.payload)
+    if not isinstance(request, dict):
         return None
     # Texts end up on terminals, in logs and in a database: nothing that cannot be printed gets that far.
     fields: dict[str, Any] = {
         key: printable(value[:_MAX_TEXT])
         for key in ("id", "channel", "by", "reason")
-        if isinstance(value := found.get(key), str)
+        if isinstance(value := request.get(key), str)
     }
-    if isinstance(found.get("minutes"), int | float):
-        fields["minutes"] = found["minutes"]
+    if isinstance(request.get("minutes"), int | float):
+        fields["minutes"] = request["minutes"]
     return fields if "id" in fields or "channel" in fields else None

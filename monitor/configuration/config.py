@@ -83,7 +83,7 @@ def _table_of(names: Callable[[str], None], read: _Read) -> _Read:
     """Return how a table is read whose keys the user chooses."""
 
     def read_all(table: Table, key: str) -> dict[str, Any]:
-        found = {}
+        values = {}
         below = table.table(key)
         for name in below:
             try:
@@ -91,8 +91,8 @@ def _table_of(names: Callable[[str], None], read: _Read) -> _Read:
             except ValueError as error:
                 below.mistake(name, str(error))
             else:
-                found[name] = read(below, name)
-        return found
+                values[name] = read(below, name)
+        return values
 
     return read_all
 

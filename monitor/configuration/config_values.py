@@ -36,8 +36,8 @@ def listens_beyond_loopback(address: str) -> bool:
     kind, _, rest = address.partition(":")
     if kind in ("udp", "udpin", "tcpin"):
         return not is_loopback(rest.rpartition(":")[0])
-    found = _HOST_PORT.fullmatch(address)
-    return kind not in ("udpout", "tcp", "serial") and found is not None and not is_loopback(found[1])
+    match = _HOST_PORT.fullmatch(address)
+    return kind not in ("udpout", "tcp", "serial") and match is not None and not is_loopback(match[1])
 
 
 def endpoint(value: str) -> None:
@@ -63,8 +63,8 @@ def host_port_or_off(value: str) -> None:
 
 
 def _check_host_port(value: str, rest: str, mend: str) -> None:
-    found = _HOST_PORT.fullmatch(rest)
-    if found is None or int(found[2]) > 0xFFFF:
+    match = _HOST_PORT.fullmatch(rest)
+    if match is None or int(match[2]) > 0xFFFF:
         raise ValueError(f"is '{value}', without HOST:PORT in it; {mend}")
 
 

@@ -57,23 +57,23 @@ def disk_check(folder: Path) -> DoctorCheck:
         free = shutil.disk_usage(_existing(folder)).free
     except OSError as error:
         return DoctorCheck("disk", "failed", f"{folder}: {error.strerror}", "name another folder")
-    found = f"{free / 1e9:.1f} GB free at {folder.absolute()}"
+    state = f"{free / 1e9:.1f} GB free at {folder.absolute()}"
     if free < _TOO_LITTLE_BYTES:
-        return DoctorCheck("disk", "failed", found, "make room: neither journal nor recordings will fit")
+        return DoctorCheck("disk", "failed", state, "make room: neither journal nor recordings will fit")
     if free < _LITTLE_BYTES:
-        return DoctorCheck("disk", "warning", found, "make room, or lower budget_mb: an hour of a vehicle takes 400 MB")
-    return DoctorCheck("disk", "ok", found)
+        return DoctorCheck("disk", "warning", state, "make room, or lower budget_mb: an hour of a vehicle takes 400 MB")
+    return DoctorCheck("disk", "ok", state)
 
 
 def serial_checks(urls: Sequence[str], devices: Path = Path("/dev")) -> list[DoctorCheck]:
     """Check that serial devices can be read: those of links, else all that look like an autopilot's."""
     name = "serial device"
     wanted = [Path(url.split(":")[1]) for url in urls]
-    found = wanted or sorted(path for pattern in _SERIAL_PATTERNS for path in devices.glob(pattern))
-    if not found:
+    ports = wanted or sorted(path for pattern in _SERIAL_PATTERNS for path in devices.glob(pattern))
+    if not ports:
         return [DoctorCheck(name, "ok", "none connected")]
     checks = []
-    for device in found:
+    for device in ports:
         if not device.exists():
             checks.append(
                 DoctorCheck(name, "failed", f"{device} is not there", "connect it, or mend the URL of the link")
@@ -94,11 +94,11 @@ def buffer_check(limit: Path = _RECEIVE_LIMIT) -> DoctorCheck:
         allowed = int(limit.read_text())
     except (OSError, ValueError):
         return DoctorCheck(name, "ok", "the kernel does not say how large it may be")
-    found = f"up to {allowed / 1024:.0f} KiB"
+    state = f"up to {allowed / 1024:.0f} KiB"
     if allowed >= UDP_BUFFER_BYTES:
-        return DoctorCheck(name, "ok", found)
-    found += f", the monitor asks for {UDP_BUFFER_BYTES / 1024:.0f} KiB: bursts beyond it are lost while it is busy"
-    return DoctorCheck(name, "warning", found, f"sudo sysctl -w net.core.rmem_max={UDP_BUFFER_BYTES}")
+        return DoctorCheck(name, "ok", state)
+    state += f", the monitor asks for {UDP_BUFFER_BYTES / 1024:.0f} KiB: bursts beyond it are lost while it is busy"
+    return DoctorCheck(name, "warning", state, f"sudo sysctl -w net.core.rmem_max={UDP_BUFFER_BYTES}")
 
 
 def clock_checks() -> list[DoctorCheck]:
@@ -113,9 +113,9 @@ def clock_checks() -> list[DoctorCheck]:
         return [DoctorCheck(name, "failed", f"it shows {day}", "set it: alarms and recordings carry its time")]
     checks = []
     if abs(elapsed_wall - elapsed) > _LARGEST_DRIFT * elapsed:
-        found = f"it moved {elapsed_wall / 1e6:.1f} ms in {elapsed / 1e6:.1f} ms"
+        state = f"it moved {elapsed_wall / 1e6:.1f} ms in {elapsed / 1e6:.1f} ms"
         checks.append(
-            DoctorCheck(name, "failed", found, "something sets it right now; wait, or look for two time services")
+            DoctorCheck(name, "failed", state, "something sets it right now; wait, or look for two time services")
         )
     else:
         checks.append(DoctorCheck(name, "ok", "it runs evenly"))

@@ -111,13 +111,13 @@ def round_trip_check() -> DoctorCheck:
             name, "failed", f"no session on loopback: {error}", "check that loopback is up: ip address show lo"
         )
     if len(latencies) < _ROUNDS or not answered:
-        found = f"{len(latencies)} of {_ROUNDS} samples and {'an' if answered else 'no'} answer came over loopback"
-        return DoctorCheck(name, "failed", found, "check for a firewall on loopback, and the load of the machine")
+        state = f"{len(latencies)} of {_ROUNDS} samples and {'an' if answered else 'no'} answer came over loopback"
+        return DoctorCheck(name, "failed", state, "check for a firewall on loopback, and the load of the machine")
     median_s, longest_s = statistics.median(latencies), max(latencies)
-    found = f"put and get on loopback work; median {median_s * 1e3:.2f} ms, longest {longest_s * 1e3:.2f} ms"
+    state = f"put and get on loopback work; median {median_s * 1e3:.2f} ms, longest {longest_s * 1e3:.2f} ms"
     if median_s > _SLOW_S:
-        return DoctorCheck(name, "warning", found, "the machine is busy: alarms will be late by as much")
-    return DoctorCheck(name, "ok", found)
+        return DoctorCheck(name, "warning", state, "the machine is busy: alarms will be late by as much")
+    return DoctorCheck(name, "ok", state)
 
 
 def _round_trips(ours: zenoh.Session, theirs: zenoh.Session) -> tuple[list[float], bool]:

@@ -30,13 +30,13 @@ class Library:
 
 def libraries() -> Sequence[Library]:
     """Return all libraries, as the installed package itself names them, those of extras behind."""
-    found = []
+    installed = []
     for text in requires("fauio") or ():
         match = _REQUIREMENT.match(text)
         if match is not None:
             name = match["name"]
-            found.append(Library(name, match["extra"] or "", match["least"] or "", installed_version(name)))
-    return sorted(found, key=lambda library: (library.extra, library.name))
+            installed.append(Library(name, match["extra"] or "", match["least"] or "", installed_version(name)))
+    return sorted(installed, key=lambda library: (library.extra, library.name))
 
 
 def installed_version(name: str) -> str | None:

@@ -131,8 +131,8 @@ def read_isolation(table: Table, faults: int, outputs: int) -> IsolationRule:
             washouts=_washouts(table.table("washout_s"), {name for faults in hypotheses for name in faults}),
         )
         compared = {name for faults, edge in zip(hypotheses, rule.edges, strict=True) if not edge for name in faults}
-        for entry, found, edge in zip(entries, hypotheses, rule.edges, strict=True):
-            if edge and compared.issuperset(found):
+        for entry, hypothesis, edge in zip(entries, hypotheses, rule.edges, strict=True):
+            if edge and compared.issuperset(hypothesis):
                 entry.mistake("edge", "needs a hypothesis with a fault that no compared one has")
         if all(rule.edges):
             table.mistake("hypotheses", "has none but edges; a bank needs one to compare")

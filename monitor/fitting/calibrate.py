@@ -72,10 +72,10 @@ def bank_rule(
     residuals = list(np.moveaxis(np.concatenate(smoothed), 1, 0))
     watched = tuple(any(name in edges for name in one.faults) for one in bank)
     least = 0.0 if noise is None else np.diag((_NOISE_SHARE * noise) ** 2)
-    covariances = tuple(found.T @ found / len(found) + least for found in residuals)
+    covariances = tuple(residual.T @ residual / len(residual) + least for residual in residuals)
     scores = [
-        np.linalg.norm(found @ W.T, axis=1)
-        for found, W, edge in zip(residuals, whitening(covariances), watched, strict=True)
+        np.linalg.norm(residual @ W.T, axis=1)
+        for residual, W, edge in zip(residuals, whitening(covariances), watched, strict=True)
         if not edge
     ]
     return BankRule(

@@ -46,7 +46,7 @@ def effect_signals(
     TelemetryError
         A message that is needed is missing or comes too seldom; the text says which to record.
     """
-    common = set.intersection(*(set(found.rate_hz) for found in surveys))
+    common = set.intersection(*(set(survey.rate_hz) for survey in surveys))
     imu = next((source for source in _IMU if source[0] in common), None)
     for message, what in ((_ATTITUDE, "attitude"), (MOTOR_MESSAGE, "servo outputs")):
         if message not in common:
@@ -72,7 +72,7 @@ def servo(name: str, number: int, centre: float, span: float) -> Channel:
 
 
 def _rate_hz(surveys: Sequence[Survey], messages: Sequence[str]) -> float:
-    slowest, message = min((found.rate_hz[message], message) for found in surveys for message in messages)
+    slowest, message = min((survey.rate_hz[message], message) for survey in surveys for message in messages)
     for rate in _RATES_HZ:
         if slowest >= _NEARLY * rate:
             return rate

@@ -208,7 +208,7 @@ def _reading(
     """Return how each fault's estimate is read."""
     runs = [run for flight in flights for run in _observed(gains, flight)]
     doubts = {axis.model.actuator: 1.0 / axis.t_value for axis in fit.axes}
-    found = {}
+    rules = {}
     for place, fault in enumerate(gains.faults):
         command, full = gains.inputs.index(fault), kind.full.get(fault)
         start = EffectivenessRule(
@@ -229,7 +229,7 @@ def _reading(
             for estimates, u in runs
         ]
         rule = calibrate_effectiveness(healthy, gains.rate_hz, start)
-        found[fault] = replace(
+        rules[fault] = replace(
             rule,
             noise=_rounded(rule.noise),
             inflation=_rounded(rule.inflation),
@@ -238,7 +238,7 @@ def _reading(
             offset_doubt=_rounded(rule.offset_doubt),
             certainty=_rounded(rule.certainty),
         )
-    return found
+    return rules
 
 
 def _observed(gains: Gains, flight: Flight) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:

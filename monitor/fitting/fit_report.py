@@ -57,9 +57,9 @@ def comparison_lines(comparison: Comparison) -> list[str]:
     """Return one line for each output: shares explained, and what its residual looks like."""
     width = max(len(name) for name in comparison.names)
     lines = []
-    for i, (name, found) in enumerate(zip(comparison.names, comparison.statistics, strict=True)):
+    for i, (name, statistics) in enumerate(zip(comparison.names, comparison.statistics, strict=True)):
         shares = ", ".join(f"{what} {100.0 * share[i]:.1f} %" for what, share in comparison.explained.items())
-        lines.append(f"{name:<{width}}  {shares}; residual {found.rms:.3g} rms, {found.note}")
+        lines.append(f"{name:<{width}}  {shares}; residual {statistics.rms:.3g} rms, {statistics.note}")
     return lines
 
 
@@ -71,15 +71,15 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
             for what, share in comparison.explained.items()
         },
         "residual": {
-            found.name: {
-                "rms": found.rms,
-                "ljung_box_p": found.ljung_box_p,
-                "skewness": found.skewness,
-                "excess_kurtosis": found.excess_kurtosis,
-                "autocorrelation": found.autocorrelation.tolist(),
-                "note": found.note,
+            statistics.name: {
+                "rms": statistics.rms,
+                "ljung_box_p": statistics.ljung_box_p,
+                "skewness": statistics.skewness,
+                "excess_kurtosis": statistics.excess_kurtosis,
+                "autocorrelation": statistics.autocorrelation.tolist(),
+                "note": statistics.note,
             }
-            for found in comparison.statistics
+            for statistics in comparison.statistics
         },
     }
 
@@ -135,10 +135,10 @@ def _draw_series(figure: Any, grid: GridSpec, comparison: Comparison, i: int, sh
 
 
 def _draw_correlation(panel: Axes, comparison: Comparison, i: int) -> None:
-    found = comparison.statistics[i]
-    lags = np.arange(1, len(found.autocorrelation) + 1)
-    panel.axhspan(-found.bound, found.bound, color=GREY, alpha=0.3, linewidth=0)
-    panel.vlines(lags, 0.0, found.autocorrelation, color=LIGHT.residual, linewidth=1.2)
+    statistics = comparison.statistics[i]
+    lags = np.arange(1, len(statistics.autocorrelation) + 1)
+    panel.axhspan(-statistics.bound, statistics.bound, color=GREY, alpha=0.3, linewidth=0)
+    panel.vlines(lags, 0.0, statistics.autocorrelation, color=LIGHT.residual, linewidth=1.2)
     panel.axhline(0.0, color=GREY, linewidth=0.5)
     panel.set_ylim(-1.05, 1.05)
     panel.set_yticks([-1.0, 0.0, 1.0])

@@ -117,10 +117,10 @@ def _arrived(columns: Columns, start_ns: int, end_ns: int) -> Columns:
 def flight_samples(batches: Iterable[Batch], source: SampleSource, rate_hz: float, gate: GateRule) -> Flight:
     """Return the samples of a recording, ``rate_hz`` of them per second."""
     sampler = GatedSampler(source, rate_hz, VehicleClock(), gate)
-    found: list[Flight] = []
+    flights: list[Flight] = []
     for part, phase in _by_phase(batches):
-        found.append(Flight(*sampler.sample(part, phase)))
-    return joined_flights(found)
+        flights.append(Flight(*sampler.sample(part, phase)))
+    return joined_flights(flights)
 
 
 def transformed(flight: Flight, transform: Transform) -> Flight:

@@ -182,8 +182,8 @@ def _stamps(group: _Group) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     if clock is not None:
         times_ns = group.values[clock].astype(np.float64) * CLOCK_UNITS_NS[clock]
     elif len(times_ns) == 1:
-        found = ANY_CLOCK.stamp_ns(group.fields_at(0))
-        times_ns[0] = np.nan if found is None or abs(found) >= LATEST_NS else found
+        stamp_ns = ANY_CLOCK.stamp_ns(group.fields_at(0))
+        times_ns[0] = np.nan if stamp_ns is None or abs(stamp_ns) >= LATEST_NS else stamp_ns
     # zero stands for no time
     good = (times_ns != 0.0) & (np.abs(times_ns) < LATEST_NS)
     return group.position[good], times_ns[good].astype(np.int64)

@@ -87,8 +87,8 @@ class Identity:
 
 def common_identity(identities: Iterable[Identity]) -> Identity:
     """Return what is known of any and contradicts none of the others."""
-    found = list(identities)
-    known = {name.name: {value for one in found if (value := getattr(one, name.name))} for name in fields(Identity)}
+    given = list(identities)
+    known = {name.name: {value for one in given if (value := getattr(one, name.name))} for name in fields(Identity)}
     return Identity(**{name: values.pop() for name, values in known.items() if len(values) == 1})
 
 

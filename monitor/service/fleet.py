@@ -64,15 +64,15 @@ class Fleet:
         if len(systems) == 1:
             vehicle = self._vehicle_of(systems.pop(), batch)
             return [(vehicle, batch)] if vehicle is not None else self._discard(batch.count)
-        found = []
+        parts = []
         for system in systems:
             part = gathered(
                 [columns for columns in batch.columns if _is_of(columns, system)],
                 {index: message for index, message in batch.others.items() if _is_of(message, system)},
             )
             vehicle = self._vehicle_of(system, part)
-            found += [(vehicle, part)] if vehicle is not None else self._discard(part.count)
-        return found
+            parts += [(vehicle, part)] if vehicle is not None else self._discard(part.count)
+        return parts
 
     def _discard(self, count: int) -> list[tuple[VehicleMonitor, Batch]]:
         self.foreign += count

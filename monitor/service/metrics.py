@@ -98,8 +98,8 @@ class _Parts(NamedTuple):
 
         def values(health: Health) -> Iterator[tuple[tuple[str, ...], float]]:
             for own, part in self.of(health):
-                found = get(part)
-                yield from [(own, found)] if label is None else (((*own, key), one) for key, one in found.items())
+                value = get(part)
+                yield from [(own, value)] if label is None else (((*own, key), one) for key, one in value.items())
 
         return MetricRow(name, self.labels if label is None else (*self.labels, label), about, values)
 

@@ -211,7 +211,7 @@ def _numeric_paths(fields: Mapping[str, Any]) -> Iterator[_Path]:
         elif len(path) >= _DEPTH:
             continue
         elif isinstance(value, Mapping):
-            inside = ((name, found) for name, found in value.items() if isinstance(name, str) and name not in _CLOCKS)
-            waiting.extend(((*path, name), found) for name, found in islice(inside, _WALK))
+            inside = ((name, inner) for name, inner in value.items() if isinstance(name, str) and name not in _CLOCKS)
+            waiting.extend(((*path, name), inner) for name, inner in islice(inside, _WALK))
         elif isinstance(value, list | tuple):
-            waiting.extend(((*path, place), found) for place, found in enumerate(value[:_WALK]))
+            waiting.extend(((*path, place), inner) for place, inner in enumerate(value[:_WALK]))

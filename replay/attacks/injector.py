@@ -55,17 +55,17 @@ class Senders:
 
 def survey_senders(messages: Iterable[Message], clocks: Mapping[str, Channel]) -> dict[int, Senders]:
     """Go through a recording once; return what each system sends and when."""
-    found: dict[int, tuple[Senders, VehicleTime]] = {}
+    senders: dict[int, tuple[Senders, VehicleTime]] = {}
     for message in messages:
-        if message.system not in found:
-            found[message.system] = Senders(set()), VehicleTime(clocks)
-        sender, time = found[message.system]
+        if message.system not in senders:
+            senders[message.system] = Senders(set()), VehicleTime(clocks)
+        sender, time = senders[message.system]
         sender.names.add(message.name)
         stamp_ns = time.stamp(message)
         if stamp_ns is not None:
             sender.first_ns = stamp_ns if sender.first_ns is None else sender.first_ns
             sender.last_ns = stamp_ns if sender.last_ns is None else max(sender.last_ns, stamp_ns)
-    return {system: sender for system, (sender, _) in found.items()}
+    return {system: sender for system, (sender, _) in senders.items()}
 
 
 def profile_clocks(profile: Profile | None) -> dict[str, Channel]:
@@ -130,11 +130,11 @@ def _field(channel: str, names: frozenset[str], clocks: Mapping[str, Channel]) -
         return None
     message, path = channel[: places[-1]], channel[places[-1] + 1 :]
     try:
-        found = parse_channel(channel, {"message": message, "field": path}, f"--channel {channel}")
+        mapped = parse_channel(channel, {"message": message, "field": path}, f"--channel {channel}")
     except TelemetryError as error:
         raise UsageError(str(error)) from error
     clock = clocks.get(message)
-    return replace(found, clock=clock.clock, clock_unit_ns=clock.clock_unit_ns) if clock else found
+    return replace(mapped, clock=clock.clock, clock_unit_ns=clock.clock_unit_ns) if clock else mapped
 
 
 def _instrument_plan(attack: Attack, quantities: Iterable[Quantity]) -> Plan:

@@ -102,9 +102,9 @@ def _bounds(gains: Sequence[Gains]) -> dict[str, Any]:
 
 
 def _worst(gains: Sequence[Gains], key: str) -> float | None:
-    found = [one.report.get(key) for one in gains]
-    known = [value for value in found if isinstance(value, int | float)]
-    return max(known) if len(known) == len(found) else None
+    bounds = [one.report.get(key) for one in gains]
+    known = [value for value in bounds if isinstance(value, int | float)]
+    return max(known) if len(known) == len(bounds) else None
 
 
 def gains_info(path: Path) -> dict[str, Any]:

@@ -23,7 +23,7 @@ _WIDTH = 110
 """Letters of a line of a list. Chosen: a wide terminal."""
 
 
-def info_text(found: Mapping[str, Any]) -> str:
+def info_text(content: Mapping[str, Any]) -> str:
     """Return the lines for what ``info`` found, names from a recording without control characters."""
     kinds: dict[str, Callable[[Mapping[str, Any]], Iterator[str]]] = {
         "recording": _recording,
@@ -31,32 +31,32 @@ def info_text(found: Mapping[str, Any]) -> str:
         "gains": _gains,
         "model": _model,
     }
-    return "\n".join(map(printable, kinds[found["kind"]](found))) + "\n"
+    return "\n".join(map(printable, kinds[content["kind"]](content))) + "\n"
 
 
-def _recording(found: Mapping[str, Any]) -> Iterator[str]:
-    kind = _FORMATS.get(found["format"], found["format"])
-    head = f"{found['file']}: {kind}, {found['count']} messages"
-    if found["start_ns"] is not None:
-        head += f", {found['duration_s']:.1f} s from {found['start'] or found['start_ns']}"
+def _recording(content: Mapping[str, Any]) -> Iterator[str]:
+    kind = _FORMATS.get(content["format"], content["format"])
+    head = f"{content['file']}: {kind}, {content['count']} messages"
+    if content["start_ns"] is not None:
+        head += f", {content['duration_s']:.1f} s from {content['start'] or content['start_ns']}"
     yield head
-    for damage in found["damage"]:
+    for damage in content["damage"]:
         yield f"  damaged: {damage['file']}: {'; '.join(damage['found'])}"
-    recorded = found["recorded"] or {}
+    recorded = content["recorded"] or {}
     if "vehicle" in recorded:
         yield f"  recorded by a monitor of {recorded['vehicle']}, fauio {recorded.get('fauio', '?')}"
     elif "converted_from" in recorded:
         yield f"  converted from {recorded['converted_from']}"
-    yield from _link(found["link"])
-    for system in found["systems"]:
+    yield from _link(content["link"])
+    for system in content["systems"]:
         yield f"  system {system['system']}: {_system(system)}"
-    yield from _alarms(found["alarms"])
-    yield from _messages(found)
-    if found["vehicle"] is not None:
-        yield from _vehicle(found["vehicle"])
-    if found["fields"]:
+    yield from _alarms(content["alarms"])
+    yield from _messages(content)
+    if content["vehicle"] is not None:
+        yield from _vehicle(content["vehicle"])
+    if content["fields"]:
         yield "  numbers that the channels of a custom model can take (fauio fit --vehicle custom --model MODEL.toml):"
-        for name, fields in found["fields"].items():
+        for name, fields in content["fields"].items():
             yield from _listed(f"    {name}: ", _capped(fields, _MOST_FIELDS))
 
 
@@ -88,8 +88,8 @@ def _alarms(alarms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         yield f"    ... and {len(alarms) - _MOST_ALARMS} more"
 
 
-def _messages(found: Mapping[str, Any]) -> Iterator[str]:
-    messages = found["messages"]
+def _messages(content: Mapping[str, Any]) -> Iterator[str]:
+    messages = content["messages"]
     if not messages:
         yield "  no messages"
         return
@@ -132,12 +132,12 @@ def _grouped(places: Any) -> list[str]:
     return list(dict.fromkeys(place.partition(".")[0] for place in places))
 
 
-def _profile(found: Mapping[str, Any]) -> Iterator[str]:
-    phase = [word for word in ("armed", "airborne") if found["phase"][f"require_{word}"]]
+def _profile(content: Mapping[str, Any]) -> Iterator[str]:
+    phase = [word for word in ("armed", "airborne") if content["phase"][f"require_{word}"]]
     when = " and ".join(phase) or "always"
-    yield f"{found['file']}: profile of '{found['name']}' ({found['vehicle']}), watches while {when}"
-    yield from _listed("  reads ", found["messages"])
-    for name, one in found["observers"].items():
+    yield f"{content['file']}: profile of '{content['name']}' ({content['vehicle']}), watches while {when}"
+    yield from _listed("  reads ", content["messages"])
+    for name, one in content["observers"].items():
         bank = f", bank of {one['hypotheses']}" if one["hypotheses"] > 1 else ""
         size = f"{len(one['states'])} states, {len(one['inputs'])} inputs, {len(one['outputs'])} outputs"
         yield f"  {name}: {one['rate_hz']:g} Hz, {size}{bank}, {_bound(one)}"
@@ -148,33 +148,33 @@ def _profile(found: Mapping[str, Any]) -> Iterator[str]:
             yield f"    {channel:<{width}}  {sizes}{sees}"
 
 
-def _bound(found: Mapping[str, Any]) -> str:
-    bound = "no certified bound" if found["sqrt_mu"] is None else f"sqrt(mu) {found['sqrt_mu']:.4g}"
-    return f"{bound}, {'certificate holds' if found['certified'] else 'not certified'}"
+def _bound(content: Mapping[str, Any]) -> str:
+    bound = "no certified bound" if content["sqrt_mu"] is None else f"sqrt(mu) {content['sqrt_mu']:.4g}"
+    return f"{bound}, {'certificate holds' if content['certified'] else 'not certified'}"
 
 
-def _gains(found: Mapping[str, Any]) -> Iterator[str]:
-    yield f"{found['file']}: gains for the model {found['model']} ({found['method']}, {found['rate_hz']:g} Hz)"
-    yield f"  {_bound(found)}; one step is a product with a {found['matrix'][0]} x {found['matrix'][1]} matrix"
-    yield from _names(found)
+def _gains(content: Mapping[str, Any]) -> Iterator[str]:
+    yield f"{content['file']}: gains for the model {content['model']} ({content['method']}, {content['rate_hz']:g} Hz)"
+    yield f"  {_bound(content)}; one step is a product with a {content['matrix'][0]} x {content['matrix'][1]} matrix"
+    yield from _names(content)
 
 
-def _model(found: Mapping[str, Any]) -> Iterator[str]:
-    rate = "" if found["rate_hz"] is None else f" at {found['rate_hz']:g} Hz"
-    yield f"{found['file']}: {found['domain']} model '{found['name']}'{rate}"
-    if found["description"]:
-        yield f"  {found['description']}"
-    yield from _names(found)
+def _model(content: Mapping[str, Any]) -> Iterator[str]:
+    rate = "" if content["rate_hz"] is None else f" at {content['rate_hz']:g} Hz"
+    yield f"{content['file']}: {content['domain']} model '{content['name']}'{rate}"
+    if content["description"]:
+        yield f"  {content['description']}"
+    yield from _names(content)
     for key in ("disturbances", "noises", "nonlinearities", "parameters"):
-        if found[key]:
-            yield from _listed(f"  {'free parameters' if key == 'parameters' else key}: ", found[key])
-    yield f"  check: {found['check']}"
+        if content[key]:
+            yield from _listed(f"  {'free parameters' if key == 'parameters' else key}: ", content[key])
+    yield f"  check: {content['check']}"
 
 
-def _names(found: Mapping[str, Any]) -> Iterator[str]:
+def _names(content: Mapping[str, Any]) -> Iterator[str]:
     for key in ("states", "inputs", "outputs"):
-        yield from _listed(f"  {key} ({len(found[key])}): ", found[key])
-    faults = [f"{fault['name']} ({fault['kind']})" for fault in found["faults"]]
+        yield from _listed(f"  {key} ({len(content[key])}): ", content[key])
+    faults = [f"{fault['name']} ({fault['kind']})" for fault in content["faults"]]
     yield from _listed(f"  faults ({len(faults)}): ", faults)
 
 

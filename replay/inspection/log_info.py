@@ -41,15 +41,15 @@ def first_raised(events: Iterable[Event]) -> list[Event]:
     events : Iterable[AlarmEvent] | Iterable[dict]
         Alarm events, or their JSON objects from a recording, which may hold anything where it is damaged.
     """
-    found: dict[str, Event] = {}
+    raised: dict[str, Event] = {}
     for event in events:
         if isinstance(event, Mapping):
             state, number = event.get("state"), repr(event.get("id"))
         else:
             state, number = event.state, event.id
         if state == "raised":
-            found.setdefault(number, event)
-    return list(found.values())
+            raised.setdefault(number, event)
+    return list(raised.values())
 
 
 _SILENCE_NS = 10_000_000_000
@@ -171,7 +171,7 @@ def log_info(path: Path) -> dict[str, Any]:
     kind = recording_kind(path)
     tally, recording = _Tally(), Recording(path)
     batches = track(recording.batches(), f"reading {path.name}", weigh=lambda batch: batch.count)
-    found = survey(tally.watch(tally.count(batches)))
+    surveyed = survey(tally.watch(tally.count(batches)))
     first_ns = tally.first_ns
     return {
         "file": str(path),
@@ -181,10 +181,10 @@ def log_info(path: Path) -> dict[str, Any]:
         "start": None if first_ns is None else _moment(first_ns),
         "duration_s": 0.0 if first_ns is None else (tally.last_ns - first_ns) / 1e9,
         "count": tally.counts.total(),
-        "messages": {name: _message(name, tally, found) for name in sorted(tally.counts)},
+        "messages": {name: _message(name, tally, surveyed) for name in sorted(tally.counts)},
         "link": tally.link.figures().rounded(),
         "systems": [_system(number, sender) for number, sender in sorted(tally.senders.items()) if sender.messages],
-        "vehicle": _fits(found, tally, recording.topics),
+        "vehicle": _fits(surveyed, tally, recording.topics),
         "fields": {name: _paths(fields) for name, fields in sorted(tally.examples.items())},
         "recorded": recorded_metadata(path) or None,
         "alarms": first_raised(recorded_alarms(path)),
@@ -196,10 +196,10 @@ def _moment(time_ns: int) -> str:
     return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).isoformat().replace("+00:00", "Z")
 
 
-def _message(name: str, tally: _Tally, found: Survey) -> dict[str, Any]:
+def _message(name: str, tally: _Tally, surveyed: Survey) -> dict[str, Any]:
     """Return count and rate: on the vehicle's clock where the message has a time, else as it arrived."""
     count = tally.counts[name]
-    rate = found.rate_hz.get(name) if found.counts.get(name) == count else None
+    rate = surveyed.rate_hz.get(name) if surveyed.counts.get(name) == count else None
     return {"count": count, "rate_hz": tally.rates[name].hz if rate is None else rate}
 
 
@@ -219,15 +219,15 @@ def _enumerated(enumeration: str, number: int | None) -> str | None:
     return None if number is None else enumerated(enumeration, number)
 
 
-def _fits(found: Survey, tally: _Tally, topics: Mapping[str, str]) -> dict[str, Any] | None:
+def _fits(surveyed: Survey, tally: _Tally, topics: Mapping[str, str]) -> dict[str, Any] | None:
     """Return which observers could be fitted to the vehicle's messages, None where there is no vehicle."""
     sender = None if tally.watched is None else tally.senders.get(tally.watched)
     if sender is None:
-        fits = {kind.name: _fit(kind, found) for kind in KINDS if kind.types}
+        fits = {kind.name: _fit(kind, surveyed) for kind in KINDS if kind.types}
         if not any(fit["possible"] for fit in fits.values()):
             return None
         return {"system": None, "likely": None, "never_armed": False, "inputs": {}, "fits": fits}
-    fits = {kind.name: _fit(kind, found) for kind in KINDS if kind.preview}
+    fits = {kind.name: _fit(kind, surveyed) for kind in KINDS if kind.preview}
     for name in _FIELD_RECORDS:
         rate_hz = tally.rates[name].hz if name in tally.rates else None
         for fit in fits.values():
@@ -242,39 +242,39 @@ def _fits(found: Survey, tally: _Tally, topics: Mapping[str, str]) -> dict[str, 
     return {
         "system": tally.watched,
         "likely": likely[0].name if likely else None,
-        "never_armed": found.never_armed,
+        "never_armed": surveyed.never_armed,
         "inputs": {
-            name: {"holds": holds, "rate_hz": found.rate_hz[name], "from": topics.get(name)}
+            name: {"holds": holds, "rate_hz": surveyed.rate_hz[name], "from": topics.get(name)}
             for name, holds in _INPUTS.items()
-            if name in found.rate_hz
+            if name in surveyed.rate_hz
         },
         "fits": fits,
     }
 
 
-def _fit(kind: VehicleKind, found: Survey) -> dict[str, Any]:
+def _fit(kind: VehicleKind, surveyed: Survey) -> dict[str, Any]:
     try:
-        preview: Preview = load(kind.preview)(found)
+        preview: Preview = load(kind.preview)(surveyed)
     except TelemetryError as error:
         nothing: dict[str, Any] = {"watches": [], "channels": {}, "rate_hz": None, "facts": [], "hides": None}
         return {"possible": False, "missing": [str(error)], **nothing}
-    slow = slow_messages([found.rate_hz], preview.channels, kind.wanted_hz)
+    slow = slow_messages([surveyed.rate_hz], preview.channels, kind.wanted_hz)
     seldom = [
         f"{name} at {kind.wanted_hz:g} Hz: it comes at {rate:.3g} Hz"
         + (f"; {motor_gain(rate)}" if kind.name == "multirotor" and name == MOTOR_MESSAGE else "")
         for name, rate in slow.items()
     ]
     json = preview.to_json()
-    hides = hidden([found], preview.channels)
+    hides = hidden([surveyed], preview.channels)
     return {"possible": True, **json, "missing": json["missing"] + seldom, "hides": hides}
 
 
 def _paths(fields: Mapping[str, Any]) -> list[str]:
     """Return the places of the numbers in a message, as a profile's channels name them."""
-    found: list[str] = []
+    paths: list[str] = []
 
     def go(value: Any, path: str, names: Any) -> None:
-        if len(found) >= _MAX_FIELDS:
+        if len(paths) >= _MAX_FIELDS:
             return
         if isinstance(value, Mapping):
             for key, inner in value.items():
@@ -284,7 +284,7 @@ def _paths(fields: Mapping[str, Any]) -> list[str]:
             for at, inner in enumerate(value[:_MAX_ELEMENTS]):
                 go(inner, f"{path}[{names[at] if named else at}]", None)
         elif isinstance(value, int | float) and not isinstance(value, bool):
-            found.append(path)
+            paths.append(path)
 
     go(fields, "", None)
-    return found
+    return paths

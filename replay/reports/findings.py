@@ -91,7 +91,7 @@ def findings(profile: Profile, events: Iterable[AlarmEvent], traces: Sequence[Tr
 
 
 def watched_channels(
-    profile: Profile, folder: Path, traces: Sequence[Trace], watched_s: Mapping[str, float], found: Sequence[Finding]
+    profile: Profile, folder: Path, traces: Sequence[Trace], watched_s: Mapping[str, float], results: Sequence[Finding]
 ) -> list[WatchedChannel]:
     """Return every channel of the profile that has an alarm.
 
@@ -105,7 +105,7 @@ def watched_channels(
             calibration=_calibration(rests_on.get((rule.observer, rule.channel)), rule.threshold),
             watched_s=watched_s.get(rule.observer, 0.0),
             peak=_peak(by_name.get(rule.observer), rule.channel),
-            alarms=sum((one.alarm.observer, one.alarm.channel) == (rule.observer, rule.channel) for one in found),
+            alarms=sum((one.alarm.observer, one.alarm.channel) == (rule.observer, rule.channel) for one in results),
             effect=by_effect.get((rule.observer, rule.channel)),
         )
         for observer in profile.observers

@@ -34,13 +34,13 @@ def envelope(
     """
     size = -(-len(values) // bins)
     edges = np.union1d(np.flatnonzero(restart), [0, len(values)])
-    found: list[NDArray[np.float64]] = []
+    parts: list[NDArray[np.float64]] = []
     for start, stop in pairwise(edges.astype(np.intp)):
         picked = np.arange(start, stop)
         if size > 2 and stop - start > 2 * size:
             picked = _extremes(values[start:stop], size) + start
-        found += [np.stack((times[picked], values[picked])), np.full((2, 1), np.nan)]
-    joined = np.concatenate(found[:-1], axis=1) if found else np.empty((2, 0))
+        parts += [np.stack((times[picked], values[picked])), np.full((2, 1), np.nan)]
+    joined = np.concatenate(parts[:-1], axis=1) if parts else np.empty((2, 0))
     return joined[0], joined[1]
 
 
@@ -333,9 +333,9 @@ def _mark_beyond(
     """Mark at the panel's edge where an estimate that alarms could be raised from lies beyond it."""
     times_s = _seconds(trace, look)
     for beyond, edge, marker in ((estimate < limits[0], 0.0, "v"), (estimate > limits[1], 1.0, "^")):
-        found = times_s[trace.armed & beyond]
+        times_beyond_s = times_s[trace.armed & beyond]
         width_s = look.end_s / BEYOND_MARKS or 1.0
-        places_s = width_s * (np.unique(np.floor(found / width_s)) + 0.5)
+        places_s = width_s * (np.unique(np.floor(times_beyond_s / width_s)) + 0.5)
         [marks] = panel.plot(
             places_s,
             np.full(len(places_s), edge),

@@ -61,24 +61,24 @@ def write_report(path: str | os.PathLike[str], run: Run) -> None:
 def recording_report(run: Run) -> str:
     """Return the report of a run as an HTML page."""
     replay = run.replay
-    found = findings(run.profile, replay.events, replay.traces)
+    results = findings(run.profile, replay.events, replay.traces)
     watched_s = {name: watch.watched_s for name, watch in replay.watches.items()}
-    watched = watched_channels(run.profile, run.folder, replay.traces, watched_s, found)
+    watched = watched_channels(run.profile, run.folder, replay.traces, watched_s, results)
     return page(
         f"{run.vehicle}: {run.log.name}",
         element("h1", f"{run.vehicle}: {run.log.name}"),
-        _header(run, found),
-        section("What was found", *_found(run, found)),
-        section("How sure", *_how_sure(run, found, watched)),
-        section("What could not be checked, and why", _unchecked(run, found)),
+        _header(run, results),
+        section("What was found", *_found(run, results)),
+        section("How sure", *_how_sure(run, results, watched)),
+        section("What could not be checked, and why", _unchecked(run, results)),
         section("Plots", *_plots(run)),
         section("The recording", *_recording(run)),
         section("How this was made", _made(run)),
     )
 
 
-def _header(run: Run, found: Sequence[Finding]) -> Html:
-    worst = {one.alarm.severity for one in found}
+def _header(run: Run, results: Sequence[Finding]) -> Html:
+    worst = {one.alarm.severity for one in results}
     mark = next((severity for severity in ("critical", "warning") if severity in worst), "")
     if not mark and _blind(run.replay):
         mark = "unknown"
@@ -91,12 +91,12 @@ def _header(run: Run, found: Sequence[Finding]) -> Html:
     )
 
 
-def _found(run: Run, found: Sequence[Finding]) -> Iterator[Html]:
-    if not found:
+def _found(run: Run, results: Sequence[Finding]) -> Iterator[Html]:
+    if not results:
         yield element("p", _nothing_found(run))
     # the vehicle's time of the first sample, from which the plots count
     zero_ns = min((int(one.vehicle_ns[0]) for one in run.replay.traces if len(one.vehicle_ns)), default=None)
-    for one in found:
+    for one in results:
         yield element(
             "article",
             element("h3", f"{one.alarm.observer} / {one.alarm.channel}: {one.largest.message}"),
@@ -150,7 +150,7 @@ def _of_finding(one: Finding, zero_ns: int | None) -> Iterator[tuple[str, object
         )
 
 
-def _how_sure(run: Run, found: Sequence[Finding], watched: Sequence[WatchedChannel]) -> Iterator[Html]:
+def _how_sure(run: Run, results: Sequence[Finding], watched: Sequence[WatchedChannel]) -> Iterator[Html]:
     yield element(
         "p",
         "The largest estimate while alarms could be raised, against the threshold. Calibrated thresholds were set on "
@@ -163,7 +163,7 @@ def _how_sure(run: Run, found: Sequence[Finding], watched: Sequence[WatchedChann
         watched_s = own[0].watched_s
         yield element("h3", f"{observer}, " + (f"watched for {_span(watched_s)}" if watched_s else "never watched"))
         yield table(_WATCHED_HEADS, map(_of_channel, own), numbers=range(2, 9))
-    others = sorted({one.alarm.observer for one in found} - {observer.name for observer in run.profile.observers})
+    others = sorted({one.alarm.observer for one in results} - {observer.name for observer in run.profile.observers})
     if others:
         yield element("p", f"Alarms of {', '.join(others)} come from fixed rules, not from calibration.", class_="note")
 
@@ -202,8 +202,8 @@ def _certain(effect: EffectivenessRule) -> str:
     )
 
 
-def _unchecked(run: Run, found: Sequence[Finding]) -> Html:
-    return table(("not checked", "why"), unchecked(run.profile, run.replay, run.recording, found, run.damage))
+def _unchecked(run: Run, results: Sequence[Finding]) -> Html:
+    return table(("not checked", "why"), unchecked(run.profile, run.replay, run.recording, results, run.damage))
 
 
 def _plots(run: Run) -> Iterator[Html]:

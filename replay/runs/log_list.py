@@ -30,7 +30,7 @@ def find_logs(arguments: Sequence[Path]) -> list[LogFile]:
     below, sorted by path; several MCAP files of one session in a folder are one recording there, too. Raises
     TelemetryError where a file is missing or no recording, or a folder holds none.
     """
-    found: list[LogFile] = []
+    logs: list[LogFile] = []
     taken: set[str] = set()
     for argument in arguments:
         paths = _below(argument) if argument.is_dir() else [argument]
@@ -46,8 +46,8 @@ def find_logs(arguments: Sequence[Path]) -> list[LogFile]:
                 number += 1
                 name = f"{base}-{number}"
             taken.add(name)
-            found.append(LogFile(path, name))
-    return found
+            logs.append(LogFile(path, name))
+    return logs
 
 
 def target(option: str, given: str | None, log: LogFile, suffix: str, *, many: bool) -> Path | None:
@@ -60,17 +60,17 @@ def target(option: str, given: str | None, log: LogFile, suffix: str, *, many: b
     if given is None:
         return None
     if PLACE in given:
-        found = Path(given.replace(PLACE, log.name))
+        path = Path(given.replace(PLACE, log.name))
     elif given.endswith(os.sep) or Path(given).is_dir() or (many and not Path(given).suffix):
-        found = Path(given) / f"{log.name}{suffix}"
+        path = Path(given) / f"{log.name}{suffix}"
     elif many:
         raise UsageError(
             f"{option} {given}: takes one log at a time; give a folder, or a name with {PLACE} in it, for several"
         )
     else:
         return Path(given)
-    found.parent.mkdir(parents=True, exist_ok=True)
-    return found
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
 
 
 def forbid_overwriting(logs: Sequence[LogFile], targets: Sequence[Path]) -> None:
@@ -106,9 +106,9 @@ def _files(path: Path) -> Sequence[Path]:
 
 def _below(folder: Path) -> list[Path]:
     """Return the recordings in a folder and below; the folder itself where that is all there is."""
-    found = sorted(path for place, _, files in os.walk(folder) for path in _inside(Path(place), files))
+    paths = sorted(path for place, _, files in os.walk(folder) for path in _inside(Path(place), files))
     # one file is a session, too, and named by its folder where that was named
-    return [folder] if len(found) == 1 and _session(folder) and found[0].parent == folder else found
+    return [folder] if len(paths) == 1 and _session(folder) and paths[0].parent == folder else paths
 
 
 def _inside(folder: Path, names: Sequence[str]) -> Iterator[Path]:

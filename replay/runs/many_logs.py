@@ -73,11 +73,11 @@ def _profile(files: Files) -> Profile:
 
 def _outcome(task: LogTask, future: Any) -> LogOutcome:
     try:
-        found: LogOutcome = future.result()
+        outcome: LogOutcome = future.result()
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         return LogOutcome(log=task.log, error=f"{task.log}: not replayed by the cluster: {reason}")
-    return found
+    return outcome
 
 
 # How many logs to go on while one takes long: what is found in them waits in memory.

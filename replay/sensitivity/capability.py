@@ -77,7 +77,7 @@ def measure_capability(
         longer = max(1.0, _TICKS / observer.rate_hz / WITHIN_S[0])
         within_s = [float(f"{delay * longer:.2g}") for delay in WITHIN_S]
     limits = sorted(within_s, reverse=True)
-    found = []
+    capabilities = []
     for fault in track(observer.faults, f"measuring what {observer.name} will detect", "faults"):
         if (threshold := thresholds.get(fault.name, 0.0)) <= 0.0:
             continue
@@ -91,8 +91,8 @@ def measure_capability(
         ]
         largest = (_LOSSES if loss else step_sizes(threshold))[-1]
         unit = "" if loss else fault.unit
-        found.append(Capability(fault.name, unit, loss, tuple(smallest), largest, tuple(detections)))
-    return tuple(found)
+        capabilities.append(Capability(fault.name, unit, loss, tuple(smallest), largest, tuple(detections)))
+    return tuple(capabilities)
 
 
 def step_sizes(threshold: float) -> tuple[float, ...]:

@@ -213,13 +213,13 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lam
     outcomes = iter(list(track(_run(tasks, sweep.jobs), f"{len(tasks)} windows", "windows")))
     rows: list[Row] = []
     for subject in subjects:
-        found = [next(outcomes) for _ in onsets_ns[subject.observer.name]]
-        for attack, trials in zip(subject.attacks, zip(*found, strict=True), strict=True):
+        trials_of = [next(outcomes) for _ in onsets_ns[subject.observer.name]]
+        for attack, trials in zip(subject.attacks, zip(*trials_of, strict=True), strict=True):
             rows.append(_row(attack, _unit(attack, subject.rule), trials))
     return Detectability(
         profile=profile.name,
         log=log.name,
-        onsets_ms={name: tuple(onset // 1_000_000 for onset in found) for name, found in onsets_ns.items()},
+        onsets_ms={name: tuple(onset // 1_000_000 for onset in times_ns) for name, times_ns in onsets_ns.items()},
         window_s=(sweep.before_s, sweep.after_s),
         healthy_alarms=len(healthy.alarms_ns),
         rows=tuple(rows),
@@ -229,19 +229,19 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lam
 
 def _chosen(profile: Profile, channels: Sequence[str]) -> list[tuple[ObserverProfile, AlarmRule]]:
     """Return the alarms to test."""
-    found = [
+    chosen = [
         (observer, rule)
         for observer in profile.observers
         for rule in observer.alarms
         if rule.channel in {fault.name for fault in observer.faults}
     ]
-    known = [rule.channel for _, rule in found]
+    known = [rule.channel for _, rule in chosen]
     for channel in channels:
         if channel not in known:
             raise UsageError(
                 f"--channel {channel}: the profile has no such alarm; it has {', '.join(dict.fromkeys(known))}"
             )
-    return [(o, rule) for o, rule in found if not channels or rule.channel in channels]
+    return [(o, rule) for o, rule in chosen if not channels or rule.channel in channels]
 
 
 def _attacks(
@@ -261,7 +261,7 @@ def _attacks(
         commands = flight.samples.u[flight.armed, fault.input]
         threshold /= max(abs(float(np.mean(commands))) if len(commands) else 0.0, _SMALLEST_COMMAND)
     usual = ("loss",) if fault.input is not None else ("bias", "ramp")
-    found: list[Attack] = []
+    collected: list[Attack] = []
     for kind in sweep.kinds or usual:
         sizes: Sequence[float | None] = sweep.sizes or _sizes(kind, threshold)
         attacks = [_attack(rule.channel, kind, size) for size in (sizes if kind not in _SIZELESS else (None,))]
@@ -271,8 +271,8 @@ def _attacks(
         except UsageError as error:
             skipped.append(str(error))
             continue
-        found += attacks
-    return tuple(found)
+        collected += attacks
+    return tuple(collected)
 
 
 def _attack(channel: str, kind: str, size: float | None) -> Attack:
@@ -307,14 +307,14 @@ def _onsets(name: str, healthy: Healthy, sweep: Sweep, log: Path) -> list[int]:
     before_ns, after_ns = round(sweep.before_s * SECOND_NS), round(sweep.after_s * SECOND_NS)
     spans_ns = healthy.spans_ns(name)
     free = free_spans(spans_ns, healthy.alarms_ns, before_ns, after_ns)
-    found = [onset_ns for _, onset_ns in onsets([free], sweep.onsets)]
-    if not found:
+    onsets_ns = [onset_ns for _, onset_ns in onsets([free], sweep.onsets)]
+    if not onsets_ns:
         longest = max((b - a for a, b in spans_ns), default=0) / SECOND_NS
         raise UsageError(
             f"{log}: no {sweep.before_s + sweep.after_s:g} s of watched flight without an alarm for '{name}' (longest "
             f"stretch {longest:.0f} s); give smaller --before and --after, or a longer healthy log"
         )
-    return found
+    return onsets_ns
 
 
 def _run(tasks: Sequence[Task], jobs: int) -> Iterator[list[Outcome]]:
@@ -363,35 +363,35 @@ def _within(delays: Sequence[float], share: float) -> float | None:
     """Return the delay that a share of the trials stays within, None where they do not."""
     if not delays:
         return None
-    found = delays[ceil(share * len(delays)) - 1]
-    return None if found == inf else found
+    delay = delays[ceil(share * len(delays)) - 1]
+    return None if delay == inf else delay
 
 
 _HEADER = ("channel", "kind", "size", "unit", "missed", "median", "90 %", "only it", "error of estimate", "also raised")
 
 
-def result_json(found: Detectability) -> dict[str, Any]:
+def result_json(result: Detectability) -> dict[str, Any]:
     """Return the result as one JSON object."""
-    rows = [{**asdict(row), "miss_rate": row.missed / row.trials if row.trials else None} for row in found.rows]
-    return {**asdict(found), "rows": rows}
+    rows = [{**asdict(row), "miss_rate": row.missed / row.trials if row.trials else None} for row in result.rows]
+    return {**asdict(result), "rows": rows}
 
 
-def result_lines(found: Detectability) -> list[str]:
+def result_lines(result: Detectability) -> list[str]:
     """Return the result as lines of text."""
-    before_s, after_s = found.window_s
-    trials = max((row.trials + row.void for row in found.rows), default=0)
+    before_s, after_s = result.window_s
+    trials = max((row.trials + row.void for row in result.rows), default=0)
     lines = [
-        f"{found.profile} on {found.log}: {trials} onsets each, {before_s:g} s before and {after_s:g} s after; "
+        f"{result.profile} on {result.log}: {trials} onsets each, {before_s:g} s before and {after_s:g} s after; "
         "delays from onset to alarm"
     ]
-    if found.healthy_alarms:
-        alarms = "1 alarm" if found.healthy_alarms == 1 else f"{found.healthy_alarms} alarms"
+    if result.healthy_alarms:
+        alarms = "1 alarm" if result.healthy_alarms == 1 else f"{result.healthy_alarms} alarms"
         lines.append(f"the log itself raises {alarms}; is it healthy? Windows around them were left out")
-    lines += _table([_HEADER, *(_cells(row) for row in found.rows)])
-    void = sum(row.void for row in found.rows)
+    lines += _table([_HEADER, *(_cells(row) for row in result.rows)])
+    void = sum(row.void for row in result.rows)
     if void:
         lines.append(f"{void} trials do not count: an alarm was raised before the onset")
-    return lines + [f"left out: {reason}" for reason in found.skipped]
+    return lines + [f"left out: {reason}" for reason in result.skipped]
 
 
 def _cells(row: Row) -> tuple[str, ...]:

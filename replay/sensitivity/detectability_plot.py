@@ -23,7 +23,7 @@ _SECOND_LINE = 32
 """Characters that fit below a panel."""
 
 
-def plot_detectability(path: str | os.PathLike[str], found: Detectability) -> None:
+def plot_detectability(path: str | os.PathLike[str], result: Detectability) -> None:
     """Draw a sweep.
 
     Per kind of fault a row of panels, one for each channel: the delay that half of the trials stay within as a line,
@@ -41,7 +41,7 @@ def plot_detectability(path: str | os.PathLike[str], found: Detectability) -> No
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    lines = list(_lines(found.rows))
+    lines = list(_lines(result.rows))
     columns = max((len(line) for line in lines), default=1)
     heights = [DELAY_IN, MISSED_IN] * max(len(lines), 1)
     with rc_context(STYLE):
@@ -54,7 +54,7 @@ def plot_detectability(path: str | os.PathLike[str], found: Detectability) -> No
             used = len(lines[row // 2]) if lines else 0
             for column in range(used, columns):
                 grid[row][column].set_axis_off()
-        _draw_legend(figure, found)
+        _draw_legend(figure, result)
         save_small(figure, path)
 
 
@@ -63,11 +63,11 @@ def _lines(rows: Sequence[Row]) -> list[list[list[Row]]]:
     kinds: dict[tuple[str, str], dict[str, list[Row]]] = {}
     for row in rows:
         kinds.setdefault((row.kind, row.unit), {}).setdefault(row.channel, []).append(row)
-    found = []
+    lines = []
     for channels in kinds.values():
         panels = list(channels.values())
-        found += [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
-    return found
+        lines += [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
+    return lines
 
 
 def _draw_line(delays: Sequence[Axes], missed: Sequence[Axes], line: Sequence[Sequence[Row]]) -> None:
@@ -138,12 +138,12 @@ def _size_label(row: Row) -> str:
     return label if len(label) <= _SECOND_LINE else label.replace(" (", "\n(", 1)
 
 
-def _draw_legend(figure: Figure, found: Detectability) -> None:
+def _draw_legend(figure: Figure, result: Detectability) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    before_s, after_s = found.window_s
-    trials = max((row.trials for row in found.rows), default=0)
+    before_s, after_s = result.window_s
+    trials = max((row.trials for row in result.rows), default=0)
     marks: list[Any] = [
         Line2D([], [], color=BLUE, marker="o", markersize=3.0, label="half are seen within"),
         Line2D([], [], color=BLUE, linestyle="--", marker="o", markersize=3.5, mfc="white", label="90 % within"),
@@ -154,6 +154,6 @@ def _draw_legend(figure: Figure, found: Detectability) -> None:
         loc="outside upper left",
         ncols=len(marks),
         alignment="left",
-        title=f"{found.profile} on {found.log}: {trials} onsets each, after {before_s:g} s of healthy flight",
+        title=f"{result.profile} on {result.log}: {trials} onsets each, after {before_s:g} s of healthy flight",
         title_fontproperties={"size": 9.5, "weight": "bold"},
     )

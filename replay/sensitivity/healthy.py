@@ -127,7 +127,7 @@ def play_healthy(profile: Profile, recorded: Iterable[Batch]) -> Healthy:
                 estimates[output.observer].append(output)
             elif output.state == "raised":
                 alarms_ns.append(output.vehicle_time_ms * 1_000_000)
-    found = {name: runs for name, runs in estimates.items() if runs}
+    estimated = {name: runs for name, runs in estimates.items() if runs}
     system = pipeline.system
     own = [_of_system(batch, system) for batch in batches]
     return Healthy(
@@ -135,9 +135,9 @@ def play_healthy(profile: Profile, recorded: Iterable[Batch]) -> Healthy:
         newest_ns=_newest_ns(profile, own),
         system=system,
         flights={
-            name: joined_flights([Flight(run.samples, run.armed) for run in runs]) for name, runs in found.items()
+            name: joined_flights([Flight(run.samples, run.armed) for run in runs]) for name, runs in estimated.items()
         },
-        states={name: np.concatenate([run.x for run in runs]) for name, runs in found.items()},
+        states={name: np.concatenate([run.x for run in runs]) for name, runs in estimated.items()},
         alarms_ns=alarms_ns,
     )
 
@@ -197,12 +197,12 @@ def onsets(recordings: Sequence[Sequence[Span]], count: int) -> list[tuple[int, 
     """
     free = [(index, a, b) for index, spans in enumerate(recordings) for a, b in spans]
     total = sum(b - a for _, a, b in free)
-    found: dict[tuple[int, int], None] = {}
+    places: dict[tuple[int, int], None] = {}
     for number in range(count):
         offset = total * (2 * number + 1) // (2 * count)
         for index, a, b in free:
             if offset <= b - a:
-                found[index, (a + offset) // 1_000_000 * 1_000_000] = None
+                places[index, (a + offset) // 1_000_000 * 1_000_000] = None
                 break
             offset -= b - a
-    return list(found)
+    return list(places)

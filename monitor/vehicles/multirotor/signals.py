@@ -185,8 +185,8 @@ def _moves_as_pulse(output: MotorOutput) -> bool:
 
 
 def _extremes(surveys: Sequence[Survey], numbers: Sequence[int]) -> tuple[int, int]:
-    found = [one.outputs[number] for one in surveys for number in numbers]
-    return min(one.low for one in found), max(one.high for one in found)
+    ranges = [one.outputs[number] for one in surveys for number in numbers]
+    return min(one.low for one in ranges), max(one.high for one in ranges)
 
 
 def _is_no_pulse(output: MotorOutput) -> bool:
@@ -195,10 +195,10 @@ def _is_no_pulse(output: MotorOutput) -> bool:
 
 def _seen(surveys: Sequence[Survey], number: int) -> str:
     """Return the range of an output over all logs, empty where it gave nothing."""
-    found = [one.outputs[number] for one in surveys if number in one.outputs]
-    if not found:
+    ranges = [one.outputs[number] for one in surveys if number in one.outputs]
+    if not ranges:
         return ""
-    low, high = min(one.low for one in found), max(one.high for one in found)
+    low, high = min(one.low for one in ranges), max(one.high for one in ranges)
     return f"{low} to {high}" if high > low else f"always {low}"
 
 

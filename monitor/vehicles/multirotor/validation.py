@@ -52,7 +52,7 @@ class Drift:
 
 def predict_rates(fit: MultirotorFit, segments: Sequence[Segment], steps: int) -> list[Prediction]:
     """Return predictions of body rates ``steps`` samples ahead, from the rates then and the commands since."""
-    found = []
+    predictions = []
     for segment in segments:
         effect = motor_effect(fit, segment.u)
         count = len(effect) - steps + 1
@@ -64,8 +64,8 @@ def predict_rates(fit: MultirotorFit, segments: Sequence[Segment], steps: int) -
         predicted = before
         for ahead in range(steps):
             predicted = fit.a * predicted + drive[ahead : ahead + count]
-        found.append(Prediction(before, segment.y[start + steps : start + steps + count, :3], predicted))
-    return found
+        predictions.append(Prediction(before, segment.y[start + steps : start + steps + count, :3], predicted))
+    return predictions
 
 
 def response_drift(fit: MultirotorFit, flights: Sequence[Sequence[Segment]]) -> Drift:
