@@ -166,6 +166,7 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
     hover = np.median(np.concatenate([segment.u for segment in segments]), axis=0)
     changes, nats = _changes(plant, channels, identified)
     alarms = _alarms(channels, evidence, hover, identified, rule.score_floor, nats)
+    _check_watched(motors, hover.tolist(), alarms)
     commands = motor_commands(surveys)
     ranges = {} if commands.pulses else {"command_range": {"none": commands.stop, "full": commands.full}}
     fitted = Fitted(
@@ -197,6 +198,23 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
         agreement=motor_agreement(model, request.names, [flight.segments() for flight in identified.flights], motors),
     )
     return fitted, gate
+
+
+def _check_watched(motors: Sequence[str], hover: Sequence[float], alarms: Sequence[Calibrated]) -> None:
+    """Make sure that some motor's loss would be an alarm.
+
+    Raises
+    ------
+    ModelError
+        Even a motor that does nothing would be none: what moves the vehicle is something else than its commands.
+    """
+    rules = {calibrated.rule.channel: calibrated.rule for calibrated in alarms}
+    least = min(rules[motor].threshold / command for motor, command in zip(motors, hover, strict=True))
+    if least >= 1.0:
+        raise ModelError(
+            f"no motor could be watched: only losses above {100 * least:.0f} % of its command would stand out; these "
+            "commands do not explain the motion: is it a multirotor in the air, and are these the motors' outputs?"
+        )
 
 
 def _fast(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], outputs: Sequence[Channel]) -> _Identified:
