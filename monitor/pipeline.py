@@ -7,6 +7,7 @@ that passes, what the link found out, an operator's command, other thresholds, a
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
@@ -62,6 +63,13 @@ class Pipeline:
         MAVLink component of that system to listen to; 0: any.
     force : bool
         Whether to watch also a vehicle that says it is another than the profile's.
+
+    Attributes
+    ----------
+    foreign : int
+        Messages of other senders.
+    contradictions : Sequence[str]
+        What arrived lately that two senders must have sent, a sentence each.
     """
 
     def __init__(
@@ -91,6 +99,7 @@ class Pipeline:
         self._component = component
         self._interests = self.interests
         self.foreign = 0
+        self.contradictions: Sequence[str] = ()
 
     @property
     def interests(self) -> frozenset[str]:
@@ -129,11 +138,6 @@ class Pipeline:
     def stale(self) -> bool:
         """Whether telemetry is stale."""
         return self._stale.active
-
-    @property
-    def contradictions(self) -> Sequence[str]:
-        """What arrived lately that two senders must have sent, a sentence each."""
-        return [CONTESTED[name] for name in self._phase.contested]
 
     @property
     def blind(self) -> str | None:
@@ -249,6 +253,7 @@ class Pipeline:
         self._phase.feed(message)
         events = self._silence(now_ns)
         events += self._link.process(message, vehicle_ns)
+        self.contradictions = self._contradictions(now_ns)
         events += self._link.contradict(self.contradictions, now_ns)
         if message.name in self._wanted:
             events += self._stale.follow(now_ns, vehicle_ns)
@@ -260,9 +265,11 @@ class Pipeline:
         flood_ns = start_ns + round(self._desk.rule.flood_s * 1e9)
         shelved_ns = self._desk.due_ns
         blind_ns = self._blind.due_ns(self._flies(), start_ns)
-        segment = arrivals.segment(
+        contested_ns = self._clock.contested_ns if start_ns < self._clock.contested_ns else flood_ns
+        reach = functools.partial(
+            arrivals.segment,
             start,
-            min(flood_ns, blind_ns, self._link.due_ns, flood_ns if shelved_ns is None else shelved_ns),
+            min(flood_ns, blind_ns, contested_ns, self._link.due_ns, flood_ns if shelved_ns is None else shelved_ns),
             self._stale.carried_ns,
             self._stale.limit_ns,
             self._link.heartbeat_ns,
@@ -270,14 +277,19 @@ class Pipeline:
             self._link.awaits_heartbeat,
             SET_BACK_NS,
         )
+        segment = reach(arrivals.batch.count)
         before_ns = self._clock.newest_ns
-        for report in arrivals.reports(start + 1, segment.stop):
-            # None of them changes the phase, but another may, with them.
-            self._phase.feed(report)
         for chain in self._chains:
             chain.enter(self._phase)
         batch = cut(arrivals.batch, start, segment.stop)
-        taken = sample_batch(self._clock, [chain.sampler for chain in self._chains], batch)
+        taken = sample_batch(self._clock, [chain.sampler for chain in self._chains], batch, stops=True)
+        if taken.used < batch.count:
+            # The clock is contested from here on, which the next message has to say.
+            segment = reach(start + taken.used)
+            batch = cut(arrivals.batch, start, segment.stop)
+        for report in arrivals.reports(start + 1, segment.stop):
+            # None of them changes the phase, but another may, with them.
+            self._phase.feed(report)
         # Its newest time before a message is the one after the message before.
         if segment.carrier >= 0:
             at = segment.carrier - start
@@ -307,6 +319,14 @@ class Pipeline:
             idle_ns = max(idle_ns, received(batch.count - 1))
         if idle_ns:
             self._blind.wait_from(idle_ns)
+
+    def _contradictions(self, now_ns: int) -> list[str]:
+        """Return what arrived lately that two senders must have sent, a sentence each."""
+        found = [CONTESTED[name] for name in self._phase.contested]
+        if now_ns < self._clock.contested_ns:
+            apart_s = abs(self._clock.rival_ns) / 1e9
+            found.append(f"its messages were stamped by two clocks, {apart_s:.1f} s apart")
+        return found
 
     def _flight(self) -> tuple[bool, bool]:
         """Return whether evidence is expected, and whether what arrives contradicts itself."""

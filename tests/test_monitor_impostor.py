@@ -32,6 +32,31 @@ def on_ground(sent: list[Message], now_ns: int) -> Message:
     return Message(MAVLINK, "EXTENDED_SYS_STATE", now_ns, {"vtol_state": 0, "landed_state": 1}, 1, 1)
 
 
+def ahead(seconds: float) -> Forge:
+    """Return what forges the newest ATTITUDE with a time further ahead."""
+
+    def forge(sent: list[Message], now_ns: int) -> Message:
+        newest = next(message for message in reversed(sent) if message.name == "ATTITUDE")
+        stamp = newest.fields["time_boot_ms"] + round(seconds * 1e3)
+        return replace(newest, received_ns=now_ns, fields={**newest.fields, "time_boot_ms": stamp})
+
+    return forge
+
+
+def with_second_vehicle(messages: list[Message], ahead_s: float) -> list[Message]:
+    """Return messages beside those of another vehicle of the same id, which was switched on earlier."""
+    units = {"time_boot_ms": 1e3, "time_usec": 1e6}
+    other = []
+    for message in messages:
+        later = {
+            name: message.fields[name] + round(ahead_s * per_s)
+            for name, per_s in units.items()
+            if message.fields.get(name)
+        }
+        other.append(replace(message, received_ns=message.received_ns + 3_000_000, fields={**message.fields, **later}))
+    return sorted(messages + other, key=lambda message: message.received_ns)
+
+
 def with_forged(messages: list[Message], forge: Forge, period_s: float, start_s: float = 0.3) -> list[Message]:
     """Return messages with one that is forged every so often."""
     made: list[Message] = []
@@ -71,6 +96,56 @@ def test_forged_reports_are_an_impostor_and_hide_no_fault(
     assert impostor.time_ns - messages[0].received_ns < 5_000_000_000
     [motor] = [event for event in events if event.channel == "motor2" and event.state == "raised"]
     assert abs(motor.time_ns - plain.time_ns) < 100_000_000
+
+
+@pytest.mark.parametrize("forge", [ahead(3600.0), ahead(-40.0)], ids=["an_hour_ahead", "replayed"])
+def test_stamps_of_another_clock_are_an_impostor_and_hide_no_fault(
+    quad_profile: Profile, data: Path, forge: Forge
+) -> None:
+    messages = list(read_recording(data / "copter_motor2_080.tlog.xz"))
+    [plain] = [event for event in events_of(quad_profile, messages) if event.state == "raised"]
+    events = events_of(quad_profile, with_forged(messages, forge, 0.5))
+    impostor = next(event for event in events if event.channel == "impostor")
+    assert "two clocks" in impostor.message
+    assert impostor.time_ns - messages[0].received_ns < 5_000_000_000
+    [motor] = [event for event in events if event.channel == "motor2" and event.state == "raised"]
+    assert abs(motor.time_ns - plain.time_ns) < 100_000_000
+
+
+def test_stamps_less_than_a_second_ahead_do_not_move_the_vehicles_time(quad_profile: Profile, data: Path) -> None:
+    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
+    pipeline = Pipeline(quad_profile)
+    [raised] = events_of(quad_profile, with_forged(messages, ahead(0.9), 1.0, start_s=20.0), pipeline)
+    assert raised.channel == "impostor"
+    assert (raised.time_ns - messages[0].received_ns) / 1e9 - 20.0 < 5.0
+    plain = Pipeline(quad_profile)
+    events_of(quad_profile, messages, plain)
+    offset = "unix_minus_vehicle_ns"
+    assert abs(int(pipeline.metadata()[offset]) - int(plain.metadata()[offset])) < 5_000_000
+
+
+def test_a_second_vehicle_of_the_same_id_is_an_impostor_and_hides_no_fault(quad_profile: Profile, data: Path) -> None:
+    messages = list(read_recording(data / "copter_motor2_080.tlog.xz"))
+    [plain] = [event for event in events_of(quad_profile, messages) if event.state == "raised"]
+    events = events_of(quad_profile, with_second_vehicle(messages, 3600.0))
+    impostor = next(event for event in events if event.channel == "impostor")
+    assert impostor.time_ns - messages[0].received_ns < 5_000_000_000
+    [motor] = [event for event in events if event.channel == "motor2" and event.state == "raised"]
+    assert abs(motor.time_ns - plain.time_ns) < 100_000_000
+
+
+def test_a_reboot_is_no_impostor(quad_profile: Profile, data: Path) -> None:
+    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
+    half = len(messages) // 2
+    names = {"time_boot_ms": 60_000, "time_usec": 60_000_000}
+    rebooted = [
+        replace(
+            m,
+            fields={**m.fields, **{name: m.fields[name] - back for name, back in names.items() if m.fields.get(name)}},
+        )
+        for m in messages[half:]
+    ]
+    assert [event for event in events_of(quad_profile, messages[:half] + rebooted) if event.channel == "impostor"] == []
 
 
 def test_a_healthy_flight_has_no_impostor(quad_profile: Profile, data: Path) -> None:

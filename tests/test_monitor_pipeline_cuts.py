@@ -119,6 +119,16 @@ def with_forgeries(messages: list[Message], rng: random.Random) -> list[Message]
     return sorted(found, key=lambda message: message.received_ns)
 
 
+def with_two_clocks(messages: list[Message], rng: random.Random) -> list[Message]:
+    found = []
+    for message in messages:
+        found.append(message)
+        if message.name == "ATTITUDE" and rng.random() < 0.02:
+            stamp = message.fields["time_boot_ms"] + 3_600_000
+            found.append(replace(message, fields={**message.fields, "time_boot_ms": stamp}))
+    return found
+
+
 DISTORTIONS: tuple[Distortion, ...] = (
     as_they_come,
     lossy,
@@ -131,6 +141,7 @@ DISTORTIONS: tuple[Distortion, ...] = (
     with_floods,
     over_zenoh,
     with_forgeries,
+    with_two_clocks,
 )
 
 
@@ -192,7 +203,7 @@ def test_batches_as_a_daemon_collects_them_give_the_bits_of_large_ones(
 
 
 @settings(max_examples=6)
-@given(cuts=st.lists(st.integers(0, 12_000), max_size=6), seed=st.integers(0, 9), which=st.integers(0, 10))
+@given(cuts=st.lists(st.integers(0, 12_000), max_size=6), seed=st.integers(0, 9), which=st.integers(0, 11))
 def test_it_does_not_matter_where_batches_end(cuts: list[int], seed: int, which: int) -> None:
     profile = read_profile(QUAD)
     messages = list(read_recording(Path("tests/data/copter_5s.tlog.xz")))

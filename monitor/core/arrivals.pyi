@@ -37,4 +37,5 @@ class Arrivals:
         without_heartbeat_ns: int,
         awaits_heartbeat: bool,
         set_back_ns: int,
+        most: int,
     ) -> Segment: ...

@@ -201,6 +201,7 @@ cdef class Arrivals:
         int64_t without_heartbeat_ns,
         bint awaits_heartbeat,
         int64_t set_back_ns,
+        Py_ssize_t most,
     ):
         """Return how far the segment that a message begins reaches.
 
@@ -223,11 +224,13 @@ cdef class Arrivals:
             Whether a heartbeat does more.
         set_back_ns : int
             How much earlier a message shows that the clock was set back.
+        most : int
+            Index of the first message that it does not reach.
         """
         cdef int64_t carried = 0 if carried_ns is None else carried_ns
         cdef Py_ssize_t stop = start + 1, carrier = start if self._arrivals[start].marks & CARRIES else -1
         cdef Arrival* arrival
-        while carried_ns is not None and stop < self._count:
+        while carried_ns is not None and stop < min(most, self._count):
             arrival = self._arrivals + stop
             if arrival.marks & BEGINS or arrival.received >= due_ns or arrival.received - carried >= silent_ns:
                 break

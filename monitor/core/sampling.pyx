@@ -82,6 +82,14 @@ cdef nanoseconds _CLOCKLESS = -2
 # Messages of one vehicle overtake each other by less: the longest silence of a link in 12 recorded flights is 0.11 s. A
 # reboot steps back by the time since the last one, which is more as soon as anything can fly.
 cdef nanoseconds _TOLERANCE = _SECOND
+# A stamp earlier than the least delayed ones by more is no jitter but another sender's: of 90 recordings the clocks'
+# least delays differ from minute to minute by less than 0.1 s.
+cdef nanoseconds _EARLY = 250 * _MILLISECOND
+# Chosen: as long as that of the flight phase (monitor/sampling/phase.py).
+cdef nanoseconds _CONTEST = 10 * _SECOND
+cdef int _RIVALS = 3
+# A vehicle that was switched off is silent for longer; the longest silence of a radio was 2.5 s.
+cdef nanoseconds _AWAY = 3 * _SECOND
 # Chosen: after a longer silence nothing of what was estimated before it is of use, so starting anew costs nothing.
 cdef nanoseconds _JUMP = 10 * _SECOND
 # A minute of least delays, twelve of them: after it a clock with 200 ppm of skew behind up to 20 ms of jitter is mapped
@@ -184,6 +192,11 @@ cdef class VehicleClock:
     single damaged stamp changes nothing. Once believed, a step back of more than 1 s is a reboot and a step
     ahead of more than 10 s a clock that was set: both start the clock anew and count in ``boot``.
 
+    Contests. Far stamps that go on as fast as time while near ones of the same channel come in between are another
+    sender's, as are single stamps further ahead of their arrival than any before them. Three of them within 10 s are a
+    contest, which lasts until none came for 10 s. Meanwhile no other clock is believed, unless this one has been silent
+    for 3 s.
+
     Mapping. Arrival minus stamp is the clocks' offset, which drifts with the crystals' skew, plus a delay that is
     never negative. Of each 5 s of vehicle time the least delayed packet is kept, for 60 s. The line below all of
     these points with the least sum of distances to them is that of the packets nothing held up: offset and skew
@@ -191,7 +204,7 @@ cdef class VehicleClock:
     Measurements", INFOCOM 1999). It is the edge of their lower convex hull below the mean of their stamps. Where
     they span less than 15 s, or the edge is steeper than any crystal (500 ppm: simulated time that runs fast, a
     clock that was just set), the least delay alone counts. A single arrival time that would lower the offset by
-    more than 1 s is not believed.
+    more than 0.25 s is not believed.
 
     Attributes
     ----------
@@ -201,12 +214,23 @@ cdef class VehicleClock:
         Newest believed vehicle time, nanoseconds; 0 before the first.
     running : bool
         Whether a stamp was believed since the clock started (anew).
+    contested_ns : int
+        Unix time until which the clock is contested; 0: it never was.
+    rival_ns : int
+        By how much the other sender's stamps were ahead when the contest began.
     """
 
     cdef readonly int boot
     cdef readonly nanoseconds newest_ns
     cdef readonly bint running
+    cdef readonly nanoseconds contested_ns, rival_ns
     cdef bint _has_candidate, _has_doubtful
+    # A stamp of another clock and its arrival, and how many of them came since when; whether near ones came after it,
+    # also of the channel that the next one is of; when the last near one arrived.
+    cdef Point _rival
+    cdef bint _has_rival, _interleaved, _shared, _began
+    cdef int _rivals
+    cdef nanoseconds _rivals_since, _near_received
     cdef nanoseconds _candidate
     cdef Point _doubtful
     cdef Point[_MOST_POINTS] _points
@@ -261,15 +285,20 @@ cdef class VehicleClock:
 
     cdef bint _observe(self, nanoseconds stamp, nanoseconds received) noexcept:
         cdef Point point
-        if not self._near(stamp):
-            if not self._confirmed(stamp):
+        if self._near(stamp):
+            self._interleaved = True
+        else:
+            if self._is_rival(stamp, received) or not self._confirmed(stamp):
                 return False
             if not -_TOLERANCE <= stamp - self.newest_ns <= _JUMP:
                 self.boot += 1
                 self.running = False
                 self._count = 0
                 self._has_doubtful = False
+                # Should the clock from before go on, there are two.
+                self._rival.stamp, self._rival.delay = self.newest_ns, self._near_received - self.newest_ns
         self._has_candidate = False
+        self._near_received = received
         if stamp > self.newest_ns or not self.running:
             self.newest_ns = stamp
             self.running = True
@@ -277,6 +306,28 @@ cdef class VehicleClock:
         point.delay = received - stamp
         self._learn(point)
         return True
+
+    cdef bint _is_rival(self, nanoseconds stamp, nanoseconds received) noexcept:
+        """Learn a stamp far from the newest one; return whether it is a rival's, while the clock is contested."""
+        cdef wide apart = <wide>received - stamp - self._rival.delay
+        cdef nanoseconds gone = received - self._rival.delay - self._rival.stamp
+        if self._has_rival and not (self._rival.stamp == stamp and gone == 0):
+            if self._interleaved and self._shared and 0 <= gone <= _CONTEST and -_TOLERANCE <= apart <= _TOLERANCE:
+                self._contest(stamp - self.newest_ns, received)
+            self._interleaved = False
+        self._has_rival = True
+        self._rival.stamp, self._rival.delay = stamp, received - stamp
+        return received < self.contested_ns and received - self._near_received < _AWAY
+
+    cdef void _contest(self, nanoseconds ahead, nanoseconds received) noexcept:
+        """Count a stamp that only another sender can have given."""
+        if not 0 <= received - self._rivals_since < _CONTEST:
+            self._rivals, self._rivals_since = 0, received
+        self._rivals += 1
+        if self._rivals >= _RIVALS or received < self.contested_ns:
+            if received >= self.contested_ns:
+                self._began, self.rival_ns = True, ahead
+            self.contested_ns = received + _CONTEST
 
     cdef bint _confirmed(self, nanoseconds stamp) noexcept:
         """Return whether the stamp before, which was far from the newest one too, is near this one."""
@@ -304,15 +355,19 @@ cdef class VehicleClock:
         cdef Point before
         cdef nanoseconds bucket
         cdef int old
-        if self._count and early > _TOLERANCE:
+        if self._count and early > _EARLY:
             before = self._doubtful
             apart = <wide>before.delay - point.delay
             had = self._has_doubtful
             self._doubtful = point
             self._has_doubtful = True
-            if not had or before.stamp == point.stamp or apart > _TOLERANCE or apart < -_TOLERANCE:
+            if not had or before.stamp == point.stamp or apart > _EARLY or apart < -_EARLY:
                 return
             self._count = 0
+        elif self._has_doubtful and self._count > 1 and point.stamp != self._doubtful.stamp:
+            self._contest(
+                <nanoseconds>(self._delay_at(self._doubtful.stamp) - self._doubtful.delay), point.stamp + point.delay
+            )
         self._has_doubtful = False
         bucket = point.stamp // _BUCKET
         if not self._count or bucket > self._points[self._count - 1].stamp // _BUCKET:
@@ -703,6 +758,8 @@ cdef class Stream:
     cdef object channel
     cdef list channels, lanes
     cdef int width
+    # When a stamp of it was believed last, Unix time.
+    cdef nanoseconds agreed
 
     def __init__(self, group, nanoseconds max_gap, nanoseconds tick, bint raw):
         """Begin with ``group``, pairs of place in [u; y] and channel."""
@@ -903,11 +960,13 @@ cdef class SamplerCore:
         cdef VehicleClock clock = self.clock
         cdef Stream held = self._held
         cdef bint agrees = held is not None and not clock._near(stamp)
+        clock._shared = stream.agreed and received - stream.agreed <= _CONTEST
         if not clock._observe(stamp, received):
             self._doubted += held is not None
             self._held, self._held_stamp = stream, stamp
             memcpy(self._held_row, row, stream.width * sizeof(double))
             return False
+        stream.agreed = received
         if clock.boot != self._boot:
             self.start_anew()
         if held is not None:
@@ -1277,15 +1336,20 @@ class Taken(NamedTuple):
         For each sampler, the place in the batch of the message that completed each sample (n,).
     newest_ns : NDArray[np.int64]
         Newest time on the vehicle's clock after each message (batch.count,).
+    used : int
+        Messages used up: fewer than there are where a contest of the clock began with the last of them.
     """
 
     samples: tuple
     position: tuple
     newest_ns: object
+    used: int
 
 
-def sample_batch(VehicleClock clock not None, samplers, batch):
-    """Work through the messages of a batch; return the samples they complete. The whole batch is always used up.
+def sample_batch(VehicleClock clock not None, samplers, batch, bint stops=False):
+    """Work through the messages of a batch; return the samples they complete.
+
+    The whole batch is used up, unless ``stops`` and the vehicle's clock comes to be contested: that message is last.
 
     Parameters
     ----------
@@ -1296,7 +1360,7 @@ def sample_batch(VehicleClock clock not None, samplers, batch):
     batch : Batch
         Messages of one vehicle, in the order of arrival. Those that are of no sampler's interest are passed over.
     """
-    cdef Py_ssize_t count = batch.count, place
+    cdef Py_ssize_t count = batch.count, place, used = batch.count
     cdef SamplerCore sampler
     cdef _Messages group
     cdef list groups = [], feeds
@@ -1318,6 +1382,7 @@ def sample_batch(VehicleClock clock not None, samplers, batch):
     owner = <int*>PyMem_Malloc((count + 1) * sizeof(int))
     if owner == NULL:
         raise MemoryError
+    clock._began = False
     try:
         for place in range(count):
             owner[place] = -1
@@ -1331,10 +1396,13 @@ def sample_batch(VehicleClock clock not None, samplers, batch):
                 group = <_Messages>groups[owner[place]]
                 group.feed_next(place)
             newest[place] = clock.newest_ns
+            if stops and clock._began:
+                used = place + 1
+                break
     finally:
         PyMem_Free(owner)
     collected = [(<SamplerCore?>sampler).collect() for sampler in samplers]
-    return Taken(tuple([pair[0] for pair in collected]), tuple([pair[1] for pair in collected]), newest_ns)
+    return Taken(tuple([pair[0] for pair in collected]), tuple([pair[1] for pair in collected]), newest_ns, used)
 
 
 def _place(member):
