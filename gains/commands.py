@@ -32,12 +32,23 @@ def design_text(report: dict[str, Any], out: Path | None) -> str:
         if continuous
         else f"  largest pole        {report['poles_max_abs']:.6f}",
         f"  largest gain        {report['gain_max_abs']:.4g}",
+        *_bounds(report),
         f"  time                {report['solve_s']:.2f} s in the solver, {report['total_s']:.2f} s in all",
         *(f"  note                {note}" for note in report["notes"]),
     ]
     if out is not None:
         lines.append(f"  written to          {out}")
     return "\n".join(lines) + "\n"
+
+
+def _bounds(report: dict[str, Any]) -> list[str]:
+    """Return the largest errors of the faults, a line each."""
+    from gains.synthesis.peak import bound_lines
+
+    bounds = report.get("error_bounds")
+    if not bounds:
+        return []
+    return [f"  at any one time     {line}" for line in bound_lines(report["faults"], bounds)]
 
 
 def _proof(certificate: dict[str, Any]) -> str:
@@ -384,9 +395,11 @@ def _failure(plant: Plant, args: argparse.Namespace, error: ValueError) -> dict[
     known |= dict.fromkeys(("poles_max_re", "poles_min_re") if continuous else ("poles_max_abs",))
     if args.method == "convex" and not continuous:
         known |= {"integrator_order": args.integrator_order, "h2": None, "gain_weight": args.gain_weight}
+        known["error_bounds"] = None
         known["certificate"] = {"holds": False, "margin": None, "proof": None, "slopes": 0}
     if args.method not in _BASELINES:
         known["fault_rate"] = {fault.name: fault.rate for fault in plant.actuator_faults}
+        known["faults"] = [fault.name for fault in (*plant.actuator_faults, *plant.sensor_faults)]
     elif continuous:
         del known["poles_min_re"]
     rate_hz = plant.rate_hz if args.rate is None else args.rate

@@ -43,6 +43,7 @@ from gains.analysis.hinf import hinf_norm
 from gains.plants.discretise import discretise
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.design import Design, FaultState, ObserverMatrices, design_figures, observer_matrices
+from gains.synthesis.peak import peak_bounds
 
 CONSISTENCY = 1e-9
 """Relative. The norm is enclosed to 2e-9, and N and J follow from K to rounding."""
@@ -189,6 +190,7 @@ def design_report(
             "h2": certificate.h2,
             "poles_max_abs": certificate.poles_max,
             "gain_weight": design.gain_weight,
+            "error_bounds": peak_bounds(discretise(plant, design.rate_hz or 1.0), design),
         }
     else:
         own = {"poles_max_re": certificate.poles_max, "poles_min_re": certificate.poles_min}
@@ -206,6 +208,7 @@ def design_report(
         total_s=design.total_s,
         notes=[*design.notes, *_sample_note(plant, certificate)],
         fault_rate={fault.name: fault.rate for fault in plant.actuator_faults},
+        faults=[fault.name for fault in (*plant.actuator_faults, *plant.sensor_faults)],
         **own,
     )
 

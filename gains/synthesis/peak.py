@@ -1,0 +1,116 @@
+"""Largest errors of a discrete design channel by channel, in users' units, for signals of their stated sizes.
+
+sqrt(mu) bounds the energy of all errors together by that of everything unknown. A user asks for less and more: how far
+can this estimate be off at any one time, if no gust and no noise is larger than the model says and the faults move no
+faster? For the error system at the mean slopes that is a sum of sizes of an impulse response (the l1 norm): signals of
+size one move output i by at most sum_k |(C A^k B)_ij|, and some do.
+
+Slopes that vary are p = delta q, |delta_i| <= 1, from the arguments q of the error to its states. With S the sums
+between (w, p) and (e, q) the largest arguments obey |q| <= S_qw |w| + S_qp |q|, so that
+
+    |e| <= (S_ew + S_ep (I - S_qp)^-1 S_qw) |w|        where the spectral radius of S_qp is below one
+
+whatever the slopes do from sample to sample; where it is not, this way gives no bound.
+
+Noise counts once: with the error coordinates zeta~ + F D w only w itself drives the error, not w and w+.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from gains.analysis.augment import augment, error_model
+from gains.plants.plant import FloatArray, Plant
+from gains.synthesis.design import Design
+
+_FORGOTTEN = 1e-6
+"""Of the largest error of each kind: where the sums end. What follows is bounded and added."""
+_LONGEST = 200_000
+"""Samples that are summed at most: 33 minutes at 100 Hz, a second of time. An error that lasts longer gets no bound."""
+_SHARE, _SHOWN = 1e-5, 0.01
+"""Of a bound: from where a cause is listed, above what bounding the end of the sums adds; from where it is printed."""
+
+
+def peak_bounds(plant: Plant, design: Design) -> dict[str, Any] | None:
+    """Return the largest error of each fault and state of a sampled plant, and what makes it; None without a bound.
+
+    Each channel has ``at_most`` and ``unit``, and ``from``, what each disturbance or noise of its scale, and each
+    actuator fault that moves at its rate, makes of it alone.
+    """
+    augmentation = design.gains.inverse(augment(plant, design.integrator_order))
+    model = error_model(plant, augmentation, design.integrator_order, sampled=True)
+    gains = design.gains
+    injection = model.injection(gains.K, gains.L_i, gains.L_p)
+    A, B = model.mean - injection @ model.C, model.B - injection @ model.D
+    C, D = (matrix / model.weights[:, None] for matrix in model.output(gains.L_p))
+    k, ne = len(model.H), len(model.weights)
+    q = len(plant.disturbances) + len(plant.noises)
+    C, D = np.vstack([C, model.H]), np.vstack([D, np.zeros((k, D.shape[1]))])
+    # [w; df_a; p] in place of [w; w+; df_a], the error moved by F D w
+    moved = -model.B[:, q : 2 * q]
+    into = np.hstack([B[:, :q] - A @ moved, B[:, 2 * q :], model.G])
+    direct = np.hstack([D[:, :q] - C @ moved, D[:, 2 * q :], np.zeros((len(C), k))])
+    sums = _summed(A, into, C, model.sizes)
+    if sums is None:
+        return None
+    sums = sums + np.abs(direct)
+    loop = sums[ne:, -k:] if k else np.zeros((0, 0))
+    if k and not np.max(np.abs(np.linalg.eigvals(loop))) < 1.0:
+        return None
+    parts = sums[:ne, : sums.shape[1] - k]
+    if k:
+        parts = parts + sums[:ne, -k:] @ np.linalg.solve(np.eye(k) - loop, sums[ne:, :-k])
+    order = "" if design.integrator_order == 1 else "'s rate"
+    sizes = [(signal.name, f"up to {signal.scale:.3g}") for signal in plant.disturbances]
+    sizes += [(signal.name, f"up to {signal.scale:.3g}") for signal in plant.noises]
+    sizes += [(f"{fault.name}{order}", f"moving by {fault.rate:.3g} a second") for fault in plant.actuator_faults]
+    named = [(name, "") for name in plant.states]
+    named += [(fault.name, fault.unit) for fault in (*plant.sensor_faults, *plant.actuator_faults)]
+    return {
+        name: {
+            "at_most": float(np.sum(row)),
+            "unit": unit,
+            "from": {
+                f"{cause} {size}": float(part)
+                for (cause, size), part in zip(sizes, row, strict=True)
+                if part > _SHARE * np.sum(row)
+            },
+        }
+        for (name, unit), row in zip(named, parts, strict=True)
+    }
+
+
+def _summed(A: FloatArray, B: FloatArray, C: FloatArray, sizes: FloatArray) -> FloatArray | None:
+    """Return a bound of sum_k |C A^k B| that is exact to ``_FORGOTTEN``; None where it takes too long."""
+    A, B, C = A * sizes / sizes[:, None], B / sizes[:, None], C * sizes
+    step, power, row_sums = np.eye(len(A)), 0, np.zeros(len(C))
+    while power == 0 or np.max(np.sum(np.abs(step), axis=1)) >= 0.5:
+        row_sums += np.sum(np.abs(C @ step), axis=1)
+        step, power = A @ step, power + 1
+        if power > _LONGEST or not np.all(np.isfinite(step)):
+            return None
+    total, X = np.zeros((len(C), B.shape[1])), B
+    for _ in range(_LONGEST // power + 1):
+        for _ in range(power):
+            total += np.abs(C @ X)
+            X = A @ X
+        # what is left halves with each so many steps
+        left = 2.0 * row_sums[:, None] * np.max(np.abs(X), axis=0, initial=0.0)
+        if np.all(left <= _FORGOTTEN * np.max(total, axis=1, keepdims=True, initial=0.0)):
+            return np.asarray(total + left)
+    return None
+
+
+def bound_lines(faults: Iterable[str], bounds: Mapping[str, Any]) -> list[str]:
+    """Return what the report for people says about the largest errors of the faults."""
+    lines = []
+    for name in faults:
+        unit = f" {bounds[name]['unit']}" if bounds[name]["unit"] else ""
+        causes = sorted(bounds[name]["from"].items(), key=lambda item: -item[1])
+        large = [(cause, part) for cause, part in causes if part >= _SHOWN * bounds[name]["at_most"]]
+        shown = ", ".join(f"{part:.3g} from {cause}" for cause, part in large)
+        lines.append(f"{name}: error at most {bounds[name]['at_most']:.3g}{unit}" + (f" ({shown})" if shown else ""))
+    return lines
