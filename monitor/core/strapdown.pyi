@@ -1,8 +1,14 @@
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from adapters.sample import Given, Samples
+from monitor.core.navigation import Navigation
 
 class StrapdownCore:
+    scores: NDArray[np.float64]
+
     def __init__(
         self,
         gps: bool,
@@ -21,5 +27,7 @@ class StrapdownCore:
         inputs: int,
         washouts: Sequence[tuple[float, float]],
         twice: Sequence[bool],
+        navigation: Navigation | None = None,
+        attitude_share: float = 1.0,
     ) -> None: ...
     def run(self, samples: Samples) -> Given: ...

@@ -14,6 +14,8 @@ from cpython.mem cimport PyMem_Free, PyMem_Malloc
 from libc.math cimport INFINITY, M_PI, atan2, cos, fabs, fmod, hypot, pow, sin, sqrt
 from libc.string cimport memcmp, memcpy, memset
 
+from monitor.core.navigation cimport Navigation
+
 cdef double _GRAVITY = STANDARD_GRAVITY
 # WGS-84: semi-major axis in metres and square of the first eccentricity.
 cdef double _WGS84_A = 6_378_137.0
@@ -36,6 +38,9 @@ cdef double _UNSEEN_ACCELERATION = 0.3
 cdef double _UNSEEN_RATE = 0.02
 # Chosen: faster than vehicles of these kinds climb or sink, m/s.
 cdef double _FASTEST_CLIMB = 20.0
+# How long an attitude is no witness against the gyros after one of them was at fault, seconds. Chosen: estimators of
+# two autopilots took 10 to 20 s to learn that a bias had gone.
+cdef double _LEARNING_S = 30.0
 
 # Groups of signals that come and lack together.
 cdef enum:
@@ -102,12 +107,26 @@ cdef class StrapdownCore:
         phi and tau (1 - phi) / T of each output.
     twice : Sequence[bool]
         Whether each output is washed out twice.
+    navigation : Navigation | None
+        What tells faults of gyros and accelerometers by the GPS's velocity; the last two outputs are then errors of the
+        accelerometers, which are not washed out.
+    attitude_share : float
+        Share of what the attitude turns otherwise than the gyros that counts while the navigation blames none of them.
+
+    Attributes
+    ----------
+    scores : ndarray
+        How likely the navigation held its likeliest fault in each of the samples given out last.
     """
 
     cdef bint _gps, _baro, _mag, _hectopascal
     cdef int _speeds
     cdef double _dt
-    cdef _Delay _motion, _fixes, _altitudes, _levels
+    cdef _Delay _motion, _fixes, _altitudes, _levels, _sensed
+    cdef Navigation _navigation
+    cdef readonly object scores
+    cdef int _washed
+    cdef double _biased_s, _attitude_share
     cdef int _gps_hold, _compass_hold, _count, _inputs, _outputs
     cdef double[_WIDEST] _keep
     cdef double[_WIDEST] _gain
@@ -134,6 +153,7 @@ cdef class StrapdownCore:
     # Attitude of the tick before; what it turned so far; first place and the metres of its degrees.
     cdef bint _turning, _placed
     cdef double[9] _attitude
+    cdef double[3] _turn_rate
     cdef double[3] _turned
     cdef double[4] _origin
     cdef double _heading
@@ -176,6 +196,8 @@ cdef class StrapdownCore:
         int inputs,
         washouts,
         twice,
+        navigation=None,
+        double attitude_share=1.0,
     ):
         cdef int i
         self._gps, self._baro, self._mag, self._hectopascal, self._dt = gps, baro, mag, hectopascal, dt
@@ -185,6 +207,9 @@ cdef class StrapdownCore:
         self._fixes = _Delay.__new__(_Delay, gps_ticks, 6)
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
         self._levels = _Delay.__new__(_Delay, compass_ticks, 6)
+        self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, 17)
+        self._attitude_share = attitude_share
+        self._washed = len(washouts) - (2 if navigation is not None else 0)
         self._gps_hold, self._compass_hold = gps_hold, compass_hold
         self._count, self._inputs, self._outputs = count, inputs, len(washouts)
         for i, (keep, gain) in enumerate(washouts):
@@ -199,8 +224,11 @@ cdef class StrapdownCore:
     cdef void restart(self) noexcept:
         """Forget everything."""
         cdef _Delay delay
-        for delay in (self._motion, self._fixes, self._altitudes, self._levels):
+        for delay in (self._motion, self._fixes, self._altitudes, self._levels, self._sensed):
             delay.clear()
+        if self._navigation is not None:
+            self._navigation.restart()
+        self._biased_s = 0.0
         self._turning = self._placed = self._has_before = self._begun = False
         self._fresh = True
         self._heading = 0.0
@@ -247,6 +275,8 @@ cdef class StrapdownCore:
         cdef unsigned char[:, ::1] flags = marks.view(np.uint8)
         cdef Py_ssize_t[::1] rows = ends
         cdef double[:, ::1] u = inputs, y = outputs
+        likeliest = np.zeros(most)
+        cdef double[::1] scores = likeliest
         for row in range(index.shape[0]):
             if restart[row] or self._unstuck:
                 self.restart()
@@ -279,8 +309,13 @@ cdef class StrapdownCore:
                 for i in range(self._inputs):
                     u[count, i] = self._sum[i] / self._summed
                 # y(k) is what was known at the period's start: y+ = phi y + tau (1 - phi) d / T.
+                if self._navigation is not None:
+                    scores[count] = self._navigation.score
                 for i in range(self._outputs):
                     y[count, i] = self._y[i]
+                    if i >= self._washed:
+                        self._y[i] = places[i]
+                        continue
                     change = places[i] - self._start[i]
                     if self._twice[i]:
                         # a vehicle that begins on the move has been washed out before: what its speed would leave
@@ -298,6 +333,7 @@ cdef class StrapdownCore:
         if count < most:
             whole, marks, ends = whole[:, :count], marks[:, :count], ends[:count]
             inputs, outputs, lacking = inputs[:count], outputs[:count], lacking[:count]
+        self.scores = likeliest[:count]
         return Given(
             Samples(whole[0], whole[1], whole[2], inputs, outputs, marks[0], marks[1], whole[3], marks[2], lacking),
             ends,
@@ -331,9 +367,10 @@ cdef class StrapdownCore:
         cdef const double* rate = signals + 3
         cdef const double* sensors = signals + 9
         cdef double[9] R
-        cdef double[6] values
+        cdef double[17] values
         cdef double[3] turning
         cdef double* motion
+        cdef double* sensed = NULL
         cdef double* level
         cdef double* fix = NULL
         cdef double* altitude = NULL
@@ -359,6 +396,12 @@ cdef class StrapdownCore:
             values[axis] = R[3 * axis] * signals[0] + R[3 * axis + 1] * signals[1] + R[3 * axis + 2] * signals[2]
         values[2], values[3] = values[2] + _GRAVITY, lacks[_IMU]
         motion = self._motion.push(values)
+        if self._navigation is not None:
+            memcpy(values, signals, 3 * sizeof(double))
+            memcpy(values + 3, rate, 3 * sizeof(double))
+            memcpy(values + 6, R, sizeof(R))
+            values[15], values[16] = signals[8], lacks[_IMU]
+            sensed = self._sensed.push(values)
         full = motion != NULL and level != NULL
         if self._gps:
             if not self._placed:
@@ -389,6 +432,8 @@ cdef class StrapdownCore:
         if not full:
             return False
         if self._gps:
+            if self._navigation is not None:
+                self.navigate(sensed, fix, motion)
             self.follow_fix(fix, motion)
             y[0], y[1] = fix[0], fix[1]
             k = 2
@@ -413,6 +458,9 @@ cdef class StrapdownCore:
             u[i + 3] = level[4]
             self.follow_field(level, sensors)
             y[k + 3] = self._heading
+        if self._navigation is not None:
+            for axis in range(2):
+                y[self._washed + axis] = self._navigation.fault(3 + axis)
         # The mean over a tick, by the trapezoidal rule.
         for k in range(self._inputs):
             meant[k] = 0.5 * (self._before[k] + u[k]) if self._has_before else u[k]
@@ -430,6 +478,15 @@ cdef class StrapdownCore:
             meant,
         )
         return True
+
+    cdef void navigate(self, const double* sensed, const double* fix, double* motion) noexcept:
+        """Put the accelerations of the vehicle's own navigation in place of those with the autopilot's attitude."""
+        cdef bint lacks = sensed[16] != 0.0, due
+        if not self._navigation._begun and (lacks or fix[5] != 0.0):
+            return
+        due = self._navigation.go_on(sensed, sensed + 3, sensed + 6, sensed[15], lacks, motion)
+        if due and not fix[5] and memcmp(fix, self._fix, sizeof(self._fix)) != 0:
+            self._navigation.meet(fix + 3, sensed[15])
 
     cdef void follow_fix(self, const double* fix, const double* motion) noexcept:
         """Follow the GPS's speed, by the accelerations while the fix stays the same.
@@ -569,7 +626,12 @@ cdef class StrapdownCore:
         """
         cdef double[3] angles
         cdef double step, apart, largest = 0.0
+        cdef bint biased = False
         cdef int axis
+        if self._navigation is not None:
+            for axis in range(3):
+                biased |= self._navigation.fault(axis) != 0.0
+            self._biased_s = _LEARNING_S if biased else max(0.0, self._biased_s - self._dt)
         memcpy(turning, rate, 3 * sizeof(double))
         if self._turning:
             _small_rotation(self._attitude, R, angles)
@@ -581,9 +643,25 @@ cdef class StrapdownCore:
             for axis in range(3):
                 turning[axis] = angles[axis] / self._dt
                 step = rate[axis] * self._dt if 0 < self._resets <= _RESET_TICKS else angles[axis]
+                if self._navigation is not None and not still:
+                    step = self.judged(axis, step, rate[axis])
                 self._turned[axis] = self._turned[axis] + step
         self._turning = True
         memcpy(self._attitude, R, sizeof(self._attitude))
+        memcpy(self._turn_rate, rate, sizeof(self._turn_rate))
+
+    cdef double judged(self, int axis, double step, double rate) noexcept:
+        """Return what the vehicle turned about an axis since the tick before, by its attitude and its navigation.
+
+        Where a gyro is at fault the autopilot's attitude follows it, before it learns the bias and after that has gone.
+        """
+        # the mean over the tick, as that of u is
+        cdef double by_gyro = 0.5 * (self._turn_rate[axis] + rate) * self._dt
+        if self._biased_s:
+            step = by_gyro - self._navigation.fault(axis) * self._dt
+        else:
+            step = by_gyro + self._attitude_share * (step - by_gyro)
+        return step - self._navigation.missed(axis)
 
 
 cdef inline void _rotation(const double* level, double cy, double sy, double* R) noexcept:

@@ -32,12 +32,13 @@ from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.inertial.identify import (
     GPS_VELOCITY,
     MOTION,
+    SMALLEST_GYRO,
     WASHED_FAULTS,
     inertial_bank,
     inertial_plant,
     smallest_faults,
 )
-from monitor.vehicles.inertial.ros_signals import BARE_POSITIONS
+from monitor.vehicles.inertial.ros_signals import BARE_POSITIONS, BODY_VELOCITY
 from monitor.vehicles.inertial.sensor_fit import (
     BARE_SETTLE_S,
     InertialFit,
@@ -48,7 +49,7 @@ from monitor.vehicles.inertial.sensor_fit import (
     identify_inertial,
 )
 from monitor.vehicles.inertial.signals import common_channels, inertial_rate_hz
-from monitor.vehicles.inertial.strapdown import GPS, MAGNETOMETER, Strapdown
+from monitor.vehicles.inertial.strapdown import ACCELEROMETERS, GPS, MAGNETOMETER, Strapdown
 from monitor.vehicles.multirotor.identify import GYROS
 
 OBSERVER = "inertial"
@@ -96,6 +97,17 @@ of them may be lost."""
 _LEAST_STUCK_S = 1.0
 """A receiver that gives the same fix for a second is stuck: in 27 flights of two simulators, with 5 and 8 fixes a
 second, no two fixes in a row were the same."""
+_LEAST_LEVEL = float(-np.log(FALSE_ALARMS_PER_HOUR / 3600.0 * 0.2))
+"""Logarithm of how rarely one of five comparisons a second may look like a fault: 12.1 (Wald)."""
+_LEVEL_MARGIN = 1.5
+"""Times the largest score of healthy flight from which a fault is believed. Chosen: as for the score of a bank's
+hypotheses, twice the largest, whose square a likelihood is, would be four; a fault's grows a hundredfold within
+seconds."""
+_NAVIGATED_HZ = 10.0
+"""Least rate of the IMU for a navigation of its own: two samples between two fixes. At 2 Hz three of twelve flights
+raised an accelerometer."""
+_NEVER = 1e9
+"""A level that no score reaches."""
 _CRITICAL = 5.0
 """A fault is critical at five times the smallest that is worth an alarm."""
 
@@ -107,7 +119,7 @@ _POOLS = (_POSITION, MOTION, GPS_VELOCITY, GYROS)
 _EXCUSES = (
     # A gyro that jumps, or an estimator that is fed with a wrong GPS, tilts the attitude: motion forgets it with its
     # washout.
-    ExcuseRule(MOTION, (*GYROS, *_POSITION, *GPS_VELOCITY), 2.0 * _VELOCITY_WASHOUT_S),
+    ExcuseRule(MOTION, (*GYROS, *ACCELEROMETERS, *_POSITION, *GPS_VELOCITY), 2.0 * _VELOCITY_WASHOUT_S),
     # The position is compared with the velocity: where that is wrong the position is no culprit.
     ExcuseRule(_POSITION, GPS_VELOCITY, 0.5 * _VELOCITY_WASHOUT_S),
     # A tilted attitude takes the magnetic field's dip for heading, and gravity for less of itself.
@@ -155,6 +167,28 @@ def fit_inertial(request: FitRequest, gate: GateRule, *, alone: bool = False) ->
     }
     parameters |= _holds(surveys, channels.channels, raw, signal_hz)
     parameters |= _delays(raw, parameters, signal_hz, rate_hz)
+    if channels.parameters["gps"] in (1.0, BODY_VELOCITY) and signal_hz >= _NAVIGATED_HZ:
+        parameters["judge_level"] = _judge_level(raw, parameters, signal_hz, rate_hz)
+    found = _designed(request, channels.channels, raw, gate, parameters, signal_hz, rate_hz, settle_s)
+    gyro = next((one.rule for one in found.alarms if one.rule.channel in GYROS), None)
+    if gyro is not None and "judge_level" in parameters and gyro.threshold > SMALLEST_GYRO:
+        # What the navigation says of gyros is not limited by how well the attitude agrees with them.
+        parameters["attitude_share"] = round(SMALLEST_GYRO / gyro.threshold, 3)
+        found = _designed(request, channels.channels, raw, gate, parameters, signal_hz, rate_hz, settle_s)
+    return found
+
+
+def _designed(
+    request: FitRequest,
+    channels: Sequence[Channel],
+    raw: Sequence[Flight],
+    gate: GateRule,
+    parameters: Mapping[str, float],
+    signal_hz: float,
+    rate_hz: float,
+    settle_s: float,
+) -> Fitted:
+    """Design the bank of a transform with these parameters, and calibrate its alarms."""
     rule = TransformRule("strapdown", signal_hz, parameters)
     flights = [transformed(flight, Strapdown(parameters, signal_hz, rate_hz)) for flight in raw]
     segments = [segment for flight in flights for segment in flight.segments()]
@@ -181,7 +215,7 @@ def fit_inertial(request: FitRequest, gate: GateRule, *, alone: bool = False) ->
         edges=GPS_VELOCITY,
         jump_s=_JUMP_S,
     )
-    source = SampleSource(transform=rule, signals=channels.channels)
+    source = SampleSource(transform=rule, signals=tuple(channels))
     designed = Fitted(OBSERVER, plant, gains, source, isolation, settle_s=settle_s)
     own = healthy_evidence(designed.profile(), gate, flights, own=True)
     lasting = round(_JUMP.raise_s * rate_hz)
@@ -195,6 +229,17 @@ def fit_inertial(request: FitRequest, gate: GateRule, *, alone: bool = False) ->
         lines=_lines(parameters, alarms),
         excuses=_excuses(names),
     )
+
+
+def _judge_level(raw: Sequence[Flight], parameters: Mapping[str, float], signal_hz: float, rate_hz: float) -> float:
+    """Return the likelihood, as a logarithm, from which the navigation holds a gyro or accelerometer responsible."""
+    scores = []
+    for flight in raw:
+        transform = Strapdown({**parameters, "judge_level": _NEVER}, signal_hz, rate_hz)
+        given = transformed(flight, transform)
+        scores += [transform.scores[rows] for rows in given.stretches(at_restart=False)]
+    largest = max((float(score.max(initial=0.0)) for score in scores), default=0.0)
+    return round(max(_LEAST_LEVEL, _LEVEL_MARGIN * largest), 1)
 
 
 def _rates(message_hz: float) -> tuple[float, float]:

@@ -9,6 +9,8 @@ phi = exp(-T/tau) and gain = tau (1 - phi), each block is a discrete plant of it
     rotation   r+ = phi r + gain (omega - f_gyro)          y = r                    from the autopilot's attitude
     heading    h+ = phi h + gain (h' - f_gyro_z)           y = h + f_compass
 
+    accel      f_accel_x, f_accel_y as the navigation holds them responsible (:mod:`monitor.core.navigation`)
+
     position   p+ = phi p + gain (w + w+)/2, w+ = phi w + gain a        y = p + f_position   where no velocity comes
 
 So a GPS position that walks away from its own velocity is a fault of the position alone; a consistent spoof of position
@@ -40,6 +42,7 @@ from monitor.vehicles.inertial.sensor_fit import (
     chains_of,
     washout,
 )
+from monitor.vehicles.inertial.strapdown import ACCELEROMETERS
 
 VERTICAL_CULPRITS = ("baro", "gps_down", "accel_z")
 GPS_VELOCITY = ("gps_velocity_north", "gps_velocity_east")
@@ -51,11 +54,15 @@ WASHED_FAULTS = ("gps_north", "gps_east", "gps_down", "baro", "compass")
 Not the velocity: its washout is what keeps the error of a tilted attitude from standing for ever.
 """
 
+SMALLEST_GYRO = 0.015
+"""Smallest bias of a gyro that is worth an alarm, rad/s: see :func:`smallest_faults`."""
 _SMALLEST = 1e-4
 """Least error of a state, in its unit: keeps the design finite where a simulator has no noise."""
 _H2_SHARE = 0.9
 """Weight of the mean square of errors against their worst case. Chosen: what these observers see all day is healthy
 noise."""
+_FORGETS = 0.5
+"""Share that is left, a sample later, of what a judged accelerometer was off without a fault, which is nothing."""
 _TILT = 0.01
 """Error of the attitude of good autopilots, rad."""
 
@@ -71,7 +78,8 @@ def inertial_plant(fit: InertialFit, name: str, gyro_bandwidth: float = 0.15, ac
     vertical = [output for output in ("gps_down", "baro_down") if output in fit.outputs]
     bare = bare_positions(fit.inputs, fit.outputs)
     states = [chain.state for chain in chains] + [f"{what}_{axis}" for axis in bare for what in ("position", "speed")]
-    states += ["down", "velocity_down"] if vertical else []
+    judged = [name for name in ACCELEROMETERS if name in fit.outputs]
+    states += [f"judged_{name}" for name in judged] + (["down", "velocity_down"] if vertical else [])
     n, T = len(states), 1.0 / fit.rate_hz
     A, B = np.zeros((n, n)), np.zeros((n, len(fit.inputs)))
     C = np.zeros((len(fit.outputs), n))
@@ -90,6 +98,9 @@ def inertial_plant(fit: InertialFit, name: str, gyro_bandwidth: float = 0.15, ac
         A[p, p], A[p, w], A[w, w] = keep, 0.5 * gain * (1.0 + keep), keep
         B[p, a], B[w, a] = 0.5 * gain * gain, gain
         C[fit.outputs.index(f"gps_{axis}"), p] = 1.0
+    for output in judged:
+        k = states.index(f"judged_{output}")
+        A[k, k], C[fit.outputs.index(output), k] = _FORGETS, 1.0
     if vertical:
         keep, gain = washout(fit.washout_s, fit.rate_hz)
         d, w, a = n - 2, n - 1, fit.inputs.index("acceleration_down")
@@ -154,17 +165,18 @@ def smallest_faults(fit: InertialFit) -> dict[str, float]:
     Positions half a metre: beyond what receivers and barometers drift within the washout. Motion: what an attitude
     that is wrong by 10 mrad, as good autopilots are, makes of gravity within the velocity's washout. Jumps of the GPS's
     velocity 0.3 m/s: three times the noise of a receiver (0.1 m/s, 50 % circular, in data sheets). Compass 10 degrees:
-    what a power cable may do. Gyro 0.02 rad/s: a gyro that was calibrated drifts by half of it while it warms up (0.015
-    degrees/s per kelvin over 40 kelvin, BMI088). Accelerometer 0.5 m/s^2: beyond biases that estimators learn.
+    what a power cable may do. Gyro 0.015 rad/s: a gyro that was calibrated drifts by two thirds of it while it warms up
+    (0.015 degrees/s per kelvin over 40 kelvin, BMI088). Accelerometer 0.5 m/s^2: beyond biases that estimators learn.
     """
     motion = STANDARD_GRAVITY * _TILT * fit.velocity_washout_s
     sizes = {
         **dict.fromkeys(("gps_north", "gps_east", "gps_down", "baro"), 0.5),
         **dict.fromkeys(MOTION, motion),
         **dict.fromkeys(GPS_VELOCITY, 0.3),
-        **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), 0.02),
+        **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), SMALLEST_GYRO),
         "compass": float(np.radians(10.0)),
         "accel_z": 0.5,
+        **dict.fromkeys(ACCELEROMETERS, 0.3),
     }
     if bare_positions(fit.inputs, fit.outputs):
         # the same tilt, integrated twice
@@ -193,6 +205,8 @@ def _faults(
     if "gps_down" in fit.outputs and "baro_down" in fit.outputs:
         sensor("gps_down", "gps_down", "m")
         sensor("baro", "baro_down", "m", -1.0)
+    for name in ACCELEROMETERS:
+        sensor(name, name, "m/s^2")
     if "acceleration_down" in fit.inputs:
         column = -B[:, fit.inputs.index("acceleration_down")]
         faults.append(Fault("accel_z", "actuator", column, rate=accel_rate, error=0.1, unit="m/s^2"))

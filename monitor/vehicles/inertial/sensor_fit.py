@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.errors import ModelError
+from monitor.vehicles.inertial.strapdown import ACCELEROMETERS
 
 HORIZONTAL = ("north", "east")
 BODY = ("x", "y", "z")
@@ -118,6 +119,8 @@ def identify_inertial(
         noise[chain.output] = max(fast / np.sqrt(2.0), _SMALLEST)
         growth = np.sqrt(max(slow * slow - fast * fast, 0.0) / (_SLOW_S * rate_hz))
         disturbance[chain.state] = max(float(growth), _SMALLEST)
+    for name in set(ACCELEROMETERS) & set(outputs):
+        noise[name] = disturbance[f"judged_{name}"] = _SMALLEST
     for axis in bare_positions(inputs, outputs):
         a, j = list(inputs).index(f"acceleration_{axis}"), list(outputs).index(f"gps_{axis}")
         found = [

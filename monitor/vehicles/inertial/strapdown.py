@@ -29,8 +29,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import exp, isfinite
 
+import numpy as np
+from numpy.typing import NDArray
+
 from adapters.errors import TelemetryError
 from adapters.sample import Given, Samples
+from monitor.core.navigation import Navigation
 from monitor.core.strapdown import StrapdownCore
 
 IMU = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "roll", "pitch", "yaw")
@@ -38,6 +42,11 @@ GPS = ("lat", "lon", "gps_alt", "gps_speed", "gps_course")
 BODY_SPEED = ("speed_x", "speed_y", "speed_z")
 BAROMETER = ("baro_alt",)
 MAGNETOMETER = ("xmag", "ymag", "zmag")
+ACCELEROMETERS = ("accel_x", "accel_y")
+"""Outputs of the navigation: by how much an accelerometer reads too much while it is held responsible."""
+
+_FIX_S = 0.2
+"""Seconds between comparisons of the navigation with the GPS. Receivers give 5 to 10 fixes a second."""
 
 DEFAULTS = {
     "gps": 1.0,
@@ -51,6 +60,8 @@ DEFAULTS = {
     "compass_delay_s": 0.0,
     "gps_hold_s": 0.0,
     "compass_hold_s": 0.0,
+    "judge_level": 0.0,
+    "attitude_share": 1.0,
 }
 """Parameters that are left out. Chosen: positions and angles are forgotten within 30 s, over which receivers and
 barometers drift by half a metre; velocities within 10 s, in which an attitude that is wrong by 10 mrad makes 1 m/s of
@@ -70,7 +81,10 @@ class Strapdown:
         tau of positions without a velocity, which are washed out twice; ``gps_delay_s``,
         ``baro_delay_s``, ``compass_delay_s``: by how much they are late against the IMU; ``gps_hold_s``: how long a
         fix may stay the same until the receiver is stuck, 0 for ever; ``compass_hold_s``: how long a magnetic field
-        may, which is followed by the gyro until then. What is left out is taken from ``DEFAULTS``.
+        may, which is followed by the gyro until then; ``judge_level``: logarithm of the likelihood from which a gyro or
+        accelerometer is held responsible for what the GPS's velocity shows (:mod:`monitor.core.navigation`), 0: never
+        asked; ``attitude_share``: what counts of the difference of attitude and gyros while none is held responsible.
+        What is left out is taken from ``DEFAULTS``.
     signal_rate_hz : float
         Samples per second that come in.
     rate_hz : float
@@ -101,11 +115,18 @@ class Strapdown:
             )
         gps, baro, mag = (values[key] > 0.0 for key in ("gps", "barometer", "magnetometer"))
         speed = (GPS[3:], (), BODY_SPEED)[int(values["gps"]) - 1] if gps else ()
+        judged = values["judge_level"] > 0.0 and bool(speed)
         self.signals, self.inputs, self.outputs = _names(gps, speed, baro, mag)
+        self.outputs += ACCELEROMETERS * judged
         period = 1.0 / rate_hz
         slow, fast = _washout(values["washout_s"], period), _washout(values["velocity_washout_s"], period)
         bare = {} if speed else dict.fromkeys(("gps_north", "gps_east"), _washout(values["position_washout_s"], period))
         latest = max(values["gps_delay_s"] if gps else 0.0, values["baro_delay_s"] if baro else 0.0)
+        self.navigation = (
+            Navigation(1.0 / signal_rate_hz, max(1, round(_FIX_S * signal_rate_hz)), values["judge_level"])
+            if judged
+            else None
+        )
         self._core = StrapdownCore(
             gps=gps,
             speeds=len(speed),
@@ -123,11 +144,18 @@ class Strapdown:
             inputs=len(self.inputs),
             washouts=[bare.get(name, fast if name.startswith("gps_velocity") else slow) for name in self.outputs],
             twice=[name in bare for name in self.outputs],
+            navigation=self.navigation,
+            attitude_share=values["attitude_share"],
         )
 
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that raw signals (``samples.u``) complete, each where its period ends."""
         return self._core.run(samples)
+
+    @property
+    def scores(self) -> NDArray[np.float64]:
+        """Logarithm of the likelihood of the likeliest fault of gyros and accelerometers in each sample of the run."""
+        return self._core.scores
 
 
 def _washout(tau: float, period: float) -> tuple[float, float]:
@@ -144,7 +172,7 @@ def _checked(parameters: Mapping[str, float]) -> dict[str, float]:
         if key in ("gps", "barometer", "magnetometer"):
             good = value in range({"gps": 4, "barometer": 3}.get(key, 2))
         else:
-            good = isfinite(value) and (value > 0.0 or (value == 0.0 and key.endswith(("delay_s", "hold_s"))))
+            good = isfinite(value) and (value > 0.0 or (value == 0.0 and key.endswith(("delay_s", "hold_s", "_level"))))
         if not good:
             raise TelemetryError(f"strapdown: '{key}' = {value} is out of range")
     return values

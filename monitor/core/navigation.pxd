@@ -1,0 +1,53 @@
+# cython: language_level=3
+"""What the strapdown transform uses of the navigation."""
+
+cdef enum:
+    STATES = 10
+    HYPOTHESES = 9
+    ONSETS = 30
+
+
+cdef struct Signature:
+    double[HYPOTHESES][STATES] state
+    double[HYPOTHESES] matched
+    double[HYPOTHESES] energy
+    int age
+
+
+cdef class Navigation:
+    cdef double _dt, _level
+    cdef int _every, _ticks, _count, _helpless
+    cdef bint _begun
+    cdef double[9] _R
+    cdef double[3] _rate
+    cdef double[3] _force
+    cdef double[2] _velocity
+    cdef double[2] _offset
+    cdef double[2] _sharp
+    cdef double[3] _missed
+    # Biases: of the gyros x, y, z, of the accelerometers x, y; what each was before a fault, and whether it has one.
+    cdef double[5] _bias
+    cdef double[5] _before
+    cdef bint[5] _faulty
+    cdef double[STATES][STATES] _P
+    cdef double[STATES][STATES] _F
+    cdef double[STATES][STATES] _Q
+    cdef Signature[ONSETS] _signatures
+    cdef readonly double score
+
+    cdef void restart(self) noexcept
+    cdef bint go_on(
+        self, const double* force, const double* rate, const double* R, double yaw, bint lacks, double* acceleration
+    ) noexcept
+    cdef void meet(self, const double* velocity, double yaw) noexcept
+    cdef double fault(self, int which) noexcept
+    cdef double missed(self, int axis) noexcept
+    cdef void begin(self, const double* R) noexcept
+    cdef void propagate(self) noexcept
+    cdef void update(self, const double* innovation, const double* variance) noexcept
+    cdef void judge(self) noexcept
+    cdef void jump(self, Signature* signature, int which, double size, double spread) noexcept
+    cdef void correct(self, const double* x) noexcept
+    cdef int onsets(self) noexcept
+    cdef void row(self, double[STATES]* M, int k, const double* f) noexcept
+    cdef void column(self, double[STATES]* M, int k, const double* f) noexcept

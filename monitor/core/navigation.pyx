@@ -1,0 +1,427 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+"""Strapdown navigation with an attitude and biases of its own, and the sensor that broke if it leaves the GPS.
+
+Attitude R and horizontal velocity v are integrated from gyros and accelerometers less their biases, and a Kalman filter
+corrects them by the velocity of the GPS and the heading of the autopilot. With d the error of the attitude about north,
+east and down, a = R f + g, and f the specific force,
+
+    d' = -R b_gyro,    v' = d x a - R b_accel,    b_gyro and b_accel random walks as slow as those of healthy sensors.
+
+(The error of gravity is in d x R f, and R f = a - g; the filter has R f.) A fault of size theta since t_0 adds
+theta s(t; t_0) to the innovations, where the signature s is known from the filter's own gains (Willsky and Jones 1976):
+a bias of a gyro tilts the attitude and bends the velocity away by the square of time, one of an accelerometer at once in
+proportion to it, and both turn with the body, which an error of the GPS's velocity does not. For every hypothesis and
+onset of the latest seconds
+
+    l = (sum s' S^-1 nu)^2 / (2 sum s' S^-1 s)
+
+is how much likelier the innovations are with that fault than without (natural logarithm). A hypothesis is believed when
+its largest l is beyond a level and beyond those of all others; its fault is then put into the state, with its
+uncertainty, and is followed there until it is small.
+
+In hover a tilt and a bias of an accelerometer cannot be told apart; what tells is that no gyro turned.
+"""
+
+from libc.math cimport atan2, cos, fabs, fmax, sin, sqrt
+from libc.string cimport memcpy, memmove, memset
+
+from adapters.channels import STANDARD_GRAVITY
+
+cdef double _GRAVITY = STANDARD_GRAVITY
+
+# Errors at the start: of an attitude that an autopilot has, about the horizontal axes and of its heading, rad; of the
+# velocity, m/s; of gyros (a degree per second is 0.017) and accelerometers as autopilots have calibrated them.
+cdef double[5] _START = [0.02, 0.1, 0.1, 0.01, 0.2]
+# Random walks per root of a second: of attitude and velocity, what vibration and the straight lines between samples
+# leave; of the biases, what warms up by 0.01 rad/s and by half a metre per second squared within some hours.
+cdef double[4] _WALK = [1e-3, 0.05, 1e-4, 5e-3]
+# Noise of a GPS's velocity (0.1 m/s, 50 % circular, in data sheets), how late or early against the others it may be
+# (quarter of the time between two fixes of 5 Hz), and noise of the heading.
+cdef double _SPEED_NOISE = 0.1
+cdef double _TIMING_S = 0.05
+cdef double _HEADING_NOISE = 0.1
+# Share of the accelerations' peak that is left a step later. Chosen: .8 of .2 s forgets a hard stop within a second.
+cdef double _PEAK_KEPT = 0.8
+# What lies between two samples is their mean, give or take a quarter of their difference: the variance of that.
+cdef double _BETWEEN = 1.0 / 48.0
+# Acceleration and rate of which nothing is known while the IMU lacks, m/s^2 and rad/s: those of a brisk manoeuvre.
+cdef double _UNSEEN_ACCELERATION = 3.0
+cdef double _UNSEEN_RATE = 0.05
+# By how much a hypothesis has to be likelier than any other: 20 to 1.
+cdef double _MARGIN = 3.0
+# By how much it has to be likelier that a fault has just ended than that it goes on: 150 to 1; faults do end.
+cdef double _ENDED = 5.0
+# Least bias that is believed, of gyros (rad/s) and accelerometers (m/s^2): what healthy ones drift by.
+cdef double[2] _LEAST = [0.01, 0.25]
+# A heading this far off, rad, is that of another start.
+cdef double _TURNED = 0.5
+# Steps with a fault that no hypothesis tells until the filter begins anew: a second set of onsets.
+cdef int _HELPLESS = 2 * ONSETS
+# Steps between two onsets.
+cdef int _SPACING = 2
+
+cdef enum:
+    # Indices of the states, and of the hypotheses: biases first, as the states are; then jumps and ramps of velocity.
+    _V = 3
+    _BG = 5
+    _BA = 8
+    _JUMP = 5
+    _RAMP = 7
+
+
+cdef class Navigation:
+    """The filter and its tests.
+
+    Parameters
+    ----------
+    dt : float
+        Time between ticks, seconds.
+    every : int
+        Ticks between two fixes that are compared: as often as a receiver gives new ones.
+    level : float
+        Logarithm of the likelihood from which a fault is believed.
+    """
+
+    def __init__(self, double dt, int every, double level):
+        self._dt, self._every, self._level = dt, every, level
+        self.restart()
+
+    @property
+    def biases(self):
+        """Return what the gyros x, y, z and the accelerometers x, y read too much, as the filter has it (5,)."""
+        return tuple(self._bias)
+
+    @property
+    def faults(self):
+        """Return the same of those that are held responsible for a fault, zero of the others."""
+        return tuple([self.fault(which) for which in range(5)])
+
+    cdef void restart(self) noexcept:
+        self._begun = False
+        self.score = 0.0
+        memset(self._missed, 0, sizeof(self._missed))
+
+    cdef void begin(self, const double* R) noexcept:
+        cdef int i
+        memcpy(self._R, R, sizeof(self._R))
+        memset(self._P, 0, sizeof(self._P))
+        memset(self._Q, 0, sizeof(self._Q))
+        memset(self._F, 0, sizeof(self._F))
+        for i in range(STATES):
+            self._F[i][i] = 1.0
+            self._P[i][i] = _START[0 if i < 2 else 1 if i < _V else 2 if i < _BG else 3 if i < _BA else 4] ** 2
+        memset(self._bias, 0, sizeof(self._bias))
+        memset(self._faulty, 0, sizeof(self._faulty))
+        memset(self._offset, 0, sizeof(self._offset))
+        memset(self._sharp, 0, sizeof(self._sharp))
+        memset(self._missed, 0, sizeof(self._missed))
+        self._ticks = self._count = self._helpless = 0
+
+    cdef bint go_on(
+        self, const double* force, const double* rate, const double* R, double yaw, bint lacks, double* acceleration
+    ) noexcept:
+        """Go on by a tick; fill in the acceleration north, east, down. Return whether a fix is due to be met."""
+        cdef double[9] turned
+        cdef double[3] turn
+        cdef double[3] a
+        cdef double[3] specific
+        cdef double[3] between
+        cdef double mean, change, walk
+        cdef bint first = not self._begun
+        cdef int i, j, k
+        if first:
+            self.begin(R)
+            self._velocity[0] = self._velocity[1] = 0.0
+            memcpy(self._rate, rate, sizeof(self._rate))
+            memcpy(self._force, force, sizeof(self._force))
+        for i in range(3):
+            turn[i] = (0.5 * (self._rate[i] + rate[i]) - self._bias[i]) * self._dt
+            between[i] = (rate[i] - self._rate[i]) * self._dt
+        if first:
+            memset(turn, 0, sizeof(turn))
+        _turned(self._R, turn, turned)
+        # Means over the tick: of the rotation and of the specific force in it.
+        for i in range(3):
+            specific[i] = a[i] = 0.0
+            for j in range(3):
+                mean = force[j] - (self._bias[3 + j] if j < 2 else 0.0)
+                change = self._force[j] - (self._bias[3 + j] if j < 2 else 0.0)
+                a[i] += turned[3 * i + j] * mean
+                specific[i] += 0.5 * (turned[3 * i + j] * mean + self._R[3 * i + j] * change)
+            # what it is at the tick's end, and by how much it changed over the tick
+            acceleration[i] = a[i] + (_GRAVITY if i == 2 else 0.0)
+        if first:
+            self._begun = True
+            return True
+        for i in range(2):
+            self._velocity[i] += specific[i] * self._dt
+            self._sharp[i] = fmax(fabs(specific[i]), self._sharp[i])
+        # F <- F_tick F and Q <- F_tick Q F_tick' + q.
+        for k in range(STATES):
+            self.row(self._F, k, specific)
+            self.row(self._Q, k, specific)
+        for k in range(STATES):
+            self.column(self._Q, k, specific)
+        for i in range(3):
+            walk = 0.0
+            for j in range(3):
+                walk += self._R[3 * i + j] * between[j]
+            self._Q[i][i] += _WALK[0] * _WALK[0] * self._dt + _BETWEEN * walk * walk
+            if lacks:
+                self._Q[i][i] += (_UNSEEN_RATE * self._dt) ** 2
+        for i in range(2):
+            change = 2.0 * (a[i] - specific[i]) * self._dt
+            self._Q[_V + i][_V + i] += _WALK[1] * _WALK[1] * self._dt + _BETWEEN * change * change
+            self._Q[_BA + i][_BA + i] += _WALK[3] * _WALK[3] * self._dt
+            if lacks:
+                self._Q[_V + i][_V + i] += (_UNSEEN_ACCELERATION * self._dt) ** 2
+        for i in range(3):
+            self._Q[_BG + i][_BG + i] += _WALK[2] * _WALK[2] * self._dt
+        memcpy(self._R, turned, sizeof(self._R))
+        memcpy(self._rate, rate, sizeof(self._rate))
+        memcpy(self._force, force, sizeof(self._force))
+        self._ticks += 1
+        return self._ticks >= self._every
+
+    cdef void row(self, double[STATES]* M, int k, const double* f) noexcept:
+        """Multiply column k of a matrix from the left with the tick's transition."""
+        cdef double[2] v
+        cdef int i
+        v[0] = self._dt * (f[2] * M[1][k] - f[1] * M[2][k])
+        v[1] = self._dt * (f[0] * M[2][k] - f[2] * M[0][k])
+        for i in range(2):
+            M[_V + i][k] += v[i] - self._dt * (self._R[3 * i] * M[_BA][k] + self._R[3 * i + 1] * M[_BA + 1][k])
+        for i in range(3):
+            M[i][k] -= self._dt * (
+                self._R[3 * i] * M[_BG][k] + self._R[3 * i + 1] * M[_BG + 1][k] + self._R[3 * i + 2] * M[_BG + 2][k]
+            )
+
+    cdef void column(self, double[STATES]* M, int k, const double* f) noexcept:
+        """Multiply row k of a matrix from the right with the transpose of the tick's transition."""
+        cdef double* m = M[k]
+        cdef double[2] v
+        cdef int i
+        v[0] = self._dt * (f[2] * m[1] - f[1] * m[2])
+        v[1] = self._dt * (f[0] * m[2] - f[2] * m[0])
+        for i in range(2):
+            m[_V + i] += v[i] - self._dt * (self._R[3 * i] * m[_BA] + self._R[3 * i + 1] * m[_BA + 1])
+        for i in range(3):
+            m[i] -= self._dt * (
+                self._R[3 * i] * m[_BG] + self._R[3 * i + 1] * m[_BG + 1] + self._R[3 * i + 2] * m[_BG + 2]
+            )
+
+    cdef void meet(self, const double* velocity, double yaw) noexcept:
+        """Compare with a fix of the GPS and a heading, correct, and judge."""
+        cdef double[3] innovation
+        cdef double[3] variance
+        cdef Signature* newest
+        cdef int i, h
+        if self._ticks == 0:
+            # the first tick: nothing to compare yet
+            self._velocity[0], self._velocity[1] = velocity[0], velocity[1]
+            return
+        self.propagate()
+        if self._count % _SPACING == 0:
+            memmove(&self._signatures[1], &self._signatures[0], (ONSETS - 1) * sizeof(Signature))
+            newest = &self._signatures[0]
+            memset(newest, 0, sizeof(Signature))
+            for h in range(_JUMP):
+                newest.state[h][_BG + h] = 1.0
+        for i in range(2):
+            innovation[i] = velocity[i] - self._offset[i] - self._velocity[i]
+            variance[i] = _SPEED_NOISE * _SPEED_NOISE + (_TIMING_S * self._sharp[i]) ** 2
+            self._sharp[i] *= _PEAK_KEPT
+        innovation[2] = yaw - atan2(self._R[3], self._R[0])
+        innovation[2] = atan2(sin(innovation[2]), cos(innovation[2]))
+        variance[2] = _HEADING_NOISE * _HEADING_NOISE
+        if fabs(innovation[2]) > _TURNED:
+            self._P[2][2] += innovation[2] * innovation[2]
+        self.update(innovation, variance)
+        self._count += 1
+        self.judge()
+        self._ticks = 0
+
+    cdef void propagate(self) noexcept:
+        """Take covariance and signatures from the fix before to this one."""
+        cdef double[STATES][STATES] half
+        cdef double[STATES] moved
+        cdef Signature* signature
+        cdef int i, j, k, h, n = self.onsets()
+        for i in range(STATES):
+            for j in range(STATES):
+                half[i][j] = 0.0
+                for k in range(STATES):
+                    half[i][j] += self._F[i][k] * self._P[k][j]
+        for i in range(STATES):
+            for j in range(i + 1):
+                self._P[i][j] = self._Q[i][j]
+                for k in range(STATES):
+                    self._P[i][j] += half[i][k] * self._F[j][k]
+                self._P[j][i] = self._P[i][j]
+        for k in range(n):
+            signature = &self._signatures[k]
+            signature.age += 1
+            for h in range(HYPOTHESES):
+                for i in range(STATES):
+                    moved[i] = 0.0
+                    for j in range(STATES):
+                        moved[i] += self._F[i][j] * signature.state[h][j]
+                memcpy(&signature.state[h][0], moved, sizeof(moved))
+        memset(self._F, 0, sizeof(self._F))
+        memset(self._Q, 0, sizeof(self._Q))
+        for i in range(STATES):
+            self._F[i][i] = 1.0
+
+    cdef int onsets(self) noexcept:
+        """Return how many onsets there are."""
+        return min((self._count + _SPACING - 1) // _SPACING, ONSETS)
+
+    cdef void update(self, const double* innovation, const double* variance) noexcept:
+        """Go on by the measurements one after the other, the state and each signature."""
+        cdef double[STATES] gain
+        cdef double[STATES] x
+        cdef double[STATES] of_state
+        cdef double[HYPOTHESES] shown
+        cdef double S, nu, expected
+        cdef Signature* signature
+        cdef int m, i, j, k, h, row, n
+        self._count += 1
+        n = self.onsets()
+        self._count -= 1
+        memset(x, 0, sizeof(x))
+        for m in range(3):
+            row = _V + m if m < 2 else 2
+            S = self._P[row][row] + variance[m]
+            nu = innovation[m] - x[row]
+            for i in range(STATES):
+                gain[i] = self._P[i][row] / S
+                of_state[i] = self._P[row][i]
+            for k in range(n):
+                signature = &self._signatures[k]
+                for h in range(HYPOTHESES):
+                    expected = signature.state[h][row]
+                    if h == _JUMP + m:
+                        expected += 1.0
+                    elif h == _RAMP + m:
+                        expected += signature.age * self._every * self._dt
+                    signature.matched[h] += expected * nu / S
+                    signature.energy[h] += expected * expected / S
+                    for i in range(STATES):
+                        signature.state[h][i] -= gain[i] * expected
+            for i in range(STATES):
+                x[i] += gain[i] * nu
+                for j in range(STATES):
+                    self._P[i][j] -= gain[i] * of_state[j]
+        self.correct(x)
+
+    cdef void correct(self, const double* x) noexcept:
+        """Put an error of the state into the state."""
+        cdef double[9] R
+        cdef double[9] E
+        cdef double[3] turn
+        cdef int i, j, k
+        for i in range(9):
+            E[i] = 1.0 if i % 4 == 0 else 0.0
+        memcpy(turn, x, sizeof(turn))
+        _turned(E, turn, R)
+        for i in range(3):
+            for j in range(3):
+                E[3 * i + j] = 0.0
+                for k in range(3):
+                    E[3 * i + j] += R[3 * i + k] * self._R[3 * k + j]
+        memcpy(self._R, E, sizeof(self._R))
+        for i in range(2):
+            self._velocity[i] += x[_V + i]
+        for i in range(5):
+            self._bias[i] += x[_BG + i]
+
+    cdef void judge(self) noexcept:
+        """Believe the fault that is by far the likeliest, or that one has ended."""
+        cdef double[HYPOTHESES] best
+        cdef int[HYPOTHESES] onset
+        cdef double likelihood, others, size, least
+        cdef Signature* signature
+        cdef int h, k, which = 0, n = self.onsets()
+        for h in range(HYPOTHESES):
+            best[h], onset[h] = 0.0, 0
+        for k in range(n):
+            signature = &self._signatures[k]
+            for h in range(HYPOTHESES):
+                if signature.energy[h] <= 0.0:
+                    continue
+                likelihood = 0.5 * signature.matched[h] * signature.matched[h] / signature.energy[h]
+                if likelihood > best[h]:
+                    best[h], onset[h] = likelihood, k
+                if h < 5 and self._faulty[h]:
+                    size = self._before[h] - self._bias[h]
+                    if size * signature.matched[h] - 0.5 * size * size * signature.energy[h] > _ENDED:
+                        self.jump(signature, h, size, 0.0)
+                        return
+        others = 0.0
+        for h in range(HYPOTHESES):
+            if best[h] > best[which]:
+                which = h
+        for h in range(HYPOTHESES):
+            if h != which:
+                others = fmax(others, best[h])
+        self.score = best[which]
+        self._helpless = self._helpless + 1 if self.score > self._level else 0
+        if self.score > self._level and self.score > others + _MARGIN and which < _RAMP and which != 2:
+            signature = &self._signatures[onset[which]]
+            size = signature.matched[which] / signature.energy[which]
+            least = _LEAST[0] if which < 3 else _LEAST[1] if which < _JUMP else 0.0
+            if fabs(size) > least:
+                self.jump(signature, which, size, 1.0 / signature.energy[which])
+                return
+        if self._helpless > _HELPLESS:
+            self.restart()
+        for h in range(5):
+            if self._faulty[h] and fabs(self._bias[h] - self._before[h]) < 0.5 * _LEAST[h >= 3]:
+                self._faulty[h] = False
+
+    cdef void jump(self, Signature* signature, int which, double size, double spread) noexcept:
+        """Put a fault into the state, with its uncertainty, and begin to judge anew."""
+        cdef double[STATES] x
+        cdef int i, j
+        for i in range(STATES):
+            x[i] = size * signature.state[which][i]
+            for j in range(STATES):
+                self._P[i][j] += spread * signature.state[which][i] * signature.state[which][j]
+        if which < 5:
+            if not self._faulty[which]:
+                self._faulty[which] = True
+                self._before[which] = self._bias[which]
+            if which < 3:
+                self._missed[which] += size * signature.age * self._every * self._dt
+        else:
+            self._offset[which - _JUMP] += size
+        self.correct(x)
+        self._count = self._helpless = 0
+
+    cdef double missed(self, int axis) noexcept:
+        """Return by what angle the vehicle turned less, from the onset of a fault until it was believed; once."""
+        cdef double angle = self._missed[axis]
+        self._missed[axis] = 0.0
+        return angle
+
+    cdef double fault(self, int which) noexcept:
+        """Return by how much a gyro (0, 1, 2) or an accelerometer (3, 4) reads too much."""
+        return self._bias[which] - self._before[which] if self._begun and self._faulty[which] else 0.0
+
+
+cdef inline void _turned(const double* R, const double* turn, double* result) noexcept:
+    """Fill in R exp(turn x), by the formula of Rodrigues."""
+    cdef double x = turn[0], y = turn[1], z = turn[2], angle = sqrt(x * x + y * y + z * z), s, c
+    cdef double[9] E
+    cdef int i, j
+    # sin(a) / a and (1 - cos(a)) / a^2, by their series where a is too small to divide by
+    if angle > 1e-4:
+        s, c = sin(angle) / angle, (1.0 - cos(angle)) / (angle * angle)
+    else:
+        s, c = 1.0 - angle * angle / 6.0, 0.5
+    E[0], E[1], E[2] = 1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y
+    E[3], E[4], E[5] = c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x
+    E[6], E[7], E[8] = c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)
+    for i in range(3):
+        for j in range(3):
+            result[3 * i + j] = R[3 * i] * E[j] + R[3 * i + 1] * E[3 + j] + R[3 * i + 2] * E[6 + j]

@@ -1,0 +1,116 @@
+"""The navigation of the strapdown transform names the gyro or accelerometer that went wrong, on exact truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import strapdown_truth as truth
+from numpy.typing import NDArray
+from sampled import raw_samples, rows
+
+from adapters.sample import Samples
+from monitor.vehicles.inertial.identify import SMALLEST_GYRO
+from monitor.vehicles.inertial.strapdown import DEFAULTS, Strapdown
+
+LEVEL = 12.1
+ONSET, END = 2000, 3000
+NAMES = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y")
+
+
+def named(raw: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Return what each sensor is held to read too much at every tenth of a second."""
+    transform = Strapdown({**DEFAULTS, "judge_level": LEVEL}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    assert transform.navigation is not None
+    found = []
+    for first in range(0, len(raw), 10):
+        transform.run(part(raw, first, 10))
+        found.append(transform.navigation.faults)
+    return dict(zip(NAMES, np.array(found).T, strict=True))
+
+
+def part(raw: NDArray[np.float64], first: int, count: int) -> Samples:
+    """Return some samples of a recording, of which only the first one begins anew."""
+    samples = raw_samples(raw[first : first + count], first)
+    samples.restart[:] = np.arange(len(samples)) + first == 0
+    return samples
+
+
+def noisy(seconds: float, seed: int) -> NDArray[np.float64]:
+    raw = truth.signals(seconds, start_s=300.0)
+    rng = np.random.default_rng(seed)
+    raw[:, :3] += 0.05 * rng.normal(size=(len(raw), 3))
+    raw[:, 3:6] += 0.002 * rng.normal(size=(len(raw), 3))
+    north, east = (raw[:, 12] * f(np.radians(raw[:, 13])) for f in (np.cos, np.sin))
+    # a receiver gives five velocities a second, which are off by as much as each of them is
+    off = np.repeat(0.05 * rng.normal(size=(len(raw) // 20 + 1, 2)), 20, axis=0)[: len(raw)]
+    north, east = north + off[:, 0], east + off[:, 1]
+    raw[:, 12], raw[:, 13] = np.hypot(north, east), np.degrees(np.arctan2(east, north)) % 360.0
+    return raw
+
+
+def others(found: dict[str, NDArray[np.float64]], name: str) -> float:
+    return max(float(np.max(np.abs(sizes))) for other, sizes in found.items() if other != name)
+
+
+def test_nothing_is_named_in_healthy_flight() -> None:
+    assert others(named(noisy(120.0, 1)), "") == 0.0
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("size", [0.02, 0.1])
+def test_a_bias_of_all_gyros_is_named_although_the_attitude_follows_it(axis: int, size: float) -> None:
+    raw = noisy(45.0, 2)
+    raw[ONSET:END, 3 + axis] += size
+    # the autopilot's attitude drifts away with its gyros, and goes on from there
+    drift = size * np.clip(np.arange(len(raw)) - ONSET, 0, END - ONSET) / truth.SIGNAL_HZ
+    raw[:, 6 + axis] += 0.9 * drift
+    name = f"gyro_{'xy'[axis]}"
+    found = named(raw)
+    within = round(10 * (5.0 if size < 0.05 else 2.5))
+    assert found[name][ONSET // 10 + within] == pytest.approx(size, rel=0.3)
+    assert found[name][END // 10 + 50 :] == pytest.approx(0.0)
+    # less than what is worth an alarm, where the attitude was a radian off
+    assert others(found, name) < SMALLEST_GYRO
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_bias_of_all_accelerometers_is_named_in_body_axes(axis: int) -> None:
+    raw = noisy(45.0, 3)
+    raw[ONSET:END, axis] += 0.6
+    name = f"accel_{'xy'[axis]}"
+    found = named(raw)
+    assert found[name][ONSET // 10 + 40] == pytest.approx(0.6, rel=0.25)
+    assert found[name][END // 10 + 30 :] == pytest.approx(0.0)
+    assert others(found, name) == 0.0
+
+
+def test_a_velocity_of_the_gps_that_jumps_is_no_fault_of_the_imu() -> None:
+    raw = noisy(45.0, 4)
+    north = raw[:, 12] * np.cos(np.radians(raw[:, 13])) + np.where(np.arange(len(raw)) > ONSET, 1.0, 0.0)
+    east = raw[:, 12] * np.sin(np.radians(raw[:, 13]))
+    raw[:, 12], raw[:, 13] = np.hypot(north, east), np.degrees(np.arctan2(east, north))
+    assert others(named(raw), "") == 0.0
+
+
+def test_the_accelerometers_fault_is_an_output_and_none_of_it_is_left_in_the_accelerations() -> None:
+    raw = noisy(40.0, 5)
+    raw[ONSET:, 0] += 0.6
+    transform = Strapdown({**DEFAULTS, "judge_level": LEVEL}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    samples = rows(transform.run(raw_samples(raw, 0)).samples)
+    y = np.array([sample.y for sample in samples])
+    assert y[-200:, transform.outputs.index("accel_x")] == pytest.approx(0.6, rel=0.25)
+    healthy = Strapdown(DEFAULTS, truth.SIGNAL_HZ, truth.RATE_HZ)
+    without = rows(healthy.run(raw_samples(noisy(40.0, 5), 0)).samples)
+    north = transform.inputs.index("acceleration_north")
+    apart = [a.u[north] - b.u[north] for a, b in zip(samples[-200:], without[-200:], strict=True)]
+    assert abs(np.mean(apart)) < 0.1
+
+
+def test_how_samples_are_cut_into_batches_changes_no_bit() -> None:
+    raw = noisy(30.0, 6)
+    raw[ONSET:, 4] += 0.05
+    whole = Strapdown({**DEFAULTS, "judge_level": LEVEL}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    expected = whole.run(raw_samples(raw, 0)).samples.y
+    parts = Strapdown({**DEFAULTS, "judge_level": LEVEL}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    found = [parts.run(part(raw, first, 37)).samples.y for first in range(0, len(raw), 37)]
+    assert np.array_equal(np.concatenate(found), expected)
