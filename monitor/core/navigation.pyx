@@ -3,15 +3,14 @@
 
 Attitude R and horizontal velocity v are integrated from gyros and accelerometers less their biases, and a Kalman filter
 corrects them by the velocity of the GPS and the heading of the autopilot. With d the error of the attitude about north,
-east and down, a = R f + g, and f the specific force,
+east and down and f the specific force,
 
-    d' = -R b_gyro,    v' = d x a - R b_accel,    b_gyro and b_accel random walks as slow as those of healthy sensors.
+    d' = -R b_gyro,    v' = d x R f - R b_accel,    b_gyro and b_accel random walks as slow as those of healthy sensors.
 
-(The error of gravity is in d x R f, and R f = a - g; the filter has R f.) A fault of size theta since t_0 adds
-theta s(t; t_0) to the innovations, where the signature s is known from the filter's own gains (Willsky and Jones 1976):
-a bias of a gyro tilts the attitude and bends the velocity away by the square of time, one of an accelerometer at once in
-proportion to it, and both turn with the body, which an error of the GPS's velocity does not. For every hypothesis and
-onset of the latest seconds
+A fault of size theta since t_0 adds theta s(t; t_0) to the innovations, where the signature s is known from the filter's
+own gains (Willsky and Jones 1976): a bias of a gyro tilts the attitude and bends the velocity away by the square of
+time, one of an accelerometer at once in proportion to it, and both turn with the body, which an error of the GPS's
+velocity does not. For every hypothesis and onset of the latest seconds
 
     l = (sum s' S^-1 nu)^2 / (2 sum s' S^-1 s)
 
@@ -281,7 +280,6 @@ cdef class Navigation:
         cdef double[STATES] gain
         cdef double[STATES] x
         cdef double[STATES] of_state
-        cdef double[HYPOTHESES] shown
         cdef double S, nu, expected
         cdef Signature* signature
         cdef int m, i, j, k, h, row, n

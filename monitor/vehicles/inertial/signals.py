@@ -66,9 +66,10 @@ def strapdown_channels(
         raise TelemetryError("no ATTITUDE message: the inertial observer needs it; request it from the autopilot")
     imu = next((name for name in imus if name in examples), None)
     if imu is None:
-        raise TelemetryError("no HIGHRES_IMU, SCALED_IMU or RAW_IMU message: request one from the autopilot")
-    force, rate = (1.0, 1.0) if imu == "HIGHRES_IMU" else (STANDARD_GRAVITY / 1000.0, 1e-3)
-    channels = [Channel(name, imu, (name,), scale=force if "acc" in name else rate) for name in IMU[:6]]
+        channels = _trim()
+    else:
+        force, rate = (1.0, 1.0) if imu == "HIGHRES_IMU" else (STANDARD_GRAVITY / 1000.0, 1e-3)
+        channels = [Channel(name, imu, (name,), scale=force if "acc" in name else rate) for name in IMU[:6]]
     channels += [Channel(name, "ATTITUDE", (name,)) for name in ("roll", "pitch")]
     channels.append(Channel("yaw", "ATTITUDE", ("yaw",), period=tau))
     gps = _there(examples, "GPS_RAW_INT", ("lat", "lon", "vel", "cog")) and not _unknown(examples["GPS_RAW_INT"])
@@ -85,11 +86,27 @@ def strapdown_channels(
     elif _there(examples, "SCALED_PRESSURE", ("press_abs",)):
         barometer = 2.0
         channels.append(Channel(BAROMETER[0], "SCALED_PRESSURE", ("press_abs",)))
-    magnetometer = _there(examples, imu, MAGNETOMETER) and any(examples[imu][name] for name in MAGNETOMETER)
-    if magnetometer:
+    magnetometer = (
+        imu is not None and _there(examples, imu, MAGNETOMETER) and any(examples[imu][name] for name in MAGNETOMETER)
+    )
+    if imu is not None and magnetometer:
         channels += [Channel(name, imu, (name,)) for name in MAGNETOMETER]
     flags = {"gps": float(gps), "barometer": barometer, "magnetometer": float(magnetometer)}
     return StrapdownSource(tuple(channels), flags, _SELDOM)
+
+
+def _trim() -> list[Channel]:
+    """Return the channels of a vehicle that hovers at its attitude, where no message holds its IMU, as over radios.
+
+    Its thrust carries it: the specific force is that of gravity, against the body's z axis; the rates are those that
+    the autopilot estimates.
+    """
+    force = [
+        Channel(name, "ATTITUDE", ("roll",), scale=0.0, offset=offset)
+        for name, offset in zip(IMU[:3], (0.0, 0.0, -STANDARD_GRAVITY), strict=True)
+    ]
+    rates = ("rollspeed", "pitchspeed", "yawspeed")
+    return force + [Channel(name, "ATTITUDE", (field,)) for name, field in zip(IMU[3:6], rates, strict=True)]
 
 
 def common_channels(surveys: Sequence[Survey]) -> StrapdownSource:
