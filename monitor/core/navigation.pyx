@@ -7,10 +7,10 @@ east and down and f the specific force,
 
     d' = -R b_gyro,    v' = d x R f - R b_accel,    b_gyro and b_accel random walks as slow as those of healthy sensors.
 
-A fault of size theta since t_0 adds theta s(t; t_0) to the innovations, where the signature s is known from the filter's
-own gains (Willsky and Jones 1976): a bias of a gyro tilts the attitude and bends the velocity away by the square of
-time, one of an accelerometer at once in proportion to it, and both turn with the body, which an error of the GPS's
-velocity does not. For every hypothesis and onset of the latest seconds
+A fault of size theta since t_0 adds theta s(t; t_0) to the innovations, where the signature s is known from the
+filter's own gains (Willsky and Jones 1976): a bias of a gyro tilts the attitude and bends the velocity away by the
+square of time, one of an accelerometer at once in proportion to it, and both turn with the body, which an error of the
+GPS's velocity does not. For every hypothesis and onset of the latest seconds
 
     l = (sum s' S^-1 nu)^2 / (2 sum s' S^-1 s)
 

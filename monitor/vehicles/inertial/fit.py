@@ -48,7 +48,7 @@ from monitor.vehicles.inertial.sensor_fit import (
     delay_costs,
     identify_inertial,
 )
-from monitor.vehicles.inertial.signals import common_channels, inertial_rate_hz
+from monitor.vehicles.inertial.signals import StrapdownSource, common_channels, inertial_rate_hz
 from monitor.vehicles.inertial.strapdown import ACCELEROMETERS, GPS, MAGNETOMETER, Strapdown
 from monitor.vehicles.multirotor.identify import GYROS
 
@@ -167,20 +167,20 @@ def fit_inertial(request: FitRequest, gate: GateRule, *, alone: bool = False) ->
     }
     parameters |= _holds(surveys, channels.channels, raw, signal_hz)
     parameters |= _delays(raw, parameters, signal_hz, rate_hz)
-    if channels.parameters["gps"] in (1.0, BODY_VELOCITY) and signal_hz >= _NAVIGATED_HZ:
+    if channels.parameters["gps"] in (1.0, BODY_VELOCITY) and channels.imu and signal_hz >= _NAVIGATED_HZ:
         parameters["judge_level"] = _judge_level(raw, parameters, signal_hz, rate_hz)
-    found = _designed(request, channels.channels, raw, gate, parameters, signal_hz, rate_hz, settle_s)
+    found = _designed(request, channels, raw, gate, parameters, signal_hz, rate_hz, settle_s)
     gyro = next((one.rule for one in found.alarms if one.rule.channel in GYROS), None)
     if gyro is not None and "judge_level" in parameters and gyro.threshold > SMALLEST_GYRO:
         # What the navigation says of gyros is not limited by how well the attitude agrees with them.
         parameters["attitude_share"] = round(SMALLEST_GYRO / gyro.threshold, 3)
-        found = _designed(request, channels.channels, raw, gate, parameters, signal_hz, rate_hz, settle_s)
+        found = _designed(request, channels, raw, gate, parameters, signal_hz, rate_hz, settle_s)
     return found
 
 
 def _designed(
     request: FitRequest,
-    channels: Sequence[Channel],
+    channels: StrapdownSource,
     raw: Sequence[Flight],
     gate: GateRule,
     parameters: Mapping[str, float],
@@ -215,19 +215,22 @@ def _designed(
         edges=GPS_VELOCITY,
         jump_s=_JUMP_S,
     )
-    source = SampleSource(transform=rule, signals=tuple(channels))
+    source = SampleSource(transform=rule, signals=channels.channels)
     designed = Fitted(OBSERVER, plant, gains, source, isolation, settle_s=settle_s)
     own = healthy_evidence(designed.profile(), gate, flights, own=True)
     lasting = round(_JUMP.raise_s * rate_hz)
     jumps = [part[: max(0, len(part) - lasting)] for part in healthy_evidence(designed.profile(), gate, flights)]
     alarms = _alarms(designed.profile().faults, own, jumps, rate_hz, smallest_faults(fit), bare)
+    if not channels.imu:
+        # what is left of these faults is how far the vehicle is from hovering
+        alarms = [found for found in alarms if found.rule.channel not in (*GYROS, *MOTION, "accel_z")]
     return replace(
         designed,
         alarms=tuple(alarms),
         flight_s=fit.seconds,
         findings=_findings(fit, parameters),
-        lines=_lines(parameters, alarms),
-        excuses=_excuses(names),
+        lines=_lines(parameters, alarms, channels.imu),
+        excuses=_excuses({found.rule.channel for found in alarms}),
     )
 
 
@@ -349,9 +352,11 @@ def _findings(fit: InertialFit, parameters: Mapping[str, float]) -> dict[str, ob
     }
 
 
-def _lines(parameters: Mapping[str, float], alarms: Sequence[Calibrated]) -> tuple[str, ...]:
+def _lines(parameters: Mapping[str, float], alarms: Sequence[Calibrated], imu: bool) -> tuple[str, ...]:
     late = ", ".join(
         f"{key.removesuffix('_delay_s')} {value:.2f} s" for key, value in parameters.items() if "delay" in key
     )
     sizes = ", ".join(f"{found.rule.channel} {found.rule.threshold:.3g} {found.rule.unit}" for found in alarms)
+    if not imu:
+        return ("no message of an IMU: GPS and barometer against each other and the attitude", f"alarms from: {sizes}")
     return (f"late against the IMU: {late}", f"alarms from: {sizes}")

@@ -32,12 +32,14 @@ a sensor loses by half the samples is little beside its fading within seconds.
 class StrapdownSource(NamedTuple):
     """Channels in the order of the transform's signals, and its parameters that say which of them are there.
 
-    Messages in ``seldom`` come less often than those of the IMU; the transform waits for them.
+    Messages in ``seldom`` come less often than those of the IMU; the transform waits for them. Without an ``imu`` the
+    vehicle is taken to hover at its attitude.
     """
 
     channels: tuple[Channel, ...]
     parameters: dict[str, float]
     seldom: tuple[str, ...]
+    imu: bool = True
 
 
 def strapdown_channels(
@@ -46,9 +48,10 @@ def strapdown_channels(
     """Choose the channels.
 
     The IMU is the first of some messages: HIGHRES_IMU (SI units, microseconds), SCALED_IMU or RAW_IMU (which ArduPilot
-    sends in the same units). The barometer is the pressure altitude of HIGHRES_IMU, which comes with the IMU's own time
-    stamp, else the pressure of SCALED_PRESSURE. The altitude of VFR_HUD is no barometer: it is the autopilot's
-    estimate, which a fault of any sensor moves, and it has no time stamp.
+    sends in the same units). Over a radio there may be none; GPS and barometer are then compared with each other and
+    with a vehicle that hovers at its attitude. The barometer is the pressure altitude of HIGHRES_IMU, which comes with
+    the IMU's own time stamp, else the pressure of SCALED_PRESSURE. The altitude of VFR_HUD is no barometer: it is the
+    autopilot's estimate, which a fault of any sensor moves, and it has no time stamp.
 
     Parameters
     ----------
@@ -60,7 +63,7 @@ def strapdown_channels(
     Raises
     ------
     TelemetryError
-        No attitude or no inertial measurement.
+        No attitude, or neither an inertial measurement nor a position.
     """
     if "ATTITUDE" not in examples:
         raise TelemetryError("no ATTITUDE message: the inertial observer needs it; request it from the autopilot")
@@ -79,6 +82,11 @@ def strapdown_channels(
             Channel(name, "GPS_RAW_INT", (field,), scale=scale, period=360.0 if field == "cog" else None)
             for name, (field, scale) in zip(GPS, fields, strict=True)
         ]
+    if imu is None and not gps:
+        raise TelemetryError(
+            "no HIGHRES_IMU, SCALED_IMU or RAW_IMU message, and no GPS_RAW_INT with position, speed and course: "
+            "request one from the autopilot"
+        )
     barometer = 0.0
     if _there(examples, "HIGHRES_IMU", ("pressure_alt",)):
         barometer = 1.0
@@ -92,7 +100,7 @@ def strapdown_channels(
     if imu is not None and magnetometer:
         channels += [Channel(name, imu, (name,)) for name in MAGNETOMETER]
     flags = {"gps": float(gps), "barometer": barometer, "magnetometer": float(magnetometer)}
-    return StrapdownSource(tuple(channels), flags, _SELDOM)
+    return StrapdownSource(tuple(channels), flags, _SELDOM, imu is not None)
 
 
 def _trim() -> list[Channel]:
@@ -152,7 +160,9 @@ def preview(survey: Survey) -> Preview:
     """
     source = common_channels([survey])
     gps, barometer, magnetometer = (bool(source.parameters[name]) for name in ("gps", "barometer", "magnetometer"))
-    watches, missing = ["gyro_x", "gyro_y", "gyro_z"], []
+    watches, missing = ["gyro_x", "gyro_y", "gyro_z"] * source.imu, []
+    if not source.imu:
+        missing.append("gyro_*, accel_*, motion_*, compass: no HIGHRES_IMU, SCALED_IMU or RAW_IMU")
     if gps:
         watches += ["gps_north", "gps_east"]
         if source.parameters["gps"] == BARE_POSITIONS:
@@ -161,7 +171,7 @@ def preview(survey: Survey) -> Preview:
             watches += ["gps_velocity_north", "gps_velocity_east"]
     else:
         missing.append("gps_*: no GPS_RAW_INT with position, speed and course")
-    if gps or barometer:
+    if source.imu and (gps or barometer):
         watches.append("accel_z")
     if gps and barometer:
         watches += ["gps_down", "baro"]
@@ -169,7 +179,7 @@ def preview(survey: Survey) -> Preview:
         missing.append("baro, gps_down: no pressure (HIGHRES_IMU with pressure_alt, or SCALED_PRESSURE)")
     if magnetometer:
         watches.append("compass")
-    else:
+    elif source.imu:
         missing.append("compass: no magnetic field in HIGHRES_IMU, SCALED_IMU or RAW_IMU")
     timed = all(
         channel.message in survey.rate_hz for channel in source.channels if channel.message not in source.seldom
