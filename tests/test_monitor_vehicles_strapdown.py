@@ -255,9 +255,18 @@ def test_channels_follow_what_the_vehicle_sends() -> None:
     assert scaled.channels[2].value({"zacc": -1000}) == pytest.approx(-9.80665)
     still = strapdown_channels({"ATTITUDE": EXAMPLES["ATTITUDE"], "HIGHRES_IMU": {**imu, "xmag": 0.0}})
     assert still.parameters == {"gps": 0.0, "barometer": 0.0, "magnetometer": 0.0}
-    for name in ("ATTITUDE", "HIGHRES_IMU"):
-        with pytest.raises(TelemetryError, match=name):
-            strapdown_channels({key: value for key, value in EXAMPLES.items() if key != name})
+    for lacking in ({"ATTITUDE"}, {"HIGHRES_IMU", "GPS_RAW_INT"}):
+        with pytest.raises(TelemetryError, match=min(lacking)):
+            strapdown_channels({key: value for key, value in EXAMPLES.items() if key not in lacking})
+
+
+def test_without_an_imu_the_vehicle_hovers_at_its_attitude() -> None:
+    attitude = {**EXAMPLES["ATTITUDE"], "rollspeed": 0.1, "pitchspeed": 0.2, "yawspeed": 0.3}
+    source = strapdown_channels({**{k: v for k, v in EXAMPLES.items() if k != "HIGHRES_IMU"}, "ATTITUDE": attitude})
+    assert not source.imu
+    assert source.parameters == {"gps": 1.0, "barometer": 2.0, "magnetometer": 0.0}
+    signals = [channel.value(attitude) for channel in source.channels[:6]]
+    assert signals == pytest.approx([0.0, 0.0, -9.80665, 0.1, 0.2, 0.3])
 
 
 def test_a_receiver_that_knows_no_speed_is_not_used() -> None:
