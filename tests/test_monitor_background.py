@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from loopback import START_NS, event, until
 
-from adapters.batch import pack
+from adapters.batch import memory_bytes, pack
 from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.pipeline import Pipeline
@@ -109,7 +109,7 @@ def test_a_disk_that_hangs_delays_an_alarm_once_and_by_a_moment_and_loses_rows_n
     disk: Disk, quad_profile: Profile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(background, "_STALLED_S", 0.01)
-    monkeypatch.setattr(background, "ROWS", 1000)
+    monkeypatch.setattr(background, "HELD_BYTES", 1000 * memory_bytes(HEARTBEATS) // 100)
     pipeline = Pipeline(quad_profile, "copter-1", 1)
     recorder = SlowRecorder(disk)
     encoder = RecordEncoder(pipeline.layouts)

@@ -1,7 +1,9 @@
 """The inbox: order kept, the oldest dropped and counted, links that fail are read again."""
 
+import itertools
 import logging
 import threading
+import time
 from collections import deque
 
 import pytest
@@ -93,3 +95,59 @@ def test_no_message_is_lost_between_threads() -> None:
     inbox.close()
     assert inbox.statistics().dropped == 0
     assert sorted(message.received_ns for _, message in found) == sorted([*range(2000)] * 3)
+
+
+def attitudes(system: int, count: int, received_ns: int = 0, size: int = 0) -> Batch:
+    fields = {"text": "x" * size} if size else {}
+    return pack([Message(MAVLINK, "ATTITUDE", received_ns, fields, system, 1) for _ in range(count)])
+
+
+def test_a_sender_that_floods_loses_its_own_messages_and_waits_for_its_turn() -> None:
+    inbox = Inbox(1000)
+    for _ in range(100):
+        inbox.put(attitudes(7, 900))
+        inbox.put(attitudes(1, 1))
+    first = inbox.take(0.0)
+    assert [one.system for _, one in each(first)].count(1) == 100
+    assert inbox.statistics().dropped == 100 * 900 - 900
+
+
+def test_a_batch_of_two_senders_waits_with_each() -> None:
+    inbox = Inbox(10)
+    inbox.put(pack([Message(MAVLINK, "ATTITUDE", 0, {}, 1 + k % 2, 1) for k in range(4)]))
+    assert sorted(one.system for _, one in each(inbox.take(0.0))) == [1, 1, 2, 2]
+
+
+def test_what_has_waited_for_a_second_is_dropped_but_for_signs_of_life() -> None:
+    inbox = Inbox(10_000, oldest_s=1.0)
+    now_ns = time.time_ns()
+    for hundredth in range(500, 0, -1):
+        inbox.put(attitudes(1, 3, now_ns - hundredth * 10_000_000))
+    taken = [one.received_ns for _, one in each(inbox.take(0.0))]
+    assert taken == sorted(taken)
+    old = sorted({t for t in taken if t < now_ns - 1_100_000_000})
+    assert 7 <= len(old) <= 9
+    assert max(b - a for a, b in itertools.pairwise([*old, now_ns - 1_000_000_000])) < 700_000_000
+    assert sum(t > now_ns - 900_000_000 for t in taken) == 3 * 89
+    assert inbox.statistics().dropped == 1500 - len(taken)
+
+
+def test_a_time_of_arrival_from_before_the_clock_was_set_is_not_old() -> None:
+    inbox = Inbox(10, oldest_s=1.0)
+    inbox.put(attitudes(1, 1, time.time_ns() - 3600 * 10**9))
+    inbox.put(attitudes(1, 1, time.time_ns() + 3600 * 10**9))
+    assert len(each(inbox.take(0.0))) == 2
+
+
+def test_large_messages_are_bounded_in_memory_and_taken_in_small_portions() -> None:
+    inbox = Inbox(10_000)
+    for _ in range(801):
+        # a megabyte of JSON as one object
+        inbox.put(attitudes(1, 1, size=1_000_000))
+    assert inbox.statistics().waiting <= (1 << 26) // 1_000_000
+    inbox = Inbox(10_000)
+    objects = Message(MAVLINK, "ATTITUDE", 0, dict.fromkeys(map(str, range(5_000)), 1.0), 1, 1)
+    for _ in range(801):
+        inbox.put(pack([objects]))
+    assert inbox.statistics().waiting <= (1 << 26) // 500_000
+    assert len(inbox.take(0.0)) <= 10

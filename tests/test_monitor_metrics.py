@@ -132,6 +132,14 @@ def test_openmetrics_is_given_to_whoever_asks_for_it() -> None:
         (Health(ProcessHealth(loop_age_s=7.0)), "the main loop has stood still for 7 s"),
         (Health(ProcessHealth(inbox_depth=5, inbox_capacity=5)), "the inbox is full (5 messages)"),
         (
+            Health(ProcessHealth(inbox_dropped_minute=3)),
+            "the monitor does not keep up: 3 messages dropped",
+        ),
+        (
+            Health(ProcessHealth(), links=(LinkHealth("udp:x", unread=4),)),
+            "the monitor does not keep up: 4 packets",
+        ),
+        (
             Health(
                 ProcessHealth(), (VehicleHealth("rover", "stale", recorder=ArchiveStatistics(trouble="disk full")),)
             ),

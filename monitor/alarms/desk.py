@@ -307,7 +307,8 @@ class AlarmDesk:
 
     def _flood(self, event: AlarmEvent) -> list[AlarmEvent]:
         """Count a raised alarm; return the alarm of a flood where it is the one too many."""
-        if not self.rule.flood_raised:
+        # What the monitor says of itself or of the link is no reason to keep quiet about the vehicle.
+        if not self.rule.flood_raised or event.kind in ("stale", "system", "security", "blind"):
             return []
         now_ns, within_ns = event.time_ns, round(self.rule.flood_s * 1e9)
         self._raised_ns.append(now_ns)

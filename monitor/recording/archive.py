@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from adapters.batch import Batch, joined
+from adapters.batch import Batch, joined, memory_bytes
 from monitor.estimate import Estimates, joined_estimates
 from monitor.event import AlarmEvent
 from monitor.recording.black_box import BlackBox
@@ -15,6 +15,9 @@ from monitor.recording.recorder import Recorder
 _MOST_ROWS = 4096
 """Messages and samples held before they are encoded: as many as one turn of the daemon's loop processes of a backlog.
 Live ones are flushed long before, twice a second."""
+
+_ROW_BYTES = 2000
+"""A message of a dozen fields as Python objects (``adapters/batch.py``)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +50,8 @@ class Archive:
     def batch(self, batch: Batch) -> None:
         """Record telemetry as received."""
         self._batches.append(batch)
-        self._hold(batch.count)
+        # in rows of a usual size: what came over a network may have any
+        self._hold(max(batch.count, memory_bytes(batch) // _ROW_BYTES))
 
     def estimates(self, estimates: Estimates) -> None:
         """Record estimates and the samples they were computed from."""

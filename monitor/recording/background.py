@@ -11,15 +11,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from adapters.batch import Batch
+from adapters.batch import Batch, memory_bytes
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.recording.archive import Archive, ArchiveStatistics
 from monitor.recording.journal import MAX_PENDING, Journal, JournalStatistics
 
-ROWS = 30_000
-"""Messages and samples of a vehicle that wait for its recording. Chosen: 30 s of one that makes 1,000 a second, in some
-10 MB, so that the hiccups of an SD card (seconds) cost nothing."""
+HELD_BYTES = 1 << 25
+"""Memory of a vehicle's messages and samples that wait for its recording. Chosen: 32 MB hold a minute and more of one
+that makes 1,000 a second, so that the hiccups of an SD card (seconds) cost nothing."""
+_SAMPLE_BYTES = 500
+"""A sample with its estimate: some 60 numbers of two observers."""
 _JOBS = 50_000
 """Jobs of any size that wait: beside rows, alarm events and flushes."""
 _CLIP_RECORDS = 300
@@ -114,20 +116,21 @@ class BackgroundArchive:
 
     def __init__(self, archive: Archive, vehicle: str) -> None:
         self._archive = archive
-        self._thread = DiskThread(f"recording of {vehicle}", ROWS)
+        self._thread = DiskThread(f"recording of {vehicle}", HELD_BYTES)
         self._lost = 0
 
     def batch(self, batch: Batch) -> None:
         """Record telemetry as received."""
-        self._put(functools.partial(self._archive.batch, batch), batch.count)
+        self._put(functools.partial(self._archive.batch, batch), batch.count, memory_bytes(batch))
 
     def estimates(self, estimates: Estimates) -> None:
         """Record estimates and the samples they were computed from."""
-        self._put(functools.partial(self._archive.estimates, estimates), len(estimates))
+        rows = len(estimates)
+        self._put(functools.partial(self._archive.estimates, estimates), rows, rows * _SAMPLE_BYTES)
 
     def event(self, event: AlarmEvent) -> None:
         """Record an alarm event behind all that came before; a raised alarm begins a clip of the black box."""
-        self._put(functools.partial(self._archive.event, event))
+        self._put(functools.partial(self._archive.event, event), 1, 0)
 
     def flush(self) -> None:
         """Hand the recording to the operating system, or try a disk again that refused; call it on a timer."""
@@ -156,9 +159,9 @@ class BackgroundArchive:
             trouble = f"recording waits for a disk that has not answered for {stalled_s:.0f} s"
         return replace(counts, lost=counts.lost + self._lost, trouble=trouble)
 
-    def _put(self, job: Callable[[], object], rows: int = 0) -> None:
-        if not self._thread.put(job, rows):
-            self._lost += max(rows, 1)
+    def _put(self, job: Callable[[], object], rows: int, size: int) -> None:
+        if not self._thread.put(job, size):
+            self._lost += rows
 
 
 class BackgroundJournal:

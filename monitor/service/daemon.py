@@ -68,9 +68,9 @@ class Daemon:
             self._process(arrivals)
             # Time may pass only where nothing older waits, here or in the links: it would end a silence.
             if self._inbox.empty:
-                now_ns = time.time_ns()
+                now_ns = time.time_ns() - max(self._held_ns, round(1e9 * self._inbox.unread_s))
                 for monitor in self._fleet:
-                    monitor.pass_time(now_ns - self._held_ns)
+                    monitor.pass_time(now_ns)
 
     def finish(self, patience_s: float) -> None:
         """Process what still waits in the inbox, for so long at most; use it once the links are closed."""

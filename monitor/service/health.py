@@ -73,6 +73,7 @@ class LinkHealth:
     # packets missing by their sequence numbers, of each MAVLink system that lost any
     lost_by_system: Mapping[int, int] = field(default_factory=dict)
     figures: LinkFigures = field(default_factory=LinkFigures)  # delay, jitter and lost share of the last minute
+    unread: int = 0  # packets of the last minute that the kernel, or the link's queue, dropped before they were read
 
 
 Figures = Callable[[str, int, int | None], LinkFigures]
@@ -96,7 +97,8 @@ class ProcessHealth:
     # messages between the links and the main loop, and the most there can be
     inbox_depth: int = 0
     inbox_capacity: int = 0
-    inbox_dropped: int = 0  # messages dropped because there were more
+    inbox_dropped: int = 0  # messages dropped because there were more, or they were too old
+    inbox_dropped_minute: int = 0  # those of the last minute
     resident_bytes: int = field(default_factory=resident_bytes)  # resident memory; 0 where unknown
     cpu_s: float = field(default_factory=time.process_time)  # processor time used so far, seconds
 
@@ -123,6 +125,7 @@ def problems(health: Health) -> list[str]:
         found.append(f"the main loop has stood still for {process.loop_age_s:.0f} s")
     if process.inbox_capacity and process.inbox_depth >= process.inbox_capacity:
         found.append(f"the inbox is full ({process.inbox_depth} messages): messages are dropped")
+    found += overload(process.inbox_dropped_minute, {link.name: link.unread for link in health.links})
     for vehicle in health.vehicles:
         if vehicle.impostor is not None:
             found.append(f"{vehicle.name}: a second sender speaks in its name: {vehicle.impostor}")
@@ -136,6 +139,16 @@ def problems(health: Health) -> list[str]:
     elif journal is not None and journal.pending:
         found.append(f"{journal.pending} alarm events wait for the journal: {journal.last_error}")
     return found
+
+
+def overload(dropped: int, unread: Mapping[str, int]) -> list[str]:
+    """Return a line for each place where telemetry of the last minute was dropped, by links' names where unread."""
+    found = [f"the monitor does not keep up: {dropped} messages dropped in the last minute"] if dropped else []
+    return found + [
+        f"the monitor does not keep up: {count} packets of {name} dropped unread in the last minute"
+        for name, count in unread.items()
+        if count
+    ]
 
 
 def health_json(health: Health) -> dict[str, Any]:

@@ -1,4 +1,8 @@
-"""One bounded queue between the links' threads and the monitor: when it is full the oldest messages go, counted."""
+"""Bounded queues between the links' threads and the monitor, one for each sender: what is too much or too old goes.
+
+So one vehicle that floods, or a monitor that cannot keep up, costs what it must, counted, and nothing that is a second
+old is looked at any more: a monitor that shows the past as the present is worse than one with gaps.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,9 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from adapters.batch import Batch, cut
+from adapters.batch import Batch, Columns, cut, gathered, memory_bytes
 from adapters.link_figures import LinkFigures, LinkMeter
+from adapters.message import Message
 
 _POLL_S = 0.2
 """How long a link waits for telemetry before its thread looks whether it is to end; closing waits that long."""
@@ -48,11 +53,62 @@ class InboxStatistics:
     errors: int  # exceptions of links; they went on afterwards
 
 
-class Inbox:
-    """Collects the batches of all links in the order in which they arrive, ``limit`` messages in all at most."""
+OLDEST_S = 1.0
+"""What has waited longer, here or in the kernel, is dropped by a monitor that watches. Chosen: half of what an operator
+may be told late, and five times the longest turn of the loop."""
+_SIGN_OF_LIFE_S = 0.5
+"""Of what is dropped for its age a batch is kept so often, so that telemetry that had to wait is not taken for silence,
+which begins at ``stale_s``, a second at least."""
+_MOST_BYTES = 1 << 26
+"""Memory of all that waits: 64 MB, ten times what 20,000 messages of MAVLink take."""
+_TURN_BYTES = 1 << 22
+"""Memory after which a turn ends, too: 4 MB, of JSON in some 0.1 s."""
+_LONGEST_WAIT_S = 10.0
+"""A message that seems to have waited longer in the kernel came before the clock was set."""
+_MOST_SENDERS = 512
+"""Twice the system ids of MAVLink; names of vehicles with a link of their own come from the configuration."""
 
-    def __init__(self, limit: int) -> None:
-        self._queue: deque[Arrival] = deque()
+
+class _Waiting(NamedTuple):
+    """A batch that waits: since when by the monotonic clock, and its memory."""
+
+    since_s: float
+    size: int
+    arrival: Arrival
+
+
+class _Queue:
+    """What waits of one sender."""
+
+    def __init__(self) -> None:
+        self.entries: deque[_Waiting] = deque()
+        self.count = 0
+        self.size = 0
+        self.shown_s = 0.0
+
+    def put(self, entry: _Waiting) -> None:
+        self.entries.append(entry)
+        self.count += entry.arrival.batch.count
+        self.size += entry.size
+
+    def take(self) -> _Waiting:
+        entry = self.entries.popleft()
+        self.count -= entry.arrival.batch.count
+        self.size -= entry.size
+        return entry
+
+
+class Inbox:
+    """Collects the batches of all links, each sender's in the order in which they arrive.
+
+    ``limit`` messages wait in all at most, and 64 MB: of more the sender with the most loses its oldest. What has
+    waited for more than ``oldest_s`` seconds is dropped when its turn comes; None drops nothing for its age.
+    """
+
+    def __init__(self, limit: int, oldest_s: float | None = None) -> None:
+        self._queues: dict[tuple[str | None, int | None], _Queue] = {}
+        self._size = 0
+        self._oldest_s = oldest_s
         self.limit = limit
         self._changed = threading.Condition()
         self._closed = False
@@ -78,48 +134,97 @@ class Inbox:
         return LinkFigures() if meter is None else meter.figures(received, lost)
 
     def put(self, batch: Batch, vehicle: str | None = None) -> None:
-        """Add a batch; the oldest waiting messages make room."""
+        """Add a batch; the oldest waiting messages of the sender that has the most make room."""
         if not batch.count:
             return
+        since_s = time.monotonic() - _waited_s(batch)
+        parts = [(key, part, memory_bytes(part)) for key, part in _by_sender(batch)]
         with self._changed:
-            self._queue.append(Arrival(vehicle, batch))
-            self._arrived += batch.count
-            self._waiting += batch.count
+            for key, part, size in parts:
+                self._arrived += part.count
+                queue = self._queues.get((vehicle, key))
+                if queue is None:
+                    if len(self._queues) >= _MOST_SENDERS:
+                        self._queues = {key: queue for key, queue in self._queues.items() if queue.entries}
+                    queue = self._queues[vehicle, key] = _Queue()
+                queue.put(_Waiting(since_s, size, Arrival(vehicle, part)))
+                self._waiting += part.count
+                self._size += size
             while (excess := self._waiting - self.limit) > 0:
-                oldest = self._queue.popleft()
-                dropped = min(excess, oldest.batch.count)
-                if dropped < oldest.batch.count:
-                    rest = cut(oldest.batch, dropped, oldest.batch.count)
-                    self._queue.appendleft(oldest._replace(batch=rest))
-                self._dropped += dropped
-                self._waiting -= dropped
+                self._drop(max(self._queues.values(), key=lambda queue: queue.count), excess)
+            while self._size > _MOST_BYTES:
+                self._drop(max(self._queues.values(), key=lambda queue: queue.size), self.limit)
             self._changed.notify()
 
     def take(self, timeout_s: float) -> list[Arrival]:
-        """Return batches in order of arrival, waiting at most ``timeout_s`` for the first.
+        """Return batches, by turns of each sender, waiting at most ``timeout_s`` for the first.
 
         A backlog is returned in portions of about 4096 messages.
         """
         with self._changed:
-            if not self._queue:
+            if not self._waiting:
                 self._changed.wait(timeout_s)
             taken: list[Arrival] = []
-            count = 0
-            while self._queue and count < _TURN:
-                taken.append(self._queue.popleft())
-                count += taken[-1].batch.count
-            self._waiting -= count
+            count = size = 0
+            if self._oldest_s is not None:
+                until_s = time.monotonic() - self._oldest_s
+                taken += [arrival for queue in self._queues.values() for arrival in self._shed(queue, until_s)]
+            while self._waiting and count < _TURN and size < _TURN_BYTES:
+                for queue in self._queues.values():
+                    if queue.entries:
+                        entry = self._next(queue)
+                        taken.append(entry.arrival)
+                        count += entry.arrival.batch.count
+                        size += entry.size
             return taken
+
+    def _next(self, queue: _Queue) -> _Waiting:
+        entry = queue.take()
+        self._waiting -= entry.arrival.batch.count
+        self._size -= entry.size
+        return entry
+
+    def _drop(self, queue: _Queue, excess: int) -> None:
+        """Drop the oldest batch of a queue, or so many of its messages."""
+        entry = self._next(queue)
+        batch = entry.arrival.batch
+        self._dropped += min(excess, batch.count)
+        if excess < batch.count:
+            rest = cut(batch, excess, batch.count)
+            kept = _Waiting(entry.since_s, entry.size, entry.arrival._replace(batch=rest))
+            queue.entries.appendleft(kept)
+            queue.count += rest.count
+            queue.size += kept.size
+            self._waiting += rest.count
+            self._size += kept.size
+
+    def _shed(self, queue: _Queue, until_s: float) -> list[Arrival]:
+        """Drop what came before a monotonic time; return the batches that are kept as signs of life."""
+        kept = []
+        while queue.entries and queue.entries[0].since_s < until_s:
+            entry = self._next(queue)
+            if entry.since_s - queue.shown_s >= _SIGN_OF_LIFE_S:
+                queue.shown_s = entry.since_s
+                kept.append(entry.arrival)
+            else:
+                self._dropped += entry.arrival.batch.count
+        return kept
 
     @property
     def empty(self) -> bool:
         """Whether nothing waits."""
-        return not self._queue
+        return not self._waiting
 
     def stuck(self) -> tuple[str, ...]:
         """Return the names of links whose thread has not come back for 5 s."""
         now = time.monotonic()
         return tuple(name for name, at in self._answered.items() if now - at > _STUCK_S)
+
+    @property
+    def unread_s(self) -> float:
+        """Seconds since which telemetry may wait in a link unread, those that do not answer left out."""
+        now = time.monotonic()
+        return max((now - at for at in self._answered.values() if now - at <= _STUCK_S), default=0.0)
 
     def statistics(self) -> InboxStatistics:
         """Return the counts so far."""
@@ -143,3 +248,41 @@ class Inbox:
                 logging.getLogger(__name__).exception("link %s failed; it is read again", name)
                 time.sleep(_AFTER_ERROR_S)
             self._answered[name] = time.monotonic()
+
+
+def _waited_s(batch: Batch) -> float:
+    """Return for how long the first message of a batch has waited in the kernel, seconds."""
+    first_ns = min(
+        *(int(columns.received_ns[0]) for columns in batch.columns),
+        *(message.received_ns for message in batch.others.values()),
+        time.time_ns(),
+        time.time_ns(),
+    )
+    waited_s = (time.time_ns() - first_ns) / 1e9
+    return waited_s if waited_s < _LONGEST_WAIT_S else 0.0
+
+
+def _by_sender(batch: Batch) -> list[tuple[int | None, Batch]]:
+    """Return the parts of a batch by system id; None stands for sources without."""
+    entries: list[Columns | Message] = [*batch.columns, *batch.others.values()]
+    systems = {entry.system if entry.source.has_ids else None for entry in entries}
+    if len(systems) == 1:
+        return [(systems.pop(), batch)]
+    return [
+        (
+            system,
+            gathered(
+                [
+                    columns
+                    for columns in batch.columns
+                    if (columns.system if columns.source.has_ids else None) == system
+                ],
+                {
+                    index: message
+                    for index, message in batch.others.items()
+                    if (message.system if message.source.has_ids else None) == system
+                },
+            ),
+        )
+        for system in systems
+    ]

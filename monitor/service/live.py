@@ -18,7 +18,7 @@ from monitor.recording.background import BackgroundJournal
 from monitor.recording.journal import Journal
 from monitor.service.caught_signals import caught_signals
 from monitor.service.daemon import Daemon
-from monitor.service.inbox import Inbox
+from monitor.service.inbox import OLDEST_S, Inbox
 from monitor.service.links import FirstLook, open_links, signing_guard
 from monitor.service.log import ServiceLog
 from monitor.service.metrics_server import MetricsServer
@@ -60,7 +60,7 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         if guard is not None:
             stack.callback(guard.save)
             _each_second(guard.save, "signing state", stack)
-        inbox = Inbox(config.inbox)
+        inbox = Inbox(config.inbox, OLDEST_S)
         links = open_links(config, session, stack, guard)
         views = _open_views(config, log, stack)
         counted = {one.name: one.link for one in links}

@@ -6,6 +6,7 @@ import functools
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -28,7 +29,7 @@ from monitor.recording.recorder import Recorder
 from monitor.recording.retention import FileSeries
 from monitor.sampling.slow_telemetry import motor_gain
 from monitor.service.fleet import Fleet
-from monitor.service.health import Health, LinkHealth, ProcessHealth, link_health
+from monitor.service.health import Health, LinkHealth, ProcessHealth, link_health, overload
 from monitor.service.inbox import Inbox
 from monitor.service.links import Counting
 from monitor.service.log import Level, ServiceLog
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
     from monitor.views.live_view import LiveView
 
 _MEGABYTE = 1_000_000
+_MINUTE_S = 60
+"""Seconds over which drops are counted for status and ``/healthz``: as long as a scraper may wait between two looks."""
 _SETTLE_S = 0.1
 """How long an alarm waits for the disk. Chosen: a hundred times what a commit takes on a healthy one, and short beside
 what people notice; who waited in vain does not wait again until the disk has caught up."""
@@ -84,7 +87,7 @@ class Station:
         self._new = 0
         self._reloaded: queue.SimpleQueue[tuple[Config, dict[Path, Profile]] | str] = queue.SimpleQueue()
         self._turn_ns = self._second_ns = 0
-        self._dropped_before = 0
+        self._minute: deque[tuple[int, dict[str, int]]] = deque(maxlen=_MINUTE_S + 1)
         self._troubles: tuple[str, ...] = ()
         self._health = Health(ProcessHealth())
         self._listens = endpoints("listen", config.listen, config.zenoh_config, config.zenoh_mode)
@@ -133,13 +136,17 @@ class Station:
             self._second_ns = steady_ns
             if self._journal is not None:
                 self._journal.retry()
-            self._troubles = tuple(self._find_troubles())
+            dropped, unread = self._dropped_lately()
+            self._troubles = tuple(self._find_troubles(dropped, unread))
             journal = None if self._journal is None else self._journal.statistics()
             waiting = self._inbox.statistics()
             self._health = Health(
-                ProcessHealth(0.0, waiting.waiting, self._inbox.limit, waiting.dropped),
+                ProcessHealth(0.0, waiting.waiting, self._inbox.limit, waiting.dropped, dropped),
                 tuple(service.health() for service in self.services),
-                tuple(link_health(name, link.statistics(), self._inbox.figures) for name, link in self._links.items()),
+                tuple(
+                    replace(link_health(name, link.statistics(), self._inbox.figures), unread=unread[name])
+                    for name, link in self._links.items()
+                ),
                 journal,
             )
             self._say_states()
@@ -310,12 +317,18 @@ class Station:
             flood_s=flood.within_s,
         )
 
-    def _find_troubles(self) -> list[str]:
+    def _dropped_lately(self) -> tuple[int, dict[str, int]]:
+        """Return the messages that the inbox, and each link or its kernel, dropped in the last minute."""
+        counts = {name: link.statistics() for name, link in self._links.items()}
+        unread = {name: getattr(one, "overruns", 0) + getattr(one, "dropped", 0) for name, one in counts.items()}
+        self._minute.append((self._inbox.statistics().dropped, unread))
+        dropped_before, unread_before = self._minute[0]
+        before = dict.fromkeys(unread, 0) | unread_before
+        return self._minute[-1][0] - dropped_before, {name: count - before[name] for name, count in unread.items()}
+
+    def _find_troubles(self, dropped: int, unread: Mapping[str, int]) -> list[str]:
         found = [f"link {name} does not answer" for name in self._inbox.stuck()]
-        dropped = self._inbox.statistics().dropped
-        if dropped > self._dropped_before:
-            found.append(f"the monitor does not keep up: {dropped - self._dropped_before} messages dropped")
-        self._dropped_before = dropped
+        found += overload(dropped, unread)
         if self._journal is not None and (counts := self._journal.statistics()).pending:
             found.append(f"{counts.pending} events are not in the journal yet: {counts.last_error}")
         return found
