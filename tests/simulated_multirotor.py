@@ -41,11 +41,11 @@ class Quad:
 
 
 def closed_loop(
-    quad: Quad, rate_hz: float, seconds: float, flights: int, seed: int, brisk: float = 1.0
+    quad: Quad, rate_hz: float, seconds: float, flights: int, seed: int, brisk: float = 1.0, turning: float = 1.0
 ) -> list[Segment]:
     """Return flights with random sticks, whose rates a controller with 250 steps a second holds.
 
-    ``brisk`` scales what the sticks ask for; 0 is hovering.
+    ``brisk`` scales what the sticks ask for; 0 is hovering. ``turning`` does so for yaw.
     """
     rng = np.random.default_rng(seed)
     B, damping, gusts = quad.B(), np.array(quad.damping), np.array(quad.gust)
@@ -64,7 +64,7 @@ def closed_loop(
         measured = y + quad.noise * rng.normal(size=(flights, 3))
         if k % LOOP == 0:
             moved = rng.random(flights) < STEP_S * LOOP / 0.3
-            wanted = np.where(moved[:, None], brisk * rng.normal(size=(flights, 3)) * (0.5, 0.5, 0.4), wanted)
+            wanted = np.where(moved[:, None], brisk * rng.normal(size=(flights, 3)) * (0.5, 0.5, 0.4 * turning), wanted)
             lift = np.where(moved, 0.04 * min(brisk, 1.0) * rng.normal(size=flights), lift)
             mean = np.clip(mean + (wanted - measured) * STEP_S * LOOP, -1.0, 1.0)
             slow = slow + 0.15 * ((before - measured) / (STEP_S * LOOP) - slow)

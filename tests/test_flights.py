@@ -122,7 +122,7 @@ def test_replay_writes_alarms_that_a_program_can_read(quad_folder: Path, tmp_pat
     events = [json.loads(line) for line in out.read_text().splitlines()]
     assert events[0]["state"] == "raised"
     assert events[0]["channel"] == "motor3"
-    assert events[0]["relative"] == pytest.approx(-0.10, abs=0.03)
+    assert events[0]["relative"] == pytest.approx(-0.10, abs=0.05)  # raised while the estimate still grows
 
 
 def test_a_converted_log_replays_to_the_same_events(quad_profile: Profile, tmp_path: Path, data: Path) -> None:

@@ -56,12 +56,25 @@ def test_a_lost_measurement_costs_its_own_row() -> None:
     assert np.mean(np.abs(deviations(gappy, 100.0)) < 1.96) > 0.8
 
 
-def test_geometry_holds_what_the_flight_does_not_show() -> None:
-    flights = closed_loop(QUAD, 100.0, 62.0, 1, 4, brisk=0.1)
-    free, held = (identify_multirotor(flights, 100.0, known) for known in (None, np.sign(QUAD.effects())))
-    assert np.all(held[1].B_error[2] < 0.8 * free[1].B_error[2])
-    assert np.abs(held[0].B[2]).std() < 0.15 * np.abs(held[0].B[2]).mean()
-    assert np.all(np.sign(held[0].B[:3]) == np.sign(QUAD.effects()))
+def test_an_axis_without_manoeuvres_is_taken_from_geometry_with_its_width() -> None:
+    flights = closed_loop(QUAD, 100.0, 62.0, 1, 4, turning=0.0)
+    geometry = np.sign(QUAD.effects())
+    free, known = identify_multirotor(flights, 100.0)
+    assert known.told(free, geometry).tolist() == [True, True, False]
+    assert known.told(free, None)[:2].all()
+    held, wide = identify_multirotor(flights, 100.0, geometry * [[0.0], [0.0], [1.0]])
+    assert held.B[2] / np.abs(held.B[2, 0]) == pytest.approx(geometry[2], rel=0.01)
+    assert 0.3 < np.abs(effects(held)[2] / truth(100.0)[2]).max() < 3.0
+    assert wide.of_axes[2] > 0.5
+    assert effects(held)[:2] == pytest.approx(truth(100.0)[:2], rel=0.1)
+    assert wide.drive[2] > 0.0
+
+
+def test_hovering_alone_tells_the_controller_and_not_what_the_motors_do() -> None:
+    for flight in closed_loop(QUAD, 100.0, 122.0, 2, 1, brisk=0.0):
+        fit, uncertainty = identify_multirotor([flight], 100.0)
+        assert not uncertainty.told(fit, np.sign(QUAD.effects()))[:2].any()
+        assert not uncertainty.told(fit, None)[:2].any()
 
 
 def test_more_motors_than_controls_are_known_in_the_directions_of_the_controls() -> None:

@@ -87,6 +87,11 @@ def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> C
 
 OBSERVER = "motors"
 
+_ENOUGH_HZ = 100.0
+"""Faster logs are put onto this grid: several samples in the lag of any motor (20 to 100 ms with its link)."""
+_CALM_HZ = 10.0
+"""Of flights without manoeuvres commands are taken as if they came at this rate, that of logs: what it shows of hover
+alone is measured (docs/rates.md)."""
 _AIRBORNE_SHARE = 0.5
 """Share of the mean command, which is that of hovering. Chosen: motors idle far below half of it, descents stay
 above."""
@@ -218,15 +223,27 @@ def _check_watched(motors: Sequence[str], hover: Sequence[float], alarms: Sequen
 
 
 def _fast(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], outputs: Sequence[Channel]) -> _Identified:
-    """Identify how the body rates answer the commands, sample by sample."""
+    """Identify how the body rates answer the commands, sample by sample; their means where no manoeuvre tells that."""
     source = SampleSource(tuple(inputs), tuple(outputs))
-    rate_hz = request.grid_hz(common_rate_hz(request.surveys, source.channels))
+    fastest_hz = common_rate_hz(request.surveys, source.channels)
+    rate_hz = request.grid_hz(min(fastest_hz, _ENOUGH_HZ))
     flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]
     stretches = [flight.segments() for flight in flights]
     segments = [segment for flight in stretches for segment in flight]
     records = [flight.segments(round(_BRIDGED_S * rate_hz)) for flight in flights]
+    frame = _frame_of(request, inputs)
+    origin = "the vehicle's parameters"
+    if frame is None:
+        every = max(1, round(rate_hz / SLOW_COMMANDS_HZ))
+        frame, origin = choose_frame([Segment(s.u[::every], s.y[::every]) for s in segments], rate_hz / every), "motion"
+    model, uncertainty, told = _identify(records, rate_hz, frame)
+    if not told[:2].all():
+        return _slow(request, gate, inputs, outputs)
+    from_frame = ""
+    if not told[2]:
+        known_of = "hardly known" if frame is None else f"from geometry only ({frame.name}, from {origin})"
+        from_frame = f"; yaw axis {known_of}"
     comparison = compare_kept_back(records, rate_hz)
-    model, uncertainty, origin = _identify(request, gate, inputs, outputs, records, rate_hz)
     drift = response_drift(model, stretches)
     motors = tuple(channel.name for channel in inputs)
     known = ", ".join(f"{axis} {100 * error:.1f} %" for axis, error in zip(_AXES, uncertainty.of_axes, strict=True))
@@ -239,9 +256,9 @@ def _fast(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], output
         gyros=True,
         times=Times(),
         smallest_loss=_SMALLEST_LOSS,
-        findings={**_findings(model, motors, uncertainty, drift), "geometry": origin},
+        findings={**_findings(model, motors, uncertainty, drift), "not_told": [*np.array(_AXES)[~told].tolist()]},
         line=f"model {rate_hz:g} Hz, motors {1000 * uncertainty.times_s.sum():.0f} ms late; standard errors of what "
-        f"they do: {known}" + "".join(f"; {axis} axis from geometry only ({of})" for axis, of in origin.items()),
+        f"they do: {known}{from_frame}",
         details=(
             *_details(motors, uncertainty, drift),
             *(
@@ -255,40 +272,28 @@ def _fast(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], output
 
 
 def _identify(
-    request: FitRequest,
-    gate: GateRule,
-    inputs: Sequence[Channel],
-    outputs: Sequence[Channel],
-    records: Sequence[Sequence[Segment]],
-    rate_hz: float,
-) -> tuple[MultirotorFit, MotorUncertainty, dict[str, str]]:
-    """Return the model, how well it is known, and by axis where its geometry is from if the flights do not tell.
+    records: Sequence[Sequence[Segment]], rate_hz: float, frame: Frame | None
+) -> tuple[MultirotorFit, MotorUncertainty, NDArray[np.bool_]]:
+    """Return the model, how well it is known, and about which axes the flights tell what the motors do.
 
-    Raises
-    ------
-    ModelError
-        Too little flight, or nothing tells what the motors do about any axis.
+    Yaw is taken from the frame where they do not.
     """
     segments = [record for flight in records for record in flight]
     numbers = [number for number, flight in enumerate(records) for _ in flight]
     model, uncertainty = identify_multirotor(segments, rate_hz, flights=numbers)
-    unsure = uncertainty.unsure
-    if not unsure.any():
-        return model, uncertainty, {}
-    try:
-        frame, origin = _frame(request, gate, inputs, outputs[: len(RATE_AXES)])
-    except ModelError as error:
-        if uncertainty.nothing:
-            raise ModelError(f"the flights hold no manoeuvres that tell what the motors do, and {error}") from None
-        return model, uncertainty, {}
-    effects = frame.effects * unsure[:, None]
-    model, uncertainty = identify_multirotor(segments, rate_hz, effects, numbers)
-    return model, uncertainty, dict.fromkeys(np.array(_AXES)[unsure].tolist(), f"{frame.name}, {origin}")
+    told = uncertainty.told(model, None if frame is None else frame.effects)
+    if frame is not None and told[:2].all() and not told[2]:
+        yaw = frame.effects * ~told[:, None]
+        model, uncertainty = identify_multirotor(segments, rate_hz, yaw, numbers)
+    return model, uncertainty, told
 
 
 def _slow(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], outputs: Sequence[Channel]) -> _Identified:
     """Identify which mean commands the vehicle flies with: its trim."""
     commands_hz = min(survey.rate_hz[MOTOR_MESSAGE] for survey in request.surveys)
+    calm = commands_hz >= SLOW_COMMANDS_HZ and request.rate_hz is None
+    why = "the flights hold no manoeuvres" if calm else f"motor commands come at {commands_hz:.3g} Hz"
+    commands_hz = min(commands_hz, _CALM_HZ) if calm else commands_hz
     rates = tuple(outputs[: len(RATE_AXES)])
     source = SampleSource(tuple(replace(channel, interpolation="mean") for channel in inputs), rates)
     rate_hz = request.grid_hz(
@@ -317,11 +322,18 @@ def _slow(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], output
             "commands_hz": commands_hz,
             "lag_taps": model.taps.tolist(),
         },
-        line=f"motor commands come at {commands_hz:.3g} Hz: mean command against mean motion, every "
+        line=f"{why}: mean command against mean motion, every "
         f"{1 / rate_hz:.2g} s; {frame.name} (from {origin})"
         + ("" if len(model.a) == len(rates) else "; yaw is not used, the flights never turned"),
         details=(),
     )
+
+
+def _frame_of(request: FitRequest, inputs: Sequence[Channel]) -> Frame | None:
+    """Return the frame that the parameters in the recordings describe."""
+    outputs = [int(channel.name.removeprefix("motor")) for channel in inputs]
+    frames = (frame_of(survey.parameters, outputs) for survey in request.surveys)
+    return next((frame for frame in frames if frame is not None), None)
 
 
 def _frame(
@@ -334,10 +346,8 @@ def _frame(
     ModelError
         Neither does.
     """
-    outputs = [int(channel.name.removeprefix("motor")) for channel in inputs]
-    for survey in request.surveys:
-        if (frame := frame_of(survey.parameters, outputs)) is not None:
-            return frame, "the vehicle's parameters"
+    if (frame := _frame_of(request, inputs)) is not None:
+        return frame, "the vehicle's parameters"
     source = SampleSource(tuple(replace(channel, interpolation="previous") for channel in inputs), tuple(rates))
     rate_hz = min(common_rate_hz(request.surveys, rates), SLOW_COMMANDS_HZ)
     segments = [segment for log in request.logs for segment in flight_samples(log(), source, rate_hz, gate).segments()]

@@ -59,6 +59,10 @@ _BLOCK_S = 1.0
 of blocks of .5, 1 and 2 s cover 93.1, 93.1 and 92.7 %, for innovations are white."""
 _LARGEST_ERROR = 0.25
 """Standard error of an axis' effects, as a share, up to which the flights know them: beyond, zero lies within four."""
+_LIKELY = 0.9
+"""Share of the largest damping from which on it is no vehicle's."""
+_ALIKE = 0.7
+"""Least cosine between the effects of an axis and those of the frame: within half a right angle."""
 USUAL = (450.0, 450.0, 22.0)
 """rad/s^2 that a whole mean command, along the frame's effects, gives about roll, pitch and yaw: the geometric mean of
 two quads of 1 and 3 kg (PX4's SIH 175, 175, 13.5; ArduPilot's simulator 1200, 1200, 37)."""
@@ -70,10 +74,7 @@ _WIDTH = 0.1
 """How far a motor's effect may be from the frame's geometry, as a share. Chosen: motors and propellers of a make agree
 within a few per cent, arms are mounted within a per cent; a width that is too large costs sharpness where flights
 are silent, one that is too small would bend what they say."""
-_LEAST_SHARE = 0.1
-"""Share of the usual effect of an axis below which its geometry is not held more narrowly: no vehicle turns ten times
-worse than those it is of."""
-_LONGEST_S = (0.1, 0.15, 0.05)
+_LONGEST_S = (0.1, 0.15, 0.025)
 """Longest transport delay, motor lag and delay of filters, seconds. Chosen: rotors that are slower fly no multirotor,
 and gyro filters below 5 Hz neither."""
 _CURVES = (3, 3, 4)
@@ -135,18 +136,20 @@ class MotorUncertainty:
     B_error: FloatArray  # standard errors of the effects on body rates, in units of B (3, s)
     relative: FloatArray  # standard error of each motor's effect as a share of it (s,), axes weighted by what they show
     of_axes: FloatArray  # standard error of each axis' effects together as a share of them (3,)
-    of_motors: FloatArray  # rms standard error of the single effects on each axis as a share of their rms (3,)
     drive: FloatArray  # rms of what the errors of all coefficients put into the next body rates (3,)
 
-    @property
-    def unsure(self) -> NDArray[np.bool_]:
-        """About which axes a frame's geometry knows the motors better than these flights (3,)."""
-        return np.asarray(~(self.of_axes < _LARGEST_ERROR) | ~(self.of_motors < _WIDTH))
+    def told(self, fit: MultirotorFit, effects: FloatArray | None) -> NDArray[np.bool_]:
+        """Return about which axes these flights tell what the motors do, given the frame's effects if known (3,).
 
-    @property
-    def nothing(self) -> bool:
-        """Whether nothing is known about any axis."""
-        return not np.any(self.of_axes < _LARGEST_ERROR)
+        Where nothing but the controller moves the motors, commands follow from motion, and what fits best is the
+        controller's inverse: it pushes the wrong way, or a damping that no vehicle has takes it back.
+        """
+        damped = -np.log(fit.a) * fit.rate_hz < _LIKELY * _FASTEST
+        right = np.ones(3, np.bool_)
+        if effects is not None:
+            sizes = np.linalg.norm(effects, axis=1) * np.linalg.norm(fit.B[:3], axis=1)
+            right = np.einsum("os,os->o", effects, fit.B[:3]) > _ALIKE * sizes
+        return np.asarray((self.of_axes < _LARGEST_ERROR) & damped & right)
 
 
 def identify_multirotor(
@@ -168,8 +171,8 @@ def identify_multirotor(
     rate_hz : float
         Samples per second of the grid.
     effects : FloatArray | None
-        Relative effect of each motor on roll, pitch and yaw by the frame's geometry (3, s); zeros, or None for all:
-        the flights alone tell what the motors do about an axis.
+        Relative effect of each motor on roll, pitch and yaw by the frame's geometry (3, s), for axes that the flights
+        do not tell: known by the usual size of such effects only. Zeros, or None for all: the flights tell them.
     flights : Sequence[int] | None
         Which flight each segment is of; None: all of one.
 
@@ -238,12 +241,14 @@ class _Descent:
     rate_hz : float
         Samples per second.
     effects : FloatArray
-        By axis the geometry's effects; zeros where it is not asked (3, s).
+        By axis the geometry's effects, which are taken instead of what the flights say; zeros where they do (3, s).
     """
 
     def __init__(self, stretches: Sequence[_Stretch], rate_hz: float, effects: FloatArray) -> None:
-        self.stretches, self.rate_hz, self.effects = stretches, rate_hz, effects
+        self.stretches, self.rate_hz = stretches, rate_hz
         self.s = len(stretches[0].u)
+        self.usual = effects * np.array(USUAL)[:, None] / (self.s * rate_hz)
+        self.silent = self.usual.any(axis=1)
         u = np.hstack([stretch.u[:, stretch.own] for stretch in stretches])
         # Four controls drive any number of motors: beyond those directions there is rounding.
         self.moved = control_directions(u.T)[1] if self.s > _CONTROLS else None
@@ -255,7 +260,7 @@ class _Descent:
         axis = np.full(self.width - 1, np.inf)
         self.least = np.array([*[*-axis, fastest] * 3, -1.0 / rate_hz, *[0.0] * (_SHARED - 1)])
         self.most = np.array([*[*axis, slowest] * 3, *_LONGEST_S, 1.0, 1.0])
-        self.a = np.ones(3)
+        self.a = np.full(3, exp(-_START_DAMPINGS[1] / rate_hz))
         self.B = np.zeros((3, self.s))
         self.offset = np.zeros((3, len(self.places)))
         self.noise: list[Autoregression] = []
@@ -263,10 +268,16 @@ class _Descent:
     def start(self) -> None:
         """Find coefficients to begin with: the best of some timings, weighed with a regression's noise."""
         self.noise = [self._regressed(o) for o in range(3)]
+        of_geometry = np.column_stack([self.usual, self.offset, self.a])
         best = np.inf
         for delay, lag in _STARTS:
             self.shared[:2] = delay, lag
-            axes = [min((self._solved(o, damping) for damping in _START_DAMPINGS), key=itemgetter(0)) for o in range(3)]
+            axes = [
+                (0.0, of_geometry[o])
+                if self.silent[o]
+                else min((self._solved(o, damping) for damping in _START_DAMPINGS), key=itemgetter(0))
+                for o in range(3)
+            ]
             cost = sum(axis[0] for axis in axes)
             if cost < best:
                 best, start = cost, np.append(np.concatenate([axis[1] for axis in axes]), self.shared)
@@ -329,14 +340,13 @@ class _Descent:
             c[o], std[o], drive[o] = self._equations(o, B[o], taps, covariance)
         weight = slope / std[:, None]
         relative = np.linalg.norm(weight * B_error, axis=0) / np.linalg.norm(weight * B, axis=0)
-        of_motors = np.linalg.norm(slope * B_error, axis=1) / np.maximum(np.linalg.norm(slope * B, axis=1), 1e-300)
         if len(self.stretches[0].y) > len(RATE_AXES):
             b_z, c_z, std_z = self._vertical(taps)
             B, c, std = np.vstack([B, np.full(self.s, b_z)]), np.append(c, c_z), np.append(std, std_z)
         samples = sum(int(stretch.own.sum()) for stretch in self.stretches)
         return (
             MultirotorFit(self.rate_hz, self.a, B, c, taps, q, std, samples),
-            MotorUncertainty(hover, self.shared[:3], B_error, relative, of_axes, of_motors, drive),
+            MotorUncertainty(hover, self.shared[:3], B_error, relative, of_axes, drive),
         )
 
     def _regressed(self, o: int) -> Autoregression:
@@ -404,7 +414,7 @@ class _Descent:
         H, gradient = prior.copy(), -pull
         blocks = np.cumsum([0, *(ceil(len(one.own) / (_BLOCK_S * self.rate_hz)) for one in self.stretches)])
         scores = np.zeros((blocks[-1], self.size))
-        for o in range(3):
+        for o in np.flatnonzero(~self.silent).tolist():
             parts = list(self._columns(o, slopes=True))
             mean = sum(columns[0, own].sum() for columns, own in parts) / sum(own.sum() for _, own in parts)
             noise = autoregression([columns[0] - mean for columns, _ in parts], [own for _, own in parts], _ORDER)
@@ -444,20 +454,17 @@ class _Descent:
         away = self._coefficients()
         away[-_SHARED:] -= [mean for mean, _ in _USUAL]
         np.fill_diagonal(information[-_SHARED:, -_SHARED:], [width**-2 for _, width in _USUAL])
-        for o, effects in enumerate(self.effects):
-            size = float(np.linalg.norm(effects))
-            directions = self.moved if size == 0.0 else effects[:, None] / size
-            if directions is None:
-                continue
+        for o, usual in enumerate(self.usual):
             part = slice(o * self.width, o * self.width + self.s)
-            usual = USUAL[o] / self.s / self.rate_hz * effects
-            least = max(_LEAST_SHARE * float(np.linalg.norm(usual)), np.finfo(np.float64).tiny)
-            along = max(float(np.linalg.norm(directions.T @ self.B[o])), least)
-            across = np.eye(self.s) - directions @ directions.T
-            information[part, part] = across / (_WIDTH * along) ** 2 * self.s
-            if size > 0.0:
-                information[part, part] += np.outer(usual, usual) / float(usual @ usual) ** 2
+            if self.silent[o]:
+                along = np.outer(usual, usual) / float(usual @ usual)
+                across = np.eye(self.s) - along
+                information[part, part] = (along + across * self.s / _WIDTH**2) / float(usual @ usual)
                 away[part] -= usual
+            elif self.moved is not None:
+                size = max(float(np.linalg.norm(self.moved.T @ self.B[o])), np.finfo(np.float64).tiny)
+                across = np.eye(self.s) - self.moved @ self.moved.T
+                information[part, part] = across * self.s / (_WIDTH * size) ** 2
         pull = information @ away
         return information, pull, 0.5 * float(away @ pull)
 
