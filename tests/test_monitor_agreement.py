@@ -115,7 +115,9 @@ def quad(weak: float, seed: int, offset: float = 0.0) -> list[Segment]:
 
 def identified(flights: list[list[Segment]]) -> MultirotorFit:
     segments = [segment for one in flights for segment in one]
-    return identify_multirotor(segments, RATE_HZ, flights=list(range(len(flights))))[0]
+    return identify_multirotor(segments, RATE_HZ, flights=[number for number, one in enumerate(flights) for _ in one])[
+        0
+    ]
 
 
 def compared(flights: list[list[Segment]]) -> Agreement:
@@ -169,3 +171,14 @@ def test_how_lively_a_flight_was_is_no_disagreement() -> None:
         for one in calm
     ]
     assert disagreeing(compared([*flights, hover])) == []
+
+
+def test_a_fault_for_a_part_of_a_flight_does_not_drown_in_its_mean() -> None:
+    flights = [quad(1.0, seed) for seed in range(4)]
+    healthy, weak = quad(1.0, 8), quad(0.85, 9)
+    third = len(weak[0].u) // 3
+    odd = [Segment(one.u[:third], one.y[:third]) for one in (healthy[0], weak[0], healthy[0])]
+    verdicts = compared([*flights, odd])
+    assert disagreeing(verdicts) == ["4"]
+    assert verdicts.left_out == {"4"}
+    assert "motor3 pushes 1" in verdicts.lines()[0]

@@ -107,6 +107,7 @@ class FlightVerdict:
     chance: float
     disagrees: bool
     cause: tuple[str, float, float] | None = None
+    of_part: str | None = None  # what is odd in a part of it alone
     left_out: bool = False
 
 
@@ -162,6 +163,8 @@ class Agreement:
         ]
 
     def _why(self, one: FlightVerdict) -> str:
+        if one.of_part is not None:
+            return one.of_part
         if one.cause is not None:
             text, share, sigma = one.cause
             return f"{text.format(f'{100 * share:.0f} %')} ({sigma:.0f} sigma)"
@@ -214,10 +217,54 @@ def agreement(
     )
 
 
+def with_parts(
+    whole: Agreement, flights: Sequence[FlightEffects | str], parts: Sequence[FlightEffects], causes: Sequence[Cause]
+) -> Agreement:
+    """Return a comparison with what parts of the flights say of the first effects: a fault drowns in a flight's mean.
+
+    Of parts only what is far off counts: their covariance is of few blocks.
+
+    Parameters
+    ----------
+    whole : Agreement
+        The comparison of the flights as a whole.
+    flights : Sequence[FlightEffects | str]
+        What they say as a whole.
+    parts : Sequence[FlightEffects]
+        What parts of them say, under the flights' names (k).
+    causes : Sequence[Cause]
+        What may be off alone, of these effects.
+    """
+    if not parts:
+        return whole
+    effects = whole.effects[: len(parts[0].values)]
+    usual = np.array([effect.scatter for effect in effects]) ** 2
+    speaking = [flight.first(len(effects)) for flight in flights if isinstance(flight, FlightEffects)]
+    left, verdicts = set(whole.left_out), []
+    for verdict in whole.verdicts:
+        others = [flight for flight in speaking if flight.name != verdict.name and flight.name not in left]
+        own = [part for part in parts if part.name == verdict.name]
+        compared = [_verdict([*others, part], len(others), (), usual, causes, len(parts)) for part in own if others]
+        worst = min(compared, key=lambda part: part.chance, default=verdict)
+        if verdict.disagrees or not _is_far(worst):
+            verdicts.append(verdict)
+            continue
+        out = len(left) < int(_LEFT_OUT * len(speaking))
+        left.update([verdict.name] * out)
+        why = f"{Agreement(effects, ())._why(worst)} for {worst.seconds:.0f} s"
+        verdicts.append(replace(verdict, disagrees=True, of_part=why, left_out=out))
+    return replace(whole, verdicts=tuple(verdicts))
+
+
 def _verdict(
-    flights: Sequence[FlightEffects], at: int, left: Collection[int], usual: FloatArray, causes: Sequence[Cause]
+    flights: Sequence[FlightEffects],
+    at: int,
+    left: Collection[int],
+    usual: FloatArray,
+    causes: Sequence[Cause],
+    trials: int | None = None,
 ) -> FlightVerdict:
-    """Compare a flight with the others that are not left out."""
+    """Compare a flight with the others that are not left out; it is one of so many that may disagree by chance."""
     flight = flights[at]
     others = [one for number, one in enumerate(flights) if number != at and number not in left]
     values = np.array([one.values for one in others])
@@ -228,7 +275,7 @@ def _verdict(
     spread = flight.covariance + np.diag(tau2 + 1.0 / weight.sum(axis=0))
     chi_square = float(apart @ np.linalg.solve(spread, apart))
     chance = _chance(chi_square, len(apart))
-    disagrees = chance < _CHANCE / len(flights)
+    disagrees = chance < _CHANCE / (trials or len(flights))
     return FlightVerdict(
         name=flight.name,
         seconds=flight.seconds,

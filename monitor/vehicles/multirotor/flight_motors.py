@@ -14,7 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gains.identification.segment import Segment
-from monitor.fitting.agreement import Agreement, Cause, ComparedEffect, FlightEffects, agreement, flight_effects
+from monitor.fitting.agreement import (
+    Agreement,
+    Cause,
+    ComparedEffect,
+    FlightEffects,
+    agreement,
+    flight_effects,
+    with_parts,
+)
 from monitor.vehicles.multirotor.identify import MultirotorFit
 from monitor.vehicles.multirotor.validation import motor_effect
 
@@ -25,6 +33,9 @@ _TRIM, _THRUST, _CHANGE = 0.02, 0.03, 0.03
 of the thrust that is commanded, and of its change from begin to end. The first is chosen: 2 mm of a battery's place on
 arms of 20 cm. The others are measured: healthy flights of three simulated vehicles scatter by .6 to 7 % (in 5 m/s of
 wind), and by 1 to 4 %."""
+_PART_S = 25.0
+"""Length of parts, seconds. Chosen: a fault that lasts twice as long fills one; in shorter ones there are fewer than
+the six blocks that a covariance of three trims needs."""
 _AXES = ("roll", "pitch", "yaw")
 
 
@@ -54,13 +65,15 @@ def motor_agreement(
         Cause(f"{motor} pushes {{}} less", np.append(-fit.B[:n, i] * hover[i] / moments, [0.0, 0.0]))
         for i, motor in enumerate(motors)
     ]
-    said = [_flight(fit, name, flight, hover, moments) for name, flight in zip(names, flights, strict=True)]
-    return agreement(compared, said, causes)
+    rests = [_rest(fit, flight, hover, moments) for flight in flights]
+    said = [_effects(name, rest, fit.rate_hz) for name, rest in zip(names, rests, strict=True)]
+    whole = agreement(compared, said, causes)
+    trims = [Cause(cause.text, cause.direction[:n]) for cause in causes]
+    return with_parts(whole, said, _parts(names, rests, fit.rate_hz), trims)
 
 
-def _flight(
-    fit: MultirotorFit, name: str, segments: Sequence[Segment], hover: FloatArray, moments: FloatArray
-) -> FlightEffects | str:
+def _rest(fit: MultirotorFit, segments: Sequence[Segment], hover: FloatArray, moments: FloatArray) -> FloatArray:
+    """Return what the model leaves over about each axis, and the thrust beyond the usual (N, n + 1), as shares."""
     n = len(fit.a)
     rows = []
     for segment in segments:
@@ -68,8 +81,23 @@ def _flight(
         y = segment.y[len(segment.y) - 1 - len(w) :, :n]
         rest = (y[1:] - fit.a * y[:-1] - w @ fit.B[:n].T - fit.c[:n]) / moments
         rows.append(np.column_stack([rest, w.sum(axis=1) / hover.sum() - 1.0]))
-    target = np.concatenate([np.empty((0, n + 1)), *rows])
-    regressors = np.zeros((len(target), n + 1, n + 2))
-    regressors[:, range(n + 1), range(n + 1)] = 1.0
-    regressors[:, n, n + 1] = np.linspace(-0.5, 0.5, len(target))
-    return flight_effects(name, regressors, target, np.ones(n + 1), fit.rate_hz)
+    return np.concatenate([np.empty((0, n + 1)), *rows])
+
+
+def _effects(name: str, rest: FloatArray, rate_hz: float) -> FlightEffects | str:
+    m = rest.shape[1]
+    regressors = np.zeros((len(rest), m, m + 1))
+    regressors[:, range(m), range(m)] = 1.0
+    regressors[:, m - 1, m] = np.linspace(-0.5, 0.5, len(rest))
+    return flight_effects(name, regressors, rest, np.ones(m), rate_hz)
+
+
+def _parts(names: Sequence[str], rests: Sequence[FloatArray], rate_hz: float) -> list[FlightEffects]:
+    """Return the trims of each flight's parts: thrust changes from part to part with what is flown."""
+    parts: list[FlightEffects] = []
+    for name, rest in zip(names, rests, strict=True):
+        for part in np.array_split(rest[:, :-1], max(1, int(len(rest) / rate_hz / _PART_S))):
+            regressors = np.broadcast_to(np.eye(part.shape[1]), (len(part), part.shape[1], part.shape[1]))
+            said = flight_effects(name, regressors, part, np.ones(part.shape[1]), rate_hz)
+            parts += [said] if isinstance(said, FlightEffects) else []
+    return parts
