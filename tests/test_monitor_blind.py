@@ -14,6 +14,7 @@ from monitor.blind import LIMIT_NS
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, handover_message
 from monitor.profile import Profile
+from replay.player import play
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +94,11 @@ def test_an_adopted_alarm_stays_until_there_is_evidence(quad_profile: Profile, f
     events = events_of(quad_profile, [message, *flight[start:]])
     assert [event.state for event in events] == ["updated", "cleared"]
     assert events[-1].time_ns - flight[start].received_ns > 1_000_000_000
+
+
+def test_a_replay_says_how_long_what_was_not_watched(quad_profile: Profile, flight: list[Message]) -> None:
+    replay = play(quad_profile, without(flight, ["GPS_RAW_INT"], 20.0))
+    [(why, seconds)] = replay.unwatched(flight[-1].received_ns)
+    assert "no GPS for 5 s" in why
+    assert 25.0 < seconds < 31.0
+    assert play(quad_profile, flight).unwatched(flight[-1].received_ns) == []

@@ -134,6 +134,22 @@ def test_a_second_vehicle_of_the_same_id_is_an_impostor_and_hides_no_fault(quad_
     assert abs(motor.time_ns - plain.time_ns) < 100_000_000
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("start_s", [0.1, 3.0, 5.4])
+@pytest.mark.parametrize("period_s", [0.2, 0.45, 1.0, 1.7])
+@pytest.mark.parametrize("forge", [disarmed, another_vehicle, on_ground, ahead(3600.0), ahead(-40.0)])
+def test_no_forgery_hides_a_fault(
+    quad_profile: Profile, data: Path, forge: Forge, period_s: float, start_s: float
+) -> None:
+    messages = list(read_recording(data / "copter_motor3_090.tlog.xz"))
+    [plain] = [event for event in events_of(quad_profile, messages) if event.state == "raised"]
+    events = events_of(quad_profile, with_forged(messages, forge, period_s, start_s))
+    seen_ns = [e.time_ns for e in events if e.channel in ("impostor", "blind")]
+    motor_ns = [e.time_ns for e in events if e.channel == "motor3" and e.state == "raised"]
+    in_time = bool(seen_ns) and seen_ns[0] - messages[0].received_ns < round((start_s + 5.0) * 1e9)
+    assert in_time or (motor_ns and motor_ns[0] - plain.time_ns < 200_000_000)
+
+
 def test_a_reboot_is_no_impostor(quad_profile: Profile, data: Path) -> None:
     messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
     half = len(messages) // 2

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
 from loopback import START_NS, event
 
 from adapters.batch import pack
 from adapters.link_figures import LinkFigures
+from adapters.logs.recordings import packed, read_recording
 from adapters.message import Message
-from adapters.source import OPERATOR, ZENOH
+from adapters.source import MAVLINK, OPERATOR, ZENOH
+from monitor.bus.schemas import SCHEMAS
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, shelved_channels
 from monitor.profile import Profile
 from monitor.recording.journal import Journal
-from monitor.service.health import LinkHealth
+from monitor.service.health import Health, LinkHealth, ProcessHealth, problems
 from monitor.service.vehicle_monitor import VehicleMonitor
 
 SECOND_NS = 1_000_000_000
@@ -159,3 +163,55 @@ def test_the_status_says_what_the_links_lost_of_all_and_of_this_vehicle(arm_prof
         },
         "arm/**": {"connected": False, "messages": 0, "losses": {"dropped": 1}, **unknown},
     }
+
+
+def in_flight(profile: Profile, data: Path, lost: str, forged: Message | None = None) -> tuple[VehicleMonitor, int]:
+    """Return a monitor after 30 s of a flight without a message from 20 s on, and the time then."""
+    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
+    first_ns = messages[0].received_ns
+    end_ns = first_ns + 30 * SECOND_NS
+    kept = [
+        m for m in messages if m.received_ns < end_ns and (m.name != lost or m.received_ns < first_ns + 20 * SECOND_NS)
+    ]
+    if forged is not None:
+        kept += [replace(forged, received_ns=first_ns + SECOND_NS * at + 400_000_000) for at in range(20, 30)]
+    monitor = VehicleMonitor(Pipeline(profile, "copter-1"), (), None, lambda _: None, first_ns)
+    for batch in packed(sorted(kept, key=lambda message: message.received_ns)):
+        monitor.process(batch)
+    return monitor, end_ns
+
+
+def test_a_flying_vehicle_without_gps_is_blind_and_no_monitor_says_that_it_is_well(
+    quad_profile: Profile, data: Path
+) -> None:
+    monitor, now_ns = in_flight(quad_profile, data, "GPS_RAW_INT")
+    status = monitor.status(now_ns)
+    assert status["state"] == "blind"
+    assert any("no GPS for 5 s" in reason for reason in status["reasons"])
+    jsonschema.validate(status, SCHEMAS["status"])
+    watching = status["watching"]["inertial"]
+    assert watching["sensors"]["GPS"] < now_ns - 9 * SECOND_NS < watching["sensors"]["barometer"]
+    health = monitor.health("blind", None, now_ns)
+    [problem] = problems(Health(ProcessHealth(), (health,)))
+    assert "no GPS for 5 s" in problem
+
+
+def test_a_watched_vehicle_says_how_much_it_was_watched(quad_profile: Profile, data: Path) -> None:
+    monitor, now_ns = in_flight(quad_profile, data, "nothing")
+    status = monitor.status(now_ns)
+    assert (status["state"], status["reasons"]) == ("monitoring", [])
+    assert {observer: one["why_not"] for observer, one in status["watching"].items()} == {
+        "motors": None,
+        "inertial": None,
+    }
+    assert problems(Health(ProcessHealth(), (monitor.health("monitoring", None, now_ns),))) == []
+
+
+def test_a_second_sender_is_a_problem_of_the_watch(quad_profile: Profile, data: Path) -> None:
+    forged = Message(MAVLINK, "HEARTBEAT", 0, {"type": 2, "autopilot": 3, "base_mode": 81}, 1, 1)
+    monitor, now_ns = in_flight(quad_profile, data, "nothing", forged)
+    status = monitor.status(now_ns)
+    assert status["state"] == "degraded"
+    assert any("HEARTBEAT" in reason for reason in status["reasons"])
+    [problem] = problems(Health(ProcessHealth(), (monitor.health("degraded", None, now_ns),)))
+    assert "second sender" in problem
