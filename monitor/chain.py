@@ -29,6 +29,7 @@ from monitor.estimation.bank import EstimatorRun
 from monitor.estimation.changes import ChangeStage
 from monitor.estimation.effectiveness import EffectivenessEstimator, EffectivenessRule, EffectivenessRun
 from monitor.estimation.estimator import make_estimator
+from monitor.estimation.excitation import ExcitationStage
 from monitor.estimation.isolation_rule import keep_share
 from monitor.estimation.uncertainty import Uncertainty
 from monitor.event import AlarmEvent
@@ -138,6 +139,8 @@ class ChainRun:
     # smoothed estimate of each fault under its own hypothesis, whichever is believed (n, a), effect units
     smoothed: NDArray[np.float64]
     unexplained: NDArray[np.float64]  # score of what no hypothesis explains (n,), zero where one does
+    # how many times their thresholds actuators' faults and the unexplained have to reach (n,), 1 or more
+    scale: NDArray[np.float64]
 
     def event(self, row: int, alarm: int, code: int) -> AlarmEvent:
         """Return the event that a row caused in an alarm."""
@@ -193,6 +196,9 @@ class ObserverChain:
         if profile.changes is not None and profile.model is not None:
             inputs = [channel.input for channel in profile.faults]
             self._changes = ChangeStage(profile.model, gains.rate_hz, inputs, profile.changes)
+        self._excitation = None
+        if profile.excitation is not None:
+            self._excitation = ExcitationStage(profile.excitation, gains.outputs, len(gains.inputs), gains.rate_hz)
         self._excuses = excuses or Excuses(())
         # Faults first, then the alarm of what no fault explains: the order in which a row is processed.
         rules = sorted(profile.alarms, key=lambda rule: rule.kind == "residual")
@@ -315,9 +321,14 @@ class ObserverChain:
             elif fault in commands:
                 scaled[alarm] = commands[fault]
         samples = estimates.samples
+        scale = np.ones(len(samples)) if self._excitation is None else self._excitation.run(samples)[:, 2]
         changes = self._changes_of(estimates)
-        rows = ChainRows(self._states, position, samples.vehicle_time_ns, samples.restart, evidence, speaking, *changes)
-        return ChainRun(estimates, position, rows, self._alarms, scaled, relative, found.smoothed, found.unexplained)
+        rows = ChainRows(
+            self._states, position, samples.vehicle_time_ns, samples.restart, evidence, speaking, scale, *changes
+        )
+        return ChainRun(
+            estimates, position, rows, self._alarms, scaled, relative, found.smoothed, found.unexplained, scale
+        )
 
     def _changes_of(self, estimates: Estimates) -> tuple[NDArray[Any], ...]:
         """Return the alarm whose sudden change each row names, its nats, size and onset; nothing without a test."""

@@ -25,6 +25,7 @@ from monitor.alarms.alarm import LEAST, AlarmRule
 from monitor.alarms.excuse import ExcuseRule, excuse_tables, read_excuses
 from monitor.estimation.changes import ChangeRule, changes_table, read_changes
 from monitor.estimation.effectiveness import EffectivenessRule, effectiveness_table, read_effectiveness
+from monitor.estimation.excitation import ExcitationRule, excitation_table, read_excitation
 from monitor.estimation.isolation_rule import (
     IsolationRule,
     gains_file_names,
@@ -119,6 +120,8 @@ class ObserverProfile:
         Faults whose evidence is read against the deflection at which they arise, by name.
     changes : ChangeRule | None
         How sudden changes are told from noise; None: not at all.
+    excitation : ExcitationRule | None
+        How the sizes that raise alarms of actuators grow with what excites the model's errors; None: not at all.
     model : Plant | None
         The model the gains were designed for; without one the uncertainty of the estimates is not known.
     """
@@ -132,6 +135,7 @@ class ObserverProfile:
     settle_s: float = 0.0
     effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
     changes: ChangeRule | None = None
+    excitation: ExcitationRule | None = None
     model: Plant | None = None
 
     @property
@@ -240,6 +244,7 @@ def observer_table(
     settle_s: float = 0.0,
     effectiveness: Mapping[str, EffectivenessRule] | None = None,
     changes: ChangeRule | None = None,
+    excitation: ExcitationRule | None = None,
     sees: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Return an observer's part of profile.toml, as :func:`read_profile` reads it back.
@@ -255,6 +260,8 @@ def observer_table(
     }
     if changes is not None:
         table["changes"] = changes_table(changes)
+    if excitation is not None:
+        table["excitation"] = excitation_table(excitation)
     if effectiveness:
         table["effectiveness"] = {name: effectiveness_table(rule) for name, rule in effectiveness.items()}
     return table
@@ -328,6 +335,7 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
             table.table("effectiveness"), {f.name: f.input for f in faults}, shared.inputs, bank=len(gains) > 1
         ),
         changes=read_changes(table.table("changes"), shared.outputs) if table.has("changes") else None,
+        excitation=read_excitation(table.table("excitation"), shared.outputs) if table.has("excitation") else None,
         model=read_model(model),
     )
     table.done()

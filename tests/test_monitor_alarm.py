@@ -325,7 +325,7 @@ def sudden(alarm: Alarm, rows: list[tuple[float, float, float]], onset: int = 0,
     found = [alarm.state], np.arange(count), times_ns, ~always, evidence[:, None], always[:, None]
     events: list[AlarmEvent] = []
     walk(
-        [ChainRows(*found, changed, nats, size, onset_ns)],
+        [ChainRows(*found, None, changed, nats, size, onset_ns)],
         lambda _observer, row, _alarm, code: events.append(alarm.event(code, samples, row, 0.5)),
     )
     return events

@@ -22,10 +22,8 @@ FIT = MultirotorFit(
     B=np.array([[-0.8, 0.8, 0.8, -0.8], [0.8, -0.8, 0.8, -0.8], [0.03, 0.03, -0.03, -0.03], [-4.0, -4.0, -4.0, -4.0]]),
     c=np.zeros(4),
     taps=np.array([0.3, 0.5, 0.2]),
-    kappa=0.5,
+    square=0.3,
     residual_std=np.array([2e-3, 2e-3, 5e-4, 0.3]),
-    explained=np.ones(3),
-    t_value=np.full(3, 1000.0),
     samples=10_000,
 )
 HOVER = 0.5
@@ -33,6 +31,11 @@ MOTOR_CHANNELS = [FaultChannel(motor, "actuator", "", place) for place, motor in
 
 
 PLANT = multirotor_plant(FIT, "quad", MOTORS)
+
+
+def thrust(u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what commands deliver, as a share of full thrust."""
+    return (1.0 - FIT.square) * u + FIT.square * u**2
 
 
 def flight(
@@ -52,14 +55,14 @@ def flight(
     n, lag = round(seconds * HZ), len(FIT.taps)
     u, y = np.full((n, 4), HOVER), np.zeros((n, 4))
     share, rate, gust = np.ones(4), np.zeros(3), np.zeros(3)
-    delivered = np.tile(HOVER + FIT.kappa * HOVER**2, (n + lag, 4))
+    delivered = np.tile(thrust(np.full(4, HOVER)), (n + lag, 1))
     mixer = np.linalg.pinv(FIT.B[:3])
     trim = FIT.B[:3] @ delivered[0]
     for k in range(n):
         wanted = turn * np.sin(2 * np.pi * k / HZ * np.array([0.7, 0.5, 0.3]))
         u[k] = np.clip(HOVER + mixer @ (0.15 * (wanted - rate)), 0.0, 1.0)
         share[motor] = 1.0 - loss if k >= at_s * HZ else 1.0
-        delivered[k + lag] = share * (u[k] + FIT.kappa * u[k] ** 2)
+        delivered[k + lag] = share * thrust(u[k])
         gust = 0.9 * gust + rng.normal(size=3) * np.array([4e-4, 4e-4, 1e-4])
         y[k, :3] = rate + rng.normal(size=3) * 1e-4
         y[k, 0] += jump if k >= at_s * HZ else 0.0

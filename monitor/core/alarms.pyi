@@ -52,6 +52,7 @@ class ChainRows:
         restart: NDArray[np.bool_],
         evidence: NDArray[np.float64],
         speaking: NDArray[np.bool_],
+        scale: NDArray[np.float64] | None = None,
         changed: NDArray[np.intp] | None = None,
         nats: NDArray[np.float64] | None = None,
         size: NDArray[np.float64] | None = None,

@@ -94,6 +94,7 @@ cdef class AlarmState:
 
     cdef double threshold, clear, critical_size, raise_ns, clear_ns, fast, fast_ns, slow, slow_ns, latch_ns, ahead_s
     cdef double nats, least
+    cdef bint scaled
     cdef readonly bint active, critical, creeping, recurring
     cdef readonly double shown, peak, size, reported
     cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns
@@ -122,6 +123,8 @@ cdef class AlarmState:
         self.slow, self.slow_ns = rule.slow, rule.slow_s * NANOSECONDS
         self.latch_ns, self.ahead_s = rule.latch_s * NANOSECONDS, rule.critical_ahead_s
         self.nats, self.least = rule.nats, rule.least
+        # A sensor's fault does not hang on what the model knows of the vehicle's motion.
+        self.scaled = rule.kind != "sensor"
 
     def set_excuse(self, bint now, spans):
         """Set when other alarms explain the evidence: always from now on, or in spans of vehicle time (m, 2), ns."""
@@ -152,9 +155,12 @@ cdef class AlarmState:
                     return True
         return False
 
-    cdef int step(self, int64_t now, bint restart, double evidence, bint speaking, const Change* change) noexcept:
+    cdef int step(self, int64_t now, bint restart, double evidence, bint speaking, double scale,
+                  const Change* change) noexcept:
         """Process one row; return the event it causes."""
         cdef int64_t elapsed
+        if not self.scaled:
+            scale = 1.0
         if not self.active and self.is_certain(change, evidence) and not self.excused(now):
             self.last_ns, self.contiguous = now, True
             return self.raise_alarm(now, change.size, self.least, False)
@@ -165,10 +171,10 @@ cdef class AlarmState:
         # The clock of a vehicle that rebooted jumps back.
         elapsed = now - self.last_ns if self.contiguous and now > self.last_ns else 0
         self.last_ns, self.contiguous = now, True
-        self.average(restart, evidence, elapsed)
+        self.average(restart, evidence / scale, elapsed)
         if self.active:
             return self.follow(now, evidence, elapsed)
-        return self.debounce(now, evidence, elapsed)
+        return self.debounce(now, evidence, scale, elapsed)
 
     cdef bint is_certain(self, const Change* change, double evidence) noexcept:
         """Return whether a sudden change raises the alarm; one to more than commanded needs the estimate's word.
@@ -196,15 +202,15 @@ cdef class AlarmState:
             keep = exp(-elapsed / self.slow_ns)
             self.mean = keep * self.mean + (1.0 - keep) * limited
 
-    cdef int debounce(self, int64_t now, double evidence, int64_t elapsed) noexcept:
+    cdef int debounce(self, int64_t now, double evidence, double scale, int64_t elapsed) noexcept:
         """Raise the alarm by the fast, the plain or the slow path, whichever comes first."""
-        cdef double size = fabs(evidence)
+        cdef double size = fabs(evidence) / scale
         self.counter_ns = counted(self.counter_ns, elapsed, size >= self.threshold)
         self.fast_counter_ns = counted(self.fast_counter_ns, elapsed, size >= self.fast)
         if size >= self.fast and self.fast_counter_ns >= self.fast_ns:
-            return self.raise_alarm(now, evidence, self.fast, False)
+            return self.raise_alarm(now, evidence, scale * self.fast, False)
         if size >= self.threshold and self.counter_ns >= self.raise_ns:
-            return self.raise_alarm(now, evidence, self.threshold, False)
+            return self.raise_alarm(now, evidence, scale * self.threshold, False)
         if fabs(self.mean) >= self.slow:
             return self.raise_alarm(now, self.mean, self.slow, True)
         return C_NONE
@@ -279,6 +285,8 @@ cdef class ChainRows:
         Signed sizes.
     speaking : bool (n, A)
         Where a row is evidence of a channel.
+    scale : float64 (n,), optional
+        How many times its sizes evidence has to reach, but for faults of sensors; 1 where it is left out.
     changed : intp (n,), optional
         The alarm of which a sudden change is named at each row, -1 for none; with its ``nats`` and ``size``, float64,
         and ``onset_ns``, int64 (n,).
@@ -290,14 +298,15 @@ cdef class ChainRows:
     cdef const double[:, :] evidence
     cdef const uint8_t[:, :] speaking
     cdef const Py_ssize_t[:] changed
-    cdef const double[:] nats, size
+    cdef const double[:] scale, nats, size
     cdef const int64_t[:] onset_ns
 
-    def __init__(self, alarms, position, times_ns, restart, evidence, speaking, changed=None, nats=None, size=None,
-                 onset_ns=None):
+    def __init__(self, alarms, position, times_ns, restart, evidence, speaking, scale=None, changed=None, nats=None,
+                 size=None, onset_ns=None):
         self.alarms = tuple(alarms)
         self.position, self.times_ns = position, times_ns
         self.restart, self.evidence, self.speaking = restart, evidence, speaking
+        self.scale = scale
         self.changed, self.nats, self.size, self.onset_ns = changed, nats, size, onset_ns
 
     cdef Change change_of(self, Py_ssize_t row, Py_ssize_t alarm) noexcept:
@@ -379,7 +388,8 @@ def walk(chains, on_event):
             alarm = <AlarmState>chain.alarms[i]
             change = chain.change_of(row, i)
             event = alarm.step(
-                chain.times_ns[row], chain.restart[row], chain.evidence[row, i], chain.speaking[row, i], &change)
+                chain.times_ns[row], chain.restart[row], chain.evidence[row, i], chain.speaking[row, i],
+                chain.scale[row] if chain.scale is not None else 1.0, &change)
             if event:
                 on_event(best, row, i, event)
         rows[best] = row + 1

@@ -9,16 +9,13 @@ from numpy.typing import NDArray
 
 from gains.plants.plant import Plant
 from monitor.estimation.changes import CLIP, ChangeRule, ChangeStage, change_test
+from monitor.fitting.excitation import excited_variance
 from monitor.fitting.extremes import return_level
 from monitor.fitting.flights import Flight
 from monitor.profile import FaultChannel
 
 _ORDER = 12
 """Order of the autoregression. Theory 5.1 (1): of twelve, residuals that are correlated by .87 to .98 are white."""
-_SWEEPS = 10
-"""Weighted fits of the variance. Measured on three quadcopters: eight are within 0.1 % of sixteen."""
-_LEAST_SHARE = 0.05
-"""Least variance that a weight of the fit assumes, as a share of the mean: keeps rows at rest from deciding all."""
 _ROWS_A_COEFFICIENT = 20
 """Fewer rows than that for each coefficient leave the autoregression known to no better than a quarter."""
 _LEAST_NATS = 1.05 * 0.5 * CLIP**2
@@ -47,7 +44,7 @@ def fit_changes(plant: Plant, rate_hz: float, outputs: Sequence[str], flights: S
     whitening = _autoregression([nu for nu, _ in stretches])
     e = np.vstack([_whitened(nu, whitening) for nu, _ in stretches])
     excited = np.vstack([causes[_ORDER:] for _, causes in stretches])
-    variance = np.array([_variance(e[:, i], excited[:, i], excited[:, p + i]) for i in range(p)])
+    variance = np.array([excited_variance(e[:, [i]], excited[:, [i, p + i]]) for i in range(p)])
     return ChangeRule(tuple(outputs), _rounded(whitening), _rounded(variance))
 
 
@@ -84,19 +81,6 @@ def _whitened(nu: NDArray[np.float64], whitening: NDArray[np.float64]) -> NDArra
     for lag, phi in enumerate(whitening):
         e -= nu[_ORDER - 1 - lag : len(nu) - 1 - lag] @ phi.T
     return e
-
-
-def _variance(e: NDArray[np.float64], rate: NDArray[np.float64], moved: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return c >= 0 of sigma^2 = c_0 + c_1 r^2 + c_2 d^2, by iterated weighted least squares of e^2."""
-    from scipy.optimize import nnls
-
-    causes, square = np.column_stack([np.ones(len(e)), rate**2, moved**2]), e**2
-    weights = np.full(len(e), 1.0 / square.mean())
-    for _ in range(_SWEEPS):
-        c, _ = nnls(causes * weights[:, None], square * weights)
-        weights = 1.0 / np.maximum(causes @ c, _LEAST_SHARE * square.mean())
-    c[0] = max(c[0], _LEAST_SHARE**2 * square.mean())
-    return np.asarray(c, np.float64)
 
 
 def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:

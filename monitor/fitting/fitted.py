@@ -19,6 +19,7 @@ from monitor.alarms.alarm import AlarmRule
 from monitor.alarms.excuse import ExcuseRule
 from monitor.estimation.changes import ChangeRule
 from monitor.estimation.effectiveness import EffectivenessRule
+from monitor.estimation.excitation import ExcitationRule
 from monitor.estimation.isolation_rule import BankRule, IsolationRule, gains_file_names
 from monitor.fitting.agreement import Agreement
 from monitor.fitting.capability import Capability, capability_text
@@ -124,6 +125,7 @@ class Fitted:
     # how the estimates of faults that scale a deflection are read, by fault
     effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
     changes: ChangeRule | None = None  # how sudden changes are told from noise
+    excitation: ExcitationRule | None = None  # how its errors grow with what excites them
     flight_s: float = 0.0  # healthy flight it was fitted on, seconds
     findings: Mapping[str, Any] = field(default_factory=dict)  # what the identification found, for ``fit.json``
     lines: tuple[str, ...] = ()  # the same for people
@@ -152,6 +154,7 @@ class Fitted:
             settle_s=self.settle_s,
             effectiveness=self.effectiveness,
             changes=self.changes,
+            excitation=self.excitation,
         )
 
     def table(self) -> dict[str, Any]:
@@ -165,6 +168,7 @@ class Fitted:
             settle_s=self.settle_s,
             effectiveness=self.effectiveness,
             changes=self.changes,
+            excitation=self.excitation,
             sees=sees,
         )
 

@@ -9,14 +9,14 @@ enough to speak about. The confidence limits of the level are reported: minutes 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from monitor.alarms.alarm import AlarmRule
-from monitor.chain import ObserverChain
+from monitor.chain import ChainRun, ObserverChain
 from monitor.core.lagged import exponential_mean
 from monitor.core.sampling import VehicleClock
 from monitor.fitting.extremes import ReturnLevel, return_level, standing
@@ -77,16 +77,27 @@ def healthy_evidence(
     Returns
     -------
     list[NDArray[np.float64]]
-        Evidence (N, a + 1) of each stretch of samples that count; the last column is the unexplained score.
+        Evidence (N, a + 1) of each stretch of samples that count, per the scale of its sizes there; the last column is
+        the unexplained score.
     """
+    sensors = [channel.kind == "sensor" for channel in observer.faults]
     found = []
+    for run, stretches in healthy_runs(observer, gate, flights):
+        evidence = np.column_stack([run.smoothed if own else run.estimates.isolated, run.unexplained])
+        evidence /= np.where([*sensors, False], 1.0, run.scale[:, None])
+        found += [evidence[rows] for rows in stretches]
+    return found
+
+
+def healthy_runs(
+    observer: ObserverProfile, gate: GateRule, flights: Sequence[Flight]
+) -> Iterator[tuple[ChainRun, list[slice]]]:
+    """Yield what an observer's chain makes of each healthy flight, and the rows of each stretch that counts."""
     for flight in flights:
         watched = flight.rows(_watched(flight, observer.rate_hz * max(_LEAD_S, 3.0 * gate.settle_s)))
         chain = ObserverChain(observer, "healthy", gate, VehicleClock())
         run = chain.estimate(watched.samples, watched.armed)
-        evidence = np.column_stack([run.smoothed if own else run.estimates.isolated, run.unexplained])
-        found += [evidence[rows] for rows in watched.stretches(at_restart=False)]
-    return found
+        yield run, list(watched.stretches(at_restart=False))
 
 
 def _watched(flight: Flight, lead: float) -> NDArray[np.intp]:

@@ -1,0 +1,89 @@
+"""How far the model of an observer can be trusted at each sample: its errors grow with what excites them.
+
+A model that is a few per cent wrong makes errors of a few per cent of what the vehicle does. In a calm hover that is
+nothing, in a flip it is more than any fault. The deviation of an actuator's estimate is therefore taken to be
+
+    s^2 = max(1, c_0 + c_1 r^2 + c_2 d^2 + b_1 (r^2 - R^2)+ + b_2 (d^2 - D^2)+)
+
+times its threshold, with r the largest output (body rate) and d the largest change of a command from one sample to the
+next, over the last ``HOLD_S``. The c are fitted to the estimates of healthy flight, in which r reached R and d reached
+D. Beyond these nothing is known of this vehicle, and b, what others have shown, is added: sizes that raise an alarm
+grow by themselves where a flight is livelier than those that were fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from math import ceil
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.sample import Samples
+from adapters.toml_tables import Table
+from monitor.core.excitation import Excitation
+
+HOLD_S = 0.3
+"""Model error outlasts what causes it: rates that decay and rotors that spin down take about as long (theory 5.1)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExcitationRule:
+    """Coefficients of s^2, and the outputs whose size counts.
+
+    Parameters
+    ----------
+    outputs : tuple[str, ...]
+        The outputs.
+    constant, output, command : float
+        c_0, c_1 (per squared output) and c_2 (per squared change of a command).
+    output_beyond, command_beyond : float
+        b_1 and b_2.
+    output_fitted, command_fitted : float
+        R and D, in the units of the outputs and the commands.
+    """
+
+    outputs: tuple[str, ...]
+    constant: float
+    output: float
+    command: float
+    output_beyond: float
+    command_beyond: float
+    output_fitted: float
+    command_fitted: float
+
+
+_NUMBERS = tuple(key.name for key in fields(ExcitationRule) if key.name != "outputs")
+
+
+def read_excitation(table: Table, outputs: Sequence[str]) -> ExcitationRule:
+    """Return the rule of an observer's table ``excitation``; mistakes are recorded in its file."""
+    judged = table.texts("outputs")
+    for name in judged:
+        if name not in outputs:
+            table.mistake("outputs", f"has '{name}'; the observer has {', '.join(outputs)}")
+    numbers = {key: table.number(key, at_least=0.0) for key in _NUMBERS}
+    table.done()
+    return ExcitationRule(judged, **numbers)
+
+
+def excitation_table(rule: ExcitationRule) -> dict[str, Any]:
+    """Return the table that :func:`read_excitation` reads back as the same rule."""
+    return {"outputs": list(rule.outputs)} | {key: getattr(rule, key) for key in _NUMBERS}
+
+
+class ExcitationStage:
+    """Scale of an observer's evidence, sample by sample."""
+
+    def __init__(self, rule: ExcitationRule, outputs: Sequence[str], inputs: int, rate_hz: float) -> None:
+        judged = [outputs.index(name) for name in rule.outputs]
+        # as many samples as last HOLD_S, and the one at which a change of commands was seen
+        self._core = Excitation(
+            judged, np.array([getattr(rule, key) for key in _NUMBERS]), ceil(HOLD_S * rate_hz) + 1, inputs
+        )
+
+    def run(self, samples: Samples) -> NDArray[np.float64]:
+        """Return r, d and s of n samples (n, 3)."""
+        return self._core.run(samples.u, samples.y, samples.restart)
