@@ -311,8 +311,16 @@ cdef class ChainRows:
 
     cdef Change change_of(self, Py_ssize_t row, Py_ssize_t alarm) noexcept:
         cdef Change change = Change(0.0, 0.0, 0)
-        if self.changed is not None and self.changed[row] == alarm:
-            change.nats, change.size, change.onset_ns = self.nats[row], self.size[row], self.onset_ns[row]
+        cdef Py_ssize_t i
+        cdef AlarmState other
+        if self.changed is None or self.changed[row] != alarm:
+            return change
+        # While another fault is active, and as it ends, what changes is that one.
+        for i in range(len(self.alarms)):
+            other = <AlarmState>self.alarms[i]
+            if i != alarm and (other.active or other.ended_ns >= self.onset_ns[row]):
+                return change
+        change.nats, change.size, change.onset_ns = self.nats[row], self.size[row], self.onset_ns[row]
         return change
 
 

@@ -52,7 +52,7 @@ cdef class ChangeTest:
     """
 
     cdef double[:, ::1] dynamics, curves, variance
-    cdef double[::1] taps
+    cdef double[::1] taps, answered
     cdef Py_ssize_t[::1] judged, actuators
     cdef double[:, :, ::1] whitening, impulse, jump
     cdef Py_ssize_t n, s, p, m, H, L, P, depth, length, hold, window
@@ -89,6 +89,8 @@ cdef class ChangeTest:
         self.energy = np.zeros(self.window)
         self.impulse = self._impulse(np.asarray(dynamics), np.asarray(taps), np.asarray(whitening))
         self.jump = self._jump(np.asarray(dynamics), np.asarray(whitening))
+        # The share of a loss that the lag has let through after so many rows.
+        self.answered = np.clip(np.cumsum(np.asarray(taps, float)), 0.0, 1.0)
         self.row = 0
         self.clear()
 
@@ -302,5 +304,7 @@ cdef class ChangeTest:
         place = (self.newest - best_age + self.window) % self.window
         if self.energy[place] - best_g > UNEXPLAINED_SHARE * best_g + NOISE_OF_AXIS * self.p * (best_age + 1):
             return -1
-        nats[0], share[0], age[0] = best_g, best_theta, best_age
+        # A loss behind the lag (a broken propeller) looks larger to signatures of one before it, until that has passed.
+        nats[0], age[0] = best_g, best_age
+        share[0] = best_theta * self.answered[min(best_age, self.L - 1)]
         return best
