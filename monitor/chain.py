@@ -139,7 +139,7 @@ class ChainRun:
     # smoothed estimate of each fault under its own hypothesis, whichever is believed (n, a), effect units
     smoothed: NDArray[np.float64]
     unexplained: NDArray[np.float64]  # score of what no hypothesis explains (n,), zero where one does
-    # how many times their thresholds actuators' faults and the unexplained have to reach (n,), 1 or more
+    # how many times their thresholds actuators' faults have to reach (n,), 1 or more
     scale: NDArray[np.float64]
 
     def event(self, row: int, alarm: int, code: int) -> AlarmEvent:

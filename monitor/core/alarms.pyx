@@ -123,8 +123,9 @@ cdef class AlarmState:
         self.slow, self.slow_ns = rule.slow, rule.slow_s * NANOSECONDS
         self.latch_ns, self.ahead_s = rule.latch_s * NANOSECONDS, rule.critical_ahead_s
         self.nats, self.least = rule.nats, rule.least
-        # A sensor's fault does not hang on what the model knows of the vehicle's motion.
-        self.scaled = rule.kind != "sensor"
+        # A sensor's jump does not hang on what the model knows of the vehicle's motion, and what no hypothesis explains
+        # may be the very cause of a lively flight.
+        self.scaled = rule.kind == "actuator"
 
     def set_excuse(self, bint now, spans):
         """Set when other alarms explain the evidence: always from now on, or in spans of vehicle time (m, 2), ns."""
@@ -286,7 +287,7 @@ cdef class ChainRows:
     speaking : bool (n, A)
         Where a row is evidence of a channel.
     scale : float64 (n,), optional
-        How many times its sizes evidence has to reach, but for faults of sensors; 1 where it is left out.
+        How many times its sizes evidence of an actuator has to reach; 1 where it is left out.
     changed : intp (n,), optional
         The alarm of which a sudden change is named at each row, -1 for none; with its ``nats`` and ``size``, float64,
         and ``onset_ns``, int64 (n,).

@@ -19,6 +19,8 @@ cdef double AGAINST_GAIN = 12.5
 # of a half a name comes up to 0.4 s later, as the first rows of a loss fit the model's lag badly.
 cdef double UNEXPLAINED_SHARE = 1.0
 cdef double NOISE_OF_AXIS = 1.0
+# Commands are shares of full command, near 1; one that is larger comes from a broken sender. Chosen: far beyond both.
+cdef double LARGEST_COMMAND = 10.0
 # Losses that can be one (monitor.core.effectiveness has the same limit).
 cdef double LARGEST_LOSS = 1.25
 
@@ -171,16 +173,19 @@ cdef class ChangeTest:
     cdef void take(self, const double[:, :] u, const double[:, :] y, Py_ssize_t k, bint usable, bint restart) noexcept:
         """Follow one row: v, the innovation nu = y - (A y- + B v- + c), and what excites the model's errors."""
         cdef Py_ssize_t i, j, d, row, before, past
-        cdef double value, power, moved
+        cdef double value, power, moved, command
         if restart:
             self.clear()
         self.row += 1
         row = self.row % self.length
         before = (self.row - 1) % self.length
         for j in range(self.s):
-            value, power = 0.0, 1.0
+            value, power, command = 0.0, 1.0, u[k, j]
+            if not fabs(command) < LARGEST_COMMAND:
+                # What was commanded is not known as long as lag and whitening remember it.
+                self.commands, command = -1, 0.0
             for d in range(self.curves.shape[1]):
-                power *= u[k, j]
+                power *= command
                 value += self.curves[j, d] * power
             self.v[row, j] = value
         for i in range(self.p):

@@ -80,11 +80,11 @@ def healthy_evidence(
         Evidence (N, a + 1) of each stretch of samples that count, per the scale of its sizes there; the last column is
         the unexplained score.
     """
-    sensors = [channel.kind == "sensor" for channel in observer.faults]
+    actuators = [channel.kind == "actuator" for channel in observer.faults]
     found = []
     for run, stretches in healthy_runs(observer, gate, flights):
         evidence = np.column_stack([run.smoothed if own else run.estimates.isolated, run.unexplained])
-        evidence /= np.where([*sensors, False], 1.0, run.scale[:, None])
+        evidence /= np.where([*actuators, False], run.scale[:, None], 1.0)
         found += [evidence[rows] for rows in stretches]
     return found
 
