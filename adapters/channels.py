@@ -24,6 +24,8 @@ STANDARD_GRAVITY = 9.80665
 """Standard acceleration of free fall, m/s^2 (ISO 80000-3); MAVLink counts thousandths of it."""
 MAX_VALUE = 1e12
 """Beyond it no vehicle measures anything, in any unit; an observer that believed it would be blind for seconds."""
+MAX_COMMAND = 2.0
+"""Beyond it a motor's command, 0 to 1, is none: twice full command, which no range of pulses reaches."""
 STOPPED = -0.01
 """A command below it is none of a motor: of one that it has stopped PX4 sends 900 us, a tenth below the range."""
 _LARGEST_PART, _SMALLEST_LENGTH = 1e3, 0.5
@@ -91,8 +93,13 @@ class Channel:
         """Return whether the message is one of those the channel is taken from."""
         return all(fields.get(name) == value for name, value in self.where)
 
+    @property
+    def largest(self) -> float:
+        """Return the size beyond which a value is no measurement."""
+        return MAX_VALUE if self.stopped_as is None else MAX_COMMAND
+
     def value(self, fields: Mapping[str, Any]) -> float | None:
-        """Return the channel's value, None where no number is there that can be one: NaN, beyond :data:`MAX_VALUE`."""
+        """Return the channel's value, None where no number is there that can be one: NaN, beyond :attr:`largest`."""
         path = self.path
         # Most paths are one name; they are read some thousand times a second.
         number = fields.get(path[0]) if len(path) == 1 else follow(fields, path)  # type: ignore[arg-type]
@@ -106,7 +113,7 @@ class Channel:
             return None
         if self.stopped_as is not None and value < STOPPED:
             return self.stopped_as
-        return value if -MAX_VALUE <= value <= MAX_VALUE else None
+        return value if -self.largest <= value <= self.largest else None
 
     def stamp_ns(self, fields: Mapping[str, Any]) -> int | None:
         """Return the measurement's time on the vehicle's clock in nanoseconds, None where it has none."""

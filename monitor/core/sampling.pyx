@@ -49,7 +49,7 @@ from typing import NamedTuple
 import numpy as np
 
 from adapters.batch import RecordFields
-from adapters.channels import CLOCK_UNITS_NS, MAX_VALUE, STOPPED, field_steps
+from adapters.channels import CLOCK_UNITS_NS, STOPPED, field_steps
 from adapters.sample import Samples
 
 from cpython.buffer cimport PyBUF_SIMPLE, PyBUF_STRIDES, PyBUF_WRITABLE
@@ -134,8 +134,7 @@ MAX_GAP_S = 1.5
 """Default of ``max_gap_s``. Chosen: as long as a fault is taken to have grown before a restart
 (:mod:`monitor.estimation.affine`), after which coasting tells no more than beginning anew; and a burst of a second."""
 
-# Values and times beyond these are no measurements; ten times the longest period still fits into 64 bits.
-cdef double _MAX_VALUE = MAX_VALUE
+# Times beyond these are no measurements; ten times the longest period still fits into 64 bits.
 cdef nanoseconds _RAW_LINE = round(1e9 * RAW_LINE_S)
 cdef nanoseconds _LONGEST_PERIOD = 1 << 58
 
@@ -1673,7 +1672,7 @@ cdef int _read_values(fields, channel, double* out, Py_ssize_t stride, Py_ssize_
     cdef Py_ssize_t row
     cdef double scale = channel.scale, offset = channel.offset, value
     cdef bint stops = channel.stopped_as is not None
-    cdef double instead = channel.stopped_as if stops else 0.0, stopped = STOPPED
+    cdef double instead = channel.stopped_as if stops else 0.0, stopped = STOPPED, largest = channel.largest
     if not _open(fields, channel.path, &view, count):
         for row in range(count):
             out[row * stride] = float("nan")
@@ -1682,7 +1681,7 @@ cdef int _read_values(fields, channel, double* out, Py_ssize_t stride, Py_ssize_
         value = scale * _double_at(&view, row) + offset
         if stops and value < stopped:
             value = instead
-        out[row * stride] = value if -_MAX_VALUE <= value <= _MAX_VALUE else float("nan")
+        out[row * stride] = value if -largest <= value <= largest else float("nan")
     PyBuffer_Release(&view.buffer)
     return 0
 
