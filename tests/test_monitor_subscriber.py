@@ -59,6 +59,15 @@ def test_history_begins_with_the_past_and_gives_each_event_once(endpoint: Endpoi
     assert subscriber.receive(0.0) is None
 
 
+def test_what_clears_an_alarm_gets_through_where_its_number_was_given_before(endpoint: Endpoint) -> None:
+    publisher = Publisher(endpoint.session, "copter-1", [])
+    subscriber = AlarmSubscriber(endpoint.client(), history=True)
+    until(lambda: bool(subscriber.live))
+    publisher.event(event(1))
+    publisher.event(event(1, state="cleared"))
+    assert [one.state for one in take(subscriber, 2)] == ["raised", "cleared"]
+
+
 def test_only_the_named_vehicle_is_heard(endpoint: Endpoint) -> None:
     publishers = [Publisher(endpoint.session, name, []) for name in ("copter-1", "copter-2")]
     subscriber = AlarmSubscriber(endpoint.client(), vehicle="copter-2", history=True)

@@ -71,7 +71,7 @@ class AlarmSubscriber:
         self._history = history
         self._changed = threading.Condition()
         self._events: deque[AlarmEvent] = deque()
-        self._seen: dict[tuple[str, str, int], None] = {}
+        self._seen: dict[tuple[str, str, int, str], None] = {}
         self._live: set[str] = set()
         self._told: set[str] = set()
         self._held: deque[AlarmEvent] = deque(maxlen=HELD_EVENTS)
@@ -172,7 +172,8 @@ class AlarmSubscriber:
             if event is None:
                 self.invalid += 1
                 return
-            mark = (event.vehicle, event.id, event.seq)
+            # With the state: what clears an alarm gets through even where its number was given before.
+            mark = (event.vehicle, event.id, event.seq, event.state)
             if mark in self._seen:
                 return
             self._seen[mark] = None

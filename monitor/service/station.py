@@ -267,6 +267,12 @@ class Station:
         names = self._shared_links | {vehicle.zenoh}
         return tuple(link for link in self._health.links if link.name in names)
 
+    @property
+    def _sharers(self) -> int:
+        """Return how many vehicles share what recordings and clips may take."""
+        new = self._config.new_vehicles
+        return max(len(self._config.vehicles) + (0 if new.profile is None else new.limit), 1)
+
     def _archive(self, pipeline: Pipeline, profile: Profile, stack: ExitStack) -> BackgroundArchive | None:
         config, name = self._config, pipeline.vehicle
         encoder = RecordEncoder(pipeline.layouts)
@@ -277,12 +283,14 @@ class Station:
             config.record.parent.mkdir(parents=True, exist_ok=True)
         elif config.recording.folder is not None:
             table = config.recording
+            share = table.budget_mb / self._sharers
             target = FileSeries(
                 config.recording.folder / name,
                 name,
-                file_bytes=round(table.file_mb * _MEGABYTE),
+                # a budget holds two files, the one that is written and the one before it
+                file_bytes=int(min(table.file_mb, share / 2) * _MEGABYTE),
                 file_s=table.file_minutes * 60.0,
-                budget_bytes=round(table.budget_mb * _MEGABYTE),
+                budget_bytes=round(share * _MEGABYTE),
             )
         if target is not None:
             recorder = Recorder(target, *common)
@@ -294,7 +302,7 @@ class Station:
                 *common,
                 before_s=clips.before_s,
                 after_s=clips.after_s,
-                budget_bytes=round(clips.budget_mb * _MEGABYTE),
+                budget_bytes=round(clips.budget_mb / self._sharers * _MEGABYTE),
             )
         if recorder is None and black_box is None:
             return None
