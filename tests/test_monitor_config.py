@@ -329,7 +329,9 @@ def test_channels_that_the_profile_does_not_have_are_told_with_those_it_has(
         + 'out_of_service = ["link/telemetry", "monitor/flood", "motors/motor1"]\n'
     )
     latched, out_of_service = complaints(tmp_path, text)
-    known = "arm/encoder, arm/motor, link/link, link/signing, link/telemetry, monitor/flood"
+    known = (
+        "arm/encoder, arm/motor, link/impostor, link/link, link/signing, link/telemetry, monitor/blind, monitor/flood"
+    )
     wrong = f"which is no channel of {tmp_path / 'arm'}; its channels are {known}"
     assert latched == f"7: 'vehicle[0].latched[1]' is 'arm/encoders', {wrong}"
     assert out_of_service == f"9: 'vehicle[0].out_of_service[2]' is 'motors/motor1', {wrong}"
