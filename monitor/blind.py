@@ -36,6 +36,9 @@ onboard links and logs 0.2 s."""
 _LEAST_SAMPLES = 3
 """Of an observer so slow that it has fewer samples in that time, as many have to lack. Over a radio at 1,200 bytes a
 second it has one in 6.8 s; chosen, as one may be lost."""
+_AFTER_RESTART_NS = SECOND_NS
+"""What an observer that settles for 5 s is granted beyond after a restart, of a reboot for instance: until its samples
+come again, for which a second was enough in all recordings that a reboot was put into."""
 _SLOT_NS = 500_000_000
 """How often an active alarm is looked at. Chosen: its end is known half a second late at most."""
 _UPDATE_NS = SECOND_NS
@@ -119,6 +122,13 @@ class EvidenceFlow:
         lost = samples.lost[:, self._inputs :]
         is_lost = bool(lost.any())
         self._lost = tuple(self._labels(lost[-1])) if is_lost else ()
+        restarts = np.flatnonzero(samples.restart)
+        if restarts.size:
+            restart_ns, again_ns = received(int(position[restarts[-1]])), self.settle_ns + _AFTER_RESTART_NS
+            for group in self.groups:
+                # Before the first evidence settling begins anew, but not without end.
+                gone_ns = 0 if group.evidence_ns else min(restart_ns - group.since_ns, self.limit_ns + self.settle_ns)
+                group.granted_ns = max(group.granted_ns, gone_ns + again_ns)
         count = int(np.count_nonzero(armed))
         if not count:
             return
@@ -130,7 +140,8 @@ class EvidenceFlow:
             rows = np.flatnonzero(armed & ~lost[:, group.columns].all(axis=1) if is_lost else armed)
             if rows.size:
                 group.since_ns = group.evidence_ns = received(int(position[rows[-1]]))
-                group.granted_ns = self.limit_ns
+                restarted = restarts.size and restarts[-1] > rows[-1]
+                group.granted_ns = max(self.limit_ns, self.settle_ns + _AFTER_RESTART_NS if restarted else 0)
 
     @property
     def overdue(self) -> bool:
