@@ -533,3 +533,23 @@ def test_gains_that_no_certificate_confirms_are_never_returned(monkeypatch: pyte
     with pytest.raises(InaccurateError, match="no gains it found could be certified") as caught:
         design_convex(builtin_model("arm-disturbed"), 100.0)
     assert caught.value.exit_status == 3
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_where_the_solver_gives_up_a_filter_is_certified_by_the_same_proof(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plant = random_plant(seed, 1 + seed % 2, seed % 2, decades=2.0)
+    least = design_convex(plant).sqrt_mu
+    monkeypatch.setattr(gains.synthesis.convex, "solve_bounded_real", lambda *given: (None, 0.0))
+    design = design_convex(plant)
+    assert_proven(plant, design)
+    assert design.sqrt_mu <= 1.11 * certify(plant, design).norm
+    assert design.sqrt_mu > 0.99 * least
+    assert "the solver stopped short" in design.notes[-1]
+
+
+def test_with_varying_slopes_no_filter_stands_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gains.synthesis.convex, "solve_bounded_real", lambda *given: (None, 0.0))
+    with pytest.raises(InaccurateError, match="the solver stopped short"):
+        design_convex(builtin_model("arm-disturbed"), 100.0)

@@ -399,7 +399,10 @@ def _gain_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
 
 def _solution(x: _Unknowns, noise_energy: float) -> Solution | None:
     """Return the values of the unknowns, None where the solver left none with P > 0."""
-    if x.R.value is None or np.linalg.eigvalsh(x.P.value)[0] <= 0.0:
+    values = [y.value for y in (x.P, x.R, x.Yb, x.L_p, x.mu) if y is not None]
+    if not all(value is not None and np.all(np.isfinite(value)) for value in values):
+        return None
+    if np.linalg.eigvalsh(x.P.value)[0] <= 0.0:
         return None
     none = np.zeros(0 if x.bound is None else x.bound.size)
     return Solution(

@@ -8,7 +8,7 @@ units. The norm of that filter says how large mu is going to be.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -38,11 +38,16 @@ samples.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coordinates:
-    """Triangular S (na, na) and Y (p, p), and the squared norm of the filter they come from."""
+    """Triangular S (na, na) and Y (p, p), and the filter they come from: its squared norm and its gains.
+
+    ``gain`` (na, p) is that of the next error, ``direct`` (na, p) that of this one; in continuous time neither is kept.
+    """
 
     S: FloatArray
     Y: FloatArray
     mu: float
+    gain: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    direct: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0, caution: float = 0.0) -> Coordinates:
@@ -88,7 +93,11 @@ def kalman_coordinates(model: ErrorModel, pole_radius: float = 1.0, caution: flo
     nz = len(model.weights) - model.a1
     C_e, D_e = floored.output(direct[nz : nz + model.a1])
     norm = hinf_norm(A - gain @ C, floored.B - gain @ floored.D, C_e, D_e, discrete=True)
-    return Coordinates(S_factor, Y_factor, norm.lower**2)
+    if not np.isfinite(norm.lower):
+        raise InfeasibleError(
+            f"{model.name}: its numbers are too far apart: check units, scales of disturbance and noise"
+        )
+    return Coordinates(S_factor, Y_factor, norm.lower**2, np.asarray(pole_radius * gain, dtype=np.float64), direct)
 
 
 def with_floor(model: ErrorModel, S: FloatArray, Y: FloatArray) -> ErrorModel:
