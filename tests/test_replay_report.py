@@ -221,7 +221,7 @@ def test_the_command_writes_a_report(arm_profile: Profile, tmp_path: Path, capsy
         for message in arm_messages(simulate_arm(SCENARIOS["healthy"], 12.4, 100.0, "zero"), START_NS):
             writer.write(message)
     assert fauio.main(["replay", str(folder), str(log), "--report", str(out)]) == 0
-    assert "no alarm in 4 s of watched flight" in capsys.readouterr().out
+    assert "no alarm in 5 s of watched flight" in capsys.readouterr().out
     text = Page(out.read_text()).text
     assert "No alarm in 4 s of watched flight." in text
     assert f"{log.stat().st_size:,} bytes" in text
