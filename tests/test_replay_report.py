@@ -223,6 +223,6 @@ def test_the_command_writes_a_report(arm_profile: Profile, tmp_path: Path, capsy
     assert fauio.main(["replay", str(folder), str(log), "--report", str(out)]) == 0
     assert "no alarm in 5 s of watched flight" in capsys.readouterr().out
     text = Page(out.read_text()).text
-    assert "No alarm in 4 s of watched flight." in text
+    assert "No alarm in 5 s of watched flight." in text
     assert f"{log.stat().st_size:,} bytes" in text
     assert fauio.main(["replay", str(folder), str(log), str(log), "--report", str(out)]) == 2
