@@ -19,6 +19,7 @@ class ChangeTest:
         hold: int,
         window: int,
         clip: float,
+        level_rows: float,
     ) -> None: ...
     def innovations(self, u: Array, y: Array, usable: Flags, restart: Flags) -> tuple[Array, Array, Flags]: ...
     def run(

@@ -21,6 +21,9 @@ cdef double UNEXPLAINED_SHARE = 1.0
 cdef double NOISE_OF_AXIS = 1.0
 # Commands are shares of full command, near 1; one that is larger comes from a broken sender. Chosen: far beyond both.
 cdef double LARGEST_COMMAND = 10.0
+# Largest square with which a row counts in the noise's own level: a fault begins with larger ones, and must not hide
+# itself. Chosen: three deviations.
+cdef double LEVEL_CLIP = 9.0
 # Losses that can be one (monitor.core.effectiveness has the same limit).
 cdef double LARGEST_LOSS = 1.25
 
@@ -51,6 +54,8 @@ cdef class ChangeTest:
         Rows over which rates and changes of commands are held, and of the onsets that are tried.
     clip : float
         Largest |z| that counts.
+    level_rows : float
+        Time constant in rows with which the noise's own level is followed.
     """
 
     cdef double[:, ::1] dynamics, curves, variance
@@ -58,10 +63,10 @@ cdef class ChangeTest:
     cdef Py_ssize_t[::1] judged, actuators
     cdef double[:, :, ::1] whitening, impulse, jump
     cdef Py_ssize_t n, s, p, m, H, L, P, depth, length, hold, window
-    cdef double clip
+    cdef double clip, follow
     # what is kept from row to row: v, innovations, |y| and |B dv|, newest at ``at`` of rings
     cdef double[:, ::1] v, innovation, excited
-    cdef double[::1] last_y, effect, whitened, sigma
+    cdef double[::1] last_y, effect, whitened, sigma, level
     cdef double[:, ::1] partial
     # onsets that are tried: sums of s'z and s's by hypothesis, and of |z|^2 / 2; the onset begun last is at ``newest``
     cdef double[:, ::1] moment, information
@@ -70,7 +75,8 @@ cdef class ChangeTest:
     cdef int64_t row
     cdef bint has_y
 
-    def __init__(self, dynamics, curves, taps, judged, actuators, whitening, variance, hold, window, clip):
+    def __init__(self, dynamics, curves, taps, judged, actuators, whitening, variance, hold, window, clip,
+                 level_rows):
         self.dynamics, self.curves = np.ascontiguousarray(dynamics, float), np.ascontiguousarray(curves, float)
         self.taps, self.variance = np.ascontiguousarray(taps, float), np.ascontiguousarray(variance, float)
         self.judged, self.actuators = np.asarray(judged, np.intp), np.asarray(actuators, np.intp)
@@ -86,6 +92,7 @@ cdef class ChangeTest:
         self.excited = np.zeros((self.hold, 2 * self.p))
         self.last_y, self.effect = np.zeros(self.n), np.zeros(self.p)
         self.whitened, self.sigma = np.zeros(self.p), np.ones(self.p)
+        self.level, self.follow = np.ones(self.p), 1.0 / level_rows
         self.partial = np.zeros((self.m, self.p))
         self.moment, self.information = np.zeros((self.window, self.H)), np.zeros((self.window, self.H))
         self.energy = np.zeros(self.window)
@@ -120,6 +127,7 @@ cdef class ChangeTest:
     cdef void clear(self) noexcept:
         """Forget what came before a restart."""
         self.has_y = False
+        self.level[:] = 1.0
         self.known = self.commands = 0
         self.drop_onsets()
 
@@ -222,9 +230,9 @@ cdef class ChangeTest:
         return most
 
     cdef void whiten(self) noexcept:
-        """z = (nu - sum_i Phi_i nu(k - i)) / sigma, shortened to ``clip``; sigma^2 = c_0 + c_1 r^2 + c_2 d^2."""
+        """z = (nu - sum_i Phi_i nu(k - i)) / sigma, at most ``clip``; sigma^2 = (c_0 + c_1 r^2 + c_2 d^2) lambda."""
         cdef Py_ssize_t i, j, lag
-        cdef double e, rate, moved, length = 0.0, weight
+        cdef double e, rate, moved, square, length = 0.0, weight
         for i in range(self.p):
             e = self.innovation[self.row % self.length, i]
             for lag in range(self.P):
@@ -233,6 +241,10 @@ cdef class ChangeTest:
             rate, moved = self.largest(i), self.largest(self.p + i)
             self.sigma[i] = sqrt(
                 self.variance[i, 0] + self.variance[i, 1] * rate * rate + self.variance[i, 2] * moved * moved)
+            square = e * e / (self.sigma[i] * self.sigma[i])
+            # Gusts that the fitted flights did not have; never below what they had.
+            self.sigma[i] *= sqrt(max(1.0, self.level[i]))
+            self.level[i] += self.follow * (min(square, LEVEL_CLIP) - self.level[i])
             self.whitened[i] = e / self.sigma[i]
             length += self.whitened[i] * self.whitened[i]
         # A row that no noise explains counts as one of larger noise: for and against every hypothesis alike.

@@ -5,8 +5,10 @@ few samples. The one-step innovation nu of the fitted model is coloured and its 
 least; both are fitted to healthy flights:
 
     e(k) = nu(k) - sum_i Phi_i nu(k - i)                                   whitened by a vector autoregression
-    sigma_i^2 = c_0 + c_1 r_i^2 + c_2 d_i^2,    z_i = e_i / sigma_i        r, d: largest output and change of the
-                                                                           commanded effect over ``hold_s``
+    sigma_i^2 = (c_0 + c_1 r_i^2 + c_2 d_i^2) lambda_i                     r, d: largest output and change of the
+    z_i = e_i / sigma_i                                                    commanded effect over ``HOLD_S``
+
+lambda, 1 or more, follows the mean of e^2 over its healthy variance: in gusts that no fitted flight had it grows.
 
 A row longer than ``clip`` is shortened, with the signatures of all hypotheses: it counts as one of larger noise. For
 hypothesis j, begun at t_0, the signature s_j(k) is the response of z to a whole loss of actuator j since t_0 (or to a
@@ -40,8 +42,11 @@ HOLD_S = 0.3
 """Model error outlasts what causes it: rates that decay and rotors that spin down take about as long (theory 5.1)."""
 WINDOW_S = 2.0
 """Onsets that are tried. Slower faults are the slow path's, whose mean is as long (slow_s of AlarmRule)."""
+LEVEL_S = 3.0
+"""Time constant of the noise's own level. Chosen: longer than the window, so that a fault cannot raise it before it is
+seen, and shorter than weather changes."""
 CLIP = 15.0
-"""Length of z from which a row counts as one of larger noise: no row can then raise an alarm alone (theory 5.1 (3))."""
+"""Length of z from which a row counts as one of larger noise: no two rows can then raise an alarm (theory 5.1 (3))."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,6 +116,7 @@ def change_test(plant: Plant, rate_hz: float, actuators: Sequence[int], rule: Ch
         hold=round(HOLD_S * rate_hz),
         window=round(WINDOW_S * rate_hz),
         clip=CLIP,
+        level_rows=LEVEL_S * rate_hz,
     )
 
 
