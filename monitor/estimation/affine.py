@@ -143,7 +143,7 @@ def _inputs(gains: Gains, plant: Plant) -> tuple[NDArray[np.float64], NDArray[np
     disturbed[:, :q1] = _into(gains) @ E_1
     disturbed[nz : nz + a1, q1 + q2 : q1 + q2 + a1] = steps[:a1, :a1]
     noisy[:, q1 : q1 + q2] = D_1
-    moving[a1:, q1 + q2 + a1 :] = steps[a1:, a1:]
+    moving[:, q1 + q2 :] = steps
     return disturbed, noisy, moving
 
 
