@@ -19,7 +19,7 @@ def unpack(packed: Path, to: Path, size: int | None = None) -> None:
 
 
 def lay_out(desk: Path) -> None:
-    """Write healthy flights, one with a faulty motor, a folder of flights, a fitted profile and a model."""
+    """Write healthy flights, one with a faulty motor, a folder of flights, a fitted profile, a model and gains."""
     for name, healthy in zip(("monday", "tuesday"), HEALTHY, strict=True):
         unpack(DATA / f"{healthy}.tlog.xz", desk / f"{name}.tlog")
     shutil.copy(desk / "monday.tlog", desk / "healthy.tlog")
@@ -29,6 +29,7 @@ def lay_out(desk: Path) -> None:
         shutil.copy(DATA / f"{name}.tlog.xz", desk / "flights")
     shutil.copytree(QUAD, desk / "quad")
     shutil.copy(ROOT / "gains" / "models" / "arm.toml", desk / "arm.toml")
+    shutil.copy(QUAD / "motors.motor1.gains.json", desk / "gains.json")
 
 
 def lay_out_mistakes(desk: Path) -> None:
