@@ -47,23 +47,26 @@ def fit_excitation(
     beyond : tuple[float, float]
         Variance per squared output and per squared change of a command beyond what the flights show, in these units.
     alarms_per_hour : float
-        Rate at which all of a channel's paths may raise a false alarm.
+        Rate at which all of a channel's paths may raise a false alarm; what is believed of each actuator exceeds the
+        scaled smallest size as seldom.
     times : Times
         How long evidence has to last.
     """
     actuators = [place for place, channel in enumerate(observer.faults) if channel.kind != "sensor"]
     none = ExcitationRule(tuple(outputs), *(0.0,) * 7)
-    error, excited = [], []
+    error, believed, excited = [], [], []
     for run, stretches in healthy_runs(observer, gate, flights):
         samples = run.estimates.samples
         causes = ExcitationStage(none, observer.gains[0].outputs, samples.u.shape[1], observer.rate_hz).run(samples)
         sizes = run.smoothed[:, actuators] / unit
+        held = run.estimates.isolated[:, actuators] / unit
         error += [sizes[rows] for rows in stretches]
+        believed += [held[rows] for rows in stretches]
         excited += [causes[rows, :2] for rows in stretches]
     c = excited_variance(np.concatenate(error), np.concatenate(excited))
     scaled = [
         column / np.sqrt(np.column_stack([np.ones(len(causes)), causes**2]) @ c)
-        for sizes, causes in zip(error, excited, strict=True)
+        for sizes, causes in zip(believed, excited, strict=True)
         for column in sizes.T
     ]
     level = healthy_levels(scaled, observer.rate_hz, alarms_per_hour, times).plain.level
