@@ -50,6 +50,8 @@ def random_gains(
         L_i=nothing,
         L_p=nothing,
         L1=nothing,
+        L_q=nothing,
+        F_q=nothing,
         F=nothing,
         N=nothing,
         J=nothing,
