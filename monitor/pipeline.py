@@ -154,6 +154,10 @@ class Pipeline:
         """The monitored MAVLink system id; 0 before its first message."""
         return self._system
 
+    def watch(self, system: int) -> None:
+        """Monitor a MAVLink system id from now on; 0: the first that sends a channel."""
+        self._system = system
+
     @property
     def mismatch(self) -> str | None:
         """What says that the vehicle is another than the profile's; None where nothing does."""

@@ -199,8 +199,8 @@ def play_batches(
 
 def _record(recorder: Archive, pipeline: Pipeline, batch: Batch) -> None:
     """Record what of a batch comes from the monitored vehicle, ahead of the pipeline's taking it."""
-    place = 0
-    if not pipeline.system:
+    place, known = 0, pipeline.system
+    if not known:
         # each message may be the one that says who it is
         for message in messages_of(batch):
             place += 1
@@ -212,6 +212,8 @@ def _record(recorder: Archive, pipeline: Pipeline, batch: Batch) -> None:
     columns = tuple(one for one in rest.columns if pipeline.accepts(one_message(one, 0)))
     others = {at: message for at, message in rest.others.items() if pipeline.accepts(message)}
     recorder.batch(Batch(rest.count, columns, others))
+    # which vehicle it is the pipeline finds by itself: what came before its first channel is not its own
+    pipeline.watch(known)
 
 
 def _recorder(stack: ExitStack, path: Path, pipeline: Pipeline) -> Archive:
