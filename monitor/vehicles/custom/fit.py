@@ -292,7 +292,7 @@ def _design(
         bank = compile_bank(plant, design_bank(plant, rate_hz))
         return bank, bank_rule(bank, segments)
     try:
-        design = design_convex(plant, rate_hz, pole_radius=math.exp(-1.0 / (_FORGET_S * rate_hz)))
+        design = design_convex(plant, rate_hz, pole_radius=math.exp(-1.0 / (_FORGET_S * rate_hz)), free_inverse=False)
     except InfeasibleError:
-        design = design_convex(plant, rate_hz)
+        design = design_convex(plant, rate_hz, free_inverse=False)
     return (compile_gains(plant, design, certify(plant, design)),), IndependentRule(_SMOOTHING_S)
