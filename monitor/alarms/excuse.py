@@ -1,7 +1,8 @@
 """Alarms that another alarm explains: a gyro jump tilts the attitude, and the tilt looks like a GPS that speeds away.
 
 While a channel is excused its evidence raises no alarm. One that is active already follows its evidence as ever, so it
-clears as soon as that is gone.
+clears as soon as that is gone. A channel that two observers watch (a gyro, by motors and by GPS) is one fault: while
+the alarm of one is active, the other raises none.
 """
 
 from __future__ import annotations
@@ -48,12 +49,11 @@ class Excuses:
                 self._rules.setdefault(channel, []).append(rule)
         self._active: dict[str, set[str]] = {}
         self._cleared_ns: dict[str, int] = {}
-        self._excusable: dict[str, list[AlarmState]] = {}
+        self._alarms: dict[str, list[AlarmState]] = {}
 
     def add(self, channel: str, alarm: AlarmState) -> None:
-        """Excuse an alarm of this channel from now on whenever the rules say so."""
-        if channel in self._rules:
-            self._excusable.setdefault(channel, []).append(alarm)
+        """Excuse an alarm of this channel from now on whenever the rules, or another observer's, say so."""
+        self._alarms.setdefault(channel, []).append(alarm)
 
     def follow(self, event: AlarmEvent) -> None:
         """Follow an event of any channel: the rows after it are excused accordingly."""
@@ -63,16 +63,19 @@ class Excuses:
             self._cleared_ns[event.channel] = event.vehicle_time_ms * 1_000_000
         else:
             active.add(event.id)
-        for channel, alarms in self._excusable.items():
-            if any(event.channel in rule.by for rule in self._rules[channel]):
+        for channel, alarms in self._alarms.items():
+            shared = channel == event.channel and len(alarms) > 1
+            if shared or any(event.channel in rule.by for rule in self._rules.get(channel, ())):
                 now, spans = self._excuse(channel)
                 for alarm in alarms:
                     alarm.set_excuse(now, spans)
 
     def _excuse(self, channel: str) -> tuple[bool, NDArray[np.int64]]:
         """Return whether a channel is excused whenever, and the spans of vehicle time in which it is (m, 2), ns."""
+        if len(self._alarms[channel]) > 1 and self._active.get(channel):
+            return True, np.empty((0, 2), np.int64)
         spans = []
-        for rule in self._rules[channel]:
+        for rule in self._rules.get(channel, ()):
             for cause in rule.by:
                 if self._active.get(cause):
                     return True, np.empty((0, 2), np.int64)
