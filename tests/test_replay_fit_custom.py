@@ -95,10 +95,13 @@ def test_the_fitted_profile_detects_the_papers_faults_and_nothing_before(folder:
     run = simulate_arm(SCENARIOS["case2"], 37.0, 100.0, "tracking")
     events = play(read_profile(folder), arm_messages(run, 10**18)).events
     found = [(event.channel, event.state, event.vehicle_time_ms / 1000) for event in events if event.state != "updated"]
-    # whether the encoder's alarm clears before the end of the run is not held here
-    raised = [("motor", "raised"), ("motor", "cleared"), ("encoder", "raised")]
-    assert [(channel, state) for channel, state, _ in found[:3]] == raised
-    assert [time for *_, time in found[:3]] == pytest.approx([10.15, 20.7, 30.15], abs=0.5)
+    assert [(channel, state) for channel, state, _ in found] == [
+        ("motor", "raised"),
+        ("motor", "cleared"),
+        ("encoder", "raised"),
+        ("encoder", "cleared"),
+    ]
+    assert [time for *_, time in found] == pytest.approx([10.15, 20.7, 30.15, 35.8], abs=0.5)
 
 
 @pytest.mark.long

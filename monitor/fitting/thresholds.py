@@ -29,6 +29,9 @@ FALSE_ALARMS_PER_HOUR = 0.1
 extrapolate further beyond minutes of healthy flight and raise every threshold."""
 _PATHS = 3
 """Fast, plain and slow: each gets a third of a channel's rate."""
+_USUAL = 0.9
+"""Share of healthy evidence inside the size that clears an alarm, at least: the debounce then counts up four fifths of
+the time, and 0.5 s of quiet are counted in 0.63 s. Half of a threshold near the noise is met half of the time."""
 _LEAD_S = 30.0
 """Longer than any observer takes to settle before a sample is evidence."""
 
@@ -51,6 +54,7 @@ class Levels:
     fast: ReturnLevel
     plain: ReturnLevel
     slow: ReturnLevel
+    usual: float  # size inside which healthy evidence is nine tenths of the time
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +139,7 @@ def healthy_levels(
         fast=level(lambda one: standing(np.abs(one), round(times.fast_s * rate_hz))),
         plain=level(lambda one: standing(np.abs(one), round(times.raise_s * rate_hz))),
         slow=level(lambda one: np.abs(weighted_mean(one, times.slow_s, rate_hz))),
+        usual=float(np.quantile(np.abs(np.concatenate([[0.0], *evidence])), _USUAL)),
     )
 
 
@@ -151,7 +156,7 @@ def calibrated(
         replace(
             rule,
             threshold=_rounded(threshold),
-            clear=_rounded(threshold / 2),
+            clear=_rounded(min(threshold, max(threshold / 2, scale * levels.usual))),
             critical=_rounded(max(critical, 2 * threshold)),
             raise_s=times.raise_s,
             clear_s=times.clear_s,

@@ -27,7 +27,7 @@ from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
 from monitor.estimation.isolation_rule import BankRule, IndependentRule
-from monitor.fitting.calibrate import SETTLE_S, bank_rule, profile_settling_s
+from monitor.fitting.calibrate import SETTLE_S, bank_rule, measured_settling_s
 from monitor.fitting.fit_report import Comparison, comparison_json, comparison_lines, parameter_lines
 from monitor.fitting.fitted import BatchSource, FitRequest, Fitted, bare_rule, unexplained_alarm
 from monitor.fitting.flights import flight_samples
@@ -95,9 +95,10 @@ def fit_custom(request: FitRequest) -> tuple[Fitted, GateRule]:
     _check_determined(fit)
     plant = fitted_plant(fit)
     gains, isolation = _design(plant, rate_hz, segments)
-    gate = replace(gate, settle_s=max(gate.settle_s, profile_settling_s(gains)))
     flights = [flight_samples(log(), source, rate_hz, gate) for log in own]
     bare = Fitted(plant.name, plant, gains, source, isolation)
+    gate = replace(gate, settle_s=max(gate.settle_s, measured_settling_s(bare.profile(), gate, flights)))
+    flights = [flight_samples(log(), source, rate_hz, gate) for log in own]
     declared = {fault["name"] for fault in model.document.get("fault", ()) if "error" in fault}
     alarms = _alarms(bare, healthy_evidence(bare.profile(), gate, flights), declared)
     comparison = comparison_of(fit)
@@ -292,7 +293,7 @@ def _design(
         bank = compile_bank(plant, design_bank(plant, rate_hz))
         return bank, bank_rule(bank, segments)
     try:
-        design = design_convex(plant, rate_hz, pole_radius=math.exp(-1.0 / (_FORGET_S * rate_hz)), free_inverse=False)
+        design = design_convex(plant, rate_hz, pole_radius=math.exp(-1.0 / (_FORGET_S * rate_hz)))
     except InfeasibleError:
-        design = design_convex(plant, rate_hz, free_inverse=False)
+        design = design_convex(plant, rate_hz)
     return (compile_gains(plant, design, certify(plant, design)),), IndependentRule(_SMOOTHING_S)
