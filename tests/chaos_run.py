@@ -74,6 +74,12 @@ class Monitor:
         own = [event for event in self.hear() if event.vehicle == name_of(system) and event.state == "raised"]
         return [event for event in own if event.observer != "link"]
 
+    def settled_size(self, raised: AlarmEvent) -> float | None:
+        """Return an alarm's size as told last within 1.5 s: updates come once a second, the first size is rough."""
+        until_ms = raised.vehicle_time_ms + 1500
+        told = [event for event in self.events if event.id == raised.id and event.state != "cleared"]
+        return [event.relative for event in told if event.vehicle_time_ms <= until_ms][-1]
+
     def wait_until_live(self, systems: Sequence[int]) -> None:
         names = {name_of(system) for system in systems}
 

@@ -34,9 +34,8 @@ def test_the_failing_motor_is_found_and_nothing_else(run: Run, system: int) -> N
     raised = run.monitor.raised(system)
     assert [event.channel for event in raised] == ["motor1"]
     assert raised[0].vehicle_time_ms >= MOTOR1_ONSET_MS
-    # the first samples tell its size roughly, the observer soon better
-    sizes = [event for event in run.monitor.events if event.id == raised[0].id and event.state != "cleared"]
-    assert sizes[-1].relative == pytest.approx(-0.05, abs=0.02)
+    assert raised[0].relative == pytest.approx(-0.05, abs=0.04)
+    assert run.monitor.settled_size(raised[0]) == pytest.approx(-0.05, abs=0.02)
 
 
 def test_only_silence_is_called_silence_while_it_lasts(run: Run) -> None:

@@ -105,7 +105,7 @@ def test_what_no_single_motor_explains_is_said_to_be_unexplained(profile: Profil
     events = alarms(profile, 31, {1: 0.3, 3: 0.3, 6: 0.2}, 26.0)
     first = next(event for event in events if event.channel == "unexplained")
     assert (first.state, first.kind) == ("raised", "residual")
-    assert 2.0 < seconds_after(first, 20.0) < 6.0
+    assert 2.0 < seconds_after(first, 20.0) < 4.0
     assert "no known fault explains" in first.message
 
 
