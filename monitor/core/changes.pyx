@@ -24,7 +24,7 @@ cdef double LARGEST_COMMAND = 10.0
 # Largest square with which a row counts in the noise's own level: a fault begins with larger ones, and must not hide
 # itself. Chosen: three deviations.
 cdef double LEVEL_CLIP = 9.0
-# Losses that can be one (monitor.core.effectiveness has the same limit).
+# Losses that can be one. Chosen: a quarter more than everything, for sizes of the first samples are rough.
 cdef double LARGEST_LOSS = 1.25
 
 
@@ -66,7 +66,7 @@ cdef class ChangeTest:
     cdef double clip, follow
     # what is kept from row to row: v, innovations, |y| and |B dv|, newest at ``at`` of rings
     cdef double[:, ::1] v, innovation, excited
-    cdef double[::1] last_y, effect, whitened, sigma, level
+    cdef double[::1] last_y, whitened, sigma, level
     cdef double[:, ::1] partial
     # onsets that are tried: sums of s'z and s's by hypothesis, and of |z|^2 / 2; the onset begun last is at ``newest``
     cdef double[:, ::1] moment, information
@@ -90,7 +90,7 @@ cdef class ChangeTest:
         self.length = max(self.depth + 2, self.P + 1)
         self.v, self.innovation = np.zeros((self.length, self.s)), np.zeros((self.length, self.p))
         self.excited = np.zeros((self.hold, 2 * self.p))
-        self.last_y, self.effect = np.zeros(self.n), np.zeros(self.p)
+        self.last_y = np.zeros(self.n)
         self.whitened, self.sigma = np.zeros(self.p), np.ones(self.p)
         self.level, self.follow = np.ones(self.p), 1.0 / level_rows
         self.partial = np.zeros((self.m, self.p))

@@ -37,9 +37,8 @@ from adapters.toml_tables import Table
 from gains.plants.plant import Plant
 from gains.synthesis.compilation import input_curves
 from monitor.core.changes import ChangeTest
+from monitor.estimation.excitation import HOLD_S
 
-HOLD_S = 0.3
-"""Model error outlasts what causes it: rates that decay and rotors that spin down take about as long (theory 5.1)."""
 WINDOW_S = 2.0
 """Onsets that are tried. Slower faults are the slow path's, whose mean is as long (slow_s of AlarmRule)."""
 LEVEL_S = 3.0

@@ -112,11 +112,11 @@ _MOST_OF_JUMPS = 1.5
 # A jump is seen at one sample; it needs no debounce.
 _JUMP = Times(fast_s=0.0, raise_s=0.0, clear_s=0.5)
 _AXES = ("roll", "pitch", "yaw")
-_BEYOND, _BEYOND_SLOW = (3e-7, 1e-3), (3e-5, 1e-2)
+_BEYOND, _BEYOND_SLOW = (1.5e-7, 1e-3), (3e-5, 1e-2)
 """Variance of a motor's lost share per squared body rate, (rad/s)^2, and per squared change of a command, where a
-flight is livelier than those that were fitted. Measured: the geometric means of what fits of recorded flights find, at
-100 Hz (two quadcopters: 5e-8 to 8e-7, 1.5e-4 to 4.5e-3) and with commands at 10 Hz (two quadcopters, log and link:
-6e-6 to 1.4e-4, 7e-3 to 1.8e-2)."""
+flight is livelier than those that were fitted. Measured: about the geometric means of what fits of recorded flights
+find, at 100 Hz (three ArduPilot quadcopters: 5e-8 to 8e-7, 1.5e-4 to 4.5e-3) and with commands at 10 Hz (ArduPilot's
+and PX4's logs, PX4's link: 6e-6 to 1.4e-4, 7e-3 to 1.8e-2)."""
 
 
 def multirotor_gate(surveys: Sequence[Survey]) -> GateRule:
