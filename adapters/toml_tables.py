@@ -438,6 +438,23 @@ def is_number(value: object) -> bool:
         return False
 
 
+_INNERMOST = re.compile(r"\[\n((?: +[^\[\]\n]+,\n)+) *\]")
+"""An array without an array in it, an entry a line, as tomli_w writes it."""
+_WIDTH = 120
+"""Longest line of what is written. Chosen: as long as lines of code here."""
+
+
+def toml_text(content: Mapping[str, Any]) -> str:
+    """Return a document for people: arrays of numbers and of names on one line each, where they fit."""
+    import tomli_w
+
+    def on_a_line(array: re.Match[str]) -> str:
+        text = f"[{', '.join(line.strip().rstrip(',') for line in array[1].splitlines())}]"
+        return text if len(text) <= _WIDTH else array[0]
+
+    return _INNERMOST.sub(on_a_line, tomli_w.dumps(content, multiline_strings=False))
+
+
 def toml_value(value: Any) -> str:
     """Return a value as TOML, on one line."""
     if isinstance(value, bool):

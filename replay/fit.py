@@ -10,11 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import tomli_w
-
 from adapters.batch import Batch
 from adapters.errors import InfeasibleError, ModelError, OtherVehicleError, TelemetryError, UsageError
 from adapters.output_file import write_file
+from adapters.toml_tables import toml_text
 from monitor.fitting.fit_report import draw_comparison
 from monitor.fitting.fitted import BatchSource, FitRequest, Fitted, kept_logs
 from monitor.fitting.flights import phase_reports
@@ -304,7 +303,7 @@ def write_profile(folder: Path, name: str, report: FitReport, content: Mapping[s
     folder.mkdir(parents=True, exist_ok=True)
     for fitted in report.observers:
         fitted.write(folder)
-    set_aside = replace_kept(folder / PROFILE_FILE, tomli_w.dumps(content, multiline_strings=False))
+    set_aside = replace_kept(folder / PROFILE_FILE, toml_text(content))
     write_file(folder / "fit.json", json.dumps(report.to_json(), indent=1) + "\n")
     write_file(folder / "fit.txt", "\n".join([f"{name} ({report.vehicle})", *report.text(details=True)]) + "\n")
     drawn = {fitted.name: fitted.comparison for fitted in report.observers if fitted.comparison is not None}

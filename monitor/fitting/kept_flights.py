@@ -20,13 +20,13 @@ from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
-import tomli_w
 
 from adapters.batch import Batch, Columns, joined, of_names, one_message
 from adapters.errors import ProfileError
 from adapters.message import Message
 from adapters.output_file import write_file
 from adapters.source import SOURCES
+from adapters.toml_tables import toml_text
 from monitor.fitting.fitted import BatchSource
 
 FOLDER, FITTED, MODEL = "flights", "fitted.toml", "model.toml"
@@ -201,7 +201,7 @@ def write_kept(
         dropped.append(flights.pop(0).name)
     kept = {flight.file for flight in flights}
     listed = [flight.to_json() for flight in flights]
-    write_file(place / FITTED, tomli_w.dumps(content, multiline_strings=False))
+    write_file(place / FITTED, toml_text(content))
     write_file(place / _LIST, json.dumps({"format": _FORMAT, "rate_hz": rate_hz, "flights": listed}, indent=1) + "\n")
     for path in place.glob("*.npz"):
         if path.name not in kept:

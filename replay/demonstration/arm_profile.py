@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import tomli_w
-
 from adapters.channels import Channel
 from adapters.logs.recordings import packed
 from adapters.output_file import write_file
 from adapters.simulation.arm import SCENARIOS, TORQUES, simulate_arm
 from adapters.simulation.arm_source import arm_messages
+from adapters.toml_tables import toml_text
 from gains.plants.model_file import builtin_model, write_model
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
@@ -95,7 +94,7 @@ def write_arm_profile(folder: Path) -> Profile:
         ]
         table = observer_table(source=SampleSource(inputs, outputs), isolation=isolation, alarms=alarms)
         content = profile_table(name="arm", vehicle="custom", gate=_GATE, observers={OBSERVER: table})
-        write_file(folder / PROFILE_FILE, tomli_w.dumps(content))
+        write_file(folder / PROFILE_FILE, toml_text(content))
         return read_profile(folder)
 
     runs = [simulate_arm(SCENARIOS["healthy"], _HEALTHY_S, RATE_HZ, torque) for torque in TORQUES]
