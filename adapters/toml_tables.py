@@ -438,21 +438,30 @@ def is_number(value: object) -> bool:
         return False
 
 
-_INNERMOST = re.compile(r"\[\n((?: +[^\[\]\n]+,\n)+) *\]")
+_INNERMOST = re.compile(r"\[\n((?:( +)[^\[\]\n]+,\n)+) *\]")
 """An array without an array in it, an entry a line, as tomli_w writes it."""
 _WIDTH = 120
 """Longest line of what is written. Chosen: as long as lines of code here."""
 
 
 def toml_text(content: Mapping[str, Any]) -> str:
-    """Return a document for people: arrays of numbers and of names on one line each, where they fit."""
+    """Return a document for people: arrays of numbers and of names on one line each, or on as few as hold them."""
     import tomli_w
 
-    def on_a_line(array: re.Match[str]) -> str:
-        text = f"[{', '.join(line.strip().rstrip(',') for line in array[1].splitlines())}]"
-        return text if len(text) <= _WIDTH else array[0]
+    def filled(array: re.Match[str]) -> str:
+        entries, indent = [line.strip() for line in array[1].splitlines()], array[2]
+        text = " ".join(entries)
+        if len(text) + 1 <= _WIDTH:
+            return f"[{text.removesuffix(',')}]"
+        lines = [indent + entries[0]]
+        for entry in entries[1:]:
+            if len(lines[-1]) + 1 + len(entry) <= _WIDTH:
+                lines[-1] += f" {entry}"
+            else:
+                lines.append(indent + entry)
+        return "\n".join(["[", *lines, f"{indent[4:]}]"])
 
-    return _INNERMOST.sub(on_a_line, tomli_w.dumps(content, multiline_strings=False))
+    return _INNERMOST.sub(filled, tomli_w.dumps(content, multiline_strings=False))
 
 
 def toml_value(value: Any) -> str:

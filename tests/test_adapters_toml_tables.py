@@ -20,8 +20,10 @@ def test_a_document_reads_back_as_it_was(content: dict[str, Any]) -> None:
     assert tomllib.loads(toml_text(content)) == content
 
 
-def test_numbers_and_names_are_on_one_line() -> None:
-    text = toml_text({"names": ["roll", "pitch"], "matrix": [[1.0, 2.5], [3.0, 4.0]], "long": ["x" * 60, "y" * 60]})
+def test_numbers_and_names_are_on_as_few_lines_as_hold_them() -> None:
+    text = toml_text(
+        {"names": ["roll", "pitch"], "matrix": [[1.0, 2.5], [3.0, 4.0]], "long": ["x" * 60, "y" * 60, "z"]}
+    )
     assert text.splitlines() == [
         'names = ["roll", "pitch"]',
         "matrix = [",
@@ -30,6 +32,6 @@ def test_numbers_and_names_are_on_one_line() -> None:
         "]",
         "long = [",
         f'    "{"x" * 60}",',
-        f'    "{"y" * 60}",',
+        f'    "{"y" * 60}", "z",',
         "]",
     ]
