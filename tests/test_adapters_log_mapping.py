@@ -8,6 +8,7 @@ import pytest
 
 from adapters.errors import TelemetryError
 from adapters.logs.log_mapping import ONBOARD_SOURCES, builtin_mapping, parse_mapping, read_mapping
+from adapters.mavlink.mavlink_message import message_tables
 from adapters.toml_tables import TomlFile
 from monitor.fitting.survey import MOTOR_MESSAGE
 from monitor.sampling.identity import Reports
@@ -24,8 +25,9 @@ def test_the_built_in_tables_fill_what_profiles_need(source: str) -> None:
     rules = builtin_mapping(source).rules
     wanted = MESSAGES - Reports.interests - {"RAW_IMU"} | {MOTOR_MESSAGE, "HEARTBEAT", "EXTENDED_SYS_STATE", "VFR_HUD"}
     assert wanted <= rules.keys()
-    timed = {name for name, found in rules.items() if name not in ("HEARTBEAT", "EXTENDED_SYS_STATE", "VFR_HUD")}
-    for rule in (rule for name in timed for rule in rules[name]):
+    has_time = {name for name, table in message_tables().items() if {"time_boot_ms", "time_usec"} & {*table.fieldnames}}
+    assert {"SERVO_OUTPUT_RAW", "VIBRATION"} <= has_time & rules.keys()
+    for rule in (rule for name in has_time & rules.keys() for rule in rules[name]):
         assert any(field.name in ("time_boot_ms", "time_usec") and field.channel for field in rule.fields)
 
 

@@ -350,3 +350,47 @@ def test_of_a_topics_instances_the_one_that_moves_fills_the_message(begin_ms: fl
 def test_where_no_instance_moves_more_than_another_the_first_fills_the_message() -> None:
     records = [outputs(ms, instance, 1000.0 + ms + instance) for ms in (0.0, 100.0) for instance in (0, 1)]
     assert [m.fields["servo1_raw"] for m in made(records, "SERVO_OUTPUT_RAW")] == [1000, 1100]
+
+
+def test_what_speed_controllers_say_is_a_message_in_the_order_of_the_log() -> None:
+    escs = [{"esc_rpm": 1000 + k, "esc_voltage": 16.5 - k, "esc_current": 0.5 * k} for k in range(8)]
+    [found] = made([record("esc_status", 1000.0, esc_count=4, esc=escs)], "ESC_STATUS")
+    assert found.fields == {
+        "index": 0,
+        "time_usec": 1_000_000,
+        "rpm": [1000, 1001, 1002, 1003],
+        "voltage": [16.5, 15.5, 14.5, 13.5],
+        "current": [0.0, 0.5, 1.0, 1.5],
+    }
+
+
+def test_speed_controllers_that_are_logged_one_by_one_are_a_message_together() -> None:
+    records = [
+        dataflash(
+            "ESC" if k == 0 else f"ESC/{k}", 1000.0 + 100.0 * step + k, RPM=5000.0 + 100.0 * k, Volt=16.0, Curr=2.5
+        )
+        for step in range(3)
+        for k in range(4)
+    ]
+    found = [m for m in run(records, builtin_mapping("dataflash"), ["ESC_TELEMETRY_1_TO_4"]) if m.source == MAVLINK]
+    assert [m.fields["rpm"] for m in found][1:] == [[5000, 5100, 5200, 5300]] * 2
+    assert (found[1].fields["voltage"], found[1].fields["current"]) == ([1600] * 4, [250] * 4)
+
+
+@pytest.mark.parametrize("name", ["SYS_STATUS", "BATTERY_STATUS"])
+def test_a_battery_is_a_message_of_either_kind(name: str) -> None:
+    px4 = record("battery_status", 1000.0, voltage_v=15.5, current_a=12.25, discharged_mah=800.0, remaining=0.5)
+    ardupilot = dataflash("BAT", 1000.0, Volt=15.5, Curr=12.25, CurrTot=800.0, RemPct=50)
+    for one, source in ((px4, "ulog"), (ardupilot, "dataflash")):
+        [found] = [m for m in run([one], builtin_mapping(source), [name]) if m.source == MAVLINK]
+        volts = found.fields["voltage_battery"] if name == "SYS_STATUS" else found.fields["voltages"][0]
+        assert (volts, found.fields["current_battery"], found.fields["battery_remaining"]) == (15_500, 1225, 50)
+
+
+def test_vibration_is_a_message_with_what_was_clipped() -> None:
+    metrics = {"accel_vibration_metric": 2.5, "gyro_vibration_metric": 0.25, "accel_clipping": [1, 2, 3]}
+    [px4] = made([record("vehicle_imu_status", 1000.0, **metrics)], "VIBRATION")
+    assert (px4.fields["vibration_z"], px4.fields["clipping_2"]) == (2.5, 3)
+    vibe = dataflash("VIBE", 1000.0, VibeX=1.5, VibeY=2.0, VibeZ=2.5, Clip=4)
+    [ours] = [m for m in run([vibe], builtin_mapping("dataflash"), ["VIBRATION"]) if m.source == MAVLINK]
+    assert (ours.fields["vibration_x"], ours.fields["vibration_z"], ours.fields["clipping_0"]) == (1.5, 2.5, 4)

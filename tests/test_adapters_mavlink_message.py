@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from typing import Any
 
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from packet_stream import PacketStream, packet_sequence
 from pymavlink.dialects.v20 import ardupilotmega
 
-from adapters.mavlink.mavlink_message import message_number, packet_sender
+from adapters.mavlink.mavlink_message import Definition, message_number, packet_sender
 from adapters.source import MAVLINK
 
 ATTITUDE = 30
@@ -204,3 +205,29 @@ def test_what_is_found_and_counted_does_not_depend_on_cuts(pieces: list[bytes], 
     assert packets == expected
     counts = ("intact", "unknown", "bad_checksums", "damaged", "skipped_bytes", "in_damage", "waiting")
     assert [getattr(parts.scanner, name) for name in counts] == [getattr(whole.scanner, name) for name in counts]
+
+
+@pytest.mark.parametrize("name", ["ATTITUDE", "VIBRATION", "ESC_TELEMETRY_1_TO_4", "RPM"])
+def test_a_definition_of_our_own_is_what_pymavlink_makes_of_it(name: str) -> None:
+    [table] = [table for table in ardupilotmega.mavlink_map.values() if table.msgname == name]
+    lengths = dict(zip(table.ordered_fieldnames, table.array_lengths, strict=True))
+    kinds = zip(table.fieldtypes, table.fieldnames, strict=True)
+    own = Definition(
+        name,
+        ", ".join(
+            f"{kind}[{lengths[field]}] {field}" if lengths[field] else f"{kind} {field}" for kind, field in kinds
+        ),
+    )
+    for attribute in ("fieldnames", "ordered_fieldnames", "orders", "lengths", "array_lengths", "native_format"):
+        assert list(getattr(own, attribute)) == list(getattr(table, attribute)), attribute
+    assert own.unpacker.size == table.unpacker.size
+    assert own.crc_extra == table.crc_extra
+
+
+def test_what_motors_turn_is_decoded_though_pymavlink_does_not_know_it() -> None:
+    turns, volts, amps = [100, 200, 300, -400], [11.5, 11.25, 11.0, 0.0], [2.5, 3.0, 0.0, 1.0]
+    payload = struct.pack("<Q4i4f4fB", 5_000_000, *turns, *volts, *amps, 4)
+    packet = bytes(ardupilotmega.MAVLink_message(291, "ESC_STATUS")._pack(link(), 10, payload))
+    (message,) = PacketStream().messages(packet, 12)
+    expected = {"index": 4, "time_usec": 5_000_000, "rpm": turns, "voltage": volts, "current": amps}
+    assert (message.name, message.fields) == ("ESC_STATUS", expected)

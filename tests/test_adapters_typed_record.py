@@ -176,7 +176,7 @@ def test_a_message_with_a_field_system_id_keeps_both(monkeypatch: pytest.MonkeyP
         fieldtypes = ("uint8_t", "float")
         array_lengths = (0, 0)
 
-    monkeypatch.setattr("adapters.encoding.typed_record._tables", lambda: {"CLASH": Table})
+    monkeypatch.setattr("adapters.encoding.typed_record.message_tables", lambda: {"CLASH": Table})
     message = Message(MAVLINK, "CLASH", 5, {"system_id": 9, "value": 0.5}, system=1, component=2)
     schema, data = to_protobuf(message)
     assert read_back(MAVLINK, "CLASH", schema)(data, 5) == message

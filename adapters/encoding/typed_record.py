@@ -19,6 +19,7 @@ from adapters.encoding.foreign_record import ProtobufFields
 from adapters.encoding.protobuf_rows import RowDecoder
 from adapters.encoding.protobuf_types import Field, ProtobufScalar, identifiers, message_class, protobuf_schema
 from adapters.encoding.record import Schema
+from adapters.mavlink.mavlink_message import message_tables
 from adapters.message import Message
 from adapters.source import MAVLINK, Source
 
@@ -73,7 +74,7 @@ def mavlink_class(name: str, of_log: bool = False) -> Any:
     ValueError
         The dialect has no message of this name.
     """
-    table = _tables().get(name)
+    table = message_tables().get(name)
     if table is None:
         raise ValueError(f"no MAVLink message is called {name}")
     own = set(table.fieldnames)
@@ -84,14 +85,6 @@ def mavlink_class(name: str, of_log: bool = False) -> Any:
         scalar = stamps.get(field, _MAVLINK_KINDS[kind])
         fields.append(Field(field, scalar, repeated=kind != "char" and lengths[field] > 1))
     return message_class(PACKAGE, name, fields)
-
-
-@functools.cache
-def _tables() -> dict[str, Any]:
-    """Return pymavlink's message classes by name."""
-    from pymavlink.dialects.v20 import ardupilotmega
-
-    return {table.msgname: table for table in ardupilotmega.mavlink_map.values()}
 
 
 @functools.cache

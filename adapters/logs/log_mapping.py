@@ -18,6 +18,7 @@ from typing import Any, Final
 
 from adapters.channels import CLOCK_UNITS_NS, Angle, Channel, follow, not_empty, read_channel
 from adapters.errors import TelemetryError
+from adapters.mavlink.mavlink_message import message_tables
 from adapters.toml_tables import Table, TomlFile, parse_toml, read_toml
 
 ONBOARD_SOURCES: Final = ("ulog", "dataflash")
@@ -228,16 +229,14 @@ def _kinds(message: str) -> dict[str, tuple[str, int]] | None:
 
     Text has no code, and the length of what is no array is 0.
     """
-    from pymavlink.dialects.v20 import ardupilotmega
-
     codes = {"float": "f", "double": "d", "char": "", "int8_t": "b", "uint8_t": "B", "int16_t": "h", "uint16_t": "H"}
     codes |= {"int32_t": "i", "uint32_t": "I", "int64_t": "q", "uint64_t": "Q"}
-    for table in ardupilotmega.mavlink_map.values():
-        if table.msgname == message:
-            lengths = dict(zip(table.ordered_fieldnames, table.array_lengths, strict=True))
-            kinds = zip(table.fieldnames, table.fieldtypes, strict=True)
-            return {name: (_CLOCK_CODES.get(name, codes[kind]), lengths[name]) for name, kind in kinds}
-    return None
+    table = message_tables().get(message)
+    if table is None:
+        return None
+    lengths = dict(zip(table.ordered_fieldnames, table.array_lengths, strict=True))
+    kinds = zip(table.fieldnames, table.fieldtypes, strict=True)
+    return {name: (_CLOCK_CODES.get(name, codes[kind]), lengths[name]) for name, kind in kinds}
 
 
 def _rule(message: str, kinds: Mapping[str, tuple[str, int]], table: Table) -> MessageRule:

@@ -8,7 +8,9 @@ verified by :mod:`adapters.mavlink.signing`.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+import re
+import struct
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -101,9 +103,76 @@ def packet_signed(packet: bytes) -> bool:
     return packet[0] == MAGIC_2 and bool(packet[2] & _SIGNED)
 
 
+class Definition:
+    """A message definition with the attributes of pymavlink's classes, of one that pymavlink's dialects lack.
+
+    Parameters
+    ----------
+    name : str
+        Name of the message.
+    fields : str
+        Its fields as a MAVLink header has them, in the order of the definition: ``uint8_t index, int32_t[4] rpm``.
+    """
+
+    def __init__(self, name: str, fields: str) -> None:
+        places = _TYPE.findall(fields)
+        # larger types go first, those of one size in the order of the definition
+        wire = sorted(places, key=lambda place: -_SIZES[place[0]])
+        self.msgname = name
+        self.fieldnames, self.fieldtypes = [place[2] for place in places], [place[0] for place in places]
+        self.ordered_fieldnames = [place[2] for place in wire]
+        self.array_lengths = [int(place[1] or 0) for place in wire]
+        self.lengths = [length or 1 for length in self.array_lengths]
+        self.orders = [self.ordered_fieldnames.index(name) for name in self.fieldnames]
+        codes = [_CODES[place[0]] for place in wire]
+        self.native_format = ("<" + "".join(codes)).encode()
+        parts = (f"{length}{code}" for length, code in zip(self.lengths, codes, strict=True))
+        self.unpacker = struct.Struct("<" + "".join(parts))
+        self.crc_extra = _extra(name, wire)
+
+
+def _extra(name: str, wire: Sequence[tuple[str, str, str]]) -> int:
+    """Return the byte that stands for a definition in checksums (MAVLink's serialization, CRC_EXTRA)."""
+    from pymavlink.generator.mavcrc import x25crc
+
+    fields = (f"{kind} {field} ".encode() + bytes([int(length)] if length else []) for kind, length, field in wire)
+    crc = x25crc(f"{name} ".encode() + b"".join(fields))
+    return int((crc.crc & 0xFF) ^ (crc.crc >> 8))
+
+
+_TYPE = re.compile(r"(\w+)(?:\[(\d+)\])? (\w+)")
+_CODES = {
+    "uint8_t": "B",
+    "uint16_t": "H",
+    "uint32_t": "I",
+    "uint64_t": "Q",
+    "int16_t": "h",
+    "int32_t": "i",
+    "float": "f",
+}
+_SIZES = {kind: struct.calcsize("<" + code) for kind, code in _CODES.items()}
+_LACKING = {
+    290: (
+        "ESC_INFO",
+        "uint8_t index, uint64_t time_usec, uint16_t counter, uint8_t count, uint8_t connection_type, uint8_t info, "
+        "uint16_t[4] failure_flags, uint32_t[4] error_count, int16_t[4] temperature",
+    ),
+    291: ("ESC_STATUS", "uint8_t index, uint64_t time_usec, int32_t[4] rpm, float[4] voltage, float[4] current"),
+}
+"""Messages of MAVLink's common dialect, sent by PX4, that pymavlink's dialects lack: they are marked as work in
+progress."""
+
+
 @functools.cache
 def mavlink_types() -> dict[int, MavlinkType]:
-    """Return the messages of the ardupilotmega dialect (common included) by id."""
+    """Return the messages of the ardupilotmega dialect (common included) by id, and those that pymavlink lacks."""
     from pymavlink.dialects.v20 import ardupilotmega
 
-    return {number: MavlinkType(table) for number, table in ardupilotmega.mavlink_map.items()}
+    lacking = {number: Definition(*fields) for number, fields in _LACKING.items()}
+    return {number: MavlinkType(table) for number, table in (lacking | ardupilotmega.mavlink_map).items()}
+
+
+@functools.cache
+def message_tables() -> dict[str, Any]:
+    """Return the definitions of the same messages, pymavlink's classes, by name."""
+    return {kind.name: kind.table for kind in mavlink_types().values()}

@@ -16,6 +16,7 @@ from typing import Any
 from adapters.batch import Columns, one_message
 from adapters.errors import TelemetryError
 from adapters.mavlink.heartbeat import AUTOPILOT, autopilot_heartbeats
+from adapters.mavlink.mavlink_message import mavlink_types
 from adapters.mavlink.signing import SigningKey, unix_stamp
 from adapters.message import SECOND_NS
 from adapters.source import MAVLINK
@@ -265,4 +266,4 @@ def _dialect() -> Any:
 
 @functools.cache
 def _message_numbers() -> dict[str, int]:
-    return {table.msgname: number for number, table in _dialect().mavlink_map.items()}
+    return {kind.name: number for number, kind in mavlink_types().items()}

@@ -59,6 +59,12 @@ poor radio loses half of them.
 _INPUTS = {
     MOTOR_MESSAGE: "outputs to motors and servos",
     "ACTUATOR_CONTROL_TARGET": "torques and thrust that the controllers ask for",
+    "ESC_STATUS": "speed, voltage and current of motors",
+    **dict.fromkeys(
+        [f"ESC_TELEMETRY_{first}_TO_{first + 3}" for first in (1, 5, 9, 13)], "speed, voltage and current of motors"
+    ),
+    "SYS_STATUS": "voltage and current of the battery",
+    "VIBRATION": "vibration and clipping of the accelerometers",
 }
 """Messages of what acts on a vehicle, and what they hold."""
 _FIELD_RECORDS = ("vehicle_magnetometer", "MAG")
@@ -244,9 +250,9 @@ def _fits(surveyed: Survey, tally: _Tally, topics: Mapping[str, str]) -> dict[st
         "likely": likely[0].name if likely else None,
         "never_armed": surveyed.never_armed,
         "inputs": {
-            name: {"holds": holds, "rate_hz": surveyed.rate_hz[name], "from": topics.get(name)}
+            name: {"holds": holds, "rate_hz": rate_hz, "from": topics.get(name)}
             for name, holds in _INPUTS.items()
-            if name in surveyed.rate_hz
+            if name in tally.counts and (rate_hz := _message(name, tally, surveyed)["rate_hz"]) is not None
         },
         "fits": fits,
     }
