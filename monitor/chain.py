@@ -249,6 +249,27 @@ class ObserverChain:
         for alarm in self._alarms:
             alarm.set_rule(retuned(alarm.rule, rules.get(alarm.rule.channel, {})))
 
+    @property
+    def has_active_alarms(self) -> bool:
+        """Whether an alarm is active."""
+        return any(state.active for state in self._states)
+
+    def close(self, time_ns: int, vehicle_ns: int, why: str) -> list[AlarmEvent]:
+        """End all active alarms whatever their evidence says; return the events."""
+        return self._close([alarm for alarm in self._alarms if alarm.state.active], time_ns, vehicle_ns, why)
+
+    def restart(self, channel: str, time_ns: int, vehicle_ns: int, why: str) -> None:
+        """Begin anew without a channel's active alarm: what the estimates hold of its cause is forgotten."""
+        active = [alarm for alarm in self._alarms if alarm.state.active and alarm.rule.channel == channel]
+        if self._close(active, time_ns, vehicle_ns, why):
+            self._sampler.restart()
+
+    def _close(self, alarms: Sequence[Alarm], time_ns: int, vehicle_ns: int, why: str) -> list[AlarmEvent]:
+        events = [alarm.close(time_ns, vehicle_ns, why) for alarm in alarms]
+        for event in events:
+            self._excuses.follow(event)
+        return events
+
     def statistics(self) -> SamplerStatistics:
         """Return what the sampler counted."""
         return self._sampler.statistics()

@@ -19,7 +19,7 @@ import numpy as np
 
 from adapters.batch import Batch, Columns, cut
 from adapters.mavlink.heartbeat import AUTOPILOT
-from adapters.message import SILENCE, Message
+from adapters.message import LATEST_NS, SECOND_NS, SILENCE, Message
 from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR
 from monitor import blind
 from monitor.alarms import link_alarms
@@ -40,8 +40,12 @@ from monitor.sampling.phase import CONTESTED, FlightPhase
 from monitor.sampling.sampler import SamplerStatistics
 
 RULES = "rules"
+RESET = "reset"
 STANDING = "standing"
 """Name of the message with the alarms that were active before; recordings hold it."""
+_LANDED_NS = 3 * SECOND_NS
+"""How long a vehicle has to be disarmed before its alarms are closed: three heartbeats, so that a forged one is
+contradicted before (:mod:`monitor.sampling.phase`)."""
 
 
 # Values that overflow are discarded later; NumPy's warnings about them would fill the log.
@@ -98,13 +102,14 @@ class Pipeline:
         self._system = profile.system if system is None else system
         self._component = component
         self._interests = self.interests
+        self._down_ns: int | None = None  # since when the vehicle reports that its flight is over
         self.foreign = 0
         self.contradictions: Sequence[str] = ()
 
     @property
     def interests(self) -> frozenset[str]:
         """Names of the messages that matter; all others may be skipped without changing a result."""
-        own = {SILENCE, "signing", RULES, STANDING, "ack", "shelve", "unshelve", "reset"}
+        own = {SILENCE, "signing", RULES, STANDING, "ack", "shelve", "unshelve", RESET}
         return self._wanted | FlightPhase.interests | own
 
     @property
@@ -255,7 +260,7 @@ class Pipeline:
         """Return the events that the first message of a segment causes before its measurements are looked at."""
         now_ns, vehicle_ns = message.received_ns, self._clock.newest_ns
         self._phase.feed(message)
-        events = self._silence(now_ns)
+        events = [*self._close_at_landing(now_ns), *self._silence(now_ns)]
         events += self._link.process(message, vehicle_ns)
         self.contradictions = self._contradictions(now_ns)
         events += self._link.contradict(self.contradictions, now_ns)
@@ -270,10 +275,11 @@ class Pipeline:
         shelved_ns = self._desk.due_ns
         blind_ns = self._blind.due_ns(self._flies(), start_ns)
         contested_ns = self._clock.contested_ns if start_ns < self._clock.contested_ns else flood_ns
+        due_ns = min(flood_ns, blind_ns, contested_ns, self._landed_ns, self._link.due_ns)
         reach = functools.partial(
             arrivals.segment,
             start,
-            min(flood_ns, blind_ns, contested_ns, self._link.due_ns, flood_ns if shelved_ns is None else shelved_ns),
+            min(due_ns, flood_ns if shelved_ns is None else shelved_ns),
             self._stale.carried_ns,
             self._stale.limit_ns,
             self._link.heartbeat_ns,
@@ -347,14 +353,38 @@ class Pipeline:
         """Process a message that is no telemetry."""
         now_ns, fields = message.received_ns, message.fields
         if message.source is CLOCK:
-            return self._through_desk([*self._silence(now_ns), *self._link.quiet(now_ns)])
+            events = [*self._close_at_landing(now_ns), *self._silence(now_ns), *self._link.quiet(now_ns)]
+            return self._through_desk(events)
         if message.source is LINK:
             return self._through_desk(self._link.process(message, self._clock.newest_ns))
         if message.source is JOURNAL:
             return self._adopt(fields, now_ns) if message.name == STANDING else []
         if message.name == RULES:
             return self._retune(fields, now_ns)
+        if message.name == RESET and (key := self._desk.key(fields)) is not None:
+            for chain in self._chains:
+                if chain.layout.observer == key[0]:
+                    chain.restart(key[1], now_ns, self._clock.newest_ns, "reset")
         return self._desk.operate(message.name, fields, now_ns)
+
+    @property
+    def _landed_ns(self) -> int:
+        """Unix time from which on any message closes the alarms of a flight that is over."""
+        is_due = self._down_ns is not None and any(chain.has_active_alarms for chain in self._chains)
+        return self._down_ns + _LANDED_NS if is_due and self._down_ns is not None else LATEST_NS
+
+    def _close_at_landing(self, now_ns: int) -> list[AlarmEvent]:
+        """Close alarms of a flight that is over: nothing tells any more whether their causes are gone."""
+        phase = self._phase
+        is_down = phase.armed is False or (phase.armed is None and phase.landed == "ground")
+        if not is_down or allows(self.profile.gate, phase):
+            self._down_ns = None
+        elif self._down_ns is None or self._down_ns - now_ns >= SET_BACK_NS:
+            self._down_ns = now_ns
+        if now_ns < self._landed_ns:
+            return []
+        why = "closed at landing: nothing tells whether it is gone"
+        return [event for chain in self._chains for event in chain.close(now_ns, self._clock.newest_ns, why)]
 
     def _silence(self, now_ns: int) -> list[AlarmEvent]:
         """Let time come to ``now_ns``, by a message or without one: live and replayed the same."""

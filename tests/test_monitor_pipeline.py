@@ -110,6 +110,81 @@ def test_nothing_is_raised_while_landing_or_disarmed(
     assert not any(output.armed.any() for output in found if isinstance(output, Estimates))
 
 
+def landing_at(flight: list[Message], height_mm: int) -> Iterator[Message]:
+    """Yield a flight as one of a vehicle that lands, at this height above its home."""
+    ids = flight[0].system, flight[0].component
+    for message in flight:
+        if message.name == "EXTENDED_SYS_STATE":
+            yield Message(MAVLINK, "GLOBAL_POSITION_INT", message.received_ns, {"relative_alt": height_mm}, *ids)
+            yield dataclasses.replace(message, fields={**message.fields, "landed_state": 4})
+        else:
+            yield message
+
+
+def test_a_landing_vehicle_is_watched_until_it_is_near_the_ground(
+    quad_profile: Profile, flight: list[Message], expected: list[AlarmEvent]
+) -> None:
+    assert events(quad_profile, landing_at(flight, 2500)) == expected
+    assert events(quad_profile, landing_at(flight, 1500)) == []
+    unknown = [message for message in landing_at(flight, 2500) if message.name != "GLOBAL_POSITION_INT"]
+    assert events(quad_profile, unknown) == []
+
+
+def disarmed(flight: list[Message], seconds: float) -> list[Message]:
+    """Return the heartbeats of a disarmed vehicle behind a flight, one a second."""
+    beat = next(message for message in flight if message.name == "HEARTBEAT")
+    fields = {**beat.fields, "base_mode": 81}
+    ends = flight[-1].received_ns
+    return [
+        dataclasses.replace(beat, received_ns=ends + round(at * 1e9), fields=fields)
+        for at in itertools.takewhile(lambda at: at <= seconds, itertools.count(0.5))
+    ]
+
+
+def test_what_is_active_at_landing_is_closed_and_does_not_greet_the_next_flight(
+    quad_profile: Profile, flight: list[Message], expected: list[AlarmEvent]
+) -> None:
+    raised, *_ = expected
+    start = next(k for k, message in enumerate(flight) if message.received_ns > raised.time_ns + 1_000_000_000)
+    pipeline, flown = Pipeline(quad_profile), flight[:start]
+    processed(pipeline, flown)
+    assert [event.id for event in pipeline.desk.active] == [raised.id]
+    beats = disarmed(flown, 2.6)
+    assert {event.observer for event in only_events(processed(pipeline, beats))} <= {"link"}
+    later = disarmed(flown, 4.0)[len(beats) :]
+    [closed] = [event for event in only_events(processed(pipeline, later)) if event.observer == raised.observer]
+    assert (closed.id, closed.state, closed.time_ns) == (raised.id, "cleared", beats[0].received_ns + 3_000_000_000)
+    assert "landing" in closed.message
+    healthy = [message for message in flight if message.received_ns < expected[0].time_ns - 2_000_000_000]
+    shift = later[-1].received_ns + 1_000_000_000 - flight[0].received_ns
+    again = [dataclasses.replace(message, received_ns=message.received_ns + shift) for message in healthy]
+    assert {event.observer for event in only_events(processed(pipeline, again))} <= {"link"}
+
+
+def test_a_forged_report_of_disarming_closes_nothing(
+    quad_profile: Profile, flight: list[Message], expected: list[AlarmEvent]
+) -> None:
+    at_ns = expected[0].time_ns + 1_000_000_000
+    beat = next(message for message in flight if message.name == "HEARTBEAT")
+    forged = dataclasses.replace(beat, received_ns=at_ns, fields={**beat.fields, "base_mode": 81})
+    session = sorted([*flight, forged], key=lambda message: message.received_ns)
+    assert not any("landing" in event.message for event in events(quad_profile, session))
+
+
+def test_an_operator_closes_any_alarm_and_it_comes_anew_while_its_cause_acts(
+    quad_profile: Profile, flight: list[Message], expected: list[AlarmEvent]
+) -> None:
+    raised, *_ = expected
+    reset = Message(OPERATOR, "reset", raised.time_ns + 1_000_000_000, {"id": raised.id, "by": "Ann"})
+    told = events(quad_profile, sorted([*flight, reset], key=lambda message: message.received_ns))
+    own = [event for event in told if event.channel == raised.channel]
+    closed = next(event for event in own if event.state == "cleared")
+    assert (closed.id, closed.time_ns, closed.message) == (raised.id, reset.received_ns, "reset by Ann")
+    again = own[own.index(closed) + 1]
+    assert (again.state, again.id != raised.id) == ("raised", True)
+    assert 0 < again.time_ns - closed.time_ns < 5_000_000_000
+
+
 def test_a_vehicle_that_reports_no_phase_is_watched_by_its_commands(
     quad_profile: Profile, flight: list[Message]
 ) -> None:

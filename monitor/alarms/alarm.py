@@ -232,6 +232,18 @@ class Alarm:
             relative = relative_loss(now.shown, command)
         state = _STATES[code]
         message = alarm_message(rule.observer, rule.channel, rule.kind, rule.unit, state, now.shown, relative)
+        if now.recurring and code != CLEARED:
+            message = f"{message} (it comes and goes)"
+        return self._event(state, time_ns + late_ns, vehicle_ns + late_ns, message, relative)
+
+    def close(self, time_ns: int, vehicle_ns: int, why: str) -> AlarmEvent:
+        """End an active alarm whatever its evidence says, and forget that; return the event."""
+        event = self._event("cleared", time_ns, vehicle_ns, why, None)
+        self.state.deactivate()
+        return event
+
+    def _event(self, state: State, time_ns: int, vehicle_ns: int, message: str, relative: float | None) -> AlarmEvent:
+        rule, now = self.rule, self.state
         return AlarmEvent(
             id=self._id,
             vehicle=self._vehicle,
@@ -244,11 +256,11 @@ class Alarm:
             relative=relative,
             unit=rule.unit,
             threshold=now.size,
-            time_ns=time_ns + late_ns,
-            vehicle_time_ms=(vehicle_ns + late_ns) // 1_000_000,
+            time_ns=time_ns,
+            vehicle_time_ms=vehicle_ns // 1_000_000,
             since_ns=self._since_ns,
             peak=now.peak,
-            message=f"{message} (it comes and goes)" if now.recurring and code != CLEARED else message,
+            message=message,
             seq=UNNUMBERED,
             creeping=now.creeping,
             recurring=now.recurring,

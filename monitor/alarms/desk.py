@@ -6,6 +6,7 @@ The alarms themselves are raised, updated and cleared by the evidence. The desk 
 - shelved: a channel is silent until a stated time. Its alarm enters as ``shelved``, its updates are not published, and
   it is raised anew, with the same id, if it is still active when the time is over;
 - latched: an alarm of such a channel stays active when its cause is gone, until it is reset;
+- reset: any alarm ends; its observer begins anew, and raises another one if the cause acts on;
 - out of service: a channel publishes nothing; its active alarm clears, and is a new alarm if its cause is still there
   afterwards;
 - flood: when too many alarms come at once, further warnings are shelved until the flood is over, and one alarm reports
@@ -188,7 +189,7 @@ class AlarmDesk:
         """Return why an operator's command cannot be carried out, None where it can."""
         if verb not in ("ack", "shelve", "unshelve", "reset"):
             return f"'{verb}' is no command; commands are ack, shelve, unshelve, reset"
-        key = self._key(fields)
+        key = self.key(fields)
         wanted = fields.get("id") or fields.get("channel")
         if key is None:
             return f"no alarm '{wanted}' is active; ids and channels of those that are: {self._names()}"
@@ -202,13 +203,11 @@ class AlarmDesk:
             return None
         if entry is None:
             return f"no alarm of {_text(key)} is active"
-        if verb == "reset" and not entry.event.latched:
-            return f"{_text(key)} is not latched: it clears by itself when its cause is gone"
         return None
 
     def operate(self, verb: str, fields: Mapping[str, object], now_ns: int) -> list[AlarmEvent]:
         """Carry out an operator's command; one that :meth:`refusal` objects to changes nothing."""
-        key = self._key(fields)
+        key = self.key(fields)
         if key is None or self.refusal(verb, fields) is not None:
             return []
         entry = self._active.get(key)
@@ -371,7 +370,7 @@ class AlarmDesk:
         self.seq += 1
         return replace(event, seq=self.seq)
 
-    def _key(self, fields: Mapping[str, object]) -> ChannelKey | None:
+    def key(self, fields: Mapping[str, object]) -> ChannelKey | None:
         """Return the channel that a command means by id or by name; a name need not have an alarm now."""
         wanted = fields.get("id")
         for key, entry in self._active.items():

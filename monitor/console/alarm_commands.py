@@ -22,7 +22,7 @@ _VERBS = {
     "ack": "say that you know of an alarm",
     "shelve": "keep an alarm silent for a while",
     "unshelve": "end the shelving of an alarm",
-    "reset": "clear a latched alarm whose cause is gone",
+    "reset": "end an alarm; its observer begins anew",
 }
 
 

@@ -139,12 +139,17 @@ cdef class AlarmState:
         self.trend.reset()
         self.mean = estimate if creeping else 0.0
         self.active, self.critical, self.creeping, self.recurring = True, critical, creeping, recurring
-        self.peak, self.size, self.reported, self.reported_ns = peak, size, estimate, reported_ns
+        self.shown = self.reported = estimate
+        self.peak, self.size, self.reported_ns = peak, size, reported_ns
 
     def deactivate(self):
-        """Stop being active without an event."""
-        self.active = False
+        """Stop being active without an event, and forget the evidence so far."""
+        self.active = self.contiguous = False
         self.ended_ns = self.last_ns
+        self.counter_ns = self.fast_counter_ns = 0
+        self.raised_count = 0
+        self.mean = 0.0
+        self.trend.reset()
 
     cdef bint excused(self, int64_t now) noexcept:
         cdef Py_ssize_t i

@@ -136,7 +136,7 @@ def _by_phase(batches: Iterable[Batch]) -> Iterator[tuple[Batch, FlightPhase]]:
         start, current = 0, copy(phase)
         for index, message in phase_reports(batch):
             phase.feed(message)
-            if (phase.armed, phase.landed) != (current.armed, current.landed):
+            if (phase.armed, phase.landed, phase.airborne) != (current.armed, current.landed, current.airborne):
                 if index > start:
                     yield cut(batch, start, index), current
                 start, current = index, copy(phase)

@@ -1,10 +1,10 @@
 """Samples and when they count as evidence: armed, in the air, and settled; never on the ground, at take-off or landing.
 
 Rules, in order: a vehicle known to be disarmed is not watched; where the vehicle reports its landed state, only
-"in the air" counts; where it does not, a mean command of at least ``airborne_command`` takes its place. Each time the
-rules come to hold, ``settle_s`` of vehicle time passes before evidence counts. When the reported flight phase
-comes to allow evidence, the samples restart: the estimates made on the ground, before the first fix of the
-GPS or while the vehicle was carried about, are forgotten.
+"in the air" counts, and "landing" while it is still high; where it does not, a mean command of at least
+``airborne_command`` takes its place. Each time the rules come to hold, ``settle_s`` of vehicle time passes before
+evidence counts. When the reported flight phase comes to allow evidence, the samples restart: the estimates made on the
+ground, before the first fix of the GPS or while the vehicle was carried about, are forgotten.
 """
 
 from __future__ import annotations
@@ -136,11 +136,15 @@ class GatedSampler:
         """What says which samples are evidence."""
         return self._gate
 
+    def restart(self) -> None:
+        """Restart the samples."""
+        self._sampler.restart()
+
     def enter(self, phase: FlightPhase) -> None:
         """Restart the samples where the phase has come to allow evidence."""
         allowed = allows(self._rule, phase)
         if allowed and not self._allowed:
-            self._sampler.restart()
+            self.restart()
         self._allowed = allowed
 
     def run(self, samples: Samples) -> Given:
@@ -164,4 +168,4 @@ def allows(rule: GateRule, phase: FlightPhase) -> bool:
     """Return whether the reported flight phase allows evidence; unknown states do not block, another vehicle does."""
     if phase.contradiction is not None or (rule.require_armed and phase.armed is False):
         return False
-    return not rule.require_airborne or phase.landed in (None, "air")
+    return not rule.require_airborne or phase.airborne is not False

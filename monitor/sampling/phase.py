@@ -5,6 +5,9 @@ that changes and changes back the reports around it are two periods apart. Where
 one. So reports are contested from the third such change within 10 s on, or from the eighth change of any kind; then
 the vehicle is taken to be the one that flies as long as reports say so: watched on the ground it may raise an alarm too
 many, not watched in the air it may fall.
+
+A vehicle that is landing is in the air until it comes near the ground, by the height above its home that it reports:
+a descent takes as long as many a flight.
 """
 
 from __future__ import annotations
@@ -37,6 +40,9 @@ _PERIODS = 1.5
 """Longest step that is one period and not two, of reports with a jitter of half a period."""
 _RECENT_NS = 3_000_000_000
 """How long a contested report counts: three heartbeats, as one or two may be lost."""
+_HIGH_MM = 2000
+"""Height above home from which on a landing vehicle is still watched, millimetres. Chosen: rotors feel the ground up to
+two of their diameters, and a height is that much off after a long flight."""
 _MOST_REPORTS = 64
 """Reports that are remembered. Chosen: at 6 Hz more than the window, and a flood of them costs no more."""
 
@@ -88,7 +94,7 @@ def _contested(times: tuple[int, ...], values: tuple[object, ...]) -> bool:
 
 
 class FlightPhase:
-    """Follows HEARTBEAT and EXTENDED_SYS_STATE of the autopilot; other stations' heartbeats are ignored.
+    """Follows the autopilot's HEARTBEAT, EXTENDED_SYS_STATE and height; other stations' heartbeats are ignored.
 
     Parameters
     ----------
@@ -111,7 +117,7 @@ class FlightPhase:
         Names of the messages it reads.
     """
 
-    interests: ClassVar[frozenset[str]] = Reports.interests | {"EXTENDED_SYS_STATE"}
+    interests: ClassVar[frozenset[str]] = Reports.interests | {"EXTENDED_SYS_STATE", "GLOBAL_POSITION_INT"}
 
     def __init__(self, fitted: Identity | None = None) -> None:
         self.armed: bool | None = None
@@ -122,11 +128,19 @@ class FlightPhase:
         self._fitted = fitted
         self._beats = Said()
         self._landings = Said()
+        self._high_ns: int | None = None  # when it was last reported to be high; None where it is low or unknown
+
+    @property
+    def airborne(self) -> bool | None:
+        """Whether it flies: in the air, or landing and still high; None where the vehicle does not report it."""
+        if self.landed is None:
+            return None
+        return self.landed == "air" or (self.landed == "landing" and self._high_ns is not None)
 
     @property
     def state(self) -> tuple[object, ...]:
         """All that decides something now; what else is remembered may change without a consequence."""
-        return self.armed, self.landed, self.reports, self.contradiction, self.contested
+        return self.armed, self.landed, self.airborne, self.reports, self.contradiction, self.contested
 
     def copy(self) -> FlightPhase:
         """Return a phase of its own with the same state."""
@@ -138,7 +152,13 @@ class FlightPhase:
         """Follow a message; one of no interest changes nothing."""
         if message.name not in self.interests:
             return
-        now_ns, is_heartbeat = message.received_ns, is_autopilot_heartbeat(message)
+        now_ns = message.received_ns
+        if message.name == "GLOBAL_POSITION_INT":
+            height = message.fields.get("relative_alt")
+            is_high = message.source is MAVLINK and isinstance(height, int | float) and height > _HIGH_MM
+            self._high_ns = now_ns if is_high else None
+            return
+        is_heartbeat = is_autopilot_heartbeat(message)
         if is_heartbeat:
             said = message.fields
             mode = said.get("base_mode")
@@ -151,6 +171,8 @@ class FlightPhase:
             state = message.fields.get("landed_state")
             self.landed = _LANDED.get(state) if isinstance(state, int) else None
             self._landings = self._landings.after(now_ns, self.landed)
+            if self._high_ns is not None and not 0 <= now_ns - self._high_ns < _RECENT_NS:
+                self._high_ns = None
             if self._landings.contested and "air" in self._landings.recent():
                 self.landed = "air"
         elif is_heartbeat and isinstance(mode, int):
