@@ -102,6 +102,39 @@ _WATCHING = {
     "required": ["share", "last_ns", "why_not", "sensors"],
 }
 
+_CHANNELS = {
+    "type": "object",
+    "additionalProperties": {
+        "type": "object",
+        "additionalProperties": {
+            "type": "object",
+            "properties": {"threshold": _PERHAPS, "unit": {"type": "string"}},
+            "required": ["threshold", "unit"],
+        },
+    },
+    "description": "thresholds of the fault channels by observer",
+}
+_PLACE = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
+_FACTS = {
+    "type": "object",
+    "properties": {
+        "heartbeat": {"type": "object", "additionalProperties": _COUNT, "description": "its last one: mode, armed"},
+        "position": _PLACE | {"description": "as the autopilot estimates it: degrees north, degrees east, metres"},
+        "gps": _PLACE | {"description": "as the receiver says it"},
+        "texts": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {"time_ns": _TIME, "severity": _COUNT, "text": {"type": "string"}},
+                "required": ["time_ns", "severity", "text"],
+            },
+            "description": "the last messages of the autopilot",
+        },
+    },
+    "required": ["texts"],
+    "description": "what the vehicle last said about itself",
+}
+
 _STATUS = _object(
     "Status",
     "How a vehicle's monitor is doing, once a second on PREFIX/VEHICLE/status.",
@@ -137,7 +170,11 @@ _STATUS = _object(
         "profile": {"type": "string", "description": "digest of the profile"},
         "versions": {"type": "object", "additionalProperties": {"type": "string"}},
     },
-    {"foreign_messages": _COUNT | {"description": "messages of other stations, ignored"}},
+    {
+        "foreign_messages": _COUNT | {"description": "messages of other stations, ignored"},
+        "channels": _CHANNELS,
+        "facts": _FACTS,
+    },
 )
 
 _ALARMS = {

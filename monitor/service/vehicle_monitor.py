@@ -28,6 +28,7 @@ from monitor.service.election import first_number
 from monitor.service.health import LinkHealth, ObserverHealth, VehicleHealth, VehicleState
 from monitor.service.latency import LatencyHistogram
 from monitor.service.telemetry_watch import TelemetryWatch
+from monitor.service.vehicle_facts import VehicleFacts
 
 if TYPE_CHECKING:
     from monitor.bus.publisher import Publisher
@@ -96,6 +97,7 @@ class VehicleMonitor:
         self._layouts = {layout.observer: layout for layout in pipeline.layouts}
         self._latest: dict[str, Estimates] = {}
         self._watch = TelemetryWatch(pipeline.profile.observers, pipeline.needs, now_ns)
+        self._facts = VehicleFacts()
         self._second = _Second(time.monotonic_ns())
         self.messages = self.samples = self.events = 0
 
@@ -182,6 +184,7 @@ class VehicleMonitor:
                 telemetry.append(message.received_ns)
                 self._watch.count_messages(message.name, message.received_ns)
             commanded |= message.source in (OPERATOR, JOURNAL)
+        self._facts.take(own)
         if own.count:
             for archive in self._archives:
                 archive.batch(own)
@@ -295,6 +298,8 @@ class VehicleMonitor:
             "out_of_service": sorted(self.pipeline.desk.rule.out_of_service),
             "watching": {name: asdict(watching) for name, watching in self.pipeline.watching(now_ns).items()},
             "observers": {name: asdict(counts) for name, counts in self.pipeline.statistics().items()},
+            "channels": self._channels(),
+            "facts": self._facts.status(),
             "profile": self.pipeline.profile.digest,
             "versions": {"fauio": _VERSION},
         }
@@ -302,6 +307,17 @@ class VehicleMonitor:
         if self._outlet is not None:
             self._outlet.status(status)
         return status
+
+    def _channels(self) -> dict[str, dict[str, Any]]:
+        """Return thresholds and units of fault channels by observer."""
+        thresholds = self.pipeline.thresholds
+        return {
+            name: {
+                channel: {"threshold": thresholds.get((name, channel)), "unit": unit}
+                for channel, unit in zip(layout.faults, layout.fault_units, strict=True)
+            }
+            for name, layout in self._layouts.items()
+        }
 
     def health(self, state: VehicleState, recorder: ArchiveStatistics | None, now_ns: int) -> VehicleHealth:
         """Return how it is doing at a Unix time in a state of its last status, with its recording, if any."""

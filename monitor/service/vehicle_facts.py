@@ -1,0 +1,80 @@
+"""What a vehicle says about itself that is shown beside its alarms: where it is, its flight mode, its messages."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from adapters.batch import Batch
+from adapters.errors import printable
+
+_TEXTS = 20
+"""Messages that are kept. Chosen: an autopilot says fewer in a minute."""
+_MAX_TEXT = 254
+"""Letters of a message: five of MAVLink's chunks of 50, more than autopilots send."""
+_CHUNK = 50
+"""Letters of a STATUSTEXT that goes on in the next one."""
+_NO_AUTOPILOT = 8
+"""MAV_AUTOPILOT_INVALID: the heartbeat of a gimbal or a camera."""
+_DEGREES = 1e-7
+_METRES = 1e-3
+_NAMES = ("HEARTBEAT", "GLOBAL_POSITION_INT", "GPS_RAW_INT")
+
+
+class VehicleFacts:
+    """Keeps the latest of what a vehicle said about itself."""
+
+    def __init__(self) -> None:
+        self._facts: dict[str, Any] = {}
+        self._texts: deque[dict[str, Any]] = deque(maxlen=_TEXTS)
+        self._chunks: tuple[int, str] = (0, "")
+
+    def take(self, own: Batch) -> None:
+        """Take messages of the vehicle."""
+        for columns in own.columns:
+            if columns.source.is_telemetry and (columns.name in _NAMES or "latitude" in columns.fields):
+                self._number(columns.name, columns.fields)
+        for message in own.others.values():
+            if message.name == "STATUSTEXT":
+                self._text(message.received_ns, message.fields)
+
+    def status(self) -> dict[str, Any]:
+        """Return what is known, as the status has it."""
+        return self._facts | {"texts": list(self._texts)}
+
+    def _number(self, name: str, fields: Mapping[str, Any]) -> None:
+        def last(field: str) -> float:
+            value = np.ravel(fields[field][-1])[0] if field in fields else np.nan
+            return float(value)
+
+        if name == "HEARTBEAT":
+            beat = {key: last(key) for key in ("type", "autopilot", "base_mode", "custom_mode")}
+            if beat["autopilot"] != _NO_AUTOPILOT and np.isfinite(list(beat.values())).all():
+                self._facts["heartbeat"] = {key: int(value) for key, value in beat.items()}
+        elif "latitude" in fields:
+            self._place("gps", [last(key) for key in ("latitude", "longitude", "altitude")])
+        else:
+            place = [last("lat") * _DEGREES, last("lon") * _DEGREES, last("alt") * _METRES]
+            self._place("gps" if name == "GPS_RAW_INT" else "position", place)
+
+    def _place(self, which: str, place: Sequence[float]) -> None:
+        """Keep latitude and longitude, degrees, and altitude, metres; a receiver without a fix says zero for both."""
+        latitude, longitude, altitude = place
+        if np.isfinite(place).all() and (latitude or longitude) and abs(latitude) <= 90 and abs(longitude) <= 180:
+            self._facts[which] = [round(latitude, 7), round(longitude, 7), round(altitude, 2)]
+
+    def _text(self, received_ns: int, fields: Mapping[str, Any]) -> None:
+        text, severity = fields.get("text"), fields.get("severity")
+        if not isinstance(text, str) or type(severity) is not int:
+            return
+        number = fields.get("id", 0)
+        before = self._chunks[1] if number and number == self._chunks[0] and self._texts else ""
+        whole = (before + printable(text))[:_MAX_TEXT]
+        self._chunks = (number, whole) if number and len(text) == _CHUNK else (0, "")
+        if before:
+            self._texts[-1] |= {"text": whole}
+        else:
+            self._texts.append({"time_ns": received_ns, "severity": severity, "text": whole})
