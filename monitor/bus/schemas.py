@@ -115,6 +115,7 @@ _CHANNELS = {
     "description": "thresholds of the fault channels by observer",
 }
 _PLACE = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
+"""Latitude, longitude and altitude."""
 _FACTS = {
     "type": "object",
     "properties": {

@@ -20,7 +20,9 @@ _CHUNK = 50
 _NO_AUTOPILOT = 8
 """MAV_AUTOPILOT_INVALID: the heartbeat of a gimbal or a camera."""
 _DEGREES = 1e-7
+"""MAVLink counts latitudes in ten millionths of a degree."""
 _METRES = 1e-3
+"""MAVLink counts altitudes in millimetres."""
 _NAMES = ("HEARTBEAT", "GLOBAL_POSITION_INT", "GPS_RAW_INT")
 
 
