@@ -175,12 +175,16 @@ def fit_profile(
     observers: list[Fitted] = [fitted]
     stage(f"identified, designed and calibrated {fitted.name}")
     notes: list[str] = []
+    further = {reference.partition(":fit_")[2]: load(reference) for reference in vehicle.further}
     if vehicle.inertial_too:
+        further[OBSERVER] = fit_inertial
+    for observer, fit in further.items():
         try:
-            observers.append(fit_inertial(request, gate))
-            stage("calibrated and designed inertial")
+            if (one := fit(request, gate)) is not None:
+                observers.append(one)
+                stage(f"calibrated and designed {observer}")
         except (TelemetryError, ModelError, InfeasibleError) as error:
-            notes.append(f"inertial: {error}")
+            notes.append(f"{observer}: {error}")
     warnings = (*_slow(vehicle, surveys, observers), *_hidden(surveys, observers)) if surveys else ()
     measured = tuple(_measured(one, request, kind, gate) for one in observers)
     stage("measured what will be detected")

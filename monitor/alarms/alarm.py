@@ -35,6 +35,13 @@ from monitor.event import UNNUMBERED, AlarmEvent, Kind, State, alarm_id
 DEFLECTION = "fraction of full deflection"
 """Unit of surfaces, steering and throttle."""
 
+SPEED, CURRENT = "fraction of speed at hover", "fraction of current at hover"
+"""Units of what motors turn and draw."""
+
+_CHAIN = {
+    SPEED: ("turns its motor", "slower", "faster", "commanded"),
+    CURRENT: ("draws", "less current", "more current", "its speed lets expect"),
+}
 _ACTS = {"steering": ("turns", ""), "throttle": ("pushes", "")}
 _HAS_EFFECT = ("has", " effect")
 _AXES = {"north": ("north", "south"), "east": ("east", "west"), "down": ("below", "above")}
@@ -53,6 +60,9 @@ def alarm_message(
             return f"{channel} acts {100 * abs(size):.0f} % of full deflection off where it is commanded"
         verb, noun = _ACTS.get(channel, _HAS_EFFECT)
         return f"{channel} {verb} {100 * abs(relative):.0f} % {'less' if relative < 0 else 'more'}{noun} than commanded"
+    if kind == "actuator" and relative is not None and unit in _CHAIN:
+        verb, less, more, expected = _CHAIN[unit]
+        return f"{channel} {verb} {100 * abs(relative):.0f} % {less if relative < 0 else more} than {expected}"
     if kind == "actuator" and relative is not None:
         return f"{channel} delivers {100 * abs(relative):.0f} % {'less' if relative < 0 else 'more'} than commanded"
     if channel.startswith("disturbance_"):

@@ -23,6 +23,8 @@ MAX_OUTPUTS = 16
 MOTION_MESSAGES = frozenset({MOTOR_MESSAGE, "ATTITUDE", "ATTITUDE_QUATERNION", "HIGHRES_IMU", "SCALED_IMU", "RAW_IMU"})
 """Messages that only an autopilot sends: the first system with one of them is the vehicle."""
 
+ESC_MESSAGES = tuple(f"ESC_TELEMETRY_{first}_TO_{first + 3}" for first in (1, 5, 9, 13))
+"""What ArduPilot's speed controllers measure, four in a message. They carry no time: that of arrival stands in."""
 _GPS_MESSAGE = "GPS_RAW_INT"
 _HEARTBEAT = "HEARTBEAT"
 _UNKNOWN = 65_535
@@ -52,7 +54,8 @@ class Survey:
     """Counts of a recording's messages by name, their largest rates, and how each servo output moved while armed."""
 
     counts: dict[str, int]  # messages by name
-    # measurements per second of the vehicle's clock within flights, by name, for messages that carry a time
+    # measurements per second of the vehicle's clock within flights, by name, for messages that carry a time; of
+    # those of speed controllers, which do not, as they arrived
     rate_hz: dict[str, float]
     outputs: dict[int, MotorOutput]  # how servo outputs moved while armed, by number
     # fields of the last message of each name while armed, or at all of a vehicle that never was; of the GPS, the last
@@ -76,10 +79,11 @@ def survey(batches: Iterable[Batch]) -> Survey:
 
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """Messages of one name: their indices in the batch (m,), the fields of each, and all values of its numbers."""
+    """Messages of one name: their indices in the batch and arrival (m,), the fields of each, and all their numbers."""
 
     name: str
     position: NDArray[np.int64]
+    received_ns: NDArray[np.int64]
     fields_at: Callable[[int], Mapping[str, Any]]
     values: Mapping[str, NDArray[np.generic]]
 
@@ -161,12 +165,16 @@ class _Surveyor:
 
 
 def _group(columns: Columns) -> _Group:
-    return _Group(columns.name, columns.position, lambda row: one_message(columns, row).fields, columns.fields)
+    def fields_at(row: int) -> Mapping[str, Any]:
+        return one_message(columns, row).fields
+
+    return _Group(columns.name, columns.position, columns.received_ns, fields_at, columns.fields)
 
 
 def _single(index: int, message: Message) -> _Group:
     numbers = {name: np.array([value]) for name, value in message.fields.items() if type(value) is int}
-    return _Group(message.name, np.array([index]), lambda _: message.fields, numbers)
+    received_ns = np.array([message.received_ns])
+    return _Group(message.name, np.array([index]), received_ns, lambda _: message.fields, numbers)
 
 
 def _is_fix(fields: Mapping[str, Any]) -> bool:
@@ -176,6 +184,8 @@ def _is_fix(fields: Mapping[str, Any]) -> bool:
 
 def _stamps(group: _Group) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return indices and time stamps, vehicle nanoseconds, of the messages that have one (k,)."""
+    if group.name in ESC_MESSAGES:
+        return group.position, group.received_ns
     times_ns = np.full(len(group.position), np.nan)
     columns = ((name, group.values[name]) for name in CLOCK_UNITS_NS if name in group.values)
     clock = next((name for name, column in columns if column.dtype.kind in "iuf" and column.ndim == 1), None)

@@ -32,6 +32,9 @@ class VehicleKind:
     # classes of the transforms that its observers may use, by their names in profiles
     transforms: Mapping[str, str] = field(default_factory=dict)
     type_words: tuple[str, ...] = ()  # words in the names of ``MAV_TYPE`` that say that a vehicle is of this kind
+    # functions of a request and the profile's gate; each returns one more observer, None where the recordings lack what
+    # it watches
+    further: tuple[str, ...] = ()
     inertial_too: bool = True  # whether the inertial observer is fitted beside its own
     needs_model: bool = False  # whether the user has to give a model file
 

@@ -16,6 +16,8 @@ KINDS = (
         fit="monitor.vehicles.multirotor.fit:fit_multirotor",
         preview="monitor.vehicles.multirotor.signals:preview",
         messages="monitor.vehicles.multirotor.signals:MESSAGES",
+        transforms={"esc": "monitor.vehicles.multirotor.transform:EscInputs"},
+        further=("monitor.vehicles.multirotor.esc:fit_esc",),
         type_words=("rotor", "copter", "vtol"),
     ),
     VehicleKind(

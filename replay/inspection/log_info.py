@@ -24,7 +24,7 @@ from monitor.fitting.flight_rate import FlightRate
 from monitor.fitting.flights import phase_reports
 from monitor.fitting.progress import track
 from monitor.fitting.raw_streams import hidden
-from monitor.fitting.survey import MOTOR_MESSAGE, Survey, of_one_vehicle, survey
+from monitor.fitting.survey import ESC_MESSAGES, MOTOR_MESSAGE, Survey, of_one_vehicle, survey
 from monitor.sampling.identity import Reports
 from monitor.sampling.slow_telemetry import motor_gain, slow_messages
 from monitor.vehicles.base import Preview, VehicleKind, likely_kinds, load
@@ -60,9 +60,7 @@ _INPUTS = {
     MOTOR_MESSAGE: "outputs to motors and servos",
     "ACTUATOR_CONTROL_TARGET": "torques and thrust that the controllers ask for",
     "ESC_STATUS": "speed, voltage and current of motors",
-    **dict.fromkeys(
-        [f"ESC_TELEMETRY_{first}_TO_{first + 3}" for first in (1, 5, 9, 13)], "speed, voltage and current of motors"
-    ),
+    **dict.fromkeys(ESC_MESSAGES, "speed, voltage and current of motors"),
     "SYS_STATUS": "voltage and current of the battery",
     "VIBRATION": "vibration and clipping of the accelerometers",
 }

@@ -9,13 +9,22 @@ from math import log10
 from adapters.channels import STANDARD_GRAVITY, Channel
 from adapters.errors import TelemetryError
 from adapters.logs.log_parameters import PARAMETER_MESSAGES
-from monitor.fitting.survey import MAX_OUTPUTS, MOTION_MESSAGES, MOTOR_MESSAGE, MotorOutput, Survey, common_rate_hz
+from monitor.fitting.survey import (
+    ESC_MESSAGES,
+    MAX_OUTPUTS,
+    MOTION_MESSAGES,
+    MOTOR_MESSAGE,
+    MotorOutput,
+    Survey,
+    common_rate_hz,
+)
 from monitor.sampling.phase import FlightPhase
 from monitor.vehicles.base import Preview
 from monitor.vehicles.multirotor.frames import frame_of
+from monitor.vehicles.multirotor.speeds import esc_signals
 from monitor.vehicles.multirotor.trim import SLOW_COMMANDS_HZ
 
-MESSAGES = MOTION_MESSAGES | FlightPhase.interests | PARAMETER_MESSAGES
+MESSAGES = MOTION_MESSAGES | FlightPhase.interests | PARAMETER_MESSAGES | {"ESC_STATUS", *ESC_MESSAGES}
 
 _STILL_US = 0.5
 """An output whose standard deviation is less than half a microsecond, the unit of its messages, does not move."""
@@ -80,6 +89,9 @@ def _facts(survey: Survey, inputs: Sequence[Channel]) -> tuple[str, ...]:
     facts = ["frame: not in the recording; the motion has to tell which way each motor turns the vehicle"]
     if frame is not None:
         facts = [f"frame: {frame.name}, of the vehicle's parameters"]
+    if (escs := esc_signals([survey], len(inputs))) is not None:
+        measured = f"{escs.speed[0].message} at {escs.rate_hz:.3g} Hz"
+        facts.append(f"speed controllers: whether speeds follow commands, and currents speeds, by {measured}")
     if survey.rate_hz[MOTOR_MESSAGE] < SLOW_COMMANDS_HZ:
         facts.append("compares mean command and mean motion, in seconds: motor commands come slowly")
     return tuple(facts)

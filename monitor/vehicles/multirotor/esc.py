@@ -1,0 +1,343 @@
+"""The esc observer of a multirotor: whether motors turn as commanded, and draw what their speeds let expect.
+
+Curves, delay and lag (:mod:`monitor.vehicles.multirotor.transform`) are identified from healthy flights by least
+squares. What a flight does not show is filled in from what motors have in common, with the width that they differ by:
+
+- Of speed over command the bend lies between none and that of a square root, and speed follows the voltage as it
+  follows the command, whose product a speed controller without a governor applies.
+- At the same speed a motor takes the same power whatever the voltage: current goes with its inverse.
+
+The plant behind has a state for each expectation and no dynamics; every fault shows in a measurement of its own, so
+all are estimated at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from operator import itemgetter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.channels import Channel
+from adapters.errors import ModelError
+from gains.plants.plant import Disturbance, Fault, Noise, Plant
+from gains.synthesis.blocks import design_blocks
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from monitor.alarms.alarm import CURRENT, SPEED
+from monitor.core.lagged import LaggedMeans
+from monitor.estimation.isolation_rule import IndependentRule
+from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
+from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.thresholds import (
+    FALSE_ALARMS_PER_HOUR,
+    Calibrated,
+    Times,
+    calibrated,
+    healthy_evidence,
+    healthy_levels,
+)
+from monitor.profile import FaultChannel
+from monitor.sampling.gate import GateRule
+from monitor.sampling.transform import SampleSource, TransformRule
+from monitor.vehicles.multirotor.signals import multirotor_channels
+from monitor.vehicles.multirotor.speeds import EscSignals, motor_speeds
+from monitor.vehicles.multirotor.transform import EscInputs, deviation, terms
+
+FloatArray = NDArray[np.float64]
+
+OBSERVER = "esc"
+
+_SIGNAL_HZ = 100.0
+"""Commands are put through delay and lag on this grid: a fifth of the usual lag of a motor."""
+_FASTEST_HZ = 50.0
+"""Fastest rate of the observer: speeds follow with a lag of 50 ms."""
+_LEAST_S = 20.0
+"""Evidence that is needed, seconds, as of the motors observer."""
+_DELAYS_S, _LAGS_S = (
+    (0.0, 0.02, 0.04, 0.07, 0.1, 0.15),
+    (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1, 0.13, 0.17),
+)
+"""Tried as delay and lag, seconds. Chosen: from nothing to the slowest motor and link that fly, neighbours by a third
+or two samples of the grid apart, which moves no expectation by more than motors' noise."""
+_SMALLEST_SPEED, _SMALLEST_CURRENT = 0.02, 0.08
+"""Smallest deviations worth an alarm, as shares of those of hovering. The first is the residual of a real vehicle's
+speeds over commands (2.3 %, PX4 at 3 Hz). A current goes with the cube of a speed, and controllers measure it within
+5 %: chosen, one and a half times that."""
+_CRITICAL_SPEED, _CRITICAL_CURRENT = 0.25, 1.0
+"""Critical ones. Chosen: a quarter of a speed is nearly half of the thrust; twice the usual current burns a motor."""
+_LEAST_LEFT = 1e-4
+"""Least deviation that is left: what a speed of 10,000 rpm is rounded to."""
+_FAULT_RATE = 1.0
+"""Shares per second by which a fault may grow: chosen, a controller fails within a second."""
+
+
+class _Curves(NamedTuple):
+    """Curves of some quantities over their causes: coefficients (m, terms), and the deviation that is left (m,)."""
+
+    coefficients: FloatArray
+    left: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Identified:
+    """What the flights say of motors' speeds, and currents where they are measured."""
+
+    numbers: tuple[int, ...]  # of the outputs that drive the motors
+    volts: float  # usual voltage, 0 where it is not measured
+    delay_s: float
+    lag_s: float
+    hover: FloatArray  # speeds, then currents, of hovering (m,), rpm and A
+    curves: _Curves
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of what is measured."""
+        kinds = ("rpm", "amps")[: len(self.hover) // len(self.numbers)]
+        return tuple(f"{kind}{n}" for kind in kinds for n in self.numbers)
+
+    def parameters(self) -> dict[str, float]:
+        """Return the parameters of the transform."""
+        return {
+            **{f"output{at}": float(n) for at, n in enumerate(self.numbers, start=1)},
+            "volts": self.volts,
+            "delay_s": self.delay_s,
+            "lag_s": self.lag_s,
+            **{name: _rounded(value) for name, value in zip(self.names, self.hover, strict=True)},
+            **{
+                f"{name}_c{term}": _rounded(value)
+                for name, row in zip(self.names, self.curves.coefficients, strict=True)
+                for term, value in enumerate(row)
+            },
+        }
+
+
+def fit_esc(request: FitRequest, gate: GateRule) -> Fitted | None:
+    """Identify speeds and currents on healthy recordings, design the observer, calibrate its alarms.
+
+    None where no speed controller reports its speed.
+
+    Raises
+    ------
+    ModelError
+        Too little healthy flight, or speeds do not follow commands.
+    """
+    commands, _ = multirotor_channels(request.surveys)
+    signals = motor_speeds(request, gate, commands)
+    if signals is None:
+        return None
+    rate_hz = float(f"{min(signals.rate_hz, _FASTEST_HZ):.3g}")
+    signal_hz = rate_hz * max(1, round(_SIGNAL_HZ / rate_hz))
+    channels = (*commands, *signals.speed, *signals.current, *signals.voltage)
+    raw = [flight_samples(log(), SampleSource(inputs=channels), signal_hz, gate) for log in request.logs]
+    found = _identified(raw, commands, signal_hz, rate_hz)
+    kept = [*commands, *signals.speed]
+    kept += signals.current if len(found.names) > len(found.numbers) else ()
+    kept += signals.voltage if found.volts else ()
+    source = SampleSource(transform=TransformRule(OBSERVER, signal_hz, found.parameters()), signals=tuple(kept))
+    columns = [channels.index(channel) for channel in kept]
+    flights = [
+        transformed(_chosen(flight, columns), EscInputs(found.parameters(), signal_hz, rate_hz)) for flight in raw
+    ]
+    plant = esc_plant(found, request.name, rate_hz)
+    design = design_blocks(plant)
+    gains = compile_gains(plant, design, certify(plant, design))
+    bare = Fitted(OBSERVER, plant, (gains,), source, IndependentRule(1.0 / rate_hz))
+    times = _times(rate_hz)
+    evidence = healthy_evidence(bare.profile(), gate, flights)
+    alarms = _alarms(bare.profile().faults, evidence, rate_hz, times)
+    return replace(
+        bare,
+        alarms=tuple(alarms),
+        flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
+        findings={
+            "rate_hz": rate_hz,
+            "delay_s": found.delay_s,
+            "lag_s": found.lag_s,
+            "controllers": {channel.name: _place(channel) for channel in signals.speed},
+            "left": dict(zip(found.names, found.curves.left.tolist(), strict=True)),
+        },
+        lines=_lines(found, signals, alarms, rate_hz),
+    )
+
+
+def esc_plant(found: _Identified, name: str, rate_hz: float) -> Plant:
+    """Return the plant behind the transform: a state is what a tick lets expect, an output what it measured."""
+    inputs = tuple(f"{kind}{n}" for kind in ("esc", "motor") for n in found.numbers)[: len(found.names)]
+    identity = np.eye(len(inputs))
+    left = found.curves.left
+    smallest = [_SMALLEST_SPEED if channel.startswith("esc") else _SMALLEST_CURRENT for channel in inputs]
+    return Plant(
+        name=name,
+        domain="discrete",
+        rate_hz=rate_hz,
+        states=tuple(f"expected_{name}" for name in found.names),
+        inputs=inputs,
+        outputs=found.names,
+        A=0.0 * identity,
+        B=identity,
+        C=identity,
+        faults=tuple(
+            Fault(
+                name=channel,
+                kind="actuator",
+                column=identity[:, at],
+                rate=_FAULT_RATE,
+                error=smallest[at],
+                unit=SPEED if channel.startswith("esc") else CURRENT,
+                input=channel,
+            )
+            for at, channel in enumerate(inputs)
+        ),
+        disturbances=tuple(
+            Disturbance(f"disturbance_{channel}", identity[:, at], float(left[at])) for at, channel in enumerate(inputs)
+        ),
+        noises=tuple(
+            Noise(f"noise_{measured}", identity[:, at], float(left[at])) for at, measured in enumerate(found.names)
+        ),
+        state_errors=left,
+    )
+
+
+def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: float, rate_hz: float) -> _Identified:
+    """Identify on raw flights whose signals are commands, then speeds, currents and voltages of as many motors."""
+    s = len(commands)
+    u, speed, current, voltage = np.split(np.concatenate([one.samples.u[one.armed] for one in raw]), 4, axis=1)
+    if len(u) < _LEAST_S * signal_hz:
+        raise ModelError(
+            f"only {len(u) / signal_hz:.0f} s of flight with speeds of motors; {_LEAST_S:.0f} s are needed"
+        )
+    hover = np.median(speed, axis=0)
+    if not (hover > 0.0).all():
+        raise ModelError("a motor that flies reports no speed: is each speed controller one of a motor?")
+    volts = float(np.median(voltage.mean(axis=1)))
+    volts = float(f"{volts:.4g}") if volts > 0.0 and (voltage.mean(axis=0) > 0.0).all() else 0.0
+    amps = np.median(current, axis=0)
+    measured = np.append(hover, amps) if (amps > 0.0).all() else hover
+    prior_u = np.median(u, axis=0)
+    candidates = []
+    for timing in product(_DELAYS_S, _LAGS_S):
+        means = [_means(one, s, volts, timing, signal_hz, rate_hz) for one in raw]
+        X, y = (np.concatenate(part) for part in zip(*means, strict=True))
+        curves = _regressed(X[:, :, :s], y[:, :s] / hover, prior_u, rate_hz, volts > 0.0, speed=True)
+        candidates.append((float(np.log(curves.left).sum()), timing, curves))
+    _, (delay_s, lag_s), curves = min(candidates, key=itemgetter(0))
+    if len(measured) > s:
+        means = [_means(one, s, volts, (0.0, 0.0), signal_hz, rate_hz, hover) for one in raw]
+        X, y = (np.concatenate(part) for part in zip(*means, strict=True))
+        drawn = _regressed(X[:, :, s:], y[:, s:] / amps, np.ones(s), rate_hz, volts > 0.0, speed=False)
+        curves = _Curves(*(np.concatenate(both) for both in zip(curves, drawn, strict=True)))
+    numbers = tuple(int(channel.name.removeprefix("motor")) for channel in commands)
+    return _Identified(numbers, volts, delay_s, lag_s, measured, curves)
+
+
+def _means(
+    flight: Flight,
+    s: int,
+    volts: float,
+    timing: tuple[float, float],
+    signal_hz: float,
+    rate_hz: float,
+    hover: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Return what the curves' coefficients multiply (N, terms, 2 s) and speeds and currents (N, 2 s) of a flight.
+
+    Causes are the commands after delay and lag, and the speeds in shares of ``hover``.
+    """
+    u, speed, current, voltage = np.split(flight.samples.u.T, 4)
+    v = deviation(voltage, volts) if volts else np.zeros(len(flight))
+    causes = np.vstack([u, speed / (1.0 if hover is None else hover[:, None])])
+    columns = np.concatenate([part[:s] for part in terms(causes, v)] + [part[s:] for part in terms(causes, v)])
+    means = LaggedMeans([timing] * (len(columns) // 2), signal_hz, round(signal_hz / rate_hz), len(columns), 2 * s)
+    given = means.run(flight.samples, [*columns, *speed, *current], np.ones(len(flight), np.bool_))
+    kept = flight.armed[given.rows] & ~given.samples.lost.any(axis=1)
+    X = given.samples.u[kept].reshape(kept.sum(), 2, -1, s)
+    return np.concatenate([X[:, 0], X[:, 1]], axis=2), given.samples.y[kept]
+
+
+def _regressed(
+    X: FloatArray, y: FloatArray, usual: FloatArray, rate_hz: float, voltage: bool, *, speed: bool
+) -> _Curves:
+    """Return the curves of y (N, s), one at hover, over X (N, terms, s), whose cause is ``usual`` (s,) there."""
+    rows, left = [], []
+    for at in range(y.shape[1]):
+        A, b = X[:, :, at] * (1.0, 1.0, 1.0, voltage), y[:, at]
+        line = np.polyfit(A[:, 1], b, 1) if A[:, 1].std() > 0.0 else np.array([1.0 / usual[at], 0.0])
+        slope = max(float(line[0]), 0.5 / usual[at])
+        # what a straight line leaves, counted once a second: the errors within one are alike
+        noise = max(float((b - np.polyval(line, A[:, 1])).std()), 1e-6) * np.sqrt(rate_hz)
+        widths = np.array([slope / (4.0 * usual[at]) if speed else slope, slope if speed else 1.0])
+        expected = np.array([0.0, (slope if speed else -1.0) * voltage])
+        prior = np.hstack([np.zeros((2, 2)), np.diag(noise / widths)])
+        row = np.linalg.lstsq(np.vstack([A, prior]), np.append(b, noise / widths * expected), rcond=None)[0]
+        rows.append(row)
+        left.append(max(float((b - A @ row).std()), _LEAST_LEFT))
+    return _Curves(np.array(rows), np.array(left))
+
+
+def _times(rate_hz: float) -> Times:
+    """Return how long evidence has to last: as ever, and the ticks that slow grids need.
+
+    Of ticks they are those of the motors' trim (:func:`monitor.vehicles.multirotor.trim.slow_times`), whose errors are
+    as coloured: both compare means of commands with motion.
+    """
+    usual, tick_s = Times(), 1.0 / rate_hz
+    return Times(
+        fast_s=max(usual.fast_s, 2 * tick_s),
+        raise_s=max(usual.raise_s, 4 * tick_s),
+        slow_s=max(usual.slow_s, 10 * tick_s),
+        clear_s=max(usual.clear_s, 3 * tick_s),
+    )
+
+
+def _alarms(
+    channels: Sequence[FaultChannel], evidence: Sequence[FloatArray], rate_hz: float, times: Times
+) -> list[Calibrated]:
+    """Return the alarms, those of all motors at one level."""
+    share = FALSE_ALARMS_PER_HOUR / len(channels)
+    alarms: list[Calibrated] = []
+    for kind, smallest, critical in (
+        ("esc", _SMALLEST_SPEED, _CRITICAL_SPEED),
+        ("motor", _SMALLEST_CURRENT, _CRITICAL_CURRENT),
+    ):
+        places = [at for at, channel in enumerate(channels) if channel.name.startswith(kind)]
+        if not places:
+            continue
+        levels = healthy_levels([one[:, at] for at in places for one in evidence], rate_hz, share, times)
+        for at in places:
+            rule = bare_rule(OBSERVER, channels[at].name, "actuator", channels[at].unit)
+            alarms.append(calibrated(rule, levels, 1.0, floor=smallest, critical=critical, times=times))
+    return alarms
+
+
+def _lines(found: _Identified, signals: EscSignals, alarms: Sequence[Calibrated], rate_hz: float) -> tuple[str, ...]:
+    s = len(found.numbers)
+    left = 100.0 * found.curves.left
+    order = ", ".join(f"motor{n} {_place(channel)}" for n, channel in zip(found.numbers, signals.speed, strict=True))
+    current = "" if len(left) == s else f", currents speeds within {left[s:].mean():.1f} %"
+    sizes = ", ".join(f"{one.rule.channel} {100 * one.rule.threshold:.1f} %" for one in alarms)
+    return (
+        f"at {rate_hz:g} Hz, {1000 * (found.delay_s + found.lag_s):.0f} ms late: speeds follow commands within "
+        f"{left[:s].mean():.1f} %{current} (standard deviation)",
+        f"speed controllers: {order}" + ("" if found.volts else "; no voltage"),
+        f"alarms from: {sizes}",
+    )
+
+
+def _place(channel: Channel) -> str:
+    """Return where a channel comes from, for people."""
+    first = next((int(value) for name, value in channel.where if name == "index"), 0)
+    return f"{channel.message}[{first + int(channel.path[-1])}]"
+
+
+def _chosen(flight: Flight, columns: Sequence[int]) -> Flight:
+    samples = flight.samples
+    return Flight(replace(samples, u=samples.u[:, columns], lost=samples.lost[:, columns]), flight.armed)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")

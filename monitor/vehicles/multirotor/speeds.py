@@ -1,0 +1,123 @@
+"""Which messages hold what motors turn and draw, and which speed controller drives which motor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from adapters.channels import Channel
+from monitor.core.lagged import exponential_mean
+from monitor.fitting.fitted import FitRequest
+from monitor.fitting.flights import flight_samples
+from monitor.fitting.survey import ESC_MESSAGES, Survey
+from monitor.sampling.gate import GateRule
+from monitor.sampling.transform import SampleSource
+
+_STATUS = "ESC_STATUS"
+_OF_A_MESSAGE = 4
+"""Speed controllers in a message of either kind."""
+_COMPARED_HZ = 50.0
+"""Grid on which commands and speeds are compared: a lag of 50 ms shows on it."""
+_USUAL_LAG_S = 0.05
+"""A motor's usual lag: that of PX4's SIH, within a factor of two and a half of those of other motors (20 to 100 ms)."""
+_CLEARLY = 0.05
+"""Share of the speeds' variance by which another order of controllers has to explain more, to be believed. Chosen: what
+noise adds is below a hundredth after half a minute, a wrong order loses a tenth and more of a flight that turns."""
+
+
+@dataclass(frozen=True, slots=True)
+class EscSignals:
+    """Channels of what speed controllers measure, one for each motor, and how often they come."""
+
+    speed: tuple[Channel, ...]  # rpm
+    current: tuple[Channel, ...]  # A
+    voltage: tuple[Channel, ...]  # V
+    rate_hz: float
+
+    def ordered(self, order: Sequence[int], numbers: Sequence[int]) -> EscSignals:
+        """Return the channels of some controllers, named after the outputs with these numbers."""
+
+        def chosen(channels: tuple[Channel, ...], name: str) -> tuple[Channel, ...]:
+            return tuple(replace(channels[at], name=f"{name}{n}") for at, n in zip(order, numbers, strict=True))
+
+        return EscSignals(
+            chosen(self.speed, "rpm"), chosen(self.current, "amps"), chosen(self.voltage, "volts"), self.rate_hz
+        )
+
+
+def esc_signals(surveys: Sequence[Survey], motors: int) -> EscSignals | None:
+    """Return the channels of all speed controllers that every recording reports; None where they are too few.
+
+    Names are ``rpm1``, ``amps1``, ``volts1`` and so on in the order of the messages. An onboard log of PX4 makes a
+    message of the first four.
+    """
+    common = set.intersection(*(set(survey.rate_hz) for survey in surveys)) if surveys else set[str]()
+    places: list[tuple[str, int, tuple[tuple[str, int | str], ...], float]] = []
+    if _STATUS in common:
+        groups = 1 if any(survey.onboard for survey in surveys) or motors <= _OF_A_MESSAGE else 2
+        for slot in range(groups * _OF_A_MESSAGE):
+            where = (("index", slot - slot % _OF_A_MESSAGE),)
+            places.append((_STATUS, slot % _OF_A_MESSAGE, where, 1.0))
+    else:
+        for message in (name for name in ESC_MESSAGES if name in common):
+            # hundredths of volts and amperes
+            places += ((message, element, (), 0.01) for element in range(_OF_A_MESSAGE))
+    if len(places) < motors:
+        return None
+
+    def channels(name: str, field: str, scaled: bool) -> tuple[Channel, ...]:
+        return tuple(
+            Channel(f"{name}{at}", message, (field, element), scale=scale if scaled else 1.0, where=where)
+            for at, (message, element, where, scale) in enumerate(places, start=1)
+        )
+
+    rate_hz = min(survey.rate_hz[message] for survey in surveys for message, *_ in places)
+    return EscSignals(
+        channels("rpm", "rpm", False), channels("amps", "current", True), channels("volts", "voltage", True), rate_hz
+    )
+
+
+def motor_speeds(request: FitRequest, gate: GateRule, commands: Sequence[Channel]) -> EscSignals | None:
+    """Return what speed controllers report of each motor, in the order of its commands; None where they do not.
+
+    Autopilots number them after the outputs or in an order of their own. Which is which is told by the speeds: each
+    controller goes to the motor whose commands its speed follows best, all together, where that is clearly better than
+    the order of the messages.
+    """
+    found = esc_signals(request.surveys, len(commands))
+    if found is None:
+        return None
+    source = SampleSource(inputs=(*commands, *found.speed))
+    keep = float(np.exp(-1.0 / (_USUAL_LAG_S * _COMPARED_HZ)))
+    stretches = []
+    for log in request.logs:
+        flight = flight_samples(log(), source, _COMPARED_HZ, gate)
+        u = flight.samples.u
+        if len(u):
+            lagged = exponential_mean(u[:, : len(commands)] - u[0, : len(commands)], keep)
+            stretches.append(np.hstack([lagged + u[0, : len(commands)], u[:, len(commands) :]])[flight.armed])
+    values = np.concatenate(stretches) if stretches else np.empty((0, len(source.inputs)))
+    if len(values) < _COMPARED_HZ:
+        return None
+    order = _order(values[:, : len(commands)], values[:, len(commands) :])
+    if order is None:
+        return None
+    return found.ordered(order, [int(channel.name.removeprefix("motor")) for channel in commands])
+
+
+def _order(commands: NDArray[np.float64], speeds: NDArray[np.float64]) -> list[int] | None:
+    """Return the column of speeds (N, m) that follows each of the commands (N, s); None where one is still."""
+    turning = np.flatnonzero(speeds.std(axis=0) > 0.0)
+    if len(turning) < commands.shape[1] or not (commands.std(axis=0) > 0.0).all():
+        return None
+    both = np.corrcoef(commands.T, speeds[:, turning].T)
+    explained = np.clip(both[: commands.shape[1], commands.shape[1] :], 0.0, None) ** 2
+    rows, best = linear_sum_assignment(-explained)
+    usual = np.arange(commands.shape[1])
+    if explained[rows, best].mean() < explained[usual, usual].mean() + _CLEARLY:
+        best = usual
+    return [int(turning[at]) for at in best]

@@ -1,0 +1,122 @@
+"""What a motor turns and draws beside what its command, and its speed, let expect.
+
+With u a motor's command, w its speed, i its current, and v the relative deviation of the battery's voltage, the mean
+over all controllers, from what it was in the flights that were fitted:
+
+    expected speed    c0 + c1 u + c2 u^2 + c3 u v        after delay and lag
+    expected current  d0 + d1 w + d2 w^2 + d3 w v
+
+in shares of those of hovering, as means over a tick. The plant behind compares a tick's expectation with the
+measurement of the same tick, which therefore comes one tick later here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.errors import TelemetryError
+from adapters.sample import Given, Samples
+from monitor.core.lagged import LaggedMeans
+
+Array = NDArray[np.float64]
+
+TERMS = 4
+"""Coefficients of a motor's curve."""
+
+
+class EscInputs:
+    """Samples of a multirotor's speed controllers: expected and measured speed, and current where it is measured.
+
+    Parameters
+    ----------
+    parameters : Mapping[str, float]
+        ``output1`` and so on: numbers of the motors' outputs; ``volts``: usual voltage, 0 where it is not measured;
+        ``delay_s``, ``lag_s`` of speed behind command; for each motor n ``rpmN`` (that of hovering) and ``rpmN_c0`` to
+        ``rpmN_c3``; the same of ``ampsN`` for all or none.
+    signal_rate_hz, rate_hz : float
+        Raw samples and given samples per second; the first is a whole multiple of the second.
+
+    Raises
+    ------
+    TelemetryError
+        A parameter is missing, unknown or out of range, or the rates do not fit.
+    """
+
+    def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
+        numbers: list[int] = []
+        while (key := f"output{len(numbers) + 1}") in parameters:
+            numbers.append(int(parameters[key]))
+        currents = any(key.startswith("amps") for key in parameters)
+        kinds = ("rpm", "amps") if currents else ("rpm",)
+        curves = [f"{kind}{n}" for kind in kinds for n in numbers]
+        wanted = {"delay_s", "lag_s", "volts", *(f"output{at}" for at in range(1, len(numbers) + 1)), *curves}
+        wanted |= {f"{name}_c{term}" for name in curves for term in range(TERMS)}
+        if wrong := sorted(wanted ^ set(parameters)):
+            verb = "is unknown" if wrong[0] in parameters else "is missing"
+            raise TelemetryError(f"transform 'esc': '{wrong[0]}' {verb}; fit the profile again")
+        for key, most in (("delay_s", 2.0), ("lag_s", 2.0), ("volts", 1e4)):
+            if not 0.0 <= parameters[key] <= most:
+                raise TelemetryError(f"transform 'esc': '{key}' is {parameters[key]:g}; from 0 to {most:g}")
+        if bad := next((name for name in curves if not 0.0 < parameters[name] < 1e9), None):
+            raise TelemetryError(f"transform 'esc': '{bad}' is {parameters[bad]:g}; that of hovering is above 0")
+        size = round(signal_rate_hz / rate_hz) if rate_hz > 0 else 0
+        if size < 1 or abs(size * rate_hz - signal_rate_hz) > 1e-6 * signal_rate_hz:
+            raise TelemetryError(
+                f"transform 'esc': signals at {signal_rate_hz:g} Hz cannot be grouped to samples at {rate_hz:g} Hz"
+            )
+        volts = parameters["volts"] > 0.0
+        raw = ("motor", "rpm", *(["amps"] if currents else []), *(["volts"] if volts else []))
+        self.signals = tuple(f"{kind}{n}" for kind in raw for n in numbers)
+        self.inputs = tuple(f"{kind}{n}" for kind in (("esc", "motor") if currents else ("esc",)) for n in numbers)
+        self.outputs = tuple(curves)
+        self._units = np.array([parameters[name] for name in curves])
+        self._curves = np.array([[parameters[f"{name}_c{term}"] for term in range(TERMS)] for name in curves])
+        self._volts, self._motors, self._raw = parameters["volts"], len(numbers), len(raw)
+        timing = [(parameters["delay_s"], parameters["lag_s"])] * len(numbers)
+        self._means = LaggedMeans(timing, signal_rate_hz, size, len(curves), len(curves))
+        self._before: Samples | None = None
+
+    def run(self, samples: Samples) -> Given:
+        """Return the observer's samples that raw samples complete; one marked ``restart`` forgets lag and tick."""
+        with np.errstate(all="ignore"):  # absurd values may overflow; they are no evidence
+            command, speed, *more = np.split(samples.u.T, self._raw)
+            v = deviation(more.pop(), self._volts) if self._volts else np.zeros(len(samples))
+            measured = np.vstack([speed, *more]) / self._units[:, None]
+            causes = np.vstack([command, measured[: self._motors]])[: len(measured)]
+            expected = sum(c[:, None] * part for c, part in zip(self._curves.T, terms(causes, v), strict=True))
+        given = self._means.run(samples, [*expected, *measured], np.ones(len(samples), np.bool_))
+        return Given(self._later(given.samples), given.rows)
+
+    def _later(self, samples: Samples) -> Samples:
+        """Return the samples with the measurements of the tick before."""
+        if not len(samples):
+            return samples
+        before = samples.part(0, 1) if self._before is None else self._before
+        self._before = samples.part(len(samples) - 1, len(samples))
+        fresh = samples.restart
+        y = np.vstack([before.y, samples.y[:-1]])
+        lost = np.vstack([before.lost, samples.lost[:-1]])
+        measured, complete = (
+            np.append(getattr(before, name), getattr(samples, name)[:-1]) for name in ("measured", "complete")
+        )
+        return replace(
+            samples,
+            y=np.where(fresh[:, None], samples.y, y),
+            lost=samples.lost | (lost & ~fresh[:, None]),
+            measured=samples.measured & (measured | fresh),
+            complete=samples.complete & (complete | fresh),
+        )
+
+
+def deviation(volts: Array, usual: float) -> Array:
+    """Return how far the mean of all controllers' voltages (s, n) is from the usual one, as a share of it (n,)."""
+    return np.asarray(sum(volts) / len(volts) / usual - 1.0)  # added one after the other, however many rows there are
+
+
+def terms(causes: Array, v: Array) -> tuple[Array, ...]:
+    """Return what the coefficients of the curves of causes (m, n) multiply, :data:`TERMS` arrays of that shape."""
+    return np.ones_like(causes), causes, causes * causes, causes * v

@@ -1,0 +1,110 @@
+"""A simulated quadrotor from command to motion: controllers, motors, propellers, battery, with exact faults of each.
+
+A command c sets a share d of the battery's voltage V, after the link's delay. The motor's speed goes towards
+
+    w = W (0.25 + 1.1 d V/Vf - 0.35 (d V/Vf)^2)     with a lag of 40 ms, W = 9000 rpm
+
+and its propeller gives the thrust (w/W)^2 and takes the current 18 A (w/W)^3 Vf/V. Faults act from a moment on: ``esc``
+applies less of the voltage; ``prop`` gives less thrust at its speed; ``motor`` takes more current at its speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from adapters.message import Message
+from adapters.source import MAVLINK
+
+RATE_HZ, STEPS = 100, 4
+"""Messages per second, and steps of the simulation per message."""
+FULL_V = 16.6
+_ANGLES = np.radians([45.0, 225.0, -45.0, 135.0])
+_MIXER = np.column_stack([-np.sin(_ANGLES), np.cos(_ANGLES), [1.0, 1.0, -1.0, -1.0], np.ones(4)])
+_EFFECT = np.array([160.0, 160.0, 16.0])
+_DAMPING = np.array([1.5, 1.5, 1.0])
+_SPEED, _LAG_S, _DELAY = 9000.0, 0.04, 4
+_AMPS, _OHM = 18.0, 0.02
+_HOVER = 0.36
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A fault of one motor (1 to 4): ``part`` is esc, prop or motor, ``share`` what it loses, or draws more."""
+
+    part: str
+    motor: int
+    share: float
+    onset_s: float = 30.0
+    end_s: float = 1e9
+
+
+def flight(
+    seed: int,
+    duration_s: float,
+    fault: Fault | None = None,
+    *,
+    esc_hz: float = 50.0,
+    order: tuple[int, ...] = (0, 1, 2, 3),
+    sag_v: float = 0.0,
+) -> Iterator[Message]:
+    """Yield the telemetry of a flight; ``sag_v`` is what the battery loses of its open voltage over the flight.
+
+    Controller k of the messages is that of motor ``order[k]`` + 1.
+    """
+    rng = np.random.default_rng(seed)
+    dt = 1.0 / (RATE_HZ * STEPS)
+    rate, gust, wanted = np.zeros(3), np.zeros(4), np.zeros(4)
+    speed, volts = np.full(4, np.sqrt(_HOVER)), FULL_V
+    climb, height_sum = 0.0, 0.0
+    on_the_way = [np.full(4, 0.35)] * _DELAY
+    start_ns = 1_800_000_000_000_000_000
+    next_esc_s = 0.0
+    current = np.zeros(4)
+    for k in range(round(duration_s * RATE_HZ)):
+        now_s = k / RATE_HZ
+        if k % 30 == 0:
+            wanted = rng.normal(0.0, [0.5, 0.5, 0.6, 0.3])
+        gust += -gust / RATE_HZ + rng.normal(0.0, [0.04, 0.04, 0.01, 0.03])
+        controls = np.clip((wanted[:3] - rate) * [0.05, 0.05, 0.12], -0.12, 0.12)
+        height_sum = np.clip(height_sum + (wanted[3] - climb) / RATE_HZ, -20.0, 20.0)
+        lift = 0.35 + 0.05 * (wanted[3] - climb) + 0.02 * height_sum
+        pulses = np.round(1000.0 + 1000.0 * np.clip(_MIXER @ np.append(controls, lift), 0.03, 1.0))
+        acts = fault is not None and fault.onset_s <= now_s < fault.end_s
+        working = {part: np.ones(4) for part in ("esc", "prop", "motor")}
+        if acts:
+            sign = 1.0 if fault.part == "motor" else -1.0
+            working[fault.part][fault.motor - 1] += sign * fault.share
+        on_the_way.append((pulses - 1000.0) / 1000.0)
+        applied = on_the_way.pop(0) * working["esc"] * volts / FULL_V
+        for _ in range(STEPS):
+            target = 0.25 + 1.1 * applied - 0.35 * applied**2
+            speed = speed + (target - speed) * dt / _LAG_S
+            thrust = working["prop"] * speed**2
+            torque = _EFFECT * (_MIXER[:, :3].T @ thrust) / 4.0
+            rate = rate + dt * (torque - _DAMPING * rate + gust[:3])
+        lifted = 9.81 * float(thrust.sum()) / (4.0 * _HOVER) + gust[3]
+        climb += (lifted - 9.81 - 0.3 * climb) / RATE_HZ
+        current = _AMPS * speed**3 * FULL_V / volts * working["motor"]
+        volts = FULL_V - sag_v * now_s / duration_s - _OHM * float(current.sum())
+        stamp_ms, arrival_ns = 5_000 + 10 * k, start_ns + 10_000_000 * k
+        fields = {f"servo{i}_raw": int(pulse) for i, pulse in enumerate(pulses, start=1)}
+        yield _message("SERVO_OUTPUT_RAW", arrival_ns, {"time_usec": stamp_ms * 1000, "port": 0, **fields})
+        noisy = (rate + rng.normal(0.0, 1e-3, 3)).tolist()
+        rates = dict(zip(("rollspeed", "pitchspeed", "yawspeed"), noisy, strict=True))
+        yield _message("ATTITUDE", arrival_ns, {"time_boot_ms": stamp_ms, **rates})
+        if now_s >= next_esc_s:
+            next_esc_s += 1.0 / esc_hz
+            rpm = [round(_SPEED * speed[motor] + rng.normal(0.0, 20.0)) for motor in order]
+            amps = [current[motor] + rng.normal(0.0, 0.05) for motor in order]
+            measured = {"rpm": rpm, "voltage": [volts + rng.normal(0.0, 0.02) for _ in order], "current": amps}
+            yield _message("ESC_STATUS", arrival_ns, {"index": 0, "time_usec": stamp_ms * 1000, **measured})
+        if k % RATE_HZ == 0:
+            yield _message("HEARTBEAT", arrival_ns, {"type": 2, "autopilot": 12, "base_mode": 128})
+            yield _message("EXTENDED_SYS_STATE", arrival_ns, {"landed_state": 2})
+
+
+def _message(name: str, received_ns: int, fields: Mapping[str, object]) -> Message:
+    return Message(MAVLINK, name, received_ns, fields, 1, 1)

@@ -1,0 +1,136 @@
+"""Speeds and currents of motors: which controller is whose, what they follow, and faults told apart by name."""
+
+from collections.abc import Iterator
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from simulated_chain import Fault, flight
+
+from adapters.errors import TelemetryError
+from adapters.logs.recordings import packed
+from adapters.sample import Given, Samples, joined_samples
+from monitor.event import AlarmEvent
+from monitor.profile import Profile, read_profile
+from monitor.vehicles.multirotor.transform import EscInputs
+from replay.fit import FitReport, fit_profile
+from replay.player import play
+
+ORDER = (1, 3, 0, 2)
+"""Motor, from 0, of each controller."""
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[FitReport, Profile]:
+    folder = tmp_path_factory.mktemp("chain") / "quad"
+    logs = [list(flight(seed, 60.0, order=ORDER, sag_v=0.8 * seed)) for seed in (1, 2)]
+    with pytest.MonkeyPatch.context() as patch:
+        # what a profile will detect is measured in other tests
+        patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
+        report = fit_profile("multirotor", [partial(packed, log) for log in logs], folder, "quad")
+    return report, read_profile(folder)
+
+
+def raised(profile: Profile, fault: Fault | None, seed: int = 9) -> list[AlarmEvent]:
+    events = play(profile, flight(seed, 45.0, fault, order=ORDER, sag_v=1.0)).events
+    return [event for event in events if event.state == "raised"]
+
+
+def seconds_after(event: AlarmEvent, fault: Fault) -> float:
+    return event.vehicle_time_ms / 1000 - 5.0 - fault.onset_s
+
+
+def test_the_speeds_say_which_controller_drives_which_motor(fitted: tuple[FitReport, Profile]) -> None:
+    [esc] = [one for one in fitted[0].observers if one.name == "esc"]
+    assert esc.findings["controllers"] == {f"rpm{motor + 1}": f"ESC_STATUS[{at}]" for at, motor in enumerate(ORDER)}
+    assert esc.findings["delay_s"] + esc.findings["lag_s"] == pytest.approx(0.04 + 0.04, abs=0.015)
+    assert [channel.name for channel in esc.profile().faults] == [
+        f"{kind}{n}" for kind in ("esc", "motor") for n in range(1, 5)
+    ]
+
+
+def test_a_controller_that_applies_less_is_named_within_half_a_second(fitted: tuple[FitReport, Profile]) -> None:
+    fault = Fault("esc", 2, 0.2, onset_s=30.0)
+    [event] = [event for event in raised(fitted[1], fault) if event.observer == "esc"]
+    assert event.channel == "esc2"
+    assert 0.0 < seconds_after(event, fault) < 0.5
+    assert event.message.startswith("esc2 turns its motor ")
+    assert event.message.endswith(" % slower than commanded")
+
+
+def test_a_motor_that_draws_more_at_its_speed_is_named_and_nothing_else(fitted: tuple[FitReport, Profile]) -> None:
+    fault = Fault("motor", 3, 0.3, onset_s=30.0)
+    [event] = raised(fitted[1], fault)
+    assert (event.observer, event.channel) == ("esc", "motor3")
+    assert 0.0 < seconds_after(event, fault) < 0.5
+    assert event.relative == pytest.approx(0.3, abs=0.05)
+    assert "more current than its speed lets expect" in event.message
+
+
+def test_a_healthy_flight_with_a_sagging_battery_raises_nothing(fitted: tuple[FitReport, Profile]) -> None:
+    events = play(fitted[1], flight(11, 60.0, order=ORDER, sag_v=2.5)).events
+    assert [event for event in events if event.state == "raised"] == []
+
+
+PARAMETERS = {
+    **{"output1": 1.0, "output2": 2.0, "volts": 16.0, "delay_s": 0.0, "lag_s": 0.0, "rpm1": 5000.0, "rpm2": 5000.0},
+    **{f"rpm{n}_c{term}": value for n in (1, 2) for term, value in enumerate((0.5, 1.0, 0.0, 0.5))},
+}
+
+
+def raw_samples(n: int) -> Samples:
+    rng = np.random.default_rng(1)
+    command, rpm, volts = rng.uniform(0.3, 0.7, (n, 2)), rng.uniform(4000.0, 6000.0, (n, 2)), np.full((n, 2), 15.2)
+    times_ns = np.arange(n, dtype=np.int64) * 10_000_000
+    flags = {"restart": np.arange(n) % 37 == 0, "complete": np.ones(n, bool), "measured": np.arange(n) % 11 != 5}
+    return Samples(
+        index=np.arange(n, dtype=np.int64),
+        vehicle_time_ns=times_ns,
+        time_ns=times_ns,
+        u=np.hstack([command, rpm, volts]),
+        y=np.empty((n, 0)),
+        known_ns=times_ns,
+        lost=np.zeros((n, 6), bool),
+        **flags,
+    )
+
+
+def test_an_expectation_stands_beside_the_measurement_that_comes_one_tick_later() -> None:
+    raw = raw_samples(36)
+    given = EscInputs(PARAMETERS, 100.0, 50.0).run(raw).samples
+    means = raw.u.reshape(-1, 2, 6).mean(axis=1)
+    assert given.u == pytest.approx(0.5 + means[:, :2] * (1.0 + 0.5 * (15.2 / 16.0 - 1.0)))
+    assert given.y[1:] == pytest.approx(means[:-1, 2:4] / 5000.0)
+
+
+def test_samples_do_not_depend_on_cuts() -> None:
+    raw = raw_samples(200)
+
+    def parts(cuts: list[int]) -> Iterator[Given]:
+        transform = EscInputs(PARAMETERS, 100.0, 50.0)
+        for start, stop in pairwise(cuts):
+            yield transform.run(raw.part(start, stop))
+
+    [whole] = parts([0, 200])
+    cut = joined_samples([given.samples for given in parts([0, 1, 2, 3, 50, 51, 74, 75, 76, 199, 200])])
+    for name in ("index", "u", "y", "restart", "complete", "measured", "lost"):
+        assert np.array_equal(getattr(cut, name), getattr(whole.samples, name)), name
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"rpm1_c2": None}, "'rpm1_c2' is missing"),
+        ({"amps3": 1.0}, "'amps1' is missing"),
+        ({"weight": 1.0}, "'weight' is unknown"),
+        ({"lag_s": -1.0}, "'lag_s' is -1; from 0 to 2"),
+        ({"rpm2": 0.0}, "'rpm2' is 0; that of hovering is above 0"),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused(change: dict[str, float | None], said: str) -> None:
+    parameters = {name: value for name, value in {**PARAMETERS, **change}.items() if value is not None}
+    with pytest.raises(TelemetryError, match=said):
+        EscInputs(parameters, 100.0, 50.0)
+    with pytest.raises(TelemetryError, match="cannot be grouped"):
+        EscInputs(PARAMETERS, 100.0, 30.0)
