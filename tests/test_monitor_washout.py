@@ -50,12 +50,35 @@ def test_a_ramp_is_followed() -> None:
     assert estimate[late] == pytest.approx(fault[late], rel=0.1, abs=0.1)
 
 
-def test_a_fault_that_is_washed_out_altogether_still_shows_and_its_end_is_seen() -> None:
-    t = seconds(600.0)
-    fault = np.where((t > 10.0) & (t < 400.0), -8.0, 0.0)
+def test_a_fault_that_is_washed_out_altogether_is_let_go_after_30_s_and_its_end_is_no_other_fault() -> None:
+    t = seconds(900.0)
+    fault = np.where((t > 10.0) & (t < 400.0), -8.0, 0.0) + np.where(t > 700.0, 3.0, 0.0)
     estimate = given_back(wash(fault))
-    assert estimate[(t > 200.0) & (t < 400.0)] == pytest.approx(-8.0, rel=0.05)
-    assert np.max(np.abs(estimate[t > 400.5])) <= THRESHOLD
+    # after 30 s ln(8 / 0.25) the washed-out estimate is half of the threshold
+    quiet = 10.0 + TAU * math.log(8.0 / 0.25)
+    assert estimate[(t > 11.0) & (t < quiet + 29.0)] == pytest.approx(-8.0, rel=0.05)
+    assert np.max(np.abs(estimate[(t > quiet + 31.0) & (t < 700.0)])) <= THRESHOLD
+    assert estimate[(t > 700.5) & (t < 760.0)] == pytest.approx(3.0, rel=0.1)
+
+
+def test_what_follows_a_fault_that_was_let_go_is_seen_though_it_goes_the_other_way() -> None:
+    t = seconds(400.0)
+    fault = np.where(t > 10.0, -2.0, 0.0) + np.where(t > 300.0, 12.0, 0.0)
+    estimate = given_back(wash(fault))
+    assert estimate[(t > 301.5) & (t < 350.0)] == pytest.approx(12.0, rel=0.1)
+
+
+@given(
+    size=st.floats(0.8, 50.0), lasts=st.floats(5.0, 90.0), smoothing=st.floats(0.05, 0.5), sign=st.sampled_from([-1, 1])
+)
+def test_no_step_leaves_an_alarm_of_the_other_sign(size: float, lasts: float, smoothing: float, sign: int) -> None:
+    t = seconds(200.0)
+    washed = wash(np.where((t > 10.0) & (t < 10.0 + lasts), sign * size, 0.0))
+    keep = math.exp(-1.0 / (smoothing * RATE))
+    for k in range(1, len(washed)):
+        washed[k] = keep * washed[k - 1] + (1.0 - keep) * washed[k]
+    after = t > 10.0 + lasts + 10.0 * smoothing
+    assert np.max(np.abs(given_back(washed)[after])) <= THRESHOLD
 
 
 def test_errors_of_a_tenth_do_not_outlive_the_fault() -> None:

@@ -27,6 +27,9 @@ cdef double EDGE_BRIDGED = 0.6
 # error of a tenth in scale or time constant leaves of a fault that has ended.
 cdef double WASHOUT_QUIET = 0.5
 cdef double WASHOUT_OVER = 0.1
+# Share of a fault that was let go by which its end may differ from it. Chosen: halfway to what another fault would be
+# told by, as for edges; a fault that creeps while it is held changes by as much.
+cdef double WASHOUT_RETURNED = 0.5
 # Least weight of a channel beside the suspects, relative to its own: below it the channel is a combination of theirs
 # and the difference that remains is rounding (some 1e-16 times the condition of Sigma).
 cdef double SMALLEST_WEIGHT = 1e-9
@@ -391,9 +394,12 @@ cdef class Washout:
 
     - no fault (integral zero) and |f_w| <= threshold / 2: f = f_w;
     - |f_w| > threshold / 2: the integral runs (by the trapezoidal rule), and f = f_w + integral / tau;
-    - |f_w| <= threshold / 2 again while f is still large: the fault lasts, fully washed out; the integral is held;
+    - |f_w| <= threshold / 2 again while f is still large: the fault lasts, fully washed out; the integral is held, for
+      ``longest`` rows. After that nothing measured speaks for the fault any more: it is let go, and remembered, so that
+      its end, a step of as much the other way, is no fault of its own;
     - |f| back within the threshold, or within a tenth of its peak (errors of a tenth leave as much): the fault is over,
-      and zero is given until |f_w| has settled too, when everything is forgotten.
+      and zero is given until |f_w| has settled too, for ``settle`` rows (a step down passes through zero on its way),
+      when everything is forgotten.
 
     Parameters
     ----------
@@ -401,17 +407,21 @@ cdef class Washout:
         1 / (2 tau rate): what the trapezoidal rule gives one row of f_w / tau.
     threshold : float
         Alarm threshold of the channel.
+    settle, longest : int
+        Rows after which a fault that ended is forgotten, and for which one is held that nothing measured speaks for.
     """
 
     cdef readonly double threshold, peak
-    cdef double share, before, integral
+    cdef double share, before, integral, gone
+    cdef Py_ssize_t settle, longest, still, moving, ended
 
-    def __init__(self, share, threshold):
-        self.share, self.threshold = share, threshold
+    def __init__(self, share, threshold, settle, longest):
+        self.share, self.threshold, self.settle, self.longest = share, threshold, settle, longest
         self.clear()
 
     cdef void clear(self) noexcept:
-        self.before = self.integral = self.peak = 0.0
+        self.before = self.integral = self.peak = self.gone = 0.0
+        self.still = self.moving = self.ended = 0
 
     def run(self, const double[:] washed):
         """Return f of each of n rows (n,)."""
@@ -428,16 +438,35 @@ cdef class Washout:
         cdef double fault, size
         if moves:
             self.integral += self.share * (washed + self.before)
+        self.still, self.moving = 0 if moves else self.still + 1, self.moving + 1 if moves else 0
         self.before = washed
         fault = washed + self.integral
         size = fabs(fault)
+        if moves and self.returns(fault):
+            return 0.0
         if size > self.threshold and size > self.peak:
             self.peak = size
         over = size <= max(self.threshold, WASHOUT_OVER * self.peak)
-        if over and not moves:
+        if not moves and not over and self.still >= self.longest:
+            self.gone = fault
+            self.integral = self.peak = 0.0
+            return washed
+        self.ended = self.ended + 1 if over and not moves else 0
+        if self.ended and (self.peak == 0.0 or self.ended > self.settle):
             self.integral = self.peak = 0.0
             return washed
         return 0.0 if over and self.peak > 0.0 else fault
+
+    cdef bint returns(self, double fault) noexcept:
+        """Return whether a fault is the end of one that was let go, or may be on its way to it."""
+        cdef double left = fabs(fault + self.gone), size = fabs(self.gone)
+        if fault * self.gone >= 0.0:
+            return False
+        if left <= max(self.threshold, WASHOUT_RETURNED * size):
+            # All is as before it: zero, until the washed-out estimate has settled.
+            self.integral, self.peak, self.gone = self.integral - fault, size, 0.0
+            return True
+        return left < size and self.moving <= self.settle
 
 
 cdef class IndependentIsolation:

@@ -163,8 +163,10 @@ cdef class StrapdownCore:
     cdef double[3] _field
     cdef double[2] _reckoned
     cdef int _fix_age, _field_age
-    # Where a receiver was stuck, ticks until that is compared with where it goes on, and whether that is elsewhere.
+    # Where a receiver was stuck, how the vehicle moved since by accelerations, ticks until that is compared with where
+    # it goes on, and whether all has to begin anew there.
     cdef double[2] _stuck
+    cdef double[2] _way
     cdef int _loose
     cdef bint _unstuck
     # u of the tick before; the sum of u since the period's start, and where it began.
@@ -240,6 +242,7 @@ cdef class StrapdownCore:
         memset(self._added, 0, sizeof(self._added))
         memset(self._fix, 0, sizeof(self._fix))
         memset(self._field, 0, sizeof(self._field))
+        memset(self._way, 0, sizeof(self._way))
         memset(self._turned, 0, sizeof(self._turned))
         memset(self._y, 0, sizeof(self._y))
         memset(self._once, 0, sizeof(self._once))
@@ -491,9 +494,10 @@ cdef class StrapdownCore:
     cdef void follow_fix(self, const double* fix, const double* motion) noexcept:
         """Follow the GPS's speed, by the accelerations while the fix stays the same.
 
-        With it the position of a receiver that is stuck is off by what the vehicle moved meanwhile. Once it goes on,
-        all that was integrated with it is void: the next tick begins anew.
+        With it the position of a receiver that is stuck is off by what the vehicle moved meanwhile; its velocity
+        follows the accelerations. Once it goes on, what they integrated to since is void, and the fix is right.
         """
+        cdef double step
         cdef int axis
         if fix[5]:
             return
@@ -501,16 +505,37 @@ cdef class StrapdownCore:
             self._fix_age += 1
             for axis in range(2):
                 self._reckoned[axis] = self._reckoned[axis] + motion[axis] * self._dt
+                # by the speed that is given out, as below
+                step = self._reckoned[axis] if self.stuck() else fix[3 + axis]
+                self._way[axis] = self._way[axis] + step * self._dt
             return
-        if self.stuck():
-            self._stuck[0], self._stuck[1], self._loose = self._fix[0], self._fix[1], self._gps_hold
+        if not self._loose:
+            if self.stuck():
+                self._stuck[0], self._stuck[1] = self._fix[0], self._fix[1]
+                self._loose = self._gps_hold
+            else:
+                self._way[0] = self._way[1] = 0.0
         if self._loose:
             # Lines from the fix where it was stuck to the next one are over by then.
             self._loose -= 1
-            self._unstuck = self._loose == 0 and hypot(fix[0] - self._stuck[0], fix[1] - self._stuck[1]) > _STUCK_METRES
+            for axis in range(2):
+                self._way[axis] = self._way[axis] + fix[3 + axis] * self._dt
+            if self._loose == 0 and hypot(fix[0] - self._stuck[0], fix[1] - self._stuck[1]) > _STUCK_METRES:
+                self.believe_fix(fix)
         self._fix_age = 0
         memcpy(self._fix, fix, sizeof(self._fix))
         self._reckoned[0], self._reckoned[1] = fix[3], fix[4]
+
+    cdef void believe_fix(self, const double* fix) noexcept:
+        """Go on from a fix after one that was stuck: what it is off from the reckoning is the reckoning's error."""
+        cdef int axis
+        if not self._speeds:
+            self._unstuck = True
+            return
+        for axis in range(2):
+            self._added[axis] = self._added[axis] - (fix[axis] - self._stuck[axis] - self._way[axis])
+        if self._navigation is not None:
+            self._navigation.restart()
 
     cdef bint stuck(self) noexcept:
         return self._fix_age > self._gps_hold > 0
@@ -568,6 +593,9 @@ cdef class StrapdownCore:
                 meant[i] = self._speed[i] + 0.5 * change
                 self._speed[i] = self._speed[i] + change
                 self.follow(y, velocity + i, change)
+        elif moves and (self.stuck() or self._loose) and self._has_before:
+            for i in range(2):
+                self.follow(y, velocity + i, meant[speed + i] * self._dt)
         if lacks[_GPS]:
             if moves:
                 for i in range(2):

@@ -64,7 +64,15 @@ def washout_inverse(tau: float, rate_hz: float, threshold: float) -> Washout:
     believed: switching it off and on would cut pieces out of the integral. ``threshold`` is the channel's alarm
     threshold.
     """
-    return Washout(share=0.5 / (tau * rate_hz), threshold=threshold)
+    return Washout(0.5 / (tau * rate_hz), threshold, round(_SETTLED_S * rate_hz), round(_STANDS_S * rate_hz))
+
+
+_SETTLED_S = 1.0
+"""How long a fault has to be over before it is forgotten. Chosen: eight time constants of the inertial bank's
+smoothing, through which a step down passes zero."""
+_STANDS_S = 30.0
+"""How long a fault is given back that nothing measured speaks for: one time constant of the washouts. Chosen: a size
+that is older is not that of now."""
 
 
 _FLAT = 10.0 / 3.0
