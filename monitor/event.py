@@ -8,6 +8,8 @@ from dataclasses import MISSING, dataclass, fields
 from types import UnionType
 from typing import Annotated, Any, Final, Literal, NamedTuple, TypeGuard, get_args, get_origin, get_type_hints
 
+from monitor.display import fault_text
+
 Kind = Literal["actuator", "sensor", "residual", "stale", "security", "system", "blind"]
 State = Literal["raised", "updated", "acknowledged", "shelved", "cleared"]
 Severity = Literal["warning", "critical"]
@@ -47,6 +49,11 @@ class AlarmEvent:
     shelved_until_ns: Annotated[int | None, "Unix time at which shelving ends"] = None
     creeping: Annotated[bool, "only the mean over seconds shows it; estimate is that mean"] = False
     recurring: Annotated[bool, "it comes and goes, and clears only after a long quiet"] = False
+    display: Annotated[str, "the size as people say it, of estimate, relative and unit; empty where there is none"] = ""
+
+    def __post_init__(self) -> None:
+        """Say the size: whatever was given, so that it follows when the size is replaced."""
+        object.__setattr__(self, "display", fault_text(self.channel, self.estimate, self.relative, self.unit))
 
     def to_json(self) -> dict[str, Any]:
         """Return the event as the JSON object of the contract."""

@@ -31,11 +31,11 @@ from monitor.event import Kind
         ("baro", "sensor", "m", 8.0, None, "barometer reads 8 m too high"),
         ("compass", "sensor", "rad", -0.3491, None, "compass is 20 degrees too far anticlockwise"),
         ("compass", "sensor", "rad", 7.1733, None, "compass is 51 degrees too far clockwise"),
-        ("gyro_x", "sensor", "rad/s", 0.08, None, "gyro x reads 0.08 rad/s too much"),
+        ("gyro_x", "sensor", "rad/s", 0.08, None, "gyro x reads 4.58 degrees/s too much"),
         ("airspeed", "sensor", "m/s", -2.5, None, "airspeed reads 2.5 m/s too slow"),
-        ("encoder", "sensor", "rad", 2.0, None, "encoder reads +2 rad off"),
+        ("encoder", "sensor", "rad", 2.0, None, "encoder reads +115 degrees off"),
         ("pump", "actuator", "bar", -1.5, None, "pump is off by -1.5 bar"),
-        ("unexplained", "residual", "", 7.0, None, "o: no known fault explains what is measured (7.0 times healthy)"),
+        ("unexplained", "residual", "", 7.0, None, "o: no known fault explains what is measured (7 times healthy)"),
     ],
 )
 def test_a_sentence_names_part_direction_and_size(

@@ -169,7 +169,7 @@ def test_a_mistake_is_named_and_ends_with_2(endpoint: Endpoint, options: tuple[s
 @pytest.mark.parametrize(
     ("changes", "parts"),
     [
-        ({"relative": -0.05}, ["-0.02 m", "(-5.0 %)", "motors/motor1", "raised"]),
+        ({"relative": -0.05}, ["-5 % of the command", "motors/motor1", "raised"]),
         ({"estimate": None, "kind": "stale"}, ["motor1 delivers less"]),
         ({"time_ns": 10**30}, [f"{10**30} ns"]),
         ({"time_ns": 1_795_251_917_265_689_600}, ["2026-11-21T09:05:17.265Z"]),

@@ -29,6 +29,7 @@ from dataclasses import dataclass, fields, replace
 
 from adapters.sample import Samples
 from monitor.core.alarms import CLEARED, RAISED, UPDATED, AlarmState
+from monitor.display import percent_text, size_text
 from monitor.estimation.input_curve import relative_loss
 from monitor.event import UNNUMBERED, AlarmEvent, Kind, State, alarm_id
 
@@ -54,31 +55,34 @@ def alarm_message(
     if state == "cleared":
         return f"{channel} is back to normal"
     if kind == "residual":
-        return f"{observer}: no known fault explains what is measured ({size:.1f} times healthy)"
+        return f"{observer}: no known fault explains what is measured ({size_text(size, 'times healthy')})"
     if kind == "actuator" and unit == DEFLECTION:
         if relative is None:
-            return f"{channel} acts {100 * abs(size):.0f} % of full deflection off where it is commanded"
+            return f"{channel} acts {size_text(abs(size), unit)} off where it is commanded"
         verb, noun = _ACTS.get(channel, _HAS_EFFECT)
-        return f"{channel} {verb} {100 * abs(relative):.0f} % {'less' if relative < 0 else 'more'}{noun} than commanded"
+        return f"{channel} {verb} {_percent(relative)}{noun} than commanded"
     if kind == "actuator" and relative is not None and unit in _CHAIN:
         verb, less, more, expected = _CHAIN[unit]
-        return f"{channel} {verb} {100 * abs(relative):.0f} % {less if relative < 0 else more} than {expected}"
+        return f"{channel} {verb} {percent_text(abs(relative))} % {less if relative < 0 else more} than {expected}"
     if kind == "actuator" and relative is not None:
-        return f"{channel} delivers {100 * abs(relative):.0f} % {'less' if relative < 0 else 'more'} than commanded"
+        return f"{channel} delivers {_percent(relative)} than commanded"
     if channel.startswith("disturbance_"):
-        return f"{channel.removeprefix('disturbance_')} is disturbed by {_size(size, unit)}: no fault"
+        return f"{channel.removeprefix('disturbance_')} is disturbed by {size_text(size, unit, signed=True)}: no fault"
     sentence = _sensor(channel, unit, size)
     if sentence is not None:
         return sentence
-    return (
-        f"{channel} reads {_size(size, unit)} off" if kind == "sensor" else f"{channel} is off by {_size(size, unit)}"
-    )
+    amount = size_text(size, unit, signed=True)
+    return f"{channel} reads {amount} off" if kind == "sensor" else f"{channel} is off by {amount}"
+
+
+def _percent(relative: float) -> str:
+    return f"{percent_text(abs(relative))} % {'less' if relative < 0 else 'more'}"
 
 
 def _sensor(channel: str, unit: str, size: float) -> str | None:
     """Return the sentence for a sensor whose name the field knows, None for any other."""
     name, _, axis = channel.rpartition("_")
-    amount = f"{abs(size):.3g} {unit}"
+    amount = size_text(abs(size), unit)
     if name == "gps":
         if axis not in _AXES:
             return None
@@ -96,18 +100,14 @@ def _sensor(channel: str, unit: str, size: float) -> str | None:
         return f"barometer reads {amount} too {'high' if size > 0 else 'low'}"
     if channel == "compass":
         # the estimate counts turns on; nothing is further off than half of one
-        off = math.degrees(math.remainder(size, math.tau))
-        return f"compass is {abs(off):.0f} degrees too far {'clockwise' if off > 0 else 'anticlockwise'}"
+        off = math.remainder(size, math.tau)
+        return f"compass is {size_text(abs(off), unit)} too far {'clockwise' if off > 0 else 'anticlockwise'}"
     if channel == "airspeed":
         return f"airspeed reads {amount} too {'fast' if size > 0 else 'slow'}"
     if name in ("gyro", "accel", "attitude"):
         part = {"gyro": "gyro", "accel": "accelerometer", "attitude": "attitude"}[name]
         return f"{part} {axis} reads {amount} too {'much' if size > 0 else 'little'}"
     return None
-
-
-def _size(value: float, unit: str) -> str:
-    return f"{value:+.3g} {unit}".rstrip()
 
 
 LEAST: Mapping[str, float] = {"slow_s": 0.01}

@@ -13,16 +13,13 @@ def alarm_line(event: AlarmEvent) -> str:
 
     What came over a network is printed without control characters: it shall not drive the terminal.
     """
-    size = "" if event.estimate is None else f"{event.estimate:+.4g} {event.unit}"
-    share = "" if event.relative is None else f"({100 * event.relative:+.1f} %)"
     parts = (
         utc(event.time_ns),
         event.vehicle,
         f"{event.observer}/{event.channel}",
         f"{event.state:<7}",
         f"{event.severity:<8}",
-        size,
-        share,
+        event.display,
         event.message,
     )
     return printable("  ".join(part for part in parts if part))

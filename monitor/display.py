@@ -1,0 +1,64 @@
+"""Sizes as people say them: the only place that makes words of a number and its unit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+_TURN = 180.0 / math.pi
+_COMMAND = "fraction of full command"
+_DEFLECTION = "fraction of full deflection"
+_UNITS: Mapping[str, tuple[float, str]] = {
+    "rad": (_TURN, "degrees"),
+    "rad/s": (_TURN, "degrees/s"),
+    "rad/s^2": (_TURN, "degrees/s²"),
+    "m/s^2": (1.0, "m/s²"),
+    _COMMAND: (100.0, "% of full command"),
+    _DEFLECTION: (100.0, "% of full deflection"),
+    "share of the command": (100.0, "% of the command"),
+    "share of messages": (100.0, "% of messages"),
+    "share": (100.0, "%"),
+}
+_SHARES: Mapping[str, str] = {_COMMAND: "% of thrust", _DEFLECTION: "% of effect"}
+_LARGEST = 1e30
+"""Beyond anything that is measured; sizes may come from a network."""
+
+
+def display_unit(unit: str) -> tuple[float, str]:
+    """Return what a size in a unit is multiplied by, and the unit that people say then."""
+    return _UNITS.get(unit, (1.0, unit))
+
+
+def size_text(size: float, unit: str, *, signed: bool = False) -> str:
+    """Return a size in one of the monitor's units as people say it: ``5.73 degrees``; per cent have two digits."""
+    factor, name = display_unit(unit)
+    return f"{number_text(factor * size, 2 if '%' in name else 3, signed=signed)} {name}".rstrip()
+
+
+def fault_text(channel: str, estimate: float | None, relative: float | None, unit: str) -> str:
+    """Return the size of a fault, as the share of the command where that is known; empty where there is none."""
+    if not isinstance(unit, str):  # from a network, not yet checked
+        return ""
+    if _is_size(relative):
+        return f"{percent_text(float(relative or 0.0), signed=True)} {_SHARES.get(unit, '% of the command')}"
+    if not _is_size(estimate):
+        return ""
+    size = float(estimate or 0.0)
+    # a compass' estimate counts turns on; nothing is further off than half of one
+    return size_text(math.remainder(size, math.tau) if channel == "compass" else size, unit, signed=True)
+
+
+def percent_text(share: float, *, signed: bool = False) -> str:
+    """Return a share as the number of its per cent."""
+    return number_text(100.0 * share, 2, signed=signed)
+
+
+def number_text(value: float, digits: int = 3, *, signed: bool = False) -> str:
+    """Return a number with so many significant digits, whole numbers without an exponent."""
+    sign = "+" if signed else ""
+    text = f"{value + 0.0:{sign}.{digits}g}"
+    return f"{value:{sign}.0f}" if "e+" in text and abs(value) < _LARGEST else text
+
+
+def _is_size(value: object) -> bool:
+    return type(value) in (int, float) and -_LARGEST <= value <= _LARGEST  # type: ignore[operator]
