@@ -25,17 +25,17 @@ def rows(*events: AlarmEvent, after_s: float = 1.0) -> list[tuple[str, str, str]
 
 def test_a_row_says_what_how_much_since_when_and_how_bad_it_was() -> None:
     table = AlarmTable()
-    table.take(event(1, estimate=-0.0212, relative=-0.05, unit="fraction", peak=-0.034), START_NS)
+    table.take(event(1, estimate=-0.0212, relative=-0.05, unit="fraction of full command"), START_NS)
     row = table.rows(START_NS + 125 * SECOND)[0]
     assert (row.severity, row.vehicle, row.channel) == ("warning", "copter-1", "motors/motor1")
-    assert (row.size, row.age, row.peak) == ("-0.0212 fraction (-5.0 %)", "2 min", "-0.034")
+    assert (row.size, row.age) == ("-5 % of thrust", "2 min")
     assert (row.group, row.state, row.message) == ("active", "raised", "motor1 delivers less")
 
 
 def test_a_size_that_is_not_known_is_left_out() -> None:
     table = AlarmTable()
     table.take(event(1, kind="stale", estimate=None, peak=None), START_NS)
-    assert (table.rows(START_NS)[0].size, table.rows(START_NS)[0].peak) == ("", "")
+    assert table.rows(START_NS)[0].size == ""
 
 
 def test_critical_comes_first_then_the_newest_then_shelved_then_cleared() -> None:
@@ -103,7 +103,7 @@ def test_no_column_holds_control_characters(text: str, unit: str, time_ns: int, 
     table = AlarmTable()
     table.take(event(1, text, vehicle=text, severity=text, message=text, unit=unit, since_ns=time_ns, estimate=size), 0)
     row = table.rows(START_NS)[0]
-    names = ("severity", "vehicle", "channel", "size", "age", "peak", "state", "message")
+    names = ("severity", "vehicle", "channel", "size", "age", "state", "message")
     assert all(getattr(row, name).isprintable() for name in names)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import pty
 import re
@@ -19,6 +20,7 @@ import pytest
 from loopback import START_NS, Endpoint, event
 from rich.console import Console
 
+from monitor.bus.operators import Operators
 from monitor.bus.publisher import Publisher
 from monitor.bus.status_watch import VehicleStatus
 from monitor.console.alarm_table import AlarmTable
@@ -44,7 +46,7 @@ class Screen:
         command = [sys.executable, "-W", "error", "-m", "fauio", "alarms", "--connect", endpoint.address]
         env = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES", "NO_COLOR")}
         self.process = subprocess.Popen(
-            command, stdout=slave, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=env | {"TERM": term}
+            command, stdin=slave, stdout=slave, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=env | {"TERM": term}
         )
         os.close(slave)
         self.raw = ""
@@ -59,6 +61,9 @@ class Screen:
         """Return what was drawn last: from the header on."""
         plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", self.raw).replace("\r", "")
         return plain[max(plain.rfind("active   "), 0) :] if "Ctrl-C" not in plain else _last_picture(plain)
+
+    def press(self, keys: str) -> None:
+        os.write(self._master, keys.encode())
 
     def close(self) -> None:
         self.process.kill()
@@ -95,7 +100,7 @@ def test_the_table_follows_the_alarms_until_ctrl_c(endpoint: Endpoint, screen: S
     picture = screen.until("motor2.*\n.*motor1")
     assert "2 active" in picture
     assert re.search(r"critical +copter-1 +motors/motor2 .* raised +motor1 delivers less", picture)
-    assert "-0.02 m (-5.0 %)" in picture
+    assert "-5 % of the command" in picture
     publisher.event(event(3, "motor2", severity="critical", state="acknowledged", acknowledged=True))
     screen.until("motor2.*acknowledged")
     publisher.event(event(4, state="shelved", shelved_until_ns=time.time_ns() + HOUR_NS))
@@ -134,7 +139,7 @@ def test_a_small_terminal_shows_the_worst_and_counts_the_rest(endpoint: Endpoint
     publisher = Publisher(endpoint.session, "copter-1", [])
     for k in range(30):
         publisher.event(event(k + 1, f"motor{k}", severity="critical" if k == 7 else "warning"))
-    picture = screen.until("30 active[\\s\\S]*and 23 more")
+    picture = screen.until("30 active[\\s\\S]*and 24 more")
     assert re.search(r"critical +copter-1 +motors/motor7", picture)
     assert all(len(line) <= 80 for line in picture.splitlines())
     screen.close()
@@ -149,9 +154,9 @@ def test_what_and_in_which_state_is_never_cut_while_there_is_room_for_it(width: 
     with console.capture() as capture:
         console.print(draw(table.rows(START_NS), Monitors(), ["tcp/here"], width, 24))
     drawn = capture.get()
-    assert all(part in drawn for part in ("copter-1", "inertial/gps_north", "-5.0 %", "raised"))
+    assert all(part in drawn for part in ("copter-1", "inertial/gps_north", "-5 %", "raised"))
     assert ("severity" in drawn) == (width >= 62)
-    assert ("fraction of full command" in drawn) == (width >= 160)
+    assert ("message" in drawn) == (width >= 110)
 
 
 def test_a_vehicle_that_is_not_watched_stands_above_the_alarms(endpoint: Endpoint, screen: Screen) -> None:
@@ -161,6 +166,40 @@ def test_a_vehicle_that_is_not_watched_stands_above_the_alarms(endpoint: Endpoin
     screen.until(r"copter-1 is degraded: motors watches nothing: no HIGHRES_IMU\?\[2J\s+no alarm is active")
     publisher.status({"state": "monitoring", "reasons": []})
     screen.until(r"monitored: copter-1\s+no alarm is active")
+
+
+def test_keys_acknowledge_the_alarm_that_is_chosen_and_its_text_stays(endpoint: Endpoint, screen: Screen) -> None:
+    publisher = Publisher(endpoint.session, "copter-1", [])
+    operators = Operators(endpoint.session, "fauio/copter-1", ["ack"], 60.0, 480.0)
+    publisher.event(event(1))
+    publisher.event(event(2, "motor2"))
+    screen.until("motor1.*\\n.*motor2")
+    screen.press("a")
+    screen.until("ack which alarm")
+    screen.press("\x1b[B")
+    screen.press("a")
+    while not (commands := operators.pending()):
+        time.sleep(0.01)
+    assert commands[0].fields["id"] == event(1).id
+    done = event(3, state="acknowledged", acknowledged=True, message="motor1 delivers less (acknowledged by Ann)")
+    publisher.event(done)
+    operators.accept(commands[0], done)
+    screen.until("motor1.*acknowledged +motor1 delivers less[\\s\\S]*ack motors/motor1 of copter-1: done")
+    screen.press("s")
+    screen.until("shelve: .*not allowed here")
+    screen.press("q")
+    assert screen.process.wait() == 0
+    operators.close()
+
+
+def test_sizes_and_rates_are_of_now(endpoint: Endpoint, screen: Screen) -> None:
+    publisher = Publisher(endpoint.session, "copter-1", [])
+    publisher.event(event(1, estimate=-0.02, relative=-0.05, unit="fraction of full command"))
+    screen.until("monitored: copter-1")
+    publisher.status({"state": "monitoring", "reasons": [], "messages_per_s": 230.4})
+    screen.until(r"copter-1 \(230 messages/s\)[\s\S]*-5 % of thrust")
+    endpoint.session.put("fauio/copter-1/estimate/motors", json.dumps({"isolated": {"motor1": -0.04, "motor2": 0.0}}))
+    screen.until("-10 % of thrust")
 
 
 def test_many_vehicles_that_are_not_watched_leave_room_for_alarms() -> None:

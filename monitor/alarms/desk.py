@@ -220,13 +220,16 @@ class AlarmDesk:
                 return []
             entry.silent = True
             changes = {"state": "shelved", "shelved_until_ns": self._shelved[key]}
-            return [self._publish(entry, now_ns, _by("shelved", fields), **changes)]
+            return [self._publish(entry, now_ns, _with(entry, _by("shelved", fields)), **changes)]
         if verb == "unshelve":
             self._unshelve(key)
             return self._raise_again(key, now_ns, _by("unshelved", fields))
         assert entry is not None  # noqa: S101 - refusal() has looked
         if verb == "ack":
-            return [self._publish(entry, now_ns, _by("acknowledged", fields), state="acknowledged", acknowledged=True)]
+            if entry.event.acknowledged:
+                return []
+            text = _with(entry, _by("acknowledged", fields))
+            return [self._publish(entry, now_ns, text, state="acknowledged", acknowledged=True)]
         del self._active[key]
         event = _cleared(entry.event, now_ns, _by("reset", fields))
         return [self._numbered(replace(event, latched=False))]
@@ -356,8 +359,7 @@ class AlarmDesk:
         if entry is None:
             return []
         entry.silent = False
-        text = f"{entry.event.message} ({why})"
-        return [self._publish(entry, now_ns, text, state="raised", shelved_until_ns=None)]
+        return [self._publish(entry, now_ns, _with(entry, why), state="raised", shelved_until_ns=None)]
 
     def _publish(self, entry: _Active, now_ns: int, text: str, **changes: Any) -> AlarmEvent:
         """Return a numbered event about an active alarm, which keeps its own sentence."""
@@ -391,6 +393,11 @@ class AlarmDesk:
 
 def _cleared(event: AlarmEvent, now_ns: int, text: str) -> AlarmEvent:
     return replace(event, state="cleared", time_ns=now_ns, message=text)
+
+
+def _with(entry: _Active, what: str) -> str:
+    """Return an alarm's own sentence, and behind it what was done."""
+    return f"{entry.event.message} ({what})"
 
 
 def _by(what: str, fields: Mapping[str, object]) -> str:

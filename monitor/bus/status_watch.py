@@ -20,6 +20,7 @@ _MAX_REASONS = 10
 """Chosen: more do not fit on a screen."""
 _MAX_TEXT = 300
 """Letters of a reason. Chosen: three lines of a terminal."""
+_LARGEST_RATE = 1e9
 _STATES = ("starting", "monitoring", "blind", "degraded", "stale")
 _FIGURES = re.compile(r"[0-9.]+")
 
@@ -31,6 +32,7 @@ class VehicleStatus:
     vehicle: str
     state: str = "starting"  # ``starting``, ``monitoring``, ``blind``, ``degraded`` or ``stale``
     reasons: tuple[str, ...] = ()  # what keeps it from being watched as it should
+    messages_per_s: float | None = None  # telemetry that its monitor gets; None where that is not said
 
     @property
     def kind(self) -> tuple[str, ...]:
@@ -55,7 +57,9 @@ def valid_status(vehicle: str, payload: Any) -> VehicleStatus | None:
     if not isinstance(reasons, Sequence) or isinstance(reasons, str):
         return None
     texts = tuple(reason[:_MAX_TEXT] for reason in reasons[:_MAX_REASONS] if isinstance(reason, str))
-    return VehicleStatus(vehicle, str(payload["state"]), texts)
+    rate = payload.get("messages_per_s")
+    known = isinstance(rate, int | float) and 0 <= rate < _LARGEST_RATE
+    return VehicleStatus(vehicle, str(payload["state"]), texts, float(rate or 0.0) if known else None)
 
 
 class StatusWatch:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from monitor.bus.status_watch import StatusWatch
@@ -31,8 +31,8 @@ def add_alarms(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     alarms = subparsers.add_parser(
         "alarms",
         help="watch alarms as they happen; acknowledge, shelve, reset them",
-        description="On a terminal a live table of the active alarms; in a pipe one JSON object per event, the "
-        "current state of every alarm first.",
+        description="On a terminal a live table of the active alarms, with keys to acknowledge and shelve them; in a "
+        "pipe one JSON object per event, the current state of every alarm first.",
         epilog="example: fauio alarms --history",
     )
     _add_where(alarms, vehicle="only this vehicle (default: all)")
@@ -121,10 +121,16 @@ def run_alarms(args: argparse.Namespace) -> int:
         if args.json or not sys.stdout.isatty():
             _print_lines(subscriber, statuses, nobody, until, lambda event: to_json(event.to_json()).decode())
             return 0
+        from monitor.bus.estimate_watch import EstimateWatch
         from monitor.console.alarm_view import can_redraw, watch
+        from monitor.console.operator_client import send_command
 
         if can_redraw():
-            watch(subscriber, statuses, where, until)
+
+            def ask(verb: str, vehicle: str, request: Mapping[str, Any]) -> None:
+                send_command(session, args.prefix, vehicle, verb, {"by": _user(), **request})
+
+            watch(subscriber, statuses, EstimateWatch(session, args.vehicle, args.prefix), ask, where, until)
         else:
             _print_lines(subscriber, statuses, nobody, until, alarm_line)
     return 0

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Literal
 
@@ -25,15 +26,16 @@ RowKey = tuple[str, str, str]
 class AlarmRow:
     """One alarm as text, without control characters."""
 
+    key: RowKey  # vehicle, observer and channel, as they came
+    id: str  # of the alarm, as it came
     group: Group  # cleared: until a moment ago
-    # the columns; ``channel`` with its observer, ``brief`` the size in per cent where that makes sense
+    # the columns; ``channel`` with its observer, ``brief`` the size without what it is a share of
     severity: str
     vehicle: str
     channel: str
     size: str
     brief: str
     age: str
-    peak: str
     state: str
     message: str
 
@@ -45,6 +47,13 @@ class AlarmTable:
         self._kept_ns = round(kept_cleared_s * 1e9)
         self._latest: dict[RowKey, AlarmEvent] = {}
         self._cleared_ns: dict[RowKey, int] = {}
+        self._sizes: dict[RowKey, float] = {}
+
+    def resize(self, vehicle: str, observer: str, sizes: Mapping[str, float]) -> None:
+        """Take what an observer estimates now, by channel: the size of an alarm between its events."""
+        for channel, size in sizes.items():
+            if (key := (vehicle, observer, channel)) in self._latest:
+                self._sizes[key] = size
 
     def take(self, event: AlarmEvent, now_ns: int) -> None:
         """Take an event that arrived at a Unix time; one older than what is known of its channel changes nothing.
@@ -53,6 +62,7 @@ class AlarmTable:
         """
         key = (event.vehicle, event.observer, event.channel)
         known = self._latest.pop(key, None)
+        self._sizes.pop(key, None)
         if known is not None and _order(event, known) < _order(known, event):
             self._latest[key] = known
             return
@@ -69,9 +79,17 @@ class AlarmTable:
         for key, cleared_ns in list(self._cleared_ns.items()):
             if now_ns - cleared_ns > self._kept_ns:
                 del self._cleared_ns[key], self._latest[key]
+                self._sizes.pop(key, None)
         rows = [(_group(event, now_ns), key, event) for key, event in self._latest.items()]
         rows.sort(key=lambda row: (_GROUPS.index(row[0]), row[2].severity != "critical", -row[2].since_ns, row[1]))
-        return [_row(group, event, now_ns) for group, _, event in rows]
+        return [_row(group, key, self._sized(key, event), now_ns) for group, key, event in rows]
+
+    def _sized(self, key: RowKey, event: AlarmEvent) -> AlarmEvent:
+        """Return the event with the size that its fault has now; a share goes with the estimate."""
+        if (size := self._sizes.get(key)) is None or event.state == "cleared":
+            return event
+        share = None if event.relative is None or not event.estimate else size * event.relative / event.estimate
+        return replace(event, estimate=size, relative=share)
 
     def _make_room(self) -> None:
         """Forget the channel that was silent longest: who publishes endless names shall not fill the memory."""
@@ -79,6 +97,7 @@ class AlarmTable:
             key = next(iter(self._cleared_ns), next(iter(self._latest)))
             self._cleared_ns.pop(key, None)
             del self._latest[key]
+            self._sizes.pop(key, None)
 
 
 def _order(event: AlarmEvent, other: AlarmEvent) -> tuple[int, int]:
@@ -92,25 +111,18 @@ def _group(event: AlarmEvent, now_ns: int) -> Group:
     return "shelved" if event.shelved_until_ns is not None and event.shelved_until_ns > now_ns else "active"
 
 
-def _row(group: Group, event: AlarmEvent, now_ns: int) -> AlarmRow:
-    share = "" if event.relative is None else f"{100 * event.relative:+.1f} %"
-    amount = _amount(event.estimate, event.unit)
+def _row(group: Group, key: RowKey, event: AlarmEvent, now_ns: int) -> AlarmRow:
     columns = (
         event.severity,
         event.vehicle,
         f"{event.observer}/{event.channel}",
-        f"{amount} ({share})" if share else amount,
-        share or amount,
+        event.display,
+        event.display.partition(" of ")[0],
         age(now_ns - event.since_ns),
-        _amount(event.peak, ""),
         _state(group, event),
         event.message,
     )
-    return AlarmRow(group, *map(printable, columns))
-
-
-def _amount(value: float | None, unit: str) -> str:
-    return "" if value is None else f"{value:+.3g} {unit}".strip()
+    return AlarmRow(key, event.id, group, *map(printable, columns))
 
 
 def _state(group: Group, event: AlarmEvent) -> str:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import queue
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from rich import box
 from rich.cells import cell_len
@@ -12,19 +15,22 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from adapters.errors import printable
+from adapters.errors import UsageError, printable
+from monitor.bus.estimate_watch import EstimateWatch
 from monitor.bus.status_watch import StatusWatch, VehicleStatus
 from monitor.bus.subscriber import AlarmSubscriber
-from monitor.console.alarm_table import AlarmRow, AlarmTable
-from monitor.views.palette import SEVERITY
+from monitor.console.alarm_table import AlarmRow, AlarmTable, RowKey
+from monitor.console.keyboard import Keyboard
 
 REFRESH_S = 0.25
 """Chosen: four times a second looks live and costs next to nothing."""
 
-_COLOURS = {str(severity): colour for severity, colour in SEVERITY.items()}
-_HELP = "fauio alarms ack | shelve | unshelve | reset CHANNEL   Ctrl-C ends"
-_AROUND_ROWS = 5
-"""Lines of the screen that are not rows of alarms: heading, rules and the line below."""
+# the terminal's own colours, which its user has chosen to be readable
+_COLOURS = {"warning": "yellow", "critical": "red"}
+_VERBS = {"a": "ack", "s": "shelve", "u": "unshelve", "r": "reset"}
+_HELP = "arrows: choose   a ack   s shelve   u unshelve   r reset   Ctrl-C ends"
+_AROUND_ROWS = 6
+"""Lines of the screen that are not rows of alarms: heading, rules, the latest answer and the keys."""
 _LEAST_ROWS = 3
 """Shown even where a terminal is lower than that."""
 _MOST_WARNINGS = 3
@@ -34,13 +40,11 @@ _LAST_WIDTH = 20
 """Letters that the last column needs to say anything."""
 _GAP = 3
 """Rich puts a blank, a rule and a blank between columns."""
-_TITLES = {"brief": "size", "age": "since"}
+_TITLES = {"age": "since", "brief": "size"}
 # from the widest to the narrowest terminal
 _LAYOUTS = (
-    ("severity", "vehicle", "channel", "size", "age", "peak", "state", _LAST),
-    ("severity", "vehicle", "channel", "brief", "age", "peak", "state", _LAST),
-    ("severity", "vehicle", "channel", "brief", "age", "state", _LAST),
-    ("severity", "vehicle", "channel", "brief", "age", "state"),
+    ("severity", "vehicle", "channel", "size", "age", "state", _LAST),
+    ("severity", "vehicle", "channel", "size", "age", "state"),
     ("severity", "vehicle", "channel", "brief", "state"),
     ("vehicle", "channel", "brief", "state"),
 )
@@ -52,23 +56,75 @@ def can_redraw() -> bool:
     return console.is_terminal and not console.is_dumb_terminal
 
 
-def watch(subscriber: AlarmSubscriber, statuses: StatusWatch, endpoints: Sequence[str], until: float) -> None:
+def watch(
+    subscriber: AlarmSubscriber,
+    statuses: StatusWatch,
+    estimates: EstimateWatch,
+    ask: Callable[[str, str, Mapping[str, Any]], Any],
+    endpoints: Sequence[str],
+    until: float,
+) -> None:
     """Draw the active alarms, again and again, and which vehicles are not watched as they should be.
 
+    ``ask`` sends a command about an alarm to the monitor of a vehicle, and raises UsageError where it is refused;
     ``endpoints`` are named where no monitor is there; ``until`` is the monotonic time at which to stop, seconds.
     """
-    table = AlarmTable()
+    table, desk = AlarmTable(), _Desk(ask)
     console = Console()
-    with Live(console=console, auto_refresh=False, transient=False) as live:
+    with Keyboard() as keyboard, Live(console=console, auto_refresh=False, transient=False) as live:
         while (now := time.monotonic()) < until:
             event = subscriber.receive(min(REFRESH_S, until - now))
             while event is not None:
                 table.take(event, time.time_ns())
                 # at most one refresh a period, however many come
                 event = subscriber.receive(0.0) if time.monotonic() - now < REFRESH_S else None
+            for one in estimates.take():
+                table.resize(*one)
             rows = table.rows(time.time_ns())
-            unwell = [one for one in statuses.latest() if not one.well]
-            live.update(draw(rows, subscriber, endpoints, *console.size, unwell), refresh=True)
+            for key in keyboard.pressed():
+                if key == "q":
+                    return
+                desk.press(key, rows)
+            drawn = draw(rows, subscriber, endpoints, *console.size, statuses.latest(), desk.chosen, desk.said())
+            live.update(drawn, refresh=True)
+
+
+class _Desk:
+    """The alarm that is chosen, and what was asked of its monitor."""
+
+    def __init__(self, ask: Callable[[str, str, Mapping[str, Any]], Any]) -> None:
+        self.chosen: RowKey | None = None
+        self._ask = ask
+        self._said = ""
+        self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def press(self, key: str, rows: Sequence[AlarmRow]) -> None:
+        """Choose another row, or ask something about the one that is chosen, in a thread."""
+        keys = [row.key for row in rows]
+        index = keys.index(self.chosen) if self.chosen in keys else None
+        if key in ("up", "k", "down", "j") and keys:
+            step = -1 if key in ("up", "k") else 1
+            self.chosen = keys[0] if index is None else keys[min(max(index + step, 0), len(keys) - 1)]
+        elif (verb := _VERBS.get(key)) is not None and index is None:
+            self._said = f"{verb} which alarm? choose it with up and down"
+        elif verb is not None and index is not None:
+            row = rows[index]
+            self._said = f"{verb} {row.channel} of {row.vehicle} ..."
+            threading.Thread(target=self._request, args=(verb, row), name="command", daemon=True).start()
+
+    def said(self) -> str:
+        """Return the latest answer."""
+        while not self._answers.empty():
+            self._said = self._answers.get()
+        return self._said
+
+    def _request(self, verb: str, row: AlarmRow) -> None:
+        try:
+            self._ask(verb, row.key[0], {"id": row.id} if row.group == "active" else {"channel": row.channel})
+        except UsageError as error:
+            self._answers.put(str(error))
+        else:
+            self._answers.put(f"{verb} {row.channel} of {row.vehicle}: done")
 
 
 def draw(
@@ -77,10 +133,13 @@ def draw(
     endpoints: Sequence[str],
     width: int,
     height: int,
-    unwell: Sequence[VehicleStatus] = (),
+    statuses: Sequence[VehicleStatus] = (),
+    chosen: RowKey | None = None,
+    said: str = "",
 ) -> Group:
     """Return header, table and help for a terminal with this many columns and lines."""
-    warnings = _warnings([status for status in unwell if status.vehicle in subscriber.live])
+    there = [status for status in statuses if status.vehicle in subscriber.live]
+    warnings = _warnings([status for status in there if not status.well])
     shown = rows[: max(_LEAST_ROWS, height - _AROUND_ROWS - len(warnings))]
     columns = _columns(shown, width)
     table = Table(box=box.SIMPLE_HEAD, expand=True, padding=(0, 1), pad_edge=False, show_edge=False)
@@ -89,13 +148,16 @@ def draw(
         table.add_column(_TITLES.get(name, name), no_wrap=True, overflow="ellipsis", ratio=1 if name == _LAST else None)
     for row in shown:
         # Text and not str: what came over a network is no markup
-        table.add_row(*(Text(getattr(row, name)) for name in columns), style=_style(row))
+        style = f"{_style(row)} reverse".strip() if row.key == chosen else _style(row)
+        table.add_row(*(Text(getattr(row, name)) for name in columns), style=style)
     active = sum(row.group == "active" for row in rows)
     gone = sorted({row.vehicle for row in rows} - subscriber.live)
-    header = _header(active, gone, subscriber, endpoints)
+    header = _header(active, gone, subscriber, endpoints, {one.vehicle: one.messages_per_s for one in there})
     lines = [header, *warnings, table if rows else Text("no alarm is active", style="dim")]
     if len(rows) > len(shown):
         lines.append(Text(f"and {len(rows) - len(shown)} more", style="dim"))
+    if said:
+        lines.append(Text(printable(said), no_wrap=True, overflow="ellipsis"))
     return Group(*lines, Text(_HELP, style="dim", no_wrap=True, overflow="ellipsis"))
 
 
@@ -113,10 +175,17 @@ def _columns(rows: Sequence[AlarmRow], width: int) -> tuple[str, ...]:
     return _LAYOUTS[-1]
 
 
-def _header(active: int, gone: Sequence[str], subscriber: AlarmSubscriber, endpoints: Sequence[str]) -> Text:
+def _header(
+    active: int,
+    gone: Sequence[str],
+    subscriber: AlarmSubscriber,
+    endpoints: Sequence[str],
+    rates: Mapping[str, float | None],
+) -> Text:
     live = sorted(subscriber.live)
     if live:
-        words = f"{active} active   monitored: {printable(', '.join(live))}"
+        names = [name if (rate := rates.get(name)) is None else f"{name} ({rate:.0f} messages/s)" for name in live]
+        words = f"{active} active   monitored: {printable(', '.join(names))}"
         if gone:
             words += f"   monitor gone: {', '.join(gone)}"
     else:

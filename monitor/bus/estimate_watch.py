@@ -1,0 +1,60 @@
+"""The latest published estimates of one or all vehicles: what an alarm's size is now, between its events."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from monitor.bus.keys import ANY, vehicle_of, vehicle_root
+from monitor.bus.payload import decode_payload
+
+if TYPE_CHECKING:
+    import zenoh
+
+MAX_OBSERVERS = 4000
+"""Keys come from the network: the memory for them has to end. Chosen: four observers of a thousand vehicles."""
+
+
+class LiveSizes(NamedTuple):
+    """What is attributed to each fault channel of an observer now."""
+
+    vehicle: str
+    observer: str
+    sizes: Mapping[str, float]
+
+
+class EstimateWatch:
+    """Keeps the latest estimate of each observer, decoded when it is asked for; left open is the session.
+
+    Raises UsageError where the vehicle's name or the prefix cannot be part of a key.
+    """
+
+    def __init__(self, session: zenoh.Session, vehicle: str = ANY, prefix: str = "fauio") -> None:
+        self._root = vehicle_root(prefix, vehicle)
+        self._lock = threading.Lock()
+        self._latest: dict[str, zenoh.ZBytes] = {}
+        self._subscriber: Any = session.declare_subscriber(f"{self._root}/estimate/*", self._on_estimate)
+
+    def take(self) -> list[LiveSizes]:
+        """Return what came since the last call."""
+        with self._lock:
+            latest, self._latest = self._latest, {}
+        found = []
+        for key, payload in latest.items():
+            estimate = decode_payload(payload)
+            isolated = estimate.get("isolated") if isinstance(estimate, dict) else None
+            if isinstance(isolated, dict):
+                sizes = {name: float(size) for name, size in isolated.items() if type(size) in (int, float)}
+                found.append(LiveSizes(vehicle_of(self._root, key), key.rpartition("/")[2], sizes))
+        return found
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._subscriber.undeclare()
+
+    def _on_estimate(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        with self._lock:
+            if key in self._latest or len(self._latest) < MAX_OBSERVERS:
+                self._latest[key] = sample.payload
