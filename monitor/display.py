@@ -6,26 +6,30 @@ import math
 from collections.abc import Mapping
 
 _TURN = 180.0 / math.pi
-_COMMAND = "fraction of full command"
-_DEFLECTION = "fraction of full deflection"
 _UNITS: Mapping[str, tuple[float, str]] = {
     "rad": (_TURN, "degrees"),
     "rad/s": (_TURN, "degrees/s"),
     "rad/s^2": (_TURN, "degrees/s²"),
     "m/s^2": (1.0, "m/s²"),
-    _COMMAND: (100.0, "% of full command"),
-    _DEFLECTION: (100.0, "% of full deflection"),
     "share of the command": (100.0, "% of the command"),
     "share of messages": (100.0, "% of messages"),
     "share": (100.0, "%"),
 }
-_SHARES: Mapping[str, str] = {_COMMAND: "% of thrust", _DEFLECTION: "% of effect"}
+_FRACTION = "fraction of "
+_SHARES: Mapping[str, str] = {
+    "fraction of full command": "% of thrust",
+    "fraction of full deflection": "% of effect",
+    "fraction of speed at hover": "% of speed",
+    "fraction of current at hover": "% of current",
+}
 _LARGEST = 1e30
 """Beyond anything that is measured; sizes may come from a network."""
 
 
 def display_unit(unit: str) -> tuple[float, str]:
     """Return what a size in a unit is multiplied by, and the unit that people say then."""
+    if unit.startswith(_FRACTION):
+        return 100.0, f"% of {unit.removeprefix(_FRACTION)}"
     return _UNITS.get(unit, (1.0, unit))
 
 
