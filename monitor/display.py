@@ -15,6 +15,7 @@ _UNITS: Mapping[str, tuple[float, str]] = {
     "share of messages": (100.0, "% of messages"),
     "share": (100.0, "%"),
 }
+"""What people say for a unit, and what its numbers are multiplied by for that."""
 _FRACTION = "fraction of "
 _SHARES: Mapping[str, str] = {
     "fraction of full command": "% of thrust",

@@ -11,6 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from monitor.recording.archive import ArchiveStatistics
 from monitor.recording.journal import JournalStatistics
 from monitor.service.health import (
+    ChannelHealth,
     Health,
     LinkHealth,
     ObserverHealth,
@@ -23,8 +24,16 @@ from monitor.service.latency import LatencyHistogram
 from monitor.service.metrics import METRICS, HealthCollector, metrics_table, render
 
 ROOT = Path(__file__).parent.parent
-UNITS = ("_total", "_seconds", "_bytes", "_ratio", "_info", "_messages", "_events", "_alarms")
-FLAGS = ("fauio_healthy", "fauio_vehicle_state", "fauio_recorder_trouble", "fauio_link_connected", "fauio_journal_open")
+UNITS = ("_total", "_seconds", "_bytes", "_ratio", "_info", "_messages", "_events", "_alarms", "_active")
+FLAGS = (
+    "fauio_estimate",
+    "fauio_threshold",
+    "fauio_healthy",
+    "fauio_vehicle_state",
+    "fauio_recorder_trouble",
+    "fauio_link_connected",
+    "fauio_journal_open",
+)
 
 
 def health() -> Health:
@@ -43,6 +52,10 @@ def health() -> Health:
                 events=7,
                 active={"critical": 1},
                 observers=(ObserverHealth("motors", 90, {"late": 5}), ObserverHealth("inertial", 80)),
+                channels=(
+                    ChannelHealth("motors", "motor1", "fraction of full command", -0.03, 0.018, "critical"),
+                    ChannelHealth("link", "telemetry"),
+                ),
                 latency=histogram.end_interval(),
                 latency_buckets=histogram.buckets(),
                 recorder=ArchiveStatistics(50, 1),
@@ -78,6 +91,14 @@ def test_every_part_of_the_snapshot_is_a_series() -> None:
     assert value("fauio_observer_samples_total", vehicle="copter-1", observer="inertial") == 80
     assert value("fauio_observer_losses_total", vehicle="copter-1", observer="motors", reason="late") == 5
     assert value("fauio_vehicle_latency_recent_seconds", vehicle="copter-1", quantile="1") == 0.04
+    motor = {"vehicle": "copter-1", "observer": "motors", "channel": "motor1"}
+    assert value("fauio_alarm_active", **motor, severity="critical") == 1
+    assert value("fauio_alarm_active", **motor, severity="warning") == 0
+    assert value("fauio_estimate", **motor, unit="fraction of full command") == -0.03
+    assert value("fauio_threshold", **motor, unit="fraction of full command") == 0.018
+    link = {"vehicle": "copter-1", "observer": "link", "channel": "telemetry"}
+    assert value("fauio_alarm_active", **link, severity="critical") == 0
+    assert sum(name == "fauio_estimate" for name, _ in found) == 1
     assert value("fauio_vehicle_latency_seconds_count", vehicle="copter-1") == 4
     assert value("fauio_vehicle_latency_seconds_bucket", vehicle="copter-1", le="0.004194304") == 3
     assert value("fauio_vehicle_latency_seconds_bucket", vehicle="copter-1", le="+Inf") == 4

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parent.parent
 COMPILED = (".so", ".c")
 """What compiling the core leaves beside its sources."""
 PACKAGES = ("adapters", "gains", "monitor", "replay")
-ALONGSIDE = (".ci", "bench", "docs", "examples", "systemd", "tests")
+ALONGSIDE = (".ci", "bench", "docs", "examples", "grafana", "systemd", "tests")
 FILES = (
     "fauio.py",
     "setup.py",
@@ -103,6 +103,8 @@ def test_the_wheel_holds_all_files_of_the_packages_the_core_compiled_and_nothing
         "licenses/NOTICE",
         "data/share/fauio/fauio@.service",
         "data/share/fauio/config-example.toml",
+        "data/share/fauio/fauio-alerts.yml",
+        "data/share/fauio/fauio-dashboard.json",
     }
 
 

@@ -21,6 +21,7 @@ _MAX_REASONS = 10
 _MAX_TEXT = 300
 """Letters of a reason. Chosen: three lines of a terminal."""
 _LARGEST_RATE = 1e9
+"""Messages a second. Beyond any link; the number comes from a network."""
 _STATES = ("starting", "monitoring", "blind", "degraded", "stale")
 _FIGURES = re.compile(r"[0-9.]+")
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from adapters.link_figures import LinkFigures
+from monitor.event import Severity
 from monitor.recording.archive import ArchiveStatistics
 from monitor.recording.journal import JournalStatistics
 from monitor.service.latency import LatencyBuckets, LatencyStatistics
@@ -43,6 +44,18 @@ class ObserverHealth:
 
 
 @dataclass(frozen=True, slots=True)
+class ChannelHealth:
+    """One channel of a vehicle that can be an alarm."""
+
+    observer: str
+    name: str
+    unit: str = ""  # of what follows; empty where it has no size
+    estimate: float | None = None  # what is attributed to it now
+    threshold: float | None = None
+    severity: Severity | None = None  # of its alarm; None where none is active, or it is shelved
+
+
+@dataclass(frozen=True, slots=True)
 class VehicleHealth:
     """One vehicle."""
 
@@ -55,6 +68,7 @@ class VehicleHealth:
     events: int = 0
     active: Mapping[str, int] = field(default_factory=dict)  # active alarms by severity
     observers: tuple[ObserverHealth, ...] = ()
+    channels: tuple[ChannelHealth, ...] = ()
     # from arrival of a message to what follows from it, over the last interval
     latency: LatencyStatistics = field(default_factory=LatencyStatistics)
     latency_buckets: LatencyBuckets | None = None  # the same since the start

@@ -19,7 +19,7 @@ from prometheus_client.metrics_core import (
 from prometheus_client.registry import Collector
 
 from monitor.event import Severity
-from monitor.service.health import Health, LinkHealth, VehicleHealth, VehicleState, problems
+from monitor.service.health import ChannelHealth, Health, LinkHealth, VehicleHealth, VehicleState, problems
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +112,10 @@ def _active(vehicle: VehicleHealth) -> dict[str, float]:
     return {severity: vehicle.active.get(severity, 0) for severity in get_args(Severity)}
 
 
+def _raised(channel: ChannelHealth) -> dict[str, float]:
+    return {severity: float(channel.severity == severity) for severity in get_args(Severity)}
+
+
 def _quantiles(vehicle: VehicleHealth) -> dict[str, float]:
     latency = vehicle.latency
     return {"0.5": latency.p50_s, "0.99": latency.p99_s, "1": latency.max_s}
@@ -137,6 +141,22 @@ _EVIDENCE = _Parts(
     lambda health: [(own, one) for own, one in _OBSERVER.of(health) if one.evidence_age_s is not None],
 )
 
+_CHANNEL = _Parts(
+    ("vehicle", "observer", "channel"),
+    lambda health: [((one.name, part.observer, part.name), part) for one in health.vehicles for part in one.channels],
+)
+
+
+def _sized(name: str) -> _Parts:
+    """Return the channels of which a size is known, with its unit."""
+    return _Parts(
+        (*_CHANNEL.labels, "unit"),
+        lambda health: [
+            ((*own, part.unit), part) for own, part in _CHANNEL.of(health) if getattr(part, name) is not None
+        ],
+    )
+
+
 METRICS = (
     MetricRow("fauio_build_info", ("version",), "1, with the version of fauio", lambda _: [((version("fauio"),), 1.0)]),
     _HEALTH.row("fauio_healthy", lambda health: float(not problems(health)), "1 while /healthz answers 200"),
@@ -147,6 +167,14 @@ METRICS = (
     ),
     _VEHICLE.row("fauio_vehicle_alarm_events_total", "events", "alarm events"),
     _VEHICLE.row("fauio_vehicle_active_alarms", _active, "active alarms, by severity now", "severity"),
+    _CHANNEL.row(
+        "fauio_alarm_active",
+        _raised,
+        "1 while the channel's alarm is active with that severity and not shelved, of every channel that can be one",
+        "severity",
+    ),
+    _sized("estimate").row("fauio_estimate", "estimate", "size of the fault attributed to the channel, in `unit`"),
+    _sized("threshold").row("fauio_threshold", "threshold", "size from which its alarm is raised, in `unit`"),
     MetricRow(
         "fauio_vehicle_latency_seconds",
         ("vehicle",),

@@ -19,13 +19,14 @@ import numpy as np
 from adapters.batch import Batch, gathered, pack
 from adapters.message import silence
 from adapters.source import JOURNAL, OPERATOR
+from monitor.alarms.desk import FLOOD_KEY
 from monitor.bus.payload import estimate_json
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent, Severity
 from monitor.pipeline import Pipeline, handover_message
 from monitor.recording.archive import ArchiveStatistics
 from monitor.service.election import first_number
-from monitor.service.health import LinkHealth, ObserverHealth, VehicleHealth, VehicleState
+from monitor.service.health import ChannelHealth, LinkHealth, ObserverHealth, VehicleHealth, VehicleState
 from monitor.service.latency import LatencyHistogram
 from monitor.service.telemetry_watch import TelemetryWatch
 from monitor.service.vehicle_facts import VehicleFacts
@@ -341,9 +342,29 @@ class VehicleMonitor:
                 )
                 for name, counts in self.pipeline.statistics().items()
             ),
+            channels=self._channel_health(),
             latency=self.latency.interval(),
             latency_buckets=self.latency.buckets(),
             recorder=recorder,
+        )
+
+    def _channel_health(self) -> tuple[ChannelHealth, ...]:
+        """Return every channel that can be an alarm, with its size where it has one."""
+        raised = {
+            (event.observer, event.channel): event.severity
+            for event in self.pipeline.desk.active
+            if event.shelved_until_ns is None
+        }
+        sizes: dict[tuple[str, str], tuple[str, float | None]] = {}
+        for name, layout in self._layouts.items():
+            latest = self._latest.get(name)
+            now = [None] * len(layout.faults) if latest is None else latest.isolated[-1].tolist()
+            named = zip(layout.faults, layout.fault_units, now, strict=True)
+            sizes |= {(name, channel): (unit, size) for channel, unit, size in named}
+        thresholds = self.pipeline.thresholds
+        keys = sorted({*self.pipeline.channels, *sizes, FLOOD_KEY})
+        return tuple(
+            ChannelHealth(*key, *sizes.get(key, ("", None)), thresholds.get(key), raised.get(key)) for key in keys
         )
 
     def flush(self) -> None:
