@@ -154,14 +154,14 @@ first steps:
 """
 _GROUPS = {
     "your vehicle": ("record", "fit", "replay", "run", "alarms"),
-    "recordings": ("info", "convert", "inject", "detectability"),
+    "recordings": ("review", "info", "convert", "inject", "detectability"),
     "models and observers": ("check", "design", "simulate"),
     "this machine": ("demo", "doctor", "schema", "completion"),
 }
 _LAST_LINES = """\
 'fauio help COMMAND' says more about a command: options, defaults, an example.
 
-Exit status: 0 done, 2 bad input or usage, 3 no feasible design, 4 alarms were
+Exit status: 0 done, 1 something wrong found (review), 2 bad input or usage, 3 no feasible design, 4 alarms were
 raised (with --fail-on-alarm), 130 interrupted.
 """
 _ADVICE = {
@@ -214,8 +214,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Without arguments the overview is printed; ``help COMMAND`` is ``COMMAND --help``.
 
-    Exit status: 0 done, 2 bad input or usage, 3 no feasible design, 4 alarms were raised (with
-    ``--fail-on-alarm``), 130 interrupted.
+    Exit status: 0 done, 1 something wrong found (review), 2 bad input or usage, 3 no feasible design, 4 alarms were
+    raised (with ``--fail-on-alarm``), 130 interrupted.
     """
     given = list(sys.argv[1:] if argv is None else argv)
     if not given or given[0] == "help":

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from adapters.errors import StorageError, UsageError
 from monitor.vehicles.kinds import KINDS
 from replay import attack_commands
+from replay.review.review_command import add_review
 from replay.runs.replay_command import LOG_HELP, MAPPING_HELP, add_replay
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ def add_parsers(subparsers: Any) -> None:
     _add_demo(subparsers)
     _add_fit(subparsers)
     add_replay(subparsers)
+    add_review(subparsers)
     _add_convert(subparsers)
     _add_info(subparsers)
     attack_commands.add_parsers(subparsers)

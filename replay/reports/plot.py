@@ -88,7 +88,7 @@ def plot_png(path: str | os.PathLike[str], run: RunView, title: str = "", *, dar
     at the edge. Long recordings are drawn as the envelope of their smallest and largest values: no peak is lost.
     """
     theme = DARK if dark else LIGHT
-    with _drawing(_style(theme)):
+    with drawing(style(theme)):
         save_small(run_figure(run, title, Look(theme, BINS, run)), path)
 
 
@@ -101,11 +101,15 @@ def plot_svg(run: RunView, trace: Trace) -> str:
     buffer = StringIO()
     # ids are made of the salt: pictures of one page need different ones
     salt = trace.layout.observer
-    with _drawing({**_style(LIGHT), "svg.fonttype": "none", "svg.hashsalt": salt}):
+    with drawing({**style(LIGHT), "svg.fonttype": "none", "svg.hashsalt": salt}):
         figure = run_figure(run, "", Look(LIGHT, SVG_BINS, run, headed=True), trace)
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(buffer, format="svg", transparent=True, metadata=nothing)
-    text = buffer.getvalue()
+    return page_svg(buffer.getvalue())
+
+
+def page_svg(text: str) -> str:
+    """Return a picture as an element of a page, whose colours it takes and whose styles it leaves alone."""
     text = _STYLE_SHEET.sub("", text[text.index("<svg") :], count=1)
     text = _GROUP_ID.sub("<g", text)
     text = _PATH.sub(lambda path: _DECIMALS.sub(r"\1", path[0].replace("\n", "")), text)
@@ -122,16 +126,18 @@ def colour_variables(theme: Theme) -> dict[str, str]:
 
 
 @contextmanager
-def _drawing(style: Mapping[str, Any]) -> Iterator[None]:
+def drawing(look: Mapping[str, Any]) -> Iterator[None]:
+    """Draw with some of matplotlib's settings."""
     from matplotlib import rc_context
 
-    with rc_context(dict(style)), warnings.catch_warnings():
+    with rc_context(dict(look)), warnings.catch_warnings():
         # a name may be written in letters that the font lacks: it is drawn as boxes
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield
 
 
-def _style(theme: Theme) -> dict[str, Any]:
+def style(theme: Theme) -> dict[str, Any]:
+    """Return matplotlib's settings for a theme."""
     inks = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
     papers = ("figure.facecolor", "axes.facecolor", "savefig.facecolor")
     return STYLE | dict.fromkeys(inks, theme.ink) | dict.fromkeys(papers, theme.paper)

@@ -1,0 +1,1 @@
+"""`fauio review`: what happened in a log, without a profile."""

@@ -1,0 +1,1 @@
+"""What a log states, whoever wrote it."""

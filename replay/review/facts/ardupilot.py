@@ -1,0 +1,178 @@
+"""What a log of ArduPilot states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from replay.review.facts.log_facts import (
+    CommandSent,
+    LogFacts,
+    LogRecords,
+    LogSignal,
+    Statement,
+    above_begin,
+    changes,
+    inside,
+    overlap,
+    state_spans,
+)
+
+TOPICS = frozenset(
+    {
+        "ARM", "EV", "ERR", "MODE", "MSG", "PARM", "RCOU", "ATT", "BARO", "XKF1", "NKF1", "PSCD", "IMU", "BAT", "CURR",
+        "GPS", "XKF4", "NKF4", "VIBE", "MAVC", "VER", "ESC", *(f"ESC/{k}" for k in range(1, 12)),
+    }
+)  # fmt: skip
+
+# https://github.com/ArduPilot/ardupilot/blob/master/libraries/AP_Logger/AP_Logger.h, LogEvent and LogErrorSubsystem
+_ARMED, _DISARMED, _LANDED, _IN_THE_AIR = 10, 11, 18, 28
+_SUBSYSTEMS = {
+    2: "radio", 3: "compass", 5: "radio failsafe", 6: "battery failsafe", 7: "GPS failsafe",
+    8: "ground station failsafe", 9: "fence failsafe", 11: "GPS", 12: "crash check", 15: "parachute",
+    16: "EKF check", 17: "EKF failsafe",
+    18: "barometer", 19: "CPU", 21: "terrain", 24: "EKF primary changed", 25: "thrust loss check",
+    26: "sensors failsafe", 29: "vibration failsafe", 30: "internal error",
+}  # fmt: skip
+_NO_FAILSAFE = frozenset({10, 13, 20, 22, 23})
+"""Of a mode that was refused, a flip, other aircraft, navigation and terrain: nothing of the vehicle's health."""
+_MOTOR_FUNCTIONS = (*range(33, 41), *range(82, 86))
+"""Values of SERVOn_FUNCTION that are motors 1 to 12 (SRV_Channel.h)."""
+_PWM_FROM, _PWM_TO = 1000.0, 2000.0
+"""MOT_PWM_MIN and MOT_PWM_MAX where the log does not say: their defaults."""
+_OUTPUTS = 14
+
+
+def ardupilot_facts(records: LogRecords) -> LogFacts:
+    """Return what a log of ArduPilot states."""
+    get = records.signal
+    end_s = records.duration_s + 1e-3
+    events = records.signal("EV", ["Id"], ["event"], "")
+    event = [] if events is None else list(zip(events.time_s.tolist(), events.only.astype(int).tolist(), strict=True))
+    arms = records.signal("ARM", ["ArmState"], ["armed"], "")
+    arming = changes(arms) or [(at, float(kind == _ARMED)) for at, kind in event if kind in (_ARMED, _DISARMED)]
+    if not arming or not arming[0][1]:
+        # a log that begins at arming
+        arming = [(0.0, 1.0), *arming]
+    armed = state_spans([(at, bool(value)) for at, value in arming], end_s)
+    landing = [(at, float(kind == _LANDED)) for at, kind in event if kind in (_LANDED, _IN_THE_AIR)]
+    flight = overlap(state_spans([(at, not value) for at, value in landing], end_s), armed)
+    signals: dict[str, LogSignal | None] = {}
+    lacks: dict[str, str] = {}
+    signals["motors"] = _motors(records, armed)
+    signals["rpm"] = _rpm(records)
+    names = ("roll", "pitch", "yaw")
+    signals["attitude"] = get("ATT", ["Roll", "Pitch", "Yaw"], names, "deg")
+    signals["attitude_wanted"] = get("ATT", ["DesRoll", "DesPitch", "DesYaw"], names, "deg")
+    signals["height"] = above_begin(get("BARO", ["Alt"], ["barometer"], "m"))
+    kalman = "XKF" if ("XKF4", 0) in set(records.names()) else "NKF"
+    signals["height_estimate"] = above_begin(get(f"{kalman}1", ["PD"], ["estimate"], "m", -1.0))
+    signals["climb"] = get(f"{kalman}1", ["VD"], ["climb"], "m/s", -1.0)
+    signals["climb_wanted"] = get("PSCD", ["TVD"], ["wanted"], "m/s", -1.0)
+    signals["acceleration"] = get("IMU", ["AccX", "AccY", "AccZ"], ["x", "y", "z"], "m/s2")
+    battery = records.first(
+        get("BAT", ["Volt", "Curr"], ["voltage", "current"], "V, A"),
+        get("CURR", ["Volt", "Curr"], ["voltage", "current"], "V, A"),
+    )
+    if battery is not None and not (np.nanmax(battery.values[:, 0]) > 1.0):
+        lacks["battery"] = "its voltage is below 1 V from begin to end: no sensor is connected"
+        battery = None
+    signals["battery"] = battery
+    gps = get("GPS", ["Status", "NSats"], ["fix", "satellites"], "")
+    used = get("GPS", ["U"], ["used"], "")
+    if used is not None and not used.only[inside(used.time_s, flight)].any():
+        lacks["gps"] = "the log says that its receiver was not used"
+        gps = None
+    signals["gps"] = gps
+    signals["ratios"] = get(f"{kalman}4", ["SV", "SP", "SH"], ["velocity", "position", "height"], "")
+    vibration = get("VIBE", ["VibeX", "VibeY", "VibeZ"], ["x", "y", "z"], "m/s2")
+    if vibration is not None:
+        signals["vibration"] = replace(
+            vibration, values=vibration.values.max(axis=1, keepdims=True), names=("vibration",)
+        )
+    signals["clipping"] = get("VIBE", ["Clip"], ["clipped"], "samples")
+    texts = [(at, str(row.get("Message", ""))) for at, row in records.listed("MSG")]
+    vehicle = next(("multirotor" for _, text in texts if "Copter" in text), "")
+    vehicle = vehicle or next(("plane" for _, text in texts if "Plane" in text), "")
+    statements = [*_statements(records, texts, event, arming), *_landings(landing)]
+    return LogFacts(
+        autopilot="ArduPilot",
+        vehicle=vehicle,
+        start_ns=records.first_ns,
+        duration_s=records.duration_s,
+        armed=tuple(armed),
+        flight=tuple(flight),
+        signals={name: one for name, one in signals.items() if one is not None and len(one.time_s)},
+        statements=tuple(sorted(statements, key=lambda one: one.time_s)),
+        commands=tuple(_commands(records)),
+        parameters=records.parameters,
+        lacks=lacks,
+    )
+
+
+def _motors(records: LogRecords, armed: Sequence[tuple[float, float]]) -> LogSignal | None:
+    """Return the commands of the outputs that the parameters say are motors, else of the first that move together."""
+    outputs = [k for k in range(1, _OUTPUTS + 1) if records.parameters.get(f"SERVO{k}_FUNCTION") in _MOTOR_FUNCTIONS]
+    low = records.parameters.get("MOT_PWM_MIN", 0.0) or _PWM_FROM
+    high = records.parameters.get("MOT_PWM_MAX", 0.0) or _PWM_TO
+    if not outputs:
+        first = records.signal("RCOU", [f"C{k}" for k in range(1, 5)], [f"motor{k}" for k in range(1, 5)], "us")
+        during = np.empty((0, 4)) if first is None else first.values[inside(first.time_s, armed)]
+        moves = len(during) > 0 and bool(np.ptp(during, axis=0).all())
+        outputs = [1, 2, 3, 4] if moves else []
+    named = [f"motor{k}" for k in outputs]
+    commands = records.signal("RCOU", [f"C{k}" for k in outputs], named, "of full") if outputs else None
+    if commands is None:
+        return None
+    return replace(commands, values=np.maximum(commands.values - low, 0.0) / (high - low))
+
+
+def _rpm(records: LogRecords) -> LogSignal | None:
+    """Return the speeds of the ESCs on the times of the first of them."""
+    speeds = [records.signal(name, ["RPM"], ["rpm"], "rpm") for name in ("ESC", *(f"ESC/{k}" for k in range(1, 12)))]
+    known = [(k, one) for k, one in enumerate(speeds) if one is not None and (one.only > 0).any()]
+    if not known:
+        return None
+    times = known[0][1].time_s
+    values = np.concatenate([one.at(times) for _, one in known], axis=1)
+    return LogSignal(times, values, tuple(f"motor{k + 1}" for k, _ in known), "rpm", "ESC")
+
+
+def _landings(landing: Sequence[tuple[float, float]]) -> Iterator[Statement]:
+    for at, value in landing:
+        yield Statement(at, "landing", "landed" if value else "in the air", int(value))
+
+
+def _statements(
+    records: LogRecords,
+    texts: Sequence[tuple[float, str]],
+    event: Sequence[tuple[float, int]],
+    arming: Sequence[tuple[float, float]],
+) -> Iterator[Statement]:
+    for at, text in texts:
+        yield Statement(at, "text", text, 6)
+    for at, value in arming:
+        yield Statement(at, "arming", "armed" if value else "disarmed", int(value))
+    for at, value in changes(records.signal("MODE", ["ModeNum"], ["mode"], "")):
+        yield Statement(at, "mode", f"mode {_mode(int(value))}")
+    errors = records.signal("ERR", ["Subsys", "ECode"], ["subsystem", "code"], "")
+    if errors is not None:
+        for at, (subsystem, code) in zip(errors.time_s.tolist(), errors.values.astype(int).tolist(), strict=True):
+            if code and subsystem not in _NO_FAILSAFE:
+                yield Statement(
+                    at, "failsafe", f"{_SUBSYSTEMS.get(subsystem, f'subsystem {subsystem}')} (code {code})", 1
+                )
+
+
+def _mode(number: int) -> str:
+    from pymavlink.mavutil import mode_mapping_acm
+
+    return str(mode_mapping_acm.get(number, number))
+
+
+def _commands(records: LogRecords) -> Iterator[CommandSent]:
+    for at, row in records.listed("MAVC"):
+        values = tuple(float(row.get(f"P{k}", 0.0)) for k in range(1, 5))
+        yield CommandSent(at, int(row.get("SS", 0)), int(row.get("SC", 0)), str(int(row.get("Cmd", 0))), values)

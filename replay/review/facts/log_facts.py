@@ -1,0 +1,322 @@
+"""What a log states, whoever wrote it: the quantities that findings compare, on the log's own clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.batch import Batch
+from adapters.logs.log_parameters import PARAMETER_MESSAGES, parameter
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogSignal:
+    """Quantities over time.
+
+    Parameters
+    ----------
+    time_s : NDArray[np.float64]
+        Seconds since the log's begin, ascending (n,).
+    values : NDArray[np.float64]
+        One column for each name (n, k); NaN where nothing is known.
+    names : tuple[str, ...]
+        What the columns are.
+    unit : str
+        Their unit.
+    origin : str
+        The record they come from, as the log calls it.
+    """
+
+    time_s: Floats
+    values: Floats
+    names: tuple[str, ...]
+    unit: str
+    origin: str
+
+    def during(self, start_s: float, end_s: float) -> LogSignal:
+        """Return the part from a time on and before another."""
+        first, last = np.searchsorted(self.time_s, (start_s, end_s))
+        return LogSignal(self.time_s[first:last], self.values[first:last], self.names, self.unit, self.origin)
+
+    def at(self, times_s: Floats) -> Floats:
+        """Return the values last known at m times (m, k), NaN ahead of the first."""
+        index = np.searchsorted(self.time_s, times_s, side="right") - 1
+        known = np.where((index >= 0)[:, None], self.values[np.maximum(index, 0)], np.nan)
+        return np.asarray(known, np.float64)
+
+    @property
+    def rate_hz(self) -> float:
+        """How often it usually comes."""
+        return float(1.0 / max(np.median(np.diff(self.time_s)), 1e-9)) if len(self.time_s) > 1 else 0.0
+
+    @property
+    def only(self) -> Floats:
+        """The first column (n,)."""
+        return np.asarray(self.values[:, 0], np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """What the log says happened at a time: a text, a mode, a failsafe."""
+
+    time_s: float
+    kind: str  # text, mode, arming, landing, failsafe, command
+    text: str
+    # of a text: MAVLink's severity; of a state: 1 where it begins, 0 where it ends
+    level: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class CommandSent:
+    """A command that somebody sent the vehicle."""
+
+    time_s: float
+    system: int
+    component: int
+    name: str  # of the message, or of the command in it
+    values: tuple[float | str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogFacts:
+    """What findings judge by.
+
+    Parameters
+    ----------
+    autopilot, vehicle : str
+        ``PX4`` or ``ArduPilot``, ``multirotor`` or another word; empty where the log does not say.
+    start_ns : int
+        Unix time of the log's begin as it says it.
+    duration_s : float
+        From its first to its last record.
+    armed, flight : tuple[tuple[float, float], ...]
+        When the vehicle was armed, and when it was off the ground as far as the log's own landing detector goes.
+    signals : Mapping[str, LogSignal]
+        By the names of :data:`SIGNALS`; those that the log has.
+    statements : tuple[Statement, ...]
+        In order.
+    commands : tuple[CommandSent, ...]
+        In order.
+    parameters : Mapping[str, float]
+        Of the autopilot, as the log began.
+    lacks : Mapping[str, str]
+        Why a signal is not there or says nothing, by its name.
+    """
+
+    autopilot: str
+    vehicle: str
+    start_ns: int
+    duration_s: float
+    armed: tuple[tuple[float, float], ...]
+    flight: tuple[tuple[float, float], ...]
+    signals: Mapping[str, LogSignal]
+    statements: tuple[Statement, ...] = ()
+    commands: tuple[CommandSent, ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    lacks: Mapping[str, str] = field(default_factory=dict)
+
+    def in_flight(self, time_s: Floats) -> NDArray[np.bool_]:
+        """Return which of n times are in flight (n,)."""
+        return inside(time_s, self.flight)
+
+    @property
+    def flight_s(self) -> float:
+        """How long it flew."""
+        return sum(end - start for start, end in self.flight)
+
+
+SIGNALS: Mapping[str, str] = {
+    "motors": "commands of the motors that fly it, 0 to 1",
+    "rpm": "speed of each motor as its ESC measured it",
+    "attitude": "roll, pitch and yaw",
+    "attitude_wanted": "roll, pitch and yaw that the autopilot wanted",
+    "height": "height by the barometer above where the log begins",
+    "height_estimate": "the estimator's height",
+    "climb": "the estimator's vertical speed, up",
+    "climb_wanted": "the vertical speed wanted, up",
+    "acceleration": "specific force, body axes",
+    "battery": "voltage and current of the battery",
+    "gps": "kind of fix and satellites",
+    "ratios": "innovations over what the estimator admits (1: refused)",
+    "resets": "how often the estimator set itself anew",
+    "vibration": "level of vibration",
+    "clipping": "samples in which an accelerometer was at its end",
+}
+"""The quantities that findings know, and what they are."""
+
+
+def inside(time_s: Floats, spans: Iterable[tuple[float, float]]) -> NDArray[np.bool_]:
+    """Return which of n times are in one of some spans (n,)."""
+    within = np.zeros(len(time_s), np.bool_)
+    for start, end in spans:
+        within |= (time_s >= start) & (time_s < end)
+    return within
+
+
+def spans_where(time_s: Floats, holds: NDArray[np.bool_], least_s: float = 0.0) -> list[tuple[float, float]]:
+    """Return from when to when a condition held for n samples without a break, where that is long enough."""
+    if not len(time_s):
+        return []
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]]).astype(np.int8)))
+    last = len(time_s) - 1
+    spans = ((float(time_s[a]), float(time_s[min(b, last)])) for a, b in zip(edges[::2], edges[1::2], strict=True))
+    return [(start, end) for start, end in spans if end - start >= least_s]
+
+
+class LogRecords:
+    """The records of a log by name, as columns, on the time since its begin.
+
+    Parameters
+    ----------
+    batches : Iterable[Batch]
+        The log.
+    sender : tuple[int, int] | None
+        MAVLink ids whose messages count; None: all.
+    """
+
+    def __init__(self, batches: Iterable[Batch]) -> None:
+        self._columns: dict[tuple[str, int], list[tuple[NDArray[np.int64], Mapping[str, NDArray[Any]]]]] = {}
+        self.rows: dict[tuple[str, int], list[tuple[int, int, Mapping[str, Any]]]] = {}
+        self.parameters: dict[str, float] = {}
+        first, last = None, 0
+        for batch in batches:
+            for one in batch.columns:
+                if len(one.position):
+                    self._columns.setdefault((one.name, one.system), []).append((one.received_ns, one.fields))
+                    first = int(one.received_ns[0]) if first is None else min(first, int(one.received_ns[0]))
+                    last = max(last, int(one.received_ns[-1]))
+                    if one.name not in PARAMETER_MESSAGES:
+                        self._keep_few(one.name, one.system, one.component, one.received_ns, one.fields)
+            for message in batch.others.values():
+                if message.name in PARAMETER_MESSAGES and (known := parameter(message)) is not None:
+                    self.parameters.setdefault(*known)
+                    continue
+                entry = message.received_ns, message.component, message.fields
+                self.rows.setdefault((message.name, message.system), []).append(entry)
+                first = message.received_ns if first is None else min(first, message.received_ns)
+                last = max(last, message.received_ns)
+        self.first_ns = first or 0
+        self.duration_s = (last - self.first_ns) / 1e9 if first is not None else 0.0
+
+    def _keep_few(
+        self, name: str, system: int, component: int, times_ns: NDArray[np.int64], fields: Mapping[str, NDArray[Any]]
+    ) -> None:
+        """Keep commands, which are few and are looked at one by one, as rows."""
+        if name in ROWS:
+            rows = [
+                (int(at), component, {key: column[row].tolist() for key, column in fields.items()})
+                for row, at in enumerate(times_ns)
+            ]
+            self.rows.setdefault((name, system), []).extend(rows)
+
+    def time_s(self, time_ns: int) -> float:
+        """Return a time of arrival as seconds since the log's begin."""
+        return (time_ns - self.first_ns) / 1e9
+
+    def names(self) -> Iterator[tuple[str, int]]:
+        """Yield the names and systems of what the log has."""
+        yield from {**dict.fromkeys(self._columns), **dict.fromkeys(self.rows)}
+
+    def signal(
+        self, name: str, columns: Sequence[str], names: Sequence[str], unit: str, scale: float = 1.0, system: int = 0
+    ) -> LogSignal | None:
+        """Return fields of a record as a signal; None where the log has no such record or field.
+
+        ``columns`` are names of fields, with ``[k]`` behind for an element of a list.
+        """
+        parts = self._columns.get((name, system), [])
+        taken: list[tuple[NDArray[np.int64], Floats]] = []
+        for times_ns, fields in parts:
+            values = [_column(fields, place) for place in columns]
+            if all(value is not None for value in values):
+                taken.append((times_ns, np.stack([one for one in values if one is not None], axis=1)))
+        if not taken:
+            return None
+        times = np.concatenate([times_ns for times_ns, _ in taken])
+        order = np.argsort(times, kind="stable")
+        values_of = np.concatenate([one for _, one in taken])[order] * scale
+        return LogSignal((times[order] - self.first_ns) / 1e9, values_of, tuple(names), unit, name)
+
+    def listed(self, name: str, system: int = 0) -> list[tuple[float, Mapping[str, Any]]]:
+        """Return a record's fields one by one, with the time of each, in order."""
+        rows = sorted(((at, row) for at, _, row in self.rows.get((name, system), [])), key=lambda entry: entry[0])
+        return [(self.time_s(at), row) for at, row in rows]
+
+    def first(self, *signals: LogSignal | None) -> LogSignal | None:
+        """Return the first signal that the log has."""
+        return next((one for one in signals if one is not None and len(one.time_s)), None)
+
+
+ROWS = frozenset(
+    {"COMMAND_LONG", "COMMAND_INT", "SET_MODE", "MISSION_COUNT", "MISSION_CLEAR_ALL", "vehicle_command", "MAVC"}
+)
+"""Records that are kept one by one beside their columns."""
+
+
+def _column(fields: Mapping[str, NDArray[Any]], place: str) -> Floats | None:
+    name, bracket, index = place.partition("[")
+    values = fields.get(name)
+    if values is None:
+        return None
+    if bracket:
+        number = int(index[:-1])
+        if values.ndim < 2 or values.shape[1] <= number:
+            return None
+        values = values[:, number]
+    return None if values.ndim > 1 or values.dtype.kind not in "iufb" else values.astype(np.float64)
+
+
+def changes(signal: LogSignal | None) -> list[tuple[float, float]]:
+    """Return when the first column changed and to what, its first value among them."""
+    if signal is None:
+        return []
+    values = signal.only
+    new = np.concatenate([[True], values[1:] != values[:-1]])[: len(values)]
+    return [(float(signal.time_s[row]), float(values[row])) for row in np.flatnonzero(new)]
+
+
+def state_spans(edges: Sequence[tuple[float, bool]], end_s: float) -> list[tuple[float, float]]:
+    """Return from when to when a state held, of when it changed and to what, until the log's end."""
+    spans: list[tuple[float, float]] = []
+    for (time_s, holds), (next_s, _) in pairwise([*edges, (end_s, False)]):
+        if holds and spans and spans[-1][1] == time_s:
+            spans[-1] = spans[-1][0], next_s
+        elif holds:
+            spans.append((time_s, next_s))
+    return spans
+
+
+def overlap(first: Iterable[tuple[float, float]], second: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return where spans of both kinds are at once."""
+    parts = ((max(a, c), min(b, d)) for a, b in first for c, d in second)
+    return [(start, end) for start, end in parts if start < end]
+
+
+def angles_deg(quaternion: LogSignal, names: Sequence[str], origin: str) -> LogSignal:
+    """Return roll, pitch and yaw of quaternions (w, x, y, z), degrees."""
+    w, x, y, z = quaternion.values.T
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return LogSignal(quaternion.time_s, np.degrees(np.stack([roll, pitch, yaw], axis=1)), tuple(names), "deg", origin)
+
+
+def above_begin(signal: LogSignal | None) -> LogSignal | None:
+    """Return a height above its median over the first seconds."""
+    if signal is None or not len(signal.time_s):
+        return None
+    begin = signal.values[signal.time_s < signal.time_s[0] + _BEGIN_S]
+    return LogSignal(
+        signal.time_s, signal.values - np.nanmedian(begin, axis=0), signal.names, signal.unit, signal.origin
+    )
+
+
+_BEGIN_S = 2.0
+"""Chosen: logs begin at arming, a vehicle takes off some seconds later; ten samples of the slowest barometer."""

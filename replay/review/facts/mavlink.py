@@ -1,0 +1,166 @@
+"""What a recording of telemetry states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from replay.review.facts.log_facts import (
+    CommandSent,
+    LogFacts,
+    LogRecords,
+    LogSignal,
+    Statement,
+    above_begin,
+    angles_deg,
+    changes,
+    overlap,
+    spans_where,
+    state_spans,
+)
+
+TOPICS = frozenset(
+    {
+        "HEARTBEAT", "EXTENDED_SYS_STATE", "SERVO_OUTPUT_RAW", "ATTITUDE", "ATTITUDE_TARGET", "SCALED_PRESSURE",
+        "LOCAL_POSITION_NED", "HIGHRES_IMU", "RAW_IMU", "SYS_STATUS", "GPS_RAW_INT", "EKF_STATUS_REPORT",
+        "ESTIMATOR_STATUS", "VIBRATION", "STATUSTEXT", "COMMAND_LONG", "COMMAND_INT", "SET_MODE", "PARAM_SET",
+        "PARAM_VALUE", "MISSION_COUNT", "MISSION_CLEAR_ALL",
+    }
+)  # fmt: skip
+
+# MAV_TYPE, MAV_AUTOPILOT, MAV_MODE_FLAG and MAV_LANDED_STATE of MAVLink's common definitions
+_ROTORS = {2: 4, 13: 6, 14: 8, 29: 12}
+_PLANE, _ARDUPILOT, _PX4, _NO_AUTOPILOT, _ARMED, _ON_GROUND = 1, 3, 12, 8, 128, 1
+_PWM_FROM, _PWM_SPAN = 1000.0, 1000.0
+"""Pulses of motors: 1000 to 2000 us unless configured otherwise, which telemetry does not say."""
+_LIFTED = 1.0
+"""Metres above where it armed from which a vehicle flies that does not say it. Chosen: twice a barometer's drift."""
+_MILLI = 1e-3
+_HECTOPASCAL_M = 8.43
+"""Metres of height of a hectopascal at sea level: R T / (g M p) at 15 degrees and 1013.25 hPa."""
+_COMMANDS = ("COMMAND_LONG", "COMMAND_INT", "SET_MODE", "PARAM_SET", "MISSION_COUNT", "MISSION_CLEAR_ALL")
+
+
+def mavlink_facts(records: LogRecords) -> LogFacts:
+    """Return what a recording of telemetry states of its first autopilot."""
+    system, kind, autopilot = _vehicle(records)
+
+    def get(name: str, columns: Sequence[str], names: Sequence[str], unit: str, scale: float = 1.0) -> LogSignal | None:
+        return records.signal(name, columns, names, unit, scale, system)
+
+    end_s = records.duration_s + 1e-3
+    modes = get("HEARTBEAT", ["base_mode", "custom_mode", "autopilot"], ["base", "custom", "autopilot"], "")
+    if modes is not None:
+        own = modes.values[:, 2] != _NO_AUTOPILOT
+        modes = LogSignal(modes.time_s[own], modes.values[own], modes.names, "", "HEARTBEAT")
+    arming: list[tuple[float, float]] = []
+    if modes is not None:
+        bits = (modes.values[:, 0].astype(int) & _ARMED > 0).astype(float)
+        arming = changes(replace(modes, values=bits[:, None]))
+    armed = state_spans([(at, bool(value)) for at, value in arming], end_s)
+    signals: dict[str, LogSignal | None] = {}
+    lacks: dict[str, str] = {}
+    pressure = get("SCALED_PRESSURE", ["press_abs"], ["barometer"], "m", -_HECTOPASCAL_M)
+    signals["height"] = above_begin(pressure)
+    signals["height_estimate"] = above_begin(get("LOCAL_POSITION_NED", ["z"], ["estimate"], "m", -1.0))
+    signals["climb"] = get("LOCAL_POSITION_NED", ["vz"], ["climb"], "m/s", -1.0)
+    landed = get("EXTENDED_SYS_STATE", ["landed_state"], ["landed"], "")
+    landing: list[tuple[float, float]] = []
+    if landed is not None and (landed.only > 0).any():
+        on_ground = (landed.only == _ON_GROUND).astype(float)
+        landing = changes(replace(landed, values=on_ground[:, None]))
+        air = state_spans([(at, not value) for at, value in landing], end_s)
+    else:
+        height = records.first(signals["height_estimate"], signals["height"])
+        air = [] if height is None else spans_where(height.time_s, height.only > _LIFTED, 2.0)
+    flight = overlap(air, armed)
+    rotors = _ROTORS.get(kind, 0)
+    if rotors:
+        outputs = [f"servo{k}_raw" for k in range(1, rotors + 1)]
+        motors = get("SERVO_OUTPUT_RAW", outputs, [f"motor{k}" for k in range(1, rotors + 1)], "of full")
+        if motors is not None:
+            signals["motors"] = replace(motors, values=np.maximum(motors.values - _PWM_FROM, 0.0) / _PWM_SPAN)
+    angles = ("roll", "pitch", "yaw")
+    signals["attitude"] = get("ATTITUDE", angles, angles, "deg", float(np.degrees(1.0)))
+    turned = get("ATTITUDE_TARGET", [f"q[{k}]" for k in range(4)], [f"q{k}" for k in range(4)], "")
+    signals["attitude_wanted"] = None if turned is None else angles_deg(turned, angles, "ATTITUDE_TARGET")
+    battery = get("SYS_STATUS", ["voltage_battery", "current_battery"], ["voltage", "current"], "V, A")
+    if battery is not None:
+        volts = battery.values * [_MILLI, 10 * _MILLI]
+        known = (volts[:, 0] > 1.0) & (battery.values[:, 0] < np.iinfo(np.uint16).max)
+        battery = LogSignal(battery.time_s[known], volts[known], battery.names, "V, A", "SYS_STATUS")
+        if not known.any():
+            lacks["battery"] = "the vehicle sends no voltage"
+    signals["battery"] = battery
+    signals["gps"] = get("GPS_RAW_INT", ["fix_type", "satellites_visible"], ["fix", "satellites"], "")
+    variances = ["velocity_variance", "pos_horiz_variance", "pos_vert_variance"]
+    ratios = ["vel_ratio", "pos_horiz_ratio", "pos_vert_ratio"]
+    names = ["velocity", "position", "height"]
+    signals["ratios"] = records.first(
+        get("EKF_STATUS_REPORT", variances, names, ""), get("ESTIMATOR_STATUS", ratios, names, "")
+    )
+    vibration = get("VIBRATION", [f"vibration_{axis}" for axis in "xyz"], list("xyz"), "m/s2")
+    if vibration is not None and autopilot == "ArduPilot":
+        signals["vibration"] = replace(
+            vibration, values=vibration.values.max(axis=1, keepdims=True), names=("vibration",)
+        )
+    signals["clipping"] = get("VIBRATION", ["clipping_0"], ["clipped"], "samples")
+    return LogFacts(
+        autopilot=autopilot,
+        vehicle="multirotor" if rotors else "plane" if kind == _PLANE else "",
+        start_ns=records.first_ns,
+        duration_s=records.duration_s,
+        armed=tuple(armed),
+        flight=tuple(flight),
+        signals={name: one for name, one in signals.items() if one is not None and len(one.time_s)},
+        statements=tuple(sorted(_statements(records, system, arming, landing, modes), key=lambda one: one.time_s)),
+        commands=tuple(sorted(_commands(records, system), key=lambda one: one.time_s)),
+        parameters=records.parameters,
+        lacks=lacks,
+    )
+
+
+def _vehicle(records: LogRecords) -> tuple[int, int, str]:
+    """Return system, kind and autopilot of the first that has one."""
+    for name, system in sorted(records.names(), key=lambda entry: entry[1]):
+        if name != "HEARTBEAT":
+            continue
+        beats = records.signal(name, ["type", "autopilot"], ["type", "autopilot"], "", system=system)
+        if beats is None:
+            continue
+        own = beats.values[beats.values[:, 1] != _NO_AUTOPILOT]
+        if len(own):
+            said = {_ARDUPILOT: "ArduPilot", _PX4: "PX4"}.get(int(own[0, 1]), "")
+            return system, int(own[0, 0]), said
+    return 0, 0, ""
+
+
+def _statements(
+    records: LogRecords,
+    system: int,
+    arming: Sequence[tuple[float, float]],
+    landing: Sequence[tuple[float, float]],
+    modes: LogSignal | None,
+) -> Iterator[Statement]:
+    for at, row in records.listed("STATUSTEXT", system):
+        yield Statement(at, "text", str(row.get("text", "")), int(row.get("severity", 6)))
+    for at, value in arming:
+        yield Statement(at, "arming", "armed" if value else "disarmed", int(value))
+    for at, value in landing:
+        yield Statement(at, "landing", "landed" if value else "in the air", int(value))
+    if modes is not None:
+        for at, value in changes(replace(modes, values=modes.values[:, 1:2])):
+            yield Statement(at, "mode", f"mode {int(value):#x}")
+
+
+def _commands(records: LogRecords, vehicle: int) -> Iterator[CommandSent]:
+    for name, system in records.names():
+        if name not in _COMMANDS or system == vehicle:
+            continue
+        for at, component, row in ((records.time_s(at), who, row) for at, who, row in records.rows[name, system]):
+            said: tuple[float | str, ...] = tuple(
+                value for key, value in row.items() if isinstance(value, int | float | str) and "target" not in key
+            )
+            yield CommandSent(at, system, component, name, said)

@@ -1,0 +1,244 @@
+"""What a log of PX4 states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from replay.review.facts.log_facts import (
+    CommandSent,
+    Floats,
+    LogFacts,
+    LogRecords,
+    LogSignal,
+    Statement,
+    above_begin,
+    angles_deg,
+    changes,
+    inside,
+    overlap,
+    state_spans,
+)
+
+TOPICS = frozenset(
+    {
+        "vehicle_status", "actuator_armed", "vehicle_land_detected", "actuator_motors", "esc_status",
+        "vehicle_attitude", "vehicle_attitude_setpoint", "vehicle_air_data", "vehicle_local_position",
+        "vehicle_local_position_setpoint",
+        "sensor_combined", "battery_status", "vehicle_gps_position", "estimator_status", "estimator_status_flags",
+        "vehicle_imu_status", "vehicle_command", "log/text", "log/parameter",
+        *(f"actuator_outputs{instance}" for instance in ("", "/1", "/2", "/3")),
+    }
+)  # fmt: skip
+
+# https://github.com/PX4/PX4-Autopilot/blob/main/msg/versioned/VehicleStatus.msg
+_MODES = {
+    0: "Manual", 1: "Altitude", 2: "Position", 3: "Mission", 4: "Hold", 5: "Return", 10: "Acro", 12: "Descend",
+    13: "Termination", 14: "Offboard", 15: "Stabilized", 17: "Takeoff", 18: "Land", 19: "Follow", 20: "Precision land",
+    21: "Orbit",
+}  # fmt: skip
+_FAILURES = ("roll", "pitch", "altitude", "external", "ESCs at arming", "battery", "propeller imbalance", "motor")
+"""Bits of failure_detector_status, from the lowest: the same file."""
+_ARMED = 2
+_MULTIROTOR, _FIXED_WING = 1, 2
+"""Values of arming_state and vehicle_type: the same file."""
+_UAVCAN_FULL, _DSHOT_FULL, _PWM_LEAST, _PWM_SPAN = 8191.0, 1999.0, 800.0, 1000.0
+"""Full command of UAVCAN's ESCs (14 bits), of DShot (11 bits, 48 of them are commands), and PWM's 1000 to 2000 us, of
+which PX4 sends 900 when disarmed."""
+_GPS_BIT = 2
+"""Bit of estimator_status.control_mode_flags that says GPS is in use, in versions without flags of their own."""
+_MOST_ROTORS = 12
+"""As many as actuator_motors holds."""
+
+
+def px4_facts(records: LogRecords) -> LogFacts:
+    """Return what a log of PX4 states."""
+    get = records.signal
+    end_s = records.duration_s + 1e-3
+    arming = changes(records.first(get("vehicle_status", ["arming_state"], ["armed"], ""), None))
+    armed = state_spans([(at, value == _ARMED) for at, value in arming], end_s)
+    landing = changes(get("vehicle_land_detected", ["landed"], ["landed"], ""))
+    flight = overlap(state_spans([(at, not value) for at, value in landing], end_s), armed)
+    signals: dict[str, LogSignal | None] = {}
+    lacks: dict[str, str] = {}
+    signals["motors"] = _motors(records, armed, lacks)
+    signals["rpm"] = _rpm(records, armed)
+    quaternion = [f"q[{k}]" for k in range(4)]
+    names = ("roll", "pitch", "yaw")
+    turned = get("vehicle_attitude", quaternion, quaternion, "")
+    signals["attitude"] = None if turned is None else angles_deg(turned, names, "vehicle_attitude")
+    wanted = get("vehicle_attitude_setpoint", [f"q_d[{k}]" for k in range(4)], quaternion, "")
+    signals["attitude_wanted"] = None if wanted is None else angles_deg(wanted, names, "vehicle_attitude_setpoint")
+    signals["height"] = above_begin(
+        records.first(
+            get("vehicle_air_data", ["baro_alt_meter"], ["barometer"], "m"),
+            get("sensor_combined", ["baro_alt_meter"], ["barometer"], "m"),
+        )
+    )
+    signals["height_estimate"] = above_begin(get("vehicle_local_position", ["z"], ["estimate"], "m", -1.0))
+    signals["climb"] = get("vehicle_local_position", ["vz"], ["climb"], "m/s", -1.0)
+    signals["climb_wanted"] = get("vehicle_local_position_setpoint", ["vz"], ["wanted"], "m/s", -1.0)
+    axes = [f"accelerometer_m_s2[{k}]" for k in range(3)]
+    signals["acceleration"] = get("sensor_combined", axes, ["x", "y", "z"], "m/s2")
+    _battery(records, signals, lacks)
+    fused = records.first(
+        get("estimator_status_flags", ["cs_gps"], ["gps"], ""),
+        get("estimator_status_flags", ["cs_gnss_pos"], ["gps"], ""),
+    )
+    _gps(records, fused, signals, lacks, flight)
+    ratios = ["vel_test_ratio", "pos_test_ratio", "hgt_test_ratio"]
+    signals["ratios"] = get("estimator_status", ratios, ["velocity", "position", "height"], "")
+    counters = [f"{name}_reset_counter" for name in ("xy", "z", "vxy", "vz")]
+    signals["resets"] = get("vehicle_local_position", counters, ["position", "height", "velocity", "climb"], "")
+    signals["vibration"] = get("vehicle_imu_status", ["accel_vibration_metric"], ["vibration"], "m/s2")
+    clipping = get("vehicle_imu_status", [f"accel_clipping[{k}]" for k in range(3)], ["x", "y", "z"], "samples")
+    if clipping is not None:
+        signals["clipping"] = replace(clipping, values=clipping.values.sum(axis=1, keepdims=True), names=("clipped",))
+    kinds = get("vehicle_status", ["vehicle_type"], ["type"], "")
+    rotary = get("vehicle_status", ["is_rotary_wing"], ["type"], "")
+    values = {_MULTIROTOR: "multirotor", _FIXED_WING: "plane"}
+    vehicle = values.get(int(np.median(kinds.only)), "") if kinds is not None else ""
+    if rotary is not None and np.median(rotary.only) == 1:
+        vehicle = "multirotor"
+    return LogFacts(
+        autopilot="PX4",
+        vehicle=vehicle,
+        start_ns=records.first_ns,
+        duration_s=records.duration_s,
+        armed=tuple(armed),
+        flight=tuple(flight),
+        signals={name: one for name, one in signals.items() if one is not None and len(one.time_s)},
+        statements=tuple(sorted(_statements(records, arming, landing), key=lambda one: one.time_s)),
+        commands=tuple(_commands(records)),
+        parameters=records.parameters,
+        lacks=lacks,
+    )
+
+
+def _motors(records: LogRecords, armed: Sequence[tuple[float, float]], lacks: dict[str, str]) -> LogSignal | None:
+    """Return the commands of the outputs that move: a mixer's are logged whether anything is connected or not."""
+    controls = [f"control[{k}]" for k in range(_MOST_ROTORS)]
+    numbers = [f"motor{k + 1}" for k in range(_MOST_ROTORS)]
+    commands = records.signal("actuator_motors", controls, numbers, "of full")
+    if commands is not None:
+        there: NDArray[np.bool_] = np.asarray(np.isfinite(commands.values).any(axis=0))
+        # a motor that the autopilot stopped is NaN while the others are not
+        values = np.where(np.isnan(commands.values[:, there]), 0.0, commands.values[:, there])
+        names = tuple(name for name, known in zip(numbers, there, strict=True) if known)
+        return LogSignal(commands.time_s, values, names, "of full", "actuator_motors")
+    moving: list[tuple[int, LogSignal]] = []
+    for topic in ("actuator_outputs", "actuator_outputs/1", "actuator_outputs/2", "actuator_outputs/3"):
+        outputs = records.signal(topic, [f"output[{k}]" for k in range(8)], numbers[:8], "of full")
+        if outputs is None:
+            continue
+        during = outputs.values[inside(outputs.time_s, armed)]
+        moves = np.ptp(during, axis=0) > 0 if len(during) else np.zeros(8, np.bool_)
+        if not moves.any():
+            lacks[topic] = "its outputs never move while armed: nothing that flies is connected to it"
+            continue
+        moving.append((int(_varied(during).sum()), _scaled(outputs, _varied(during))))
+    return max(moving, key=lambda one: one[0])[1] if moving else None
+
+
+def _varied(values: Floats) -> NDArray[np.bool_]:
+    """Return which outputs take many values: a switch or a constant takes few."""
+    return np.array([len(np.unique(column)) > _FEW_VALUES for column in values.T])
+
+
+_FEW_VALUES = 10
+"""Chosen: a gripper, a light or a camera has two or three commands, a controlled motor another one with each sample."""
+
+
+def _scaled(outputs: LogSignal, moves: NDArray[np.bool_]) -> LogSignal:
+    values = outputs.values[:, moves]
+    most = np.nanmax(values, initial=0.0)
+    positive = values[values > 0]
+    if most > 2 * _DSHOT_FULL:
+        share = values / _UAVCAN_FULL
+    elif len(positive) and positive.min() >= _PWM_LEAST:
+        share = np.maximum(values - _PWM_SPAN, 0.0) / _PWM_SPAN
+    else:
+        share = values / _DSHOT_FULL
+    names = tuple(name for name, one in zip(outputs.names, moves, strict=True) if one)
+    return LogSignal(outputs.time_s, share, names, "of full", outputs.origin)
+
+
+def _rpm(records: LogRecords, armed: Sequence[tuple[float, float]]) -> LogSignal | None:
+    rows = [(at, row) for at, row in records.listed("esc_status") if isinstance(row.get("esc"), list)]
+    count = max((int(row.get("esc_count", 0)) for _, row in rows), default=0)
+    if not count:
+        return None
+    times = np.array([at for at, _ in rows])
+    values = np.array([[float(one.get("esc_rpm", 0)) for one in row["esc"][:count]] for _, row in rows])
+    if not (values[inside(times, armed)] > 0).any():
+        return None
+    return LogSignal(times, values, tuple(f"motor{k + 1}" for k in range(count)), "rpm", "esc_status")
+
+
+def _battery(records: LogRecords, signals: dict[str, LogSignal | None], lacks: dict[str, str]) -> None:
+    battery = records.signal("battery_status", ["voltage_v", "current_a"], ["voltage", "current"], "V, A")
+    connected = records.signal("battery_status", ["connected"], ["connected"], "")
+    if battery is not None and connected is not None and not connected.only.any():
+        volts = float(np.nanmax(battery.values[:, 0]))
+        lacks["battery"] = f"the log says that none is connected to its sensor (connected = 0, {volts:.2f} V at most)"
+        return
+    signals["battery"] = battery
+
+
+def _gps(
+    records: LogRecords,
+    fused: LogSignal | None,
+    signals: dict[str, LogSignal | None],
+    lacks: dict[str, str],
+    flight: Sequence[tuple[float, float]],
+) -> None:
+    gps = records.signal("vehicle_gps_position", ["fix_type", "satellites_used"], ["fix", "satellites"], "")
+    if fused is None:
+        flags = records.signal("estimator_status", ["control_mode_flags"], ["flags"], "")
+        if flags is not None:
+            bit = (flags.only.astype(np.int64) >> _GPS_BIT) & 1
+            fused = replace(flags, values=bit[:, None].astype(np.float64))
+    if fused is not None and not fused.only[inside(fused.time_s, flight)].any():
+        lacks["gps"] = "the estimator did not use GPS in flight; what its receiver said has moved nothing"
+        return
+    signals["gps"] = gps
+
+
+def _statements(
+    records: LogRecords, arming: Sequence[tuple[float, float]], landing: Sequence[tuple[float, float]]
+) -> Iterator[Statement]:
+    for at, row in records.listed("log/text"):
+        yield Statement(at, "text", str(row.get("text", "")).strip(), int(row.get("level", 6)))
+    for at, value in arming:
+        yield Statement(at, "arming", "armed" if value == _ARMED else "disarmed", int(value == _ARMED))
+    for at, value in landing:
+        yield Statement(at, "landing", "landed" if value else "in the air", int(value))
+    for at, value in changes(records.signal("vehicle_status", ["nav_state"], ["mode"], "")):
+        yield Statement(at, "mode", f"mode {_MODES.get(int(value), int(value))}")
+    for at, value in changes(records.signal("vehicle_status", ["failsafe"], ["failsafe"], ""))[0:]:
+        if value:
+            yield Statement(at, "failsafe", "failsafe active", 1)
+    for at, value in changes(records.signal("vehicle_status", ["failure_detector_status"], ["bits"], "")):
+        if value:
+            bits = [name for bit, name in enumerate(_FAILURES) if int(value) >> bit & 1]
+            yield Statement(at, "failsafe", f"failure detector: {', '.join(bits)}", 1)
+    for k in range(_MOST_ROTORS):
+        control = records.signal("actuator_motors", [f"control[{k}]"], [""], "")
+        if control is not None and np.isfinite(control.only).any():
+            for at, value in changes(replace(control, values=np.isnan(control.values).astype(np.float64)))[1:]:
+                yield Statement(at, "stopped", f"motor{k + 1}", int(value))
+    for name, text in (("manual_lockdown", "kill switch"), ("kill", "kill switch"), ("force_failsafe", "termination")):
+        for at, value in changes(records.signal("actuator_armed", [name], [name], "")):
+            if value:
+                yield Statement(at, "kill", text, 1)
+
+
+def _commands(records: LogRecords) -> Iterator[CommandSent]:
+    for at, row in records.listed("vehicle_command"):
+        values = tuple(float(row.get(f"param{k}", 0.0)) for k in range(1, 8))
+        if row.get("from_external", True):
+            system, component = int(row.get("source_system", 0)), int(row.get("source_component", 0))
+            yield CommandSent(at, system, component, str(int(row.get("command", 0))), values)

@@ -1,0 +1,31 @@
+"""Reads a log once for what it states."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from adapters.errors import TelemetryError
+from adapters.logs.damage import Damage
+from adapters.logs.recordings import Recording, onboard_source
+from replay.review.facts import ardupilot, mavlink, px4
+from replay.review.facts.log_facts import LogFacts, LogRecords
+
+
+def read_facts(path: Path) -> tuple[LogFacts, tuple[Damage, ...]]:
+    """Return what a log states, and what of it could not be read.
+
+    Raises
+    ------
+    TelemetryError
+        It is no recording, cannot be read, or holds nothing that a vehicle says of itself.
+    """
+    source = onboard_source(path)
+    topics, translate = {
+        "ulog": (px4.TOPICS, px4.px4_facts),
+        "dataflash": (ardupilot.TOPICS, ardupilot.ardupilot_facts),
+    }.get(source or "", (mavlink.TOPICS, mavlink.mavlink_facts))
+    recording = Recording(path, topics)
+    records = LogRecords(recording.records())
+    if not any(True for _ in records.names()):
+        raise TelemetryError(f"{path}: holds nothing that says how a vehicle fared; give a log of a flight")
+    return translate(records), recording.damage()

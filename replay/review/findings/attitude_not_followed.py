@@ -1,0 +1,80 @@
+"""The vehicle's roll or pitch went far from what its autopilot wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import LogFacts, spans_where
+from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.rule import Judgement, Rule
+
+_APART_DEG = 30.0
+"""ArduPilot's crash check has 30 degrees. Measured: in eleven healthy flights, some at full sticks and 60 degrees of
+tilt, the attitude is at most 24 degrees behind for half a second."""
+_FULL = 0.95
+"""Share of full command: an autopilot leaves 5 % (MOT_SPIN_MAX 0.95)."""
+_APART_S = 0.5
+"""Chosen: twice the time in which a multirotor rolls by its greatest angle."""
+
+
+def _judge(facts: LogFacts) -> Iterator[Judgement]:
+    attitude, wanted = facts.signals["attitude"], facts.signals["attitude_wanted"]
+    times = attitude.time_s
+    apart = np.abs(attitude.values[:, :2] - wanted.at(times)[:, :2])
+    end_s = lost_s(facts)
+    # what came before the motors were stopped, and the tumbling itself
+    judged = facts.in_flight(times) & (times < end_s + _APART_S)
+    far = (apart > _APART_DEG).any(axis=1) & judged & (times - times[0] > 0)
+    for start, end in spans_where(times, far, _APART_S)[:1]:
+        within = (times >= start) & (times <= end)
+        axis = int(np.argmax(np.nanmax(apart[within], axis=0)))
+        most = float(np.nanmax(apart[within, axis]))
+        name = attitude.names[axis]
+        saturated = _saturated(facts, start)
+        yield Judgement(
+            start_s=start,
+            end_s=end,
+            text=f"{name} went up to {most:.0f} degrees from what the autopilot wanted, for {end - start:.1f} s"
+            + saturated[0],
+            evidence=(
+                f"{attitude.origin} against {wanted.origin}: {most:.0f} degrees apart in {name} from {start:.2f} s on",
+                *saturated[1],
+            ),
+            counter=(
+                "motors were commanded to turn until then: it was not let fall",
+                f"a vehicle at full sticks is behind for less than {_APART_S:g} s",
+            ),
+            confidence="likely",
+            weight="critical",
+            plots=("attitude", "attitude_wanted", "motors"),
+        )
+
+
+def _saturated(facts: LogFacts, at_s: float) -> tuple[str, tuple[str, ...]]:
+    """Return which motor was at full command about a time, in words."""
+    motors = facts.signals.get("motors")
+    if motors is None:
+        return "", ()
+    about = motors.during(at_s - 1.0, at_s + 1.0)
+    most = zip(about.names, np.nanmax(about.values, axis=0, initial=0.0), strict=True)
+    full = [name for name, value in most if value > _FULL]
+    if not full:
+        return "", ()
+    return f", with {' and '.join(full)} at full command", (f"{motors.origin}: {', '.join(full)} at full command",)
+
+
+RULE = Rule(
+    name="attitude_not_followed",
+    title="Attitude not followed",
+    stage="motion",
+    physics="An autopilot holds roll and pitch within some degrees of what it wants as long as its motors have room. "
+    "Where they do not (a motor lost, a load, a blow), the attitude leaves it.",
+    evidence="30 degrees apart for half a second in flight, while motors were commanded to turn",
+    counter="motors were stopped before; fast flight at full sticks, which is behind for less",
+    needs=("attitude", "attitude_wanted"),
+    judge=_judge,
+    multirotor=True,
+    least_hz=7.5,  # of half a second four samples
+)

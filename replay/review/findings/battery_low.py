@@ -1,0 +1,59 @@
+"""The battery's voltage fell far below where it began, and motors had to make up for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import LogFacts, spans_where
+from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.rule import Judgement, Rule
+
+_CELL_V = 3.3
+"""Volts of a cell of lithium polymer under load below which its voltage collapses (PX4's docs: empty at 3.5 under load,
+damage below 3.3)."""
+_FULL_CELL_V = 4.25
+"""Volts of a full cell and a little more: the fewest cells that can give the highest voltage seen."""
+_LEAST_S = 3.0
+"""Chosen: longer than a full command of the motors, which lets voltage sag and come back."""
+_CELLS = ("BAT1_N_CELLS", "BAT_N_CELLS")
+
+
+def _judge(facts: LogFacts) -> Iterator[Judgement]:
+    battery = facts.signals["battery"]
+    times, volts = battery.time_s, battery.values[:, 0]
+    judged = facts.in_flight(times) & (times < lost_s(facts)) & np.isfinite(volts)
+    if not judged.any():
+        return
+    said = next((facts.parameters[name] for name in _CELLS if facts.parameters.get(name, 0) > 0), 0.0)
+    cells = int(said) or max(1, int(np.ceil(np.nanmax(volts) / _FULL_CELL_V)))
+    source = "as its parameters say" if said else "from the highest voltage"
+    for start, end in spans_where(times, judged & (volts < _CELL_V * cells), _LEAST_S)[:1]:
+        least = float(np.min(volts[(times >= start) & (times <= end)]))
+        yield Judgement(
+            start_s=start,
+            end_s=end,
+            text=f"the battery was down to {least:.1f} V, {least / cells:.2f} V for each of {cells} cells",
+            evidence=(
+                f"{battery.origin}: below {_CELL_V * cells:.1f} V from {start:.1f} to {end:.1f} s",
+                f"{cells} cells, {source}",
+            ),
+            counter=("the log says that a battery is connected and shows volts, not zero",),
+            confidence="likely" if said else "possible",
+            weight="warning",
+            plots=("battery", "motors"),
+        )
+
+
+RULE = Rule(
+    name="battery_low",
+    title="Battery empty",
+    stage="supply",
+    physics="Below 3.3 V a cell's voltage collapses under load: motors get less than their commands ask for, and in "
+    "the end the autopilot no power.",
+    evidence="less than 3.3 V for each cell over 3 s of flight",
+    counter="no battery connected to the sensor; a short dip under full command",
+    needs=("battery",),
+    judge=_judge,
+)

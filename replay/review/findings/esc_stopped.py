@@ -1,0 +1,65 @@
+"""A motor stood still, or turned much too slowly, while it was commanded to turn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import LogFacts, spans_where
+from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.rule import Judgement, Rule
+
+_SLOW = 0.4
+"""Share of the speed usual at that command: a third of the thrust goes with a speed of 0.8, and what the fastest motor
+still runs down from a commanded step within a sample is above 0.5."""
+_LEAST_S = 0.6
+"""Chosen: two samples of the slowest reports of ESCs, 3 a second."""
+_COMMANDED = 0.08
+"""Share of full command from which a motor turns (see loss_of_control.STOPPED)."""
+
+
+def _judge(facts: LogFacts) -> Iterator[Judgement]:
+    rpm, motors = facts.signals["rpm"], facts.signals["motors"]
+    if len(rpm.names) != len(motors.names):
+        return
+    times = rpm.time_s
+    command = motors.at(times)
+    judged = facts.in_flight(times) & (times < lost_s(facts)) & (command > _COMMANDED).all(axis=1)
+    if not judged.any():
+        return
+    # at one command all motors of a vehicle turn about as fast: the others say what is usual
+    speed = rpm.values / np.sqrt(np.maximum(command, _COMMANDED))
+    usual = float(np.median(speed[judged]))
+    for k, name in enumerate(rpm.names):
+        slow = judged & (speed[:, k] < _SLOW * usual)
+        for start, end in spans_where(times, slow, _LEAST_S)[:1]:
+            within = slow & (times >= start) & (times <= end)
+            turned, asked = float(np.median(rpm.values[within, k])), float(np.median(command[within, k]))
+            yield Judgement(
+                start_s=start,
+                end_s=end,
+                text=f"{name} turned at {turned:.0f} rpm while commanded to {100 * asked:.0f} %: motor or ESC failed",
+                evidence=(
+                    f"{rpm.origin}: {turned:.0f} rpm, usual at that command {usual * asked**0.5:.0f} rpm",
+                    f"{motors.origin}: command {asked:.2f} meanwhile",
+                ),
+                counter=("its command had not been taken to zero", "the other motors turned as usual"),
+                confidence="certain",
+                weight="critical",
+                plots=("rpm", "motors", "attitude"),
+            )
+
+
+RULE = Rule(
+    name="esc_stopped",
+    title="Motor slower than commanded",
+    stage="rpm",
+    physics="Thrust goes with the square of speed and about with command, so speed over the root of the command is the "
+    "same for all motors of a vehicle. A stopped motor or ESC leaves it.",
+    evidence="less than 40 % of the usual speed at that command for 0.6 s, in flight",
+    counter="the command went to zero; all ESCs stopped reporting at once",
+    needs=("rpm", "motors"),
+    judge=_judge,
+    multirotor=True,
+)

@@ -1,0 +1,49 @@
+"""The autopilot itself announced a failsafe in flight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from replay.review.facts.log_facts import LogFacts, inside
+from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.rule import Judgement, Rule
+
+_LATER_S = 1.0
+"""Chosen: the slowest statements of state come once a second; a failsafe that late is of the fall itself."""
+
+
+def _judge(facts: LogFacts) -> Iterator[Judgement]:
+    end_s = lost_s(facts) + _LATER_S
+    said = [one for one in facts.statements if one.kind == "failsafe" and one.level and one.time_s < end_s]
+    flown = inside_flight(facts, [one.time_s for one in said])
+    for text in dict.fromkeys(one.text for one, flies in zip(said, flown, strict=True) if flies):
+        times = [one.time_s for one, flies in zip(said, flown, strict=True) if flies and one.text == text]
+        yield Judgement(
+            start_s=times[0],
+            end_s=times[-1],
+            text=f"the autopilot announced: {text}",
+            evidence=(f"at {times[0]:.1f} s" + (f", {len(times)} times" if len(times) > 1 else ""),),
+            counter=("it says what the autopilot saw, which need not be the cause",),
+            confidence="certain",
+            weight="warning",
+            plots=("attitude", "ratios", "battery"),
+        )
+
+
+def inside_flight(facts: LogFacts, times_s: list[float]) -> list[bool]:
+    """Return which of some times are in flight."""
+    import numpy as np
+
+    return list(inside(np.array(times_s), facts.flight))
+
+
+RULE = Rule(
+    name="failsafe",
+    title="Failsafe announced",
+    stage="reaction",
+    physics="The autopilot compares what it measures with limits of its own and acts; that act can be the incident.",
+    evidence="its own statement in flight",
+    counter="on the ground; after control was lost; it is a reaction, so a finding before it comes first",
+    needs=(),
+    judge=_judge,
+)

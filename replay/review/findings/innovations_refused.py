@@ -1,0 +1,52 @@
+"""The estimator refused measurements, while the vehicle was still flown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import LogFacts, spans_where
+from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.rule import Judgement, Rule
+
+_REFUSED = 1.0
+"""By definition: the innovation is at its gate."""
+_LEAST_S = 1.0
+"""ArduPilot's EKF check fails as long (10 times in a row at 10 Hz)."""
+
+
+def _judge(facts: LogFacts) -> Iterator[Judgement]:
+    ratios = facts.signals["ratios"]
+    times, end_s = ratios.time_s, lost_s(facts)
+    judged = facts.in_flight(times) & (times < end_s)
+    for k, name in enumerate(ratios.names):
+        values = np.nan_to_num(ratios.values[:, k])
+        for start, end in spans_where(times, judged & (values > _REFUSED), _LEAST_S)[:1]:
+            most = float(values[(times >= start) & (times <= end)].max())
+            yield Judgement(
+                start_s=start,
+                end_s=end,
+                text=f"the estimator refused its measurements of {name} for {end - start:.1f} s",
+                evidence=(f"{ratios.origin}: {name} up to {most:.1f} times what it admits, from {start:.1f} s on",),
+                counter=(
+                    "the vehicle was still flown then: what comes after a fall, a blow or stopped motors is left out"
+                    + (f" (from {end_s:.1f} s on)" if end_s < facts.duration_s else ""),
+                ),
+                confidence="likely",
+                weight="warning",
+                plots=("ratios", "height", "height_estimate"),
+            )
+
+
+RULE = Rule(
+    name="innovations_refused",
+    title="Measurements refused by the estimator",
+    stage="estimator",
+    physics="Motion predicted from gyros and accelerometers and measured by GPS or barometer disagree by more than "
+    "their noise: one of the two is wrong.",
+    evidence="an innovation beyond its gate for a second in flight",
+    counter="it came after motors were stopped, a fall or a blow: then it is a consequence; a source not in use",
+    needs=("ratios",),
+    judge=_judge,
+)

@@ -1,0 +1,47 @@
+"""The log ends while the vehicle is armed and in the air."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from replay.review.facts.log_facts import LogFacts
+from replay.review.findings.rule import Judgement, Rule
+
+_HIGH_M = 3.0
+"""Metres above the begin: higher than a barometer errs beside turning rotors."""
+_AT_END_S = 1.5
+"""Chosen: the slowest statements of state come once a second."""
+
+
+def _judge(facts: LogFacts) -> Iterator[Judgement]:
+    height = facts.signals["height"]
+    late = facts.duration_s - _AT_END_S
+    if not facts.flight or facts.flight[-1][1] < late or not facts.armed or facts.armed[-1][1] < late:
+        return
+    last = height.only[height.time_s > late]
+    if not len(last) or last[-1] < _HIGH_M:
+        return
+    battery = facts.signals.get("battery")
+    volts = "" if battery is None else f"; the last voltage is {battery.values[-1, 0]:.1f} V"
+    yield Judgement(
+        start_s=facts.duration_s,
+        end_s=facts.duration_s,
+        text=f"the log ends in the air, {last[-1]:.0f} m above where it begins: power was lost, or recording stopped",
+        evidence=(f"{height.origin}: {last[-1]:.1f} m at the end, armed and not landed{volts}",),
+        counter=("a file that was cut or a recording that was stopped looks the same",),
+        confidence="possible",
+        weight="information",
+        plots=("height", "battery"),
+    )
+
+
+RULE = Rule(
+    name="log_ends_in_flight",
+    title="Log ends in flight",
+    stage="supply",
+    physics="An autopilot without power writes nothing more.",
+    evidence="armed, not landed and 3 m high in the last second and a half",
+    counter="a recording that was stopped or cut",
+    needs=("height",),
+    judge=_judge,
+)

@@ -1,0 +1,65 @@
+"""When a vehicle was no longer flown: what comes later is a consequence, and no finding of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from replay.review.facts.log_facts import Floats, LogFacts, inside, spans_where
+
+STOPPED = 0.02
+"""Share of full command below which a motor does not turn: under every autopilot's idle (PX4 idles from 0.05 on,
+ArduPilot's SPIN_ARM is 0.1)."""
+_STOPPED_S = 0.4
+"""Chosen: four samples of a log of default rates; a mixer that is saturated takes all motors to zero for less."""
+FELL_M = 2.0
+"""Metres that a vehicle falls without motors in 0.64 s, and no gust lets it sink within two seconds; measured: a
+barometer's reading moves by 1 m when motors stop on the ground, and by up to 5 m under strong ones."""
+_FALL_S = 3.0
+"""Time in which to see it: it falls 44 m in it, twice the barometer's slowest averaging."""
+_UPSIDE_DOWN = 100.0
+"""Degrees of roll or pitch beyond which no multirotor is held unless it flips on purpose."""
+_ON_ITS_BACK_S = 0.3
+"""Chosen: a flip takes as long as it is upside down, a tumbling vehicle too; six samples at 20 Hz."""
+
+
+def stops(facts: LogFacts) -> list[tuple[float, float, float]]:
+    """Return when all motors were commanded to stop while the vehicle then fell: from, to, and metres it fell."""
+    motors, height = facts.signals.get("motors"), facts.signals.get("height")
+    if motors is None or height is None or not len(motors.time_s):
+        return []
+    armed_or_just = [(start, end + 1.0) for start, end in facts.armed]
+    still = (motors.values < STOPPED).all(axis=1) & inside(motors.time_s, armed_or_just)
+    flown = np.flatnonzero((motors.values > STOPPED).any(axis=1))
+    found = []
+    for start, end in spans_where(motors.time_s, still, _STOPPED_S):
+        if not len(flown) or start < motors.time_s[flown[0]]:
+            continue
+        fell = _fall(height.time_s, height.only, start)
+        if fell is not None and fell >= FELL_M:
+            found.append((start, end, fell))
+    return found
+
+
+def _fall(time_s: Floats, height: Floats, start_s: float) -> float | None:
+    """Return by how much a height goes down within some seconds of a time."""
+    before = height[(time_s > start_s - 1.0) & (time_s <= start_s)]
+    after = height[(time_s > start_s) & (time_s <= start_s + _FALL_S)]
+    if not len(before) or not len(after):
+        return None
+    # rotors at work change the pressure at the barometer: a reading that jumps up and stays is no fall
+    return float(np.median(before) - np.median(after[-max(1, len(after) // 3) :]))
+
+
+def tumbles(facts: LogFacts) -> list[tuple[float, float]]:
+    """Return from when to when a multirotor was beyond what it is flown at."""
+    attitude = facts.signals.get("attitude")
+    if attitude is None or facts.vehicle != "multirotor":
+        return []
+    over = (np.abs(attitude.values[:, :2]) > _UPSIDE_DOWN).any(axis=1) & facts.in_flight(attitude.time_s)
+    return spans_where(attitude.time_s, over, _ON_ITS_BACK_S)
+
+
+def lost_s(facts: LogFacts) -> float:
+    """Return when control was lost, as far as can be seen; the log's end where it was not."""
+    ends = [start for start, _, _ in stops(facts)] + [start for start, _ in tumbles(facts)]
+    return min(ends, default=facts.duration_s)

@@ -1,0 +1,56 @@
+"""One motor was commanded to its most for long, and the vehicle still turned towards it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import LogFacts, spans_where
+from replay.review.findings.loss_of_control import lost_s
+from replay.review.findings.rule import Judgement, Rule
+
+_FULL = 0.95
+"""Share of full command: an autopilot leaves 5 % (MOT_SPIN_MAX 0.95)."""
+_APART = 0.25
+"""Chosen: how much less the others' mean is. Hard climbs take all motors to their most together; turns in yaw, two."""
+_LEAST_S = 1.0
+"""ArduPilot's thrust-loss check waits as long; a hard turn has motors at their most for less."""
+
+
+def _judge(facts: LogFacts) -> Iterator[Judgement]:
+    motors = facts.signals["motors"]
+    if len(motors.names) < 4:
+        return
+    times, values = motors.time_s, motors.values
+    judged = facts.in_flight(times) & (times < lost_s(facts))
+    for k, name in enumerate(motors.names):
+        others = np.delete(values, k, axis=1)
+        alone = (values[:, k] > _FULL) & (np.median(others, axis=1) < values[:, k] - _APART) & judged
+        for start, end in spans_where(times, alone, _LEAST_S)[:1]:
+            mean = float(np.median(others[(times >= start) & (times <= end)]))
+            yield Judgement(
+                start_s=start,
+                end_s=end,
+                text=f"{name} was at full command for {end - start:.1f} s while the others were at {100 * mean:.0f} %: "
+                "it, its ESC or its propeller gives too little",
+                evidence=(f"{motors.origin}: {name} above {_FULL:.2f}, median of the others {mean:.2f}",),
+                counter=("a hard climb takes all motors up, a turn in yaw the two that turn the same way",),
+                confidence="likely",
+                weight="critical",
+                plots=("motors", "attitude", "rpm"),
+            )
+
+
+RULE = Rule(
+    name="motor_at_limit",
+    title="One motor at its most",
+    stage="motion",
+    physics="The autopilot gives the motor that lifts too little more and more command, until there is no more.",
+    evidence="one motor above 95 % for a second, the others' median 25 % of full command lower",
+    counter="climbs and turns in yaw, in which others are at their most too",
+    needs=("motors",),
+    judge=_judge,
+    multirotor=True,
+    least_hz=4.0,  # of a second four samples
+)

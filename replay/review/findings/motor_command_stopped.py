@@ -1,0 +1,58 @@
+"""One motor was commanded to stop while the others flew on: the autopilot's own decision, not a failed motor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import LogFacts, spans_where
+from replay.review.findings.loss_of_control import STOPPED, lost_s
+from replay.review.findings.rule import Judgement, Rule
+
+_LEAST_S = 1.5
+"""Measured: at full sticks a saturated mixer keeps single motors at zero for up to 0.5 s; three times that."""
+_FLYING = 0.2
+"""Share of full command above which the others' median carries a vehicle: the strongest vehicles hover from 0.15 on,
+at which a saturated mixer takes single motors to zero."""
+
+
+def _judge(facts: LogFacts) -> Iterator[Judgement]:
+    motors = facts.signals["motors"]
+    times, values = motors.time_s, motors.values
+    judged = facts.in_flight(times) & (times < lost_s(facts))
+    for k, name in enumerate(motors.names):
+        others = np.median(np.delete(values, k, axis=1), axis=1)
+        marked = [one for one in facts.statements if one.kind == "stopped" and one.text == name and one.level]
+        stopped = spans_where(times, (values[:, k] < STOPPED) & (others > _FLYING) & judged, _LEAST_S)
+        stopped += [(one.time_s, one.time_s) for one in marked if facts.in_flight(np.array([one.time_s]))[0]]
+        for start, until in sorted(stopped)[:1]:
+            end = until
+            if until == start:
+                end = float(times[times > start][np.argmax(values[times > start, k] > STOPPED)])
+            mean = float(np.median(others[(times >= start) & (times <= end)]))
+            said = ("the log marks the output as stopped, not as zero",) if marked else ()
+            yield Judgement(
+                start_s=start,
+                end_s=end,
+                text=f"{name} was commanded to stop for {end - start:.1f} s while the others were at "
+                f"{100 * mean:.0f} %: the autopilot took it out",
+                evidence=(f"{motors.origin}: {name} below {STOPPED:g}, the others at {mean:.2f}", *said),
+                counter=("its command is zero: a motor that fails by itself gets more, not less",),
+                confidence="certain" if marked else "likely",
+                weight="critical",
+                plots=("motors", "attitude", "rpm"),
+            )
+
+
+RULE = Rule(
+    name="motor_command_stopped",
+    title="One motor commanded to stop",
+    stage="command",
+    physics="Autopilots stop a motor whose ESC reports a failure, or for a test of failures (PX4's failure injection).",
+    evidence="one command at zero for 1.5 s, or marked as stopped, while the others carry the vehicle",
+    counter="outputs that drive nothing, which never move; a saturated mixer, which lets go within half a second",
+    needs=("motors",),
+    judge=_judge,
+    multirotor=True,
+)

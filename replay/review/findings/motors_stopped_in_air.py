@@ -1,0 +1,49 @@
+"""All motors were commanded to stop in the air by somebody or something other than the landing detector."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from replay.review.facts.log_facts import LogFacts
+from replay.review.findings.loss_of_control import stops
+from replay.review.findings.rule import Judgement, Rule
+
+_NEAR_S = 1.5
+"""Chosen: statements of state are logged once or twice a second by default."""
+
+
+def _judge(facts: LogFacts) -> Iterator[Judgement]:
+    for start, end, fell in stops(facts):
+        near = [one for one in facts.statements if abs(one.time_s - start) <= _NEAR_S]
+        if any(one.kind == "landing" and one.level for one in near):
+            continue
+        causes = [one for one in near if one.kind in ("kill", "failsafe") or (one.kind == "arming" and not one.level)]
+        why = f": {causes[0].text}" if causes else ", and the log does not say why"
+        yield Judgement(
+            start_s=min([start, *(one.time_s for one in causes)]),
+            end_s=end,
+            text=f"all motors were commanded to stop in the air{why}; the vehicle fell {fell:.0f} m",
+            evidence=(
+                f"{facts.signals['motors'].origin}: all motors at zero from {start:.2f} to {end:.2f} s",
+                f"{facts.signals['height'].origin}: {fell:.1f} m lower within 3 s of it",
+                *(f"{one.kind} at {one.time_s:.2f} s: {one.text}" for one in causes),
+            ),
+            counter=("no landing was detected before it", "the commands themselves are zero: no motor failed"),
+            confidence="certain",
+            weight="critical",
+            plots=("motors", "height", "climb"),
+        )
+
+
+RULE = Rule(
+    name="motors_stopped_in_air",
+    title="Motors stopped in the air",
+    stage="command",
+    physics="A kill switch, a disarming, a termination or a crash detector takes all commands to zero, and the "
+    "vehicle falls.",
+    evidence="all motors at zero for 0.4 s or longer after they turned, the barometer falling by 2 m within 3 s",
+    counter="a landing that was detected before; a barometer that does not fall",
+    needs=("motors", "height"),
+    judge=_judge,
+    multirotor=True,
+)

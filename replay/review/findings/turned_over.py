@@ -1,0 +1,51 @@
+"""The vehicle turned over in flight while its motors were commanded to turn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from replay.review.facts.log_facts import LogFacts
+from replay.review.findings.loss_of_control import stops, tumbles
+from replay.review.findings.rule import Judgement, Rule
+
+_ON_PURPOSE = ("Acro", "ACRO", "FLIP", "Stabilized", "RATTITUDE")
+
+
+def _judge(facts: LogFacts) -> Iterator[Judgement]:
+    attitude = facts.signals["attitude"]
+    stopped = [start for start, _, _ in stops(facts)]
+    for start, end in tumbles(facts)[:1]:
+        if any(at < start for at in stopped):
+            return
+        modes = [one.text for one in facts.statements if one.kind == "mode" and one.time_s <= start]
+        meant = bool(modes) and any(word in modes[-1] for word in _ON_PURPOSE)
+        most = float(np.abs(attitude.during(start, end + 0.1).values[:, :2]).max())
+        yield Judgement(
+            start_s=start,
+            end_s=end,
+            text=f"the vehicle turned over: {most:.0f} degrees of roll or pitch for {end - start:.1f} s",
+            evidence=(f"{attitude.origin}: beyond 100 degrees from {start:.2f} s on",),
+            counter=(
+                "its motors had not been commanded to stop before",
+                f"the mode was {modes[-1].removeprefix('mode ') if modes else 'not recorded'}"
+                + (", in which pilots turn over on purpose" if meant else ""),
+            ),
+            confidence="possible" if meant else "certain",
+            weight="information" if meant else "critical",
+            plots=("attitude", "motors", "height"),
+        )
+
+
+RULE = Rule(
+    name="turned_over",
+    title="Turned over",
+    stage="motion",
+    physics="With a motor or a propeller gone, or with a wrong attitude, a multirotor tumbles within a second.",
+    evidence="roll or pitch beyond 100 degrees for 0.3 s in flight",
+    counter="flips in acro modes; a fall after motors were stopped",
+    needs=("attitude",),
+    judge=_judge,
+    multirotor=True,
+)

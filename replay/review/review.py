@@ -1,0 +1,184 @@
+"""The verdict on a log: what its findings are, which was first, and what could not be judged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from adapters.logs.damage import Damage
+from replay.review.facts.log_facts import SIGNALS, LogFacts, Statement
+from replay.review.facts.reading import read_facts
+from replay.review.findings.rule import STAGES, Judgement, Rule, UnjudgedError
+from replay.review.rules import RULES
+
+_SAME_S: Final = 0.5
+"""Chosen: two things that close together are ordered by causes: the slower of what logs hold comes at 2 Hz."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReviewFinding:
+    """A judgement, the rule that made it, and where it comes: information alone has no rank."""
+
+    rule: Rule
+    judgement: Judgement
+    rank: Literal["first", "later", "throughout", ""]
+
+    @property
+    def first(self) -> bool:
+        """Whether it is the first thing that stopped following."""
+        return self.rank == "first"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogReview:
+    """The verdict on one log."""
+
+    log: Path
+    facts: LogFacts
+    findings: tuple[ReviewFinding, ...]
+    watched: tuple[str, ...]  # what was looked at and showed nothing
+    unjudged: Mapping[str, str]  # what could not be judged, and why
+    damage: tuple[Damage, ...] = ()
+
+    @property
+    def first(self) -> ReviewFinding | None:
+        """The first thing that stopped following."""
+        return next((one for one in self.findings if one.first), None)
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one sentence."""
+        first = self.first
+        if not self.facts.flight:
+            return "The log shows no flight: nothing was judged."
+        if first is None:
+            watched = f"{len(self.watched)} of {len(self.watched) + len(self.unjudged)} findings could be looked for"
+            return f"Nothing wrong found in {self.facts.flight_s:.0f} s of flight; {watched}."
+        text = first.judgement.text
+        said = f"First, at {first.judgement.start_s:.1f} s, {text} ({first.judgement.confidence})."
+        worst = next((one for one in self.findings if one.judgement.weight == "critical" and not one.first), None)
+        if worst is not None and first.judgement.weight != "critical":
+            said += f" Then, at {worst.judgement.start_s:.1f} s, {worst.judgement.text}."
+        return said[0].upper() + said[1:]
+
+    @property
+    def wrong(self) -> bool:
+        """Whether anything was found that is more than information."""
+        return any(one.judgement.weight != "information" for one in self.findings)
+
+    def timeline(self) -> list[tuple[float, str, str]]:
+        """Return what the log states and what was found, in order: time, kind, text."""
+        stated = [(one.time_s, one.kind, one.text) for one in self.facts.statements if _tells(one)]
+        judged = [(one.judgement.start_s, "finding", one.judgement.text) for one in self.findings]
+        return sorted([*stated, *judged], key=lambda entry: entry[0])
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the verdict as a JSON object."""
+        return {
+            "log": str(self.log),
+            "autopilot": self.facts.autopilot,
+            "vehicle": self.facts.vehicle,
+            "duration_s": round(self.facts.duration_s, 3),
+            "flight_s": round(self.facts.flight_s, 3),
+            "verdict": self.sentence,
+            "wrong": self.wrong,
+            "first": None if self.first is None else self.first.rule.name,
+            "findings": [_finding_json(one) for one in self.findings],
+            "watched": list(self.watched),
+            "not_judged": dict(self.unjudged),
+            "timeline": [{"time_s": round(at, 3), "kind": kind, "text": text} for at, kind, text in self.timeline()],
+            "damage": [one.to_json() for one in self.damage],
+        }
+
+
+def review_log(path: Path) -> LogReview:
+    """Return the verdict on a log.
+
+    Raises
+    ------
+    TelemetryError
+        It is no recording, or holds nothing that a vehicle says of itself.
+    """
+    facts, damage = read_facts(path)
+    return judged(path, facts, damage)
+
+
+def judged(path: Path, facts: LogFacts, damage: Sequence[Damage] = ()) -> LogReview:
+    """Return the verdict on what a log states."""
+    found: list[tuple[Rule, Judgement]] = []
+    watched: list[str] = []
+    unjudged: dict[str, str] = {}
+    for rule in RULES:
+        reason = "".join(list(_lacking(rule, facts))[:1])
+        if reason:
+            unjudged[rule.title] = reason
+            continue
+        try:
+            with np.errstate(invalid="ignore"):
+                judgements = list(rule.judge(facts))
+        except UnjudgedError as error:
+            unjudged[rule.title] = str(error)
+            continue
+        found += ((rule, one) for one in judgements)
+        if not judgements:
+            watched.append(rule.title)
+    return LogReview(path, facts, tuple(_ordered(found)), tuple(watched), unjudged, tuple(damage))
+
+
+def _lacking(rule: Rule, facts: LogFacts) -> Iterator[str]:
+    if not facts.flight:
+        yield "the log shows no flight"
+    if rule.multirotor and facts.vehicle != "multirotor":
+        kind = f"a {facts.vehicle}" if facts.vehicle else "not known to be one"
+        yield f"holds of multirotors; the vehicle is {kind}"
+    for name in rule.needs:
+        if name not in facts.signals:
+            yield facts.lacks.get(name) or f"the log does not hold {SIGNALS[name]}"
+        elif facts.signals[name].rate_hz < rule.least_hz:
+            signal = facts.signals[name]
+            yield f"{signal.origin} comes {signal.rate_hz:.2g} times a second; it takes {rule.least_hz:g} to tell"
+
+
+def _ordered(found: Sequence[tuple[Rule, Judgement]]) -> Iterator[ReviewFinding]:
+    """Yield findings by time; of those that begin together, causes first."""
+    by_time = sorted(found, key=lambda entry: entry[1].start_s)
+    first = None
+    heavy = [entry for entry in by_time if entry[1].weight != "information"]
+    heavy = [entry for entry in heavy if entry[1].event] or heavy
+    if heavy:
+        together = [entry for entry in heavy if entry[1].start_s - heavy[0][1].start_s <= _SAME_S]
+        first = min(together, key=lambda entry: (STAGES.index(entry[0].stage), entry[1].start_s))
+    for rule, judgement in by_time:
+        rank: Literal["first", "later", "throughout", ""] = "later" if judgement.event else "throughout"
+        if first is not None and judgement is first[1]:
+            rank = "first"
+        yield ReviewFinding(rule, judgement, "" if judgement.weight == "information" else rank)
+
+
+def _finding_json(one: ReviewFinding) -> dict[str, Any]:
+    judgement = one.judgement
+    return {
+        "name": one.rule.name,
+        "stage": one.rule.stage,
+        "severity": judgement.weight,
+        "confidence": judgement.confidence,
+        "rank": one.rank or None,
+        "start_s": round(judgement.start_s, 3),
+        "end_s": round(judgement.end_s, 3),
+        "text": judgement.text,
+        "evidence": list(judgement.evidence),
+        "counter_evidence": list(judgement.counter),
+    }
+
+
+_QUIET = 5
+"""MAVLink's and syslog's severity of a notice: texts below it are of routine."""
+
+
+def _tells(statement: Statement) -> bool:
+    """Return whether a statement belongs into a time line."""
+    return statement.kind != "text" or statement.level < _QUIET or "etected" in statement.text

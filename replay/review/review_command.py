@@ -1,0 +1,73 @@
+"""`fauio review`: what happened in a log, without a profile."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from replay.runs.replay_command import LOG_HELP
+
+WRONG = 1
+"""Exit status where something is wrong with a vehicle, as linters have it; 2 is bad input as everywhere."""
+
+
+def add_review(subparsers: Any) -> None:
+    """Add the command to the command line."""
+    parser = subparsers.add_parser(
+        "review",
+        help="what happened in a log: no profile is needed",
+        description="Say what happened in a log: the first thing that stopped following (commands the decision, motors "
+        "the commands, motion the motors, the estimator the motion), its evidence, what speaks against other causes, "
+        "and what could not be judged. Exit status: 0 nothing wrong found, 1 something was found, 2 bad input.",
+        epilog="example: fauio review healthy.tlog --report healthy.html",
+    )
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=LOG_HELP)
+    parser.add_argument(
+        "--report", metavar="OUT.html", help="write a page with the evidence drawn; of several logs, into a folder"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object per log")
+    parser.set_defaults(handler=run_review)
+
+
+def run_review(args: argparse.Namespace) -> int:
+    """Run ``fauio review``."""
+    from adapters.errors import TelemetryError, UsageError, printable
+    from adapters.output_file import write_file
+    from replay.review.review import review_log
+    from replay.review.review_text import review_lines
+    from replay.runs.log_list import check_output, find_logs, forbid_overwriting, target
+
+    logs = find_logs(args.logs)
+    many = len(logs) > 1 or logs[0].path != args.logs[0]
+    pages = [target("--report", args.report, log, ".html", many=many) for log in logs]
+    wanted = [one for one in pages if one is not None]
+    if len({one.resolve() for one in wanted}) < len(wanted):
+        raise UsageError(f"--report {args.report}: names the same file for several logs; put {{log}} into it")
+    forbid_overwriting(logs, wanted)
+    for one in wanted:
+        check_output(one)
+    wrong = failed = False
+    for log, report in zip(logs, pages, strict=True):
+        try:
+            review = review_log(log.path)
+        except TelemetryError as error:
+            if not many:
+                raise
+            failed = True
+            sys.stderr.write(printable(f"fauio: {error}") + "\n")
+            continue
+        for damage in review.damage:
+            sys.stderr.write(printable(f"fauio: {damage.line()}; all else was read") + "\n")
+        if args.json:
+            sys.stdout.write(json.dumps(review.to_json()) + "\n")
+        else:
+            sys.stdout.writelines(printable(line) + "\n" for line in review_lines(review))
+        if report is not None:
+            from replay.review.review_page import review_page
+
+            write_file(report, review_page(review))
+        wrong |= review.wrong
+    return 2 if failed else WRONG if wrong else 0

@@ -1,0 +1,34 @@
+"""The verdict on a log as lines for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from replay.review.review import LogReview
+
+_MOST_STATED = 40
+"""Entries of a time line that a screen holds beside the findings; the page and JSON have them all."""
+
+
+def review_lines(review: LogReview) -> Iterator[str]:
+    """Yield the verdict, the findings with their evidence, the time line, and what could not be judged."""
+    facts = review.facts
+    kind = " ".join(word for word in (facts.autopilot, facts.vehicle) if word) or "unknown vehicle"
+    yield f"{review.log.name}: {kind}, {facts.duration_s:.0f} s, {facts.flight_s:.0f} s of flight"
+    yield f"  {review.sentence}"
+    for one in review.findings:
+        mark = one.rank or one.judgement.weight
+        yield f"  [{mark}] {one.judgement.start_s:.1f} s, {one.rule.title} ({one.judgement.confidence})"
+        yield f"      {one.judgement.text}"
+        yield from (f"      evidence: {line}" for line in one.judgement.evidence)
+        yield from (f"      against: {line}" for line in one.judgement.counter)
+    entries = review.timeline()
+    if entries:
+        yield "  time line:"
+        yield from (f"    {at:8.1f} s  {kind}: {text}" for at, kind, text in entries[:_MOST_STATED])
+        if len(entries) > _MOST_STATED:
+            yield f"    ... and {len(entries) - _MOST_STATED} more"
+    if review.watched:
+        yield f"  looked for and not there: {', '.join(review.watched)}"
+    for title, why in review.unjudged.items():
+        yield f"  not judged: {title}: {why}"

@@ -1,0 +1,42 @@
+"""The findings that a review looks for."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from replay.review.findings import (
+    attitude_not_followed,
+    battery_low,
+    descent_not_followed,
+    esc_stopped,
+    estimator_reset,
+    failsafe,
+    gps_lost,
+    innovations_refused,
+    landing_detected_in_air,
+    log_ends_in_flight,
+    motor_at_limit,
+    motor_command_stopped,
+    motors_stopped_in_air,
+    turned_over,
+    vibration,
+)
+from replay.review.findings.rule import Rule
+
+RULES: Final[tuple[Rule, ...]] = (
+    landing_detected_in_air.RULE,
+    motors_stopped_in_air.RULE,
+    motor_command_stopped.RULE,
+    battery_low.RULE,
+    log_ends_in_flight.RULE,
+    esc_stopped.RULE,
+    motor_at_limit.RULE,
+    descent_not_followed.RULE,
+    turned_over.RULE,
+    attitude_not_followed.RULE,
+    gps_lost.RULE,
+    vibration.RULE,
+    innovations_refused.RULE,
+    estimator_reset.RULE,
+    failsafe.RULE,
+)

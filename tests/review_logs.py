@@ -1,0 +1,178 @@
+"""Flights of a quadrotor as logs of PX4 and ArduPilot, with what is to be found in them known to the sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import cos, radians, sin
+from pathlib import Path
+
+from dataflash_writer import DataflashWriter
+from ulog_writer import UlogWriter
+
+END_S = 60.0
+TAKEOFF_S, LANDING_S, DISARM_S = 3.0, 54.0, 57.0
+HOVER = 0.45
+BEGIN_US = 5_000_000
+
+
+def usual_height(time_s: float) -> float:
+    """Return the height of a flight that climbs to 15 m and comes down again."""
+    climbed = min(max(time_s - TAKEOFF_S, 0.0) * 1.5, 15.0)
+    return max(min(climbed, (LANDING_S - time_s) * 1.5), 0.0)
+
+
+def usual_motors(time_s: float) -> list[float]:
+    return [HOVER] * 4 if TAKEOFF_S <= time_s < LANDING_S else [0.0] * 4
+
+
+@dataclass
+class Flight:
+    """A flight; what is not said is as usual."""
+
+    height: Callable[[float], float] = usual_height
+    motors: Callable[[float], list[float]] = usual_motors
+    landed: Callable[[float], bool] = lambda at: not TAKEOFF_S <= at < LANDING_S
+    armed: Callable[[float], bool] = lambda at: 1.0 <= at < DISARM_S
+    tilt_deg: Callable[[float], float] = lambda _: 0.0  # roll
+    tilt_wanted_deg: Callable[[float], float] = lambda _: 0.0
+    climb_wanted: Callable[[float], float] = lambda _: 0.0
+    rpm: Callable[[float], list[float]] | None = None
+    volts: Callable[[float], float] = lambda _: 15.4
+    connected: bool = True
+    fix: Callable[[float], int] = lambda _: 3
+    gps_used: bool = True
+    ratio: Callable[[float], float] = lambda _: 0.1
+    resets: Callable[[float], int] = lambda _: 1
+    vibration: Callable[[float], float] = lambda _: 2.0
+    clipped: Callable[[float], int] = lambda _: 0
+    failsafe: Callable[[float], bool] = lambda _: False
+    killed: Callable[[float], bool] = lambda _: False
+    mode: int = 2
+    end_s: float = END_S
+    texts: Sequence[tuple[float, str]] = ()
+    parameters: Mapping[str, float] = field(default_factory=lambda: {"BAT1_N_CELLS": 4})
+
+
+_TOPICS = {
+    "vehicle_status": "uint64_t timestamp;uint8_t arming_state;uint8_t nav_state;bool failsafe;uint8_t vehicle_type",
+    "vehicle_land_detected": "uint64_t timestamp;bool landed",
+    "actuator_armed": "uint64_t timestamp;bool manual_lockdown",
+    "actuator_motors": "uint64_t timestamp;float[12] control",
+    "esc_report": "uint64_t timestamp;int32_t esc_rpm",
+    "esc_status": "uint64_t timestamp;uint8_t esc_count;esc_report[8] esc",
+    "vehicle_attitude": "uint64_t timestamp;float[4] q",
+    "vehicle_attitude_setpoint": "uint64_t timestamp;float[4] q_d",
+    "vehicle_air_data": "uint64_t timestamp;float baro_alt_meter",
+    "vehicle_local_position": "uint64_t timestamp;float z;float vz;uint8_t xy_reset_counter;uint8_t z_reset_counter;"
+    "uint8_t vxy_reset_counter;uint8_t vz_reset_counter",
+    "vehicle_local_position_setpoint": "uint64_t timestamp;float vz",
+    "battery_status": "uint64_t timestamp;float voltage_v;float current_a;bool connected",
+    "vehicle_gps_position": "uint64_t timestamp;uint8_t fix_type;uint8_t satellites_used",
+    "estimator_status_flags": "uint64_t timestamp;bool cs_gps",
+    "estimator_status": "uint64_t timestamp;float vel_test_ratio;float pos_test_ratio;float hgt_test_ratio",
+    "vehicle_imu_status": "uint64_t timestamp;uint32_t[3] accel_clipping;float accel_vibration_metric",
+}
+
+
+def px4_log(path: Path, flight: Flight) -> Path:
+    """Write a flight as PX4 logs it, all topics 10 times a second."""
+    log = UlogWriter(BEGIN_US)
+    for name, value in flight.parameters.items():
+        log.parameter(name, value)
+    for name, fields in _TOPICS.items():
+        log.define(name, fields)
+    ids = {name: log.subscribe(name) for name in _TOPICS if name != "esc_report"}
+    texts = sorted(flight.texts)
+    for tick in range(int(flight.end_s * 10)):
+        at, stamp = tick / 10, BEGIN_US + tick * 100_000
+        while texts and texts[0][0] <= at:
+            log.text(stamp, texts.pop(0)[1], 4)
+        for name, values in _topics(flight, at).items():
+            log.add(ids[name], name, {"timestamp": stamp, **values})
+    return log.write(path)
+
+
+def _turned(angle_deg: float) -> list[float]:
+    half = radians(angle_deg) / 2
+    return [cos(half), sin(half), 0.0, 0.0]
+
+
+def _topics(flight: Flight, at: float) -> dict[str, dict[str, object]]:
+    count = flight.resets(at)
+    topics: dict[str, dict[str, object]] = {
+        "vehicle_status": {
+            "arming_state": 2 if flight.armed(at) else 1,
+            "nav_state": flight.mode,
+            "failsafe": flight.failsafe(at),
+            "vehicle_type": 1,
+        },
+        "vehicle_land_detected": {"landed": flight.landed(at)},
+        "actuator_armed": {"manual_lockdown": flight.killed(at)},
+        "actuator_motors": {"control": flight.motors(at) + [float("nan")] * 8},
+        "vehicle_attitude": {"q": _turned(flight.tilt_deg(at))},
+        "vehicle_attitude_setpoint": {"q_d": _turned(flight.tilt_wanted_deg(at))},
+        "vehicle_air_data": {"baro_alt_meter": 200.0 + flight.height(at)},
+        "vehicle_local_position": {
+            "z": -flight.height(at),
+            "xy_reset_counter": count,
+            "z_reset_counter": 1,
+            "vxy_reset_counter": 1,
+            "vz_reset_counter": 1,
+        },
+        "vehicle_local_position_setpoint": {"vz": -flight.climb_wanted(at)},
+        "battery_status": {"voltage_v": flight.volts(at), "current_a": 12.0, "connected": flight.connected},
+        "vehicle_gps_position": {"fix_type": flight.fix(at), "satellites_used": 4 * flight.fix(at)},
+        "estimator_status_flags": {"cs_gps": flight.gps_used},
+        "estimator_status": {"vel_test_ratio": 0.1, "pos_test_ratio": flight.ratio(at), "hgt_test_ratio": 0.1},
+        "vehicle_imu_status": {
+            "accel_clipping": [0, 0, flight.clipped(at)],
+            "accel_vibration_metric": flight.vibration(at),
+        },
+    }
+    if flight.rpm is not None:
+        reports = [{"esc_rpm": int(speed)} for speed in flight.rpm(at)]
+        topics["esc_status"] = {"esc_count": 4, "esc": reports + [{"esc_rpm": 0}] * 4}
+    return topics
+
+
+def ardupilot_log(path: Path, flight: Flight, errors: Sequence[tuple[float, int, int]] = ()) -> Path:
+    """Write a flight as ArduPilot logs it; errors are times, subsystems and codes."""
+    log = DataflashWriter()
+    log.define("PARM", "QNf", "TimeUS,Name,Value")
+    log.define("MSG", "QZ", "TimeUS,Message")
+    log.define("EV", "QB", "TimeUS,Id")
+    log.define("ERR", "QBB", "TimeUS,Subsys,ECode")
+    log.define("MODE", "QMBB", "TimeUS,Mode,ModeNum,Rsn")
+    log.define("RCOU", "QHHHH", "TimeUS,C1,C2,C3,C4")
+    log.define("ATT", "Qffffff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw")
+    log.define("BARO", "QBf", "TimeUS,I,Alt", "s#m")
+    log.define("BAT", "QBff", "TimeUS,Inst,Volt,Curr", "s#--")
+    log.define("GPS", "QBBBB", "TimeUS,I,Status,NSats,U", "s#---")
+    log.define("XKF4", "QBfff", "TimeUS,C,SV,SP,SH", "s#---")
+    log.define("VIBE", "QBfffI", "TimeUS,IMU,VibeX,VibeY,VibeZ,Clip", "s#----")
+    log.add("MSG", BEGIN_US, "ArduCopter V4.5.7")
+    for number in range(1, 5):
+        log.add("PARM", BEGIN_US, f"SERVO{number}_FUNCTION", 32.0 + number)
+    log.add("MODE", BEGIN_US, 5, 5, 1)
+    was = (False, True)
+    faults = sorted(errors)
+    for tick in range(int(flight.end_s * 10)):
+        at, stamp = tick / 10, BEGIN_US + tick * 100_000
+        now = flight.armed(at), flight.landed(at)
+        if now[0] != was[0]:
+            log.add("EV", stamp, 10 if now[0] else 11)
+        if now[1] != was[1]:
+            log.add("EV", stamp, 18 if now[1] else 28)
+        was = now
+        while faults and faults[0][0] <= at:
+            log.add("ERR", stamp, *faults.pop(0)[1:])
+        log.add("RCOU", stamp, *(round(1000 + 1000 * share) for share in flight.motors(at)))
+        log.add("ATT", stamp, flight.tilt_wanted_deg(at), flight.tilt_deg(at), 0.0, 0.0, 0.0, 0.0)
+        log.add("BARO", stamp, 0, flight.height(at))
+        log.add("BAT", stamp, 0, flight.volts(at), 12.0)
+        log.add("GPS", stamp, 0, flight.fix(at), 4 * flight.fix(at), flight.gps_used)
+        log.add("XKF4", stamp, 0, 0.1, flight.ratio(at), 0.1)
+        log.add("VIBE", stamp, 0, flight.vibration(at), 0.0, 0.0, flight.clipped(at))
+    path.write_bytes(log.data)
+    return path

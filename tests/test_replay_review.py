@@ -1,0 +1,220 @@
+"""A review names what a log shows, in the order it happened, and nothing of what only looks like it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from review_logs import (
+    DISARM_S,
+    HOVER,
+    LANDING_S,
+    TAKEOFF_S,
+    Flight,
+    ardupilot_log,
+    px4_log,
+    usual_height,
+    usual_motors,
+)
+
+import fauio
+from replay.review.review import LogReview, review_log
+from replay.review.rules import RULES
+
+FALLS_S = 30.0
+
+
+def fallen(at: float) -> float:
+    """Return the height of a flight whose motors stop at a time."""
+    height = usual_height(min(at, FALLS_S))
+    return max(height - 4.9 * max(at - FALLS_S, 0.0) ** 2, 0.0)
+
+
+def stopped(at: float) -> list[float]:
+    return usual_motors(at) if at < FALLS_S else [0.0] * 4
+
+
+def one_motor(number: int, share: float, start: float, end: float) -> Callable[[float], list[float]]:
+    """Return commands of which one is another for a while."""
+
+    def motors(at: float) -> list[float]:
+        commands = usual_motors(at)
+        if start <= at < end:
+            commands[number - 1] = share
+        return commands
+
+    return motors
+
+
+def speeds(number: int = 0, start: float = 30.0, end: float = 33.0) -> Callable[[float], list[float]]:
+    """Return speeds as commanded, of which one is nearly none for a while."""
+
+    def rpm(at: float) -> list[float]:
+        turns = [8000.0 if turning(at) else 0.0 for _ in range(4)]
+        if number and start <= at < end:
+            turns[number - 1] = 300.0
+        return turns
+
+    return rpm
+
+
+def turning(at: float) -> bool:
+    return usual_motors(at)[0] > 0
+
+
+def between(start: float, end: float, inside: float, outside: float) -> Callable[[float], float]:
+    return lambda at: inside if start <= at < end else outside
+
+
+LANDED_THERE = Flight(height=fallen, motors=stopped, landed=lambda at: not 3.0 <= at < FALLS_S - 0.1)
+CASES: dict[str, Flight] = {
+    "landing_detected_in_air": LANDED_THERE,
+    "motors_stopped_in_air": Flight(height=fallen, motors=stopped, killed=lambda at: at >= FALLS_S - 0.1),
+    "motor_command_stopped": Flight(motors=one_motor(2, 0.0, 30.0, 33.0)),
+    "motor_at_limit": Flight(motors=one_motor(3, 1.0, 30.0, 32.0)),
+    "esc_stopped": Flight(rpm=speeds(4)),
+    "battery_low": Flight(volts=lambda at: 15.4 - 0.07 * at),
+    "gps_lost": Flight(fix=lambda at: 0 if 30.0 <= at < 35.0 else 3),
+    "innovations_refused": Flight(ratio=between(30.0, 33.0, 1.8, 0.1)),
+    "estimator_reset": Flight(resets=lambda at: 1 + (at > 30.0)),
+    "vibration": Flight(vibration=lambda at: 25.0 if turning(at) else 0.5, clipped=lambda at: int(10 * at)),
+    "failsafe": Flight(failsafe=lambda at: 30.0 <= at < 40.0),
+    "descent_not_followed": Flight(
+        climb_wanted=between(30.0, 38.0, -1.5, 0.0),
+        height=lambda at: usual_height(at) + 0.6 * min(max(at - 30.0, 0.0), 8.0),
+        motors=lambda at: [0.12 if 30.0 <= at < 38.0 else share for share in usual_motors(at)],
+    ),
+    "attitude_not_followed": Flight(tilt_deg=between(30.0, 32.0, 50.0, 0.0)),
+    "turned_over": Flight(tilt_deg=between(30.0, 32.0, 150.0, 0.0)),
+}
+LOOK_ALIKES: dict[str, Flight] = {
+    "a plain flight": Flight(rpm=speeds()),
+    "a landing on a roof": Flight(
+        height=lambda at: usual_height(min(at, 40.0)),
+        motors=lambda at: usual_motors(at) if at < 42.0 else [0.0] * 4,
+        landed=lambda at: not TAKEOFF_S <= at < 41.9,
+    ),
+    "a saturated mixer": Flight(motors=one_motor(1, 0.0, 30.0, 30.5)),
+    "a hard climb": Flight(motors=lambda at: [1.0 if 30.0 <= at < 33.0 else share for share in usual_motors(at)]),
+    "no battery connected": Flight(volts=lambda _: 0.05, connected=False),
+    "a dip of voltage at full thrust": Flight(volts=between(30.0, 31.5, 12.9, 15.4)),
+    "a receiver that nobody uses": Flight(fix=lambda _: 0, gps_used=False),
+    "one innovation": Flight(ratio=between(30.0, 30.2, 3.0, 0.1)),
+    "a reset at take-off": Flight(resets=lambda at: 1 + (at > 4.0)),
+    "a hard landing": Flight(vibration=between(LANDING_S - 0.5, LANDING_S + 1.0, 30.0, 2.0)),
+    "a failsafe on the ground": Flight(failsafe=lambda at: at > DISARM_S),
+    "an updraft": Flight(
+        climb_wanted=between(30.0, 32.0, -1.5, 0.0), height=lambda at: usual_height(at) + min(max(at - 30, 0), 2)
+    ),
+    "a fast turn at full sticks": Flight(
+        tilt_wanted_deg=between(30.0, 33.0, 60.0, 0.0), tilt_deg=between(30.3, 33.3, 60.0, 0.0)
+    ),
+    "all speeds lower at lower commands": Flight(
+        rpm=lambda at: [8000.0 * (share / HOVER) ** 0.5 for share in one_motor(2, 0.1, 30.0, 33.0)(at)],
+        motors=one_motor(2, 0.1, 30.0, 33.0),
+    ),
+}
+
+
+def names(review: LogReview) -> list[str]:
+    return [one.rule.name for one in review.findings if one.rank]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_each_finding_is_first_where_it_is_the_cause(name: str, tmp_path: Path) -> None:
+    review = review_log(px4_log(tmp_path / "flight.ulg", CASES[name]))
+    assert review.first is not None
+    assert (review.first.rule.name, review.wrong) == (name, True)
+    said = review.first.judgement
+    assert said.evidence and said.counter
+    if name not in ("battery_low", "vibration"):
+        assert said.start_s == pytest.approx(30.0, abs=0.35)
+
+
+def test_every_finding_has_a_flight_that_shows_it() -> None:
+    assert {rule.name for rule in RULES} == {*CASES, "log_ends_in_flight"}
+
+
+@pytest.mark.parametrize("name", LOOK_ALIKES)
+def test_what_only_looks_wrong_is_no_finding(name: str, tmp_path: Path) -> None:
+    review = review_log(px4_log(tmp_path / "flight.ulg", LOOK_ALIKES[name]))
+    assert names(review) == []
+    assert review.sentence.startswith("Nothing wrong found in ")
+
+
+def test_what_comes_after_a_fall_is_no_finding(tmp_path: Path) -> None:
+    flight = Flight(
+        height=fallen,
+        motors=stopped,
+        landed=lambda at: 29.9 <= at < 30.1 or not 3.0 <= at < 40.0,
+        ratio=between(33.0, 36.0, 2.0, 0.1),
+        tilt_deg=between(30.5, 32.0, 120.0, 0.0),
+    )
+    assert names(review_log(px4_log(tmp_path / "flight.ulg", flight))) == ["landing_detected_in_air"]
+
+
+def test_what_began_sooner_comes_first(tmp_path: Path) -> None:
+    flight = Flight(ratio=between(25.0, 28.0, 2.0, 0.1), height=fallen, motors=stopped, landed=LANDED_THERE.landed)
+    review = review_log(px4_log(tmp_path / "flight.ulg", flight))
+    assert names(review) == ["innovations_refused", "landing_detected_in_air"]
+    assert "Then, at 29.9 s, the landing detector" in review.sentence
+
+
+def test_a_log_that_ends_in_the_air_is_said_and_no_finding(tmp_path: Path) -> None:
+    review = review_log(px4_log(tmp_path / "flight.ulg", Flight(end_s=30.0)))
+    assert [one.rule.name for one in review.findings] == ["log_ends_in_flight"]
+    assert not review.wrong
+
+
+def test_what_the_log_lacks_is_said(tmp_path: Path) -> None:
+    review = review_log(px4_log(tmp_path / "flight.ulg", Flight(connected=False, volts=lambda _: 0.05, gps_used=False)))
+    assert "none is connected" in review.unjudged["Battery empty"]
+    assert "did not use GPS" in review.unjudged["GPS fix lost in flight"]
+    assert "speed of each motor" in review.unjudged["Motor slower than commanded"]
+
+
+def test_a_log_without_a_flight_is_not_judged(tmp_path: Path) -> None:
+    review = review_log(px4_log(tmp_path / "flight.ulg", Flight(armed=lambda _: False, motors=lambda _: [0.0] * 4)))
+    assert review.sentence == "The log shows no flight: nothing was judged."
+    assert not review.watched
+
+
+@pytest.mark.parametrize(
+    "name", ["landing_detected_in_air", "motor_at_limit", "battery_low", "gps_lost", "turned_over"]
+)
+def test_logs_of_ardupilot_are_judged_alike(name: str, tmp_path: Path) -> None:
+    review = review_log(ardupilot_log(tmp_path / "flight.bin", CASES[name]))
+    assert review.facts.autopilot == "ArduPilot"
+    assert review.first is not None
+    assert review.first.rule.name == name
+
+
+def test_an_error_of_ardupilot_is_a_reaction(tmp_path: Path) -> None:
+    path = ardupilot_log(tmp_path / "flight.bin", Flight(ratio=between(30.0, 33.0, 1.8, 0.1)), [(29.9, 16, 2)])
+    assert names(review_log(path)) == ["failsafe", "innovations_refused"]
+    assert review_log(path).sentence.startswith("First, at 30.0 s, the estimator refused")
+
+
+def test_the_command_says_it_in_words_in_json_and_on_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = str(px4_log(tmp_path / "bad.ulg", LANDED_THERE))
+    good = str(px4_log(tmp_path / "good.ulg", Flight()))
+    page = tmp_path / "bad.html"
+    assert fauio.main(["review", bad, "--report", str(page)]) == 1
+    assert "[first] 29.9 s, Landing detected in the air (certain)" in capsys.readouterr().out
+    text = page.read_text()
+    assert text.count("<svg") == 2
+    assert "http://" not in text.replace("http://www.w3.org", "")
+    assert fauio.main(["review", good, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["first"], said["wrong"], said["findings"]) == (None, False, [])
+    assert fauio.main(["review", bad, good, "--json"]) == 1
+    assert len(capsys.readouterr().out.splitlines()) == 2
+
+
+def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    letter = tmp_path / "letter.ulg"
+    letter.write_text("Dear Sir or Madam\n")
+    assert fauio.main(["review", str(letter)]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
