@@ -5,7 +5,8 @@ A command c sets a share d of the battery's voltage V, after the link's delay. T
     w = W (0.25 + 1.1 d V/Vf - 0.35 (d V/Vf)^2)     with a lag of 40 ms, W = 9000 rpm
 
 and its propeller gives the thrust (w/W)^2 and takes the current 18 A (w/W)^3 Vf/V. Faults act from a moment on: ``esc``
-applies less of the voltage; ``prop`` gives less thrust at its speed; ``motor`` takes more current at its speed.
+applies less of the voltage; ``prop`` gives less thrust at its speed, and takes as much less current; ``motor`` takes
+more current at its speed.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ def flight(
         now_s = k / RATE_HZ
         if k % 30 == 0:
             wanted = rng.normal(0.0, [0.5, 0.5, 0.6, 0.3])
-        gust += -gust / RATE_HZ + rng.normal(0.0, [0.04, 0.04, 0.01, 0.03])
+        gust += -gust / RATE_HZ + rng.normal(0.0, [0.015, 0.015, 0.005, 0.03])
         controls = np.clip((wanted[:3] - rate) * [0.05, 0.05, 0.12], -0.12, 0.12)
         height_sum = np.clip(height_sum + (wanted[3] - climb) / RATE_HZ, -20.0, 20.0)
         lift = 0.35 + 0.05 * (wanted[3] - climb) + 0.02 * height_sum
@@ -87,7 +88,7 @@ def flight(
             rate = rate + dt * (torque - _DAMPING * rate + gust[:3])
         lifted = 9.81 * float(thrust.sum()) / (4.0 * _HOVER) + gust[3]
         climb += (lifted - 9.81 - 0.3 * climb) / RATE_HZ
-        current = _AMPS * speed**3 * FULL_V / volts * working["motor"]
+        current = _AMPS * speed**3 * FULL_V / volts * working["motor"] * working["prop"]
         volts = FULL_V - sag_v * now_s / duration_s - _OHM * float(current.sum())
         stamp_ms, arrival_ns = 5_000 + 10 * k, start_ns + 10_000_000 * k
         fields = {f"servo{i}_raw": int(pulse) for i, pulse in enumerate(pulses, start=1)}

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,8 +33,8 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[FitReport, Profile
     return report, read_profile(folder)
 
 
-def raised(profile: Profile, fault: Fault | None, seed: int = 9) -> list[AlarmEvent]:
-    events = play(profile, flight(seed, 45.0, fault, order=ORDER, sag_v=1.0)).events
+def raised(profile: Profile, fault: Fault) -> list[AlarmEvent]:
+    events = play(profile, flight(9, 45.0, fault, order=ORDER, sag_v=1.0)).events
     return [event for event in events if event.state == "raised"]
 
 
@@ -52,11 +53,22 @@ def test_the_speeds_say_which_controller_drives_which_motor(fitted: tuple[FitRep
 
 def test_a_controller_that_applies_less_is_named_within_half_a_second(fitted: tuple[FitReport, Profile]) -> None:
     fault = Fault("esc", 2, 0.2, onset_s=30.0)
-    [event] = [event for event in raised(fitted[1], fault) if event.observer == "esc"]
+    [event] = raised(fitted[1], fault)
     assert event.channel == "esc2"
     assert 0.0 < seconds_after(event, fault) < 0.5
     assert event.message.startswith("esc2 turns its motor ")
     assert event.message.endswith(" % slower than commanded")
+
+
+def test_a_propeller_that_pushes_less_at_its_speed_is_named_and_nothing_else(
+    fitted: tuple[FitReport, Profile],
+) -> None:
+    fault = Fault("prop", 4, 0.1, onset_s=30.0)
+    [event] = raised(fitted[1], fault)
+    assert (event.observer, event.channel) == ("motors", "prop4")
+    assert 0.0 < seconds_after(event, fault) < 0.5
+    assert event.relative == pytest.approx(-0.1, abs=0.03)
+    assert event.message.endswith("less than its speed lets expect")
 
 
 def test_a_motor_that_draws_more_at_its_speed_is_named_and_nothing_else(fitted: tuple[FitReport, Profile]) -> None:
@@ -64,13 +76,29 @@ def test_a_motor_that_draws_more_at_its_speed_is_named_and_nothing_else(fitted: 
     [event] = raised(fitted[1], fault)
     assert (event.observer, event.channel) == ("esc", "motor3")
     assert 0.0 < seconds_after(event, fault) < 0.5
-    assert event.relative == pytest.approx(0.3, abs=0.05)
+    assert event.relative == pytest.approx(0.3, abs=0.08)
     assert "more current than its speed lets expect" in event.message
 
 
 def test_a_healthy_flight_with_a_sagging_battery_raises_nothing(fitted: tuple[FitReport, Profile]) -> None:
     events = play(fitted[1], flight(11, 60.0, order=ORDER, sag_v=2.5)).events
     assert [event for event in events if event.state == "raised"] == []
+
+
+@pytest.mark.parametrize(("part", "share", "named"), [("esc", 0.2, "esc3"), ("prop", 0.2, "prop3")])
+def test_speeds_at_3_hz_say_within_seconds_why_a_motor_delivers_less(
+    tmp_path: Path, part: str, share: float, named: str
+) -> None:
+    logs = [list(flight(seed, 90.0, esc_hz=3.0)) for seed in (1, 2)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
+        fit_profile("multirotor", [partial(packed, log) for log in logs], tmp_path / "quad", "quad")
+    fault = Fault(part, 3, share, onset_s=30.0)
+    events = play(read_profile(tmp_path / "quad"), flight(9, 45.0, fault, esc_hz=3.0)).events
+    first, second = (event for event in events if event.state == "raised")
+    assert (first.observer, first.channel, second.channel) == ("motors", "motor3", named)
+    assert 0.0 < seconds_after(first, fault) < 1.0
+    assert 0.0 < seconds_after(second, fault) < 5.0
 
 
 PARAMETERS = {

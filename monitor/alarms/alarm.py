@@ -36,11 +36,12 @@ from monitor.event import UNNUMBERED, AlarmEvent, Kind, State, alarm_id
 DEFLECTION = "fraction of full deflection"
 """Unit of surfaces, steering and throttle."""
 
-SPEED, CURRENT = "fraction of speed at hover", "fraction of current at hover"
-"""Units of what motors turn and draw."""
+SPEED, CURRENT, THRUST = (f"fraction of {what} at hover" for what in ("speed", "current", "thrust"))
+"""Units of what motors turn and draw, and propellers push."""
 
 _CHAIN = {
     SPEED: ("turns its motor", "slower", "faster", "commanded"),
+    THRUST: ("pushes", "less", "more", "its speed lets expect"),
     CURRENT: ("draws", "less current", "more current", "its speed lets expect"),
 }
 _ACTS = {"steering": ("turns", ""), "throttle": ("pushes", "")}

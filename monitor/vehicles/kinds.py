@@ -17,7 +17,7 @@ KINDS = (
         preview="monitor.vehicles.multirotor.signals:preview",
         messages="monitor.vehicles.multirotor.signals:MESSAGES",
         transforms={"esc": "monitor.vehicles.multirotor.transform:EscInputs"},
-        further=("monitor.vehicles.multirotor.esc:fit_esc",),
+        further=("monitor.vehicles.multirotor.esc:fit_esc", "monitor.vehicles.multirotor.fit:fit_props"),
         type_words=("rotor", "copter", "vtol"),
     ),
     VehicleKind(

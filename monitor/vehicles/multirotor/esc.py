@@ -29,6 +29,7 @@ from gains.synthesis.blocks import design_blocks
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from monitor.alarms.alarm import CURRENT, SPEED
+from monitor.alarms.excuse import ExcuseRule
 from monitor.core.lagged import LaggedMeans
 from monitor.estimation.isolation_rule import IndependentRule
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
@@ -70,6 +71,10 @@ speeds over commands (2.3 %, PX4 at 3 Hz). A current goes with the cube of a spe
 5 %: chosen, one and a half times that."""
 _CRITICAL_SPEED, _CRITICAL_CURRENT = 0.25, 1.0
 """Critical ones. Chosen: a quarter of a speed is nearly half of the thrust; twice the usual current burns a motor."""
+_EXCUSED_S = 2.0
+"""After the alarm of a motor's controller or propeller has cleared, seconds, none of that motor is raised: by then the
+mean over which losses are seen has forgotten it. A chipped propeller takes less current, and has less thrust at its
+command; so has a motor that turns slower."""
 _LEAST_LEFT = 1e-4
 """Least deviation that is left: what a speed of 10,000 rpm is rounded to."""
 _FAULT_RATE = 1.0
@@ -162,6 +167,9 @@ def fit_esc(request: FitRequest, gate: GateRule) -> Fitted | None:
             "left": dict(zip(found.names, found.curves.left.tolist(), strict=True)),
         },
         lines=_lines(found, signals, alarms, rate_hz),
+        excuses=tuple(
+            ExcuseRule((f"motor{n}",), (f"{part}{n}",), _EXCUSED_S) for n in found.numbers for part in ("esc", "prop")
+        ),
     )
 
 

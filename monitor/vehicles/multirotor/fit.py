@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from string import ascii_lowercase
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from gains.identification.segment import Segment
 from gains.identification.shooting import split_segments
 from gains.plants.plant import Plant
 from gains.synthesis.bank import compile_bank, design_bank
+from monitor.alarms.alarm import THRUST
 from monitor.estimation.changes import ChangeRule
 from monitor.estimation.excitation import ExcitationRule
 from monitor.fitting.calibrate import SETTLE_S, bank_rule
@@ -49,6 +51,7 @@ from monitor.vehicles.multirotor.identify import (
     multirotor_plant,
 )
 from monitor.vehicles.multirotor.signals import motor_commands, multirotor_channels, range_text
+from monitor.vehicles.multirotor.speeds import EscSignals, motor_speeds
 from monitor.vehicles.multirotor.trim import (
     COMMANDS_PER_TICK,
     SLOW_COMMANDS_HZ,
@@ -87,7 +90,34 @@ def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> C
     return compared(RATE_AXES, "body rates (rad/s)", one_step, ahead, rate_hz, SHOWN_S)
 
 
-OBSERVER = "motors"
+OBSERVER, PROPS = "motors", "props"
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """What an observer takes for the cause of the motion: commands, or the thrusts that measured speeds should give."""
+
+    observer: str
+    inputs: tuple[Channel, ...]
+    rate_hz: float
+    called: str
+    unit: str
+    of_unit: str  # the same in a sentence
+
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of the outputs."""
+        return [int(channel.name.lstrip(ascii_lowercase)) for channel in self.inputs]
+
+
+def _commanded(request: FitRequest, inputs: tuple[Channel, ...]) -> _Drive:
+    rate_hz = min(survey.rate_hz[MOTOR_MESSAGE] for survey in request.surveys)
+    return _Drive(OBSERVER, inputs, rate_hz, "motor commands", "fraction of full command", "full command")
+
+
+def _turned(speeds: EscSignals, observer: str) -> _Drive:
+    return _Drive(observer, speeds.thrusts(), speeds.rate_hz, "speeds of motors", THRUST, "thrust at hover")
+
 
 _ENOUGH_HZ = 100.0
 """Faster logs are put onto this grid: several samples in the lag of any motor (20 to 100 ms with its link)."""
@@ -154,36 +184,66 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
     """Identify the motors' model on healthy recordings, design its bank, calibrate its alarms.
 
     Where motor commands come slower than :data:`SLOW_COMMANDS_HZ`, or a slower grid is asked for, the observer compares
-    mean command and mean motion.
+    mean command and mean motion. Where speeds of motors come faster, they stand in for the commands: what is lost
+    before them is told by the esc observer, what is lost behind them is the propellers'.
 
     Raises
     ------
     TelemetryError, ModelError, InfeasibleError
         The recordings do not hold what is needed, or allow no certified design.
     """
+    gate = multirotor_gate(request.surveys)
+    commands, outputs = multirotor_channels(request.surveys)
+    drive, speeds = _commanded(request, commands), motor_speeds(request, gate, commands)
+    if speeds is not None and speeds.rate_hz >= SLOW_COMMANDS_HZ:
+        drive = _turned(speeds, OBSERVER)
+    return _fitted(request, gate, drive, outputs), gate
+
+
+def fit_props(request: FitRequest, gate: GateRule) -> Fitted | None:
+    """Fit an observer whose inputs are speeds of motors that come slowly; None where they do not.
+
+    Where they come fast those of the motors observer are (:func:`fit_multirotor`).
+
+    Raises
+    ------
+    TelemetryError, ModelError, InfeasibleError
+        As :func:`fit_multirotor`.
+    """
+    commands, outputs = multirotor_channels(request.surveys)
+    speeds = motor_speeds(request, gate, commands)
+    if speeds is None or speeds.rate_hz >= SLOW_COMMANDS_HZ:
+        return None
+    return replace(_fitted(request, gate, _turned(speeds, PROPS), outputs), agreement=None)
+
+
+def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[Channel, ...]) -> Fitted:
     surveys = request.surveys
-    gate = multirotor_gate(surveys)
-    inputs, outputs = multirotor_channels(surveys)
-    commands_hz = min(survey.rate_hz[MOTOR_MESSAGE] for survey in surveys)
-    slow = min(commands_hz, request.rate_hz or commands_hz) < SLOW_COMMANDS_HZ
-    identified = (_slow if slow else _fast)(request, gate, inputs, outputs)
+    slow = min(drive.rate_hz, request.rate_hz or drive.rate_hz) < SLOW_COMMANDS_HZ
+    identified = (_slow if slow else _fast)(request, gate, drive, outputs)
     model, segments = identified.model, identified.segments
-    motors = tuple(channel.name for channel in inputs)
-    plant = multirotor_plant(model, request.name, motors, doubt=identified.doubt, gyros=identified.gyros)
+    motors = tuple(channel.name for channel in drive.inputs)
+    plant = multirotor_plant(
+        model, request.name, motors, doubt=identified.doubt, gyros=identified.gyros, unit=drive.unit
+    )
     gains = compile_bank(plant, design_bank(plant, model.rate_hz))
     rule = bank_rule(gains, segments, edges=GYROS)
-    bare = Fitted(OBSERVER, plant, gains, identified.source, rule)
+    bare = Fitted(drive.observer, plant, gains, identified.source, rule)
     channels = bare.profile().faults
     hover = np.median(np.concatenate([segment.u for segment in segments]), axis=0)
     bare = replace(bare, excitation=_excitation(bare.profile(), gate, identified, hover))
     evidence = healthy_evidence(bare.profile(), gate, identified.flights)
     changes, nats = _changes(plant, channels, identified)
-    alarms = _alarms(channels, evidence, hover, identified, rule.score_floor, nats)
+    alarms = _alarms(drive.observer, channels, evidence, hover, identified, rule.score_floor, nats)
     _check_watched(motors, hover.tolist(), alarms)
     commands = motor_commands(surveys)
-    ranges = {} if commands.pulses else {"command_range": {"none": commands.stop, "full": commands.full}}
-    fitted = Fitted(
-        name=OBSERVER,
+    ranges = (
+        {}
+        if commands.pulses or drive.unit == THRUST
+        else {"command_range": {"none": commands.stop, "full": commands.full}}
+    )
+    return Fitted(
+        name=drive.observer,
         plant=plant,
         gains=gains,
         source=identified.source,
@@ -202,16 +262,15 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
             "validation": None if identified.comparison is None else comparison_json(identified.comparison),
         },
         lines=(
-            *([] if commands.pulses else [range_text(commands, surveys)]),
+            *([range_text(commands, surveys)] if ranges else []),
             identified.line,
-            *_lines(motors, hover.tolist(), alarms),
+            *_lines(drive, hover.tolist(), alarms),
         ),
         details=identified.details,
         comparison=identified.comparison,
         measured=True,
         agreement=motor_agreement(model, request.names, [flight.segments() for flight in identified.flights], motors),
     )
-    return fitted, gate
 
 
 def _check_watched(motors: Sequence[str], hover: Sequence[float], alarms: Sequence[Calibrated]) -> None:
@@ -231,30 +290,30 @@ def _check_watched(motors: Sequence[str], hover: Sequence[float], alarms: Sequen
         )
 
 
-def _fast(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], outputs: Sequence[Channel]) -> _Identified:
+def _fast(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[Channel]) -> _Identified:
     """Identify how the body rates answer the commands, sample by sample; their means where no manoeuvre tells that."""
-    source = SampleSource(tuple(inputs), tuple(outputs))
+    source = SampleSource(drive.inputs, tuple(outputs))
     fastest_hz = common_rate_hz(request.surveys, source.channels)
     rate_hz = request.grid_hz(min(fastest_hz, _ENOUGH_HZ))
     flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]
     stretches = [flight.segments() for flight in flights]
     segments = [segment for flight in stretches for segment in flight]
     records = [flight.segments(round(_BRIDGED_S * rate_hz)) for flight in flights]
-    frame = _frame_of(request, inputs)
+    frame = _frame_of(request, drive)
     origin = "the vehicle's parameters"
     if frame is None:
         every = max(1, round(rate_hz / SLOW_COMMANDS_HZ))
         frame, origin = choose_frame([Segment(s.u[::every], s.y[::every]) for s in segments], rate_hz / every), "motion"
     model, uncertainty, told = _identify(records, rate_hz, frame)
     if not told[:2].all():
-        return _slow(request, gate, inputs, outputs)
+        return _slow(request, gate, drive, outputs)
     from_frame = ""
     if not told[2]:
         known_of = "hardly known" if frame is None else f"from geometry only ({frame.name}, from {origin})"
         from_frame = f"; yaw axis {known_of}"
     comparison = compare_kept_back(records, rate_hz)
     drift = response_drift(model, stretches)
-    motors = tuple(channel.name for channel in inputs)
+    motors = tuple(channel.name for channel in drive.inputs)
     known = ", ".join(f"{axis} {100 * error:.1f} %" for axis, error in zip(_AXES, uncertainty.of_axes, strict=True))
     return _Identified(
         model=model,
@@ -297,20 +356,20 @@ def _identify(
     return model, uncertainty, told
 
 
-def _slow(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], outputs: Sequence[Channel]) -> _Identified:
+def _slow(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[Channel]) -> _Identified:
     """Identify which mean commands the vehicle flies with: its trim."""
-    commands_hz = min(survey.rate_hz[MOTOR_MESSAGE] for survey in request.surveys)
+    commands_hz = drive.rate_hz
     calm = commands_hz >= SLOW_COMMANDS_HZ and request.rate_hz is None
-    why = "the flights hold no manoeuvres" if calm else f"motor commands come at {commands_hz:.3g} Hz"
+    why = "the flights hold no manoeuvres" if calm else f"{drive.called} come at {commands_hz:.3g} Hz"
     commands_hz = min(commands_hz, _CALM_HZ) if calm else commands_hz
     rates = tuple(outputs[: len(RATE_AXES)])
-    source = SampleSource(tuple(replace(channel, interpolation="mean") for channel in inputs), rates)
+    source = SampleSource(tuple(replace(channel, interpolation="mean") for channel in drive.inputs), rates)
     rate_hz = request.grid_hz(
         min(float(f"{commands_hz / COMMANDS_PER_TICK:.3g}"), common_rate_hz(request.surveys, rates))
     )
     flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]
     segments = usable_segments([segment for flight in flights for segment in flight.segments()], rate_hz)
-    frame, origin = _frame(request, gate, inputs, rates)
+    frame, origin = _frame(request, gate, drive, rates)
     model = identify_trim(segments, rate_hz, frame)
     if len(model.a) < len(rates):
         source = replace(source, outputs=rates[: len(model.a)])
@@ -338,16 +397,13 @@ def _slow(request: FitRequest, gate: GateRule, inputs: Sequence[Channel], output
     )
 
 
-def _frame_of(request: FitRequest, inputs: Sequence[Channel]) -> Frame | None:
+def _frame_of(request: FitRequest, drive: _Drive) -> Frame | None:
     """Return the frame that the parameters in the recordings describe."""
-    outputs = [int(channel.name.removeprefix("motor")) for channel in inputs]
-    frames = (frame_of(survey.parameters, outputs) for survey in request.surveys)
+    frames = (frame_of(survey.parameters, drive.numbers) for survey in request.surveys)
     return next((frame for frame in frames if frame is not None), None)
 
 
-def _frame(
-    request: FitRequest, gate: GateRule, inputs: Sequence[Channel], rates: Sequence[Channel]
-) -> tuple[Frame, str]:
+def _frame(request: FitRequest, gate: GateRule, drive: _Drive, rates: Sequence[Channel]) -> tuple[Frame, str]:
     """Return the vehicle's frame, and what tells it: the parameters, or which standard frame goes with the motion.
 
     Raises
@@ -355,17 +411,17 @@ def _frame(
     ModelError
         Neither does.
     """
-    if (frame := _frame_of(request, inputs)) is not None:
+    if (frame := _frame_of(request, drive)) is not None:
         return frame, "the vehicle's parameters"
-    source = SampleSource(tuple(replace(channel, interpolation="previous") for channel in inputs), tuple(rates))
+    source = SampleSource(tuple(replace(channel, interpolation="previous") for channel in drive.inputs), tuple(rates))
     rate_hz = min(common_rate_hz(request.surveys, rates), SLOW_COMMANDS_HZ)
     segments = [segment for log in request.logs for segment in flight_samples(log(), source, rate_hz, gate).segments()]
     frame = choose_frame(segments, rate_hz)
     if frame is None:
         raise ModelError(
-            f"which way its {len(inputs)} motors turn the vehicle is not known: no parameters in the logs (CA_ROTOR* "
-            "of PX4, FRAME_CLASS of ArduPilot), and no standard frame goes with the motion; fit on a log of the "
-            "autopilot itself, or on a flight with brisk roll, pitch and yaw"
+            f"which way its {len(drive.inputs)} motors turn the vehicle is not known: no parameters in the logs "
+            "(CA_ROTOR* of PX4, FRAME_CLASS of ArduPilot), and no standard frame goes with the motion; fit on a log of "
+            "the autopilot itself, or on a flight with brisk roll, pitch and yaw"
         )
     return frame, "the motion"
 
@@ -403,6 +459,7 @@ def _changes(
 
 
 def _alarms(
+    observer: str,
     channels: Sequence[FaultChannel],
     evidence: Sequence[NDArray[np.float64]],
     hover: NDArray[np.float64],
@@ -427,7 +484,7 @@ def _alarms(
     of_gyros = levels(gyros, _JUMP, _MOST_OF_JUMPS) if gyros else None
     alarms = []
     for channel, command in zip(channels, commands, strict=True):
-        bare = bare_rule(OBSERVER, channel.name, channel.kind, channel.unit)
+        bare = bare_rule(observer, channel.name, channel.kind, channel.unit)
         if command is not None:
             floor, critical = identified.smallest_loss * command, _CRITICAL_LOSS * command
             bare = replace(bare, nats=nats, least=float(f"{floor:.4g}"))
@@ -436,7 +493,7 @@ def _alarms(
             jump = calibrated(bare, of_gyros, 1.0, floor=_SMALLEST_JUMP, critical=4 * _SMALLEST_JUMP, times=_JUMP)
             alarms.append(plain_only(jump))
     floor = score_floor * identified.smallest_loss / _SMALLEST_LOSS
-    return [*alarms, unexplained_alarm(OBSERVER, evidence, rate_hz, share, floor)]
+    return [*alarms, unexplained_alarm(observer, evidence, rate_hz, share, floor)]
 
 
 def _findings(
@@ -464,10 +521,11 @@ def _details(motors: Sequence[str], uncertainty: MotorUncertainty, drift: Drift)
     )
 
 
-def _lines(motors: Sequence[str], hover: Sequence[float], alarms: Sequence[Calibrated]) -> tuple[str, ...]:
+def _lines(drive: _Drive, hover: Sequence[float], alarms: Sequence[Calibrated]) -> tuple[str, ...]:
     rules = {found.rule.channel: found.rule for found in alarms}
+    motors = (channel.name for channel in drive.inputs)
     return tuple(
         f"{motor} alarm from {100 * rules[motor].threshold / command:.1f} % loss at hover (command {command:.2f}, "
-        f"threshold {rules[motor].threshold:g} of full command)"
+        f"threshold {rules[motor].threshold:g} of {drive.of_unit})"
         for motor, command in zip(motors, hover, strict=True)
     )

@@ -560,6 +560,7 @@ def multirotor_plant(
     fault_rate: float = 0.5,
     doubt: Sequence[float] | NDArray[np.float64] = (0.0, 0.0, 0.0),
     gyros: bool = True,
+    unit: str = "fraction of full command",
 ) -> Plant:
     """Return the fitted model as a plant with one actuator fault per motor and one sensor fault per gyro axis.
 
@@ -581,6 +582,8 @@ def multirotor_plant(
         What the uncertainty of the coefficients puts into the next body rates (3,), rad/s.
     gyros : bool
         Whether faults of the gyros are told from those of motors; over ticks of seconds they are not.
+    unit : str
+        Unit of the motors' inputs.
     """
     n, s = fit.B.shape
     states = (*RATE_AXES, VERTICAL)[:n]
@@ -606,7 +609,7 @@ def multirotor_plant(
                 column=fit.B[:, i],
                 rate=fault_rate,
                 error=0.01,
-                unit="fraction of full command",
+                unit=unit,
                 input=motor,
             )
             for i, motor in enumerate(motors)

@@ -37,15 +37,37 @@ class EscSignals:
     current: tuple[Channel, ...]  # A
     voltage: tuple[Channel, ...]  # V
     rate_hz: float
+    hover: tuple[float, ...] = ()  # usual speeds in flight, rpm
 
-    def ordered(self, order: Sequence[int], numbers: Sequence[int]) -> EscSignals:
-        """Return the channels of some controllers, named after the outputs with these numbers."""
+    def ordered(self, order: Sequence[int], numbers: Sequence[int], hover: Sequence[float]) -> EscSignals:
+        """Return the channels of some controllers, named after the outputs with these numbers; ``hover`` is of all."""
 
         def chosen(channels: tuple[Channel, ...], name: str) -> tuple[Channel, ...]:
             return tuple(replace(channels[at], name=f"{name}{n}") for at, n in zip(order, numbers, strict=True))
 
         return EscSignals(
-            chosen(self.speed, "rpm"), chosen(self.current, "amps"), chosen(self.voltage, "volts"), self.rate_hz
+            chosen(self.speed, "rpm"),
+            chosen(self.current, "amps"),
+            chosen(self.voltage, "volts"),
+            self.rate_hz,
+            tuple(float(hover[at]) for at in order),
+        )
+
+    def thrusts(self) -> tuple[Channel, ...]:
+        """Return the thrusts that the speeds should give, in shares of those of hovering.
+
+        They are u = 2 w - 1 of the speed w as a share of the usual one: the tangent of w^2, which is quadratic in it.
+        Thrust has no lag behind speed, so what acts until the next tick is their mean until then.
+        """
+        return tuple(
+            replace(
+                channel,
+                name=f"prop{channel.name.removeprefix('rpm')}",
+                scale=_rounded(2.0 / usual),
+                offset=-1.0,
+                interpolation="mean",
+            )
+            for channel, usual in zip(self.speed, self.hover, strict=True)
         )
 
 
@@ -106,7 +128,9 @@ def motor_speeds(request: FitRequest, gate: GateRule, commands: Sequence[Channel
     order = _order(values[:, : len(commands)], values[:, len(commands) :])
     if order is None:
         return None
-    return found.ordered(order, [int(channel.name.removeprefix("motor")) for channel in commands])
+    numbers = [int(channel.name.removeprefix("motor")) for channel in commands]
+    hover = np.median(values[:, len(commands) :], axis=0)
+    return found.ordered(order, numbers, hover.tolist()) if (hover[order] > 0.0).all() else None
 
 
 def _order(commands: NDArray[np.float64], speeds: NDArray[np.float64]) -> list[int] | None:
@@ -121,3 +145,7 @@ def _order(commands: NDArray[np.float64], speeds: NDArray[np.float64]) -> list[i
     if explained[rows, best].mean() < explained[usual, usual].mean() + _CLEARLY:
         best = usual
     return [int(turning[at]) for at in best]
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")

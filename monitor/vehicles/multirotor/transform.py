@@ -7,7 +7,8 @@ over all controllers, from what it was in the flights that were fitted:
     expected current  d0 + d1 w + d2 w^2 + d3 w v
 
 in shares of those of hovering, as means over a tick. The plant behind compares a tick's expectation with the
-measurement of the same tick, which therefore comes one tick later here.
+measurement of the same tick, which therefore comes one tick later here. A current below the expected one counts as
+that: a motor that fails draws more, less says that its propeller is damaged, which shows in the thrust.
 """
 
 from __future__ import annotations
@@ -98,14 +99,16 @@ class EscInputs:
         before = samples.part(0, 1) if self._before is None else self._before
         self._before = samples.part(len(samples) - 1, len(samples))
         fresh = samples.restart
-        y = np.vstack([before.y, samples.y[:-1]])
+        y = np.where(fresh[:, None], samples.y, np.vstack([before.y, samples.y[:-1]]))
+        u = np.where(fresh[:, None], samples.u, np.vstack([before.u, samples.u[:-1]]))
+        y[:, self._motors :] = np.maximum(y[:, self._motors :], u[:, self._motors :])
         lost = np.vstack([before.lost, samples.lost[:-1]])
         measured, complete = (
             np.append(getattr(before, name), getattr(samples, name)[:-1]) for name in ("measured", "complete")
         )
         return replace(
             samples,
-            y=np.where(fresh[:, None], samples.y, y),
+            y=y,
             lost=samples.lost | (lost & ~fresh[:, None]),
             measured=samples.measured & (measured | fresh),
             complete=samples.complete & (complete | fresh),
