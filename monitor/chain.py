@@ -194,7 +194,7 @@ class ObserverChain:
         self._effectiveness = EffectivenessStage(profile.effectiveness, profile.faults, gains.inputs, gains.rate_hz)
         self._changes = None
         if profile.changes is not None and profile.model is not None:
-            inputs = [channel.input for channel in profile.faults]
+            inputs = {channel.name: channel.input for channel in profile.faults}
             self._changes = ChangeStage(profile.model, gains.rate_hz, inputs, profile.changes)
         self._excitation = None
         if profile.excitation is not None:

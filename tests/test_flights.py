@@ -154,7 +154,7 @@ def test_other_vehicles_in_a_log_do_not_enter_the_fit(data: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "channel", "onset_s", "within_s", "size"),
     [
-        ("copter_gps_drift05", "gps_north", 102.774, 2.0, 0.5),
+        ("copter_gps_drift05", "gps_north", 102.774, 0.5, 0.5),
         ("copter_gps_step25m", "gps_north", 112.754, 0.5, 25.0),
         ("copter_baro_glitch", "baro", 112.764, 0.5, 8.0),
     ],
@@ -165,7 +165,8 @@ def test_a_sensor_that_disagrees_is_named_with_its_size_and_no_other(
     found = play(quad_profile, read_recording(data / f"{name}.tlog.xz"), keep_traces=True)
     assert {event.channel for event in found.events} == {channel}
     raised = found.events[0]
-    assert 0.0 < raised.vehicle_time_ms / 1000 - onset_s < within_s
+    # The first fix that is wrong is enough, and the truth is known to 20 ms.
+    assert -0.02 < raised.vehicle_time_ms / 1000 - onset_s < within_s
     (trace,) = (trace for trace in found.traces if trace.layout.observer == "inertial")
     since = trace.vehicle_ns / 1e9 - onset_s
     truth = size * since if name == "copter_gps_drift05" else np.full(len(since), size)

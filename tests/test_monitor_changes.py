@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 
 from adapters.sample import Samples
 from adapters.toml_tables import parse_toml, toml_value
-from monitor.estimation.changes import CLIP, ChangeRule, ChangeStage, changes_table, read_changes
+from monitor.estimation.changes import CLIP, ChangeRule, ChangeRun, ChangeStage, changes_table, predictor, read_changes
 from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.flights import Flight
 from monitor.profile import FaultChannel
+from monitor.vehicles.inertial.identify import inertial_plant
+from monitor.vehicles.inertial.sensor_fit import InertialFit
 from monitor.vehicles.multirotor.identify import RATE_AXES, MultirotorFit, multirotor_plant
 
 HZ = 100.0
@@ -85,7 +87,7 @@ def rule() -> ChangeRule:
 
 
 def stage(rule: ChangeRule) -> ChangeStage:
-    return ChangeStage(PLANT, HZ, range(len(MOTORS)), rule)
+    return ChangeStage(PLANT, HZ, dict(zip(MOTORS, range(len(MOTORS)), strict=True)), rule)
 
 
 def seen(rule: ChangeRule, flown: Flight, nats: float) -> NDArray[np.intp]:
@@ -187,3 +189,135 @@ def test_the_rule_reads_back_as_it_was_written(rule: ChangeRule) -> None:
     assert read.outputs == rule.outputs
     np.testing.assert_array_equal(read.whitening, rule.whitening)
     np.testing.assert_array_equal(read.variance, rule.variance)
+
+
+INERTIAL_HZ = 25.0
+INPUTS = ("speed_north", "speed_east", "acceleration_north", "acceleration_east", "acceleration_down")
+OUTPUTS = ("gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east", "gps_down", "baro_down")
+INERTIAL = inertial_plant(
+    InertialFit(
+        rate_hz=INERTIAL_HZ,
+        washout_s=30.0,
+        velocity_washout_s=10.0,
+        position_washout_s=3.0,
+        inputs=(*INPUTS, "rate_x", "rate_y", "rate_z"),
+        outputs=(*OUTPUTS, "rotation_x", "rotation_y", "rotation_z"),
+        speed_scale={},
+        noise=dict.fromkeys((*OUTPUTS, "rotation_x", "rotation_y", "rotation_z"), 0.01),
+        disturbance={
+            **dict.fromkeys(("position_north", "position_east", "velocity_north", "velocity_east"), 1e-3),
+            **dict.fromkeys(("down", "velocity_down", "rotation_x", "rotation_y", "rotation_z"), 1e-4),
+        },
+        seconds=100.0,
+    ),
+    "any",
+)
+SENSORS = {fault.name: None for fault in INERTIAL.faults}
+LASTS_S = {"gps_north": 0.2, "gps_east": 0.2, "gps_down": 0.2, "baro": 0.04}
+
+
+def course(name: str, size: float, ramp: bool, at: int, n: int) -> NDArray[np.float64]:
+    """Return what a fault adds to the outputs: fixes of a GPS come on straight lines of five samples."""
+    rows = np.arange(n) - at + 1.0
+    lines = max(1.0, INERTIAL_HZ * LASTS_S.get(name, 0.0))
+    sizes = size * np.clip(rows / INERTIAL_HZ if ramp else np.clip(rows / lines, 0.0, 1.0), 0.0, None)
+    fault = INERTIAL.faults[list(SENSORS).index(name)]
+    if fault.kind == "sensor":
+        return sizes[:, None] * fault.column
+    state, added = np.zeros(len(INERTIAL.states)), []
+    for one in sizes:
+        added.append(INERTIAL.C @ state)
+        state = INERTIAL.A @ state + fault.column * one
+    return np.array(added)
+
+
+def travel(rng: np.random.Generator, seconds: float, noise: float = 0.01) -> Flight:
+    """Return a flight with gusts and manoeuvres; the noise of all measurements has heavy tails."""
+    n = round(seconds * INERTIAL_HZ)
+    u = np.cumsum(rng.normal(size=(n, len(INERTIAL.inputs))), axis=0)
+    u -= 0.98 * np.vstack([np.zeros(u.shape[1]), u[:-1]])
+    y, state = np.zeros((n, len(INERTIAL.outputs))), np.zeros(len(INERTIAL.states))
+    for k in range(n):
+        y[k] = INERTIAL.C @ state + noise * rng.standard_t(4, size=len(INERTIAL.outputs))
+        state = INERTIAL.A @ state + INERTIAL.B @ u[k] + 0.1 * noise * rng.normal(size=len(state))
+    times = np.arange(n, dtype=np.int64) * round(1e9 / INERTIAL_HZ)
+    always = np.ones(n, np.bool_)
+    nothing = np.zeros((n, u.shape[1] + y.shape[1]), np.bool_)
+    samples = Samples(np.arange(n), times, times, u, y, always & (np.arange(n) == 0), always, times, always, nothing)
+    return Flight(samples, times >= 1_000_000_000)
+
+
+@pytest.fixture(scope="module")
+def sensors() -> tuple[ChangeRule, float]:
+    """Return the rule of the sensors' faults, and the nats that raise an alarm."""
+    flown = [travel(np.random.default_rng(seed), 60.0) for seed in (20, 21)]
+    found = fit_changes(INERTIAL, INERTIAL_HZ, INERTIAL.outputs, flown, LASTS_S)
+    assert found is not None
+    channels = [FaultChannel(name, "sensor", "", None) for name in SENSORS]
+    return found, healthy_nats(INERTIAL, INERTIAL_HZ, channels, found, flown, 0.02)
+
+
+def judged(rule: ChangeRule, flown: Flight) -> ChangeRun:
+    nobody = np.zeros((len(flown), len(SENSORS)))
+    return ChangeStage(INERTIAL, INERTIAL_HZ, SENSORS, rule).run(flown.samples, flown.armed, nobody)
+
+
+def test_an_output_is_predicted_from_those_before_it_without_error() -> None:
+    flown = travel(np.random.default_rng(22), 4.0, noise=0.0)
+    for output in range(len(OUTPUTS)):
+        found = predictor(INERTIAL, output)
+        lags = range(1, len(found.y) + 1)
+        for k in range(10, 90):
+            guess = sum(found.y[lag - 1] * flown.samples.y[k - lag, output] for lag in lags)
+            guess += sum(found.u[lag - 1] @ flown.samples.u[k - lag] for lag in lags)
+            assert flown.samples.y[k, output] == pytest.approx(guess, abs=1e-9)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**16), st.sampled_from(sorted(LASTS_S)), st.sampled_from([-1.0, 1.0]), st.booleans())
+def test_a_sensor_that_jumps_or_walks_is_named_alone(
+    sensors: tuple[ChangeRule, float], seed: int, name: str, sign: float, ramp: bool
+) -> None:
+    rule, nats = sensors
+    flown = travel(np.random.default_rng(seed), 7.0)
+    flown.samples.y[:] += course(name, sign * (4.0 if ramp else 2.0), ramp, 125, len(flown))
+    run = judged(rule, flown)
+    rows = np.flatnonzero(run.nats >= nats)
+    assert 125 <= rows[0] <= (150 if ramp else 131)
+    assert {list(SENSORS)[fault] for fault in run.named[rows]} == {name}
+    assert run.size[rows[0]] * sign > 0.0
+
+
+@pytest.mark.parametrize("name", ["accel_z", "gyro_x", "motion_north", "gps_velocity_east"])
+def test_a_fault_of_another_sensor_gets_none_of_their_names(sensors: tuple[ChangeRule, float], name: str) -> None:
+    rule, nats = sensors
+    flown = travel(np.random.default_rng(23), 7.0)
+    flown.samples.y[:] += course(name, 8.0, False, 125, len(flown))
+    assert not (judged(rule, flown).nats >= nats).any()
+
+
+def test_heavy_tails_raise_no_more_alarms_than_promised(sensors: tuple[ChangeRule, float]) -> None:
+    rule, nats = sensors
+    for seed in range(30, 34):
+        assert not (judged(rule, travel(np.random.default_rng(seed), 120.0)).nats >= nats).any()
+
+
+def test_a_sensors_rule_reads_back_as_it_was_written(sensors: tuple[ChangeRule, float]) -> None:
+    rule, _ = sensors
+    table = changes_table(rule)
+    text = "\n".join(f"{key} = {toml_value(value)}" for key, value in table.items() if key != "lasts_s")
+    text += "\n[lasts_s]\n" + "\n".join(f"{key} = {toml_value(value)}" for key, value in rule.lasts_s.items())
+    read = read_changes(parse_toml("p.toml", text.encode(), ValueError).root, INERTIAL.outputs)
+    assert read.lasts_s == rule.lasts_s
+    np.testing.assert_array_equal(read.whitening, rule.whitening)
+
+
+def test_it_does_not_matter_how_samples_of_sensors_are_cut(sensors: tuple[ChangeRule, float]) -> None:
+    flown = travel(np.random.default_rng(24), 6.0)
+    flown.samples.y[:] += course("baro", 2.0, False, 125, len(flown))
+    nobody = np.zeros((len(flown), len(SENSORS)))
+    whole = judged(sensors[0], flown)
+    cut = ChangeStage(INERTIAL, INERTIAL_HZ, SENSORS, sensors[0])
+    parts = [cut.run(flown.samples.part(k, k + 7), flown.armed[k : k + 7], nobody[k : k + 7]) for k in range(0, 150, 7)]
+    for one, other in zip(whole, zip(*parts, strict=True), strict=True):
+        np.testing.assert_array_equal(one, np.concatenate(other))

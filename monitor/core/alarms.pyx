@@ -183,13 +183,13 @@ cdef class AlarmState:
         return self.debounce(now, evidence, scale, elapsed)
 
     cdef bint is_certain(self, const Change* change, double evidence) noexcept:
-        """Return whether a sudden change raises the alarm; one to more than commanded needs the estimate's word.
+        """Return whether a sudden change raises the alarm; of an actuator that does more the estimate has to say it, too.
 
         What began before the alarm ended has been reported.
         """
         if not (change.nats >= self.nats and fabs(change.size) >= self.least and change.onset_ns > self.ended_ns):
             return False
-        return change.size < 0.0 or evidence >= self.clear
+        return change.size < 0.0 or not self.scaled or evidence >= self.clear
 
     cdef void average(self, bint restart, double evidence, int64_t elapsed) noexcept:
         """Weighted mean over slow_s of evidence that enters with twice ``slow`` at most."""

@@ -19,8 +19,6 @@ cdef double AGAINST_GAIN = 12.5
 # of a half a name comes up to 0.4 s later, as the first rows of a loss fit the model's lag badly.
 cdef double UNEXPLAINED_SHARE = 1.0
 cdef double NOISE_OF_AXIS = 1.0
-# Commands are shares of full command, near 1; one that is larger comes from a broken sender. Chosen: far beyond both.
-cdef double LARGEST_COMMAND = 10.0
 # Largest square with which a row counts in the noise's own level: a fault begins with larger ones, and must not hide
 # itself. Chosen: three deviations.
 cdef double LEVEL_CLIP = 9.0
@@ -32,7 +30,7 @@ cdef class ChangeTest:
     """State of the test of one observer.
 
     An observer of n outputs that are its states, s inputs and p outputs that are judged; H hypotheses, m actuators
-    that lose effectiveness and p sensors that jump.
+    that lose effectiveness and S additions to what is measured, of sensors that jump or drift.
 
     Parameters
     ----------
@@ -46,6 +44,17 @@ cdef class ChangeTest:
         Index of each judged output (p,).
     actuators : ndarray
         Index of the input of each actuator fault (m,).
+    additions, grown : ndarray
+        What each addition, so many rows after its onset, makes of the whitened innovations (D, S, p), and the size that
+        it then has (D, S); from row D - 1 on they stay as they are.
+    owner : ndarray
+        The fault that each hypothesis stands for (H,): those of actuators come first.
+    nameable : int
+        Faults below it are named; others only keep a name from being given.
+    driven : bool
+        Whether r is what the inputs make of each output in a row, instead of the output itself.
+    largest : float
+        Largest input that can be one.
     whitening : ndarray
         Phi_1 ... Phi_P (P, p, p).
     variance : ndarray
@@ -60,10 +69,12 @@ cdef class ChangeTest:
 
     cdef double[:, ::1] dynamics, curves, variance
     cdef double[::1] taps, answered
-    cdef Py_ssize_t[::1] judged, actuators
-    cdef double[:, :, ::1] whitening, impulse, jump
-    cdef Py_ssize_t n, s, p, m, H, L, P, depth, length, hold, window
-    cdef double clip, follow
+    cdef Py_ssize_t[::1] judged, actuators, owner
+    cdef double[:, :, ::1] whitening, impulse, additions
+    cdef double[:, ::1] grown
+    cdef Py_ssize_t n, s, p, m, S, H, L, P, D, depth, length, hold, window, nameable
+    cdef double clip, follow, limit
+    cdef bint driven
     # what is kept from row to row: v, innovations, |y| and |B dv|, newest at ``at`` of rings
     cdef double[:, ::1] v, innovation, excited
     cdef double[::1] last_y, whitened, sigma, level
@@ -75,8 +86,8 @@ cdef class ChangeTest:
     cdef int64_t row
     cdef bint has_y
 
-    def __init__(self, dynamics, curves, taps, judged, actuators, whitening, variance, hold, window, clip,
-                 level_rows):
+    def __init__(self, dynamics, curves, taps, judged, actuators, additions, grown, owner, nameable, driven, largest,
+                 whitening, variance, hold, window, clip, level_rows):
         self.dynamics, self.curves = np.ascontiguousarray(dynamics, float), np.ascontiguousarray(curves, float)
         self.taps, self.variance = np.ascontiguousarray(taps, float), np.ascontiguousarray(variance, float)
         self.judged, self.actuators = np.asarray(judged, np.intp), np.asarray(actuators, np.intp)
@@ -84,7 +95,10 @@ cdef class ChangeTest:
         self.p, self.m, self.L, self.P = len(judged), len(actuators), len(taps), len(whitening)
         self.s = len(curves)
         self.n = dynamics.shape[1] - self.s - 1
-        self.H, self.depth = self.m + self.p, self.P + self.L
+        self.additions, self.grown = np.ascontiguousarray(additions, float), np.ascontiguousarray(grown, float)
+        self.D, self.S = self.grown.shape[0], self.grown.shape[1]
+        self.owner, self.nameable, self.driven, self.limit = np.asarray(owner, np.intp), nameable, driven, largest
+        self.H, self.depth = self.m + self.S, self.P + self.L
         self.hold, self.window, self.clip = max(1, hold), max(2, window), clip
         # The ring of v holds what the deepest lag needs, that of innovations what the whitening needs.
         self.length = max(self.depth + 2, self.P + 1)
@@ -97,7 +111,6 @@ cdef class ChangeTest:
         self.moment, self.information = np.zeros((self.window, self.H)), np.zeros((self.window, self.H))
         self.energy = np.zeros(self.window)
         self.impulse = self._impulse(np.asarray(dynamics), np.asarray(taps), np.asarray(whitening))
-        self.jump = self._jump(np.asarray(dynamics), np.asarray(whitening))
         # The share of a loss that the lag has let through after so many rows.
         self.answered = np.clip(np.cumsum(np.asarray(taps, float)), 0.0, 1.0)
         self.row = 0
@@ -112,17 +125,6 @@ cdef class ChangeTest:
             for i, phi in enumerate(whitening):
                 lost[lag + i + 1] -= tap * columns @ phi.T
         return np.ascontiguousarray(lost)
-
-    def _jump(self, dynamics, whitening):
-        """Return the whitened innovation n rows after a sensor has begun to read 1 too much (P + 2, p, p)."""
-        judged = np.asarray(self.judged)
-        response = np.zeros((self.P + 2, self.p, self.p))
-        first, later = np.eye(self.p), np.eye(self.p) - dynamics[:, judged].T
-        for n in range(self.P + 2):
-            response[n] = later if n else first
-            for i, phi in enumerate(whitening[:n]):
-                response[n] -= (first if n == i + 1 else later) @ phi.T
-        return np.ascontiguousarray(response)
 
     cdef void clear(self) noexcept:
         """Forget what came before a restart."""
@@ -152,7 +154,9 @@ cdef class ChangeTest:
 
     def run(self, const double[:, :] u, const double[:, :] y, const uint8_t[:] usable, const uint8_t[:] restart,
             const uint8_t[:] armed, const double[:, :] believed):
-        """Return the named hypothesis (N,), -1 for none, with its nats, share and onset in rows ago (N,) each.
+        """Return the named fault (N,), -1 for none, with its nats, size and onset in rows ago (N,) each.
+
+        The size of an actuator's fault is the share that it lost.
 
         Parameters
         ----------
@@ -189,7 +193,7 @@ cdef class ChangeTest:
         before = (self.row - 1) % self.length
         for j in range(self.s):
             value, power, command = 0.0, 1.0, u[k, j]
-            if not fabs(command) < LARGEST_COMMAND:
+            if not fabs(command) < self.limit:
                 # What was commanded is not known as long as lag and whitening remember it.
                 self.commands, command = -1, 0.0
             for d in range(self.curves.shape[1]):
@@ -210,9 +214,13 @@ cdef class ChangeTest:
                         moved += self.taps[d] * self.dynamics[i, self.n + j] * self.v[past, j]
                 self.innovation[row, i] = value - moved
             moved = 0.0
-            if self.commands:
-                for j in range(self.s):
+            if self.driven:
+                value = 0.0
+            for j in range(self.s):
+                if self.commands:
                     moved += self.dynamics[i, self.n + j] * (self.v[row, j] - self.v[before, j])
+                if self.driven:
+                    value += self.dynamics[i, self.n + j] * self.v[row, j]
             self.excited[self.row % self.hold, i] = fabs(value)
             self.excited[self.row % self.hold, self.p + i] = fabs(moved)
         self.known = self.known + 1 if self.has_y and usable and self.commands >= self.L else 0
@@ -282,18 +290,18 @@ cdef class ChangeTest:
                     square += s * s
                 self.moment[place, j] += along
                 self.information[place, j] += square
-            deep = min(age, self.P + 1)
-            for h in range(self.p):
+            deep = min(age, self.D - 1)
+            for h in range(self.S):
                 along = square = 0.0
                 for i in range(self.p):
-                    s = self.jump[deep, h, i] / self.sigma[i]
+                    s = self.additions[deep, h, i] / self.sigma[i]
                     along += s * self.whitened[i]
                     square += s * s
                 self.moment[place, self.m + h] += along
                 self.information[place, self.m + h] += square
 
     cdef Py_ssize_t judge(self, const double[:] believed, double* nats, double* share, int64_t* age) noexcept:
-        """Return the actuator whose change explains the window best, beyond doubt, else -1.
+        """Return the fault whose change explains the window best, beyond doubt, else -1.
 
         g_h = max over onsets of (s'z)^2 / (2 s's), theta_h = s'z / s's there.
         """
@@ -312,16 +320,23 @@ cdef class ChangeTest:
             # A loss that ends is no actuator that delivers more.
             prior = AGAINST_GAIN if h < self.m and theta < 0.0 and not believed[h] < 0.0 else 0.0
             if most - prior > first:
-                second = first
+                if best < 0 or self.owner[h] != self.owner[best]:
+                    second = first
                 first, best, best_age, best_theta, best_g = most - prior, h, at, theta, most
-            elif most - prior > second:
+            elif most - prior > second and self.owner[h] != self.owner[best]:
                 second = most - prior
-        if best < 0 or best >= self.m or first - second < MARGIN or best_theta > LARGEST_LOSS:
+        if best < 0 or self.owner[best] >= self.nameable or first - second < MARGIN:
+            return -1
+        if best < self.m and best_theta > LARGEST_LOSS:
             return -1
         place = (self.newest - best_age + self.window) % self.window
         if self.energy[place] - best_g > UNEXPLAINED_SHARE * best_g + NOISE_OF_AXIS * self.p * (best_age + 1):
             return -1
-        # A loss behind the lag (a broken propeller) looks larger to signatures of one before it, until that has passed.
         nats[0], age[0] = best_g, best_age
-        share[0] = best_theta * self.answered[min(best_age, self.L - 1)]
-        return best
+        if best >= self.m:
+            share[0] = best_theta * self.grown[min(best_age, self.D - 1), best - self.m]
+        else:
+            # A loss behind the lag (a broken propeller) looks larger to signatures of one before it, until it has
+            # passed.
+            share[0] = best_theta * self.answered[min(best_age, self.L - 1)]
+        return self.owner[best]

@@ -12,7 +12,7 @@ lambda, 1 or more, follows the mean of e^2 over its healthy variance: in gusts t
 
 A row longer than ``clip`` is shortened, with the signatures of all hypotheses: it counts as one of larger noise. For
 hypothesis j, begun at t_0, the signature s_j(k) is the response of z to a whole loss of actuator j since t_0 (or to a
-sensor that reads 1 too much since t_0), through lag, model and the same filters, and
+sensor that reads 1 too much since t_0, or 1 more each second), through lag, model and the same filters, and
 
     g_j = max over t_0 of (sum s_j' z)^2 / (2 sum s_j' s_j),    theta_j = sum s_j' z / sum s_j' s_j
 
@@ -20,13 +20,16 @@ is the logarithm, in nats, of how much likelier the data are with it than in hea
 actuator with the largest g_j is named where it is far enough ahead of all others, sensors among them, and explains most
 of what the window holds (:mod:`monitor.core.changes`). The observer says how large the fault is afterwards.
 
+An output that is no state is predicted from as many samples as its block of the model has states: with the block's
+characteristic polynomial, z^n + a_1 z^(n-1) + ... + a_n, sum_l a_l y(k - l) hangs on inputs alone (Cayley, Hamilton).
+
 Sources: Willsky and Jones, IEEE Trans. Automatic Control 21(1), 1976; Lai, IEEE Trans. Information Theory 44(7), 1998.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,7 +37,7 @@ from numpy.typing import NDArray
 
 from adapters.sample import Samples
 from adapters.toml_tables import Table
-from gains.plants.plant import Plant
+from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.compilation import input_curves
 from monitor.core.changes import ChangeTest
 from monitor.estimation.excitation import HOLD_S
@@ -46,6 +49,11 @@ LEVEL_S = 3.0
 seen, and shorter than weather changes."""
 CLIP = 15.0
 """Length of z from which a row counts as one of larger noise: no two rows can then raise an alarm (theory 5.1 (3))."""
+
+
+_LARGEST_COMMAND = 10.0
+"""Commands are shares of full command, near 1; one that is larger comes from a broken sender. Chosen: far beyond
+both."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,11 +68,14 @@ class ChangeRule:
         Phi_1 ... Phi_P (P, p, p).
     variance : NDArray[np.float64]
         c_0, c_1 and c_2 of each (p, 3).
+    lasts_s : Mapping[str, float]
+        Faults that are named although they scale no input, and how long their measurements take for a jump, seconds.
     """
 
     outputs: tuple[str, ...]
     whitening: NDArray[np.float64]
     variance: NDArray[np.float64]
+    lasts_s: Mapping[str, float] = field(default_factory=dict)
 
 
 class ChangeRun(NamedTuple):
@@ -83,61 +94,181 @@ def read_changes(table: Table, outputs: Sequence[str]) -> ChangeRule:
         if name not in outputs:
             table.mistake("outputs", f"has '{name}'; the observer has {', '.join(outputs)}")
     p, order = len(judged), table.integer("order", at_least=1)
-    stacked = table.matrix("whitening", order * p, p)
+    apart = table.has("lasts_s")
+    stacked = table.matrix("whitening", order if apart else order * p, p)
     variance = table.matrix("variance", p, 3)
     if table.good("variance") and not ((variance >= 0.0).all() and (variance[:, 0] > 0.0).all()):
         table.mistake("variance", "has a negative entry, or none that is constant")
+    lasting = table.table("lasts_s") if apart else None
+    lasts_s = {} if lasting is None else {name: lasting.number(name, at_least=0.0) for name in lasting}
     table.done()
-    return ChangeRule(judged, stacked.reshape(-1, p, p), variance)
+    whitening = stacked[:, :, None] * np.eye(p) if apart else stacked.reshape(-1, p, p)
+    return ChangeRule(judged, whitening, variance, lasts_s)
 
 
 def changes_table(rule: ChangeRule) -> dict[str, Any]:
     """Return the table that :func:`read_changes` reads back as the same rule."""
+    apart = {"lasts_s": dict(rule.lasts_s)} if rule.lasts_s else {}
+    whitening = np.diagonal(rule.whitening, axis1=1, axis2=2) if apart else np.concatenate(rule.whitening)
     return {
         "outputs": list(rule.outputs),
         "order": len(rule.whitening),
-        "whitening": np.concatenate(rule.whitening).tolist(),
+        "whitening": whitening.tolist(),
         "variance": rule.variance.tolist(),
+        **apart,
     }
-
-
-def change_test(plant: Plant, rate_hz: float, actuators: Sequence[int], rule: ChangeRule) -> ChangeTest:
-    """Return the test of a plant whose outputs are its states, for faults that scale these inputs."""
-    judged = [plant.outputs.index(name) for name in rule.outputs]
-    return ChangeTest(
-        dynamics=np.column_stack([plant.A, plant.B, plant.c])[judged],
-        curves=input_curves(plant),
-        taps=np.array(plant.taps),
-        judged=judged,
-        actuators=actuators,
-        whitening=rule.whitening,
-        variance=rule.variance,
-        hold=round(HOLD_S * rate_hz),
-        window=round(WINDOW_S * rate_hz),
-        clip=CLIP,
-        level_rows=LEVEL_S * rate_hz,
-    )
 
 
 class ChangeStage:
     """The test as one stage of an observer's chain.
 
-    ``inputs`` has the index of the input that each fault of the observer scales, None where it scales none.
+    ``inputs`` has the index of the input that each fault of the observer scales, None where it scales none. The test
+    names the former, or where the rule says so sensors: outputs that are no states are then predicted.
     """
 
-    def __init__(self, plant: Plant, rate_hz: float, inputs: Sequence[int | None], rule: ChangeRule) -> None:
-        self._faults = np.array([fault for fault, source in enumerate(inputs) if source is not None], np.intp)
-        self._inputs = np.array([source for source in inputs if source is not None], np.intp)
+    def __init__(self, plant: Plant, rate_hz: float, inputs: Mapping[str, int | None], rule: ChangeRule) -> None:
+        named = [*rule.lasts_s] or [name for name, source in inputs.items() if source is not None]
+        self._faults = np.array([list(inputs).index(name) for name in named], np.intp)
+        sources = [] if rule.lasts_s else [inputs[name] for name in named]
+        self._inputs = np.array([source for source in sources if source is not None], np.intp)
         self._step_ns = 1e9 / rate_hz
-        self._test = change_test(plant, rate_hz, self._inputs.tolist(), rule)
+        self._depth = 1
+        judged = [plant.outputs.index(name) for name in rule.outputs]
+        n = len(plant.outputs)
+        common: dict[str, Any] = {
+            "whitening": rule.whitening,
+            "variance": rule.variance,
+            "hold": round(HOLD_S * rate_hz),
+            "window": round(WINDOW_S * rate_hz),
+            "clip": CLIP,
+            "level_rows": LEVEL_S * rate_hz,
+            "nameable": len(named),
+            "judged": judged,
+            "actuators": self._inputs,
+        }
+        if not rule.lasts_s:
+            dynamics = np.column_stack([plant.A, plant.B, plant.c])[judged]
+            units = np.eye(n)[judged]
+            jumps = np.repeat(units[None], len(rule.whitening) + 2, axis=0)
+            self._test = ChangeTest(
+                dynamics=dynamics,
+                curves=input_curves(plant),
+                taps=np.array(plant.taps),
+                additions=_whitened(_unpredicted(jumps, dynamics[:, :n], judged), rule.whitening),
+                grown=np.ones((len(jumps), len(judged))),
+                owner=np.arange(len(self._faults) + len(judged)),
+                driven=False,
+                largest=_LARGEST_COMMAND,
+                **common,
+            )
+            return
+        blocks = [predictor(plant, output) for output in judged]
+        self._depth = max(len(block.y) for block in blocks)
+        dynamics = np.zeros((len(judged), self._depth * (n + len(plant.inputs)) + 1))
+        for row, (output, block) in enumerate(zip(judged, blocks, strict=True)):
+            for lag, (y, u) in enumerate(zip(block.y, block.u, strict=True)):
+                dynamics[row, lag * n + output] = y
+                start = self._depth * n + lag * len(plant.inputs)
+                dynamics[row, start : start + len(plant.inputs)] = u
+            dynamics[row, -1] = block.constant
+        # Faults that are not named keep others from being named in their place.
+        names = [fault.name for fault in plant.faults]
+        order = [*map(names.index, named), *(at for at, name in enumerate(names) if name not in named)]
+        rows = np.arange(1.0, round(WINDOW_S * rate_hz) + 1.0)
+        additions, grown, owner = [], [], []
+        for at, fault in enumerate(order):
+            lasts = max(1.0, rate_hz * rule.lasts_s.get(names[fault], 0.0))
+            for course, size in ((np.minimum(rows / lasts, 1.0), np.ones(len(rows))), (rows / rate_hz,) * 2):
+                shown = _unpredicted(_shown(plant, fault, course)[:, None], dynamics[:, : self._depth * n], judged)
+                if shown.any():
+                    additions.append(shown[:, 0])
+                    grown.append(size)
+                    owner.append(at)
+        self._test = ChangeTest(
+            dynamics=dynamics,
+            curves=np.ones((self._depth * len(plant.inputs), 1)),
+            taps=np.ones(1),
+            additions=_whitened(np.stack(additions, axis=1), rule.whitening),
+            grown=np.stack(grown, axis=1),
+            owner=owner,
+            driven=True,
+            largest=np.inf,
+            **common,
+        )
+        self._u, self._y = np.zeros((1, len(plant.inputs))), np.zeros((1, n))
+        self._usable = np.zeros(1, np.bool_)
+
+    def innovations(self, samples: Samples) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        """Return what the noise is fitted to: innovations (n, p), r and d (n, 2 p), and where they are known (n,)."""
+        return self._test.innovations(*self._given(samples))
 
     def run(self, samples: Samples, armed: NDArray[np.bool_], believed: NDArray[np.float64]) -> ChangeRun:
         """Process n samples; ``armed`` says which are evidence (n,), ``believed`` each fault's size (n, a)."""
-        usable = samples.measured & samples.complete
-        named, nats, share, age = self._test.run(
-            samples.u, samples.y, usable, samples.restart, armed, believed[:, self._faults]
+        named, nats, size, age = self._test.run(
+            *self._given(samples), armed, believed[:, self._faults] if len(self._inputs) else believed[:, :0]
         )
-        commands = samples.u[np.arange(len(named)), self._inputs[named]]
+        if len(self._inputs):
+            size = -size * samples.u[np.arange(len(named)), self._inputs[named]]
         onset_ns = samples.vehicle_time_ns - np.round(age * self._step_ns).astype(np.int64)
         fault = np.where(named < 0, -1, self._faults[named])
-        return ChangeRun(fault, nats, -share * commands, onset_ns)
+        return ChangeRun(fault, nats, size, onset_ns)
+
+    def _given(self, samples: Samples) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return u and y with those of the sample before beside them, as far as the prediction asks for them."""
+        usable = samples.measured & samples.complete
+        if self._depth == 1:
+            return samples.u, samples.y, usable, samples.restart
+        usable &= ~samples.lost.any(axis=1)
+        u, y = np.vstack([self._u, samples.u]), np.vstack([self._y, samples.y])
+        before = np.concatenate([self._usable, usable])
+        self._u, self._y, self._usable = u[-1:], y[-1:], before[-1:]
+        usable = usable & before[:-1] & ~samples.restart
+        return np.hstack([u[1:], u[:-1]]), np.hstack([y[1:], y[:-1]]), usable, samples.restart
+
+
+class Predictor(NamedTuple):
+    """y(k) = sum_l y_l y(k - l) + u_l' u(k - l) + constant of one output, l from 1 to the number of its states."""
+
+    y: FloatArray  # (n,)
+    u: FloatArray  # (n, s)
+    constant: float
+
+
+def predictor(plant: Plant, output: int) -> Predictor:
+    """Return how an output follows from those before it, of a plant in discrete time that is linear there."""
+    moves = np.linalg.matrix_power((plant.A != 0.0) | np.eye(len(plant.A), dtype=np.bool_), len(plant.A))
+    block = np.flatnonzero((plant.C[output] != 0.0) @ moves)
+    A, C = plant.A[np.ix_(block, block)], plant.C[output, block]
+    a = np.asarray(np.poly(A), np.float64)
+    driven = np.column_stack([plant.B[block], plant.c[block]])
+    markov = [C @ np.linalg.matrix_power(A, lag) @ driven for lag in range(len(block))]
+    given = np.array([sum(a[i] * markov[lag - i] for i in range(lag + 1)) for lag in range(len(block))])
+    return Predictor(-a[1:], given[:, :-1], float(given[:, -1].sum()))
+
+
+def _shown(plant: Plant, fault: int, course: FloatArray) -> FloatArray:
+    """Return what a fault that takes its course (D,) adds to the outputs (D, p)."""
+    column = plant.faults[fault].column
+    if plant.faults[fault].kind == "sensor":
+        return course[:, None] * column
+    state, outputs = np.zeros(len(plant.states)), []
+    for size in course:
+        outputs.append(plant.C @ state)
+        state = plant.A @ state + column * size
+    return np.array(outputs)
+
+
+def _unpredicted(added: FloatArray, dynamics: FloatArray, judged: Sequence[int]) -> FloatArray:
+    """Return what additions (D, S, n) to the outputs make of the innovations (D, S, p)."""
+    nu = added[:, :, judged].copy()
+    n = added.shape[2]
+    for lag in range(1, dynamics.shape[1] // n + 1):
+        nu[lag:] -= added[: len(added) - lag] @ dynamics[:, (lag - 1) * n : lag * n].T
+    return nu
+
+
+def _whitened(nu: FloatArray, whitening: FloatArray) -> FloatArray:
+    e = nu.copy()
+    for lag, phi in enumerate(whitening[: len(nu) - 1], start=1):
+        e[lag:] -= nu[: len(nu) - lag] @ phi.T
+    return e

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gains.plants.plant import Plant
-from monitor.estimation.changes import CLIP, ChangeRule, ChangeStage, change_test
+from monitor.estimation.changes import CLIP, ChangeRule, ChangeStage
 from monitor.fitting.excitation import excited_variance
 from monitor.fitting.extremes import return_level
 from monitor.fitting.flights import Flight
@@ -23,30 +23,38 @@ _LEAST_NATS = 1.05 * CLIP**2
 windy flights that were left out of the fit: two rows alone accused a motor of 2 to 5 % three times in 170 s."""
 
 
-def fit_changes(plant: Plant, rate_hz: float, outputs: Sequence[str], flights: Sequence[Flight]) -> ChangeRule | None:
+def fit_changes(
+    plant: Plant,
+    rate_hz: float,
+    outputs: Sequence[str],
+    flights: Sequence[Flight],
+    lasts_s: Mapping[str, float] | None = None,
+) -> ChangeRule | None:
     """Return whitening and variance of the innovations of some outputs, fitted to what counts as healthy evidence.
 
-    None where the flights are too short for them.
+    With ``lasts_s``, sensors' faults to name and how long their jumps take, each output is whitened by its own past
+    alone. None where the flights are too short.
     """
-    p = len(outputs)
-    start = ChangeRule(tuple(outputs), np.zeros((_ORDER, p, p)), np.tile([1.0, 0.0, 0.0], (p, 1)))
+    p, named = len(outputs), dict(lasts_s or {})
+    start = ChangeRule(tuple(outputs), np.zeros((_ORDER, p, p)), np.tile([1.0, 0.0, 0.0], (p, 1)), named)
     stretches = []
     for flight in flights:
-        samples = flight.samples
-        usable = samples.measured & samples.complete
-        nu, excited, known = change_test(plant, rate_hz, [], start).innovations(
-            samples.u, samples.y, usable, samples.restart
-        )
+        nu, excited, known = ChangeStage(plant, rate_hz, dict.fromkeys(named), start).innovations(flight.samples)
         rows = np.flatnonzero(known & flight.armed)
         parts = np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1)
         stretches += [(nu[part], excited[part]) for part in parts if len(part) > 2 * _ORDER]
-    if sum(len(nu) for nu, _ in stretches) < _ROWS_A_COEFFICIENT * _ORDER * p * p:
+    if sum(len(nu) for nu, _ in stretches) < _ROWS_A_COEFFICIENT * _ORDER * p * (1 if named else p):
         return None
-    whitening = _autoregression([nu for nu, _ in stretches])
+    if named:
+        whitening = np.zeros((_ORDER, p, p))
+        for i in range(p):
+            whitening[:, i, i] = _autoregression([nu[:, [i]] for nu, _ in stretches])[:, 0, 0]
+    else:
+        whitening = _autoregression([nu for nu, _ in stretches])
     e = np.vstack([_whitened(nu, whitening) for nu, _ in stretches])
     excited = np.vstack([causes[_ORDER:] for _, causes in stretches])
     variance = np.array([excited_variance(e[:, [i]], excited[:, [i, p + i]]) for i in range(p)])
-    return ChangeRule(tuple(outputs), _rounded(whitening), _rounded(variance))
+    return ChangeRule(tuple(outputs), _rounded(whitening), _rounded(variance), named)
 
 
 def healthy_nats(
@@ -59,7 +67,7 @@ def healthy_nats(
 ) -> float:
     """Return the nats that a change named in healthy flight exceeds at a rate of false alarms, whichever it names."""
     series = []
-    inputs = [channel.input for channel in faults]
+    inputs = {channel.name: channel.input for channel in faults}
     for flight in flights:
         stage = ChangeStage(plant, rate_hz, inputs, rule)
         run = stage.run(flight.samples, flight.armed, np.zeros((len(flight), len(inputs))))

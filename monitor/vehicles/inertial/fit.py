@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from math import inf
+from math import inf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,9 @@ from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from gains.synthesis.bank import compile_bank
 from monitor.alarms.excuse import ExcuseRule
+from monitor.estimation.changes import WINDOW_S, ChangeRule
 from monitor.fitting.calibrate import SETTLE_S, bank_rule
+from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.survey import Survey
@@ -49,7 +51,7 @@ from monitor.vehicles.inertial.sensor_fit import (
     identify_inertial,
 )
 from monitor.vehicles.inertial.signals import StrapdownSource, common_channels, inertial_rate_hz
-from monitor.vehicles.inertial.strapdown import ACCELEROMETERS, GPS, MAGNETOMETER, Strapdown
+from monitor.vehicles.inertial.strapdown import ACCELEROMETERS, BAROMETER, GPS, MAGNETOMETER, Strapdown
 from monitor.vehicles.multirotor.identify import GYROS
 
 OBSERVER = "inertial"
@@ -85,6 +87,16 @@ _SET = Times(fast_s=9.0 * _JUMP_S, raise_s=9.0 * _JUMP_S, slow_s=4.0, clear_s=0.
 # A gyro's bias b tilts the attitude, which moves the magnetic heading by 10 degrees after 0.09 / b seconds (dip of 63
 # degrees), and the motion to its alarm after sqrt(0.2 / b): later by 0.6 s at most. The compass waits for it.
 _TILTED = Times(fast_s=_SET.raise_s + 0.6, raise_s=_SET.raise_s + 0.6, slow_s=4.0, clear_s=0.5)
+_SUDDEN = {
+    **dict.fromkeys(("gps_north", "gps_east", "gps_down"), GPS[0]),
+    "baro": BAROMETER[0],
+    "compass": MAGNETOMETER[0],
+}
+"""Faults whose beginning is looked for by likelihood, and a signal that shows them. A receiver drifts by its threshold
+within the washout, as a random walk by the root of that time's share within the test's window: a position that moved
+further in it does not drift. What wind and currents do to barometer and compass comes at once and counts whole."""
+_BENT = 1e-12
+"""A bend beyond what rounding makes of a straight line, per the signal's size: some thousand times double precision."""
 _MOST_OF_JUMPS = 1.5
 """How many times the largest healthy step the level may be: steps are too rare for a tail to be fitted to them."""
 _TRIAL_DELAYS_S = tuple(0.04 * step for step in range(8))
@@ -224,14 +236,70 @@ def _designed(
     if not channels.imu:
         # what is left of these faults is how far the vehicle is from hovering
         alarms = [found for found in alarms if found.rule.channel not in (*GYROS, *MOTION, "accel_z")]
+    changes, alarms = _sudden(raw, signal_hz, channels, designed, alarms, flights)
     return replace(
         designed,
         alarms=tuple(alarms),
+        changes=changes,
         flight_s=fit.seconds,
         findings=_findings(fit, parameters),
         lines=_lines(parameters, alarms, channels.imu),
         excuses=_excuses({found.rule.channel for found in alarms}),
     )
+
+
+def _sudden(
+    raw: Sequence[Flight],
+    signal_hz: float,
+    channels: StrapdownSource,
+    designed: Fitted,
+    alarms: Sequence[Calibrated],
+    flights: Sequence[Flight],
+) -> tuple[ChangeRule | None, list[Calibrated]]:
+    """Return how sudden faults of GPS, barometer and compass are told from noise, and the alarms with that path."""
+    rate_hz, plant = designed.gains[0].rate_hz, designed.plant
+    watched = {found.rule.channel for found in alarms}
+    signals = [channel.name for channel in channels.channels]
+    lasts_s = {
+        name: _line_s(raw, signals.index(signal), signal_hz)
+        for name, signal in _SUDDEN.items()
+        if name in watched and signal in signals
+    }
+    outputs = [output for output in plant.outputs if output not in ACCELEROMETERS]
+    if rate_hz < _NAVIGATED_HZ or not (channels.imu and lasts_s) or bare_positions(plant.inputs, plant.outputs):
+        return None, list(alarms)
+    changes = fit_changes(plant, rate_hz, outputs, flights, lasts_s)
+    if changes is None:
+        return None, list(alarms)
+    faults = designed.profile().faults
+    share = FALSE_ALARMS_PER_HOUR / len(faults)
+    nats = float(f"{healthy_nats(plant, rate_hz, faults, changes, flights, share):.4g}")
+    drifts = sqrt(WINDOW_S / _WASHOUT_S)
+    rules = [found.rule for found in alarms]
+    rules = [
+        replace(rule, nats=nats, least=float(f"{rule.threshold * (drifts if rule.channel in _POSITION else 1.0):.4g}"))
+        if rule.channel in lasts_s
+        else rule
+        for rule in rules
+    ]
+    return changes, [replace(found, rule=rule) for found, rule in zip(alarms, rules, strict=True)]
+
+
+def _line_s(raw: Sequence[Flight], index: int, signal_hz: float) -> float:
+    """Return the median length of the straight lines from one measurement of a signal to the next, seconds."""
+    lines = [np.zeros(0)]
+    bent, count = 0, 0
+    for flight in raw:
+        values = flight.samples.u[flight.evidence, index]
+        bends = np.abs(np.diff(values, 2)) > _BENT * max(1.0, float(np.abs(values).max(initial=0.0)))
+        # a measurement between two samples bends both of them
+        first = np.flatnonzero(bends & ~np.concatenate([[False], bends[:-1]]))
+        lines.append(np.diff(first))
+        bent, count = bent + int(bends.sum()), count + len(bends)
+    steps = np.concatenate(lines)
+    # Of lines of three samples and more two samples in three bend at most.
+    ticks = float(np.median(steps)) if len(steps) and 3 * bent <= 2 * count else 1.0
+    return round(ticks / signal_hz, 3)
 
 
 def _judge_level(raw: Sequence[Flight], parameters: Mapping[str, float], signal_hz: float, rate_hz: float) -> float:
