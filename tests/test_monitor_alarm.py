@@ -354,3 +354,11 @@ def test_a_change_that_has_been_reported_and_has_ended_is_not_raised_again() -> 
     events = sudden(alarm, [(-0.05, 200.0, -0.05)] * 20 + [(0.0, 200.0, -0.05)] * 80)
     assert [event.state for event in events] == ["raised", "cleared"]
     assert sudden(alarm, [(0.0, 200.0, -0.05)], onset=110, start=115)[0].state == "raised"
+
+
+def test_a_sudden_change_that_no_estimate_shows_yet_waits_for_it_two_seconds() -> None:
+    rows = [(0.0, 200.0, -0.05)] * 150
+    assert [event.state for event in sudden(new_alarm(SUDDEN), rows)] == ["raised"]
+    events = sudden(new_alarm(SUDDEN), rows * 2)
+    assert [event.state for event in events] == ["raised", "cleared"]
+    assert events[1].vehicle_time_ms == pytest.approx(2000 + 1000 * SUDDEN.clear_s, abs=20)

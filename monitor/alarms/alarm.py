@@ -10,7 +10,7 @@ Paths, each with its own size and time, whichever comes first:
   it with twice ``slow`` at most, so that it forgets a large fault as fast as a small one.
 
 The alarm clears after the evidence was inside ``clear`` for ``clear_s``, and where only the slow path has seen it the
-mean inside half of ``slow``.
+mean inside half of ``slow``; where only the sudden path has seen it that time begins two seconds later.
 It is critical from the size ``critical`` on, and already where its growth leads there within ``critical_ahead_s``.
 One that is raised for the third time within ``latch_s`` comes and goes: it clears only after ``latch_s`` of quiet. The
 debounce is a clamped up/down counter of time, so evidence that drops out for a sample delays an alarm instead of losing

@@ -30,6 +30,10 @@ cdef double SLOW_S = 2.0
 # banks (0.42 to 0.5 s on three quadcopters).
 cdef double WAIT_S = 1.0
 
+# How long a sudden change is taken to last that the estimate does not show yet: as long as the test's window
+# (WINDOW_S of monitor.estimation.changes) still holds its onset.
+cdef int64_t UNSEEN_NS = 2_000_000_000
+
 NONE, RAISED, UPDATED, CLEARED = range(4)
 cdef enum:
     C_NONE = 0
@@ -97,7 +101,7 @@ cdef class AlarmState:
     cdef bint scaled
     cdef readonly bint active, critical, creeping, recurring
     cdef readonly double shown, peak, size, reported
-    cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns
+    cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns, unseen_ns
     cdef bint contiguous
     cdef double mean
     cdef Trend trend
@@ -135,7 +139,7 @@ cdef class AlarmState:
     def resume(self, double estimate, double peak, double size, int64_t reported_ns, bint critical, bint creeping,
                bint recurring):
         """Be active as an event of another run of the monitor says."""
-        self.counter_ns = self.fast_counter_ns = 0
+        self.counter_ns = self.fast_counter_ns = self.unseen_ns = 0
         self.trend.reset()
         self.mean = estimate if creeping else 0.0
         self.active, self.critical, self.creeping, self.recurring = True, critical, creeping, recurring
@@ -169,7 +173,9 @@ cdef class AlarmState:
             scale = 1.0
         if not self.active and self.is_certain(change, evidence) and not self.excused(now):
             self.last_ns, self.contiguous = now, True
-            return self.raise_alarm(now, change.size, self.least, False)
+            self.raise_alarm(now, change.size, self.least, False)
+            self.unseen_ns = UNSEEN_NS
+            return C_RAISED
         # What explains the evidence keeps an alarm from being raised; one that is active follows its own evidence.
         if not speaking or (not self.active and self.excused(now)):
             self.contiguous = False
@@ -183,7 +189,7 @@ cdef class AlarmState:
         return self.debounce(now, evidence, scale, elapsed)
 
     cdef bint is_certain(self, const Change* change, double evidence) noexcept:
-        """Return whether a sudden change raises the alarm; of an actuator that does more the estimate has to say it, too.
+        """Return whether a sudden change raises the alarm; an actuator that does more needs the estimate's word.
 
         What began before the alarm ended has been reported.
         """
@@ -223,7 +229,7 @@ cdef class AlarmState:
 
     cdef int raise_alarm(self, int64_t now, double evidence, double size, bint creeping) noexcept:
         cdef int i
-        self.counter_ns = self.fast_counter_ns = 0
+        self.counter_ns = self.fast_counter_ns = self.unseen_ns = 0
         self.trend.reset()
         if self.raised_count == RECURRENCES:
             for i in range(RECURRENCES - 1):
@@ -251,6 +257,9 @@ cdef class AlarmState:
         if fabs(shown) > fabs(self.peak):
             self.peak = shown
         if fabs(evidence) < self.clear and not (self.creeping and fabs(self.mean) >= 0.5 * self.slow):
+            if self.unseen_ns > 0:
+                self.unseen_ns -= elapsed
+                return C_NONE
             self.counter_ns += elapsed
             if self.counter_ns >= (self.latch_ns if self.recurring else self.clear_ns):
                 self.active = False
@@ -259,6 +268,7 @@ cdef class AlarmState:
                 self.mean = 0.0
                 return C_CLEARED
             return C_NONE
+        self.unseen_ns = 0
         self.counter_ns = 0 if self.recurring else max(0, self.counter_ns - elapsed)
         moves = max(UPDATE_SHARE * fabs(self.reported), self.size / 2)
         moved = fabs(shown - self.reported) > moves
