@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from monitor.console.alarm_commands import add_alarms, add_schema
+from monitor.console.web_commands import add_console
 from monitor.diagnosis.doctor import add_doctor
 
 
@@ -21,6 +22,7 @@ def add_parsers(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
     _add_record(subparsers)
     _add_run(subparsers)
     add_alarms(subparsers)
+    add_console(subparsers)
     add_schema(subparsers)
     add_doctor(subparsers)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -66,11 +66,19 @@ def valid_status(vehicle: str, payload: Any) -> VehicleStatus | None:
 class StatusWatch:
     """Keeps the latest status of a vehicle, or of all; the session is left open by :meth:`close`.
 
+    ``on_status`` is called with each, and with its payload, on Zenoh's thread.
     Raises UsageError where the vehicle's name or the prefix cannot be part of a key.
     """
 
-    def __init__(self, session: zenoh.Session, vehicle: str = ANY, prefix: str = "fauio") -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        vehicle: str = ANY,
+        prefix: str = "fauio",
+        on_status: Callable[[VehicleStatus, Mapping[str, Any]], None] | None = None,
+    ) -> None:
         self._root = vehicle_root(prefix, vehicle)
+        self._on_change = on_status
         self._lock = threading.Lock()
         self._latest: dict[str, VehicleStatus] = {}
         self._subscriber: Any = session.declare_subscriber(f"{self._root}/status", self._on_status)
@@ -86,7 +94,13 @@ class StatusWatch:
 
     def _on_status(self, sample: zenoh.Sample) -> None:
         vehicle = vehicle_of(self._root, str(sample.key_expr))
-        status = valid_status(vehicle, decode_payload(sample.payload))
+        payload = decode_payload(sample.payload)
+        status = valid_status(vehicle, payload)
+        if status is None:
+            return
         with self._lock:
-            if status is not None and (vehicle in self._latest or len(self._latest) < MAX_VEHICLES):
-                self._latest[vehicle] = status
+            if vehicle not in self._latest and len(self._latest) >= MAX_VEHICLES:
+                return
+            self._latest[vehicle] = status
+        if self._on_change is not None:
+            self._on_change(status, payload)

@@ -75,6 +75,13 @@ class AlarmTable:
             self._cleared_ns.setdefault(key, now_ns)
 
     def rows(self, now_ns: int) -> list[AlarmRow]:
+        """Return :meth:`entries` as text."""
+        return [
+            _row(group, (event.vehicle, event.observer, event.channel), event, now_ns)
+            for group, event in self.entries(now_ns)
+        ]
+
+    def entries(self, now_ns: int) -> list[tuple[Group, AlarmEvent]]:
         """Return what there is at a Unix time: active alarms, worst and newest first, then shelved, then cleared."""
         for key, cleared_ns in list(self._cleared_ns.items()):
             if now_ns - cleared_ns > self._kept_ns:
@@ -82,7 +89,7 @@ class AlarmTable:
                 self._sizes.pop(key, None)
         rows = [(_group(event, now_ns), key, event) for key, event in self._latest.items()]
         rows.sort(key=lambda row: (_GROUPS.index(row[0]), row[2].severity != "critical", -row[2].since_ns, row[1]))
-        return [_row(group, key, self._sized(key, event), now_ns) for group, key, event in rows]
+        return [(group, self._sized(key, event)) for group, key, event in rows]
 
     def _sized(self, key: RowKey, event: AlarmEvent) -> AlarmEvent:
         """Return the event with the size that its fault has now; a share goes with the estimate."""

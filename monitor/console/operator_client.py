@@ -12,6 +12,7 @@ import zenoh
 from adapters.errors import UsageError, printable
 from monitor.bus.keys import ANY, vehicle_of, vehicle_root
 from monitor.bus.payload import decode_payload, to_json
+from monitor.event import AlarmEvent, valid_event
 
 ANSWER_S = 5.0
 """Chosen: a monitor answers within milliseconds, a network of radios may take seconds."""
@@ -97,6 +98,16 @@ def send_command(
         f"no monitor of '{vehicle}' answers to '{verb}': it is not running, or its configuration does not allow it "
         f'([commands] allow = ["{verb}"])'
     )
+
+
+def past_events(session: zenoh.Session, prefix: str, vehicle: str = ANY) -> list[AlarmEvent]:
+    """Return the past events that the monitors of a vehicle, or of all, still know.
+
+    Raises UsageError where the vehicle's name or the prefix cannot be part of a key.
+    """
+    answers = _ask(session, vehicle_root(prefix, vehicle), "alarms?history=true")
+    listed = [answer.payload for answer in answers if isinstance(answer.payload, list)]
+    return [event for payload in listed for entry in payload if (event := valid_event(entry)) is not None]
 
 
 def _ask(session: zenoh.Session, root: str, what: str, payload: bytes | None = None) -> list[_Answer]:

@@ -1,0 +1,109 @@
+"""``fauio console``: the web page of all monitors that it hears."""
+
+from __future__ import annotations
+
+import argparse
+import ipaddress
+import sys
+from pathlib import Path
+
+from adapters.errors import UsageError
+from monitor.console.alarm_commands import DEFAULT_CONNECT
+
+_SHORTEST = 16
+"""Letters of a token. Chosen: as many random ones as nobody guesses at one a second."""
+_LOOK_S = 0.5
+"""How soon it is seen that the server has ended."""
+
+
+def add_console(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    console = subparsers.add_parser(
+        "console",
+        help="a web page of all vehicles: alarms, estimates, map, link",
+        description="Serve a web page of every monitor that is heard over Zenoh: alarms, estimates against thresholds, "
+        "link, track. Only reads, unless --commands is given. Ends on Ctrl-C or SIGTERM.",
+        epilog="example: fauio console --commands --clips clips/",
+    )
+    console.add_argument(
+        "--connect",
+        metavar="ENDPOINT",
+        action="append",
+        help=f"Zenoh endpoint of a monitor or a router, may be repeated (default: {DEFAULT_CONNECT})",
+    )
+    console.add_argument(
+        "--zenoh-config",
+        type=Path,
+        metavar="FILE",
+        help="Zenoh configuration with certificates or password, for a secured monitor; its endpoints count",
+    )
+    console.add_argument("--prefix", metavar="KEY", default="fauio", help="what the keys begin with (default: fauio)")
+    console.add_argument(
+        "--listen", metavar="HOST:PORT", default="127.0.0.1:8600", help="address of the page (127.0.0.1:8600)"
+    )
+    console.add_argument(
+        "--commands",
+        action="store_true",
+        help="let the page acknowledge, shelve and close alarms that their monitor's configuration lets it",
+    )
+    console.add_argument(
+        "--token-file",
+        type=Path,
+        metavar="FILE",
+        help="file with the token that the page asks for; needed where --listen is not this machine's loopback",
+    )
+    console.add_argument(
+        "--host", metavar="NAME", action="append", default=[], help="name that the page is reached by, beside addresses"
+    )
+    console.add_argument("--clips", type=Path, metavar="FOLDER", help="folder of alarms' clips, to be downloaded")
+    console.set_defaults(handler=run_console)
+
+
+def run_console(args: argparse.Namespace) -> int:
+    """Serve the page until interrupted."""
+    from adapters.zenoh.zenoh_session import endpoints, open_session
+    from monitor.bus.keys import ANY, vehicle_root
+    from monitor.console.web_server import ConsoleOptions, ConsoleServer
+    from monitor.service.caught_signals import caught_signals
+
+    token = None if args.token_file is None else _token(args.token_file)
+    if token is None and not _is_loopback(args.listen):
+        raise UsageError(
+            f"--listen {args.listen}: others could reach it, so it needs --token-file; or listen on 127.0.0.1 behind a "
+            "reverse proxy that asks who it is"
+        )
+    if args.clips is not None and not args.clips.is_dir():
+        raise UsageError(
+            f"--clips {args.clips}: is no folder; name the one of [black_box] in the monitor's configuration"
+        )
+    vehicle_root(args.prefix, ANY)
+    connect = args.connect or [DEFAULT_CONNECT]
+    where = endpoints("connect", connect, args.zenoh_config)
+    options = ConsoleOptions(args.listen, args.prefix, args.commands, token, args.host, args.clips)
+    with caught_signals() as signals, open_session(connect=connect, config_file=args.zenoh_config) as session:
+        server = ConsoleServer(session, options)
+        try:
+            sys.stdout.write(f"{server.url} shows the monitors at {', '.join(where)}; Ctrl-C ends\n")
+            sys.stdout.flush()
+            while server.wait(_LOOK_S) and not signals:
+                pass
+        finally:
+            server.close()
+    return 130 if signals[:1] == [2] else 0
+
+
+def _token(path: Path) -> str:
+    token = path.read_text().strip()
+    if len(token) < _SHORTEST or not token.isascii() or not token.isprintable():
+        raise UsageError(
+            f"{path}: holds no token of {_SHORTEST} letters or more; make one: openssl rand -hex 16 > {path}"
+        )
+    return token
+
+
+def _is_loopback(listen: str) -> bool:
+    host = listen.rpartition(":")[0].strip("[]")
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,263 @@
+"""The web console: pages, a stream of what is new, and operators' commands, from a thread of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import re
+import socket
+import threading
+from collections.abc import AsyncIterator, Collection
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response, StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from adapters.errors import FauioError, UsageError, printable
+from monitor.bus.operators import VERBS
+from monitor.bus.payload import to_json
+from monitor.console.fleet_view import FleetView
+from monitor.console.operator_client import past_events, send_command
+from monitor.console.vehicle_history import Since
+from monitor.console.web_guard import COOKIE, LOGIN, Guard, cookie_of, same
+
+if TYPE_CHECKING:
+    import zenoh
+
+PERIOD_S: Final = 0.25
+"""Between two pieces of news. Chosen: the eye takes it for live, and an alarm has a second to appear."""
+_ALIVE_S: Final = 5.0
+"""Silence after which a stream says that it is alive. Chosen: a page takes 12 s of it for a lost connection."""
+_MAX_STREAMS: Final = 64
+"""Chosen: four pages for each of 16 vehicles."""
+_MAX_BODY: Final = 4096
+"""Bytes of a command. Chosen: as much as a monitor takes."""
+_MAX_HISTORY: Final = 500
+"""Events that a page lists. Chosen: a journal of a busy week; ``fauio alarms --history`` has all."""
+_CLOSE_S: Final = 3.0
+"""Chosen: open streams end within a period; what hangs is not waited for."""
+_LOGIN_PAUSE_S: Final = 1.0
+"""Chosen: a guess a second finds no token."""
+_PAGE: Final = Path(__file__).parent / "page"
+_UPLOT: Final = Path(__file__).parent.parent / "views" / "uplot"
+_CLIP: Final = re.compile(r"[^/\\\0]{1,200}\.mcap")
+
+
+@dataclass(frozen=True, slots=True)
+class ConsoleOptions:
+    """What a console serves and to whom."""
+
+    listen: str = "127.0.0.1:8600"
+    prefix: str = "fauio"
+    commands: bool = False  # whether alarms may be acknowledged, shelved and closed
+    token: str | None = None
+    hosts: Collection[str] = ()  # names, beside addresses and localhost, that it is reached by
+    clips: Path | None = None  # folder of recordings that may be downloaded
+
+
+class ConsoleServer:
+    """Serves the console until it is closed; the session is left open.
+
+    Raises UsageError where the address cannot be listened on.
+    """
+
+    def __init__(self, session: zenoh.Session, options: ConsoleOptions) -> None:
+        self._session = session
+        self._options = options
+        self._streams = 0
+        self._ended = False
+        self._guesses = asyncio.Lock()
+        self._socket = _listen(options)
+        host, port = self._socket.getsockname()[:2]
+        self.url = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+        self.fleet = FleetView(session, options.prefix)
+        routes = [
+            Route("/", self._index),
+            Route(LOGIN, self._login, methods=["GET", "POST"]),
+            Route("/stream", self._stream),
+            Route("/command", self._command, methods=["POST"]),
+            Route("/history", self._history),
+            Route("/clips", self._clip_list),
+            Route("/clips/{name}", self._clip),
+            Mount("/page", StaticFiles(directory=_PAGE)),
+            Mount("/uplot", StaticFiles(directory=_UPLOT)),
+        ]
+        app = Guard(Starlette(routes=routes), options.hosts, options.token)
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                app,
+                log_config=None,
+                access_log=False,
+                lifespan="off",
+                ws="none",
+                server_header=False,
+                proxy_headers=False,
+                limit_concurrency=4 * _MAX_STREAMS,
+                timeout_graceful_shutdown=1,
+            )
+        )
+        self._thread = threading.Thread(
+            target=self._server.run, kwargs={"sockets": [self._socket]}, name="console", daemon=True
+        )
+        self._thread.start()
+
+    def close(self) -> None:
+        """End streams and stop serving; a second call does nothing."""
+        if not self._ended:
+            self._ended = self._server.should_exit = True
+            self._thread.join(_CLOSE_S)
+            self._socket.close()
+            self.fleet.close()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait while it serves, at most so long; return whether it still does."""
+        self._thread.join(timeout_s)
+        return self._thread.is_alive()
+
+    async def _index(self, request: Request) -> Response:
+        del request
+        return FileResponse(_PAGE / "index.html")
+
+    async def _login(self, request: Request) -> Response:
+        token = self._options.token
+        if token is None:
+            return RedirectResponse("/", 303)
+        if request.method == "GET":
+            return FileResponse(_PAGE / "login.html")
+        body = await _body(request)
+        async with self._guesses:
+            if body is None or not isinstance(given := body.get("token"), str) or not same(given.strip(), token):
+                await asyncio.sleep(_LOGIN_PAUSE_S)
+                return JSONResponse({"error": "this is not the token"}, 403)
+        answer = JSONResponse({"ok": True})
+        answer.set_cookie(COOKIE, cookie_of(token), httponly=True, samesite="strict")
+        return answer
+
+    async def _stream(self, request: Request) -> Response:
+        if self._streams >= _MAX_STREAMS:
+            return JSONResponse({"error": "too many pages are open"}, 503, {"Retry-After": "5"})
+        vehicle = request.query_params.get("vehicle")
+        return StreamingResponse(
+            self._news(vehicle), media_type="text/event-stream", headers={"X-Accel-Buffering": "no"}
+        )
+
+    async def _news(self, vehicle: str | None) -> AsyncIterator[bytes]:
+        """Yield what is new: nothing waits here for a slow reader, who gets the latest when there is room."""
+        self._streams += 1
+        try:
+            clips = self._options.clips is not None
+            hello = {"version": version("fauio"), "commands": self._options.commands, "clips": clips}
+            yield b"retry: 1000\n" + _event("hello", hello)
+            have: Since = {}
+            silent_s = 0.0
+            while not self._server.should_exit:
+                news = self.fleet.news(have, vehicle)
+                silent_s = 0.0 if news else silent_s + PERIOD_S
+                if news:
+                    yield _event("news", news)
+                elif silent_s >= _ALIVE_S:
+                    silent_s = 0.0
+                    yield _event("alive", {})
+                await asyncio.sleep(PERIOD_S)
+        finally:
+            self._streams -= 1
+
+    async def _command(self, request: Request) -> Response:
+        if not self._options.commands:
+            return JSONResponse({"error": "this console is read-only; start it with --commands"}, 403)
+        body = await _body(request)
+        if body is None:
+            return JSONResponse({"error": "no command"}, 400)
+        vehicle, verb = body.get("vehicle"), body.get("verb")
+        if not isinstance(vehicle, str) or verb not in VERBS or vehicle not in self.fleet.subscriber.live:
+            return JSONResponse({"error": "no such vehicle or command"}, 400)
+        wanted = {name: body[name] for name in ("id", "channel", "by", "reason", "minutes") if body.get(name)}
+        try:
+            reply = await run_in_threadpool(
+                send_command, self._session, self._options.prefix, vehicle, str(verb), wanted
+            )
+        except FauioError as error:
+            return JSONResponse({"error": printable(str(error))}, 409)
+        return _json(reply)
+
+    async def _history(self, request: Request) -> Response:
+        vehicle = request.query_params.get("vehicle") or "*"
+        try:
+            events = await run_in_threadpool(past_events, self._session, self._options.prefix, vehicle)
+        except FauioError as error:
+            return JSONResponse({"error": printable(str(error))}, 400)
+        events.sort(key=lambda event: (-event.time_ns, -event.seq))
+        return _json({"events": [event.to_json() for event in events[:_MAX_HISTORY]], "all": len(events)})
+
+    async def _clip_list(self, request: Request) -> Response:
+        del request
+        return _json({"clips": await run_in_threadpool(self._clips)})
+
+    async def _clip(self, request: Request) -> Response:
+        name = request.path_params["name"]
+        folder = self._options.clips
+        if folder is None or name not in {clip["name"] for clip in await run_in_threadpool(self._clips)}:
+            return JSONResponse({"error": "no such clip"}, 404)
+        return FileResponse(folder / name, filename=name, media_type="application/octet-stream")
+
+    def _clips(self) -> list[dict[str, Any]]:
+        """Return the clips, newest first: plain files of the folder itself."""
+        folder = self._options.clips
+        if folder is None:
+            return []
+        found: list[tuple[int, str, int]] = []
+        with contextlib.suppress(OSError):
+            for path in folder.iterdir():
+                if _CLIP.fullmatch(path.name) and path.name.isprintable() and not path.is_symlink() and path.is_file():
+                    state = path.stat()
+                    found.append((state.st_mtime_ns, path.name, state.st_size))
+        found.sort(reverse=True)
+        return [{"name": name, "bytes": size, "time_ns": at_ns} for at_ns, name, size in found[:_MAX_HISTORY]]
+
+
+async def _body(request: Request) -> dict[str, Any] | None:
+    """Return the JSON object of a request, None where it is none or too long."""
+    if Headers(scope=request.scope).get("content-type", "").partition(";")[0].strip() != "application/json":
+        return None
+    data = b""
+    async for chunk in request.stream():
+        data += chunk
+        if len(data) > _MAX_BODY:
+            return None
+    try:
+        body = json.loads(data)
+    except (ValueError, RecursionError):
+        return None
+    return body if isinstance(body, dict) else None
+
+
+def _json(payload: dict[str, Any]) -> Response:
+    return Response(to_json(payload), media_type="application/json")
+
+
+def _event(name: str, payload: dict[str, Any]) -> bytes:
+    return f"event: {name}\ndata: ".encode() + to_json(payload) + b"\n\n"
+
+
+def _listen(options: ConsoleOptions) -> socket.socket:
+    host, _, port = options.listen.rpartition(":")
+    host = host.strip("[]")
+    if not host or not port.isdecimal() or int(port) > 0xFFFF:
+        raise UsageError(f"--listen {options.listen}: is not HOST:PORT, for example 127.0.0.1:8600")
+    try:
+        made = socket.create_server((host, int(port)), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    except OSError as error:
+        raise UsageError(
+            f"--listen {options.listen}: cannot be listened on ({error.strerror or error}): take another"
+        ) from error
+    return made
