@@ -19,6 +19,7 @@ import numpy as np
 
 from adapters.batch import Batch, Columns, cut
 from adapters.mavlink.heartbeat import AUTOPILOT
+from adapters.mavlink.mavlink_columns import SEQUENCE
 from adapters.message import LATEST_NS, SECOND_NS, SILENCE, Message
 from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR
 from monitor import blind
@@ -46,6 +47,12 @@ STANDING = "standing"
 _LANDED_NS = 3 * SECOND_NS
 """How long a vehicle has to be disarmed before its alarms are closed: three heartbeats, so that a forged one is
 contradicted before (:mod:`monitor.sampling.phase`)."""
+_TWICE_NUMBERED = (
+    "its packets bear two series of sequence numbers (or several links of the vehicle are put together into one: give "
+    "each a port of its own)"
+)
+_NUMBERED_NS = 10_000_000_000
+"""How long that is said after the last finding. Chosen: as long as clocks are contested (``core/sampling.pyx``)."""
 
 
 # Values that overflow are discarded later; NumPy's warnings about them would fill the log.
@@ -103,13 +110,15 @@ class Pipeline:
         self._component = component
         self._interests = self.interests
         self._down_ns: int | None = None  # since when the vehicle reports that its flight is over
+        self._driven_ns: int | None = None  # when to compare commands with the report that it does not fly
+        self._numbered_ns = 0  # until when sequence numbers show two senders
         self.foreign = 0
         self.contradictions: Sequence[str] = ()
 
     @property
     def interests(self) -> frozenset[str]:
         """Names of the messages that matter; all others may be skipped without changing a result."""
-        own = {SILENCE, "signing", RULES, STANDING, "ack", "shelve", "unshelve", RESET}
+        own = {SILENCE, "signing", SEQUENCE, RULES, STANDING, "ack", "shelve", "unshelve", RESET}
         return self._wanted | FlightPhase.interests | own
 
     @property
@@ -259,11 +268,12 @@ class Pipeline:
     def _before(self, message: Message) -> list[AlarmEvent]:
         """Return the events that the first message of a segment causes before its measurements are looked at."""
         now_ns, vehicle_ns = message.received_ns, self._clock.newest_ns
+        was_grounded = self._phase.grounded
         self._phase.feed(message)
+        self._compare_commands(was_grounded, now_ns)
         events = [*self._close_at_landing(now_ns), *self._silence(now_ns)]
         events += self._link.process(message, vehicle_ns)
-        self.contradictions = self._contradictions(now_ns)
-        events += self._link.contradict(self.contradictions, now_ns)
+        events += self._contradict(now_ns)
         if message.name in self._wanted:
             events += self._stale.follow(now_ns, vehicle_ns)
         return events
@@ -274,7 +284,11 @@ class Pipeline:
         flood_ns = start_ns + round(self._desk.rule.flood_s * 1e9)
         shelved_ns = self._desk.due_ns
         blind_ns = self._blind.due_ns(self._flies(), start_ns)
-        contested_ns = self._clock.contested_ns if start_ns < self._clock.contested_ns else flood_ns
+        contested_ns = min(
+            (ns for ns in (self._clock.contested_ns, self._numbered_ns) if start_ns < ns), default=flood_ns
+        )
+        if self._driven_ns is not None:
+            contested_ns = min(contested_ns, self._driven_ns)
         due_ns = min(flood_ns, blind_ns, contested_ns, self._landed_ns, self._link.due_ns)
         reach = functools.partial(
             arrivals.segment,
@@ -330,9 +344,41 @@ class Pipeline:
         if idle_ns:
             self._blind.wait_from(idle_ns)
 
+    def _compare_commands(self, was_grounded: bool, now_ns: int) -> None:
+        """Follow whether the motors go on as in flight although the vehicle has reported that it does not fly any more.
+
+        Asked a second after the report, by when they have stopped where it is true, and every second from then on.
+        """
+        phase, gates = self._phase, [chain.gate for chain in self._chains]
+        if not phase.grounded:
+            phase.driven, self._driven_ns = False, None
+            return
+        if self._driven_ns is None and was_grounded:
+            return
+        if self._driven_ns is not None:
+            if 0 < self._driven_ns - now_ns <= SECOND_NS:
+                return
+            driven = [gate.driven for gate in gates]
+            if False in driven and True not in driven:
+                phase.driven, self._driven_ns = False, None
+                return
+            phase.driven |= True in driven
+        if self._driven_ns is None or phase.driven:
+            for gate in gates:
+                gate.watch_commands()
+        self._driven_ns = now_ns + SECOND_NS
+
+    def _contradict(self, now_ns: int) -> list[AlarmEvent]:
+        """Follow what arrived lately that two senders must have sent; return the events that a change causes."""
+        certain = self._contradictions(now_ns)
+        self.contradictions = [*certain, *[_TWICE_NUMBERED] * (now_ns < self._numbered_ns)]
+        return self._link.contradict(self.contradictions, now_ns, "critical" if certain else "warning")
+
     def _contradictions(self, now_ns: int) -> list[str]:
-        """Return what arrived lately that two senders must have sent, a sentence each."""
+        """Return what one sender cannot have sent, a sentence each."""
         found = [CONTESTED[name] for name in self._phase.contested]
+        if self._phase.driven:
+            found.append("it reports that it does not fly while its motors run as in flight")
         if now_ns < self._clock.contested_ns:
             apart_s = abs(self._clock.rival_ns) / 1e9
             found.append(f"its messages were stamped by two clocks, {apart_s:.1f} s apart")
@@ -356,7 +402,11 @@ class Pipeline:
             events = [*self._close_at_landing(now_ns), *self._silence(now_ns), *self._link.quiet(now_ns)]
             return self._through_desk(events)
         if message.source is LINK:
-            return self._through_desk(self._link.process(message, self._clock.newest_ns))
+            events = self._link.process(message, self._clock.newest_ns)
+            if message.name == SEQUENCE and self._component in (0, message.component):
+                self._numbered_ns = now_ns + _NUMBERED_NS
+                events += self._contradict(now_ns)
+            return self._through_desk(events)
         if message.source is JOURNAL:
             return self._adopt(fields, now_ns) if message.name == STANDING else []
         if message.name == RULES:

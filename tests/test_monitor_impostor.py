@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega
 
 from adapters.logs.recordings import packed, read_recording
+from adapters.logs.tlog import TlogReader
 from adapters.message import Message
 from adapters.source import MAVLINK
 from monitor.event import AlarmEvent
@@ -148,6 +151,58 @@ def test_no_forgery_hides_a_fault(
     motor_ns = [e.time_ns for e in events if e.channel == "motor3" and e.state == "raised"]
     in_time = bool(seen_ns) and seen_ns[0] - messages[0].received_ns < round((start_s + 5.0) * 1e9)
     assert in_time or (motor_ns and motor_ns[0] - plain.time_ns < 200_000_000)
+
+
+def test_packets_with_numbers_of_their_own_are_an_impostor(quad_profile: Profile, data: Path, tmp_path: Path) -> None:
+    packets = list(TlogReader(data / "copter_healthy_square.tlog.xz").packets())
+    sender = ardupilotmega.MAVLink(None, srcSystem=1, srcComponent=1)
+    start_ns = packets[0][0] + 20_000_000_000
+    for k in range(25):
+        sender.seq = 100 + k
+        forged = ardupilotmega.MAVLink_vfr_hud_message(1.0, 2.0, 3, 4, 5.0, 6.0)
+        packets.append((start_ns + k * 200_000_000, bytes(forged.pack(sender))))
+    log = tmp_path / "attacked.tlog"
+    log.write_bytes(b"".join(struct.pack(">Q", time_ns // 1000) + packet for time_ns, packet in sorted(packets)))
+    for count in (1 << 12, 1 << 20):
+        batches = TlogReader(log, Pipeline(quad_profile).interests, count)
+        pipeline = Pipeline(quad_profile)
+        raised, cleared = [event for batch in batches for event in pipeline.run(batch) if isinstance(event, AlarmEvent)]
+        assert (raised.channel, raised.state, raised.severity) == ("impostor", "raised", "warning")
+        assert "sequence numbers" in raised.message
+        assert raised.time_ns - start_ns < 5_000_000_000
+        assert (cleared.channel, cleared.state) == ("impostor", "cleared")
+        assert cleared.time_ns - (start_ns + 4_800_000_000) < 12_000_000_000
+
+
+@pytest.mark.parametrize("forge", [disarmed, on_ground])
+def test_one_report_that_it_does_not_fly_is_contradicted_by_motors_that_run(
+    quad_profile: Profile, data: Path, forge: Forge
+) -> None:
+    messages = list(read_recording(data / "copter_motor2_080.tlog.xz"))
+    [plain] = [event for event in events_of(quad_profile, messages) if event.state == "raised"]
+    forged = forge([], plain.time_ns - 3_000_000_000)
+    attacked = [m for m in messages if m.name != forged.name or m.received_ns < forged.received_ns]
+    at = next(k for k, message in enumerate(attacked) if message.received_ns >= forged.received_ns)
+    events = events_of(quad_profile, [*attacked[:at], forged, *attacked[at:]])
+    impostor = next(event for event in events if event.channel == "impostor")
+    assert "motors run" in impostor.message
+    assert 0.9 < (impostor.time_ns - forged.received_ns) / 1e9 < 1.2
+    [motor] = [event for event in events if event.channel == "motor2" and event.state == "raised"]
+    assert motor.time_ns - plain.time_ns < 200_000_000
+
+
+def test_motors_that_stop_with_the_report_contradict_nothing(quad_profile: Profile, data: Path) -> None:
+    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
+    landed_ns = messages[-1].received_ns - 5_000_000_000
+    landing = [on_ground([], landed_ns), disarmed([], landed_ns + 500_000_000)]
+    after = [
+        replace(m, fields={**m.fields, **{f"servo{k}_raw": 1000 for k in (1, 2, 3, 4)}})
+        if m.name == "SERVO_OUTPUT_RAW" and m.received_ns > landed_ns + 300_000_000
+        else m
+        for m in messages
+        if m.received_ns <= landed_ns or m.name not in ("HEARTBEAT", "EXTENDED_SYS_STATE")
+    ]
+    assert events_of(quad_profile, sorted(after + landing, key=lambda m: m.received_ns)) == []
 
 
 def test_a_reboot_is_no_impostor(quad_profile: Profile, data: Path) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from adapters.batch import Batch, messages
 from adapters.errors import TelemetryError
 from adapters.logs.compressed import CompressedFile
-from adapters.mavlink.mavlink_columns import decoded, dialect, wanted_kinds
+from adapters.mavlink.mavlink_columns import SequenceFindings, dialect, wanted_kinds
 from adapters.mavlink.packets import PacketList, PacketScanner
 from adapters.message import Message
 
@@ -95,7 +95,8 @@ class TlogReader:
         TelemetryError
             The file cannot be opened or holds no MAVLink packet at all.
         """
-        batches = (decoded(packets, self._wanted) for packets in self._packets(self._read_ahead_bytes))
+        found = SequenceFindings()
+        batches = (found.decoded(packets, self._wanted) for packets in self._packets(self._read_ahead_bytes))
         return (batch for batch in batches if batch.count)
 
     def packets(self) -> Iterator[tuple[int, bytes]]:

@@ -7,11 +7,16 @@ from collections.abc import Container
 
 import numpy as np
 
-from adapters.batch import Batch, Columns, RecordFields
+from adapters.batch import Batch, Columns, RecordFields, cut, joined, pack
 from adapters.mavlink.mavlink_message import MavlinkType, mavlink_types
-from adapters.mavlink.packets import Dialect, PacketList
+from adapters.mavlink.packets import Dialect, PacketList, SequenceCounter
 from adapters.message import Message
-from adapters.source import MAVLINK
+from adapters.source import LINK, MAVLINK
+
+SEQUENCE = "sequence"
+"""Name of the finding that packets of one sender bear two series of sequence numbers; ``conflicts`` counts them."""
+_REPORT_NS = 1_000_000_000
+"""How often it is reported: once a second, as updates of alarms come."""
 
 
 @functools.cache
@@ -47,3 +52,29 @@ def decoded(packets: PacketList, wanted: bytes) -> Batch:
         fields = RecordFields(np.frombuffer(content, kind.layout, count, offset), kind.places)
         columns.append(Columns(MAVLINK, kind.name, system, component, position[rows], received_ns[rows], fields))
     return Batch(len(position), tuple(columns), others)
+
+
+class SequenceFindings:
+    """What the sequence numbers of a link or a log say: what was lost, and who has two senders."""
+
+    def __init__(self) -> None:
+        self._counter = SequenceCounter()
+        self._reported_ns: dict[tuple[int, int], int] = {}
+
+    def lost(self) -> dict[int, int]:
+        """Return the packets lost by system, of systems that lost any."""
+        return self._counter.lost()
+
+    def decoded(self, packets: PacketList, wanted: bytes) -> Batch:
+        """Return :func:`decoded` with a message of source ``link``, once a second, where a sender shows to be two."""
+        parts, start = [], 0
+        conflicts = self._counter.count(packets, wanted)
+        batch = decoded(packets, wanted)
+        for place, received_ns, system, component, count in conflicts:
+            if 0 <= received_ns - self._reported_ns.get((system, component), received_ns - _REPORT_NS) < _REPORT_NS:
+                continue
+            self._reported_ns[system, component] = received_ns
+            finding = Message(LINK, SEQUENCE, received_ns, {"conflicts": count}, system, component)
+            parts += [cut(batch, start, place), pack([finding])]
+            start = place
+        return joined([*parts, cut(batch, start, batch.count)]) if parts else batch

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from adapters.batch import Batch, joined, pack
 from adapters.errors import TelemetryError
 from adapters.mavlink.byte_link import open_byte_link
-from adapters.mavlink.mavlink_columns import decoded, dialect, wanted_kinds
+from adapters.mavlink.mavlink_columns import SequenceFindings, dialect, wanted_kinds
 from adapters.mavlink.message_rates import RateRequests
-from adapters.mavlink.packets import PacketList, PacketScanner, SequenceCounter
+from adapters.mavlink.packets import PacketList, PacketScanner
 from adapters.mavlink.signing import SigningGuard, SigningStatistics
 
 # Senders whose unfinished packets are kept apart; more are unlikely, and none can exhaust memory.
@@ -108,7 +108,7 @@ class MavlinkLink:
         self._refused: Counter[str] = Counter()
         self._scanners: OrderedDict[Hashable, PacketScanner] = OrderedDict()
         self._counts = dict.fromkeys(_COUNTS, 0)  # of senders that were forgotten
-        self._sequences = SequenceCounter()
+        self._sequences = SequenceFindings()
         self._telemetry_ns: OrderedDict[Hashable, int] = OrderedDict()
         self._received_ns = 0
         self._messages = 0
@@ -139,8 +139,7 @@ class MavlinkLink:
             if time.monotonic() >= (due_s if packets else until_s):
                 break
         self._due_s = time.monotonic() + self._batch_s
-        self._sequences.count(packets)
-        batch = decoded(packets, self._wanted)
+        batch = self._sequences.decoded(packets, self._wanted)
         self._messages += batch.count
         if self._requests is not None:
             for columns in batch.columns:

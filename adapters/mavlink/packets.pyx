@@ -11,7 +11,7 @@ includes a byte that stands for the message's definition.
 """
 
 from cpython.bytes cimport PyBytes_AS_STRING, PyBytes_FromStringAndSize
-from cpython.mem cimport PyMem_Free, PyMem_Malloc, PyMem_Realloc
+from cpython.mem cimport PyMem_Calloc, PyMem_Free, PyMem_Malloc, PyMem_Realloc
 from libc.stdint cimport int16_t, int64_t, uint8_t, uint16_t, uint64_t
 from libc.string cimport memcpy, memset
 
@@ -23,6 +23,16 @@ cdef uint64_t LATEST_US = LATEST_NS // 1_000  # where a later time stands, no re
 
 # Further behind than networks reorder, a packet is the first after a restart or a long gap.
 cdef int REORDERED = 32
+# How long a packet's number is remembered. A vehicle that starts anew is away for longer; where it is not, conflicts
+# end as soon, for what it sent before is forgotten.
+cdef int64_t FRESH_NS = 2_000_000_000
+# After a longer silence a number is taken to be ahead: so many may have been lost that it seems to lie behind. Chosen: of
+# 1,000 packets a second, as many as a link carries, no more than half a turn is lost in less.
+cdef int64_t SILENT_NS = 100_000_000
+# Conflicts with longer pauses do not go on. Chosen: an attacker once a second, of whose packets every second collides.
+cdef int64_t PAUSE_NS = 5_000_000_000
+# A sender that has been silent for longer gives way to another one. Chosen: as long as a link waits for a heartbeat.
+cdef int64_t AWAY_NS = 10_000_000_000
 
 cdef enum:
     MAGIC_1 = 0xFE
@@ -33,6 +43,8 @@ cdef enum:
     SIGNATURE = 13
     SIGNED = 1  # MAVLINK_IFLAG_SIGNED
     UNKNOWN = -1  # kind of a message that is not in the dialect
+    SENDERS = 32  # whose numbers are compared: two of each of 16 vehicles, 6 KB each
+    CONFLICTS = 3  # that show two senders: one by chance, and one when a sender starts anew, are none
     STAMP = 8  # bytes of a telemetry log before each packet: microseconds since 1970, big-endian
     # Of a record that does not begin where one is looked for, and of one whose end has not come yet.
     NONE = 0
@@ -371,26 +383,73 @@ cdef class PacketScanner:
         return NONE
 
 
+cdef struct Numbered:
+    int64_t index  # its number without turns
+    int64_t received_ns
+    uint16_t checksum
+
+
+cdef struct Sender:
+    Py_ssize_t ids  # system and component; -1: nobody
+    int64_t newest  # number of its newest packet without turns
+    int64_t advanced  # the same at the last conflict
+    int64_t received_ns
+    int64_t first_ns, last_ns  # the first and the last of its conflicts that go on
+    int64_t lasting, conflicts  # how many go on; all
+    Numbered[256] packets
+
+
 cdef class SequenceCounter:
-    """Counts packets lost on their way, by the sequence numbers of each system and component.
+    """Compares sequence numbers of each system and component: counts what was lost, and finds two senders of one id.
+
+    Two packets of one number, none more than a turn of 256 behind the other, are a conflict unless they are the same
+    packet, which came twice. A sender that starts anew makes conflicts, too, but only with what came before: three over
+    more than 2 s have two senders.
 
     Its memory does not grow with senders: packets of strangers may claim to be anybody's.
     """
 
     cdef int16_t[::1] _newest
     cdef int64_t[::1] _lost
+    cdef Sender* _senders
 
     def __cinit__(self):
+        cdef Py_ssize_t k
         self._newest = np.full(1 << 16, -1, np.int16)
         self._lost = np.zeros(1 << 8, np.int64)
+        self._senders = <Sender*>PyMem_Calloc(SENDERS, sizeof(Sender))
+        if self._senders == NULL:
+            raise MemoryError
+        for k in range(SENDERS):
+            self._senders[k].ids = -1
 
-    def count(self, PacketList packets not None):
-        """Take the next packets."""
-        cdef Py_ssize_t k, sender
+    def __dealloc__(self):
+        PyMem_Free(self._senders)
+
+    def count(self, PacketList packets not None, bytes wanted=None):
+        """Take the next packets.
+
+        Parameters
+        ----------
+        packets : PacketList
+            The packets.
+        wanted : bytes | None
+            A byte for each kind, not zero where it counts below; None: each does.
+
+        Returns
+        -------
+        list[tuple[int, int, int, int, int]]
+            Of packets that show two senders: how many wanted ones came up to it, its time of arrival, system and
+            component, and the conflicts so far.
+        """
+        cdef Py_ssize_t k, sender, place = 0
         cdef int ahead
         cdef Packet* row
+        cdef Sender* known
+        found = []
         for k in range(packets.count):
             row = &packets.rows[k]
+            place += wanted is None or wanted[row.kind] != 0
             sender = row.system << 8 | row.component
             ahead = (row.sequence - self._newest[sender]) & 0xFF
             if self._newest[sender] < 0 or 128 <= ahead < 256 - REORDERED:
@@ -398,6 +457,51 @@ cdef class SequenceCounter:
             elif 0 < ahead < 128:
                 self._lost[row.system] += ahead - 1
                 self._newest[sender] = row.sequence
+            known = self._sender(sender, row.received_ns)
+            if known != NULL and self._conflicts(known, row, packets.content + row.start + row.payload + row.length):
+                found.append((place, row.received_ns, row.system, row.component, known.conflicts))
+        return found
+
+    cdef Sender* _sender(self, Py_ssize_t ids, int64_t received_ns) noexcept:
+        """Return what is known of a sender, NULL where there are too many."""
+        cdef Py_ssize_t k
+        cdef Sender* oldest = self._senders
+        for k in range(SENDERS):
+            if self._senders[k].ids == ids:
+                return self._senders + k
+            if self._senders[k].received_ns < oldest.received_ns:
+                oldest = self._senders + k
+        if oldest.ids >= 0 and 0 <= received_ns - oldest.received_ns < AWAY_NS:
+            return NULL
+        memset(oldest, 0, sizeof(Sender))
+        oldest.ids = ids
+        return oldest
+
+    cdef bint _conflicts(self, Sender* known, const Packet* row, const uint8_t* end) noexcept:
+        """Remember a packet; return whether two senders have shown themselves with it."""
+        cdef Numbered* before = known.packets + row.sequence
+        cdef uint16_t checksum = end[0] | end[1] << 8
+        cdef int64_t index, ahead
+        cdef bint conflict, fresh, silent = row.received_ns - known.received_ns >= SILENT_NS
+        fresh = before.received_ns != 0 and 0 <= row.received_ns - before.received_ns < FRESH_NS
+        known.received_ns = row.received_ns
+        if fresh and before.checksum == checksum:
+            return False
+        ahead = (row.sequence - known.newest) & 0xFF
+        index = known.newest + (ahead if ahead < 128 or silent else ahead - 256)
+        known.newest = max(known.newest, index)
+        # Who does not count at all has one number.
+        conflict = fresh and before.index == index and known.newest > known.advanced
+        before.index, before.received_ns, before.checksum = index, row.received_ns, checksum
+        if not conflict:
+            return False
+        known.conflicts += 1
+        known.advanced = known.newest
+        if not 0 <= row.received_ns - known.last_ns < PAUSE_NS:
+            known.first_ns, known.lasting = row.received_ns, 0
+        known.last_ns = row.received_ns
+        known.lasting += 1
+        return known.lasting >= CONFLICTS and known.last_ns - known.first_ns > FRESH_NS
 
     def lost(self):
         """Return the packets lost by system, of systems that lost any."""

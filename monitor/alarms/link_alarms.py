@@ -88,15 +88,17 @@ class LinkAlarms:
         self._vehicle_ms = vehicle_ns // 1_000_000
         self._heartbeat_ns = heartbeat_ns or self._heartbeat_ns
 
-    def contradict(self, contested: Sequence[str], now_ns: int) -> list[AlarmEvent]:
+    def contradict(self, contested: Sequence[str], now_ns: int, severity: Severity = "critical") -> list[AlarmEvent]:
         """Follow what contradicts itself at a Unix time, a sentence each; return the events that a change causes."""
         active = self._active.get(IMPOSTOR)
         if not contested:
             return [] if active is None else [self._clear(IMPOSTOR, now_ns, "nothing contradicts itself any more")]
         text = f"a second sender speaks in the vehicle's name: {'; '.join(contested)}"
         if active is None:
-            return [self._raise(IMPOSTOR, "security", "critical", now_ns, None, "", text)]
-        return [] if active.message == text else [self._event(IMPOSTOR, active, "updated", now_ns, None, text)]
+            return [self._raise(IMPOSTOR, "security", severity, now_ns, None, "", text)]
+        if active.message == text:
+            return []
+        return [self._event(IMPOSTOR, replace(active, severity=severity), "updated", now_ns, None, text)]
 
     def quiet(self, now_ns: int) -> list[AlarmEvent]:
         """Let Unix time come to ``now_ns``; return the events that this causes."""

@@ -23,6 +23,10 @@ from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler, SamplerStatistics
 from monitor.sampling.transform import SampleSource, make_sampler
 
+_DRIVEN_SAMPLES = 3
+"""Samples with commands of flight that say that it flies. Of 44 flights over all links commands fall with the report
+that it has landed or is disarmed, or with the next message of them: one sample more at most."""
+
 
 @dataclass(frozen=True, slots=True)
 class GateRule:
@@ -65,6 +69,7 @@ class FlightGate:
     def __init__(self, rule: GateRule) -> None:
         self._rule = rule
         self._settling = Settling(rule.settle_s)
+        self._driven: int | None = None
         self.by_command = False
 
     @property
@@ -77,6 +82,16 @@ class FlightGate:
         """Whether the mean command was one of flight when last asked; None where it never was."""
         return self._settling.commanded if self.by_command else None
 
+    def watch_commands(self) -> None:
+        """Look from now on whether the commands are those of flight."""
+        self._driven = 0
+
+    @property
+    def driven(self) -> bool | None:
+        """Whether all commands since :meth:`watch_commands` were those of flight; None while that is undecided."""
+        driven = self._driven
+        return None if driven is None or 0 <= driven < _DRIVEN_SAMPLES else driven > 0
+
     def admitted(self, phase: FlightPhase, samples: Samples, commands: bool = True) -> NDArray[np.bool_]:
         """Return which samples count as evidence (n,): complete ones, the flight phase being the same for all of them.
 
@@ -85,6 +100,11 @@ class FlightGate:
         rule = self._rule
         by_command = rule.require_airborne and phase.landed is None and commands
         self.by_command |= by_command
+        if self._driven is not None and self._driven >= 0 and commands and rule.airborne_command > 0.0:
+            flight = samples.u.mean(axis=1) >= rule.airborne_command
+            # A command that was lost is none that was low.
+            low = samples.measured & ~flight & np.isfinite(samples.u).all(axis=1)
+            self._driven = -1 if low.any() else self._driven + int(np.count_nonzero(samples.measured & flight))
         return self._settling.run(samples, allows(rule, phase), rule.airborne_command if by_command else None)
 
 

@@ -103,16 +103,14 @@ class FlightPhase:
 
     Attributes
     ----------
-    armed : bool | None
-        Bit 128 of HEARTBEAT.base_mode; None before the first heartbeat.
-    landed : {"ground", "air", "takeoff", "landing"} | None
-        EXTENDED_SYS_STATE.landed_state; None where the vehicle does not report it.
     reports : Reports
         What the vehicle has said of itself.
     contradiction : str | None
         What says that it is another vehicle than the one the profile was fitted to; None where nothing does.
     contested : tuple[str, ...]
         Names of the messages that two senders answer by turns.
+    driven : bool
+        Whether the vehicle is taken to fly although it reports that it does not, for its commands are those of flight.
     interests : frozenset[str]
         Names of the messages it reads.
     """
@@ -120,8 +118,10 @@ class FlightPhase:
     interests: ClassVar[frozenset[str]] = Reports.interests | {"EXTENDED_SYS_STATE", "GLOBAL_POSITION_INT"}
 
     def __init__(self, fitted: Identity | None = None) -> None:
-        self.armed: bool | None = None
-        self.landed: Landed | None = None
+        self._armed: bool | None = None
+        self._landed: Landed | None = None
+        self._has_been = (False, False)  # armed, in the air
+        self.driven = False
         self.reports = Reports()
         self.contradiction: str | None = None
         self.contested: tuple[str, ...] = ()
@@ -138,9 +138,25 @@ class FlightPhase:
         return self.landed == "air" or (self.landed == "landing" and self._high_ns is not None)
 
     @property
+    def armed(self) -> bool | None:
+        """Whether bit 128 of HEARTBEAT.base_mode is set; None before the first heartbeat."""
+        return True if self.driven else self._armed
+
+    @property
+    def landed(self) -> Landed | None:
+        """EXTENDED_SYS_STATE.landed_state; None where the vehicle does not report it."""
+        return "air" if self.driven and self._landed is not None else self._landed
+
+    @property
+    def grounded(self) -> bool:
+        """Whether it reports that it does not fly any more, after it did."""
+        return (self._armed is False and self._has_been[0]) or (self._landed == "ground" and self._has_been[1])
+
+    @property
     def state(self) -> tuple[object, ...]:
         """All that decides something now; what else is remembered may change without a consequence."""
-        return self.armed, self.landed, self.airborne, self.reports, self.contradiction, self.contested
+        landing_high = self._landed == "landing" and self._high_ns is not None
+        return self._armed, self._landed, landing_high, self.reports, self.contradiction, self.contested
 
     def copy(self) -> FlightPhase:
         """Return a phase of its own with the same state."""
@@ -169,16 +185,17 @@ class FlightPhase:
             return
         if message.name == "EXTENDED_SYS_STATE":
             state = message.fields.get("landed_state")
-            self.landed = _LANDED.get(state) if isinstance(state, int) else None
-            self._landings = self._landings.after(now_ns, self.landed)
+            self._landed = _LANDED.get(state) if isinstance(state, int) else None
+            self._landings = self._landings.after(now_ns, self._landed)
             if self._high_ns is not None and not 0 <= now_ns - self._high_ns < _RECENT_NS:
                 self._high_ns = None
             if self._landings.contested and "air" in self._landings.recent():
-                self.landed = "air"
+                self._landed = "air"
         elif is_heartbeat and isinstance(mode, int):
-            self.armed = armed
+            self._armed = armed
             if self._beats.contested:
-                self.armed = any(isinstance(one, tuple) and one[0] for one in self._beats.recent())
+                self._armed = any(isinstance(one, tuple) and one[0] for one in self._beats.recent())
+        self._has_been = self._has_been[0] or bool(self._armed), self._has_been[1] or self._landed == "air"
         contests = {"HEARTBEAT": self._beats, "EXTENDED_SYS_STATE": self._landings}
         self.contested = tuple(name for name, said in contests.items() if said.contested)
 
