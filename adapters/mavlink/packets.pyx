@@ -26,8 +26,8 @@ cdef int REORDERED = 32
 # How long a packet's number is remembered. A vehicle that starts anew is away for longer; where it is not, conflicts
 # end as soon, for what it sent before is forgotten.
 cdef int64_t FRESH_NS = 2_000_000_000
-# After a longer silence a number is taken to be ahead: so many may have been lost that it seems to lie behind. Chosen: of
-# 1,000 packets a second, as many as a link carries, no more than half a turn is lost in less.
+# After a longer silence a number is taken to be ahead: so many may have been lost that it seems to lie behind. Chosen:
+# of 1,000 packets a second, as many as a link carries, no more than half a turn is lost in less.
 cdef int64_t SILENT_NS = 100_000_000
 # Conflicts with longer pauses do not go on. Chosen: an attacker once a second, of whose packets every second collides.
 cdef int64_t PAUSE_NS = 5_000_000_000
