@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from review_logs import (
     DISARM_S,
@@ -20,10 +22,12 @@ from review_logs import (
 )
 
 import fauio
-from replay.review.review import LogReview, review_log
+from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal
+from replay.review.review import LogReview, judged, review_log
 from replay.review.rules import RULES
 
 FALLS_S = 30.0
+DATA = Path(__file__).parent / "data"
 
 
 def fallen(at: float) -> float:
@@ -118,13 +122,18 @@ LOOK_ALIKES: dict[str, Flight] = {
 }
 
 
+def rules_on(path: Path) -> LogReview:
+    """Return the verdict without learning from the flight: a made-up one moves too simply to learn from."""
+    return review_log(path, learn=False)
+
+
 def names(review: LogReview) -> list[str]:
     return [one.rule.name for one in review.findings if one.rank]
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_each_finding_is_first_where_it_is_the_cause(name: str, tmp_path: Path) -> None:
-    review = review_log(px4_log(tmp_path / "flight.ulg", CASES[name]))
+    review = rules_on(px4_log(tmp_path / "flight.ulg", CASES[name]))
     assert review.first is not None
     assert (review.first.rule.name, review.wrong) == (name, True)
     said = review.first.judgement
@@ -134,12 +143,12 @@ def test_each_finding_is_first_where_it_is_the_cause(name: str, tmp_path: Path) 
 
 
 def test_every_finding_has_a_flight_that_shows_it() -> None:
-    assert {rule.name for rule in RULES} == {*CASES, "log_ends_in_flight"}
+    assert {rule.name for rule in RULES} == {*CASES, *LEARNED, "log_ends_in_flight"}
 
 
 @pytest.mark.parametrize("name", LOOK_ALIKES)
 def test_what_only_looks_wrong_is_no_finding(name: str, tmp_path: Path) -> None:
-    review = review_log(px4_log(tmp_path / "flight.ulg", LOOK_ALIKES[name]))
+    review = rules_on(px4_log(tmp_path / "flight.ulg", LOOK_ALIKES[name]))
     assert names(review) == []
     assert review.sentence.startswith("Nothing wrong found in ")
 
@@ -152,31 +161,97 @@ def test_what_comes_after_a_fall_is_no_finding(tmp_path: Path) -> None:
         ratio=between(33.0, 36.0, 2.0, 0.1),
         tilt_deg=between(30.5, 32.0, 120.0, 0.0),
     )
-    assert names(review_log(px4_log(tmp_path / "flight.ulg", flight))) == ["landing_detected_in_air"]
+    assert names(rules_on(px4_log(tmp_path / "flight.ulg", flight))) == ["landing_detected_in_air"]
 
 
 def test_what_began_sooner_comes_first(tmp_path: Path) -> None:
     flight = Flight(ratio=between(25.0, 28.0, 2.0, 0.1), height=fallen, motors=stopped, landed=LANDED_THERE.landed)
-    review = review_log(px4_log(tmp_path / "flight.ulg", flight))
+    review = rules_on(px4_log(tmp_path / "flight.ulg", flight))
     assert names(review) == ["innovations_refused", "landing_detected_in_air"]
     assert "Then, at 29.9 s, the landing detector" in review.sentence
 
 
 def test_a_log_that_ends_in_the_air_is_said_and_no_finding(tmp_path: Path) -> None:
-    review = review_log(px4_log(tmp_path / "flight.ulg", Flight(end_s=30.0)))
+    review = rules_on(px4_log(tmp_path / "flight.ulg", Flight(end_s=30.0)))
     assert [one.rule.name for one in review.findings] == ["log_ends_in_flight"]
     assert not review.wrong
 
 
+def watched(*alarms: LearnedAlarm, lost: bool = False) -> LogReview:
+    """Return the verdict on a plain flight of which a learned profile says something."""
+    motors = LogSignal(np.arange(600) / 10, np.full((600, 4), 0.5), ("a", "b", "c", "d"), "", "motors")
+    attitude = LogSignal(np.arange(600) / 10, np.zeros((600, 3)), ("roll", "pitch", "yaw"), "", "attitude")
+    attitude.values[300:320, 0] = 150.0 * lost
+    facts = LogFacts(
+        autopilot="PX4",
+        vehicle="multirotor",
+        start_ns=0,
+        duration_s=60.0,
+        armed=((0.0, 60.0),),
+        flight=((1.0, 58.0),),
+        signals={"motors": motors, "attitude": attitude},
+        watch=LearnedWatch(20.0, {"motors": 50.0, "inertial": 50.0}, alarms),
+    )
+    return judged(Path("flight.ulg"), facts)
+
+
+LEARNED = {
+    "motor_effect": LearnedAlarm(25.0, 40.0, "motors", "motor2", 1.2, "motor2 delivers 15 % less than commanded"),
+    "sensor_effect": LearnedAlarm(25.0, 40.0, "inertial", "gyro_x", 1.2, "gyro x reads 1 degree/s too much"),
+}
+
+
+@pytest.mark.parametrize("name", LEARNED)
+def test_a_lasting_alarm_of_what_was_learned_is_a_finding(name: str) -> None:
+    review = watched(LEARNED[name])
+    assert names(review) == [name]
+    assert "compared with the first 19 s of the flight" in review.sentence
+
+
+@pytest.mark.parametrize(
+    "alarm",
+    [
+        replace(LEARNED["motor_effect"], end_s=29.0),
+        replace(LEARNED["motor_effect"], channel="unexplained"),
+        replace(LEARNED["motor_effect"], start_s=51.0, end_s=60.0),
+        replace(LEARNED["sensor_effect"], channel="gps_east", share=1.9),
+    ],
+    ids=["short", "unexplained", "at landing", "wind"],
+)
+def test_an_alarm_of_what_was_learned_may_be_the_flight_itself(alarm: LearnedAlarm) -> None:
+    assert names(watched(alarm)) == []
+
+
+def test_an_alarm_after_control_was_lost_is_a_consequence() -> None:
+    alarm = replace(LEARNED["sensor_effect"], start_s=31.0)
+    assert names(watched(alarm, lost=True)) == ["turned_over"]
+
+
+@pytest.mark.long
+def test_a_fault_is_told_from_the_flights_own_begin(tmp_path: Path) -> None:
+    healthy, attacked = DATA / "copter_healthy_square.tlog.xz", str(tmp_path / "attacked.mcap")
+    bias = ["--channel", "gps_north", "--kind", "bias", "--size", "20", "--start", "42", "-o", attacked]
+    assert fauio.main(["inject", str(healthy), *bias]) == 0
+    review = review_log(Path(attacked))
+    assert names(review) == ["sensor_effect"]
+    assert "GPS is" in review.sentence
+    assert review.findings[0].judgement.start_s == pytest.approx(42.0, abs=2.0)
+
+
+def test_a_short_flight_teaches_nothing() -> None:
+    review = review_log(DATA / "copter_motor2_080.tlog.xz")
+    assert "14 s of flight are too few to learn from" in review.unjudged["A motor gives less than it did"]
+
+
 def test_what_the_log_lacks_is_said(tmp_path: Path) -> None:
-    review = review_log(px4_log(tmp_path / "flight.ulg", Flight(connected=False, volts=lambda _: 0.05, gps_used=False)))
+    review = rules_on(px4_log(tmp_path / "flight.ulg", Flight(connected=False, volts=lambda _: 0.05, gps_used=False)))
     assert "none is connected" in review.unjudged["Battery empty"]
     assert "did not use GPS" in review.unjudged["GPS fix lost in flight"]
     assert "speed of each motor" in review.unjudged["Motor slower than commanded"]
 
 
 def test_a_log_without_a_flight_is_not_judged(tmp_path: Path) -> None:
-    review = review_log(px4_log(tmp_path / "flight.ulg", Flight(armed=lambda _: False, motors=lambda _: [0.0] * 4)))
+    review = rules_on(px4_log(tmp_path / "flight.ulg", Flight(armed=lambda _: False, motors=lambda _: [0.0] * 4)))
     assert review.sentence == "The log shows no flight: nothing was judged."
     assert not review.watched
 
@@ -185,7 +260,7 @@ def test_a_log_without_a_flight_is_not_judged(tmp_path: Path) -> None:
     "name", ["landing_detected_in_air", "motor_at_limit", "battery_low", "gps_lost", "turned_over"]
 )
 def test_logs_of_ardupilot_are_judged_alike(name: str, tmp_path: Path) -> None:
-    review = review_log(ardupilot_log(tmp_path / "flight.bin", CASES[name]))
+    review = rules_on(ardupilot_log(tmp_path / "flight.bin", CASES[name]))
     assert review.facts.autopilot == "ArduPilot"
     assert review.first is not None
     assert review.first.rule.name == name
@@ -193,28 +268,28 @@ def test_logs_of_ardupilot_are_judged_alike(name: str, tmp_path: Path) -> None:
 
 def test_an_error_of_ardupilot_is_a_reaction(tmp_path: Path) -> None:
     path = ardupilot_log(tmp_path / "flight.bin", Flight(ratio=between(30.0, 33.0, 1.8, 0.1)), [(29.9, 16, 2)])
-    assert names(review_log(path)) == ["failsafe", "innovations_refused"]
-    assert review_log(path).sentence.startswith("First, at 30.0 s, the estimator refused")
+    assert names(rules_on(path)) == ["failsafe", "innovations_refused"]
+    assert rules_on(path).sentence.startswith("First, at 30.0 s, the estimator refused")
 
 
 def test_the_command_says_it_in_words_in_json_and_on_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bad = str(px4_log(tmp_path / "bad.ulg", LANDED_THERE))
     good = str(px4_log(tmp_path / "good.ulg", Flight()))
     page = tmp_path / "bad.html"
-    assert fauio.main(["review", bad, "--report", str(page)]) == 1
+    assert fauio.main(["review", "--quick", bad, "--report", str(page)]) == 1
     assert "[first] 29.9 s, Landing detected in the air (certain)" in capsys.readouterr().out
     text = page.read_text()
     assert text.count("<svg") == 2
     assert "http://" not in text.replace("http://www.w3.org", "")
-    assert fauio.main(["review", good, "--json"]) == 0
+    assert fauio.main(["review", "--quick", good, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert (said["first"], said["wrong"], said["findings"]) == (None, False, [])
-    assert fauio.main(["review", bad, good, "--json"]) == 1
+    assert fauio.main(["review", "--quick", bad, good, "--json"]) == 1
     assert len(capsys.readouterr().out.splitlines()) == 2
 
 
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     letter = tmp_path / "letter.ulg"
     letter.write_text("Dear Sir or Madam\n")
-    assert fauio.main(["review", str(letter)]) == 2
+    assert fauio.main(["review", "--quick", str(letter)]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -95,8 +95,8 @@ class LogReview:
         }
 
 
-def review_log(path: Path) -> LogReview:
-    """Return the verdict on a log.
+def review_log(path: Path, *, learn: bool = True) -> LogReview:
+    """Return the verdict on a log; ``learn`` says whether to watch it with what its begin teaches, which takes seconds.
 
     Raises
     ------
@@ -104,6 +104,12 @@ def review_log(path: Path) -> LogReview:
         It is no recording, or holds nothing that a vehicle says of itself.
     """
     facts, damage = read_facts(path)
+    if learn:
+        from replay.review.facts.learning import learned
+
+        facts = learned(path, facts)
+    else:
+        facts = replace(facts, lacks={**facts.lacks, "watch": "it was not asked for"})
     return judged(path, facts, damage)
 
 
@@ -136,6 +142,8 @@ def _lacking(rule: Rule, facts: LogFacts) -> Iterator[str]:
         kind = f"a {facts.vehicle}" if facts.vehicle else "not known to be one"
         yield f"holds of multirotors; the vehicle is {kind}"
     for name in rule.needs:
+        if name == "watch" and facts.watch is not None:
+            continue
         if name not in facts.signals:
             yield facts.lacks.get(name) or f"the log does not hold {SIGNALS[name]}"
         elif facts.signals[name].rate_hz < rule.least_hz:

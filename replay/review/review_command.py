@@ -22,11 +22,16 @@ def add_review(subparsers: Any) -> None:
         description="Say what happened in a log: the first thing that stopped following (commands the decision, motors "
         "the commands, motion the motors, the estimator the motion), its evidence, what speaks against other causes, "
         "and what could not be judged. Exit status: 0 nothing wrong found, 1 something was found, 2 bad input.",
-        epilog="example: fauio review healthy.tlog --report healthy.html",
+        epilog="example: fauio review --quick healthy.tlog --report healthy.html",
     )
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help=LOG_HELP)
     parser.add_argument(
         "--report", metavar="OUT.html", help="write a page with the evidence drawn; of several logs, into a folder"
+    )
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="judge by rules alone: do not learn the vehicle from the flight's first 40 s",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object per log")
     parser.set_defaults(handler=run_review)
@@ -52,7 +57,7 @@ def run_review(args: argparse.Namespace) -> int:
     wrong = failed = False
     for log, report in zip(logs, pages, strict=True):
         try:
-            review = review_log(log.path)
+            review = review_log(log.path, learn=not args.quick)
         except TelemetryError as error:
             if not many:
                 raise

@@ -84,6 +84,27 @@ class CommandSent:
     values: tuple[float | str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class LearnedAlarm:
+    """An alarm of a profile that was learned from the flight itself; ``share`` is its peak over its threshold."""
+
+    start_s: float
+    end_s: float
+    observer: str
+    channel: str
+    share: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedWatch:
+    """What a profile learned from the flight until a time says of the rest, and how long each observer watched."""
+
+    until_s: float
+    watched_s: Mapping[str, float]
+    alarms: tuple[LearnedAlarm, ...]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LogFacts:
     """What findings judge by.
@@ -108,6 +129,8 @@ class LogFacts:
         Of the autopilot, as the log began.
     lacks : Mapping[str, str]
         Why a signal is not there or says nothing, by its name.
+    watch : LearnedWatch | None
+        What a profile learned from the flight's own begin says of the rest.
     """
 
     autopilot: str
@@ -121,6 +144,7 @@ class LogFacts:
     commands: tuple[CommandSent, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
     lacks: Mapping[str, str] = field(default_factory=dict)
+    watch: LearnedWatch | None = None
 
     def in_flight(self, time_s: Floats) -> NDArray[np.bool_]:
         """Return which of n times are in flight (n,)."""
@@ -147,6 +171,7 @@ SIGNALS: Mapping[str, str] = {
     "ratios": "innovations over what the estimator admits (1: refused)",
     "resets": "how often the estimator set itself anew",
     "vibration": "level of vibration",
+    "watch": "a profile learned from the flight's own begin",
     "clipping": "samples in which an accelerometer was at its end",
 }
 """The quantities that findings know, and what they are."""

@@ -1,0 +1,39 @@
+"""A sensor no longer agreed with the others as it did at the begin of the flight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from replay.review.facts.log_facts import LogFacts
+from replay.review.findings.learned_alarms import alarms_of
+from replay.review.findings.rule import Judgement, Rule
+
+_OUTSIDE = 3.0
+"""Measured on fifteen healthy flights learned from their first 40 s: alarms of GPS that last come up to 1.9 times their
+threshold (wind that the begin did not have), of gyros and accelerometers none lasts. Of faults they are 3.2 times and
+more; smaller ones stay information."""
+
+
+def _judge(facts: LogFacts) -> Iterator[Judgement]:
+    return alarms_of(
+        facts,
+        "inertial",
+        _OUTSIDE,
+        ("it agreed with the other sensors over the begin of the flight", "the others agree with each other meanwhile"),
+        ("height", "height_estimate", "ratios"),
+    )
+
+
+RULE = Rule(
+    name="sensor_effect",
+    title="A sensor disagrees with the others",
+    stage="sensor",
+    physics="GPS, barometer, compass, gyros and accelerometers are tied by kinematics: what one says beside the others "
+    "is estimated, with the noise of the flight's own first 40 s.",
+    evidence="the observer raises an alarm of one sensor for 5 s or longer; of GPS, barometer and compass at 3 times "
+    "its size",
+    counter="wind that the begin did not have moves estimates of GPS; what was so from the begin",
+    needs=("watch",),
+    judge=_judge,
+    multirotor=True,
+)
