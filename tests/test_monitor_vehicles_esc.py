@@ -1,6 +1,7 @@
 """Speeds and currents of motors: which controller is whose, what they follow, and faults told apart by name."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -99,6 +100,7 @@ def test_speeds_at_3_hz_say_within_seconds_why_a_motor_delivers_less(
     assert (first.observer, first.channel, second.channel) == ("motors", "motor3", named)
     assert 0.0 < seconds_after(first, fault) < 1.0
     assert 0.0 < seconds_after(second, fault) < 5.0
+    assert second.relative is not None and -0.25 < second.relative < -0.05
 
 
 PARAMETERS = {
@@ -130,6 +132,16 @@ def test_an_expectation_stands_beside_the_measurement_that_comes_one_tick_later(
     means = raw.u.reshape(-1, 2, 6).mean(axis=1)
     assert given.u == pytest.approx(0.5 + means[:, :2] * (1.0 + 0.5 * (15.2 / 16.0 - 1.0)))
     assert given.y[1:] == pytest.approx(means[:-1, 2:4] / 5000.0)
+
+
+def test_a_measurement_stands_beside_what_was_expected_when_it_was_made() -> None:
+    raw = raw_samples(36)
+    u = raw.u.copy()
+    u[:, 2:4] = u[raw.index // 10 * 10, 2:4]
+    given = EscInputs(PARAMETERS, 100.0, 10.0).run(replace(raw, u=u)).samples
+    assert len(given) == 3
+    assert given.u == pytest.approx(0.5 + u[[0, 10, 20], :2] * (1.0 + 0.5 * (15.2 / 16.0 - 1.0)))
+    assert given.y[1:] == pytest.approx(u[[0, 10], 2:4] / 5000.0)
 
 
 def test_samples_do_not_depend_on_cuts() -> None:

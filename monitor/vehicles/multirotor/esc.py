@@ -30,7 +30,6 @@ from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from monitor.alarms.alarm import CURRENT, SPEED
 from monitor.alarms.excuse import ExcuseRule
-from monitor.core.lagged import LaggedMeans
 from monitor.estimation.isolation_rule import IndependentRule
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
@@ -47,7 +46,7 @@ from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.multirotor.signals import multirotor_channels
 from monitor.vehicles.multirotor.speeds import EscSignals, motor_speeds
-from monitor.vehicles.multirotor.transform import EscInputs, deviation, terms
+from monitor.vehicles.multirotor.transform import EscInputs, HeldMeans, deviation, terms
 
 FloatArray = NDArray[np.float64]
 
@@ -260,8 +259,8 @@ def _means(
     v = deviation(voltage, volts) if volts else np.zeros(len(flight))
     causes = np.vstack([u, speed / (1.0 if hover is None else hover[:, None])])
     columns = np.concatenate([part[:s] for part in terms(causes, v)] + [part[s:] for part in terms(causes, v)])
-    means = LaggedMeans([timing] * (len(columns) // 2), signal_hz, round(signal_hz / rate_hz), len(columns), 2 * s)
-    given = means.run(flight.samples, [*columns, *speed, *current], np.ones(len(flight), np.bool_))
+    means = HeldMeans([timing] * (len(columns) // 2), signal_hz, round(signal_hz / rate_hz), len(columns), 2 * s)
+    given = means.run(flight.samples, [*columns, *speed, *current], speed)
     kept = flight.armed[given.rows] & ~given.samples.lost.any(axis=1)
     X = given.samples.u[kept].reshape(kept.sum(), 2, -1, s)
     return np.concatenate([X[:, 0], X[:, 1]], axis=2), given.samples.y[kept]

@@ -93,7 +93,14 @@ def esc_signals(surveys: Sequence[Survey], motors: int) -> EscSignals | None:
 
     def channels(name: str, field: str, scaled: bool) -> tuple[Channel, ...]:
         return tuple(
-            Channel(f"{name}{at}", message, (field, element), scale=scale if scaled else 1.0, where=where)
+            Channel(
+                f"{name}{at}",
+                message,
+                (field, element),
+                scale=scale if scaled else 1.0,
+                where=where,
+                interpolation="previous",
+            )
             for at, (message, element, where, scale) in enumerate(places, start=1)
         )
 
@@ -113,7 +120,7 @@ def motor_speeds(request: FitRequest, gate: GateRule, commands: Sequence[Channel
     found = esc_signals(request.surveys, len(commands))
     if found is None:
         return None
-    source = SampleSource(inputs=(*commands, *found.speed))
+    source = SampleSource(inputs=(*commands, *(replace(channel, interpolation="linear") for channel in found.speed)))
     keep = float(np.exp(-1.0 / (_USUAL_LAG_S * _COMPARED_HZ)))
     stretches = []
     for log in request.logs:

@@ -6,14 +6,16 @@ over all controllers, from what it was in the flights that were fitted:
     expected speed    c0 + c1 u + c2 u^2 + c3 u v        after delay and lag
     expected current  d0 + d1 w + d2 w^2 + d3 w v
 
-in shares of those of hovering, as means over a tick. The plant behind compares a tick's expectation with the
-measurement of the same tick, which therefore comes one tick later here. A current below the expected one counts as
-that: a motor that fails draws more, less says that its propeller is damaged, which shows in the thrust.
+in shares of those of hovering. Measurements come some times a second and say nothing of what was in between, so each
+stands beside what was expected when it was made, and both are taken as means over a tick. The plant behind compares a
+tick's expectation with the measurement of the same tick, which therefore comes one tick later here. A current below
+the expected one counts as that: a motor that fails draws more, less says that its propeller is damaged, which shows in
+the thrust.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +29,46 @@ Array = NDArray[np.float64]
 
 TERMS = 4
 """Coefficients of a motor's curve."""
+
+
+class HeldMeans:
+    """Means over ticks of what held when speeds were measured last; some of it after a delay and lag.
+
+    Parameters
+    ----------
+    timing : Sequence[tuple[float, float]]
+        Delay and lag of each of the first inputs, seconds.
+    signal_rate_hz : float
+        Raw samples per second.
+    size : int
+        Raw samples of a tick.
+    inputs, outputs : int
+        Widths of u and y.
+    """
+
+    def __init__(
+        self, timing: Sequence[tuple[float, float]], signal_rate_hz: float, size: int, inputs: int, outputs: int
+    ) -> None:
+        self._lagged = LaggedMeans(timing, signal_rate_hz, 1, inputs, outputs)
+        self._means = LaggedMeans((), signal_rate_hz, size, inputs, outputs)
+        self._speed: Array | None = None
+        self._held = np.zeros((1, inputs + outputs))
+
+    def run(self, samples: Samples, columns: Sequence[Array], speed: Array) -> Given:
+        """Go on by raw samples: return the means, each where its tick ends.
+
+        ``columns`` are u and behind it y, one each (n,); speeds (s, n) are measured where one of them changes.
+        """
+        if not len(samples):
+            return Given(samples, slice(None))
+        everywhere = np.ones(len(samples), np.bool_)
+        lagged = self._lagged.run(samples, columns, everywhere).samples
+        before = speed[:, :1] if self._speed is None else self._speed
+        news = samples.restart | (np.diff(speed, prepend=before) != 0.0).any(axis=0)
+        values = np.vstack([self._held, np.hstack([lagged.u, lagged.y])])
+        held = values[np.maximum.accumulate(np.where(news, np.arange(1, len(news) + 1), 0))]
+        self._speed, self._held = speed[:, -1:], held[-1:]
+        return self._means.run(samples, list(held.T), everywhere)
 
 
 class EscInputs:
@@ -78,7 +120,7 @@ class EscInputs:
         self._curves = np.array([[parameters[f"{name}_c{term}"] for term in range(TERMS)] for name in curves])
         self._volts, self._motors, self._raw = parameters["volts"], len(numbers), len(raw)
         timing = [(parameters["delay_s"], parameters["lag_s"])] * len(numbers)
-        self._means = LaggedMeans(timing, signal_rate_hz, size, len(curves), len(curves))
+        self._means = HeldMeans(timing, signal_rate_hz, size, len(curves), len(curves))
         self._before: Samples | None = None
 
     def run(self, samples: Samples) -> Given:
@@ -89,7 +131,7 @@ class EscInputs:
             measured = np.vstack([speed, *more]) / self._units[:, None]
             causes = np.vstack([command, measured[: self._motors]])[: len(measured)]
             expected = sum(c[:, None] * part for c, part in zip(self._curves.T, terms(causes, v), strict=True))
-        given = self._means.run(samples, [*expected, *measured], np.ones(len(samples), np.bool_))
+        given = self._means.run(samples, [*expected, *measured], speed)
         return Given(self._later(given.samples), given.rows)
 
     def _later(self, samples: Samples) -> Samples:
