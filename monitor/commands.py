@@ -1,4 +1,4 @@
-"""Commands beside a vehicle: ``fauio record``, ``run``, ``alarms`` and what goes with it, ``schema``, ``doctor``."""
+"""Commands beside a vehicle: ``fauio record``, ``run``, ``alarms`` and what goes with it, and others."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from monitor.console.alarm_commands import add_alarms, add_schema
+from monitor.console.notify_command import add_notify
 from monitor.console.web_commands import add_console
 from monitor.diagnosis.doctor import add_doctor
 
@@ -24,6 +25,7 @@ def add_parsers(subparsers: argparse._SubParsersAction[argparse.ArgumentParser])
     add_alarms(subparsers)
     add_console(subparsers)
     add_schema(subparsers)
+    add_notify(subparsers)
     add_doctor(subparsers)
 
 

@@ -239,7 +239,7 @@ def test_the_worked_example_is_right_and_shows_every_key(tmp_path: Path) -> None
     text = (ROOT / "docs/config-example.toml").read_text()
     for folder in ("quad", "rover", "px4_msgs"):
         (tmp_path / folder).mkdir()
-    for file in ("zenoh.json5", "signing.key", "standby.key"):
+    for file in ("zenoh.json5", "signing.key", "standby.key", "notify.urls"):
         (tmp_path / file).touch()
     found = read(tmp_path, text)
     assert [vehicle.name for vehicle in found.vehicles] == ["copter-1", "copter-2", "rover"]

@@ -30,7 +30,7 @@ FLOOD = "flood"
 FLOOD_KEY = (OBSERVER, FLOOD)
 MAX_SHELVE_NS = 30 * 86_400 * 1_000_000_000
 """ISA-18.2 wants shelving to end by itself; a month is longer than any campaign. The configuration sets less."""
-_AS_BEFORE = " (as before the monitor changed)"
+AS_BEFORE = " (as before the monitor changed)"
 
 ChannelKey = tuple[str, str]
 
@@ -248,7 +248,7 @@ class AlarmDesk:
         when. Return every alarm once more: as updated where it was known, as raised where only this desk knew of it, as
         cleared where its channel is no longer watched.
         """
-        alarms = [replace(event, message=event.message.removesuffix(_AS_BEFORE)) for event in alarms]
+        alarms = [replace(event, message=event.message.removesuffix(AS_BEFORE)) for event in alarms]
         known = {(event.observer, event.channel): event for event in alarms}
         own = [key for key in self._active if key not in known]
         published = []
@@ -274,7 +274,7 @@ class AlarmDesk:
                 published.append(self._numbered(_cleared(event, now_ns, "no longer watched")))
                 continue
             state = "shelved" if entry.silent else "updated"
-            published.append(self._publish(entry, now_ns, event.message + _AS_BEFORE, state=state))
+            published.append(self._publish(entry, now_ns, event.message + AS_BEFORE, state=state))
         for key in own:
             entry = self._active[key]
             published.append(

@@ -13,6 +13,7 @@ from adapters.errors import ConfigError
 from adapters.toml_tables import Table, read_toml
 from monitor.configuration import config_values as check
 from monitor.configuration.config_checks import conflicts, link_conflicts
+from monitor.notify.notices import OCCASIONS, Occasion
 
 DEFAULT_LISTEN = "tcp/127.0.0.1:7447"
 DEFAULT_PREFIX = "fauio"
@@ -254,6 +255,37 @@ class Metrics:
 
 
 @dataclass(frozen=True)
+class Notify:
+    """Messages to people: e-mail, Slack, Telegram, ntfy, MQTT, webhooks and many more, or a program."""
+
+    urls_file: Path | None = _key(
+        None,
+        _path,
+        "File with an [Apprise](https://appriseit.com/services/) URL a line, which hold secrets: chmod 600.",
+        "notify.urls",
+    )
+    exec: tuple[str, ...] = _key(
+        (),
+        _texts(check.argument),
+        "Program and arguments, started without a shell; it gets a JSON object for each event, a line each, on its "
+        "standard input.",
+        ["/usr/local/bin/on-alarm", "--quiet"],
+    )
+    exec_timeout_s: float = _key(
+        10, _number(above=0, at_most=600), "Time after which the program is killed, with what it has started, seconds."
+    )
+    on: tuple[Occasion, ...] = _key(
+        OCCASIONS,
+        lambda table, key: table.choices(key, OCCASIONS),
+        "Occasions: an alarm is raised, is or becomes critical, cleared; a vehicle flies and is not watched.",
+        ["critical", "cleared", "blind"],
+    )
+    per_minute: float = _key(
+        6, _number(above=0, at_most=600), "Largest rate of messages per URL; what comes faster makes one summary."
+    )
+
+
+@dataclass(frozen=True)
 class Rerun:
     """The live view."""
 
@@ -361,6 +393,7 @@ class Config:
     flood: Flood = _section(Flood)
     standby: Standby = _section(Standby)
     metrics: Metrics = _section(Metrics)
+    notify: Notify = _section(Notify)
     rerun: Rerun = _section(Rerun)
 
     @property

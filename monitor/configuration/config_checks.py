@@ -213,6 +213,7 @@ def _files(config: Config) -> Iterator[Conflict]:
         (("zenoh_config",), config.zenoh_config),
         (("signing", "key_file"), config.signing.key_file),
         (("standby", "key_file"), config.standby.key_file),
+        (("notify", "urls_file"), config.notify.urls_file),
     ]
     for path, file in files:
         if file is not None and not file.is_file():

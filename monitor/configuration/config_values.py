@@ -129,6 +129,12 @@ def message_name(value: str) -> None:
         raise ValueError(f"is no MAVLink message; {mend}")
 
 
+def argument(value: str) -> None:
+    """Refuse what cannot be an argument of a program."""
+    if not value or "\0" in value:
+        raise ValueError("is no argument; write the program and each of its arguments as a text of its own")
+
+
 def path(value: str) -> None:
     """Refuse what can be no path."""
     if not value or "\0" in value:

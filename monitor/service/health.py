@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from adapters.link_figures import LinkFigures
 from monitor.event import Severity
+from monitor.notify.messenger import OutletHealth
 from monitor.recording.archive import ArchiveStatistics
 from monitor.recording.journal import JournalStatistics
 from monitor.service.latency import LatencyBuckets, LatencyStatistics
@@ -125,6 +126,7 @@ class Health:
     vehicles: tuple[VehicleHealth, ...] = ()
     links: tuple[LinkHealth, ...] = ()
     journal: JournalStatistics | None = None  # the journal; None where none is kept
+    outlets: tuple[OutletHealth, ...] = ()  # where notices go
 
 
 def problems(health: Health) -> list[str]:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 from adapters.errors import OtherVehicleError
 from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
+from monitor.notify.messenger import Messenger
+from monitor.notify.outlets import make_outlets
 from monitor.recording.background import BackgroundJournal
 from monitor.recording.journal import Journal
 from monitor.service.caught_signals import caught_signals
@@ -64,7 +66,8 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         links = open_links(config, session, stack, guard)
         views = _open_views(config, log, stack)
         counted = {one.name: one.link for one in links}
-        station = Station(config, read_again, session, inbox, journal, log, counted, views)
+        messenger = _open_messenger(config, log, stack)
+        station = Station(config, read_again, session, inbox, journal, log, counted, views, messenger)
         stack.callback(station.close)
         # before the links are closed, which their threads read
         stack.callback(inbox.close)
@@ -149,6 +152,23 @@ def _each_second(work: Callable[[], None], name: str, stack: ExitStack) -> None:
     thread.start()
     stack.callback(thread.join, 5.0)
     stack.callback(done.set)
+
+
+def _open_messenger(config: Config, log: ServiceLog, stack: ExitStack) -> Messenger | None:
+    notify = config.notify
+    outlets = make_outlets(notify.urls_file, notify.exec, notify.exec_timeout_s)
+    if not outlets:
+        return None
+
+    def on_failure(outlet: str, reason: str | None) -> None:
+        if reason is None:
+            log.say("notifications go through again", outlet=outlet)
+        else:
+            log.say("notification failed", level="warning", outlet=outlet, reason=reason, now="it is tried again")
+
+    messenger = Messenger(outlets, notify.on, notify.per_minute, on_failure)
+    stack.callback(messenger.close)
+    return messenger
 
 
 def _open_views(config: Config, log: ServiceLog, stack: ExitStack) -> list[LiveView]:

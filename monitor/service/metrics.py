@@ -128,6 +128,7 @@ def _figure(name: str) -> Callable[[LinkHealth], float]:
 _HEALTH = _Parts((), lambda health: [((), health)])
 _JOURNAL = _Parts((), lambda health: [] if health.journal is None else [((), health.journal)])
 _LINK = _Parts(("link",), lambda health: [((link.name,), link) for link in health.links])
+_OUTLET = _Parts(("outlet",), lambda health: [((outlet.name,), outlet) for outlet in health.outlets])
 _VEHICLE = _Parts(("vehicle",), lambda health: [((vehicle.name,), vehicle) for vehicle in health.vehicles])
 _RECORDER = _Parts(
     ("vehicle",), lambda health: [((one.name,), one.recorder) for one in health.vehicles if one.recorder is not None]
@@ -216,6 +217,10 @@ METRICS = (
     _JOURNAL.row("fauio_journal_conflicts_total", "conflicts", "alarm events whose number another event has"),
     _JOURNAL.row("fauio_journal_rejected_total", "rejected", "alarm events and freeze frames that no row can hold"),
     _JOURNAL.row("fauio_journal_pruned_total", "pruned", "old events deleted to keep the bound"),
+    _OUTLET.row("fauio_notify_sent_total", "sent", "messages to people that were delivered"),
+    _OUTLET.row("fauio_notify_failed_total", "failed", "tries that failed"),
+    _OUTLET.row("fauio_notify_dropped_total", "dropped", "notices that were never delivered"),
+    _OUTLET.row("fauio_notify_waiting_messages", "waiting", "notices that wait: for the limit, or for the next try"),
     _HEALTH.row("fauio_loop_age_seconds", "process.loop_age_s", "time since the main loop last came round"),
     _HEALTH.row("fauio_inbox_messages", "process.inbox_depth", "messages waiting for the main loop"),
     _HEALTH.row("fauio_inbox_capacity_messages", "process.inbox_capacity", "the most that can wait"),

@@ -19,6 +19,8 @@ from adapters.zenoh.zenoh_session import endpoints
 from monitor.alarms.desk import DeskRule
 from monitor.bus.status_watch import VehicleStatus
 from monitor.configuration.config import Config, Vehicle
+from monitor.event import AlarmEvent
+from monitor.notify.messenger import Messenger
 from monitor.pipeline import Pipeline
 from monitor.profile import PROFILE_FILE, Profile, read_profile
 from monitor.recording.archive import Archive
@@ -55,8 +57,8 @@ class Station:
     """The vehicles of one daemon; the session is left open by :meth:`close`.
 
     ``read_again`` reads the configuration anew, for a reload; ``links`` are asked for their counts, ``views`` show the
-    vehicles. ``reloads`` counts the reloads that are over, failed ones included. Raises UsageError or TelemetryError
-    where a profile cannot be used, or a folder not written to.
+    vehicles, the ``messenger`` tells people of their alarms. ``reloads`` counts the reloads that are over, failed
+    ones included. Raises UsageError or TelemetryError where a profile cannot be used, or a folder not written to.
     """
 
     def __init__(
@@ -69,6 +71,7 @@ class Station:
         log: ServiceLog,
         links: Mapping[str, Counting],
         views: Sequence[LiveView] = (),
+        messenger: Messenger | None = None,
     ) -> None:
         self._config = config
         self._read_again = read_again
@@ -79,6 +82,7 @@ class Station:
         self._links = links
         self._shared_links = frozenset((*config.mavlink, *config.zenoh))
         self._views = tuple(views)
+        self._messenger = messenger
         self._shown: dict[str, list[VehicleView]] = {}
         self._said: dict[str, tuple[str, ...]] = {}
         self._profiles: dict[Path, Profile] = {}
@@ -148,6 +152,7 @@ class Station:
                     for name, link in self._links.items()
                 ),
                 journal,
+                () if self._messenger is None else self._messenger.health(),
             )
             self._say_states()
 
@@ -230,11 +235,16 @@ class Station:
             ]
             self._shown[pipeline.vehicle] = shown
             archives += shown
-            monitor = VehicleMonitor(pipeline, archives, self._journal, self._log.event, time.time_ns(), settle)
+            monitor = VehicleMonitor(pipeline, archives, self._journal, self._on_event, time.time_ns(), settle)
             desk, links, recordings = self._desk(vehicle), functools.partial(self._links_of, vehicle), stack.pop_all()
             service = VehicleService(monitor, desk, self._session, config, self._journal, archive, recordings, links)
         self._services[pipeline.vehicle] = service
         return service
+
+    def _on_event(self, event: AlarmEvent) -> None:
+        self._log.event(event)
+        if self._messenger is not None:
+            self._messenger.event(event)
 
     def _say_monitoring(self, vehicle: Vehicle) -> None:
         config, name = self._config, self.name_of(vehicle)

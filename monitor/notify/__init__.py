@@ -1,0 +1,1 @@
+"""Outside the bus: messages to people, to the ground station, to ROS."""
