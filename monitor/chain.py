@@ -139,8 +139,9 @@ class ChainRun:
     # smoothed estimate of each fault under its own hypothesis, whichever is believed (n, a), effect units
     smoothed: NDArray[np.float64]
     unexplained: NDArray[np.float64]  # score of what no hypothesis explains (n,), zero where one does
-    # how many times their thresholds actuators' faults have to reach (n,), 1 or more
+    # how many times its threshold each fault has to reach (n, a), 1 or more, and the level of the residuals (n,)
     scale: NDArray[np.float64]
+    level: NDArray[np.float64]
 
     def event(self, row: int, alarm: int, code: int) -> AlarmEvent:
         """Return the event that a row caused in an alarm."""
@@ -199,6 +200,10 @@ class ObserverChain:
         self._excitation = None
         if profile.excitation is not None:
             self._excitation = ExcitationStage(profile.excitation, gains.outputs, len(gains.inputs), gains.rate_hz)
+        # the share of its threshold that each fault reaches in health; those whose errors grow with what is flown
+        shares = {rule.channel: rule.healthy / rule.threshold for rule in profile.alarms if rule.threshold > 0.0}
+        self._healthy = np.array([shares.get(name, 0.0) for name in names])
+        self._excited = [index for index, channel in enumerate(profile.faults) if channel.kind == "actuator"]
         self._excuses = excuses or Excuses(())
         # Faults first, then the alarm of what no fault explains: the order in which a row is processed.
         rules = sorted(profile.alarms, key=lambda rule: rule.kind == "residual")
@@ -300,7 +305,7 @@ class ObserverChain:
         """
         if position is None:
             position = np.arange(len(samples))
-        found = self._estimator.run(samples)
+        found = self._estimator.run(samples, armed)
         sd = self._uncertainty.run(samples.measured, samples.restart)
         effects = self._effectiveness.run(samples, found.fault, armed)
         shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, sd)
@@ -342,13 +347,31 @@ class ObserverChain:
             elif fault in commands:
                 scaled[alarm] = commands[fault]
         samples = estimates.samples
-        scale = np.ones(len(samples)) if self._excitation is None else self._excitation.run(samples)[:, 2]
+        scale = np.maximum(1.0, np.sqrt(found.level)[:, None] * self._healthy)
+        if self._excitation is not None:
+            scale[:, self._excited] = self._excitation.run(samples, found.level)[:, 2:]
         changes = self._changes_of(estimates)
         rows = ChainRows(
-            self._states, position, samples.vehicle_time_ns, samples.restart, evidence, speaking, scale, *changes
+            self._states,
+            position,
+            samples.vehicle_time_ns,
+            samples.restart,
+            evidence,
+            speaking,
+            scale[:, self._fault_of],
+            *changes,
         )
         return ChainRun(
-            estimates, position, rows, self._alarms, scaled, relative, found.smoothed, found.unexplained, scale
+            estimates,
+            position,
+            rows,
+            self._alarms,
+            scaled,
+            relative,
+            found.smoothed,
+            found.unexplained,
+            scale,
+            found.level,
         )
 
     def _changes_of(self, estimates: Estimates) -> tuple[NDArray[Any], ...]:

@@ -277,6 +277,8 @@ def _alarm_table(rule: AlarmRule, sees: str | None) -> dict[str, float | str]:
         table |= {"slow": rule.slow, "slow_s": rule.slow_s}
     if rule.nats < math.inf:
         table |= {"nats": rule.nats, "least": rule.least}
+    if rule.healthy:
+        table["healthy"] = rule.healthy
     if rule.latch_s:
         table["latch_s"] = rule.latch_s
     if sees:

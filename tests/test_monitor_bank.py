@@ -65,7 +65,7 @@ def run(bank: Bank, x: np.ndarray, fault: np.ndarray, seed: int) -> tuple[Estima
     for k in range(150):
         y[k] = x + rng.normal(0.0, 1e-3, 2)
         x = 0.95 * x + fault + rng.normal(0.0, 1e-3, 2)
-    return bank.run(samples_of(y)), x
+    return bank.run(samples_of(y), np.ones(len(y), np.bool_)), x
 
 
 @given(which=st.integers(0, 2), size=st.floats(0.2, 2.0), seed=st.integers(0, 99))
@@ -97,7 +97,7 @@ def test_each_fault_is_estimated_under_its_own_hypothesis(gains: tuple[Gains, ..
 def test_a_restart_forgets_the_fault(gains: tuple[Gains, ...]) -> None:
     bank = bank_of(gains)
     run(bank, np.zeros(2), np.array([0.5, 0.0]), 1)
-    after = bank.run(samples_of(np.zeros((1, 2)), restart=True))
+    after = bank.run(samples_of(np.zeros((1, 2)), restart=True), np.ones(1, np.bool_))
     assert np.abs(after.evidence).max() < 1e-6
     assert np.abs(after.smoothed).max() < 1e-6
 
@@ -114,7 +114,7 @@ class Choices:
 
     FAULTS = (("left",), ("right",), ("left", "right"))
 
-    def __init__(self, penalty: float = 25.0) -> None:
+    def __init__(self, penalty: float = 25.0, usual: float = 0.0) -> None:
         # One output and no smoothing: J is the square of the residual.
         self._choice = Choice(
             whitening=np.ones((3, 1, 1)),
@@ -130,14 +130,19 @@ class Choices:
             floor=9.0,
             share=0.04,
             penalty=penalty,
+            usual=usual,
+            follow=0.01,
         )
 
-    def run(self, J: list[list[float]], fault: tuple[float, ...] = (-1.0, -2.0, -3.0, -4.0)) -> EstimatorRun:
+    def run(
+        self, J: list[list[float]], fault: tuple[float, ...] = (-1.0, -2.0, -3.0, -4.0), armed: bool = True
+    ) -> EstimatorRun:
         count = len(J)
         flags = np.ones(count, np.uint8)
         x = np.tile(np.arange(3.0), (count, 1))[:, :, None]
         residual = np.sqrt(np.array(J))[:, :, None]
-        return EstimatorRun(*self._choice.run(x, np.tile(fault, (count, 1)), residual, flags, flags, 0 * flags))
+        faults = np.tile(fault, (count, 1))
+        return EstimatorRun(*self._choice.run(x, faults, residual, flags, flags, 0 * flags, armed * flags))
 
 
 @pytest.mark.parametrize(
@@ -166,3 +171,25 @@ def test_the_score_of_what_is_not_explained_is_the_root_of_the_smallest_J() -> N
     assert run.unexplained[0] == pytest.approx(6.0)
     assert np.isnan(run.unexplained[1])
     assert run.unexplained[2] == 0.0
+
+
+def test_residuals_that_stay_larger_than_those_that_were_fitted_are_the_new_measure() -> None:
+    windy = [[20.0, 24.0, 22.0]] * 1000
+    assert Choices().run(windy).unexplained[-1] == pytest.approx(np.sqrt(20.0))
+    run = Choices(usual=2.0).run(windy)
+    assert run.unexplained[0] == pytest.approx(np.sqrt(20.0))
+    assert run.unexplained[-1] == 0.0
+    assert run.level[-1] == pytest.approx(10.0, rel=0.01)
+    assert (np.diff(run.level) >= 0.0).all()
+
+
+def test_the_level_is_never_below_that_of_healthy_flight_and_learns_nothing_where_nothing_is_evidence() -> None:
+    assert (Choices(usual=2.0).run([[0.1, 0.2, 0.1]] * 1000).level == 1.0).all()
+    assert (Choices(usual=2.0).run([[20.0, 24.0, 22.0]] * 1000, armed=False).level == 1.0).all()
+
+
+def test_what_nothing_explains_does_not_hide_itself_before_its_alarm() -> None:
+    # two seconds of the follower's three
+    score = Choices(usual=2.0).run([[4000.0, 4400.0, 4200.0]] * 67).unexplained
+    assert score[-1] > 3.0 * 3.0
+    assert np.isfinite(Choices(usual=2.0).run([[np.nan, np.nan, np.nan]] * 67).level).all()

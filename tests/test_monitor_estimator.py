@@ -57,7 +57,8 @@ def gains() -> tuple[Gains, ...]:
 def estimator(gains: tuple[Gains, ...], kind: str) -> Estimator:
     if kind == "bank":
         hypotheses, edges = tuple(one.faults for one in gains), (False, False, True, False)
-        rule = BankRule(0.03, 0.2, 3.0, 25.0, hypotheses, (1e-4 * np.eye(2),) * 4, edges, {"left": 0.4, "right": 0.2})
+        washouts = {"left": 0.4, "right": 0.2}
+        rule = BankRule(0.03, 0.2, 3.0, 25.0, hypotheses, (1e-4 * np.eye(2),) * 4, edges, washouts, usual_score=1.0)
         return make_estimator(AffineObserver(gains), rule, NAMES, THRESHOLDS)
     if kind == "single":
         return make_estimator(
@@ -86,8 +87,9 @@ def flight(rng: np.random.Generator, count: int) -> Samples:
 @settings(max_examples=40)
 def test_cuts_do_not_change_a_bit(gains: tuple[Gains, ...], kind: str, seed: int, parts: list[slice]) -> None:
     samples = flight(np.random.default_rng(seed), 500)
-    whole, cut = estimator(gains, kind).run(samples), estimator(gains, kind)
-    runs = [cut.run(samples.part(part.start, part.stop)) for part in parts]
+    armed = np.arange(500) > 50
+    whole, cut = estimator(gains, kind).run(samples, armed), estimator(gains, kind)
+    runs = [cut.run(samples.part(part.start, part.stop), armed[part]) for part in parts]
     for name, column, expected in zip(whole._fields, zip(*runs, strict=True), whole, strict=True):
         assert same_bits(np.concatenate(column), expected), name
 
@@ -120,10 +122,10 @@ def test_an_observer_of_another_kind_is_used_like_compiled_gains() -> None:
     samples = flight(np.random.default_rng(3), 30)
     samples.measured[:], samples.restart[:], samples.y[:] = True, False, 0.3
     observer: Observer = Difference()
-    joint = make_estimator(observer, IndependentRule(0.0), ("left", "gyro"), {}).run(samples)
+    joint = make_estimator(observer, IndependentRule(0.0), ("left", "gyro"), {}).run(samples, samples.measured)
     assert joint.evidence == pytest.approx(np.tile(0.3 - np.sin(samples.u), (1, 2)))
     rule = BankRule(0.0, 0.2, 3.0, 25.0, (("left", "gyro"),), (np.eye(2),), (False,))
-    bank = make_estimator(observer, rule, ("left", "gyro"), {}).run(samples)
+    bank = make_estimator(observer, rule, ("left", "gyro"), {}).run(samples, samples.measured)
     assert bank.x == pytest.approx(np.sin(samples.u))
     assert bank.evidence == pytest.approx(joint.evidence)
     assert np.isnan(Uncertainty(observer, None, ("left", "gyro")).run(samples.measured, samples.restart)).all()
@@ -133,13 +135,13 @@ def test_without_measurements_the_evidence_stays(gains: tuple[Gains, ...]) -> No
     for kind in ("bank", "single", "independent"):
         samples = flight(np.random.default_rng(5), 60)
         samples.measured[40:], samples.restart[:] = False, False
-        run = estimator(gains, kind).run(samples)
+        run = estimator(gains, kind).run(samples, samples.measured)
         for column in (run.evidence, run.counted, run.smoothed, run.unexplained):
             assert np.array_equal(column[40:], np.broadcast_to(column[39], column[40:].shape), equal_nan=True)
 
 
 def test_a_joint_estimate_counts_for_all_channels_and_leaves_nothing_unexplained(gains: tuple[Gains, ...]) -> None:
-    run = estimator(gains, "independent").run(flight(np.random.default_rng(1), 20))
+    run = estimator(gains, "independent").run(flight(np.random.default_rng(1), 20), np.ones(20, np.bool_))
     assert run.counted.all()
     assert not run.unexplained.any()
     assert run.smoothed is run.evidence

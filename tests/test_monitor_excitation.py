@@ -35,8 +35,8 @@ def samples(y: NDArray[np.float64], u: NDArray[np.float64] | None = None) -> Sam
     )
 
 
-def scale(of: Samples, rule: ExcitationRule = RULE) -> NDArray[np.float64]:
-    return ExcitationStage(rule, ("roll_rate", "other"), 1, HZ).run(of)[:, 2]
+def scale(of: Samples, rule: ExcitationRule = RULE, level: float = 1.0) -> NDArray[np.float64]:
+    return ExcitationStage(rule, ("roll_rate", "other"), 1, HZ).run(of, np.full(len(of), level))[:, 2]
 
 
 def test_at_rest_sizes_are_what_the_alarm_says() -> None:
@@ -64,12 +64,18 @@ def test_beyond_the_fitted_flights_sizes_grow_faster() -> None:
     assert s == pytest.approx(np.sqrt([0.25 + 4.0, 0.25 + 16.0 + 12.0 * 3.0]))
 
 
+def test_errors_grow_with_the_level_of_the_residuals_from_what_they_are_at_rest() -> None:
+    assert scale(samples(np.zeros(10)), level=3.0) == pytest.approx(1.0)
+    assert scale(samples(np.zeros(10)), level=16.0) == pytest.approx(2.0)
+    assert scale(samples(np.full(10, 0.5)), level=16.0) == pytest.approx(np.sqrt(16.0 * (0.25 + 1.0)))
+
+
 @given(st.integers(0, 99), st.integers(0, 2**16))
 def test_it_does_not_matter_how_samples_are_cut(at: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     whole = samples(rng.normal(size=100), rng.uniform(size=100))
     stage = ExcitationStage(RULE, ("roll_rate", "other"), 1, HZ)
-    parts = [stage.run(whole.part(0, at))[:, 2], stage.run(whole.part(at, 100))[:, 2]]
+    parts = [stage.run(whole.part(0, at), np.ones(at))[:, 2], stage.run(whole.part(at, 100), np.ones(100 - at))[:, 2]]
     np.testing.assert_array_equal(np.concatenate(parts), scale(whole))
 
 

@@ -121,7 +121,7 @@ def profile_page() -> str:
                     "array of tables",
                     f"{parameters_of(BankRule)['hypotheses'][1]} In each: the keys below.",
                 ),
-                ("jump_s", "number", parameters_of(BankRule)["jump_s"][1]),
+                *((key, "number", parameters_of(BankRule)[key][1]) for key in ("jump_s", "usual_score", "level_s")),
                 ("washout_s", "table", f"{parameters_of(BankRule)['washouts'][1]} By fault."),
                 ("hypotheses.faults", "list", "The faults that may act; the gains are named after them."),
                 ("hypotheses.covariance", "matrix", "Healthy covariance of its smoothed residual (p, p)."),

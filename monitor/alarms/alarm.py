@@ -145,6 +145,10 @@ class AlarmRule:
     nats, least : float
         Log-likelihood ratio of a sudden change that raises it at once, and the smallest size it has to have; infinite
         nats: no such path.
+    healthy : float
+        Size that evidence reaches in healthy flight, as rarely as false alarms are granted: where the residuals of a
+        run are larger than those of the flights that were fitted, what is asked of it grows with this size
+        (:mod:`monitor.estimation.bank`); 0: not at all.
     sees : str
         What size of fault it sees how fast, for people; empty where that was not measured.
     """
@@ -169,6 +173,7 @@ class AlarmRule:
     """Time that a pilot needs to land or to let go: chosen."""
     nats: float = math.inf
     least: float = 0.0
+    healthy: float = 0.0
     sees: str = ""
 
 

@@ -98,11 +98,10 @@ cdef class AlarmState:
 
     cdef double threshold, clear, critical_size, raise_ns, clear_ns, fast, fast_ns, slow, slow_ns, latch_ns, ahead_s
     cdef double nats, least
-    cdef bint scaled
     cdef readonly bint active, critical, creeping, recurring
     cdef readonly double shown, peak, size, reported
     cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns, unseen_ns
-    cdef bint contiguous
+    cdef bint contiguous, fails_towards_less
     cdef double mean
     cdef Trend trend
     cdef int64_t raised_ns[3]
@@ -127,9 +126,7 @@ cdef class AlarmState:
         self.slow, self.slow_ns = rule.slow, rule.slow_s * NANOSECONDS
         self.latch_ns, self.ahead_s = rule.latch_s * NANOSECONDS, rule.critical_ahead_s
         self.nats, self.least = rule.nats, rule.least
-        # A sensor's jump does not hang on what the model knows of the vehicle's motion, and what no hypothesis explains
         # may be the very cause of a lively flight.
-        self.scaled = rule.kind == "actuator"
 
     def set_excuse(self, bint now, spans):
         """Set when other alarms explain the evidence: always from now on, or in spans of vehicle time (m, 2), ns."""
@@ -169,8 +166,6 @@ cdef class AlarmState:
                   const Change* change) noexcept:
         """Process one row; return the event it causes."""
         cdef int64_t elapsed
-        if not self.scaled:
-            scale = 1.0
         if not self.active and self.is_certain(change, evidence) and not self.excused(now):
             self.last_ns, self.contiguous = now, True
             self.raise_alarm(now, change.size, self.least, False)
@@ -195,7 +190,7 @@ cdef class AlarmState:
         """
         if not (change.nats >= self.nats and fabs(change.size) >= self.least and change.onset_ns > self.ended_ns):
             return False
-        return change.size < 0.0 or not self.scaled or evidence >= self.clear
+        return change.size < 0.0 or not self.fails_towards_less or evidence >= self.clear
 
     cdef void average(self, bint restart, double evidence, int64_t elapsed) noexcept:
         """Weighted mean over slow_s of evidence that enters with twice ``slow`` at most."""
@@ -301,8 +296,8 @@ cdef class ChainRows:
         Signed sizes.
     speaking : bool (n, A)
         Where a row is evidence of a channel.
-    scale : float64 (n,), optional
-        How many times its sizes evidence of an actuator has to reach; 1 where it is left out.
+    scale : float64 (n, m), optional
+        How many times its sizes evidence of each of the first m alarms has to reach; 1 where it is left out.
     changed : intp (n,), optional
         The alarm of which a sudden change is named at each row, -1 for none; with its ``nats`` and ``size``, float64,
         and ``onset_ns``, int64 (n,).
@@ -314,7 +309,8 @@ cdef class ChainRows:
     cdef const double[:, :] evidence
     cdef const uint8_t[:, :] speaking
     cdef const Py_ssize_t[:] changed
-    cdef const double[:] scale, nats, size
+    cdef const double[:, :] scale
+    cdef const double[:] nats, size
     cdef const int64_t[:] onset_ns
 
     def __init__(self, alarms, position, times_ns, restart, evidence, speaking, scale=None, changed=None, nats=None,
@@ -413,7 +409,7 @@ def walk(chains, on_event):
             change = chain.change_of(row, i)
             event = alarm.step(
                 chain.times_ns[row], chain.restart[row], chain.evidence[row, i], chain.speaking[row, i],
-                chain.scale[row] if chain.scale is not None else 1.0, &change)
+                chain.scale[row, i] if chain.scale is not None and i < chain.scale.shape[1] else 1.0, &change)
             if event:
                 on_event(best, row, i, event)
         rows[best] = row + 1

@@ -22,10 +22,12 @@ class Choice:
         floor: float,
         share: float,
         penalty: float,
+        usual: float = 0.0,
+        follow: float = 0.0,
     ) -> None: ...
     def run(
-        self, x: Array, fault: Array, residual: Array, measured: Flags, complete: Flags, restart: Flags
-    ) -> tuple[Array, Array, Array, Array, NDArray[np.bool_], Array, Array]: ...
+        self, x: Array, fault: Array, residual: Array, measured: Flags, complete: Flags, restart: Flags, armed: Flags
+    ) -> tuple[Array, Array, Array, Array, NDArray[np.bool_], Array, Array, Array]: ...
 
 class EdgeDetector:
     edge: float

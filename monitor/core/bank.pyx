@@ -30,6 +30,10 @@ cdef double WASHOUT_OVER = 0.1
 # Share of a fault that was let go by which its end may differ from it. Chosen: halfway to what another fault would be
 # told by, as for edges; a fault that creeps while it is held changes by as much.
 cdef double WASHOUT_RETURNED = 0.5
+# Largest J of the hypothesis believed, as a multiple of what healthy flight has, with which a row counts in the level:
+# what nothing explains begins with larger ones, and must not hide itself. Chosen: six deviations. Measured: a windy
+# flight watched with the profile of a calm one has 11 on average and 36 over ten seconds.
+cdef double LEVEL_CLIP = 36.0
 # Least weight of a channel beside the suspects, relative to its own: below it the channel is a combination of theirs
 # and the difference that remains is rounding (some 1e-16 times the condition of Sigma).
 cdef double SMALLEST_WEIGHT = 1e-9
@@ -64,6 +68,9 @@ cdef class Choice:
         Share of the smoothed values that a row leaves.
     floor, share, penalty : float
         score_floor^2, tolerance^2 and gain_penalty of the rule.
+    usual, follow : float
+        Mean J of the hypothesis believed in healthy flight, 0 where its level is not followed, and the share of the
+        level that a row brings.
     """
 
     cdef double[:, :, ::1] whitening
@@ -72,14 +79,14 @@ cdef class Choice:
     cdef unsigned char[:, ::1] own
     cdef list detectors, washouts
     cdef Py_ssize_t[::1] watched, watched_column, washed
-    cdef double keep, floor, share, penalty, unexplained
+    cdef double keep, floor, share, penalty, unexplained, usual, follow, level
     cdef double[:, ::1] residual
     cdef double[::1] fault, J, cost, evidence
     cdef Py_ssize_t believed
     cdef bint coasted
 
     def __init__(self, whitening, spans, channel, shown, scaling, groups, own, edges, washouts, keep, floor, share,
-                 penalty):
+                 penalty, usual=0.0, follow=0.0):
         K, p, a = len(whitening), whitening.shape[1], len(shown)
         self.whitening = np.ascontiguousarray(whitening)
         self.spans, self.channel, self.shown = (np.asarray(indices, np.intp) for indices in (spans, channel, shown))
@@ -93,6 +100,7 @@ cdef class Choice:
         self.washed = np.array([channel for channel, _ in washouts], np.intp)
         self.washouts = [washout for _, washout in washouts]
         self.keep, self.floor, self.share, self.penalty = keep, floor, share, penalty
+        self.usual, self.follow, self.level = usual, follow, 1.0
         self.residual, self.fault = np.zeros((K, p)), np.zeros(len(channel))
         self.J, self.cost, self.evidence = np.zeros(K), np.zeros(K), np.zeros(a)
         self.is_compared, self.counted = np.ones(a, np.uint8), np.ones(a, np.uint8)
@@ -102,34 +110,42 @@ cdef class Choice:
         self.believed, self.unexplained, self.coasted = self.compared[0], 0.0, False
 
     def run(self, const double[:, :, :] x, const double[:, :] fault, const double[:, :, :] residual,
-            const unsigned char[:] measured, const unsigned char[:] complete, const unsigned char[:] restart):
-        """Return believed x, fault, believed residual, evidence, counted, smoothed and unexplained of n rows.
+            const unsigned char[:] measured, const unsigned char[:] complete, const unsigned char[:] restart,
+            const unsigned char[:] armed):
+        """Return believed x, fault, believed residual, evidence, counted, smoothed, unexplained and level of n rows.
 
         x (n, K, states), fault (n, F) and residual (n, K, p) are what the observers estimate. A row that is neither
-        measured nor a restart teaches nothing: the choice stays.
+        measured nor a restart teaches nothing: the choice stays. The level is followed over rows that are evidence
+        (``armed``).
         """
         cdef Py_ssize_t k, i, count = x.shape[0], states = x.shape[2], p = residual.shape[2], a = self.shown.shape[0]
         if not count == fault.shape[0] == residual.shape[0]:
             raise ValueError("x, fault and residual differ in length")
-        if not count == measured.shape[0] == complete.shape[0] == restart.shape[0]:
-            raise ValueError("x, measured, complete and restart differ in length")
+        if not count == measured.shape[0] == complete.shape[0] == restart.shape[0] == armed.shape[0]:
+            raise ValueError("x, measured, complete, restart and armed differ in length")
         if x.shape[1] != self.J.shape[0] or residual.shape[1] != self.J.shape[0] or p != self.residual.shape[1]:
             raise ValueError("x and residual are not of the bank's hypotheses and outputs")
         if fault.shape[1] != self.fault.shape[0]:
             raise ValueError(f"{fault.shape[1]} faults, not {self.fault.shape[0]}")
         results = (
             np.empty((count, states)), np.empty((count, a)), np.empty((count, p)), np.empty((count, a)),
-            np.empty((count, a), np.bool_), np.empty((count, a)), np.empty(count),
+            np.empty((count, a), np.bool_), np.empty((count, a)), np.empty(count), np.empty(count),
         )
         cdef double[:, ::1] shown_x = results[0], shown_fault = results[1], shown_residual = results[2]
         cdef double[:, ::1] evidence = results[3], smoothed = results[5]
         cdef unsigned char[:, ::1] counted = results[4]
-        cdef double[::1] unexplained = results[6]
+        cdef double[::1] unexplained = results[6], level = results[7]
+        cdef double brought
         for k in range(count):
             if restart[k]:
                 self.clear()
+            level[k] = max(1.0, self.level)
             if measured[k] or restart[k]:
                 self.update(fault, residual, k, complete[k] and not self.coasted)
+                if armed[k] and self.usual > 0.0:
+                    brought = level[k] * self.J[self.believed] / self.usual
+                    # What is no number counts as the largest.
+                    self.level += self.follow * ((brought if brought < LEVEL_CLIP else LEVEL_CLIP) - self.level)
             self.coasted = not (measured[k] or restart[k])
             for i in range(states):
                 shown_x[k, i] = x[k, self.believed, i]
@@ -158,7 +174,7 @@ cdef class Choice:
         cdef Py_ssize_t k, i, j, K = self.J.shape[0], p = self.residual.shape[1]
         cdef double keep = self.keep, white
         cdef bint explained
-        # Smoothed residuals r_k, J_k = |W_k r_k|^2 and smoothed faults.
+        # Smoothed residuals r_k, J_k = |W_k r_k|^2 / lambda and smoothed faults.
         for k in range(K):
             for i in range(p):
                 self.residual[k, i] = keep * self.residual[k, i] + (1.0 - keep) * residual[row, k, i]
@@ -168,6 +184,7 @@ cdef class Choice:
                 for j in range(p):
                     white += self.whitening[k, i, j] * self.residual[k, j]
                 self.J[k] += white * white
+            self.J[k] /= max(1.0, self.level)
         for i in range(self.fault.shape[0]):
             self.fault[i] = keep * self.fault[i] + (1.0 - keep) * fault[row, i]
         self.choose()

@@ -35,7 +35,7 @@ cdef class Excitation:
         self.rate, self.moved, self.last = np.zeros(self.hold), np.zeros(self.hold), np.zeros(inputs)
         self.known = self.row = 0
 
-    def run(self, const double[:, :] u, const double[:, :] y, const uint8_t[:] restart):
+    def run(self, const double[:, :] u, const double[:, :] y, const uint8_t[:] restart, const double[:] level):
         """Return r, d and s of n rows (n, 3)."""
         cdef Py_ssize_t k, i, count = u.shape[0]
         cdef double rate, moved, square
@@ -59,8 +59,8 @@ cdef class Excitation:
                 rate = max(rate, self.rate[(self.row - i + self.hold) % self.hold])
                 moved = max(moved, self.moved[(self.row - i + self.hold) % self.hold])
             columns[k, 0], columns[k, 1] = rate, moved
-            # s^2 = max(1, c_0 + c_1 r^2 + c_2 d^2 + b_1 (r^2 - R^2)+ + b_2 (d^2 - D^2)+)
-            square = c[0] + c[1] * rate * rate + c[2] * moved * moved
+            # s^2 = max(1, lambda (c_0 + c_1 r^2 + c_2 d^2) + b_1 (r^2 - R^2)+ + b_2 (d^2 - D^2)+)
+            square = level[k] * (c[0] + c[1] * rate * rate + c[2] * moved * moved)
             square += c[3] * max(0.0, rate * rate - c[5] * c[5]) + c[4] * max(0.0, moved * moved - c[6] * c[6])
             columns[k, 2] = sqrt(max(1.0, square))
         return result

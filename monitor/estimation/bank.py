@@ -13,6 +13,11 @@ more than commanded: actuators fail towards less, and little else tells two of o
 so far stays until another is clearly better (half its J), so noise does not make names flicker. Where none explains the
 data no fault is named, and the score sqrt(min J) is reported as unexplained.
 
+Flights have more wind than those that were fitted, and are livelier. What the hypothesis believed leaves unexplained
+shows it, as its own fault is not in its residual: with lambda the mean of J over ``level_s`` relative to that of
+healthy flight, every J is divided by max(1, lambda), and sizes that raise alarms grow with its root
+(:class:`monitor.chain.ObserverChain`).
+
 A hypothesis of a sensor fault that would explain anything (a gyro bias against the motors) may be set apart: it takes
 no part in the comparison, and a fault that no compared hypothesis has is evidence where its estimate has an edge
 (:class:`monitor.core.bank.EdgeDetector`).
@@ -55,6 +60,8 @@ class EstimatorRun(NamedTuple):
     # smoothed estimate of each fault (N, a), in a bank under its smallest hypothesis, whichever is believed
     smoothed: NDArray[np.float64]
     unexplained: NDArray[np.float64]  # score sqrt(min J) where no hypothesis explains the data, else zero (N,)
+    # how many times that of healthy flight the residuals' mean square is (N,), 1 or more
+    level: NDArray[np.float64]
 
 
 def washout_inverse(tau: float, rate_hz: float, threshold: float) -> Washout:
@@ -152,10 +159,15 @@ class Bank:
             floor=rule.score_floor**2,
             share=rule.tolerance**2,
             penalty=rule.gain_penalty,
+            usual=rule.usual_score**2,
+            follow=1.0 - keep_share(rule.level_s, rate_hz),
         )
 
-    def run(self, samples: Samples) -> EstimatorRun:
-        """Process N samples; return the estimates under the hypothesis believed and the evidence after each."""
+    def run(self, samples: Samples, armed: NDArray[np.bool_]) -> EstimatorRun:
+        """Process N samples; return the estimates under the hypothesis believed and the evidence after each.
+
+        ``armed`` says whether each is evidence (N,).
+        """
         restart, measured = samples.restart, samples.measured
         run = self._observer.run(samples.u, samples.y, measured, restart)
         return EstimatorRun(
@@ -166,6 +178,7 @@ class Bank:
                 measured,
                 samples.complete,
                 restart,
+                armed,
             )
         )
 

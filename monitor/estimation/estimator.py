@@ -50,8 +50,8 @@ class JointEstimator:
         else:
             self._isolation = single_fault_isolation(rule, observer.rate_hz, np.array(hypothesis.scales))
 
-    def run(self, samples: Samples) -> EstimatorRun:
-        """Process N samples; return the estimates and the evidence after each."""
+    def run(self, samples: Samples, armed: NDArray[np.bool_]) -> EstimatorRun:
+        """Process N samples, of which some are evidence (N,); return the estimates and the evidence after each."""
         restart, measured = samples.restart, samples.measured
         run = self._observer.run(samples.u, samples.y, measured, restart)
         evidence = self._isolation.run(run.fault, measured, restart)
@@ -63,6 +63,7 @@ class JointEstimator:
             counted=np.ones(evidence.shape, np.bool_),
             smoothed=evidence,
             unexplained=np.zeros(len(evidence)),
+            level=np.ones(len(evidence)),
         )
 
 

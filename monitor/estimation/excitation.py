@@ -3,12 +3,13 @@
 A model that is a few per cent wrong makes errors of a few per cent of what the vehicle does. In a calm hover that is
 nothing, in a flip it is more than any fault. The deviation of an actuator's estimate is therefore taken to be
 
-    s^2 = max(1, c_0 + c_1 r^2 + c_2 d^2 + b_1 (r^2 - R^2)+ + b_2 (d^2 - D^2)+)
+    s^2 = max(1, lambda (c_0 + c_1 r^2 + c_2 d^2) + b_1 (r^2 - R^2)+ + b_2 (d^2 - D^2)+)
 
-times its threshold, with r the largest output (body rate) and d the largest change of a command from one sample to the
-next, over the last ``HOLD_S``. The c are fitted to the estimates of healthy flight, in which r reached R and d reached
-D. Beyond these nothing is known of this vehicle, and b, what others have shown, is added: sizes that raise an alarm
-grow by themselves where a flight is livelier than those that were fitted.
+times its threshold, with lambda the level of the run's own residuals (:mod:`monitor.estimation.bank`), r the largest
+output (body rate) and d the largest change of a command from one sample to the next, over the last ``HOLD_S``. The c
+are fitted to the estimates of healthy flight, in which r reached R and d reached D. Beyond these nothing is known of
+this vehicle, and b, what others have shown, is added: sizes that raise an alarm grow by themselves where a flight is
+livelier than those that were fitted.
 """
 
 from __future__ import annotations
@@ -84,6 +85,6 @@ class ExcitationStage:
             judged, np.array([getattr(rule, key) for key in _NUMBERS]), ceil(HOLD_S * rate_hz) + 1, inputs
         )
 
-    def run(self, samples: Samples) -> NDArray[np.float64]:
-        """Return r, d and s of n samples (n, 3)."""
-        return self._core.run(samples.u, samples.y, samples.restart)
+    def run(self, samples: Samples, level: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return r, d and s of n samples (n, 3), of which the residuals have some level (n,)."""
+        return self._core.run(samples.u, samples.y, samples.restart, level)

@@ -18,6 +18,8 @@ def keep_share(smoothing_s: float, rate_hz: float) -> float:
     return exp(-1.0 / (smoothing_s * rate_hz)) if smoothing_s > 0.0 else 0.0
 
 
+LEVEL_S = 3.0
+"""As :data:`monitor.estimation.changes.LEVEL_S`: half as long again as the mean of the slow path at 100 Hz."""
 METHODS = ("single", "independent", "bank")
 
 
@@ -76,6 +78,9 @@ class BankRule:
         Time constant, seconds, with which the estimate of a fault is washed out and has to be given back.
     jump_s : float
         Time that an estimate takes for an edge, seconds.
+    usual_score, level_s : float
+        Root of the mean J of the hypothesis believed in healthy flight, 0 where the level of J is not followed, and the
+        time constant, seconds, with which it is.
     """
 
     smoothing_s: float
@@ -88,6 +93,8 @@ class BankRule:
     washouts: Mapping[str, float] = field(default_factory=dict)
     jump_s: float = 0.03
     """Chosen: three samples at 100 Hz, as long as the mean of an edge's levels needs to follow."""
+    usual_score: float = 0.0
+    level_s: float = LEVEL_S
 
 
 IsolationRule = IndependentRule | SingleRule | BankRule
@@ -129,6 +136,8 @@ def read_isolation(table: Table, faults: int, outputs: int) -> IsolationRule:
             edges=tuple(entry.boolean("edge", False) for entry in entries),
             jump_s=table.number("jump_s", 0.03, above=0.0),
             washouts=_washouts(table.table("washout_s"), {name for faults in hypotheses for name in faults}),
+            usual_score=table.number("usual_score", 0.0, at_least=0.0),
+            level_s=table.number("level_s", LEVEL_S, above=0.0),
         )
         compared = {name for faults, edge in zip(hypotheses, rule.edges, strict=True) if not edge for name in faults}
         for entry, hypothesis, edge in zip(entries, hypotheses, rule.edges, strict=True):
@@ -171,7 +180,8 @@ def isolation_table(rule: IsolationRule) -> dict[str, Any]:
     ]
     jump = {"jump_s": rule.jump_s} if any(rule.edges) else {}
     washouts = {"washout_s": dict(rule.washouts)} if rule.washouts else {}
-    return {"method": "bank", **shared, **jump, **washouts, "hypotheses": hypotheses}
+    level = {"usual_score": rule.usual_score, "level_s": rule.level_s} if rule.usual_score else {}
+    return {"method": "bank", **shared, **jump, **washouts, **level, "hypotheses": hypotheses}
 
 
 def gains_file_names(observer: str, hypotheses: Sequence[Sequence[str]] = ()) -> tuple[str, ...]:

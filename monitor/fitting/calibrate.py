@@ -14,7 +14,7 @@ from monitor.core.lagged import exponential_mean
 from monitor.core.sampling import VehicleClock
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.bank import whitening
-from monitor.estimation.isolation_rule import BankRule
+from monitor.estimation.isolation_rule import LEVEL_S, BankRule
 from monitor.fitting.flights import Flight
 from monitor.profile import ObserverProfile, Profile
 from monitor.sampling.gate import GateRule
@@ -25,6 +25,9 @@ forget a wrong start within some tenths of a second (:func:`settling_s`); slower
 MARGIN = 2.0
 """Factor on the largest score that the best hypothesis left unexplained in healthy flight. Chosen: minutes of flight do
 not show the largest score of the hours to come; a fault that no hypothesis explains exceeds it many times."""
+LEVEL_SHARE = 1.5
+"""The level of the residuals is followed half as slowly again as evidence is averaged on the slow path: a fault cannot
+raise it before it is seen. At 100 Hz that is :data:`monitor.estimation.changes.LEVEL_S`."""
 
 _SMOOTHING_S = 0.05
 """Smoothing of estimates and residuals before hypotheses are compared, seconds. Chosen: five samples of a 100 Hz
@@ -57,12 +60,13 @@ def bank_rule(
     noise: NDArray[np.float64] | None = None,
     washouts: Mapping[str, float] | None = None,
     jump_s: float = 0.03,
+    level_s: float = LEVEL_S,
 ) -> BankRule:
     """Return the isolation stage of a bank, from the residuals of its hypotheses in healthy flight.
 
     ``edges`` names the faults that are watched for edges instead of compared; of each segment the first ``settle_s``
     is left out; ``noise`` (p,) of the outputs, where given, keeps a residual that a sensor fault takes up altogether
-    from counting for more than a tenth of it; ``washouts`` and ``jump_s`` are the rule's.
+    from counting for more than a tenth of it; ``washouts``, ``jump_s`` and ``level_s`` are the rule's.
 
     The covariances are taken about zero; the floor of the score is the largest one that the best hypothesis leaves
     unexplained in healthy flight, with a margin.
@@ -83,10 +87,13 @@ def bank_rule(
         for residual, W, edge in zip(residuals, whitening(covariances), watched, strict=True)
         if not edge
     ]
+    least_scores = np.min(scores, axis=0)
     return BankRule(
         smoothing_s=smoothing_s,
         tolerance=_TOLERANCE,
-        score_floor=MARGIN * float(np.min(scores, axis=0).max()),
+        score_floor=MARGIN * float(least_scores.max()),
+        usual_score=float(f"{np.sqrt(np.mean(least_scores**2)):.4g}"),
+        level_s=level_s,
         gain_penalty=_GAIN_PENALTY,
         hypotheses=tuple(one.faults for one in bank),
         covariances=covariances,

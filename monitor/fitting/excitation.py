@@ -58,9 +58,10 @@ def fit_excitation(
     error, believed, excited = [], [], []
     for run, stretches in healthy_runs(observer, gate, flights):
         samples = run.estimates.samples
-        causes = ExcitationStage(none, observer.gains[0].outputs, samples.u.shape[1], observer.rate_hz).run(samples)
-        sizes = run.smoothed[:, actuators] / unit
-        held = run.estimates.isolated[:, actuators] / unit
+        stage = ExcitationStage(none, observer.gains[0].outputs, samples.u.shape[1], observer.rate_hz)
+        causes = stage.run(samples, run.level)
+        sizes = run.smoothed[:, actuators] / unit / np.sqrt(run.level)[:, None]
+        held = run.estimates.isolated[:, actuators] / unit / np.sqrt(run.level)[:, None]
         error += [sizes[rows] for rows in stretches]
         believed += [held[rows] for rows in stretches]
         excited += [causes[rows, :2] for rows in stretches]

@@ -81,14 +81,15 @@ def healthy_evidence(
     Returns
     -------
     list[NDArray[np.float64]]
-        Evidence (N, a + 1) of each stretch of samples that count, per the scale of its sizes there; the last column is
-        the unexplained score.
+        Evidence (N, a + 1) of each stretch of samples that count, per the scale of its sizes there, or the root of the
+        residuals' level; the last column is the unexplained score.
     """
-    actuators = [channel.kind == "actuator" for channel in observer.faults]
+    levelled = [channel.kind == "sensor" or observer.excitation is None for channel in observer.faults]
     found = []
     for run, stretches in healthy_runs(observer, gate, flights):
-        evidence = np.column_stack([run.smoothed if own else run.estimates.isolated, run.unexplained])
-        evidence /= np.where([*actuators, False], run.scale[:, None], 1.0)
+        sizes = run.smoothed if own else run.estimates.isolated
+        scale = np.where(levelled, np.maximum(run.scale, np.sqrt(run.level)[:, None]), run.scale)
+        evidence = np.column_stack([sizes / scale, run.unexplained])
         found += [evidence[rows] for rows in stretches]
     return found
 
@@ -165,6 +166,7 @@ def calibrated(
             slow=_rounded(max(scale * levels.slow.level, threshold / 2)),
             slow_s=times.slow_s,
             latch_s=times.latch_s,
+            healthy=_rounded(scale * levels.plain.level),
         ),
         levels.plain,
         scale,

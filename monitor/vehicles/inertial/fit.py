@@ -14,7 +14,7 @@ from adapters.errors import TelemetryError
 from gains.synthesis.bank import compile_bank
 from monitor.alarms.excuse import ExcuseRule
 from monitor.estimation.changes import WINDOW_S, ChangeRule
-from monitor.fitting.calibrate import SETTLE_S, bank_rule
+from monitor.fitting.calibrate import LEVEL_SHARE, SETTLE_S, bank_rule
 from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
@@ -50,7 +50,7 @@ from monitor.vehicles.inertial.sensor_fit import (
     delay_costs,
     identify_inertial,
 )
-from monitor.vehicles.inertial.signals import StrapdownSource, common_channels, inertial_rate_hz
+from monitor.vehicles.inertial.signals import NAVIGATED_HZ, StrapdownSource, common_channels, inertial_rate_hz
 from monitor.vehicles.inertial.strapdown import ACCELEROMETERS, BAROMETER, GPS, MAGNETOMETER, Strapdown
 from monitor.vehicles.multirotor.identify import GYROS
 
@@ -115,9 +115,6 @@ _LEVEL_MARGIN = 1.5
 """Times the largest score of healthy flight from which a fault is believed. Chosen: as for the score of a bank's
 hypotheses, twice the largest, whose square a likelihood is, would be four; a fault's grows a hundredfold within
 seconds."""
-_NAVIGATED_HZ = 10.0
-"""Least rate of the IMU for a navigation of its own: two samples between two fixes. At 2 Hz three of twelve flights
-raised an accelerometer."""
 _NEVER = 1e9
 """A level that no score reaches."""
 _CRITICAL = 5.0
@@ -179,7 +176,7 @@ def fit_inertial(request: FitRequest, gate: GateRule, *, alone: bool = False) ->
     }
     parameters |= _holds(surveys, channels.channels, raw, signal_hz)
     parameters |= _delays(raw, parameters, signal_hz, rate_hz)
-    if channels.parameters["gps"] in (1.0, BODY_VELOCITY) and channels.imu and signal_hz >= _NAVIGATED_HZ:
+    if channels.parameters["gps"] in (1.0, BODY_VELOCITY) and channels.imu and signal_hz >= NAVIGATED_HZ:
         parameters["judge_level"] = _judge_level(raw, parameters, signal_hz, rate_hz)
     found = _designed(request, channels, raw, gate, parameters, signal_hz, rate_hz, settle_s)
     gyro = next((one.rule for one in found.alarms if one.rule.channel in GYROS), None)
@@ -226,6 +223,7 @@ def _designed(
         washouts={fault: _WASHOUT_S for fault in WASHED_FAULTS if fault in names - bare},
         edges=GPS_VELOCITY,
         jump_s=_JUMP_S,
+        level_s=LEVEL_SHARE * _TIMES.slow_s,
     )
     source = SampleSource(transform=rule, signals=channels.channels)
     designed = Fitted(OBSERVER, plant, gains, source, isolation, settle_s=settle_s)
@@ -235,7 +233,7 @@ def _designed(
     alarms = _alarms(designed.profile().faults, own, jumps, rate_hz, smallest_faults(fit), bare)
     if not channels.imu:
         # what is left of these faults is how far the vehicle is from hovering
-        alarms = [found for found in alarms if found.rule.channel not in (*GYROS, *MOTION, "accel_z")]
+        alarms = [found for found in alarms if found.rule.channel not in (*GYROS, *MOTION, *GPS_VELOCITY, "accel_z")]
     changes, alarms = _sudden(raw, signal_hz, channels, designed, alarms, flights)
     return replace(
         designed,
@@ -266,7 +264,7 @@ def _sudden(
         if name in watched and signal in signals
     }
     outputs = [output for output in plant.outputs if output not in ACCELEROMETERS]
-    if rate_hz < _NAVIGATED_HZ or not (channels.imu and lasts_s) or bare_positions(plant.inputs, plant.outputs):
+    if rate_hz < NAVIGATED_HZ or not (channels.imu and lasts_s) or bare_positions(plant.inputs, plant.outputs):
         return None, list(alarms)
     changes = fit_changes(plant, rate_hz, outputs, flights, lasts_s)
     if changes is None:

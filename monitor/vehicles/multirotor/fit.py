@@ -19,7 +19,7 @@ from gains.synthesis.bank import compile_bank, design_bank
 from monitor.alarms.alarm import THRUST
 from monitor.estimation.changes import ChangeRule
 from monitor.estimation.excitation import ExcitationRule
-from monitor.fitting.calibrate import SETTLE_S, bank_rule
+from monitor.fitting.calibrate import LEVEL_SHARE, SETTLE_S, bank_rule
 from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.excitation import fit_excitation
 from monitor.fitting.fit_report import Comparison, comparison_json, comparison_lines
@@ -227,7 +227,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
         model, request.name, motors, doubt=identified.doubt, gyros=identified.gyros, unit=drive.unit
     )
     gains = compile_bank(plant, design_bank(plant, model.rate_hz))
-    rule = bank_rule(gains, segments, edges=GYROS)
+    rule = bank_rule(gains, segments, edges=GYROS, level_s=LEVEL_SHARE * identified.times.slow_s)
     bare = Fitted(drive.observer, plant, gains, identified.source, rule)
     channels = bare.profile().faults
     hover = np.median(np.concatenate([segment.u for segment in segments]), axis=0)
