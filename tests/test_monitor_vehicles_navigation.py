@@ -114,3 +114,13 @@ def test_how_samples_are_cut_into_batches_changes_no_bit() -> None:
     parts = Strapdown({**DEFAULTS, "judge_level": LEVEL}, truth.SIGNAL_HZ, truth.RATE_HZ)
     found = [parts.run(part(raw, first, 37)).samples.y for first in range(0, len(raw), 37)]
     assert np.array_equal(np.concatenate(found), expected)
+
+
+def test_the_end_of_a_gyros_bias_is_one_step_to_nothing() -> None:
+    raw = noisy(45.0, 4)
+    raw[ONSET:END, 4] += 0.1
+    sizes = named(raw)["gyro_y"][END // 10 :]
+    ended = int(np.flatnonzero(sizes == 0.0)[0])
+    assert ended <= 25
+    assert np.all(sizes[ended:] == 0.0)
+    assert np.all(sizes[:ended] > 0.05)

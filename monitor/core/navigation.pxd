@@ -11,11 +11,14 @@ cdef struct Signature:
     double[HYPOTHESES][STATES] state
     double[HYPOTHESES] matched
     double[HYPOTHESES] energy
+    # biases of gyros and accelerometers at the onset
+    double[5] bias
     int age
 
 
 cdef class Navigation:
     cdef double _dt, _level
+    cdef double[3] _angle_s
     cdef int _every, _ticks, _count, _helpless
     cdef bint _begun
     cdef double[9] _R

@@ -52,6 +52,9 @@ cdef double _MARGIN = 3.0
 cdef double _ENDED = 5.0
 # Least bias that is believed, of gyros (rad/s) and accelerometers (m/s^2): what healthy ones drift by.
 cdef double[2] _LEAST = [0.01, 0.25]
+# Largest bias that is believed, rad/s and m/s^2: what is more is no navigation of this flight any more. Chosen: ten and
+# six times those of which flights were recorded; with it no autopilot keeps the vehicle in the air.
+cdef double[2] _MOST = [1.0, 4.0]
 # A heading this far off, rad, is that of another start.
 cdef double _TURNED = 0.5
 # Steps with a fault that no hypothesis tells until the filter begins anew: a second set of onsets.
@@ -79,10 +82,13 @@ cdef class Navigation:
         Ticks between two fixes that are compared: as often as a receiver gives new ones.
     level : float
         Logarithm of the likelihood from which a fault is believed.
+    angles_s : Sequence[float]
+        Angle for each rad/s of a gyro's fault, x, y and z, that :meth:`missed` returns; 0: what it turned since its
+        onset.
     """
 
-    def __init__(self, double dt, int every, double level):
-        self._dt, self._every, self._level = dt, every, level
+    def __init__(self, double dt, int every, double level, angles_s=(0.0, 0.0, 0.0)):
+        self._dt, self._every, self._level, self._angle_s = dt, every, level, angles_s
         self.restart()
 
     @property
@@ -226,6 +232,7 @@ cdef class Navigation:
             memset(newest, 0, sizeof(Signature))
             for h in range(_JUMP):
                 newest.state[h][_BG + h] = 1.0
+                newest.bias[h] = self._bias[h]
         for i in range(2):
             innovation[i] = velocity[i] - self._offset[i] - self._velocity[i]
             variance[i] = _SPEED_NOISE * _SPEED_NOISE + (_TIMING_S * self._sharp[i]) ** 2
@@ -351,9 +358,16 @@ cdef class Navigation:
                 if likelihood > best[h]:
                     best[h], onset[h] = likelihood, k
                 if h < 5 and self._faulty[h]:
-                    size = self._before[h] - self._bias[h]
+                    # what the filter has followed of it since is in the signature
+                    size = self._before[h] - signature.bias[h]
                     if size * signature.matched[h] - 0.5 * size * size * signature.energy[h] > _ENDED:
                         self.jump(signature, h, size, 0.0)
+                        self._faulty[h] = False
+                        if h < 3:
+                            # When it ended is known to half the time between two onsets.
+                            least = 0.5 * _SPACING * self._every * self._dt * size
+                            for which in range(3):
+                                self._P[which][which] += least * least
                         return
         others = 0.0
         for h in range(HYPOTHESES):
@@ -374,8 +388,12 @@ cdef class Navigation:
         if self._helpless > _HELPLESS:
             self.restart()
         for h in range(5):
-            if self._faulty[h] and fabs(self._bias[h] - self._before[h]) < 0.5 * _LEAST[h >= 3]:
+            size = fabs(self._bias[h] - self._before[h])
+            if self._faulty[h] and size < 0.5 * _LEAST[h >= 3]:
                 self._faulty[h] = False
+            elif self._faulty[h] and size > _MOST[h >= 3]:
+                self.restart()
+                return
 
     cdef void jump(self, Signature* signature, int which, double size, double spread) noexcept:
         """Put a fault into the state, with its uncertainty, and begin to judge anew."""
@@ -390,14 +408,14 @@ cdef class Navigation:
                 self._faulty[which] = True
                 self._before[which] = self._bias[which]
             if which < 3:
-                self._missed[which] += size * signature.age * self._every * self._dt
+                self._missed[which] += size * (self._angle_s[which] or signature.age * self._every * self._dt)
         else:
             self._offset[which - _JUMP] += size
         self.correct(x)
         self._count = self._helpless = 0
 
     cdef double missed(self, int axis) noexcept:
-        """Return by what angle the vehicle turned less, from the onset of a fault until it was believed; once."""
+        """Return by what angle the rotation has to be set back for faults that began or ended; once."""
         cdef double angle = self._missed[axis]
         self._missed[axis] = 0.0
         return angle

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from adapters.channels import Channel
 from adapters.errors import TelemetryError
 from gains.synthesis.bank import compile_bank
+from gains.synthesis.gains_file import Gains
 from monitor.alarms.excuse import ExcuseRule
+from monitor.estimation.affine import AffineObserver
 from monitor.estimation.changes import WINDOW_S, ChangeRule
 from monitor.fitting.calibrate import LEVEL_SHARE, SETTLE_S, bank_rule
 from monitor.fitting.changes import fit_changes, healthy_nats
@@ -133,6 +135,10 @@ _EXCUSES = (
     ExcuseRule(_POSITION, GPS_VELOCITY, 0.5 * _VELOCITY_WASHOUT_S),
     # A tilted attitude takes the magnetic field's dip for heading, and gravity for less of itself.
     ExcuseRule(("compass", "accel_z"), (*GYROS, *MOTION), 2.0 * _VELOCITY_WASHOUT_S),
+    # An estimator that was fed with a wrong GPS tilts the attitude, and takes that back afterwards without a rotation.
+    ExcuseRule(GYROS, _POSITION, 2.0 * _VELOCITY_WASHOUT_S),
+    # A tilt that a gyro's fault leaves behind and an accelerometer cannot be told apart in hover.
+    ExcuseRule(ACCELEROMETERS, GYROS, 2.0 * _VELOCITY_WASHOUT_S),
 )
 
 
@@ -211,6 +217,9 @@ def _designed(
     )
     plant = inertial_plant(fit, request.name)
     gains = compile_bank(plant, inertial_bank(plant))
+    if "judge_level" in parameters:
+        parameters = {**parameters, **_bias_angles(gains)}
+        rule = replace(rule, parameters=parameters)
     names = {fault.name for fault in plant.faults}
     bare = {f"gps_{axis}" for axis in bare_positions(fit.inputs, fit.outputs)}
     isolation = bank_rule(
@@ -309,6 +318,23 @@ def _judge_level(raw: Sequence[Flight], parameters: Mapping[str, float], signal_
         scores += [transform.scores[rows] for rows in given.stretches(at_restart=False)]
     largest = max((float(score.max(initial=0.0)) for score in scores), default=0.0)
     return round(max(_LEAST_LEVEL, _LEVEL_MARGIN * largest), 1)
+
+
+def _bias_angles(gains: Sequence[Gains]) -> dict[str, float]:
+    """Return the angle about each axis from which a gyro's estimate jumps by 1 rad/s, seconds.
+
+    The estimate follows an angle that stays as exp(-t / T) / T, behind some samples of rise, and a bias that ends as
+    exp(-t / T): set back by T times the bias, it jumps, and stays there.
+    """
+    angles, rows = {}, round(gains[0].rate_hz)
+    for gyro in GYROS:
+        single = next(single for single in gains if gyro in single.faults)
+        y = np.zeros((rows, len(single.outputs)))
+        y[1:, single.outputs.index(f"rotation_{gyro[-1]}")] = 1.0
+        run = AffineObserver([single]).run(np.zeros((rows, len(single.inputs))), y)
+        jump = np.abs(run.fault[:, single.faults.index(gyro)]).max()
+        angles[f"bias_angle_{gyro[-1]}_s"] = round(1.0 / float(jump), 4)
+    return angles
 
 
 def _rates(message_hz: float) -> tuple[float, float]:

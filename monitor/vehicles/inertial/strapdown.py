@@ -62,6 +62,9 @@ DEFAULTS = {
     "compass_hold_s": 0.0,
     "judge_level": 0.0,
     "attitude_share": 1.0,
+    "bias_angle_x_s": 0.0,
+    "bias_angle_y_s": 0.0,
+    "bias_angle_z_s": 0.0,
 }
 """Parameters that are left out. Chosen: positions and angles are forgotten within 30 s, over which receivers and
 barometers drift by half a metre; velocities within 10 s, in which an attitude that is wrong by 10 mrad makes 1 m/s of
@@ -83,7 +86,10 @@ class Strapdown:
         fix may stay the same until the receiver is stuck, 0 for ever; ``compass_hold_s``: how long a magnetic field
         may, which is followed by the gyro until then; ``judge_level``: logarithm of the likelihood from which a gyro or
         accelerometer is held responsible for what the GPS's velocity shows (:mod:`monitor.core.navigation`), 0: never
-        asked; ``attitude_share``: what counts of the difference of attitude and gyros while none is held responsible.
+        asked; ``attitude_share``: what counts of the difference of attitude and gyros while none is held responsible;
+        ``bias_angle_x_s`` (y, z): by what angle for each rad/s the rotation is set back when a gyro's fault begins or
+        ends, as much as makes the estimate of the observer behind jump by the fault, 0: by what the vehicle turned
+        meanwhile.
         What is left out is taken from ``DEFAULTS``.
     signal_rate_hz : float
         Samples per second that come in.
@@ -123,7 +129,12 @@ class Strapdown:
         bare = {} if speed else dict.fromkeys(("gps_north", "gps_east"), _washout(values["position_washout_s"], period))
         latest = max(values["gps_delay_s"] if gps else 0.0, values["baro_delay_s"] if baro else 0.0)
         self.navigation = (
-            Navigation(1.0 / signal_rate_hz, max(1, round(_FIX_S * signal_rate_hz)), values["judge_level"])
+            Navigation(
+                1.0 / signal_rate_hz,
+                max(1, round(_FIX_S * signal_rate_hz)),
+                values["judge_level"],
+                [values[f"bias_angle_{axis}_s"] for axis in "xyz"],
+            )
             if judged
             else None
         )
@@ -172,7 +183,9 @@ def _checked(parameters: Mapping[str, float]) -> dict[str, float]:
         if key in ("gps", "barometer", "magnetometer"):
             good = value in range({"gps": 4, "barometer": 3}.get(key, 2))
         else:
-            good = isfinite(value) and (value > 0.0 or (value == 0.0 and key.endswith(("delay_s", "hold_s", "_level"))))
+            good = isfinite(value) and (
+                value > 0.0 or (value == 0.0 and key.endswith(("delay_s", "hold_s", "_level", "x_s", "y_s", "z_s")))
+            )
         if not good:
             raise TelemetryError(f"strapdown: '{key}' = {value} is out of range")
     return values
