@@ -51,6 +51,7 @@ class Flight:
     mode: int = 2
     end_s: float = END_S
     texts: Sequence[tuple[float, str]] = ()
+    commands: Sequence[tuple[float, int, int, float]] = ()  # when, component, MAV_CMD, first parameter
     parameters: Mapping[str, float] = field(default_factory=lambda: {"BAT1_N_CELLS": 4})
 
 
@@ -71,6 +72,8 @@ _TOPICS = {
     "vehicle_gps_position": "uint64_t timestamp;uint8_t fix_type;uint8_t satellites_used",
     "estimator_status_flags": "uint64_t timestamp;bool cs_gps",
     "estimator_status": "uint64_t timestamp;float vel_test_ratio;float pos_test_ratio;float hgt_test_ratio",
+    "vehicle_command": "uint64_t timestamp;float param1;uint32_t command;uint8_t source_system;"
+    "uint16_t source_component;bool from_external",
     "vehicle_imu_status": "uint64_t timestamp;uint32_t[3] accel_clipping;float accel_vibration_metric",
 }
 
@@ -88,6 +91,10 @@ def px4_log(path: Path, flight: Flight) -> Path:
         at, stamp = tick / 10, BEGIN_US + tick * 100_000
         while texts and texts[0][0] <= at:
             log.text(stamp, texts.pop(0)[1], 4)
+        for when, component, number, first in flight.commands:
+            if when <= at < when + 0.1:
+                sent = {"param1": first, "command": number, "source_system": 255, "source_component": component}
+                log.add(ids["vehicle_command"], "vehicle_command", {"timestamp": stamp, **sent, "from_external": True})
         for name, values in _topics(flight, at).items():
             log.add(ids[name], name, {"timestamp": stamp, **values})
     return log.write(path)

@@ -85,6 +85,7 @@ CASES: dict[str, Flight] = {
     "estimator_reset": Flight(resets=lambda at: 1 + (at > 30.0)),
     "vibration": Flight(vibration=lambda at: 25.0 if turning(at) else 0.5, clipped=lambda at: int(10 * at)),
     "failsafe": Flight(failsafe=lambda at: 30.0 <= at < 40.0),
+    "commands_from_outside": Flight(commands=[(1.0, 190, 400, 1.0), (30.0, 77, 176, 1.0)]),
     "descent_not_followed": Flight(
         climb_wanted=between(30.0, 38.0, -1.5, 0.0),
         height=lambda at: usual_height(at) + 0.6 * min(max(at - 30.0, 0.0), 8.0),
@@ -105,6 +106,9 @@ LOOK_ALIKES: dict[str, Flight] = {
     "no battery connected": Flight(volts=lambda _: 0.05, connected=False),
     "a dip of voltage at full thrust": Flight(volts=between(30.0, 31.5, 12.9, 15.4)),
     "a receiver that nobody uses": Flight(fix=lambda _: 0, gps_used=False),
+    "the ground station's own commands": Flight(commands=[(1.0, 190, 400, 1.0), (30.0, 190, 176, 1.0)]),
+    "a request from elsewhere": Flight(commands=[(1.0, 190, 400, 1.0), (30.0, 77, 512, 1.0)]),
+    "a disarming on the ground": Flight(commands=[(1.0, 190, 400, 1.0), (56.0, 77, 400, 0.0)]),
     "one innovation": Flight(ratio=between(30.0, 30.2, 3.0, 0.1)),
     "a reset at take-off": Flight(resets=lambda at: 1 + (at > 4.0)),
     "a hard landing": Flight(vibration=between(LANDING_S - 0.5, LANDING_S + 1.0, 30.0, 2.0)),
@@ -151,6 +155,13 @@ def test_what_only_looks_wrong_is_no_finding(name: str, tmp_path: Path) -> None:
     review = rules_on(px4_log(tmp_path / "flight.ulg", LOOK_ALIKES[name]))
     assert names(review) == []
     assert review.sentence.startswith("Nothing wrong found in ")
+
+
+def test_a_flood_of_commands_is_a_finding(tmp_path: Path) -> None:
+    flight = Flight(commands=[(1.0, 190, 400, 1.0), *((30.0, 190, 512, 0.0) for _ in range(60))])
+    review = rules_on(px4_log(tmp_path / "flight.ulg", flight))
+    assert names(review) == ["commands_from_outside"]
+    assert "60 commands a second" in review.sentence
 
 
 def test_what_comes_after_a_fall_is_no_finding(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from typing import Final
 from replay.review.findings import (
     attitude_not_followed,
     battery_low,
+    commands_from_outside,
     descent_not_followed,
     esc_stopped,
     estimator_reset,
@@ -26,6 +27,7 @@ from replay.review.findings import (
 from replay.review.findings.rule import Rule
 
 RULES: Final[tuple[Rule, ...]] = (
+    commands_from_outside.RULE,
     landing_detected_in_air.RULE,
     motors_stopped_in_air.RULE,
     motor_command_stopped.RULE,

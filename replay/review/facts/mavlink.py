@@ -115,7 +115,9 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
         armed=tuple(armed),
         flight=tuple(flight),
         signals={name: one for name, one in signals.items() if one is not None and len(one.time_s)},
-        statements=tuple(sorted(_statements(records, system, arming, landing, modes), key=lambda one: one.time_s)),
+        statements=tuple(
+            sorted(_statements(records, system, kind, autopilot, arming, landing, modes), key=lambda one: one.time_s)
+        ),
         commands=tuple(sorted(_commands(records, system), key=lambda one: one.time_s)),
         parameters=records.parameters,
         lacks=lacks,
@@ -137,9 +139,20 @@ def _vehicle(records: LogRecords) -> tuple[int, int, str]:
     return 0, 0, ""
 
 
+def _mode(number: int, kind: int, autopilot: str) -> str:
+    from pymavlink.mavutil import interpret_px4_mode, mode_mapping_bynumber
+
+    if autopilot == "PX4":
+        return str(interpret_px4_mode(_ARMED, number))
+    names = mode_mapping_bynumber(kind) if autopilot == "ArduPilot" else None
+    return str((names or {}).get(number, f"{number:#x}"))
+
+
 def _statements(
     records: LogRecords,
     system: int,
+    kind: int,
+    autopilot: str,
     arming: Sequence[tuple[float, float]],
     landing: Sequence[tuple[float, float]],
     modes: LogSignal | None,
@@ -152,7 +165,7 @@ def _statements(
         yield Statement(at, "landing", "landed" if value else "in the air", int(value))
     if modes is not None:
         for at, value in changes(replace(modes, values=modes.values[:, 1:2])):
-            yield Statement(at, "mode", f"mode {int(value):#x}")
+            yield Statement(at, "mode", f"mode {_mode(int(value), kind, autopilot)}")
 
 
 def _commands(records: LogRecords, vehicle: int) -> Iterator[CommandSent]:
@@ -163,4 +176,8 @@ def _commands(records: LogRecords, vehicle: int) -> Iterator[CommandSent]:
             said: tuple[float | str, ...] = tuple(
                 value for key, value in row.items() if isinstance(value, int | float | str) and "target" not in key
             )
-            yield CommandSent(at, system, component, name, said)
+            if "command" in row:
+                number = str(int(row["command"]))
+                yield CommandSent(at, system, component, number, tuple(row.get(f"param{k}", 0.0) for k in range(1, 5)))
+            else:
+                yield CommandSent(at, system, component, name, said)

@@ -1,0 +1,26 @@
+"""Commands that can bring a vehicle down are told from those that cannot."""
+
+import pytest
+
+from monitor.alarms.command_risk import command_risk
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "risk"),
+    [
+        ("400", (0.0, 21196.0), "disarms"),
+        ("400", (1.0,), None),
+        ("246", (1.0,), "reboots the autopilot"),
+        ("185", (1.0,), "terminates the flight"),
+        ("176", (1.0, 4.0), "changes the mode"),
+        ("SET_MODE", (81, 4), "changes the mode"),
+        ("512", (0.0,), None),
+        ("PARAM_SET", ("FENCE_ENABLE", 0.0), "sets FENCE_ENABLE"),
+        ("PARAM_SET", ("COM_DL_LOSS_T", 999.0), "sets COM_DL_LOSS_T"),
+        ("PARAM_SET", ("LOG_BITMASK", 0.0), None),
+        ("MISSION_COUNT", (3,), "rewrites the mission"),
+        ("MISSION_REQUEST_LIST", (), None),
+    ],
+)
+def test_what_a_command_does_in_flight(name: str, values: tuple[float | str, ...], risk: str | None) -> None:
+    assert command_risk(name, values) == risk
