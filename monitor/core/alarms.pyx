@@ -126,7 +126,7 @@ cdef class AlarmState:
         self.slow, self.slow_ns = rule.slow, rule.slow_s * NANOSECONDS
         self.latch_ns, self.ahead_s = rule.latch_s * NANOSECONDS, rule.critical_ahead_s
         self.nats, self.least = rule.nats, rule.least
-        # may be the very cause of a lively flight.
+        self.fails_towards_less = rule.kind == "actuator"
 
     def set_excuse(self, bint now, spans):
         """Set when other alarms explain the evidence: always from now on, or in spans of vehicle time (m, 2), ns."""
