@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 from adapters.errors import ConfigError
+from adapters.mavlink.companion import COMPANION
 from adapters.toml_tables import Table, read_toml
 from monitor.configuration import config_values as check
 from monitor.configuration.config_checks import conflicts, link_conflicts
@@ -286,6 +287,22 @@ class Notify:
 
 
 @dataclass(frozen=True)
+class GroundStation:
+    """Alarms on the operator's ground station: heartbeat, computer status and texts of an onboard computer."""
+
+    url: str | None = _key(
+        None,
+        _text(check.udp_target),
+        "Where they go: a ground station or a MAVLink router; nothing is sent where it is left out.",
+        "udpout:127.0.0.1:14551",
+    )
+    component: int = _key(
+        COMPANION, _whole(2, 255), "MAVLink component id that they are sent as, with the vehicle's system id."
+    )
+    per_minute: float = _key(20, _number(above=0, at_most=600), "Largest rate of messages; more are summed up.")
+
+
+@dataclass(frozen=True)
 class Rerun:
     """The live view."""
 
@@ -394,6 +411,7 @@ class Config:
     standby: Standby = _section(Standby)
     metrics: Metrics = _section(Metrics)
     notify: Notify = _section(Notify)
+    ground_station: GroundStation = _section(GroundStation)
     rerun: Rerun = _section(Rerun)
 
     @property

@@ -29,6 +29,7 @@ def conflicts(config: Config) -> Iterator[Conflict]:
     yield from link_conflicts(config)
     yield from _sizes(config)
     yield from _standby(config)
+    yield from _ground_station(config)
     yield from _profiles(config)
     yield from _channels(config)
 
@@ -162,6 +163,19 @@ def _sending(config: Config) -> Iterator[Conflict]:
                 "udpin:HOST:PORT, or set allow = true in [send]"
             )
             yield Conflict(("mavlink", k), what, allow)
+
+
+def _ground_station(config: Config) -> Iterator[Conflict]:
+    """Yield whose telemetry our own packets would be, once a router passes them on."""
+    if config.ground_station.url is None:
+        return
+    for k, vehicle in enumerate(config.vehicles):
+        if vehicle.component in (0, config.ground_station.component):
+            what = (
+                f"is {vehicle.component}, so that the packets of [ground_station] (component "
+                f"{config.ground_station.component}) would be taken for telemetry; name the autopilot's, 1"
+            )
+            yield Conflict(("vehicle", k, "component"), what, (("ground_station", "component"),))
 
 
 def _sizes(config: Config) -> Iterator[Conflict]:

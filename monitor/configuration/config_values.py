@@ -56,6 +56,14 @@ def mavlink_url(value: str) -> None:
     _check_host_port(value, rest, _URL_HELP)
 
 
+def udp_target(value: str) -> None:
+    """Refuse what is no address that packets can be sent to."""
+    kind, _, rest = value.partition(":")
+    if kind != "udpout":
+        raise ValueError(f"is '{value}'; write it like udpout:127.0.0.1:14551")
+    _check_host_port(value, rest, "write it like udpout:127.0.0.1:14551")
+
+
 def host_port_or_off(value: str) -> None:
     """Refuse what is neither HOST:PORT nor ``off``."""
     if value != "off":

@@ -12,8 +12,10 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from adapters.errors import OtherVehicleError
+from adapters.mavlink.signing import read_key
 from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
+from monitor.notify.ground_station import GroundSender
 from monitor.notify.messenger import Messenger
 from monitor.notify.outlets import make_outlets
 from monitor.recording.background import BackgroundJournal
@@ -66,8 +68,8 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         links = open_links(config, session, stack, guard)
         views = _open_views(config, log, stack)
         counted = {one.name: one.link for one in links}
-        messenger = _open_messenger(config, log, stack)
-        station = Station(config, read_again, session, inbox, journal, log, counted, views, messenger)
+        ground, messengers = _open_messengers(config, log, stack)
+        station = Station(config, read_again, session, inbox, journal, log, counted, views, messengers, ground)
         stack.callback(station.close)
         # before the links are closed, which their threads read
         stack.callback(inbox.close)
@@ -154,11 +156,9 @@ def _each_second(work: Callable[[], None], name: str, stack: ExitStack) -> None:
     stack.callback(done.set)
 
 
-def _open_messenger(config: Config, log: ServiceLog, stack: ExitStack) -> Messenger | None:
-    notify = config.notify
-    outlets = make_outlets(notify.urls_file, notify.exec, notify.exec_timeout_s)
-    if not outlets:
-        return None
+def _open_messengers(config: Config, log: ServiceLog, stack: ExitStack) -> tuple[GroundSender | None, list[Messenger]]:
+    """Open what tells people of alarms: the ground station, if any, and all that send notices."""
+    notify, station = config.notify, config.ground_station
 
     def on_failure(outlet: str, reason: str | None) -> None:
         if reason is None:
@@ -166,9 +166,18 @@ def _open_messenger(config: Config, log: ServiceLog, stack: ExitStack) -> Messen
         else:
             log.say("notification failed", level="warning", outlet=outlet, reason=reason, now="it is tried again")
 
-    messenger = Messenger(outlets, notify.on, notify.per_minute, on_failure)
-    stack.callback(messenger.close)
-    return messenger
+    messengers = []
+    if outlets := make_outlets(notify.urls_file, notify.exec, notify.exec_timeout_s):
+        messengers.append(Messenger(outlets, notify.on, notify.per_minute, on_failure))
+    ground = None
+    if station.url is not None:
+        key = None if config.signing.key_file is None else read_key(config.signing.key_file)
+        ground = GroundSender(station.url, station.component, key)
+        stack.callback(ground.close)
+        messengers.append(Messenger([ground], per_minute=station.per_minute))
+    for messenger in messengers:
+        stack.callback(messenger.close)
+    return ground, messengers
 
 
 def _open_views(config: Config, log: ServiceLog, stack: ExitStack) -> list[LiveView]:

@@ -20,6 +20,7 @@ from monitor.alarms.desk import DeskRule
 from monitor.bus.status_watch import VehicleStatus
 from monitor.configuration.config import Config, Vehicle
 from monitor.event import AlarmEvent
+from monitor.notify.ground_station import Beat, GroundSender
 from monitor.notify.messenger import Messenger
 from monitor.pipeline import Pipeline
 from monitor.profile import PROFILE_FILE, Profile, read_profile
@@ -57,7 +58,7 @@ class Station:
     """The vehicles of one daemon; the session is left open by :meth:`close`.
 
     ``read_again`` reads the configuration anew, for a reload; ``links`` are asked for their counts, ``views`` show the
-    vehicles, the ``messenger`` tells people of their alarms. ``reloads`` counts the reloads that are over, failed
+    vehicles, the ``messengers`` tell people of their alarms. ``reloads`` counts the reloads that are over, failed
     ones included. Raises UsageError or TelemetryError where a profile cannot be used, or a folder not written to.
     """
 
@@ -71,7 +72,8 @@ class Station:
         log: ServiceLog,
         links: Mapping[str, Counting],
         views: Sequence[LiveView] = (),
-        messenger: Messenger | None = None,
+        messengers: Sequence[Messenger] = (),
+        ground: GroundSender | None = None,
     ) -> None:
         self._config = config
         self._read_again = read_again
@@ -82,7 +84,8 @@ class Station:
         self._links = links
         self._shared_links = frozenset((*config.mavlink, *config.zenoh))
         self._views = tuple(views)
-        self._messenger = messenger
+        self._messengers = tuple(messengers)
+        self._ground = ground
         self._shown: dict[str, list[VehicleView]] = {}
         self._said: dict[str, tuple[str, ...]] = {}
         self._profiles: dict[Path, Profile] = {}
@@ -152,8 +155,9 @@ class Station:
                     for name, link in self._links.items()
                 ),
                 journal,
-                () if self._messenger is None else self._messenger.health(),
+                tuple(outlet for messenger in self._messengers for outlet in messenger.health()),
             )
+            self._beat()
             self._say_states()
 
     def reload(self) -> None:
@@ -241,10 +245,22 @@ class Station:
         self._services[pipeline.vehicle] = service
         return service
 
+    def _beat(self) -> None:
+        """Let the ground station know that the vehicles this monitor is active for are watched, and how they are."""
+        if self._ground is None:
+            return
+        beats = {}
+        for name, service in self._services.items():
+            if service.monitor.active:
+                pipeline = service.monitor.pipeline
+                critical = any(event.severity == "critical" for event in pipeline.desk.active)
+                beats[name] = Beat(pipeline.system, critical)
+        self._ground.beat(beats, time.time_ns(), self._health.process.resident_bytes)
+
     def _on_event(self, event: AlarmEvent) -> None:
         self._log.event(event)
-        if self._messenger is not None:
-            self._messenger.event(event)
+        for messenger in self._messengers:
+            messenger.event(event)
 
     def _say_monitoring(self, vehicle: Vehicle) -> None:
         config, name = self._config, self.name_of(vehicle)
