@@ -226,8 +226,10 @@ def test_a_lasting_alarm_of_what_was_learned_is_a_finding(name: str) -> None:
         replace(LEARNED["motor_effect"], channel="unexplained"),
         replace(LEARNED["motor_effect"], start_s=51.0, end_s=60.0),
         replace(LEARNED["sensor_effect"], channel="gps_east", share=1.9),
+        replace(LEARNED["sensor_effect"], channel="compass", share=9.0),
+        replace(LEARNED["sensor_effect"], observer="motors"),
     ],
-    ids=["short", "unexplained", "at landing", "wind"],
+    ids=["short", "unexplained", "at landing", "wind", "heading", "command against motion"],
 )
 def test_an_alarm_of_what_was_learned_may_be_the_flight_itself(alarm: LearnedAlarm) -> None:
     assert names(watched(alarm)) == []

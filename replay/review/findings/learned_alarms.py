@@ -11,33 +11,35 @@ from replay.review.findings.rule import Judgement
 _LEAST_S = 5.0
 """Measured on fifteen healthy flights learned from their first 40 s: alarms of motors end within 3.6 s (hard turns
 that the begin did not have), those of faults last as long as the fault."""
-_INERTIAL = ("gyro_", "accel_")
 _LANDING_S = 3.0
 """Seconds ahead of touch-down that are left out: the air that rotors throw at the ground comes back."""
 
 
 def alarms_of(
-    facts: LogFacts, observer: str, least_share: float, counter: tuple[str, ...], plots: tuple[str, ...]
+    facts: LogFacts, channels: tuple[str, ...], least_share: float, counter: tuple[str, ...], plots: tuple[str, ...]
 ) -> Iterator[Judgement]:
-    """Yield the lasting alarms of an observer, one for each channel, from its first on.
+    """Yield the lasting alarms of channels that begin with some words, one for each channel, from its first on.
 
-    ``least_share`` is how many times its threshold one has to be; of gyros and accelerometers once is enough.
+    ``least_share`` is how many times its threshold one has to be to be more than information.
     """
     watch = facts.watch
     if watch is None:
         return
     end_s = lost_s(facts)
-    lasting = [one for one in watch.alarms if one.observer == observer and _lasts(one, facts, end_s)]
+    # what the motors' observer says of gyros is command against motion: which of the two is wrong it cannot tell alone
+    lasting = [
+        one for one in watch.alarms if one.channel.startswith(channels) and _lasts(one, facts, end_s) and _own(one)
+    ]
     for channel in dict.fromkeys(one.channel for one in lasting):
         own = [one for one in lasting if one.channel == channel]
         largest = max(own, key=lambda one: one.share)
-        enough = channel.startswith(_INERTIAL) or largest.share >= least_share
+        enough = largest.share >= least_share
         yield Judgement(
             start_s=own[0].start_s,
             end_s=own[-1].end_s,
             text=f"{largest.text}, compared with the first {watch.until_s - facts.flight[0][0]:.0f} s of the flight",
             evidence=(
-                f"observer {observer}, learned from the flight until {watch.until_s:.0f} s: alarm from "
+                f"observer {largest.observer}, learned from the flight until {watch.until_s:.0f} s: alarm from "
                 f"{own[0].start_s:.1f} to {own[-1].end_s:.1f} s",
                 f"up to {largest.share:.1f} times the threshold",
             ),
@@ -48,7 +50,11 @@ def alarms_of(
         )
 
 
+def _own(alarm: LearnedAlarm) -> bool:
+    return alarm.observer == "inertial" or not alarm.channel.startswith(("gyro_", "accel_"))
+
+
 def _lasts(alarm: LearnedAlarm, facts: LogFacts, end_s: float) -> bool:
     flight_end_s = max((end for start, end in facts.flight if start <= alarm.start_s), default=0.0) - _LANDING_S
     end_s = min(end_s, flight_end_s)
-    return alarm.channel != "unexplained" and min(alarm.end_s, end_s) - alarm.start_s >= _LEAST_S
+    return min(alarm.end_s, end_s) - alarm.start_s >= _LEAST_S

@@ -12,7 +12,7 @@ from replay.review.findings.rule import Judgement, Rule
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
     return alarms_of(
         facts,
-        "motors",
+        ("motor", "esc", "prop"),
         1.0,
         (
             "the same command gave another angular acceleration before",
