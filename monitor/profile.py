@@ -21,7 +21,7 @@ from adapters.toml_tables import Table, parse_toml
 from gains.plants.model_file import model_hash, read_model
 from gains.plants.plant import Plant
 from gains.synthesis.gains_file import Gains, read_gains
-from monitor.alarms.alarm import LEAST, AlarmRule
+from monitor.alarms.alarm import LEAST, MEASURED, AlarmRule
 from monitor.alarms.excuse import ExcuseRule, excuse_tables, read_excuses
 from monitor.estimation.changes import ChangeRule, changes_table, read_changes
 from monitor.estimation.effectiveness import EffectivenessRule, effectiveness_table, read_effectiveness
@@ -281,6 +281,9 @@ def _alarm_table(rule: AlarmRule, sees: str | None) -> dict[str, float | str]:
         table["healthy"] = rule.healthy
     if rule.latch_s:
         table["latch_s"] = rule.latch_s
+    for key in MEASURED:
+        if getattr(rule, key) is not None:
+            table[key] = getattr(rule, key)
     if sees:
         table["sees"] = sees
     return table
@@ -408,6 +411,7 @@ def _alarms(table: Table, observer: str, faults: Sequence[FaultChannel]) -> tupl
             threshold=threshold,
             **values | {"fast": max(threshold, values["fast"])},
             sees=entry.text("sees", ""),
+            **{key: entry.number(key, at_least=0.0) for key in MEASURED if entry.has(key)},
         )
         entry.done()
         if rule.clear > rule.threshold:

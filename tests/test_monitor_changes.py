@@ -176,7 +176,7 @@ def test_the_fitted_variance_grows_with_what_excites_the_noise() -> None:
 
 def test_the_nats_of_an_alarm_are_more_than_two_rows_can_have(rule: ChangeRule) -> None:
     flown = [flight(np.random.default_rng(12), 60.0)]
-    assert healthy_nats(PLANT, HZ, MOTOR_CHANNELS, rule, flown, 0.02) > CLIP**2
+    assert healthy_nats(PLANT, HZ, MOTOR_CHANNELS, rule, flown, 0.02).level > CLIP**2
 
 
 def test_too_short_flights_have_no_test() -> None:
@@ -254,7 +254,7 @@ def sensors() -> tuple[ChangeRule, float]:
     found = fit_changes(INERTIAL, INERTIAL_HZ, INERTIAL.outputs, flown, LASTS_S)
     assert found is not None
     channels = [FaultChannel(name, "sensor", "", None) for name in SENSORS]
-    return found, healthy_nats(INERTIAL, INERTIAL_HZ, channels, found, flown, 0.02)
+    return found, healthy_nats(INERTIAL, INERTIAL_HZ, channels, found, flown, 0.02).level
 
 
 def judged(rule: ChangeRule, flown: Flight) -> ChangeRun:

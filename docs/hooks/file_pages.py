@@ -22,7 +22,7 @@ from adapters.channels import Channel
 from gains.identification.free_model import Parameter
 from gains.plants.plant import Fault, Nonlinearity, Plant
 from gains.synthesis.gains_file import Gains
-from monitor.alarms.alarm import TUNABLE, AlarmRule
+from monitor.alarms.alarm import MEASURED, TUNABLE, AlarmRule
 from monitor.alarms.excuse import ExcuseRule
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.estimation.isolation_rule import METHODS, BankRule, SingleRule
@@ -137,9 +137,11 @@ def profile_page() -> str:
         _rows(
             [
                 *_named(AlarmRule, TUNABLE),
+                ("false_per_100h", "number", "False alarms that the fit expects in 100 hours; its events carry it."),
+                ("excluded_per_100h", "number", "How many more its flights exclude, at 95 %; nothing reads it."),
                 ("sees", "text", "What it detects, as measured by the fit; nothing reads it."),
             ],
-            alarms | {"sees": None},
+            alarms | dict.fromkeys((*MEASURED, "sees")),
         ),
         "\n## `effectiveness.FAULT`\n",
         _rows(_named(EffectivenessRule), _defaults(EffectivenessRule)),

@@ -149,6 +149,9 @@ class AlarmRule:
         Size that evidence reaches in healthy flight, as rarely as false alarms are granted: where the residuals of a
         run are larger than those of the flights that were fitted, what is asked of it grows with this size
         (:mod:`monitor.estimation.bank`); 0: not at all.
+    false_per_100h, excluded_per_100h : float or None
+        False alarms that are expected in 100 hours, and how many more the fitted flights exclude, at 95 %; None where
+        that was not measured.
     sees : str
         What size of fault it sees how fast, for people; empty where that was not measured.
     """
@@ -174,15 +177,22 @@ class AlarmRule:
     nats: float = math.inf
     least: float = 0.0
     healthy: float = 0.0
+    false_per_100h: float | None = None
+    excluded_per_100h: float | None = None
     sees: str = ""
 
 
 TUNABLE = tuple(key.name for key in fields(AlarmRule) if key.type == "float")
 """Keys of a rule that may change while the monitor runs."""
+MEASURED = ("false_per_100h", "excluded_per_100h")
+"""Keys of a rule that the fit measured of it as it is."""
 
 
 def retuned(rule: AlarmRule, values: Mapping[str, object]) -> AlarmRule:
-    """Return a copy of the rule with valid tunable values applied; other values are ignored."""
+    """Return a copy of the rule with valid tunable values applied; other values are ignored.
+
+    What was measured of the rule as it was does not hold of another.
+    """
     valid = {
         key: float(value)
         for key in TUNABLE
@@ -190,7 +200,8 @@ def retuned(rule: AlarmRule, values: Mapping[str, object]) -> AlarmRule:
         and not isinstance(value, bool)
         and (LEAST.get(key, 0.0) <= value <= _LARGEST or value == math.inf)
     }
-    return replace(rule, **valid)  # type: ignore[arg-type]
+    changed = replace(rule, **valid)  # type: ignore[arg-type]
+    return rule if changed == rule else replace(changed, false_per_100h=None, excluded_per_100h=None)
 
 
 class Alarm:
@@ -280,4 +291,5 @@ class Alarm:
             seq=UNNUMBERED,
             creeping=now.creeping,
             recurring=now.recurring,
+            false_per_100h=rule.false_per_100h,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from gains.plants.plant import Plant
 from monitor.estimation.changes import CLIP, ChangeRule, ChangeStage
 from monitor.fitting.excitation import excited_variance
-from monitor.fitting.extremes import return_level
+from monitor.fitting.extremes import ReturnLevel, return_level
 from monitor.fitting.flights import Flight
 from monitor.profile import FaultChannel
 
@@ -64,7 +65,7 @@ def healthy_nats(
     rule: ChangeRule,
     flights: Sequence[Flight],
     alarms_per_hour: float,
-) -> float:
+) -> ReturnLevel:
     """Return the nats that a change named in healthy flight exceeds at a rate of false alarms, whichever it names."""
     series = []
     inputs = {channel.name: channel.input for channel in faults}
@@ -72,7 +73,8 @@ def healthy_nats(
         stage = ChangeStage(plant, rate_hz, inputs, rule)
         run = stage.run(flight.samples, flight.armed, np.zeros((len(flight), len(inputs))))
         series += [run.nats[rows] for rows in flight.stretches(at_restart=False)]
-    return max(_LEAST_NATS, return_level(series, rate_hz, alarms_per_hour).level)
+    level = return_level(series, rate_hz, alarms_per_hour)
+    return replace(level, level=float(f"{max(_LEAST_NATS, level.level):.4g}"))
 
 
 def _autoregression(stretches: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -24,7 +24,7 @@ Dixon, Extremes 2(1), 1999; Martins and Stedinger, Water Resources Research 36(3
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,28 @@ _RUNGS = 480
 """Sizes per two decades: 1 % apart, the rounding that :func:`standing` states."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Tail:
+    """How often a statistic of healthy flight is expected to exceed any size."""
+
+    peaks: NDArray[np.float64]  # all of them, in any order
+    limit: float  # u
+    hours: float
+    # the posterior of (xi, sigma) on its grid
+    xi: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+    weights: NDArray[np.float64]
+
+    def per_hour(self, size: float) -> float:
+        """Return how often an hour peaks exceed a size: as seen up to the limit u, the posterior's mean beyond it."""
+        if size < self.limit:
+            return float((self.peaks >= size).sum()) / self.hours
+        inside = np.maximum(1.0 + self.xi * (size - self.limit) / self.sigma, 0.0)
+        with np.errstate(divide="ignore"):
+            share = np.where(inside > 0.0, inside ** (-1.0 / self.xi), 0.0)
+        return float((self.peaks > self.limit).sum()) / self.hours * float(share @ self.weights)
+
+
 @dataclass(frozen=True, slots=True)
 class ReturnLevel:
     """The level that is exceeded at a stated rate."""
@@ -63,6 +85,11 @@ class ReturnLevel:
     high: float
     hours: float  # length of the series
     peaks: int  # number of peaks the tail was fitted to
+    tail: Tail | None = field(default=None, repr=False, compare=False)  # None where there was no peak
+
+    def per_hour(self, size: float) -> float:
+        """Return how often an hour the statistic is expected to exceed a size."""
+        return 0.0 if self.tail is None else self.tail.per_hour(size)
 
 
 def return_level(
@@ -110,11 +137,13 @@ def return_level(
     limit = float(peaks[count]) if count < len(peaks) and peaks[count] < peaks[0] else 0.0
     excess = peaks[peaks > limit] - limit
     growth = max(1.0, len(excess) / (hours * alarms_per_hour))
-    levels, weights = _posterior(excess, growth)
+    xi, sigma, weights = _posterior(excess)
+    levels = sigma * (np.expm1(xi * np.log(growth)) / xi)
     tail = (1.0 - confidence) / 2.0
     low, level, high = limit + _quantiles(levels, weights, (tail, 0.5, 1.0 - tail))
     level = max(float(level), largest)
-    return ReturnLevel(level, min(float(low), level), max(float(high), level), hours, len(excess))
+    seen = Tail(peaks, limit, hours, xi, sigma, weights)
+    return ReturnLevel(level, min(float(low), level), max(float(high), level), hours, len(excess), seen)
 
 
 def local_peaks(values: NDArray[np.float64], rate_hz: float, separation_s: float = SEPARATION_S) -> NDArray[np.float64]:
@@ -146,8 +175,10 @@ def standing(values: NDArray[np.float64], samples: int) -> NDArray[np.float64]:
     return np.array([0.0, *rungs[1:], largest])[passed + 1]
 
 
-def _posterior(excess: NDArray[np.float64], growth: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the excess reached once in ``growth`` peaks on a grid of (xi, sigma), and the grid's probabilities."""
+def _posterior(
+    excess: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return xi, sigma and the probability of each point of a grid."""
     low, high = SHAPE_LIMITS
     # No grid point at zero, where the expressions have a removable singularity.
     xi = low + (high - low) * (np.arange(_GRID[0]) + 0.5) / _GRID[0]
@@ -157,8 +188,8 @@ def _posterior(excess: NDArray[np.float64], growth: float) -> tuple[NDArray[np.f
         log_density = np.where(inside > 0.0, -(1.0 + 1.0 / xi[:, None, None]) * np.log(inside), -np.inf)
     log_posterior = log_density.sum(axis=-1) - len(excess) * np.log(sigma) - 0.5 * (xi[:, None] / _SHAPE_STD) ** 2
     weights = np.exp(log_posterior - log_posterior.max())
-    levels = sigma * (np.expm1(xi * np.log(growth)) / xi)[:, None]
-    return levels.ravel(), weights.ravel() / weights.sum()
+    xi, sigma = (one.ravel() for one in np.broadcast_arrays(xi[:, None], sigma))
+    return xi, sigma, weights.ravel() / weights.sum()
 
 
 def _quantiles(

@@ -142,6 +142,11 @@ class Fitted:
         """Largest certified bound of its designs."""
         return max(float(gains.report["sqrt_mu"]) for gains in self.gains)
 
+    @property
+    def rules(self) -> tuple[AlarmRule, ...]:
+        """The alarms' rules, each with its rate of false alarms."""
+        return tuple(found.rated(self.flight_s) for found in self.alarms)
+
     def profile(self) -> ObserverProfile:
         """Return the observer as it will be read from the profile."""
         return ObserverProfile(
@@ -150,7 +155,7 @@ class Fitted:
             faults=fault_channels(self.gains),
             source=self.source,
             isolation=self.isolation,
-            alarms=tuple(found.rule for found in self.alarms),
+            alarms=self.rules,
             settle_s=self.settle_s,
             effectiveness=self.effectiveness,
             changes=self.changes,
@@ -159,7 +164,7 @@ class Fitted:
 
     def table(self) -> dict[str, Any]:
         """Return the observer's part of profile.toml."""
-        alarms = [found.rule for found in self.alarms]
+        alarms = self.rules
         sees = {one.channel: capability_text(one).removeprefix(f"{one.channel}: ") for one in self.capability}
         return observer_table(
             source=self.source,
@@ -203,6 +208,18 @@ class Fitted:
             *(f"  {line}" for line in self.details if details),
             *(f"  {line}" for line in self._agreement(details)),
             *(f"  sees {capability_text(one)}" for one in self.capability),
+            *self._false_alarms(),
+        ]
+
+    def _false_alarms(self) -> list[str]:
+        rates = {rule.channel: rule.false_per_100h for rule in self.rules if rule.false_per_100h is not None}
+        excluded = {rule.excluded_per_100h for rule in self.rules if rule.excluded_per_100h is not None}
+        if not rates:
+            return []
+        most = max(rates, key=lambda channel: rates[channel])
+        return [
+            f"  false alarms expected in 100 hours: {sum(rates.values()):.2g} in all, {most} most ({rates[most]:.2g}); "
+            f"{self.flight_s / 60.0:.0f} minutes of flight cannot show less than {max(excluded):,.0f} of each (95 %)"
         ]
 
 

@@ -27,6 +27,7 @@ from adapters.message import Message
 from adapters.output_file import write_file
 from adapters.source import SOURCES
 from adapters.toml_tables import toml_text
+from monitor.alarms.alarm import MEASURED
 from monitor.fitting.fitted import BatchSource
 
 FOLDER, FITTED, MODEL = "flights", "fitted.toml", "model.toml"
@@ -37,7 +38,7 @@ _MOST_BYTES = 128_000_000
 _FILE = re.compile(r"\d{4,9}\.npz")
 _ABOUT = "about"
 _ANEW = "fit the profile anew to all its logs"
-_CALIBRATED = ("isolation", "effectiveness", "transform", "sees")
+_CALIBRATED = ("isolation", "effectiveness", "transform", "sees", *MEASURED)
 """Keys of profile.toml that a fit measures anew whatever they were."""
 
 

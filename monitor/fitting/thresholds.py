@@ -27,6 +27,8 @@ from monitor.sampling.gate import GateRule
 FALSE_ALARMS_PER_HOUR = 0.1
 """Rate granted to each observer: one false alarm in ten hours. Chosen: rare against the flights of a day; lower rates
 extrapolate further beyond minutes of healthy flight and raise every threshold."""
+CONFIDENCE = 0.95
+"""Of what healthy flights exclude, whatever the law of their extremes. Chosen: the usual one."""
 _PATHS = 3
 """Fast, plain and slow: each gets a third of a channel's rate."""
 _USUAL = 0.9
@@ -67,6 +69,30 @@ class Calibrated:
     rule: AlarmRule
     level: ReturnLevel | None
     scale: float = 1.0
+    levels: Levels | None = None  # those of all paths, per ``scale``
+    # the likelihood of sudden changes in healthy flight, and how many channels share it
+    sudden: ReturnLevel | None = None
+    sharing: int = 1
+
+    def rated(self, flight_s: float) -> AlarmRule:
+        """Return the rule with its rate of false alarms: what is expected, and what flights of that length exclude.
+
+        Each path's statistic exceeds its size as often as its tail says (:mod:`monitor.fitting.extremes`). That no size
+        is below the largest value of these flights is all that is known without a tail: the chance of a next, larger
+        one is below -log(0.05) over the number of independent values, at 95 % (Wilks, Ann. Math. Statistics 12(1),
+        1941; for none in so many, the rule of three).
+        """
+        rule, levels = self.rule, self.levels
+        if levels is None or not flight_s > 0.0 or not self.scale > 0.0:
+            return rule
+        sizes = (levels.plain, rule.threshold), (levels.fast, rule.fast), (levels.slow, rule.slow)
+        per_hour = sum(level.per_hour(size / self.scale) for level, size in sizes if math.isfinite(size))
+        if self.sudden is not None:
+            per_hour += self.sudden.per_hour(rule.nats) / self.sharing
+        excluded = 100.0 * -math.log(1.0 - CONFIDENCE) / (flight_s / 3600.0)
+        return replace(
+            rule, false_per_100h=float(f"{100.0 * per_hour:.2g}"), excluded_per_100h=float(f"{excluded:.2g}")
+        )
 
 
 def healthy_evidence(
@@ -170,6 +196,7 @@ def calibrated(
         ),
         levels.plain,
         scale,
+        levels,
     )
 
 

@@ -280,16 +280,18 @@ def _sudden(
         return None, list(alarms)
     faults = designed.profile().faults
     share = FALSE_ALARMS_PER_HOUR / len(faults)
-    nats = float(f"{healthy_nats(plant, rate_hz, faults, changes, flights, share):.4g}")
+    nats = healthy_nats(plant, rate_hz, faults, changes, flights, share)
     drifts = sqrt(WINDOW_S / _WASHOUT_S)
-    rules = [found.rule for found in alarms]
-    rules = [
-        replace(rule, nats=nats, least=float(f"{rule.threshold * (drifts if rule.channel in _POSITION else 1.0):.4g}"))
-        if rule.channel in lasts_s
-        else rule
-        for rule in rules
-    ]
-    return changes, [replace(found, rule=rule) for found, rule in zip(alarms, rules, strict=True)]
+    sudden = []
+    for found in alarms:
+        rule = found.rule
+        if rule.channel in lasts_s:
+            least = rule.threshold * (drifts if rule.channel in _POSITION else 1.0)
+            rule = replace(rule, nats=nats.level, least=float(f"{least:.4g}"))
+            sudden.append(replace(found, rule=rule, sudden=nats, sharing=len(lasts_s)))
+        else:
+            sudden.append(found)
+    return changes, sudden
 
 
 def _line_s(raw: Sequence[Flight], index: int, signal_hz: float) -> float:

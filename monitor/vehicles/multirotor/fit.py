@@ -22,6 +22,7 @@ from monitor.estimation.excitation import ExcitationRule
 from monitor.fitting.calibrate import LEVEL_SHARE, SETTLE_S, bank_rule
 from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.excitation import fit_excitation
+from monitor.fitting.extremes import ReturnLevel
 from monitor.fitting.fit_report import Comparison, comparison_json, comparison_lines
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule, unexplained_alarm
 from monitor.fitting.flights import Flight, flight_samples
@@ -445,17 +446,17 @@ def _excitation(
 
 def _changes(
     plant: Plant, channels: Sequence[FaultChannel], identified: _Identified
-) -> tuple[ChangeRule | None, float]:
-    """Return how sudden losses are told from noise, and the nats that raise an alarm; infinite without.
+) -> tuple[ChangeRule | None, ReturnLevel | None]:
+    """Return how sudden losses are told from noise, and the nats that raise an alarm; None without.
 
     Means over commands that come slowly hold too little of a moment for it.
     """
     flights = identified.flights
     changes = fit_changes(plant, identified.model.rate_hz, RATE_AXES, flights) if identified.gyros else None
     if changes is None:
-        return None, math.inf
+        return None, None
     share = FALSE_ALARMS_PER_HOUR / (len(channels) + 1)
-    return changes, float(f"{healthy_nats(plant, identified.model.rate_hz, channels, changes, flights, share):.4g}")
+    return changes, healthy_nats(plant, identified.model.rate_hz, channels, changes, flights, share)
 
 
 def _alarms(
@@ -465,7 +466,7 @@ def _alarms(
     hover: NDArray[np.float64],
     identified: _Identified,
     score_floor: float,
-    nats: float,
+    nats: ReturnLevel | None,
 ) -> list[Calibrated]:
     """Return the alarms: motors pooled relative to their hover commands, gyros pooled, and what nothing explains.
 
@@ -487,8 +488,10 @@ def _alarms(
         bare = bare_rule(observer, channel.name, channel.kind, channel.unit)
         if command is not None:
             floor, critical = identified.smallest_loss * command, _CRITICAL_LOSS * command
-            bare = replace(bare, nats=nats, least=float(f"{floor:.4g}"))
-            alarms.append(calibrated(bare, of_motors, command, floor=floor, critical=critical, times=identified.times))
+            if nats is not None:
+                bare = replace(bare, nats=nats.level, least=float(f"{floor:.4g}"))
+            found = calibrated(bare, of_motors, command, floor=floor, critical=critical, times=identified.times)
+            alarms.append(replace(found, sudden=nats, sharing=len(commands) - len(gyros)))
         elif of_gyros is not None:
             jump = calibrated(bare, of_gyros, 1.0, floor=_SMALLEST_JUMP, critical=4 * _SMALLEST_JUMP, times=_JUMP)
             alarms.append(plain_only(jump))
