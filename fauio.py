@@ -154,7 +154,7 @@ first steps:
 """
 _GROUPS = {
     "your vehicle": ("record", "fit", "replay", "run", "alarms", "console", "notify"),
-    "recordings": ("review", "info", "convert", "inject", "detectability"),
+    "recordings": ("review", "info", "convert", "recover", "inject", "detectability"),
     "models and observers": ("check", "design", "simulate"),
     "this machine": ("demo", "doctor", "schema", "completion"),
 }

@@ -1,4 +1,4 @@
-"""Commands beside a vehicle: ``fauio record``, ``run``, ``alarms`` and what goes with it, and others."""
+"""Commands beside a vehicle: ``fauio record``, ``run``, ``recover``, ``alarms`` and what goes with it, and others."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ from monitor.console.alarm_commands import add_alarms, add_schema
 from monitor.console.notify_command import add_notify
 from monitor.console.web_commands import add_console
 from monitor.diagnosis.doctor import add_doctor
+from monitor.recording.recover import add_recover
 
 
 def add_parsers(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the commands of this package."""
     _add_record(subparsers)
     _add_run(subparsers)
+    add_recover(subparsers)
     add_alarms(subparsers)
     add_console(subparsers)
     add_schema(subparsers)

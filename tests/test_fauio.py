@@ -57,6 +57,7 @@ EXAMPLES = [example for parser in COMMANDS for example in examples(parser)]
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("desk")
     lay_out(folder)
+    (folder / "recordings").mkdir()
     return folder
 
 

@@ -9,6 +9,7 @@ is room for one.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import io
 import os
 import struct
@@ -120,6 +121,9 @@ class MessageLogWriter:
             try:
                 # unbuffered: a buffer would keep what could not be written, and try again on closing
                 target = self._owned = cast(BinaryIO, Path(target).open("wb", buffering=0))  # noqa: SIM115 - close()
+                # so that nobody finishes a file that is being written; who cannot lock it writes all the same
+                with contextlib.suppress(OSError):
+                    fcntl.flock(target, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 raise StorageError(
                     f"{target}: cannot be written: {error.strerror}; its folder has to exist and be writable"
@@ -149,7 +153,7 @@ class MessageLogWriter:
             schema_count=0,
         )
         try:
-            self._write(MCAP0_MAGIC + _encoded(Header(profile="", library="fauio")))
+            self._write(MCAP0_MAGIC + encoded(Header(profile="", library="fauio")))
         except OSError:
             if self._owned is not None:
                 self._owned.close()
@@ -212,11 +216,11 @@ class MessageLogWriter:
         schema_id = 0
         if schema is not None:
             schema_id = self._totals.schema_count = self._totals.schema_count + 1
-            record = _encoded(McapSchema(id=schema_id, name=schema.name, encoding=schema.encoding, data=schema.data))
+            record = encoded(McapSchema(id=schema_id, name=schema.name, encoding=schema.encoding, data=schema.data))
             self._schemas += record
             self._definitions += record
         number = self._totals.channel_count = self._totals.channel_count + 1
-        record = _encoded(Channel(id=number, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema_id))
+        record = encoded(Channel(id=number, topic=topic, message_encoding=encoding, metadata={}, schema_id=schema_id))
         self._channels += record
         self._definitions += record
         self._channel_ids[topic, encoding, schema] = number
@@ -256,15 +260,15 @@ class MessageLogWriter:
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record."""
-        record = _encoded(Metadata(name=name, metadata=dict(entries)))
+        record = encoded(Metadata(name=name, metadata=dict(entries)))
         index = MetadataIndex(offset=self._at, length=len(record), name=name)
         self._write(record)
-        self._metadata_indexes += _encoded(index)
+        self._metadata_indexes += encoded(index)
         self._totals.metadata_count += 1
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file; its times are left at zero, which MCAP reads as unknown."""
-        record = _encoded(Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data))
+        record = encoded(Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data))
         index = AttachmentIndex(
             offset=self._at,
             length=len(record),
@@ -275,7 +279,7 @@ class MessageLogWriter:
             media_type=media_type,
         )
         self._write(record)
-        self._attachment_indexes += _encoded(index)
+        self._attachment_indexes += encoded(index)
         self._totals.attachment_count += 1
 
     def flush(self) -> None:
@@ -311,7 +315,7 @@ class MessageLogWriter:
                 self._end_chunk()
             self._failed = None
             self._begin_chunk()
-            self._write(_encoded(DataEnd(data_section_crc=0)) + self._summary(self._at + RECORD_HEAD.size + 4))
+            self._write(encoded(DataEnd(data_section_crc=0)) + self._summary(self._at + RECORD_HEAD.size + 4))
             self._stream.flush()
         finally:
             if self._owned is not None:
@@ -374,7 +378,7 @@ class MessageLogWriter:
             uncompressed_size=len(chunk),
         )
         self._write(b"".join(parts))
-        self._chunk_indexes += _encoded(index)
+        self._chunk_indexes += encoded(index)
         self._count(first, last, dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
         self._begin_chunk()
 
@@ -416,7 +420,7 @@ class MessageLogWriter:
         groups = {
             Opcode.SCHEMA: bytes(self._schemas),
             Opcode.CHANNEL: bytes(self._channels),
-            Opcode.STATISTICS: _encoded(self._totals),
+            Opcode.STATISTICS: encoded(self._totals),
             Opcode.CHUNK_INDEX: bytes(self._chunk_indexes),
             Opcode.ATTACHMENT_INDEX: bytes(self._attachment_indexes),
             Opcode.METADATA_INDEX: bytes(self._metadata_indexes),
@@ -425,11 +429,11 @@ class MessageLogWriter:
         at = start
         for opcode, group in groups.items():
             if group:
-                offsets += _encoded(SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(group)))
+                offsets += encoded(SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(group)))
             at += len(group)
         summary = b"".join(groups.values()) + offsets
         crc = zlib.crc32(_FOOTER.pack(Opcode.FOOTER, _FOOTER_BYTES, start, at), zlib.crc32(summary))
-        return summary + _encoded(Footer(summary_start=start, summary_offset_start=at, summary_crc=crc)) + MCAP0_MAGIC
+        return summary + encoded(Footer(summary_start=start, summary_offset_start=at, summary_crc=crc)) + MCAP0_MAGIC
 
     def _write(self, data: bytes) -> None:
         """Write all of it or nothing."""
@@ -451,7 +455,8 @@ class MessageLogWriter:
         self._at += len(data)
 
 
-def _encoded(record: McapRecord) -> bytes:
+def encoded(record: McapRecord) -> bytes:
+    """Return a record as it stands in a file."""
     builder: Any = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())

@@ -29,6 +29,7 @@ from monitor.recording.background import BackgroundArchive, BackgroundJournal, w
 from monitor.recording.black_box import BlackBox
 from monitor.recording.record_encoder import RecordEncoder
 from monitor.recording.recorder import Recorder
+from monitor.recording.recover import finish_all
 from monitor.recording.retention import FileSeries
 from monitor.sampling.slow_telemetry import motor_gain
 from monitor.service.fleet import Fleet
@@ -98,6 +99,9 @@ class Station:
         self._troubles: tuple[str, ...] = ()
         self._health = Health(ProcessHealth())
         self._listens = endpoints("listen", config.listen, config.zenoh_config, config.zenoh_mode)
+        for folder in {config.recording.folder, config.black_box.folder} - {None}:
+            if folder is not None and folder.is_dir():
+                finish_all(folder, log.say)
         for vehicle in config.vehicles:
             self._add(vehicle)
         makes_new = config.new_vehicles.profile is not None

@@ -1,0 +1,103 @@
+"""Recordings that a crash left unfinished: finished by ``fauio recover``, and by the daemon when it starts."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from adapters.errors import FauioError, StorageError, UsageError
+
+if TYPE_CHECKING:
+    from adapters.logs.mcap_recovery import Recovery
+
+
+def unfinished(place: Path) -> Iterator[Path]:
+    """Yield the unfinished MCAP files of a folder and those below it, or the file itself where it is one."""
+    from adapters.logs.mcap_recovery import is_unfinished
+
+    for path in sorted(place.rglob("*.mcap")) if place.is_dir() else [place]:
+        try:
+            if is_unfinished(path):
+                yield path
+        except OSError as error:
+            raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def finish_all(folder: Path, say: Callable[..., None]) -> threading.Thread:
+    """Finish what is unfinished in a folder, in a thread: recordings of the daemon that was there before.
+
+    ``say`` logs what was done. A file that is being written is left alone.
+    """
+    thread = threading.Thread(
+        target=_finish_all, args=(folder, say, time.time()), name=f"finishing {folder}", daemon=True
+    )
+    thread.start()
+    return thread
+
+
+def _finish_all(folder: Path, say: Callable[..., None], begun_s: float) -> None:
+    from adapters.logs.mcap_recovery import finish
+
+    try:
+        for path in unfinished(folder):
+            if path.stat().st_mtime >= begun_s:
+                continue
+            try:
+                done = finish(path)
+            except FauioError as error:
+                say("recording unfinished", level="warning", reason=str(error))
+            else:
+                if done is not None:
+                    say("recording finished", path=str(path), messages=done.messages, cut_bytes=done.cut_bytes)
+    except (FauioError, OSError) as error:
+        say("recording unfinished", level="warning", reason=str(error))
+
+
+def add_recover(subparsers: Any) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "recover",
+        help="finish recordings that a crash or a power cut left without an index",
+        description="Give unfinished MCAP files their index and end, in place; no message in them is lost. 'fauio run' "
+        "does it with its own folders when it starts. Files that are being written are left alone.",
+        epilog="example: fauio recover recordings/",
+    )
+    parser.add_argument("place", type=Path, metavar="FILE|FOLDER", help="MCAP file, or folder with such files below it")
+    parser.add_argument("--json", action="store_true", help="print what was done as one JSON object")
+    parser.set_defaults(handler=run_recover)
+
+
+def run_recover(args: argparse.Namespace) -> int:
+    """Finish the files; status 2 where some could not be."""
+    from adapters.logs.mcap_recovery import finish
+
+    if not args.place.exists():
+        raise UsageError(f"{args.place}: no such file or folder")
+    finished: list[Recovery] = []
+    mistakes: list[str] = []
+    for path in unfinished(args.place):
+        try:
+            done = finish(path)
+        except FauioError as error:
+            mistakes.append(str(error))
+        else:
+            finished += [] if done is None else [done]
+    if args.json:
+        rows = [asdict(one) | {"path": str(one.path)} for one in finished]
+        sys.stdout.write(json.dumps({"finished": rows, "not_finished": mistakes}) + "\n")
+    else:
+        for one in finished:
+            cut = f"; {one.cut_bytes} bytes of a record that was cut off removed" if one.cut_bytes else ""
+            sys.stdout.write(f"{one.path}: finished, {one.messages} messages{cut}\n")
+        if not finished and not mistakes:
+            sys.stdout.write(f"{args.place}: nothing to finish\n")
+    if mistakes and not args.json:
+        raise StorageError("\n".join(mistakes))
+    return 2 if mistakes else 0
