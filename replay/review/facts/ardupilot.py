@@ -18,6 +18,7 @@ from replay.review.facts.log_facts import (
     inside,
     overlap,
     state_spans,
+    way,
 )
 
 TOPICS = frozenset(
@@ -86,6 +87,7 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
         lacks["gps"] = "the log says that its receiver was not used"
         gps = None
     signals["gps"] = gps
+    signals["position"] = way(get("GPS", ["Lat", "Lng", "Status"], ["north", "east", "fix"], ""))
     signals["ratios"] = get(f"{kalman}4", ["SV", "SP", "SH"], ["velocity", "position", "height"], "")
     vibration = get("VIBE", ["VibeX", "VibeY", "VibeZ"], ["x", "y", "z"], "m/s2")
     if vibration is not None:

@@ -168,6 +168,7 @@ SIGNALS: Mapping[str, str] = {
     "acceleration": "specific force, body axes",
     "battery": "voltage and current of the battery",
     "gps": "kind of fix and satellites",
+    "position": "way north and east of where the log begins, as the receiver has it",
     "ratios": "innovations over what the estimator admits (1: refused)",
     "resets": "how often the estimator set itself anew",
     "vibration": "level of vibration",
@@ -343,5 +344,28 @@ def above_begin(signal: LogSignal | None) -> LogSignal | None:
     )
 
 
+def way(place: LogSignal | None) -> LogSignal | None:
+    """Return the way north and east (m) of latitude, longitude (degrees or 1e-7 of one), kind of fix."""
+    if place is None:
+        return None
+    degrees = place.values[:, :2]
+    degrees = degrees * np.where(np.nanmax(np.abs(degrees), initial=0.0) > _MOST_DEGREES, 1e-7, 1.0)
+    known = np.isfinite(degrees).all(axis=1) & (place.values[:, 2] >= _FIX_3D)
+    if not known.any():
+        return None
+    degrees = degrees[known]
+    off = degrees - degrees[0]
+    # across the date line the short way
+    off[:, 1] = (off[:, 1] + 180.0) % 360.0 - 180.0
+    metres = _DEGREE_M * off * [1.0, np.cos(np.radians(degrees[0, 0]))]
+    return LogSignal(place.time_s[known], metres, ("north", "east"), "m", place.origin)
+
+
+_DEGREE_M = 111_195.0
+"""Metres of a degree on a sphere of the Earth's mean radius, 6371 km: 0.3 % off at most, on a map."""
+_FIX_3D = 3
+"""A fix in three dimensions: MAVLink's GPS_FIX_TYPE, PX4 and ArduPilot count alike."""
+_MOST_DEGREES = 360.0
+"""What is larger is no degree: MAVLink and logs count 1e-7 of one."""
 _BEGIN_S = 2.0
 """Chosen: logs begin at arming, a vehicle takes off some seconds later; ten samples of the slowest barometer."""

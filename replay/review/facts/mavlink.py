@@ -19,6 +19,7 @@ from replay.review.facts.log_facts import (
     overlap,
     spans_where,
     state_spans,
+    way,
 )
 
 TOPICS = frozenset(
@@ -95,6 +96,7 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
             lacks["battery"] = "the vehicle sends no voltage"
     signals["battery"] = battery
     signals["gps"] = get("GPS_RAW_INT", ["fix_type", "satellites_visible"], ["fix", "satellites"], "")
+    signals["position"] = way(get("GPS_RAW_INT", ["lat", "lon", "fix_type"], ["north", "east", "fix"], ""))
     variances = ["velocity_variance", "pos_horiz_variance", "pos_vert_variance"]
     ratios = ["vel_ratio", "pos_horiz_ratio", "pos_vert_ratio"]
     names = ["velocity", "position", "height"]

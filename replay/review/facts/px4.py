@@ -21,6 +21,7 @@ from replay.review.facts.log_facts import (
     inside,
     overlap,
     state_spans,
+    way,
 )
 
 TOPICS = frozenset(
@@ -205,6 +206,10 @@ def _gps(
         lacks["gps"] = "the estimator did not use GPS in flight; what its receiver said has moved nothing"
         return
     signals["gps"] = gps
+    places = (["latitude_deg", "longitude_deg", "fix_type"], ["lat", "lon", "fix_type"])
+    names = ["north", "east", "fix"]
+    found = (records.signal("vehicle_gps_position", columns, names, "") for columns in places)
+    signals["position"] = way(records.first(*found))
 
 
 def _statements(
