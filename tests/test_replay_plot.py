@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,15 +14,10 @@ from monitor.trace import TraceBuilder
 from monitor.views.palette import BLUE, DARK, GREY, SERIES, SEVERITY, rgba
 from monitor.views.panels import RunView
 from monitor.views.plot_style import DPI, WIDTH_IN
-from replay.reports.plot import HIGHEST_IN, colour_variables, plot_png, plot_svg
+from replay.reports.plot import HIGHEST_IN, plot_png
 from replay.reports.plot_panels import BAND_ALPHA, DOUBT_ALPHA, SPAN_ALPHA
 
 EVENTS = [event(1020, "raised"), event(1300, "cleared"), event(1400, "raised", id="02J", severity="critical")]
-
-
-def svg_of(run: RunView) -> str:
-    """Return the picture of a run's first observer."""
-    return plot_svg(run, run.traces[0])
 
 
 def has_colour(path: Path, colour: str, alpha: float = 1.0) -> bool:
@@ -141,37 +135,6 @@ def test_names_from_outside_are_drawn_as_they_are(tmp_path: Path) -> None:
     run = trace(200)
     layout = replace(run.layout, faults=("$\\frac{$", "\x1b[2J", "\ud83d\ude81 \u65e0\u4eba\u673a", "<b>&amp;"))
     plot_png(tmp_path / "run.png", RunView([replace(run, layout=layout)], [], {}), title="$x^")
-    text = svg_of(RunView([replace(run, layout=layout)], [], {}))
-    assert "$\\frac{$" in text
-    assert "&lt;b&gt;&amp;amp;" in text
-    assert "\x1b" not in text
-
-
-def test_a_picture_for_a_page_has_the_page_s_colours_and_fits_between_others() -> None:
-    one, two = (
-        svg_of(RunView([trace(200)], EVENTS, THRESHOLDS)),
-        svg_of(RunView([replace(trace(200), layout=STANDBY)], [], {})),
-    )
-    assert one.startswith("<svg")
-    assert set(re.findall(r"var\((--\w+)\)", one)) <= set(colour_variables(DARK))
-    assert re.findall(r"(?:fill|stroke): #", one) == []
-    assert "<style" not in one
-    ids = [set(re.findall(r' id="(\w+)"', text)) for text in (one, two)]
-    assert all(ids)
-    assert not ids[0] & ids[1]
-    assert one == svg_of(RunView([trace(200)], EVENTS, THRESHOLDS))
-
-
-@pytest.mark.long
-def test_other_observers_alarms_do_not_stand_in_a_picture_but_their_time_does() -> None:
-    one, other = replace(trace(300), layout=STANDBY), trace(1500)
-    alone, beside = (
-        svg_of(RunView([one], EVENTS, BOTH_THRESHOLDS)),
-        svg_of(RunView([one, other], EVENTS, BOTH_THRESHOLDS)),
-    )
-    assert "shaded: motor1 alarm" not in beside
-    assert ">14<" in beside
-    assert ">14<" not in alone
 
 
 @pytest.mark.long

@@ -37,7 +37,7 @@ def figure(traces: Sequence[Trace], events: Sequence[AlarmEvent] = (), truth: Tr
     """Return a run's page, laid out."""
     with rc_context(STYLE):
         run = RunView(traces, events, BOTH_THRESHOLDS, truth or {})
-        drawn = run_figure(run, "a run", Look(LIGHT, 300, run))
+        drawn = run_figure(run, "a run", Look(LIGHT, run))
         drawn.canvas.draw()
     return drawn
 
@@ -96,15 +96,14 @@ def test_time_counts_from_the_first_sample_and_the_axis_says_when_that_was() -> 
 
 
 def test_where_there_are_no_samples_nothing_was_watched() -> None:
-    look = Look(LIGHT, 300, RunView((), (), {}), end_s=20.0)
-    assert unwatched(trace(), look) == [
+    assert unwatched(trace(), 0, 20.0) == [
         pytest.approx((0.0, 1.0)),
         pytest.approx((5.99, 7.0)),
         pytest.approx((14.99, 20.0)),
     ]
     never = trace()
     never.armed[:] = False
-    assert unwatched(never, look) == [(0.0, 20.0)]
+    assert unwatched(never, 0, 20.0) == [(0.0, 20.0)]
 
 
 def marks_beyond(drawn: Figure) -> list[str]:

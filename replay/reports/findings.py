@@ -13,13 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.toml_tables import is_number
-from monitor.alarms.alarm import AlarmRule
+from monitor.alarms.alarm import AlarmRule, alarm_message
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.event import AlarmEvent
 from monitor.profile import Profile
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 
 FIT_FILE = "fit.json"
+_PARTS = 8
+"""What a fault came to is the median of its last eighth. Chosen: long enough for noise, short beside its growth."""
+_GROWTH = 1.2
+"""From where on a fault grew, over its median. Chosen: two standard deviations of estimates are some per cent of what
+raises an alarm, a tenth at most."""
 _SAME_SIZE = 1e-3
 """Relative: thresholds are written with four digits."""
 
@@ -30,12 +35,14 @@ class Finding:
 
     alarm: AlarmSpan
     largest: AlarmEvent  # its event with the largest estimate
-    peak: float | None
-    # median estimate while it was active, and one standard deviation of the estimate then; None where not known
-    typical: float | None
+    # median estimate while it was active, or what it grew to, and one standard deviation of it; None where not known
+    size: float | None
     deviation: float | None
+    grew: bool  # whether the size is that of the end of its growth
     # the observer's channel that was held responsible for most beside it meanwhile, in shares of its own threshold
     rival: tuple[str, float] | None
+    relative: float | None  # the size over the command, where that makes sense
+    message: str  # what happened, as a sentence about the size
     # when it is believed, where that is not for its threshold but for the certainty of a lost effect
     effect: EffectivenessRule | None
 
@@ -62,12 +69,6 @@ class WatchedChannel:
     peak: float | None  # largest evidence meanwhile by size; None where there is none, or it is not recorded
     alarms: int  # how many alarms it raised
     effect: EffectivenessRule | None  # as of :class:`Finding`
-
-    @property
-    def share(self) -> float | None:
-        """Peak over threshold, None where that says nothing."""
-        known = self.peak is not None and self.rule.threshold and self.effect is None
-        return abs(self.peak or 0.0) / self.rule.threshold if known else None
 
 
 def effects(profile: Profile) -> dict[tuple[str, str], EffectivenessRule]:
@@ -120,17 +121,33 @@ def _finding(
     effect: EffectivenessRule | None,
 ) -> Finding:
     active = [event for event in alarm.history if event.state != "cleared"] or [alarm.history[0]]
-    peaks = [event.peak for event in alarm.history if event.peak is not None]
-    typical = deviation = rival = None
-    if trace is not None and alarm.channel in trace.layout.faults:
-        end_ns = math.inf if alarm.end_vehicle_ns is None else alarm.end_vehicle_ns
-        inside = (trace.vehicle_ns >= alarm.start_vehicle_ns) & (trace.vehicle_ns < end_ns) & trace.armed
-        index = trace.layout.faults.index(alarm.channel)
-        typical = _median(trace.isolated[inside, index])
-        deviation = _median(trace.sd[inside, index]) if effect is None else None
-        rival = _rival(trace, inside, alarm.channel, thresholds)
     largest = max(active, key=lambda event: abs(event.estimate or 0.0))
-    return Finding(alarm, largest, max(peaks, key=abs, default=None), typical, deviation, rival, effect)
+    if trace is None or alarm.channel not in trace.layout.faults:
+        return Finding(alarm, largest, None, None, False, None, None, largest.message, effect)
+    end_ns = math.inf if alarm.end_vehicle_ns is None else alarm.end_vehicle_ns
+    inside = (trace.vehicle_ns >= alarm.start_vehicle_ns) & (trace.vehicle_ns < end_ns) & trace.armed
+    index = trace.layout.faults.index(alarm.channel)
+    size, grew = _size(trace.isolated[inside, index])
+    deviation = _median(trace.sd[inside, index]) if effect is None else None
+    relative, message = None, largest.message
+    if size is not None:
+        near = min(active, key=lambda event: abs((event.estimate or 0.0) - size))
+        if near.relative is not None and near.estimate:
+            relative = near.relative * size / near.estimate
+        message = alarm_message(alarm.observer, alarm.channel, near.kind, near.unit, near.state, size, relative)
+    rival = _rival(trace, inside, alarm.channel, thresholds)
+    return Finding(alarm, largest, size, deviation, grew, rival, relative, message, effect)
+
+
+def _size(values: NDArray[np.float64]) -> tuple[float | None, bool]:
+    """Return the median of estimates, and of those that grew what they came to; whether they did."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return None, False
+    middle = float(np.median(values))
+    last = float(np.median(values[-max(1, len(values) // _PARTS) :]))
+    grew = abs(last) > _GROWTH * abs(middle)
+    return (last if grew else middle), grew
 
 
 def _rival(

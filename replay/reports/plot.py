@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-import re
 import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from io import StringIO
 from typing import TYPE_CHECKING, Any
 
 from adapters.errors import printable
@@ -21,7 +19,6 @@ from monitor.views.panels import Panels, RunView, choose_panels, same_scale
 from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
 from replay.reports.plot_panels import (
     BAND_ALPHA,
-    BINS,
     DOUBT_ALPHA,
     DOUBT_DEVIATIONS,
     SPAN_ALPHA,
@@ -56,14 +53,6 @@ ENDS_IN = 1.0
 TITLE_LETTERS = 105
 SAME_CLOCK_NS = 1_000_000_000
 """Chosen: logs of one flight agree to milliseconds, two flights are minutes apart."""
-SVG_BINS = 600
-"""Chosen: a page shows a picture 600 to 900 pixels wide; each bin is 30 bytes of the page."""
-
-# it would hold for the whole page
-_STYLE_SHEET = re.compile(r"<defs>\s*<style.*?</style>\s*</defs>", re.DOTALL)
-_GROUP_ID = re.compile(r'<g id="[^"]*"')
-_PATH = re.compile(r' d="[^"]*"')
-_DECIMALS = re.compile(r"(\.\d)\d+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,84 +77,47 @@ def plot_png(path: str | os.PathLike[str], run: RunView, title: str = "", *, dar
     at the edge. Long recordings are drawn as the envelope of their smallest and largest values: no peak is lost.
     """
     theme = DARK if dark else LIGHT
-    with drawing(style(theme)):
-        save_small(run_figure(run, title, Look(theme, BINS, run)), path)
-
-
-def plot_svg(run: RunView, trace: Trace) -> str:
-    """Return the same picture of one observer as an ``<svg>`` element of a page, whose colours it takes.
-
-    Each colour of ``palette.LIGHT`` is a CSS variable, named by :func:`colour_variables`. The run's other observers
-    widen its axis of time, so that pictures can be compared; their alarms are not shown.
-    """
-    buffer = StringIO()
-    # ids are made of the salt: pictures of one page need different ones
-    salt = trace.layout.observer
-    with drawing({**style(LIGHT), "svg.fonttype": "none", "svg.hashsalt": salt}):
-        figure = run_figure(run, "", Look(LIGHT, SVG_BINS, run, headed=True), trace)
-        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-        figure.savefig(buffer, format="svg", transparent=True, metadata=nothing)
-    return page_svg(buffer.getvalue())
-
-
-def page_svg(text: str) -> str:
-    """Return a picture as an element of a page, whose colours it takes and whose styles it leaves alone."""
-    text = _STYLE_SHEET.sub("", text[text.index("<svg") :], count=1)
-    text = _GROUP_ID.sub("<g", text)
-    text = _PATH.sub(lambda path: _DECIMALS.sub(r"\1", path[0].replace("\n", "")), text)
-    for name, colour in colour_variables(LIGHT).items():
-        text = re.sub(f'{colour}(?=[;"])', f"var({name})", text, flags=re.IGNORECASE)
-    return text
-
-
-def colour_variables(theme: Theme) -> dict[str, str]:
-    """Return a theme's colours by the names of CSS variables; none occurs twice."""
-    names = {"--paper": theme.paper, "--ink": theme.ink, "--muted": theme.muted}
-    series = {f"--series{index}": colour for index, colour in enumerate(theme.series) if colour != theme.ink}
-    return names | series
+    with _drawing(_style(theme)):
+        save_small(run_figure(run, title, Look(theme, run)), path)
 
 
 @contextmanager
-def drawing(look: Mapping[str, Any]) -> Iterator[None]:
-    """Draw with some of matplotlib's settings."""
+def _drawing(style: Mapping[str, Any]) -> Iterator[None]:
     from matplotlib import rc_context
 
-    with rc_context(dict(look)), warnings.catch_warnings():
+    with rc_context(dict(style)), warnings.catch_warnings():
         # a name may be written in letters that the font lacks: it is drawn as boxes
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         yield
 
 
-def style(theme: Theme) -> dict[str, Any]:
-    """Return matplotlib's settings for a theme."""
+def _style(theme: Theme) -> dict[str, Any]:
     inks = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
     papers = ("figure.facecolor", "axes.facecolor", "savefig.facecolor")
     return STYLE | dict.fromkeys(inks, theme.ink) | dict.fromkeys(papers, theme.paper)
 
 
-def run_figure(run: RunView, title: str, look: Look, only: Trace | None = None) -> Figure:
-    """Return the drawn page; observers beside the ``only`` one that is drawn widen the axis of time."""
+def run_figure(run: RunView, title: str, look: Look) -> Figure:
+    """Return the drawn page."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     spans = alarm_spans(run.events)
     alarmed = {(span.observer, span.channel) for span in spans}
-    every = [trace for trace in run.traces if len(trace.vehicle_ns)]
-    traces = [trace for trace in every if only is None or trace is only]
-    if every:
-        origin_ns = min(int(trace.vehicle_ns[0]) for trace in every)
-        end_s = (max(int(trace.vehicle_ns[-1]) for trace in every) - origin_ns) / 1e9
-        look = replace(look, origin_ns=origin_ns, end_s=end_s, headed=len(traces) > 1 or look.headed)
+    traces = [trace for trace in run.traces if len(trace.vehicle_ns)]
+    if traces:
+        origin_ns = min(int(trace.vehicle_ns[0]) for trace in traces)
+        end_s = (max(int(trace.vehicle_ns[-1]) for trace in traces) - origin_ns) / 1e9
+        look = replace(look, origin_ns=origin_ns, end_s=end_s, headed=len(traces) > 1)
     chosen = choose_panels([trace.layout for trace in traces], alarmed, run.truth, run.thresholds)
     rows = [
         row
         for trace, panels in zip(traces, chosen, strict=True)
-        for row in _rows(trace, panels, _concerning(trace, every, spans), look, heading=len(traces) > 1)
+        for row in _rows(trace, panels, _concerning(trace, traces, spans), look, heading=len(traces) > 1)
     ] or [_Row(FAULT_IN, _draw_nothing)]
-    shown = [span for span in spans if any(span in _concerning(trace, every, spans) for trace in traces)]
-    lanes = len(alarm_lanes(shown))
+    lanes = len(alarm_lanes(spans)) if traces else 0
     if lanes > 1:
-        rows.insert(0, _Row(_lanes_in(lanes), partial(draw_alarms, look=look, spans=shown)))
+        rows.insert(0, _Row(_lanes_in(lanes), partial(draw_alarms, look=look, spans=spans)))
     heights = _heights(rows)
     low = any(row.shrinks and height < FEW_TICKS_IN for row, height in zip(rows, heights, strict=True))
     figure = Figure(figsize=(WIDTH_IN, sum(heights) + TITLE_IN * len(rows) + ENDS_IN), dpi=DPI, layout="constrained")
@@ -178,9 +130,9 @@ def run_figure(run: RunView, title: str, look: Look, only: Trace | None = None) 
     for panel in panels[:-1]:
         panel.tick_params(bottom=False)
     if traces:
-        panels[-1].set_xlabel(_since(every, look.origin_ns))
+        panels[-1].set_xlabel(_since(traces, look.origin_ns))
         panels[-1].set_xlim(0.0, look.end_s or 1.0)
-        _draw_legend(figure, title, look, traces, chosen, shown)
+        _draw_legend(figure, title, look, traces, chosen, spans)
     elif title:
         figure.suptitle(textwrap.fill(printable(title), TITLE_LETTERS), x=0.01, ha="left", size=9.5, weight="bold")
     return figure

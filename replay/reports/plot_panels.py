@@ -32,16 +32,25 @@ def envelope(
     ``bins`` runs of samples become their smallest and largest value in the order they occurred. The line is broken (by
     NaN) where the observer started afresh.
     """
+    rows = kept_rows(values, restart, bins)
+    breaks = np.flatnonzero(restart[rows[1:]] & (np.diff(rows) > 0)) + 1 if len(rows) else rows
+    return np.insert(times[rows], breaks, np.nan), np.insert(values[rows], breaks, np.nan)
+
+
+def kept_rows(values: NDArray[np.float64], restart: NDArray[np.bool_], bins: int = BINS) -> NDArray[np.intp]:
+    """Return the samples that draw the same line as all N: of ``bins`` runs the smallest and the largest, in order.
+
+    The first sample after the observer started afresh is kept, too.
+    """
     size = -(-len(values) // bins)
-    edges = np.union1d(np.flatnonzero(restart), [0, len(values)])
-    parts: list[NDArray[np.float64]] = []
-    for start, stop in pairwise(edges.astype(np.intp)):
-        picked = np.arange(start, stop)
+    edges = np.union1d(np.flatnonzero(restart), [0, len(values)]).astype(np.intp)
+    parts = [np.empty(0, np.intp)]
+    for start, stop in pairwise(edges):
         if size > 2 and stop - start > 2 * size:
-            picked = _extremes(values[start:stop], size) + start
-        parts += [np.stack((times[picked], values[picked])), np.full((2, 1), np.nan)]
-    joined = np.concatenate(parts[:-1], axis=1) if parts else np.empty((2, 0))
-    return joined[0], joined[1]
+            parts.append(np.append(start, _extremes(values[start:stop], size) + start))
+        else:
+            parts.append(np.arange(start, stop))
+    return np.unique(np.concatenate(parts))
 
 
 def band(
@@ -103,7 +112,6 @@ class Look:
     """How a picture is drawn."""
 
     theme: Theme
-    bins: int  # into how many runs a series is thinned
     run: RunView
     origin_ns: int = 0  # zero of the axis of time, vehicle's clock
     end_s: float = 0.0  # its end
@@ -158,7 +166,7 @@ def draw_fault(
     if channel in run.truth:
         times_s, sizes = run.truth[channel]
         panel.plot(times_s - look.origin_ns / 1e9, sizes, color=theme.ink, linestyle=TRUTH_DASHES, linewidth=1.6)
-    panel.plot(*envelope(_seconds(trace, look), estimate, trace.restart, look.bins), color=theme.estimate)
+    panel.plot(*envelope(_seconds(trace, look), estimate, trace.restart), color=theme.estimate)
     panel.set_ylim(limits)
     _mark_beyond(panel, look, trace, estimate, limits)
     panel.locator_params(axis="y", nbins=TICKS)
@@ -177,7 +185,7 @@ def draw_quiet(panel: Axes, look: Look, trace: Trace, places: Sequence[int], spa
         panel.axhspan(-lane - half, -lane + half, color=theme.muted, alpha=BAND_ALPHA, linewidth=0)
         share = trace.isolated[:, place] / look.run.thresholds[layout.observer, layout.faults[place]]
         height = np.clip(share / LANE_THRESHOLDS, -0.5, 0.5) - lane
-        panel.plot(*envelope(_seconds(trace, look), height, trace.restart, look.bins), color=theme.estimate)
+        panel.plot(*envelope(_seconds(trace, look), height, trace.restart), color=theme.estimate)
         watched = evidence(trace, share)
         peak = f"  {100.0 * np.max(np.abs(watched)):.0f} %" if len(watched) else ""
         labels.append(_short(layout.faults[place]) + peak)
@@ -197,8 +205,8 @@ def draw_residuals(panel: Axes, look: Look, trace: Trace, spans: Sequence[AlarmS
     labels = []
     for index, name in enumerate(trace.layout.outputs):
         residual = trace.residual[:, index]
-        half = _most(evidence(trace, residual))
-        nothing = half <= ROUNDING * _most(evidence(trace, trace.y[:, index]))
+        half = usual_size(evidence(trace, residual))
+        nothing = half <= ROUNDING * usual_size(evidence(trace, trace.y[:, index]))
         lane = np.clip(residual / half / 2.2, -0.5, 0.5) if half and not nothing else np.zeros(len(residual))
         _draw_lane(panel, look, trace, lane - index, look.theme.residual)
         labels.append(f"{_short(name)}  ±{0.0 if nothing else half:.2g}")
@@ -214,7 +222,7 @@ def draw_inputs(panel: Axes, look: Look, trace: Trace, spans: Sequence[AlarmSpan
     _mark(panel, look, spans)
     labels = []
     for index, name in enumerate(trace.layout.inputs):
-        low, high = _ends(evidence(trace, trace.u[:, index]))
+        low, high = usual_range(evidence(trace, trace.u[:, index]))
         middle, height = (low + high) / 2.0, (high - low) or 1.0
         lane = np.clip((trace.u[:, index] - middle) / height / 1.15, -0.5, 0.5) - index
         _draw_lane(panel, look, trace, lane, look.theme.ink)
@@ -232,7 +240,7 @@ def draw_heading(panel: Axes, look: Look, text: str) -> None:
 
 
 def _draw_lane(panel: Axes, look: Look, trace: Trace, lane: NDArray[np.float64], colour: str) -> None:
-    panel.plot(*envelope(_seconds(trace, look), lane, trace.restart, look.bins), color=colour, linewidth=0.6)
+    panel.plot(*envelope(_seconds(trace, look), lane, trace.restart), color=colour, linewidth=0.6)
 
 
 def _name(panel: Axes, look: Look, trace: Trace, text: str) -> None:
@@ -260,7 +268,7 @@ def _seconds(trace: Trace, look: Look) -> NDArray[np.float64]:
 def _shade(panel: Axes, look: Look, trace: Trace) -> None:
     """Hatch a panel where no alarm could be raised: the vehicle was not in flight, or there are no samples."""
     panel.broken_barh(
-        [(start_s, stop_s - start_s) for start_s, stop_s in unwatched(trace, look)],
+        [(start_s, stop_s - start_s) for start_s, stop_s in unwatched(trace, look.origin_ns, look.end_s)],
         (0.0, 1.0),
         transform=panel.get_xaxis_transform(),
         facecolor="none",
@@ -271,16 +279,16 @@ def _shade(panel: Axes, look: Look, trace: Trace) -> None:
     )
 
 
-def unwatched(trace: Trace, look: Look) -> list[tuple[float, float]]:
+def unwatched(trace: Trace, origin_ns: int, end_s: float) -> list[tuple[float, float]]:
     """Return from when to when (s) an observer could raise no alarm, gaps between its samples among it."""
-    times_s = _seconds(trace, look)
+    times_s = (trace.vehicle_ns - origin_ns) / 1e9
     steps_s = np.diff(times_s)
     usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
     gap = steps_s > max(GAP_S, GAP_PERIODS * usual_s)
     goes_on = trace.armed[:-1] & trace.armed[1:] & ~gap
     first = trace.armed & ~np.append(False, goes_on)
     last = trace.armed & ~np.append(goes_on, False)
-    starts_s, stops_s = np.append(0.0, times_s[last]), np.append(times_s[first], look.end_s)
+    starts_s, stops_s = np.append(0.0, times_s[last]), np.append(times_s[first], end_s)
     return [
         (float(start_s), float(stop_s))
         for start_s, stop_s in zip(starts_s, stops_s, strict=True)
@@ -291,16 +299,16 @@ def unwatched(trace: Trace, look: Look) -> list[tuple[float, float]]:
 def _shade_doubt(panel: Axes, look: Look, trace: Trace, place: int) -> None:
     """Shade standard deviations around an estimate where the channel is held responsible for something."""
     estimate = trace.isolated[:, place]
-    sd = np.where(trace.armed & _held(trace, estimate), trace.sd[:, place], np.nan)
+    sd = np.where(trace.armed & held(trace, estimate), trace.sd[:, place], np.nan)
     if not np.isfinite(sd).any():
         return
     low, high = estimate - DOUBT_DEVIATIONS * sd, estimate + DOUBT_DEVIATIONS * sd
     panel.fill_between(
-        *band(_seconds(trace, look), low, high, look.bins), color=look.theme.estimate, alpha=DOUBT_ALPHA, linewidth=0
+        *band(_seconds(trace, look), low, high), color=look.theme.estimate, alpha=DOUBT_ALPHA, linewidth=0
     )
 
 
-def _held(trace: Trace, estimate: NDArray[np.float64]) -> NDArray[np.bool_]:
+def held(trace: Trace, estimate: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return where a channel is held responsible for something, shortly before or after included: no flicker."""
     held_ns = trace.vehicle_ns[estimate != 0.0]
     if not len(held_ns):
@@ -374,12 +382,12 @@ def _mark(panel: Axes, look: Look, spans: Sequence[AlarmSpan]) -> None:
             panel.axvline(end_s, color=colour, linewidth=1.0, linestyle=":")
 
 
-def _most(values: NDArray[np.float64]) -> float:
+def usual_size(values: NDArray[np.float64]) -> float:
     """Return the size below which most values are, 0 where there is none."""
     return float(np.percentile(np.abs(values), LANE_PERCENT)) if len(values) else 0.0
 
 
-def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
+def usual_range(values: NDArray[np.float64]) -> tuple[float, float]:
     """Return between what most values are."""
     if not len(values):
         return 0.0, 0.0

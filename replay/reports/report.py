@@ -12,29 +12,25 @@ from pathlib import Path
 from adapters.logs.damage import Damage
 from adapters.output_file import write_file
 from monitor.bus.alarm_text import utc
+from monitor.display import fault_text, size_text
 from monitor.estimation.effectiveness import EffectivenessRule
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR
 from monitor.profile import Profile
 from monitor.views.panels import RunView, TrueSizes
 from replay.player import Replay
-from replay.reports.findings import Calibration, Finding, WatchedChannel, effects, findings, watched_channels
-from replay.reports.plot import plot_svg
+from replay.reports.advice import what_to_check
+from replay.reports.charts import Charts, origin_ns
+from replay.reports.findings import Finding, WatchedChannel, effects, findings, watched_channels
+from replay.reports.flight import flight_parts
 from replay.reports.recording_facts import RecordingFacts, StreamFacts
-from replay.reports.report_html import Html, element, facts, joined_html, page, section, table
+from replay.reports.report_html import Html, element, facts, folded, joined_html, page, section, table
 from replay.reports.unchecked import unchecked
+from replay.reports.verdict import run_sentence, said_about, span_text
+from replay.review.facts.log_facts import LogFacts
 
-_WATCHED_HEADS = (
-    "channel",
-    "unit",
-    "largest",
-    "threshold",
-    "share",
-    "alarms",
-    "healthy level",
-    "at most",
-    "known from",
-    "sees",
-)
+_WATCHED_HEADS = ("channel", "largest", "alarm from", "alarms", "what it sees", "threshold rests on")
+_MOST_SAID = 5
+"""Chosen: a failsafe comes with two or three texts; what repeats says no more."""
 _LIBRARIES = ("numpy", "scipy", "pymavlink", "mcap", "matplotlib")
 
 
@@ -51,29 +47,34 @@ class Run:
     recording: RecordingFacts  # what went in
     damage: tuple[Damage, ...] = ()  # what of the recording could not be read
     truth: TrueSizes = field(default_factory=dict)  # what is known to have been injected, by channel
+    facts: LogFacts | None = None  # what the log states of the flight; None where it is no autopilot's
 
 
 def write_report(path: str | os.PathLike[str], run: Run) -> None:
-    """Write the report of a run: HTML with its pictures inside, light and dark, that loads and runs nothing."""
+    """Write the report of a run: one HTML file with charts that answer to the pointer; it loads nothing."""
     write_file(path, recording_report(run))
 
 
 def recording_report(run: Run) -> str:
-    """Return the report of a run as an HTML page."""
+    """Return the report of a run as an HTML page: the verdict, each alarm, the flight, then tables."""
     replay = run.replay
     results = findings(run.profile, replay.events, replay.traces)
     watched_s = {name: watch.watched_s for name, watch in replay.watches.items()}
     watched = watched_channels(run.profile, run.folder, replay.traces, watched_s, results)
+    view = RunView(replay.traces, replay.events, replay.thresholds, run.truth, effects(run.profile))
+    charts = Charts(view)
     return page(
         f"{run.vehicle}: {run.log.name}",
         element("h1", f"{run.vehicle}: {run.log.name}"),
         _header(run, results),
-        section("What was found", *_found(run, results)),
-        section("How sure", *_how_sure(run, results, watched)),
+        section("What was found", *_found(run, results, charts)),
+        *_flight(run, results, charts),
+        section("What was watched", *_watched(run, results, watched)),
         section("What could not be checked, and why", _unchecked(run, results)),
-        section("Plots", *_plots(run)),
-        section("The recording", *_recording(run)),
-        section("How this was made", _made(run)),
+        folded("All channels, residuals and inputs", *_all_charts(run, charts)),
+        folded("The recording", *_recording(run)),
+        folded("How this was made", _made(run)),
+        charts=charts.to_json(),
     )
 
 
@@ -83,24 +84,27 @@ def _header(run: Run, results: Sequence[Finding]) -> Html:
     if not mark and _blind(run.replay):
         mark = "unknown"
     when = utc(run.recording.first_ns) if run.recording.first_ns is not None else "no message"
+    words = run_sentence(results, run.facts) if results else run.verdict
     return joined_html(
         [
-            element("div", _sentence(run.verdict), class_=f"verdict {mark}".strip()),
-            element("p", f"{when} · {_span(run.recording.duration_s)} · {run.profile.vehicle}", class_="note"),
+            element("div", _sentence(words), class_=f"verdict {mark}".strip()),
+            element("p", f"{when} · {span_text(run.recording.duration_s)} · {run.profile.vehicle}", class_="note"),
         ]
     )
 
 
-def _found(run: Run, results: Sequence[Finding]) -> Iterator[Html]:
+def _found(run: Run, results: Sequence[Finding], charts: Charts) -> Iterator[Html]:
     if not results:
         yield element("p", _nothing_found(run))
-    # the vehicle's time of the first sample, from which the plots count
-    zero_ns = min((int(one.vehicle_ns[0]) for one in run.replay.traces if len(one.vehicle_ns)), default=None)
+    traces = {trace.layout.observer: trace for trace in run.replay.traces if len(trace.vehicle_ns)}
     for one in results:
+        trace = traces.get(one.alarm.observer)
+        shown = trace is not None and one.alarm.channel in trace.layout.faults
         yield element(
             "article",
-            element("h3", f"{one.alarm.observer} / {one.alarm.channel}: {one.largest.message}"),
-            facts(_of_finding(one, zero_ns)),
+            element("h3", f"{one.alarm.observer} / {one.alarm.channel}: {one.message}"),
+            facts(_of_finding(run, one)),
+            charts.add_fault(trace, one.alarm.channel) if shown and trace is not None else "",
             class_=one.alarm.severity,
         )
 
@@ -117,81 +121,101 @@ def _blind(replay: Replay) -> list[str]:
     return [name for name, watch in replay.watches.items() if not watch.evidence]
 
 
-def _of_finding(one: Finding, zero_ns: int | None) -> Iterator[tuple[str, object]]:
-    alarm, unit, threshold = one.alarm, one.largest.unit, one.alarm.history[0].threshold
-    yield "when", _moment(alarm.start_ns, alarm.start_vehicle_ns, zero_ns)
+def _of_finding(run: Run, one: Finding) -> Iterator[tuple[str, object]]:
+    alarm = one.alarm
+    yield "when", _moment(run, alarm.start_ns, alarm.start_vehicle_ns)
     if alarm.end_ns is None or alarm.end_vehicle_ns is None:
         yield "how long", "until the end of the recording"
     else:
         lasted_s = (alarm.end_vehicle_ns - alarm.start_vehicle_ns) / 1e9
-        yield "how long", f"{_span(lasted_s)}, cleared {_moment(alarm.end_ns, alarm.end_vehicle_ns, zero_ns)}"
-    if one.typical is not None:
-        if one.deviation is None:
-            yield "how large", f"{_size(one.typical, unit)} (median while it was active)"
-        else:
-            size = f"{one.typical:.3g} ± {one.deviation:.2g} {unit}".rstrip()
-            yield "how large", f"{size} (median while it was active ± one standard deviation)"
-    if one.peak is not None:
-        share = f", {100 * one.largest.relative:+.0f} % of the command" if one.largest.relative is not None else ""
-        yield "peak", f"{_size(one.peak, unit)}{share}"
+        yield "how long", f"{span_text(lasted_s)}, cleared {_moment(run, alarm.end_ns, alarm.end_vehicle_ns)}"
+    if (size := _size_of(one)) is not None:
+        yield "how large", size
     yield "severity", alarm.severity
     if one.effect is not None:
         yield "how sure", f"said only where it is {_certain(one.effect)}"
-    elif threshold and one.peak is not None:
-        times = abs(one.peak) / threshold
-        yield "threshold it passed", f"{_size(threshold, unit)}; the peak is {times:.3g} times as large"
-    if one.rival is not None:
-        name, share_of = one.rival
-        yield (
-            "other explanations",
-            f"{name} came closest: it was held responsible for {100 * share_of:.0f} % of its own threshold at most"
-            if share_of > 0
-            else "no other channel of this observer was held responsible for anything meanwhile",
-        )
+    if one.rival is not None and one.rival[1] >= 1.0:
+        yield "not told apart from", f"{one.rival[0]}, whose estimate passed its own threshold meanwhile"
+    if advice := what_to_check(alarm.channel):
+        yield "what to check", advice
+    if run.facts is not None and (said := said_about(one, run.facts)):
+        yield "the autopilot said", "; ".join(dict.fromkeys(text.text for text in said[:_MOST_SAID]))
 
 
-def _how_sure(run: Run, results: Sequence[Finding], watched: Sequence[WatchedChannel]) -> Iterator[Html]:
+def _size_of(one: Finding) -> str | None:
+    """Return the size that an alarm is given everywhere on the page, with its uncertainty where that is known."""
+    if one.size is None:
+        return one.largest.display or None
+    said = fault_text(one.alarm.channel, one.size, one.relative, one.largest.unit)
+    if one.deviation and one.size:
+        # of the command it is known as well as of full command
+        scale = 1.0 if one.relative is None else one.relative / one.size
+        unit = one.largest.unit if one.relative is None else "share"
+        said += f" ± {size_text(abs(2.0 * one.deviation * scale), unit)} (two standard deviations)"
+    return f"{said}{', at the end of its growth' if one.grew else ''}"
+
+
+def _flight(run: Run, results: Sequence[Finding], charts: Charts) -> Iterator[Html]:
+    """Yield the flight as the log states it: the way on the ground, height, modes and texts."""
+    if run.facts is None:
+        return
+    first = min(
+        (trace for trace in run.replay.traces if len(trace.unix_ns)),
+        key=lambda one: int(one.vehicle_ns[0]),
+        default=None,
+    )
+    zero_s = 0.0 if first is None else (int(first.unix_ns[0]) - run.facts.start_ns) / 1e9
+    parts = [*flight_parts(run.facts, [one.alarm for one in results], charts, zero_s)]
+    if parts:
+        yield section("The flight", *parts)
+
+
+def _all_charts(run: Run, charts: Charts) -> Iterator[Html]:
+    drawn = [trace for trace in run.replay.traces if len(trace.vehicle_ns)]
+    for trace in drawn:
+        yield element("h3", trace.layout.observer)
+        yield from charts.add_observer(trace)
+    if not drawn:
+        yield element("p", "No observer had a sample: there is nothing to draw.")
+
+
+def _watched(run: Run, results: Sequence[Finding], watched: Sequence[WatchedChannel]) -> Iterator[Html]:
     yield element(
         "p",
-        "The largest estimate while alarms could be raised, against the threshold. Calibrated thresholds were set on "
-        f"healthy flights for {FALSE_ALARMS_PER_HOUR:g} false alarms per hour and observer, shared by its channels: at "
-        "that rate healthy flight exceeds the healthy level. The level is known only as well as those flights allow; "
-        "where its upper confidence limit is bold it is above the threshold, and false alarms may come more often.",
+        "The largest estimate while alarms could be raised, and the size that raises one. Thresholds were set on "
+        f"healthy flights for {FALSE_ALARMS_PER_HOUR:g} false alarms per hour and observer, shared by its channels.",
     )
     for observer in dict.fromkeys(one.rule.observer for one in watched):
         own = [one for one in watched if one.rule.observer == observer]
         watched_s = own[0].watched_s
-        yield element("h3", f"{observer}, " + (f"watched for {_span(watched_s)}" if watched_s else "never watched"))
-        yield table(_WATCHED_HEADS, map(_of_channel, own), numbers=range(2, 9))
+        yield element("h3", f"{observer}, " + (f"watched for {span_text(watched_s)}" if watched_s else "never watched"))
+        yield table(_WATCHED_HEADS, map(_of_channel, own), numbers=range(1, 4))
     others = sorted({one.alarm.observer for one in results} - {observer.name for observer in run.profile.observers})
     if others:
         yield element("p", f"Alarms of {', '.join(others)} come from fixed rules, not from calibration.", class_="note")
 
 
 def _of_channel(one: WatchedChannel) -> tuple[object, ...]:
-    calibration = one.calibration or Calibration(None, None, None, None)
-    high = calibration.high
-    limit: object = "" if high is None else f"{high:.2g}"
     return (
         one.rule.channel,
-        one.rule.unit,
-        "" if one.peak is None else f"{one.peak:.3g}",
-        f"{one.rule.threshold:.3g}" if one.effect is None else "",
-        "" if one.share is None else f"{100 * one.share:.0f} %",
+        "" if one.peak is None else size_text(one.peak, one.rule.unit),
+        size_text(one.rule.threshold, one.rule.unit) if one.effect is None else "",
         one.alarms or "",
-        "" if calibration.level is None else f"{calibration.level:.2g}",
-        element("strong", limit) if high is not None and high > one.rule.threshold else limit,
-        "" if calibration.hours is None else f"{60 * calibration.hours:.0f} min",
-        one.rule.sees or _why_no_words(one),
+        one.rule.sees or ("" if one.effect is None else _certain(one.effect)),
+        _rests_on(one),
     )
 
 
-def _why_no_words(one: WatchedChannel) -> str:
-    if one.effect is not None:
-        return _certain(one.effect)
-    if one.calibration is None:
-        return "threshold not calibrated, or edited since"
-    return ""
+def _rests_on(one: WatchedChannel) -> str:
+    known = one.calibration
+    if known is None:
+        return "" if one.effect is not None else "not calibrated, or edited since"
+    if known.hours is None:
+        return ""
+    text = f"{60 * known.hours:.0f} min of healthy flight"
+    if known.high is not None and known.high > one.rule.threshold:
+        return f"{text}: too little to promise that rate"
+    return text
 
 
 def _certain(effect: EffectivenessRule) -> str:
@@ -206,27 +230,6 @@ def _unchecked(run: Run, results: Sequence[Finding]) -> Html:
     return table(("not checked", "why"), unchecked(run.profile, run.replay, run.recording, results, run.damage))
 
 
-def _plots(run: Run) -> Iterator[Html]:
-    replay = run.replay
-    shown = RunView(replay.traces, replay.events, replay.thresholds, run.truth, effects(run.profile))
-    drawn = [trace for trace in replay.traces if len(trace.vehicle_ns)]
-    for trace in drawn:
-        picture = plot_svg(shown, trace)
-        yield element(
-            "figure",
-            element("h3", trace.layout.observer),
-            element(
-                "div",
-                Html(picture),
-                class_="picture",
-                role="img",
-                aria_label=f"estimates, residuals and inputs: {trace.layout.observer}",
-            ),
-        )
-    if not drawn:
-        yield element("p", "No observer had a sample: there is nothing to draw.")
-
-
 def _recording(run: Run) -> Iterator[Html]:
     recording = run.recording
     yield facts(
@@ -235,7 +238,7 @@ def _recording(run: Run) -> Iterator[Html]:
             ("size", _bytes(run.log)),
             ("from", "" if recording.first_ns is None else utc(recording.first_ns)),
             ("to", "" if recording.last_ns is None else utc(recording.last_ns)),
-            ("duration", _span(recording.duration_s)),
+            ("duration", span_text(recording.duration_s)),
             ("messages", f"{recording.messages:,} that the profile reads"),
         ]
     )
@@ -246,7 +249,7 @@ def _recording(run: Run) -> Iterator[Html]:
                 name,
                 f"{watch.samples:,}",
                 f"{watch.rate_hz:g}",
-                _span(watch.watched_s),
+                span_text(watch.watched_s),
                 f"{100 * watch.coasted / watch.samples:.2f} %" if watch.samples else "",
                 f"{watch.sampling.skipped:,}",
                 f"{watch.sampling.late:,}",
@@ -299,24 +302,14 @@ def _made(run: Run) -> Html:
     )
 
 
-def _moment(unix_ns: int, vehicle_ns: int, zero_ns: int | None) -> str:
-    shown = "" if zero_ns is None else f"{(vehicle_ns - zero_ns) / 1e9:.1f} s in the plots, "
+def _moment(run: Run, unix_ns: int, vehicle_ns: int) -> str:
+    zero_ns = origin_ns(run.replay.traces)
+    shown = f"{(vehicle_ns - zero_ns) / 1e9:.1f} s in the charts, " if zero_ns else ""
     return f"{utc(unix_ns)} ({shown}vehicle's clock {vehicle_ns / 1e9:.1f} s)"
 
 
 def _sentence(words: str) -> str:
     return words[:1].upper() + words[1:] + "."
-
-
-def _size(value: float, unit: str) -> str:
-    return f"{value:.3g} {unit}".rstrip()
-
-
-def _span(seconds: float) -> str:
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
 def _bytes(path: Path) -> str:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Iterable, Sequence
+from hashlib import sha256
 from html import escape
+from importlib.resources import files
 from pathlib import Path
 from string import Template
 
 from adapters.errors import printable
-from monitor.views.palette import DARK, LIGHT
-from replay.reports.plot import colour_variables
+from monitor.views.palette import DARK, LIGHT, Theme
 
 
 class Html(str):
@@ -28,7 +30,7 @@ def element(tag: str, *content: object, **attributes: str) -> Html:
 
     In names of attributes ``_`` stands for ``-``, at the end for nothing.
     """
-    said = "".join(f' {name.rstrip("_").replace("_", "-")}="{escape(value)}"' for name, value in attributes.items())
+    said = "".join(f' {name.rstrip("_").replace("_", "-")}="{html_text(value)}"' for name, value in attributes.items())
     return Html(f"<{tag}{said}>{joined_html(content)}</{tag}>")
 
 
@@ -61,18 +63,38 @@ def section(title: str, *content: object) -> Html:
     return element("section", element("h2", title), *content)
 
 
-def page(title: str, *content: object) -> Html:
-    """Return the whole page; it may load nothing and run nothing."""
+def folded(title: str, *content: object) -> Html:
+    """Return a section that opens where its title is clicked; it is open on paper."""
+    return element("details", element("summary", title), *content)
+
+
+def page(title: str, *content: object, charts: str = "[]") -> Html:
+    """Return the whole page: it may load nothing, and run nothing but what draws its ``charts`` (JSON)."""
+    scripts = [read_uplot("uPlot.iife.min.js"), Path(__file__).with_name("report.js").read_text()]
+    if charts == "[]":
+        scripts = []
+    hashes = (
+        " ".join(f"'sha256-{b64encode(sha256(script.encode()).digest()).decode()}'" for script in scripts) or "'none'"
+    )
+    policy = f"default-src 'none'; style-src 'unsafe-inline'; script-src {hashes}"
     head = element(
         "head",
         Html('<meta charset="utf-8">'),
-        Html("""<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'">"""),
+        Html(f"""<meta http-equiv="Content-Security-Policy" content="{policy}">"""),
         Html('<meta name="viewport" content="width=device-width, initial-scale=1">'),
         Html('<meta name="color-scheme" content="light dark">'),
         element("title", title),
-        element("style", Html(_style())),
+        element("style", Html(read_uplot("uPlot.min.css") + _style())),
     )
-    return Html(f'<!DOCTYPE html>\n<html lang="en">{head}<body><main>{joined_html(content)}</main></body></html>\n')
+    data = element("script", Html(charts), id="charts", type="application/json") if scripts else ""
+    run = joined_html(element("script", Html(script)) for script in scripts)
+    body = element("body", element("main", *content), data, run)
+    return Html(f'<!DOCTYPE html>\n<html lang="en">{head}{body}</html>\n')
+
+
+def read_uplot(name: str) -> str:
+    """Return a file of the bundled uPlot."""
+    return (files("monitor.views") / "uplot" / name).read_text()
 
 
 def _style() -> str:
@@ -80,3 +102,10 @@ def _style() -> str:
         " ".join(f"{name}: {colour};" for name, colour in colour_variables(theme).items()) for theme in (LIGHT, DARK)
     )
     return Template(Path(__file__).with_name("report.css").read_text()).substitute(light=light, dark=dark)
+
+
+def colour_variables(theme: Theme) -> dict[str, str]:
+    """Return a theme's colours by the names of CSS variables; none occurs twice."""
+    names = {"--paper": theme.paper, "--ink": theme.ink, "--muted": theme.muted}
+    series = {f"--series{index}": colour for index, colour in enumerate(theme.series) if colour != theme.ink}
+    return names | series

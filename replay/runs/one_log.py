@@ -20,7 +20,9 @@ from monitor.views.panels import RunView, TrueSizes
 from replay.attacks.inject import known_truth
 from replay.inspection.log_info import first_raised
 from replay.player import Replay, interests, play_batches
+from replay.reports.findings import effects, findings
 from replay.reports.recording_facts import RecordingFacts, RecordingMeter
+from replay.reports.verdict import run_sentence, stated_facts
 
 if TYPE_CHECKING:
     from replay.runs.live_replay import LiveReplay
@@ -56,7 +58,8 @@ class LogOutcome:
     log: str  # the log as the user named it
     kind: str = ""  # kind of recording; empty where it is not known
     error: str | None = None  # why the log could not be replayed, one line that names it; None where it could
-    verdict: str = ""  # what was found, as a sentence
+    verdict: str = ""  # how many alarms there were, and what was not watched, as a sentence
+    sentence: str = ""  # what happened, as a sentence; empty where nothing was found
     events: tuple[AlarmEvent, ...] = ()  # alarm events in order
     # Unix times of the first and the last message that mattered, nanoseconds
     start_ns: int = 0
@@ -87,6 +90,7 @@ class LogOutcome:
         found["lacking"] = {name: list(lacks) for name, lacks in (self.lacking or {}).items()}
         if self.mismatch is not None:
             found["mismatch"] = self.mismatch
+        found["verdict"] = self.sentence or self.verdict
         found["damage"] = [one.to_json() for one in self.damage]
         return found | {"alarms": [event.to_json() for event in self.events]}
 
@@ -142,6 +146,9 @@ def _replay(
     )
     facts = meter.facts()
     verdict = _verdict(found, profile, facts)
+    stated = stated_facts(task.path) if task.report else None
+    results = findings(profile, found.events, found.traces)
+    sentence = run_sentence(results, stated) if results else ""
     truth = known_truth(task.path, found.traces) if task.plot or task.rrd or task.report else {}
     _write(profile, task, found, truth, f"{Path(task.log).name}: {verdict}")
     if task.report:
@@ -157,6 +164,7 @@ def _replay(
             recording=facts,
             damage=recording.damage(),
             truth=truth,
+            facts=stated,
         )
         write_report(task.report, run)
     verdict = f"{Path(task.log).name}: {verdict}"
@@ -165,6 +173,7 @@ def _replay(
         kind=kind,
         error=None if found.samples else verdict,
         verdict=verdict,
+        sentence=sentence,
         events=found.events,
         start_ns=facts.first_ns or 0,
         end_ns=facts.last_ns or 0,
@@ -181,8 +190,6 @@ def _replay(
 
 def _write(profile: Profile, task: LogTask, found: Replay, truth: TrueSizes, title: str) -> None:
     """Write the plot and the Rerun recording that were asked for."""
-    from replay.reports.findings import effects
-
     shown = RunView(found.traces, found.events, found.thresholds, truth, effects(profile))
     if task.plot:
         from replay.reports.plot import plot_png

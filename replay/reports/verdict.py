@@ -1,0 +1,72 @@
+"""What a run found, in one sentence for somebody who reads no other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from adapters.errors import FauioError
+from monitor.bus.alarm_text import utc
+from replay.reports.findings import Finding
+from replay.review.facts.log_facts import LogFacts, Statement
+from replay.review.facts.reading import read_facts
+
+WARNING_LEVEL = 4
+"""Severity of a text up to which it is a warning or worse: MAV_SEVERITY_WARNING."""
+AFTER_S = 10.0
+"""What the autopilot says within so many seconds of an alarm's end is about it. Chosen: its failsafes wait some seconds
+before they speak (PX4's COM_FAIL_ACT_T is 5 s)."""
+
+
+def stated_facts(log: Path) -> LogFacts | None:
+    """Return what a log states of the flight; None where it is no autopilot's, or states nothing."""
+    try:
+        facts, _ = read_facts(log)
+    except FauioError:
+        return None
+    return facts if facts.autopilot else None
+
+
+def run_sentence(results: Sequence[Finding], facts: LogFacts | None) -> str:
+    """Return what happened, from the alarm that matters most: the first of the most severe.
+
+    ``facts`` are what the log states, None where it is no log of an autopilot.
+    """
+    worst = "critical" if any(one.alarm.severity == "critical" for one in results) else "warning"
+    main = next(one for one in results if one.alarm.severity == worst)
+    others = len(results) - 1
+    more = f"; {others} other alarm{'s' if others > 1 else ''}" if others else ""
+    return f"{main.message} {_when(main)}{_autopilot(main, facts)}{more}"
+
+
+def _when(one: Finding) -> str:
+    clock = utc(one.alarm.start_ns)[11:19]
+    if one.alarm.end_vehicle_ns is None:
+        return f"from {clock} to the end"
+    return f"from {clock} on for {span_text((one.alarm.end_vehicle_ns - one.alarm.start_vehicle_ns) / 1e9)}"
+
+
+def _autopilot(one: Finding, facts: LogFacts | None) -> str:
+    if facts is None or not any(said.kind == "text" for said in facts.statements):
+        return ""
+    said = said_about(one, facts)
+    return f"; the autopilot said “{said[0].text}”" if said else "; the autopilot said nothing"
+
+
+def said_about(one: Finding, facts: LogFacts) -> list[Statement]:
+    """Return the autopilot's warnings during an alarm, and shortly after it."""
+    start_s = (one.alarm.start_ns - facts.start_ns) / 1e9
+    end_s = facts.duration_s if one.alarm.end_ns is None else (one.alarm.end_ns - facts.start_ns) / 1e9 + AFTER_S
+    return [
+        said
+        for said in facts.statements
+        if said.kind == "text" and said.level <= WARNING_LEVEL and start_s <= said.time_s <= end_s
+    ]
+
+
+def span_text(seconds: float) -> str:
+    """Return a duration as people say it."""
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
