@@ -153,7 +153,7 @@ first steps:
   fauio alarms                     in another terminal: its active alarms
 """
 _GROUPS = {
-    "your vehicle": ("record", "fit", "replay", "run", "alarms", "console", "notify"),
+    "your vehicle": ("record", "fit", "replay", "watch", "run", "alarms", "console", "notify"),
     "recordings": ("review", "info", "convert", "recover", "inject", "detectability"),
     "models and observers": ("check", "design", "simulate"),
     "this machine": ("demo", "doctor", "schema", "completion"),

@@ -14,6 +14,7 @@ from monitor.vehicles.kinds import KINDS
 from replay import attack_commands
 from replay.review.review_command import add_review
 from replay.runs.replay_command import LOG_HELP, MAPPING_HELP, add_replay
+from replay.watch.watch_command import add_watch
 
 if TYPE_CHECKING:
     from adapters.batch import Batch
@@ -30,6 +31,7 @@ def add_parsers(subparsers: Any) -> None:
     _add_fit(subparsers)
     add_replay(subparsers)
     add_review(subparsers)
+    add_watch(subparsers)
     _add_convert(subparsers)
     _add_info(subparsers)
     attack_commands.add_parsers(subparsers)

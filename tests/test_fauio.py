@@ -19,7 +19,7 @@ from loopback import until
 import fauio
 
 # What runs for ever, needs a monitor or takes long is started by tests of its own.
-NOT_RUN = ("record", "run", "alarms", "console", "demo", "fit", "detectability", "notify")
+NOT_RUN = ("record", "run", "watch", "alarms", "console", "demo", "fit", "detectability", "notify")
 AS_JSON = (
     "fauio replay quad/ flights/copter_5s.tlog.xz --json",
     "fauio convert flights/copter_5s.tlog.xz -o short.mcap --json",

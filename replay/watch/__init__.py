@@ -1,0 +1,1 @@
+"""``fauio watch``: a folder that logs come into."""

@@ -1,0 +1,158 @@
+"""A folder that logs come into: each becomes a report, and a page lists them all."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from adapters.errors import TelemetryError
+from adapters.logs.recordings import session_files
+from adapters.output_file import write_file
+from monitor.bus.alarm_text import utc
+from monitor.profile import read_profile
+from replay.reports.report_html import element, page, table
+from replay.review.review import review_log
+from replay.review.review_page import review_page
+from replay.runs.log_list import find_logs
+from replay.runs.one_log import LogTask, replay_log
+from replay.watch.watch_command import INDEX_FILE
+
+STATE_FILE: Final = "flights.json"
+"""What was made of which log, beside the reports: a folder that is watched again goes on where it was."""
+
+
+@dataclass(frozen=True, slots=True)
+class WatchedLog:
+    """A row of the page: a log as it was when it was read, and what was found."""
+
+    log: str  # path in the folder
+    size: int
+    changed_ns: int
+    report: str  # file of the report; empty where there is none
+    begin: str = ""  # UTC
+    duration_s: float = 0.0
+    watched_s: float = 0.0  # of a reviewed log: in flight
+    alarms: int = 0  # of a reviewed log: findings
+    severity: str = ""  # the worst
+    verdict: str = ""
+    error: str = ""
+
+
+class FolderWatch:
+    """Makes a report of each log in a folder once it stays as it is."""
+
+    def __init__(self, folder: Path, out: Path, profile: Path | None, *, settled_s: float) -> None:
+        self._folder, self._out, self._profile_folder = folder, out, profile
+        self._profile = None if profile is None else read_profile(profile)
+        self._settled_ns = round(1e9 * settled_s)
+        self._flights = {log.log: log for log in read_watched(out / STATE_FILE)}
+
+    def look(self) -> list[WatchedLog]:
+        """Read the logs that are new or have changed; return what was found in each, and write the pages."""
+        try:
+            logs = find_logs([self._folder])
+        except TelemetryError:
+            logs = []
+        read = []
+        for log in logs:
+            if log.path.resolve().is_relative_to(self._out.resolve()):
+                continue
+            path, name = log.path, str(log.path.relative_to(self._folder))
+            if path == self._folder:
+                # one session is all there is so far; of a single file other logs may come beside it
+                files = session_files(path)
+                path = files[0] if len(files) == 1 else path
+                name = path.name
+            size, changed_ns = _state(path)
+            known = self._flights.get(name)
+            if known is not None and (known.size, known.changed_ns) == (size, changed_ns):
+                continue
+            if time.time_ns() - changed_ns < self._settled_ns:
+                continue
+            flight = self._read(path, name, size, changed_ns)
+            self._flights[name] = flight
+            read.append(flight)
+            self._write()
+        if not (self._out / INDEX_FILE).exists():
+            self._write()
+        return read
+
+    def _read(self, path: Path, name: str, size: int, changed_ns: int) -> WatchedLog:
+        report = f"{'_'.join(Path(name).parts)}.html"
+        try:
+            found = self._reviewed(path, report) if self._profile is None else self._replayed(path, name, report)
+        except TelemetryError as error:
+            found = {"error": str(error)}
+        written = not found.get("error") and (self._out / report).is_file()
+        return WatchedLog(name, size, changed_ns, report if written else "", **found)
+
+    def _replayed(self, path: Path, name: str, report: str) -> dict[str, Any]:
+        """Return what the profile's monitor found in a log."""
+        assert self._profile is not None  # noqa: S101 - without one logs are reviewed
+        task = LogTask(log=name, path=path, report=self._out / report, folder=self._profile_folder)
+        outcome = replay_log(self._profile, task)
+        severities = {event.severity for event in outcome.events}
+        return {
+            "begin": utc(outcome.start_ns) if outcome.start_ns else "",
+            "duration_s": round((outcome.end_ns - outcome.start_ns) / 1e9, 1),
+            "watched_s": round(outcome.watched_s, 1),
+            "alarms": len(outcome.raised),
+            "severity": next((one for one in ("critical", "warning") if one in severities), ""),
+            "verdict": outcome.sentence or outcome.verdict,
+            "error": outcome.error or "",
+        }
+
+    def _reviewed(self, path: Path, report: str) -> dict[str, Any]:
+        """Return what happened in a log as it states it."""
+        review = review_log(path)
+        write_file(self._out / report, review_page(review))
+        weights = [one.judgement.weight for one in review.findings if one.judgement.weight != "information"]
+        return {
+            "begin": utc(review.facts.start_ns),
+            "duration_s": round(review.facts.duration_s, 1),
+            "watched_s": round(review.facts.flight_s, 1),
+            "alarms": len(weights),
+            "severity": next((one for one in ("critical", "warning") if one in weights), ""),
+            "verdict": review.sentence,
+        }
+
+    def _write(self) -> None:
+        flights = sorted(self._flights.values(), key=lambda flight: (flight.begin, flight.log), reverse=True)
+        write_file(self._out / STATE_FILE, json.dumps([asdict(flight) for flight in flights], indent=1) + "\n")
+        write_file(self._out / INDEX_FILE, index_page(str(self._folder), flights))
+
+
+def index_page(title: str, flights: list[WatchedLog]) -> str:
+    """Return the page that lists all flights, the latest first."""
+    heads = ("begin", "log", "length", "watched", "alarms", "what was found")
+    rows = [
+        (
+            flight.begin[:19].replace("T", " "),
+            element("a", flight.log, href=flight.report) if flight.report else flight.log,
+            f"{flight.duration_s / 60:.1f} min",
+            f"{flight.watched_s / 60:.1f} min",
+            element("strong", flight.alarms, class_=flight.severity) if flight.alarms else "",
+            flight.error or flight.verdict,
+        )
+        for flight in flights
+    ]
+    shown = table(heads, rows, numbers=range(2, 5)) if rows else element("p", "No log has come yet.")
+    return page(f"flights in {title}", element("h1", f"Flights in {title}"), shown)
+
+
+def read_watched(path: Path) -> list[WatchedLog]:
+    """Return what an earlier run made of logs; nothing where its file is missing or is no such file."""
+    try:
+        return [WatchedLog(**entry) for entry in json.loads(path.read_text())]
+    except (OSError, ValueError, TypeError):
+        return []
+
+
+def _state(path: Path) -> tuple[int, int]:
+    """Return the size in bytes of a recording and when it last changed (Unix time, ns)."""
+    files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
+    states = [file.stat() for file in files]
+    return sum(one.st_size for one in states), max((one.st_mtime_ns for one in states), default=0)

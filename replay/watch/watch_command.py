@@ -1,0 +1,56 @@
+"""``fauio watch``: its options, and the loop that looks at the folder."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+INDEX_FILE: Final = "index.html"
+_EVERY_S: Final = 5.0
+"""How often the folder is looked at. Chosen: a report is read minutes after a landing; a look costs milliseconds."""
+_SETTLED_S: Final = 5.0
+"""How long a log has to stay as it is before it is read. Chosen: a copy from a card or by radio writes every second."""
+
+
+def add_watch(subparsers: Any) -> None:
+    """Add the command to the command line."""
+    parser = subparsers.add_parser(
+        "watch",
+        help="make a report of every log that comes into a folder",
+        description="Look at a folder every few seconds; replay each new or changed log through a profile's monitor, "
+        "or without a profile review it; write its report, and a page with a table of all logs "
+        f"({INDEX_FILE}). Goes on until it is interrupted; what was made is kept, so that it can be started again.",
+        epilog="example: fauio watch logs/ --profile quad/ -o reports/\nexample: fauio watch logs/ -o reports/ --once",
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder that logs come into, and folders below")
+    parser.add_argument("--profile", type=Path, metavar="PROFILE", help="profile folder (default: logs are reviewed)")
+    parser.add_argument("-o", "--out", type=Path, required=True, metavar="OUT", help="folder of the reports")
+    parser.add_argument("--once", action="store_true", help="read what is there and end")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per log")
+    parser.set_defaults(handler=run_watch)
+
+
+def run_watch(args: argparse.Namespace) -> int:
+    """Run ``fauio watch``."""
+    from adapters.errors import UsageError, printable
+    from replay.runs.log_list import check_output_folder
+    from replay.watch.folder_watch import FolderWatch
+
+    if not args.folder.is_dir():
+        raise UsageError(f"{args.folder}: is no folder; name the folder that logs come into")
+    check_output_folder(args.out)
+    args.out.mkdir(parents=True, exist_ok=True)
+    watch = FolderWatch(args.folder, args.out, args.profile, settled_s=0.0 if args.once else _SETTLED_S)
+    while True:
+        for log in watch.look():
+            line = json.dumps(asdict(log)) if args.json else printable(log.error or f"{log.log}: {log.verdict}")
+            sys.stdout.write(line + "\n")
+            sys.stdout.flush()
+        if args.once:
+            return 0
+        time.sleep(_EVERY_S)
