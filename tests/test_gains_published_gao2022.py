@@ -22,6 +22,7 @@ def test_the_bound_is_that_of_the_reconstruction_and_the_norm_confirms_it(sigma:
     assert observer.sqrt_mu > 0.13628
 
 
+@pytest.mark.long
 def test_the_sweep_takes_the_smallest_bound_and_its_gains_run_on_samples() -> None:
     plant = builtin_model("arm-disturbed")
     observer = design_gao2022(plant)

@@ -108,6 +108,7 @@ def test_the_wheel_holds_all_files_of_the_packages_the_core_compiled_and_nothing
     }
 
 
+@pytest.mark.long
 def test_the_source_distribution_holds_all_that_builds_tests_and_documents_it(source_built: Path) -> None:
     with tarfile.open(next((source_built / "dist").glob("*.tar.gz"))) as archive:
         names = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
@@ -115,6 +116,7 @@ def test_the_source_distribution_holds_all_that_builds_tests_and_documents_it(so
     assert not {name for name in names if name.startswith(PACKAGES) and name.endswith(COMPILED)}
 
 
+@pytest.mark.long
 def test_the_metadata_states_licences_and_python_and_invents_no_address(source_built: Path) -> None:
     with tarfile.open(next((source_built / "dist").glob("*.tar.gz"))) as archive:
         name = min((name for name in archive.getnames() if name.endswith("/PKG-INFO")), key=len)

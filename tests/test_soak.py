@@ -32,6 +32,7 @@ def report(**changes: Any) -> dict[str, Any]:
     return kept | changes
 
 
+@pytest.mark.long
 def test_four_vehicles_lose_no_sample(tmp_path: Path) -> None:
     command = [sys.executable, str(ROOT / "bench" / "soak.py"), "--minutes", "0.3", "--json", "--keep", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
