@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import rerun.blueprint as rrb
+from rerun.blueprint.components import AbsoluteTimeRange
+from rerun.encodings import TimeRange, TimeRangeBoundary
 
 from monitor.estimate import Layout
 from monitor.views.panels import Panels
@@ -13,9 +15,13 @@ from monitor.views.rerun_scene import entity_path
 
 Limits = tuple[float, float]
 Root = tuple[str, ...]
+Stretch = tuple[int, int]
+"""From when to when, nanoseconds on the vehicle's clock."""
 
 FAULTS_BELOW = 4
 """Panels of faults one below the other; more get a second column. Chosen for a laptop's screen."""
+LEAST_SHARE = 3
+"""Height of the faults' views, of which residuals have 1.5: they are what is looked at."""
 
 
 def blueprint(
@@ -24,18 +30,20 @@ def blueprint(
     *,
     follow: bool = False,
     active: int = 0,
+    stretch: Stretch | None = None,
 ) -> rrb.Blueprint:
     """Return the layout of the viewer: tabs above the states and texts of all alarms.
 
     ``roots`` are the beginnings of each vehicle's entity paths. The viewer follows the newest Unix time, or shows the
-    vehicle's time; ``active`` says which tab is open.
+    vehicle's time; ``active`` says which tab is open, ``stretch`` what of the
+    vehicle's time is shown first.
     """
     alarms = rrb.Horizontal(
         rrb.StateTimelineView(
             origin="/",
             contents=[f"+ /{entity_path(*root, 'alarms')}/**" for root in roots],
             name="alarms",
-            time_view=_linked(),
+            time_view=_axis(stretch),
         ),
         rrb.TextLogView(
             origin="/", contents=[f"+ /{entity_path(*root, 'log')}" for root in roots], name="alarm events"
@@ -46,7 +54,11 @@ def blueprint(
     time_panel = (
         rrb.TimePanel(timeline="unix_time", play_state="following", state="collapsed")
         if follow
-        else rrb.TimePanel(timeline="vehicle_time", state="collapsed")
+        else rrb.TimePanel(
+            timeline="vehicle_time",
+            state="collapsed",
+            time_selection=None if stretch is None else AbsoluteTimeRange(*stretch),
+        )
     )
     return rrb.Blueprint(
         rrb.Vertical(*rows, row_shares=[4, 1][: len(rows)]),
@@ -62,12 +74,13 @@ def observer_tab(
     limits: Mapping[int, Limits],
     quiet_limits: Limits | None,
     root: Root = (),
+    stretch: Stretch | None = None,
 ) -> rrb.Vertical:
     """Return an observer's views, one below the other.
 
     ``limits`` are the ends of the vertical axis by place of the channel, others scale by themselves; ``quiet_limits``
     those of the channels that share a view, in units of their thresholds. ``root`` is the beginning of the entity
-    paths.
+    paths, ``stretch`` what of the vehicle's time is shown first.
     """
     base = f"/{entity_path(*root, layout.observer)}"
 
@@ -76,7 +89,7 @@ def observer_tab(
             origin=base,
             contents=[f"+ {base}/{part}/**" for part in parts],
             name=f"{layout.observer} / {name}",
-            axis_x=_linked(),
+            axis_x=_axis(stretch),
             axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
         )
 
@@ -91,18 +104,21 @@ def observer_tab(
         rows.append(view("quiet channels, in units of their thresholds", "quiet", limits=quiet_limits))
     rows.append(view("residuals", "residual"))
     rows.append(rrb.Horizontal(view("inputs", "input"), view("outputs", "output")))
-    shares = [min(len(faults), FAULTS_BELOW)] * bool(faults) + [1.5] * (len(rows) - bool(faults))
+    shares = [max(LEAST_SHARE, min(len(faults), FAULTS_BELOW))] * bool(faults) + [1.5] * (len(rows) - bool(faults))
     return rrb.Vertical(*rows, row_shares=shares, name=layout.observer)
 
 
 def raw_tab(messages: Iterable[str], root: Root = ()) -> rrb.Grid:
     """Return the tab of the telemetry, a view per message."""
     views = [
-        rrb.TimeSeriesView(origin=f"/{entity_path(*root, 'raw', message)}", name=message, axis_x=_linked())
+        rrb.TimeSeriesView(origin=f"/{entity_path(*root, 'raw', message)}", name=message, axis_x=_axis())
         for message in messages
     ]
     return rrb.Grid(*views, name="raw channels")
 
 
-def _linked() -> rrb.TimeAxis:
-    return rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
+def _axis(stretch: Stretch | None = None) -> rrb.TimeAxis:
+    """Return an axis of time that all views share, or one that shows a stretch of it first: no shared one can."""
+    if stretch is None:
+        return rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
+    return rrb.TimeAxis(view_range=TimeRange(*(TimeRangeBoundary.absolute(nanos=end_ns) for end_ns in stretch)))

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Sequence
 
 import rerun as rr
 
-from monitor.trace import Trace, alarm_spans
+from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.views.panels import Panels, RunView, choose_panels, fault_limits, same_scale
-from monitor.views.rerun_blueprint import Limits, blueprint, observer_tab
+from monitor.views.rerun_blueprint import Limits, Stretch, blueprint, observer_tab
 from monitor.views.rerun_scene import APPLICATION, RerunScene
 
 FLUSH_TIMEOUT_S = 30.0
 """Seconds until a disk that does not take the recording is an error. Chosen: far more than a disk that works needs."""
 QUIET_LIMITS = (-1.3, 1.3)
 """Axis of the quiet channels in units of their thresholds: the band with some room around it."""
+
+AROUND_NS = 10_000_000_000
+"""Time that is marked before and behind the first alarm. Chosen: what led to it is seen beside it."""
+LONGEST_NS = 60_000_000_000
+"""How much of a long alarm is marked. Chosen: more would flatten its beginning."""
 
 
 def write_rrd(path: str | os.PathLike[str], run: RunView) -> None:
@@ -35,16 +41,17 @@ def write_rrd(path: str | os.PathLike[str], run: RunView) -> None:
     traces = [trace for trace in run.traces if len(trace.vehicle_ns)]
     alarmed = {(event.observer, event.channel) for event in run.events}
     chosen = choose_panels([trace.layout for trace in traces], alarmed, truth, thresholds)
+    spans = alarm_spans(run.events)
+    stretch = _first(traces, spans)
     tabs = [
-        observer_tab(trace.layout, panels, _limits(trace, panels, run), QUIET_LIMITS)
+        observer_tab(trace.layout, panels, _limits(trace, panels, run), QUIET_LIMITS, stretch=stretch)
         for trace, panels in zip(traces, chosen, strict=True)
     ]
     names = [trace.layout.observer for trace in traces]
     active = next((names.index(event.observer) for event in run.events if event.observer in names), 0)
-    spans = alarm_spans(run.events)
     recording = rr.RecordingStream(APPLICATION)
     try:
-        recording.save(os.fspath(path), default_blueprint=blueprint(tabs, active=active))
+        recording.save(os.fspath(path), default_blueprint=blueprint(tabs, active=active, stretch=stretch))
         scene = RerunScene(recording)
         for trace, panels in zip(traces, chosen, strict=True):
             scene.trace(trace, panels, thresholds)
@@ -57,6 +64,15 @@ def write_rrd(path: str | os.PathLike[str], run: RunView) -> None:
         raise OSError(errno.EIO, str(error), os.fspath(path)) from error
     finally:
         recording.disconnect()
+
+
+def _first(traces: Sequence[Trace], spans: Sequence[AlarmSpan]) -> Stretch | None:
+    """Return the stretch of time around the first alarm; None where there is none."""
+    if not spans or not traces:
+        return None
+    span, last_ns = spans[0], max(int(trace.vehicle_ns[-1]) for trace in traces)
+    end_ns = last_ns if span.end_vehicle_ns is None else span.end_vehicle_ns
+    return span.start_vehicle_ns - AROUND_NS, min(end_ns, span.start_vehicle_ns + LONGEST_NS) + AROUND_NS
 
 
 def _limits(trace: Trace, panels: Panels, run: RunView) -> dict[int, Limits]:
