@@ -105,7 +105,7 @@ def review_log(path: Path, *, learn: bool = True) -> LogReview:
     """
     facts, damage = read_facts(path)
     if learn:
-        from replay.review.facts.learning import learned
+        from replay.review.learning import learned
 
         facts = learned(path, facts)
     else:
