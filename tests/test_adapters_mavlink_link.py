@@ -196,6 +196,27 @@ def test_systems_and_components_on_one_link_lose_packets_each_on_its_own() -> No
         assert link.statistics().lost == 54
 
 
+def test_what_a_ground_station_sent_elsewhere_is_not_lost_here() -> None:
+    with udp() as (link, send):
+        station = ardupilotmega.MAVLink(None, srcSystem=255, srcComponent=190)
+        for k in range(20):
+            station.seq = 7 * k % 256
+            send(bytes(ardupilotmega.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3).pack(station)))
+            send(packet(2 * k))
+        collect(link, 40)
+        assert link.statistics().lost_by_system == {1: 19}
+        assert link.statistics().lost == 19
+
+
+def test_each_bad_checksum_is_counted() -> None:
+    with udp() as (link, send):
+        for k in range(50):
+            send(packet(k)[:-1] + bytes([packet(k)[-1] ^ 0x55]))
+        send(packet(50))
+        assert times(collect(link, 1)) == [50]
+        assert link.statistics().bad_checksums == 50
+
+
 def test_duplicates_come_twice_and_neither_they_nor_reordering_count_as_lost() -> None:
     with udp() as (link, send):
         order = [0, 1, 2, 3, 3, 5, 4, 4, 9, 8, 7, 6, 10]

@@ -53,3 +53,11 @@ def test_a_silence_ends_after_it_began_by_both_clocks() -> None:
     raised, cleared = alarm.follow(T0 + 5 * SECOND, 10 * SECOND)
     assert (raised.time_ns, raised.vehicle_time_ms) == (T0 + 2 * SECOND, 12_000)
     assert (cleared.time_ns, cleared.vehicle_time_ms) == (T0 + 5 * SECOND, 15_000)
+
+
+def test_it_does_not_clear_before_it_was_raised_though_the_next_message_came_before_and_waited() -> None:
+    alarm = stale()
+    alarm.follow(T0, 0)
+    (raised,) = alarm.silence(T0 + 3 * SECOND)
+    (cleared,) = alarm.follow(T0 + SECOND, SECOND)
+    assert cleared.time_ns == raised.time_ns == T0 + 2 * SECOND

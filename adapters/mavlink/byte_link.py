@@ -36,7 +36,8 @@ _BAUD = 57_600
 """What telemetry radios (SiK) and autopilots' TELEM ports are set to when they are new."""
 _HELP = "use udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD"
 
-# What Linux tells about each datagram; the socket module names neither. See socket(7).
+# What Linux tells about each datagram, and how it is asked for room; the socket module names none. See socket(7).
+_SO_RCVBUFFORCE = 33
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
 _TIMESPEC = struct.Struct("@ll")
@@ -179,8 +180,10 @@ class _Udp:
         self.overruns = 0
         self._socket = opened
         self._connected = connected
-        # A burst has to fit while the reader is busy; the kernel cuts this down to what it allows.
+        # A burst has to fit while the reader is busy; the kernel cuts this down to what it allows, but for root.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, UDP_BUFFER_BYTES)
+        with contextlib.suppress(OSError):
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, UDP_BUFFER_BYTES)
         self._dropped = 0
         self.stamps_arrivals = sys.platform == "linux"
         if self.stamps_arrivals:

@@ -36,7 +36,8 @@ class MavlinkLinkStatistics:
         Messages received, refused ones not among them.
     lost : int
         Packets missing by the sequence numbers of each system and component. A router that passes on only some of
-        the messages makes the others count as lost; a gap of more than 127 packets counts as none.
+        the messages makes the others count as lost; a gap of more than 127 packets counts as none, nor what a ground
+        station sent elsewhere.
     lost_by_system : Mapping[int, int]
         The same of each system that lost any.
     unknown : int

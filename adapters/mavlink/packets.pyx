@@ -43,6 +43,8 @@ cdef enum:
     SIGNATURE = 13
     SIGNED = 1  # MAVLINK_IFLAG_SIGNED
     UNKNOWN = -1  # kind of a message that is not in the dialect
+    TYPE = 4  # byte of HEARTBEAT, the first message of the dialect, with the type of what sends it
+    GROUND_STATION = 6  # MAV_TYPE_GCS
     SENDERS = 32  # whose numbers are compared: two of each of 16 vehicles, 6 KB each
     CONFLICTS = 3  # that show two senders: one by chance, and one when a sender starts anew, are none
     STAMP = 8  # bytes of a telemetry log before each packet: microseconds since 1970, big-endian
@@ -406,11 +408,13 @@ cdef class SequenceCounter:
     packet, which came twice. A sender that starts anew makes conflicts, too, but only with what came before: three over
     more than 2 s have two senders.
 
-    Its memory does not grow with senders: packets of strangers may claim to be anybody's.
+    Of ground stations nothing is counted as lost: they count all that they send, and of that only heartbeats are
+    forwarded. Its memory does not grow with senders: packets of strangers may claim to be anybody's.
     """
 
     cdef int16_t[::1] _newest
     cdef int64_t[::1] _lost
+    cdef uint8_t[256] _stations
     cdef Sender* _senders
 
     def __cinit__(self):
@@ -457,6 +461,8 @@ cdef class SequenceCounter:
             elif 0 < ahead < 128:
                 self._lost[row.system] += ahead - 1
                 self._newest[sender] = row.sequence
+            if row.kind == 0 and row.length > TYPE:
+                self._stations[row.system] = packets.content[row.start + row.payload + TYPE] == GROUND_STATION
             known = self._sender(sender, row.received_ns)
             if known != NULL and self._conflicts(known, row, packets.content + row.start + row.payload + row.length):
                 found.append((place, row.received_ns, row.system, row.component, known.conflicts))
@@ -504,8 +510,8 @@ cdef class SequenceCounter:
         return known.lasting >= CONFLICTS and known.last_ns - known.first_ns > FRESH_NS
 
     def lost(self):
-        """Return the packets lost by system, of systems that lost any."""
-        return {system: lost for system, lost in enumerate(self._lost) if lost}
+        """Return the packets lost by system, of vehicles that lost any."""
+        return {system: lost for system, lost in enumerate(self._lost) if lost and not self._stations[system]}
 
 
 cdef uint64_t _stamp_us(const uint8_t* data) noexcept nogil:

@@ -228,7 +228,8 @@ class StaleAlarm:
             # The message itself tells the vehicle's clock only later: what is known of it is from before the silence.
             back_ns = max(vehicle_ns, self._vehicle_ns + silent_ns)
             text = f"telemetry is back after {silent_ns / 1e9:.1f} s"
-            events.append(self._event("cleared", received_ns, back_ns, text))
+            # It may have waited, and have come before the silence was long enough to be said.
+            events.append(self._event("cleared", max(received_ns, self._since_ns), back_ns, text))
             self._since_ns = None
         self.pass_over(received_ns, vehicle_ns)
         return events
