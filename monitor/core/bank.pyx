@@ -278,10 +278,13 @@ cdef class Choice:
     cdef void watch_edges(self, const double[:, :] fault, Py_ssize_t row, bint complete) noexcept:
         """Take the evidence of sensors from the edges of their estimates; an edge that is held explains the data."""
         cdef Py_ssize_t i, k, column
+        cdef double whole
         cdef EdgeDetector detector
         for i in range(self.watched.shape[0]):
             k, column, detector = self.watched[i], self.watched_column[i], <EdgeDetector> self.detectors[i]
-            self.evidence[self.channel[column]] = detector.update(fault[row, column], self.J[k], complete)
+            # An edge is flat before and after, which no lively flight is: it is believed at the level of health alone.
+            whole = self.J[k] * max(1.0, self.level)
+            self.evidence[self.channel[column]] = detector.update(fault[row, column], whole, complete)
             if detector.held != 0.0 and self.J[k] <= self.floor:
                 self.unexplained = 0.0
 

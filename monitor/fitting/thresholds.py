@@ -19,6 +19,7 @@ from monitor.alarms.alarm import AlarmRule
 from monitor.chain import ChainRun, ObserverChain
 from monitor.core.lagged import exponential_mean
 from monitor.core.sampling import VehicleClock
+from monitor.estimation.isolation_rule import BankRule
 from monitor.fitting.extremes import ReturnLevel, return_level, standing
 from monitor.fitting.flights import Flight
 from monitor.profile import ObserverProfile
@@ -110,7 +111,8 @@ def healthy_evidence(
         Evidence (N, a + 1) of each stretch of samples that count, per the scale of its sizes there, or the root of the
         residuals' level; the last column is the unexplained score.
     """
-    levelled = [channel.kind == "sensor" or observer.excitation is None for channel in observer.faults]
+    edges = _edges_of(observer)
+    levelled = [observer.excitation is None and channel.name not in edges for channel in observer.faults]
     found = []
     for run, stretches in healthy_runs(observer, gate, flights):
         sizes = run.smoothed if own else run.estimates.isolated
@@ -118,6 +120,16 @@ def healthy_evidence(
         evidence = np.column_stack([sizes / scale, run.unexplained])
         found += [evidence[rows] for rows in stretches]
     return found
+
+
+def _edges_of(observer: ObserverProfile) -> set[str]:
+    """Return the faults of a bank whose evidence is an edge of their estimate."""
+    rule = observer.isolation
+    if not isinstance(rule, BankRule):
+        return set()
+    hypotheses = list(zip(rule.hypotheses, rule.edges, strict=True))
+    compared = {name for found, edge in hypotheses if not edge for name in found}
+    return {name for found, edge in hypotheses if edge for name in found} - compared
 
 
 def healthy_runs(
@@ -202,7 +214,7 @@ def calibrated(
 
 def plain_only(found: Calibrated) -> Calibrated:
     """Return the alarm with its plain path alone: an edge does not fade, and a mean of scores says nothing."""
-    return replace(found, rule=replace(found.rule, fast=math.inf, slow=math.inf, latch_s=0.0))
+    return replace(found, rule=replace(found.rule, fast=math.inf, slow=math.inf, latch_s=0.0, healthy=0.0))
 
 
 def weighted_mean(evidence: NDArray[np.float64], seconds: float, rate_hz: float) -> NDArray[np.float64]:
