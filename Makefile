@@ -9,13 +9,17 @@ CORE := $(wildcard adapters/mavlink/*.pyx monitor/core/*.pyx monitor/core/*.pxd)
 PYTEST := $(BIN)/python -m pytest -n 5 --dist loadfile --no-loadscope-reorder
 
 # The compiled core in place, for whoever works on it.
-.PHONY: core demo test test-long test-system lint format docs dist clean
+.PHONY: core demo console test test-long test-system lint format docs dist clean
 
 core:
 	CFLAGS="-O2 -ffp-contract=off" $(BIN)/cythonize --inplace --quiet $(CORE)
 
 demo: $(VENV)/.app
 	$(BIN)/fauio demo
+
+# The same with a recorded flight, in a browser.
+console: $(VENV)/.app
+	$(BIN)/fauio demo copter --console
 
 # Processes that share the cores gain nothing from threads of their own.
 test test-long test-system: export OPENBLAS_NUM_THREADS = 1

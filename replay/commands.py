@@ -52,7 +52,13 @@ def _add_demo(subparsers: Any) -> None:
         "--out", type=Path, default=Path("demo-out"), metavar="DIR", help="folder for the results (demo-out)"
     )
     parser.add_argument(
-        "--speed", type=float, metavar="X", help="times real time (default: 2 for the arm, 4 for the copter)"
+        "--speed",
+        type=float,
+        metavar="X",
+        help="times real time (default: 2 for the arm, 4 for the copter; 1 with --console)",
+    )
+    parser.add_argument(
+        "--console", action="store_true", help="show it as a web page, until Ctrl-C; a browser opens where there is one"
     )
     parser.set_defaults(handler=run_demo)
 
@@ -126,7 +132,7 @@ def run_demo(args: argparse.Namespace) -> int:
     """Run ``fauio demo``."""
     from replay.demonstration.demo import demo
 
-    return demo(args.vehicle, args.out, args.speed)
+    return demo(args.vehicle, args.out, args.speed, args.console)
 
 
 def run_fit(args: argparse.Namespace) -> int:

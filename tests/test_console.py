@@ -212,7 +212,7 @@ def test_keys_lead_through_the_pages(
     body.send_keys("h")
     shows(browser, "h1", "History")
     body.send_keys("f")
-    shows(browser, "h2", "quad-1")
+    shows(browser, ".card h2", "quad-1")
     body.send_keys("?")
     shows(browser, "dialog[open]", "Keys")
     browser.find_element(By.CSS_SELECTOR, "dialog").send_keys(Keys.ESCAPE)

@@ -137,7 +137,8 @@ def test_a_vehicles_past_comes_whole_and_then_what_is_new(site: Any, monitor: Si
 
     def complete() -> bool:
         news = fleet.news(have, "quad-1").get("past", {})
-        past["observers"] |= news.pop("observers", {})
+        for name, observer in news.pop("observers", {}).items():
+            past["observers"][name] = observer | past["observers"].get(name, {})
         past.update(news)
         return len(past) == 4 and len(past["observers"]) == 2
 
@@ -194,7 +195,8 @@ def test_with_a_token_nothing_is_shown_without_it(site: Any) -> None:
 def test_only_clips_of_the_folder_itself_are_given(site: Any, tmp_path: Path) -> None:
     folder = tmp_path / "clips"
     folder.mkdir()
-    (folder / "quad-1-X.mcap").write_bytes(b"clip")
+    (folder / "quad-1").mkdir()
+    (folder / "quad-1" / "quad-1-X.mcap").write_bytes(b"clip")
     (folder / "secret.txt").write_text("no")
     (tmp_path / "outside.mcap").write_bytes(b"no")
     (folder / "link.mcap").symlink_to(tmp_path / "outside.mcap")

@@ -21,7 +21,7 @@ from test_fauio import EXAMPLES
 import fauio
 
 README = (ROOT / "README.md").read_text()
-FOR_EVER = ("record", "run", "alarms")
+FOR_EVER = ("record", "run", "alarms", "console")
 SLOW = ("demo", "detectability", "fit")
 RUN_ELSEWHERE = {tuple(shlex.split(example)[1:]) for example in EXAMPLES}
 """Examples of the command line's own help, which tests/test_fauio.py runs in each run of the suite."""

@@ -73,8 +73,8 @@ class VehicleHistory:
         """Take an observer's estimate, one for each slot of time; return what each channel is held responsible for."""
         if not isinstance(payload, Mapping) or type(time_ns := payload.get("time_ns")) is not int:
             return {}
-        parts = {name: _sizes(payload.get(name)) for name in ("fault", "sd", "isolated", "residual")}
-        faults, outputs = list(parts["fault"])[:MAX_CHANNELS], list(parts["residual"])[:MAX_CHANNELS]
+        parts = {name: _sizes(payload.get(name)) for name in ("isolated", "sd", "residual")}
+        faults, outputs = list(parts["isolated"])[:MAX_CHANNELS], list(parts["residual"])[:MAX_CHANNELS]
         for name in _PULLED:
             if name in parts["isolated"]:
                 self._isolated[name] = parts["isolated"][name]
@@ -87,11 +87,11 @@ class VehicleHistory:
                 return {}
             self._layouts[observer] = layout
             self._generations[observer] = self._generations.get(observer, 0) + 1
-            width = 1 + 3 * len(faults) + len(outputs)
+            width = 1 + 2 * len(faults) + len(outputs)
             self.observers[observer] = Ring([str(k) for k in range(width)])
         self._slots[observer] = slot
         row = [1.0 if payload.get("armed") is True else 0.0]
-        for name in ("fault", "sd", "isolated"):
+        for name in ("isolated", "sd"):
             row += [parts[name].get(channel, math.nan) for channel in faults]
         row += [parts["residual"][channel] for channel in outputs]
         self.observers[observer].add(time_ns / 1e9, row)

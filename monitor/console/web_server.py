@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import json
-import re
 import socket
 import threading
 from collections.abc import AsyncIterator, Collection
@@ -50,7 +50,6 @@ _LOGIN_PAUSE_S: Final = 1.0
 """Chosen: a guess a second finds no token."""
 _PAGE: Final = Path(__file__).parent / "page"
 _UPLOT: Final = Path(__file__).parent.parent / "views" / "uplot"
-_CLIP: Final = re.compile(r"[^/\\\0]{1,200}\.mcap")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +117,11 @@ class ConsoleServer:
             self._thread.join(_CLOSE_S)
             self._socket.close()
             self.fleet.close()
+
+    @property
+    def streams(self) -> int:
+        """How many pages are open."""
+        return self._streams
 
     def wait(self, timeout_s: float) -> bool:
         """Wait while it serves, at most so long; return whether it still does."""
@@ -201,28 +205,32 @@ class ConsoleServer:
 
     async def _clip_list(self, request: Request) -> Response:
         del request
-        return _json({"clips": await run_in_threadpool(self._clips)})
+        clips = []
+        for name, path in (await run_in_threadpool(self._clips)).items():
+            with contextlib.suppress(OSError):
+                state = path.stat()
+                clips.append({"name": name, "bytes": state.st_size, "time_ns": state.st_mtime_ns})
+        return _json({"clips": clips})
 
     async def _clip(self, request: Request) -> Response:
         name = request.path_params["name"]
-        folder = self._options.clips
-        if folder is None or name not in {clip["name"] for clip in await run_in_threadpool(self._clips)}:
+        path = (await run_in_threadpool(self._clips)).get(name)
+        if path is None:
             return JSONResponse({"error": "no such clip"}, 404)
-        return FileResponse(folder / name, filename=name, media_type="application/octet-stream")
+        return FileResponse(path, filename=name, media_type="application/octet-stream")
 
-    def _clips(self) -> list[dict[str, Any]]:
-        """Return the clips, newest first: plain files of the folder itself."""
+    def _clips(self) -> dict[str, Path]:
+        """Return the newest clips by name: plain files of the folder, and of the folders of vehicles in it."""
         folder = self._options.clips
         if folder is None:
-            return []
-        found: list[tuple[int, str, int]] = []
-        with contextlib.suppress(OSError):
-            for path in folder.iterdir():
-                if _CLIP.fullmatch(path.name) and path.name.isprintable() and not path.is_symlink() and path.is_file():
-                    state = path.stat()
-                    found.append((state.st_mtime_ns, path.name, state.st_size))
-        found.sort(reverse=True)
-        return [{"name": name, "bytes": size, "time_ns": at_ns} for at_ns, name, size in found[:_MAX_HISTORY]]
+            return {}
+        found: list[tuple[int, Path]] = []
+        for path in itertools.chain(folder.glob("*.mcap"), folder.glob("*/*.mcap")):
+            with contextlib.suppress(OSError):
+                plain = path.is_file() and not path.is_symlink() and not path.parent.is_symlink()
+                if plain and path.name.isprintable():
+                    found.append((path.stat().st_mtime_ns, path))
+        return {path.name: path for _, path in sorted(found, reverse=True)[:_MAX_HISTORY]}
 
 
 async def _body(request: Request) -> dict[str, Any] | None:

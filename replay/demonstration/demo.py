@@ -8,31 +8,40 @@ replays the daemon's own recording for the plots.
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import socket
 import subprocess
 import sys
 import time
+import webbrowser
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.errors import FauioError
+from adapters.errors import FauioError, UsageError
 from adapters.logs.mcap_reader import read_mcap_messages
+from adapters.output_file import write_file
 from adapters.simulation.arm import SCENARIOS
 from adapters.zenoh.zenoh_session import open_session
+from monitor.bus.operators import VERBS
 from monitor.bus.subscriber import AlarmSubscriber
 from monitor.event import AlarmEvent
 from monitor.profile import read_profile
+from monitor.service.caught_signals import caught_signals
 from monitor.trace import Trace
 from monitor.views.panels import RunView
 from monitor.views.rerun_view import write_rrd
 from replay.demonstration.arm_profile import write_arm_profile
 from replay.player import Replay, play
 from replay.reports.plot import plot_png
+
+if TYPE_CHECKING:
+    import zenoh
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +60,14 @@ class Truth:
         return self.signal(time_s) if self.start_s <= time_s < self.stop_s else 0.0
 
 
+_CLIPS = "clips"
 _DATA = Path(__file__).parent.parent / "data"
 _START_TIMEOUT_S = 30.0
 """Chosen: ten times what a cold start takes on a desktop, for small boards."""
 _LAST_EVENTS_S = 1.0
 """Chosen: for events that are on their way when the flight ends; they need milliseconds."""
+_PAGE_S = 30.0
+"""Chosen: the time to open a page on another machine through a tunnel; the flight begins without one then."""
 _STOP_TIMEOUT_S = 10.0
 """Chosen: the daemon closes its files within a second or hangs."""
 
@@ -70,14 +82,17 @@ class DemoScene:
     truth: tuple[Truth, ...]
 
 
-def demo(vehicle: str, out: Path, speed: float | None) -> int:
-    """Run the demonstration and return the exit status: 0 where every injected fault was announced, else 1."""
+def demo(vehicle: str, out: Path, speed: float | None, console: bool = False) -> int:
+    """Run the demonstration and return the exit status: 0 where every injected fault was announced, else 1.
+
+    With ``console`` a web page shows it, until it is interrupted.
+    """
     out.mkdir(parents=True, exist_ok=True)
     with _arm_scene(out) if vehicle == "arm" else _copter_scene() as scene:
-        pace = speed or (2.0 if vehicle == "arm" else 4.0)
+        pace = speed or (1.0 if console else 2.0 if vehicle == "arm" else 4.0)
         _say(scene.title)
         record = out / f"{vehicle}.mcap"
-        events = _run_live(scene, record, pace)
+        events = _run_live(scene, record, pace, _monitor_config(out) if console else None)
         replayed = play(read_profile(scene.profile), read_mcap_messages(record), keep_traces=True)
         curves = {truth.channel: _true_course(truth, replayed.traces[0]) for truth in scene.truth}
         shown = RunView(replayed.traces, replayed.events, replayed.thresholds, curves)
@@ -119,8 +134,17 @@ def _copter_scene() -> Iterator[DemoScene]:
     )
 
 
-def _run_live(scene: DemoScene, record: Path, speed: float) -> list[AlarmEvent]:
-    """Run daemon, sender and subscriber; return the events that came over Zenoh."""
+def _monitor_config(out: Path) -> Path:
+    """Return a configuration with which the page can command and offer clips."""
+    (out / _CLIPS).mkdir(exist_ok=True)
+    verbs = ", ".join(f'"{verb}"' for verb in VERBS)
+    config = out / "monitor.toml"
+    write_file(config, f'[commands]\nallow = [{verbs}]\n\n[black_box]\nfolder = "{_CLIPS}"\n')
+    return config
+
+
+def _run_live(scene: DemoScene, record: Path, speed: float, config: Path | None) -> list[AlarmEvent]:
+    """Run daemon, sender and subscriber, with a configuration also the console; return the events that came."""
     udp, endpoint = (
         f"127.0.0.1:{_free_port(socket.SOCK_DGRAM)}",
         f"tcp/127.0.0.1:{_free_port(socket.SOCK_STREAM)}",
@@ -129,6 +153,7 @@ def _run_live(scene: DemoScene, record: Path, speed: float) -> list[AlarmEvent]:
         [
             *(sys.executable, "-m", "fauio", "run", str(scene.profile), "--mavlink", f"udpin:{udp}"),
             *("--listen", endpoint, "--record", str(record)),
+            *(() if config is None else ("--config", str(config))),
         ],
         stderr=subprocess.PIPE,
         text=True,
@@ -139,7 +164,10 @@ def _run_live(scene: DemoScene, record: Path, speed: float) -> list[AlarmEvent]:
             subscriber = AlarmSubscriber(session)
             _wait_for_monitor(subscriber, daemon)
             _say(f"monitor listens to MAVLink on udp {udp} and publishes on Zenoh at {endpoint}")
-            return _watch(scene, subscriber, scene.sender(udp, speed))
+            if config is None:
+                return _watch(scene, subscriber, scene.sender(udp, speed), None)
+            with caught_signals() as signals, _page(session, config.parent, signals):
+                return _watch(scene, subscriber, scene.sender(udp, speed), signals)
         finally:
             session.close()  # type: ignore[no-untyped-call]
     finally:
@@ -147,6 +175,26 @@ def _run_live(scene: DemoScene, record: Path, speed: float) -> list[AlarmEvent]:
         with contextlib.suppress(subprocess.TimeoutExpired):
             daemon.communicate(timeout=_STOP_TIMEOUT_S)
         daemon.kill()
+
+
+@contextlib.contextmanager
+def _page(session: zenoh.Session, out: Path, signals: Sequence[int]) -> Iterator[None]:
+    """Serve the console, and wait until somebody looks."""
+    from monitor.console.web_server import ConsoleOptions, ConsoleServer
+
+    options = ConsoleOptions(commands=True, clips=out / _CLIPS)
+    try:
+        server = ConsoleServer(session, options)
+    except UsageError:  # the port is taken
+        server = ConsoleServer(session, replace(options, listen="127.0.0.1:0"))
+    with contextlib.closing(server):
+        _say(f"open {server.url} in a browser; Ctrl-C ends")
+        if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or sys.platform == "darwin":
+            webbrowser.open(server.url)
+        until = time.monotonic() + _PAGE_S
+        while not (server.streams or signals) and time.monotonic() < until:
+            time.sleep(0.1)
+        yield
 
 
 def _wait_for_monitor(subscriber: AlarmSubscriber, daemon: subprocess.Popen[str]) -> None:
@@ -160,19 +208,26 @@ def _wait_for_monitor(subscriber: AlarmSubscriber, daemon: subprocess.Popen[str]
         time.sleep(0.05)
 
 
-def _watch(scene: DemoScene, subscriber: AlarmSubscriber, sender_command: Sequence[str]) -> list[AlarmEvent]:
-    """Start the sender and collect events until a second after it has finished."""
+def _watch(
+    scene: DemoScene, subscriber: AlarmSubscriber, sender_command: Sequence[str], signals: Sequence[int] | None
+) -> list[AlarmEvent]:
+    """Start the sender and collect events until a second after it has finished, and, with a page, until a signal."""
     events: list[AlarmEvent] = []
-    sender = subprocess.Popen(sender_command, stdout=subprocess.DEVNULL)  # noqa: S603 - as above
+    # out of reach of a Ctrl-C, which is for us
+    sender = subprocess.Popen(sender_command, stdout=subprocess.DEVNULL, process_group=0)  # noqa: S603 - as above
     try:
         until: float | None = None
-        while until is None or time.monotonic() < until:
+        while until is None or time.monotonic() < until or (signals is not None and not signals):
             event = subscriber.receive(0.1)
             if event is not None and event.kind not in ("stale", "blind"):
                 events.append(event)
                 _say(_announce(scene, event))
+            if until is None and signals:
+                raise KeyboardInterrupt
             if until is None and sender.poll() is not None:
                 until = time.monotonic() + _LAST_EVENTS_S
+                if signals is not None:
+                    _say("the flight is over; the page stays until Ctrl-C")
     finally:
         sender.kill()
         sender.wait()

@@ -86,12 +86,20 @@ class Chart {
   ground() {}
 }
 
-/** The estimate of a fault: line, two standard deviations, threshold, what it is held responsible for. */
+/** What a fault channel is held responsible for: line, two standard deviations, threshold; red while it is an alarm. */
 export class EstimateChart extends Chart {
   constructor(rows, fault, { threshold, unit, factor }) {
     super(fault, unit);
     Object.assign(this, { rows, fault, factor });
     this.threshold = threshold === null ? null : threshold * factor;
+    this.spells = [];
+  }
+
+  /** Show the span of times with its alarms. */
+  update(span, spells) {
+    this.spells = spells;
+    this.element.dataset.alarm = spells.some((spell) => spell.end >= span[1]);
+    super.update(span);
   }
 
   #scaled(kind) {
@@ -99,25 +107,37 @@ export class EstimateChart extends Chart {
   }
 
   data() {
-    const fault = this.#scaled("fault");
+    const { times } = this.rows;
+    const size = this.#scaled("isolated");
     const sd = this.#scaled("sd");
-    const side = (sign) => fault.map((value, k) => (value === null || sd[k] === null ? null : value + sign * 2 * sd[k]));
-    const isolated = this.#scaled("isolated").map((value) => (value ? value : null));
-    return [this.rows.times, side(1), side(-1), fault, isolated];
+    const side = (sign) => size.map((value, k) => (value === null || sd[k] === null ? null : value + sign * 2 * sd[k]));
+    const active = (time) => this.spells.some((spell) => spell.start <= time && time <= spell.end);
+    const alarm = size.map((value, k) => (this.spells.length && active(times[k]) ? value : null));
+    return [times, side(1), side(-1), size, alarm];
   }
 
   value(at = this.rows.times.length - 1) {
-    const value = this.rows.get(`fault ${this.fault}`)[at];
+    const size = this.rows.get(`isolated ${this.fault}`)[at];
     const sd = this.rows.get(`sd ${this.fault}`)[at];
-    if (value === null || value === undefined) return "–";
+    if (size === null || size === undefined) return "–";
     const spread = sd === null ? "" : ` ± ${figure(2 * sd * this.factor, 2)}`;
     const threshold = this.threshold === null ? "" : `, threshold ${figure(this.threshold)}`;
-    return `${signed(value * this.factor)}${spread}${threshold}`;
+    return `${signed(size * this.factor)}${spread}${threshold}`;
   }
 
-  range(low, high) {
+  /** The sizes where there is evidence, not what they are uncertain by: that may be anything at the begin. */
+  range() {
+    const { times } = this.rows;
+    const armed = this.rows.get("armed");
+    const sizes = this.rows.get(`isolated ${this.fault}`);
     const least = 1.25 * (this.threshold ?? 1e-9);
-    return [Math.min(low ?? 0, -least), Math.max(high ?? 0, least)];
+    let [low, high] = [-least, least];
+    for (let k = times.length - 1; k >= 0 && times[k] >= this.span[0]; k--) {
+      if (!armed[k] || sizes[k] === null) continue;
+      low = Math.min(low, 1.1 * sizes[k] * this.factor);
+      high = Math.max(high, 1.1 * sizes[k] * this.factor);
+    }
+    return [low, high];
   }
 
   series() {

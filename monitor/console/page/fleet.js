@@ -1,4 +1,4 @@
-// The overview: a card for each vehicle, the alarms of all.
+// The overview: the alarms of all, a card for each vehicle.
 import { AlarmTable } from "./alarms.js";
 import { el, say, sync } from "./dom.js";
 import { figure, whyNot } from "./words.js";
@@ -25,10 +25,11 @@ export class FleetPage {
       "div",
       {},
       el("h1", { class: "unseen" }, "Fleet"),
-      this.cards,
-      this.none,
       el("h2", {}, "Alarms"),
       this.alarms.element,
+      el("h2", {}, "Vehicles"),
+      this.cards,
+      this.none,
     );
   }
 

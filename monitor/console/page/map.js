@@ -41,9 +41,9 @@ export class TrackMap {
     this.size.disconnect();
   }
 
-  update(status, span) {
-    this.status = status;
-    this.span = span;
+  /** Show the span of times; `spells` are those of alarms of GPS. */
+  update(status, span, spells) {
+    Object.assign(this, { status, span, spells });
     this.draw();
   }
 
@@ -91,9 +91,13 @@ export class TrackMap {
       this.origin ??= [latitudes[k], longitudes[k]];
       const at = metres(latitudes[k], longitudes[k], this.origin);
       track.push(at);
-      if (norths[k] || easts[k]) real.push([at[0] - (easts[k] ?? 0), at[1] - (norths[k] ?? 0)]);
+      if (this.#pulled(time) && (norths[k] || easts[k])) real.push([at[0] - (easts[k] ?? 0), at[1] - (norths[k] ?? 0)]);
     });
     return { track, real };
+  }
+
+  #pulled(time) {
+    return this.spells.some((spell) => spell.start <= time && time <= spell.end);
   }
 
   #grid(ctx, width, height, scale, place) {
@@ -153,7 +157,7 @@ export class TrackMap {
     const height = altitude === null ? "" : `, ${figure(altitude, 4)} m above the sea`;
     const where = `${figure(Math.hypot(east, north))} m from where it was first seen${height}`;
     const [north_m, east_m] = [this.status.last("gps_north") ?? 0, this.status.last("gps_east") ?? 0];
-    const pulled = north_m || east_m ? `; GPS is pulled by ${figure(Math.hypot(north_m, east_m))} m` : "";
+    const pulled = this.#pulled(this.status.times.at(-1)) && (north_m || east_m) ? `; GPS is pulled by ${figure(Math.hypot(north_m, east_m))} m` : "";
     say(this.said, where + pulled);
     this.canvas.setAttribute("aria-label", `Track: ${where}${pulled}`);
   }

@@ -59,7 +59,7 @@ export class Past {
     for (const [name, observer] of Object.entries(news.observers ?? {})) {
       if (observer.faults) {
         const { faults, outputs } = observer;
-        const kinds = ["fault", "sd", "isolated"].flatMap((kind) => faults.map((fault) => `${kind} ${fault}`));
+        const kinds = ["isolated", "sd"].flatMap((kind) => faults.map((fault) => `${kind} ${fault}`));
         const names = ["armed", ...kinds, ...outputs.map((output) => `residual ${output}`)];
         this.observers.set(name, { faults, outputs, rows: new Columns(names) });
         changed = true;
@@ -75,6 +75,26 @@ export class Past {
       this[kind].splice(0, this[kind].length - ENTRIES);
     }
     return changed;
+  }
+
+  /** From when to when each alarm was active, seconds; those that still are end now. */
+  get spells() {
+    const alarms = new Map();
+    for (const event of this.events) {
+      const spell = alarms.get(event.id) ?? { id: event.id, start: event.since_s, channel: event.channel };
+      spell.end = event.state === "cleared" ? event.time_s : this.end;
+      spell.severity = event.severity;
+      // what an operator did says nothing of the fault
+      if (!spell.message || event.state === "raised" || event.state === "updated") spell.message = event.message;
+      alarms.set(event.id, spell);
+    }
+    return [...alarms.values()];
+  }
+
+  /** The oldest time there is, seconds. */
+  get begin() {
+    const begins = [...this.observers.values()].map((observer) => observer.rows.times[0] ?? Infinity);
+    return Math.min(...begins, this.status?.times[0] ?? Infinity);
   }
 
   /** The newest time there is, seconds. */

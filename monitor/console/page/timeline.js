@@ -24,7 +24,7 @@ export class Timeline {
       const left = Math.max(0, (start - from) / (to - from));
       return [100 * left, 100 * (Math.min(1, (end - from) / (to - from)) - left)];
     };
-    this.#bars(this.lanes.alarms, spells(past.events, to), from, place);
+    this.#bars(this.lanes.alarms, alarmBars(past.spells), from, place);
     const modes = past.modes.map((one, k) => ({
       key: one.time_s,
       start: one.time_s,
@@ -63,20 +63,18 @@ export class Timeline {
   }
 }
 
-/** Return from when to when each alarm was active, those of a channel in a lane. */
-function spells(events, now) {
-  const alarms = new Map();
-  for (const event of events) {
-    const spell = alarms.get(event.id) ?? { key: event.id, start: event.since_s, kind: "", channel: event.channel };
-    spell.end = event.state === "cleared" ? event.time_s : now;
-    spell.kind = `alarm ${event.severity}`;
-    spell.text = event.channel;
-    spell.title = `${event.message}, from ${timeOfDay(spell.start)}`;
-    alarms.set(event.id, spell);
-  }
-  const channels = [...new Set([...alarms.values()].map((spell) => spell.channel))];
-  for (const spell of alarms.values()) spell.lane = channels.indexOf(spell.channel) % 6;
-  return [...alarms.values()];
+/** Return a bar for each alarm, those of a channel in a lane. */
+function alarmBars(spells) {
+  const channels = [...new Set(spells.map((spell) => spell.channel))];
+  return spells.map((spell) => ({
+    key: spell.id,
+    start: spell.start,
+    end: spell.end,
+    lane: channels.indexOf(spell.channel) % 6,
+    kind: `alarm ${spell.severity}`,
+    text: spell.channel,
+    title: `${spell.message}, from ${timeOfDay(spell.start)}`,
+  }));
 }
 
 function makeText(one) {

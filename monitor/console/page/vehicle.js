@@ -9,6 +9,9 @@ import { Timeline } from "./timeline.js";
 import { dateAndTime } from "./words.js";
 
 const SPANS = [60, 300, 900];
+const LEAST_S = 30;
+const GPS = /\/gps_(north|east)$/;
+const CLIPS_MS = 15000;
 const LINK = [
   ["messages_per_s", "Messages", "per s", 1],
   ["lost_share", "Lost", "%", 100],
@@ -43,13 +46,12 @@ export class VehiclePage {
       this.figures,
       this.alarms.element,
       this.#tools(),
-      el("h2", {}, "Time line"),
-      this.timeline.element,
+      el("div", { class: "halves" }, section("Time line", this.timeline.element), section("Track", this.map.element)),
       el("h2", {}, "Estimates"),
       el("p", { class: "legend" }, ...LEGEND.map(([kind, text]) => el("span", { class: `line ${kind}` }, text))),
       this.estimates,
       more,
-      el("div", { class: "halves" }, section("Track", this.map.element), section("Link", this.link)),
+      section("Link", this.link),
       this.clips,
     );
     this.#card();
@@ -86,6 +88,7 @@ export class VehiclePage {
 
   tick() {
     this.alarms.tick();
+    if (performance.now() - this.askedAt > CLIPS_MS) this.#askClips();
   }
 
   hold() {
@@ -95,11 +98,14 @@ export class VehiclePage {
   }
 
   #show() {
-    const end = this.held ?? this.past.end;
-    const span = [end - this.span, end];
-    for (const chart of this.charts) chart.update(span);
+    const { begin, end: now, spells } = this.past;
+    const end = this.held ?? now;
+    // at first there is less than was asked for
+    const span = [Math.max(end - this.span, Math.min(begin, end - LEAST_S)), end];
+    for (const chart of this.charts) chart.update(span, spells.filter((spell) => spell.channel === chart.channel));
     this.timeline.update(this.past, span);
-    if (this.past.status) this.map.update(this.past.status, span);
+    const ofGps = spells.filter((spell) => GPS.test(spell.channel));
+    if (this.past.status) this.map.update(this.past.status, span, ofGps);
   }
 
   #card() {
@@ -139,7 +145,9 @@ export class VehiclePage {
       ...observers.map(([name, { faults, rows }]) => {
         const charts = faults.map((fault) => {
           const [threshold, unit, factor] = known[name]?.[fault] ?? [null, "", 1];
-          return add(new EstimateChart(rows, fault, { threshold, unit, factor: factor ?? 1 }));
+          const chart = new EstimateChart(rows, fault, { threshold, unit, factor: factor ?? 1 });
+          chart.channel = `${name}/${fault}`;
+          return add(chart);
         });
         return el("section", {}, el("h3", {}, name), el("div", { class: "charts" }, ...charts));
       }),
@@ -171,6 +179,7 @@ export class VehiclePage {
   }
 
   async #askClips() {
+    this.askedAt = performance.now();
     if (!this.app.hello.clips) return;
     try {
       const { clips } = await (await fetch("/clips")).json();
@@ -190,7 +199,7 @@ export class VehiclePage {
 
 const LEGEND = [
   ["estimate", "estimate, with two standard deviations"],
-  ["critical", "what the channel is held responsible for"],
+  ["critical", "estimate during an alarm"],
   ["threshold", "threshold"],
   ["unwatched", "no evidence"],
 ];
