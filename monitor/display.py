@@ -22,6 +22,7 @@ _SHARES: Mapping[str, str] = {
     "fraction of full deflection": "% of effect",
     "fraction of speed at hover": "% of speed",
     "fraction of current at hover": "% of current",
+    "fraction of thrust at hover": "% of thrust",
 }
 _LARGEST = 1e30
 """Beyond anything that is measured; sizes may come from a network."""
@@ -49,6 +50,8 @@ def fault_text(channel: str, estimate: float | None, relative: float | None, uni
     if not _is_size(estimate):
         return ""
     size = float(estimate or 0.0)
+    if unit == "natural logarithm of times":
+        return f"{number_text(math.exp(min(size, 50.0)), 2)} times"
     # a compass' estimate counts turns on; nothing is further off than half of one
     return size_text(math.remainder(size, math.tau) if channel == "compass" else size, unit, signed=True)
 
