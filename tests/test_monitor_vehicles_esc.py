@@ -14,7 +14,9 @@ from adapters.errors import TelemetryError
 from adapters.logs.recordings import packed
 from adapters.sample import Given, Samples, joined_samples
 from monitor.event import AlarmEvent
+from monitor.fitting.survey import survey
 from monitor.profile import Profile, read_profile
+from monitor.vehicles.multirotor.speeds import esc_signals
 from monitor.vehicles.multirotor.transform import EscInputs
 from replay.fit import FitReport, fit_profile
 from replay.player import play
@@ -101,6 +103,16 @@ def test_speeds_at_3_hz_say_within_seconds_why_a_motor_delivers_less(
     assert 0.0 < seconds_after(first, fault) < 1.0
     assert 0.0 < seconds_after(second, fault) < 5.0
     assert second.relative is not None and -0.25 < second.relative < -0.05
+
+
+def test_speeds_that_no_controller_measured_are_not_believed() -> None:
+    log = list(flight(1, 20.0))
+    assert esc_signals([survey(packed(log))], 4) is not None
+    simulated = [
+        replace(message, fields={**message.fields, "voltage": [0.0] * 4}) if message.name == "ESC_STATUS" else message
+        for message in log
+    ]
+    assert esc_signals([survey(packed(simulated))], 4) is None
 
 
 PARAMETERS = {

@@ -75,10 +75,13 @@ def esc_signals(surveys: Sequence[Survey], motors: int) -> EscSignals | None:
     """Return the channels of all speed controllers that every recording reports; None where they are too few.
 
     Names are ``rpm1``, ``amps1``, ``volts1`` and so on in the order of the messages. An onboard log of PX4 makes a
-    message of the first four.
+    message of the first four. PX4's simulator makes speeds out of commands, without a voltage: no controller measured
+    them, and they would hide what motors lose.
     """
     common = set.intersection(*(set(survey.rate_hz) for survey in surveys)) if surveys else set[str]()
     places: list[tuple[str, int, tuple[tuple[str, int | str], ...], float]] = []
+    if _STATUS in common and not all(any(survey.examples[_STATUS].get("voltage", ())) for survey in surveys):
+        return None
     if _STATUS in common:
         groups = 1 if any(survey.onboard for survey in surveys) or motors <= _OF_A_MESSAGE else 2
         for slot in range(groups * _OF_A_MESSAGE):
