@@ -6,7 +6,7 @@ A command c sets a share d of the battery's voltage V, after the link's delay. T
 
 and its propeller gives the thrust (w/W)^2 and takes the current 18 A (w/W)^3 Vf/V. Faults act from a moment on: ``esc``
 applies less of the voltage; ``prop`` gives less thrust at its speed, and takes as much less current; ``motor`` takes
-more current at its speed.
+more current at its speed; ``balance`` shakes the vehicle by so many times the usual 3 m/s^2 at full speed more.
 """
 
 from __future__ import annotations
@@ -74,9 +74,9 @@ def flight(
         lift = 0.35 + 0.05 * (wanted[3] - climb) + 0.02 * height_sum
         pulses = np.round(1000.0 + 1000.0 * np.clip(_MIXER @ np.append(controls, lift), 0.03, 1.0))
         acts = fault is not None and fault.onset_s <= now_s < fault.end_s
-        working = {part: np.ones(4) for part in ("esc", "prop", "motor")}
+        working = {part: np.ones(4) for part in ("esc", "prop", "motor", "balance")}
         if acts:
-            sign = 1.0 if fault.part == "motor" else -1.0
+            sign = 1.0 if fault.part in ("motor", "balance") else -1.0
             working[fault.part][fault.motor - 1] += sign * fault.share
         on_the_way.append((pulses - 1000.0) / 1000.0)
         applied = on_the_way.pop(0) * working["esc"] * volts / FULL_V
@@ -102,6 +102,11 @@ def flight(
             amps = [current[motor] + rng.normal(0.0, 0.05) for motor in order]
             measured = {"rpm": rpm, "voltage": [volts + rng.normal(0.0, 0.02) for _ in order], "current": amps}
             yield _message("ESC_STATUS", arrival_ns, {"index": 0, "time_usec": stamp_ms * 1000, **measured})
+        if k % 10 == 0:
+            level = 3.0 * float((working["balance"] * speed**2).max()) * np.exp(rng.normal(0.0, 0.2, 3))
+            shaken = dict(zip(("vibration_x", "vibration_y", "vibration_z"), level.tolist(), strict=True))
+            clipped = dict.fromkeys(("clipping_0", "clipping_1", "clipping_2"), 0)
+            yield _message("VIBRATION", arrival_ns, {"time_usec": stamp_ms * 1000, **shaken, **clipped})
         if k % RATE_HZ == 0:
             yield _message("HEARTBEAT", arrival_ns, {"type": 2, "autopilot": 12, "base_mode": 128})
             yield _message("EXTENDED_SYS_STATE", arrival_ns, {"landed_state": 2})

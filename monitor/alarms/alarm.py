@@ -38,7 +38,11 @@ DEFLECTION = "fraction of full deflection"
 
 SPEED, CURRENT, THRUST = (f"fraction of {what} at hover" for what in ("speed", "current", "thrust"))
 """Units of what motors turn and draw, and propellers push."""
+LOG_TIMES = "natural logarithm of times"
+"""Unit of what is so many times as large as expected."""
 
+_LARGEST_LOG = 50.0
+"""Beyond it nothing is measured; the exponential of more is no number that people read."""
 _CHAIN = {
     SPEED: ("turns its motor", "slower", "faster", "commanded"),
     THRUST: ("pushes", "less", "more", "its speed lets expect"),
@@ -67,6 +71,8 @@ def alarm_message(
         return f"{channel} {verb} {percent_text(abs(relative))} % {less if relative < 0 else more} than {expected}"
     if kind == "actuator" and relative is not None:
         return f"{channel} delivers {_percent(relative)} than commanded"
+    if unit == LOG_TIMES:
+        return f"{channel} is {math.exp(min(size, _LARGEST_LOG)):.2g} times what is expected of this flight"
     if channel.startswith("disturbance_"):
         return f"{channel.removeprefix('disturbance_')} is disturbed by {size_text(size, unit, signed=True)}: no fault"
     sentence = _sensor(channel, unit, size)

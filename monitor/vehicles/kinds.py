@@ -16,8 +16,15 @@ KINDS = (
         fit="monitor.vehicles.multirotor.fit:fit_multirotor",
         preview="monitor.vehicles.multirotor.signals:preview",
         messages="monitor.vehicles.multirotor.signals:MESSAGES",
-        transforms={"esc": "monitor.vehicles.multirotor.transform:EscInputs"},
-        further=("monitor.vehicles.multirotor.esc:fit_esc", "monitor.vehicles.multirotor.fit:fit_props"),
+        transforms={
+            "esc": "monitor.vehicles.multirotor.transform:EscInputs",
+            "vibration": "monitor.vehicles.multirotor.vibration:VibrationInputs",
+        },
+        further=(
+            "monitor.vehicles.multirotor.esc:fit_esc",
+            "monitor.vehicles.multirotor.fit:fit_props",
+            "monitor.vehicles.multirotor.vibration:fit_vibration",
+        ),
         type_words=("rotor", "copter", "vtol"),
     ),
     VehicleKind(

@@ -24,7 +24,7 @@ from monitor.vehicles.multirotor.frames import frame_of
 from monitor.vehicles.multirotor.speeds import esc_signals
 from monitor.vehicles.multirotor.trim import SLOW_COMMANDS_HZ
 
-MESSAGES = MOTION_MESSAGES | FlightPhase.interests | PARAMETER_MESSAGES | {"ESC_STATUS", *ESC_MESSAGES}
+MESSAGES = MOTION_MESSAGES | FlightPhase.interests | PARAMETER_MESSAGES | {"ESC_STATUS", *ESC_MESSAGES, "VIBRATION"}
 
 _STILL_US = 0.5
 """An output whose standard deviation is less than half a microsecond, the unit of its messages, does not move."""

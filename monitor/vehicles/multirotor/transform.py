@@ -71,6 +71,40 @@ class HeldMeans:
         return self._means.run(samples, list(held.T), everywhere)
 
 
+class OneTickLater:
+    """Puts measurements one tick later, to what a plant that takes a tick makes of expectations.
+
+    Attributes
+    ----------
+    u : NDArray[np.float64]
+        What the measurements that were returned last belong to.
+    """
+
+    def __init__(self) -> None:
+        self._before: Samples | None = None
+        self.u = np.empty((0, 0))
+
+    def run(self, samples: Samples) -> Samples:
+        """Return the samples with the measurements of the tick before, of the same tick at a restart."""
+        if not len(samples):
+            return samples
+        before = samples.part(0, 1) if self._before is None else self._before
+        self._before = samples.part(len(samples) - 1, len(samples))
+        fresh = samples.restart
+        measured, complete = (
+            np.append(getattr(before, name), getattr(samples, name)[:-1]) for name in ("measured", "complete")
+        )
+        lost = np.vstack([before.lost, samples.lost[:-1]])
+        self.u = np.where(fresh[:, None], samples.u, np.vstack([before.u, samples.u[:-1]]))
+        return replace(
+            samples,
+            y=np.where(fresh[:, None], samples.y, np.vstack([before.y, samples.y[:-1]])),
+            lost=samples.lost | (lost & ~fresh[:, None]),
+            measured=samples.measured & (measured | fresh),
+            complete=samples.complete & (complete | fresh),
+        )
+
+
 class EscInputs:
     """Samples of a multirotor's speed controllers: expected and measured speed, and current where it is measured.
 
@@ -121,7 +155,7 @@ class EscInputs:
         self._volts, self._motors, self._raw = parameters["volts"], len(numbers), len(raw)
         timing = [(parameters["delay_s"], parameters["lag_s"])] * len(numbers)
         self._means = HeldMeans(timing, signal_rate_hz, size, len(curves), len(curves))
-        self._before: Samples | None = None
+        self._later = OneTickLater()
 
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that raw samples complete; one marked ``restart`` forgets lag and tick."""
@@ -132,29 +166,10 @@ class EscInputs:
             causes = np.vstack([command, measured[: self._motors]])[: len(measured)]
             expected = sum(c[:, None] * part for c, part in zip(self._curves.T, terms(causes, v), strict=True))
         given = self._means.run(samples, [*expected, *measured], speed)
-        return Given(self._later(given.samples), given.rows)
-
-    def _later(self, samples: Samples) -> Samples:
-        """Return the samples with the measurements of the tick before."""
-        if not len(samples):
-            return samples
-        before = samples.part(0, 1) if self._before is None else self._before
-        self._before = samples.part(len(samples) - 1, len(samples))
-        fresh = samples.restart
-        y = np.where(fresh[:, None], samples.y, np.vstack([before.y, samples.y[:-1]]))
-        u = np.where(fresh[:, None], samples.u, np.vstack([before.u, samples.u[:-1]]))
-        y[:, self._motors :] = np.maximum(y[:, self._motors :], u[:, self._motors :])
-        lost = np.vstack([before.lost, samples.lost[:-1]])
-        measured, complete = (
-            np.append(getattr(before, name), getattr(samples, name)[:-1]) for name in ("measured", "complete")
-        )
-        return replace(
-            samples,
-            y=y,
-            lost=samples.lost | (lost & ~fresh[:, None]),
-            measured=samples.measured & (measured | fresh),
-            complete=samples.complete & (complete | fresh),
-        )
+        later = self._later.run(given.samples)
+        if len(later):
+            later.y[:, self._motors :] = np.maximum(later.y[:, self._motors :], self._later.u[:, self._motors :])
+        return Given(later, given.rows)
 
 
 def deviation(volts: Array, usual: float) -> Array:

@@ -1,0 +1,224 @@
+"""The vibration observer of a multirotor: whether it shakes more than throttle and motion let expect.
+
+The logarithm of the level, which autopilots report some times a second, is compared with
+
+    c0 + c1 m + c2 d + c3 r      m: mean command, d: how far commands are apart, r: size of the body rates
+
+as they were of late, identified from healthy flights by least squares: a level that is twice the expected one is as
+remarkable in hover as in a climb.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.channels import Channel
+from adapters.errors import ModelError, TelemetryError
+from adapters.sample import Given, Samples
+from gains.plants.plant import Disturbance, Fault, Noise, Plant
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from monitor.alarms.alarm import LOG_TIMES
+from monitor.core.lagged import LaggedMeans
+from monitor.estimation.isolation_rule import IndependentRule
+from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
+from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
+from monitor.sampling.gate import GateRule
+from monitor.sampling.transform import SampleSource, TransformRule
+from monitor.vehicles.multirotor.identify import RATE_AXES
+from monitor.vehicles.multirotor.signals import multirotor_channels
+from monitor.vehicles.multirotor.transform import OneTickLater
+
+Array = NDArray[np.float64]
+
+OBSERVER = "vibration"
+
+_MESSAGE, _AXES = "VIBRATION", "xyz"
+_SIGNAL_HZ, _FASTEST_HZ, _SLOWEST_HZ = 25.0, 5.0, 0.3
+"""Grid of commands and rates, and bounds of the observer's own. Chosen: levels are means over half a second and more,
+and one that comes every three seconds still shows what a flight of minutes does."""
+_LAG_S = 0.5
+"""How late the level follows: ArduPilot takes the root of a square that went through a low-pass filter of 2 Hz, behind
+one of 5 Hz; PX4 weighs a level anew with each sample, over a second."""
+_LEAST_S = 20.0
+"""Evidence that is needed, seconds, as of the motors observer."""
+_LEAST_LEVEL = 1.0
+"""m/s^2: what is below counts as that. A thirtieth of what ArduPilot's guide calls normally acceptable; air alone moves
+what is below: the levels of four healthy flights in its simulator, .1 to .5, differ fivefold with the wind."""
+_LEAST_LEFT = 0.05
+"""Least deviation of logarithms that is left, where all levels are below that: a twentieth, no level is steadier."""
+_WIDTH = 2.0
+"""How much a logarithm may differ between no throttle and full, commands together and apart, and per rad/s: chosen, a
+factor of seven; where flights show less of it, it counts."""
+_SMALLEST, _CRITICAL = math.log(3.0), math.log(10.0)
+"""Three times the expected level is worth an alarm, ten times is critical. Chosen: flights leave a factor of two
+unexplained; from the 3 m/s^2 of a good vehicle ten times is what ArduPilot's guide accepts at most."""
+_TIMES = Times(fast_s=1.0, raise_s=2.0, slow_s=10.0, clear_s=2.0)
+"""Chosen: touching down, or a gust, is over within a second."""
+_FAULT_RATE = 0.5
+"""Logarithms per second by which vibration may grow: chosen, a crack doubles it in some seconds."""
+
+
+class VibrationInputs:
+    """Samples of vibration: the expected logarithm of its level, and the measured one.
+
+    Parameters
+    ----------
+    parameters : Mapping[str, float]
+        ``motors``, their number, ``least``, the smallest level that counts, ``c0`` to ``c3``.
+    signal_rate_hz, rate_hz : float
+        Raw samples and given samples per second; the first is a whole multiple of the second.
+
+    Raises
+    ------
+    TelemetryError
+        A parameter is missing, unknown or out of range, or the rates do not fit.
+    """
+
+    inputs, outputs = ("expected",), ("level",)
+
+    def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
+        wanted = {"motors", "least", "c0", "c1", "c2", "c3"}
+        if wrong := sorted(wanted ^ set(parameters)):
+            verb = "is unknown" if wrong[0] in parameters else "is missing"
+            raise TelemetryError(f"transform 'vibration': '{wrong[0]}' {verb}; fit the profile again")
+        if not (1.0 <= parameters["motors"] <= 16.0 and parameters["least"] > 0.0):
+            raise TelemetryError("transform 'vibration': 'motors' is none of 1 to 16, or 'least' not above 0")
+        size = round(signal_rate_hz / rate_hz) if rate_hz > 0 else 0
+        if size < 1 or abs(size * rate_hz - signal_rate_hz) > 1e-6 * signal_rate_hz:
+            raise TelemetryError(
+                f"transform 'vibration': signals at {signal_rate_hz:g} Hz cannot be grouped to {rate_hz:g} Hz"
+            )
+        self._motors, self._least = int(parameters["motors"]), parameters["least"]
+        self.signals = signal_names(self._motors)
+        self._c = [parameters[f"c{term}"] for term in range(4)]
+        self._means = LaggedMeans([(0.0, _LAG_S)], signal_rate_hz, size, 1, 1)
+        self._later = OneTickLater()
+
+    def run(self, samples: Samples) -> Given:
+        """Return the observer's samples that raw samples complete; one marked ``restart`` forgets lag and tick."""
+        with np.errstate(all="ignore"):  # absurd values may overflow; they are no evidence
+            level, causes = explained(samples.u.T, self._motors)
+            expected = self._c[0] + self._c[1] * causes[0] + self._c[2] * causes[1] + self._c[3] * causes[2]
+            measured = np.log(np.maximum(level, self._least))
+        given = self._means.run(samples, [expected, measured], np.ones(len(samples), np.bool_))
+        later = self._later.run(given.samples)
+        if len(later):
+            # less than expected is no fault
+            np.maximum(later.y, self._later.u, out=later.y)
+        return Given(later, given.rows)
+
+
+def signal_names(motors: int) -> tuple[str, ...]:
+    """Return the names of the raw signals."""
+    return (*(f"vibration_{axis}" for axis in _AXES), *(f"motor{n}" for n in range(1, motors + 1)), *RATE_AXES)
+
+
+def explained(signals: Array, motors: int) -> tuple[Array, tuple[Array, ...]]:
+    """Return the level (n,) and what explains it, of raw signals (number of signals, n)."""
+    x, y, z, *more = signals
+    commands, rates = more[:motors], more[motors:]
+    apart = np.maximum.reduce(commands) - np.minimum.reduce(commands)
+    roll, pitch, yaw = rates
+    mean = np.asarray(sum(commands) / motors)  # added one after the other, however many rows there are
+    return np.sqrt(x * x + y * y + z * z), (mean, apart, np.sqrt(roll * roll + pitch * pitch + yaw * yaw))
+
+
+def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
+    """Learn on healthy recordings what explains the level, design the observer, calibrate its alarm.
+
+    None where levels are not reported.
+
+    Raises
+    ------
+    ModelError
+        Too little healthy flight.
+    """
+    reported_hz = min(survey.rate_hz.get(_MESSAGE, 0.0) for survey in request.surveys)
+    if reported_hz < _SLOWEST_HZ:
+        return None
+    commands, outputs = multirotor_channels(request.surveys)
+    levels = (
+        Channel(f"vibration_{axis}", _MESSAGE, (f"vibration_{axis}",), interpolation="previous") for axis in _AXES
+    )
+    named = [replace(channel, name=f"motor{n}") for n, channel in enumerate(commands, start=1)]
+    channels = (*levels, *named, *outputs[: len(RATE_AXES)])
+    rate_hz = float(f"{min(reported_hz, _FASTEST_HZ):.3g}")
+    signal_hz = rate_hz * max(1, round(_SIGNAL_HZ / rate_hz))
+    raw = [flight_samples(log(), SampleSource(inputs=channels), signal_hz, gate) for log in request.logs]
+    parameters, left = _learned(raw, len(commands), signal_hz, rate_hz)
+    source = SampleSource(transform=TransformRule(OBSERVER, signal_hz, parameters), signals=channels)
+    flights = [transformed(flight, VibrationInputs(parameters, signal_hz, rate_hz)) for flight in raw]
+    plant = _plant(request.name, rate_hz, left)
+    design = design_convex(plant)
+    bare = Fitted(
+        OBSERVER, plant, (compile_gains(plant, design, certify(plant, design)),), source, IndependentRule(1.0 / rate_hz)
+    )
+    evidence = [one[:, 0] for one in healthy_evidence(bare.profile(), gate, flights)]
+    rule = bare_rule(OBSERVER, OBSERVER, "actuator", LOG_TIMES)
+    times = replace(_TIMES, raise_s=max(_TIMES.raise_s, 3.0 / rate_hz), fast_s=max(_TIMES.fast_s, 2.0 / rate_hz))
+    found = healthy_levels(evidence, rate_hz, FALSE_ALARMS_PER_HOUR, times)
+    alarm = calibrated(rule, found, 1.0, floor=_SMALLEST, critical=_CRITICAL, times=times)
+    return replace(
+        bare,
+        alarms=(alarm,),
+        flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
+        findings={"rate_hz": rate_hz, "left": left},
+        lines=(
+            f"levels {rate_hz:g} times a second, within a factor of {math.exp(left):.2f} of what throttle and motion "
+            f"let expect (standard deviation); alarm from {math.exp(alarm.rule.threshold):.1f} times",
+        ),
+    )
+
+
+def _learned(raw: Sequence[Flight], motors: int, signal_hz: float, rate_hz: float) -> tuple[dict[str, float], float]:
+    """Return the transform's parameters, and the standard deviation of the logarithm that is left."""
+    rows = []
+    for flight in raw:
+        level, causes = explained(flight.samples.u.T, motors)
+        means = LaggedMeans([(0.0, _LAG_S)] * 3, signal_hz, round(signal_hz / rate_hz), 3, 1)
+        given = means.run(flight.samples, [*causes, level], np.ones(len(flight), np.bool_))
+        kept = flight.armed[given.rows] & ~given.samples.lost.any(axis=1)
+        rows.append(np.hstack([given.samples.u[kept], given.samples.y[kept]]))
+    values = np.concatenate(rows)
+    if len(values) < _LEAST_S * rate_hz:
+        raise ModelError(f"only {len(values) / rate_hz:.0f} s of flight with vibration; {_LEAST_S:.0f} s are needed")
+    if not (values[:, 3] > 0.0).any():
+        raise ModelError("the vehicle reports no vibration: each level is zero")
+    measured = np.log(np.maximum(values[:, 3], _LEAST_LEVEL))
+    X = np.column_stack([np.ones(len(values)), values[:, :3]])
+    # levels of a second are alike; what flights do not show is expected to be nothing
+    prior = np.diag([0.0, 1.0, 1.0, 1.0]) * max(float(measured.std()), _LEAST_LEFT) * math.sqrt(rate_hz) / _WIDTH
+    c = np.linalg.lstsq(np.vstack([X, prior]), np.append(measured, np.zeros(4)), rcond=None)[0]
+    left = max(float((measured - X @ c).std()), _LEAST_LEFT)
+    return {
+        "motors": float(motors),
+        "least": _LEAST_LEVEL,
+        **{f"c{term}": float(f"{value:.6g}") for term, value in enumerate(c)},
+    }, left
+
+
+def _plant(name: str, rate_hz: float, left: float) -> Plant:
+    one = np.eye(1)
+    return Plant(
+        name=name,
+        domain="discrete",
+        rate_hz=rate_hz,
+        states=("expected_level",),
+        inputs=VibrationInputs.inputs,
+        outputs=VibrationInputs.outputs,
+        A=0.0 * one,
+        B=one,
+        C=one,
+        faults=(Fault(OBSERVER, "actuator", one[:, 0], _FAULT_RATE, _SMALLEST, LOG_TIMES),),
+        disturbances=(Disturbance("disturbance_level", one[:, 0], left),),
+        noises=(Noise("noise_level", one[:, 0], left),),
+        state_errors=np.array([left]),
+    )

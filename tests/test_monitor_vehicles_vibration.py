@@ -1,0 +1,85 @@
+"""Vibration against what throttle and motion let expect."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from simulated_chain import Fault, flight
+
+from adapters.batch import Batch, of_names
+from adapters.errors import ModelError, TelemetryError
+from adapters.logs.recordings import packed
+from monitor.fitting.fitted import FitRequest, Fitted
+from monitor.fitting.survey import survey
+from monitor.profile import Profile
+from monitor.sampling.gate import GateRule
+from monitor.vehicles.multirotor.vibration import VibrationInputs, fit_vibration
+from replay.player import play
+
+GATE = GateRule(settle_s=1.0)
+
+
+def request(*logs: list[Batch]) -> FitRequest:
+    return FitRequest("quad", [partial(iter, log) for log in logs], tuple(survey(iter(log)) for log in logs))
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Fitted:
+    found = fit_vibration(request(*(list(packed(flight(seed, 60.0, esc_hz=1.0))) for seed in (1, 2))), GATE)
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def profile(fitted: Fitted) -> Profile:
+    return Profile("quad", "multirotor", 0, GATE, 2.0, (fitted.profile(),), (), {}, "")
+
+
+def test_a_propeller_out_of_balance_is_an_alarm_within_seconds(profile: Profile) -> None:
+    fault = Fault("balance", 2, 5.0, onset_s=20.0, end_s=35.0)
+    raised, *_, cleared = play(profile, flight(9, 60.0, fault, esc_hz=1.0)).events
+    assert (raised.channel, raised.state, cleared.state) == ("vibration", "raised", "cleared")
+    assert 0.0 < raised.vehicle_time_ms / 1000 - 5.0 - 20.0 < 5.0
+    assert np.exp(raised.estimate) == pytest.approx(6.0, rel=0.3)
+    assert raised.message.startswith("vibration is ")
+    assert raised.message.endswith(" times what is expected of this flight")
+    assert raised.display.endswith(" times")
+
+
+def test_a_healthy_flight_raises_nothing(profile: Profile, fitted: Fitted) -> None:
+    assert not play(profile, flight(11, 90.0, esc_hz=1.0)).events
+    assert fitted.findings["left"] == pytest.approx(0.12, abs=0.08)
+
+
+def test_without_levels_there_is_no_observer_and_zeros_are_refused() -> None:
+    log = list(packed(flight(1, 30.0, esc_hz=1.0)))
+    names = {name for batch in log for name in (columns.name for columns in batch.columns)} | {"HEARTBEAT"}
+    assert fit_vibration(request([of_names(batch, names - {"VIBRATION"}) for batch in log]), GATE) is None
+    zeros = dict.fromkeys(("vibration_x", "vibration_y", "vibration_z"), 0.0)
+    still = (
+        replace(message, fields={**message.fields, **zeros}) if message.name == "VIBRATION" else message
+        for message in flight(1, 30.0, esc_hz=1.0)
+    )
+    with pytest.raises(ModelError, match="each level is zero"):
+        fit_vibration(request(list(packed(still))), GATE)
+
+
+PARAMETERS = {"motors": 4.0, "least": 1.0, "c0": 0.5, "c1": 1.0, "c2": 0.0, "c3": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"c2": None}, "'c2' is missing"),
+        ({"weight": 1.0}, "'weight' is unknown"),
+        ({"motors": 0.0}, "'motors' is none of 1 to 16"),
+        ({"least": 0.0}, "'least' not above 0"),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused(change: dict[str, float | None], said: str) -> None:
+    parameters = {name: value for name, value in {**PARAMETERS, **change}.items() if value is not None}
+    with pytest.raises(TelemetryError, match=said):
+        VibrationInputs(parameters, 25.0, 5.0)
+    with pytest.raises(TelemetryError, match="cannot be grouped"):
+        VibrationInputs(PARAMETERS, 25.0, 4.0)
