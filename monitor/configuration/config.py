@@ -303,6 +303,16 @@ class GroundStation:
 
 
 @dataclass(frozen=True)
+class Ros:
+    """ROS 2 over Zenoh (rmw_zenoh): `/diagnostics`."""
+
+    diagnostics: bool = _key(
+        False, _truth, "Whether `diagnostic_msgs/DiagnosticArray` is published once a second.", True
+    )
+    domain: int = _key(0, _whole(0, 232), "ROS_DOMAIN_ID of those who read it.")
+
+
+@dataclass(frozen=True)
 class Rerun:
     """The live view."""
 
@@ -412,6 +422,7 @@ class Config:
     metrics: Metrics = _section(Metrics)
     notify: Notify = _section(Notify)
     ground_station: GroundStation = _section(GroundStation)
+    ros: Ros = _section(Ros)
     rerun: Rerun = _section(Rerun)
 
     @property

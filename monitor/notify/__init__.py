@@ -1,1 +1,1 @@
-"""Outside the bus: messages to people, to the ground station, to ROS."""
+"""Alarms to people: messages, programs of theirs, the ground station."""

@@ -26,6 +26,7 @@ from monitor.service.inbox import OLDEST_S, Inbox
 from monitor.service.links import FirstLook, open_links, signing_guard
 from monitor.service.log import ServiceLog
 from monitor.service.metrics_server import MetricsServer
+from monitor.service.ros_diagnostics import RosDiagnostics
 from monitor.service.station import Station
 from monitor.service.systemd import Notifier
 from monitor.service.watchdog import Watchdog
@@ -69,7 +70,10 @@ def run_live(config: Config, read_again: Callable[[], Config], *, as_json: bool 
         views = _open_views(config, log, stack)
         counted = {one.name: one.link for one in links}
         ground, messengers = _open_messengers(config, log, stack)
-        station = Station(config, read_again, session, inbox, journal, log, counted, views, messengers, ground)
+        ros = RosDiagnostics(session, config.ros.domain) if config.ros.diagnostics else None
+        if ros is not None:
+            stack.callback(ros.close)
+        station = Station(config, read_again, session, inbox, journal, log, counted, views, messengers, ground, ros)
         stack.callback(station.close)
         # before the links are closed, which their threads read
         stack.callback(inbox.close)

@@ -37,6 +37,7 @@ from monitor.service.health import Health, LinkHealth, ProcessHealth, link_healt
 from monitor.service.inbox import Inbox
 from monitor.service.links import Counting
 from monitor.service.log import Level, ServiceLog
+from monitor.service.ros_diagnostics import RosDiagnostics
 from monitor.service.vehicle_monitor import VehicleMonitor
 from monitor.service.vehicle_service import VehicleService
 from monitor.vehicles.multirotor.trim import COMMANDS_PER_TICK
@@ -75,6 +76,7 @@ class Station:
         views: Sequence[LiveView] = (),
         messengers: Sequence[Messenger] = (),
         ground: GroundSender | None = None,
+        ros: RosDiagnostics | None = None,
     ) -> None:
         self._config = config
         self._read_again = read_again
@@ -87,6 +89,7 @@ class Station:
         self._views = tuple(views)
         self._messengers = tuple(messengers)
         self._ground = ground
+        self._ros = ros
         self._shown: dict[str, list[VehicleView]] = {}
         self._said: dict[str, tuple[str, ...]] = {}
         self._profiles: dict[Path, Profile] = {}
@@ -162,6 +165,8 @@ class Station:
                 tuple(outlet for messenger in self._messengers for outlet in messenger.health()),
             )
             self._beat()
+            if self._ros is not None:
+                self._ros.publish(self._health, time.time_ns())
             self._say_states()
 
     def reload(self) -> None:
