@@ -1,6 +1,6 @@
 """The console with simulated vehicles for some minutes: memory of server and pages, processor, delay of alarms.
 
-    python -m bench.console --minutes 30
+    python bench/console.py --minutes 30
 
 Needs chromium and chromedriver (Debian: chromium-driver) and the extra `dev`. Prints a line a minute and a summary.
 """

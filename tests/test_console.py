@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -223,6 +228,28 @@ def test_keys_lead_through_the_pages(
     shows(browser, "table.alarms tbody", "motor1")
     body.send_keys("j")
     assert browser.switch_to.active_element.tag_name == "tr"
+
+
+@pytest.mark.timeout(180)
+def test_the_demonstration_is_seen_in_a_browser_and_ends_on_an_interrupt(
+    browser: webdriver.Chrome, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-m", "fauio", "demo", "copter", "--console", "--speed", "4", "--out", str(tmp_path)]
+    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as demo:
+        assert demo.stdout is not None
+        said: list[str] = []
+        while "in a browser" not in "".join(said):
+            said.append(demo.stdout.readline())
+        browser.get(said[-1].split()[1])
+        shows(browser, "table.alarms tbody", "motors/motor1", 60.0)
+        while "until Ctrl-C" not in said[-1]:
+            said.append(demo.stdout.readline())
+        demo.send_signal(signal.SIGINT)
+        rest = demo.communicate(timeout=60)[0]
+    assert "the same" in rest
+    assert demo.returncode == 0, rest
+    assert list(tmp_path.glob("clips/quad/*.mcap"))
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])

@@ -116,7 +116,7 @@ class FleetView:
         mode = flight_mode(mapping(mapping(payload.get("facts")).get("heartbeat")))
         with self._lock:
             count = self._cards.get(status.vehicle, _UNKNOWN)[0]
-            self._cards[status.vehicle] = count + 1, _card(status, payload, mode)
+            self._cards[status.vehicle] = count + 1, vehicle_card(status, payload, mode)
             history = self._history(status.vehicle)
             if history is not None:
                 history.take_status(payload, mode)
@@ -155,7 +155,7 @@ def _shown_unit(unit: object) -> tuple[str, float]:
     return printable(name[:60]), factor
 
 
-def _card(status: VehicleStatus, payload: Mapping[str, Any], mode: str) -> dict[str, Any]:
+def vehicle_card(status: VehicleStatus, payload: Mapping[str, Any], mode: str) -> dict[str, Any]:
     """Return what is shown of a vehicle; all of it is checked, as it comes from the network."""
     links = mapping(payload.get("links"))
     watching = {

@@ -71,7 +71,7 @@ class VehicleHistory:
 
     def take_estimate(self, observer: str, payload: Any) -> Mapping[str, float]:
         """Take an observer's estimate, one for each slot of time; return what each channel is held responsible for."""
-        if not isinstance(payload, Mapping) or type(time_ns := payload.get("time_ns")) is not int:
+        if not isinstance(payload, Mapping) or not math.isfinite(time_ns := number(payload.get("time_ns"))):
             return {}
         parts = {name: _sizes(payload.get(name)) for name in ("isolated", "sd", "residual")}
         faults, outputs = list(parts["isolated"])[:MAX_CHANNELS], list(parts["residual"])[:MAX_CHANNELS]
@@ -79,7 +79,7 @@ class VehicleHistory:
             if name in parts["isolated"]:
                 self._isolated[name] = parts["isolated"][name]
         isolated = {name: size for name, size in parts["isolated"].items() if math.isfinite(size)}
-        if not faults or self._slots.get(observer) == (slot := time_ns // SLOT_NS):
+        if not faults or self._slots.get(observer) == (slot := int(time_ns // SLOT_NS)):
             return isolated
         layout = {"faults": faults, "outputs": outputs}
         if self._layouts.get(observer) != layout:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import hmac
 import ipaddress
@@ -16,6 +17,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 COOKIE: Final = "fauio-console"
 LOGIN: Final = "/login"
 PUBLIC: Final = (LOGIN, "/page/console.css", "/page/mark.svg", "/page/login.js")
+_STALLED_S: Final = 30.0
+"""Chosen: a phone that changes its network is back before; a browser that was stopped is not."""
 _POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; form-action 'self'; "
     "base-uri 'none'; frame-ancestors 'none'"
@@ -52,7 +55,9 @@ class Guard:
                 headers = MutableHeaders(scope=message)
                 headers.update(_HEADERS)
                 headers.setdefault("Cache-Control", "no-store")
-            await send(message)
+            # who does not read for so long is cut off, and his place is another's
+            async with asyncio.timeout(_STALLED_S):
+                await send(message)
 
         await (self._refusal(scope) or self._app)(scope, receive, send_guarded)
 

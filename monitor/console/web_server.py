@@ -96,6 +96,7 @@ class ConsoleServer:
             uvicorn.Config(
                 app,
                 log_config=None,
+                log_level="critical",  # a page that was cut off is no error
                 access_log=False,
                 lifespan="off",
                 ws="none",
