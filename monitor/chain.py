@@ -28,6 +28,7 @@ from monitor.estimation.affine import AffineObserver
 from monitor.estimation.bank import EstimatorRun
 from monitor.estimation.changes import ChangeStage
 from monitor.estimation.effectiveness import EffectivenessEstimator, EffectivenessRule, EffectivenessRun
+from monitor.estimation.envelope import EnvelopeStage
 from monitor.estimation.estimator import make_estimator
 from monitor.estimation.excitation import ExcitationStage
 from monitor.estimation.isolation_rule import keep_share
@@ -197,6 +198,10 @@ class ObserverChain:
         if profile.changes is not None and profile.model is not None:
             inputs = {channel.name: channel.input for channel in profile.faults}
             self._changes = ChangeStage(profile.model, gains.rate_hz, inputs, profile.changes)
+        self._envelope = None
+        if profile.envelope is not None and profile.source.transform is not None:
+            signals = [channel.name for channel in profile.source.signals]
+            self._envelope = EnvelopeStage(profile.envelope, signals, profile.source.transform.rate_hz)
         self._excitation = None
         if profile.excitation is not None:
             self._excitation = ExcitationStage(profile.excitation, gains.outputs, len(gains.inputs), gains.rate_hz)
@@ -291,17 +296,36 @@ class ObserverChain:
         ``position`` is the place in the batch of the message that completed each (n,); the vehicle's phase is the same
         for all of them and was entered before.
         """
-        samples, rows = self._sampler.run(samples)
+        raw = samples
+        samples, rows = self._sampler.run(raw)
+        beyond = None
+        if self._envelope is not None:
+            beyond = self._envelope.run(raw, np.arange(len(raw))[rows])
         if not len(samples):
             return None
-        return self.estimate(samples, self._sampler.admitted(samples, phase), position[rows])
+        return self.estimate(samples, self._sampler.admitted(samples, phase), position[rows], beyond)
+
+    @property
+    def outside(self) -> str | None:
+        """What of the flight lies outside of those that were fitted, for people; None where nothing does."""
+        return None if self._envelope is None else self._envelope.outside
+
+    @property
+    def furthest(self) -> tuple[float, str] | None:
+        """For how long, seconds, and how far all so far lay outside of the fitted flights; None where it did not."""
+        return None if self._envelope is None else self._envelope.furthest
 
     def estimate(
-        self, samples: Samples, armed: NDArray[np.bool_], position: NDArray[np.int64] | None = None
+        self,
+        samples: Samples,
+        armed: NDArray[np.bool_],
+        position: NDArray[np.int64] | None = None,
+        beyond: NDArray[np.float64] | None = None,
     ) -> ChainRun:
         """Process n samples (u, y) of the observer itself; use :meth:`run` for those of :attr:`sampler`.
 
-        ``armed`` says whether each is evidence (n,); ``position`` is as in :meth:`run`, None for their index.
+        ``armed`` says whether each is evidence (n,); ``position`` is as in :meth:`run`, None for their index;
+        ``beyond`` how many times larger all sizes are outside of the fitted flights (n,), None: once.
         """
         if position is None:
             position = np.arange(len(samples))
@@ -322,7 +346,7 @@ class ObserverChain:
             sd=shown.sd,
             coasted_s=self._since_measured.run(samples.vehicle_time_ns, samples.measured, samples.restart),
         )
-        return self._with_evidence(estimates, position, found, effects, shown.commands)
+        return self._with_evidence(estimates, position, found, effects, shown.commands, beyond)
 
     def _with_evidence(
         self,
@@ -331,6 +355,7 @@ class ObserverChain:
         found: EstimatorRun,
         effects: Mapping[int, EffectivenessRun],
         commands: Mapping[int, NDArray[np.float64]],
+        beyond: NDArray[np.float64] | None,
     ) -> ChainRun:
         evidence, speaking = evidence_of(
             estimates.isolated, found.unexplained, estimates.armed, found.counted, self._fault_of, len(self._alarms)
@@ -350,6 +375,8 @@ class ObserverChain:
         scale = np.maximum(1.0, np.sqrt(found.level)[:, None] * self._healthy)
         if self._excitation is not None:
             scale[:, self._excited] = self._excitation.run(samples, found.level)[:, 2:]
+        if beyond is not None:
+            scale = scale * beyond[:, None]
         changes = self._changes_of(estimates)
         rows = ChainRows(
             self._states,

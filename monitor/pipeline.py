@@ -164,6 +164,16 @@ class Pipeline:
         return self._blind.watching(now_ns, self._clock.newest_ns, *self._flight())
 
     @property
+    def outside(self) -> list[str]:
+        """What of the flight lies outside of those that were fitted, a sentence for each observer that says so."""
+        return [f"{chain.layout.observer}: {text}" for chain in self._chains if (text := chain.outside) is not None]
+
+    @property
+    def furthest(self) -> Mapping[str, tuple[float, str]]:
+        """For how long, seconds, and how far all so far lay outside of the fitted flights, by observer."""
+        return {chain.layout.observer: far for chain in self._chains if (far := chain.furthest) is not None}
+
+    @property
     def system(self) -> int:
         """The monitored MAVLink system id; 0 before its first message."""
         return self._system

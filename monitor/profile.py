@@ -25,6 +25,7 @@ from monitor.alarms.alarm import LEAST, MEASURED, AlarmRule
 from monitor.alarms.excuse import ExcuseRule, excuse_tables, read_excuses
 from monitor.estimation.changes import ChangeRule, changes_table, read_changes
 from monitor.estimation.effectiveness import EffectivenessRule, effectiveness_table, read_effectiveness
+from monitor.estimation.envelope import Envelope, envelope_table, read_envelope
 from monitor.estimation.excitation import ExcitationRule, excitation_table, read_excitation
 from monitor.estimation.isolation_rule import (
     IsolationRule,
@@ -122,6 +123,8 @@ class ObserverProfile:
         How sudden changes are told from noise; None: not at all.
     excitation : ExcitationRule | None
         How the sizes that raise alarms of actuators grow with what excites the model's errors; None: not at all.
+    envelope : Envelope | None
+        What the raw signals of its transform reached in the flights that were fitted; None: not known.
     model : Plant | None
         The model the gains were designed for; without one the uncertainty of the estimates is not known.
     """
@@ -136,6 +139,7 @@ class ObserverProfile:
     effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
     changes: ChangeRule | None = None
     excitation: ExcitationRule | None = None
+    envelope: Envelope | None = None
     model: Plant | None = None
 
     @property
@@ -245,6 +249,7 @@ def observer_table(
     effectiveness: Mapping[str, EffectivenessRule] | None = None,
     changes: ChangeRule | None = None,
     excitation: ExcitationRule | None = None,
+    envelope: Envelope | None = None,
     sees: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Return an observer's part of profile.toml, as :func:`read_profile` reads it back.
@@ -262,6 +267,8 @@ def observer_table(
         table["changes"] = changes_table(changes)
     if excitation is not None:
         table["excitation"] = excitation_table(excitation)
+    if envelope is not None:
+        table["envelope"] = envelope_table(envelope)
     if effectiveness:
         table["effectiveness"] = {name: effectiveness_table(rule) for name, rule in effectiveness.items()}
     return table
@@ -341,6 +348,7 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
         ),
         changes=read_changes(table.table("changes"), shared.outputs) if table.has("changes") else None,
         excitation=read_excitation(table.table("excitation"), shared.outputs) if table.has("excitation") else None,
+        envelope=read_envelope(table.table("envelope")) if table.has("envelope") else None,
         model=read_model(model),
     )
     table.done()

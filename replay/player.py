@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,6 +71,8 @@ class Replay:
         Messages of other systems or components, which were left out.
     mismatch : str | None
         What says that the vehicle is another than the profile's; None where nothing does.
+    outside : Mapping[str, tuple[float, str]]
+        For how long, seconds, and how far the flight lay outside of those that were fitted, by observer.
     """
 
     events: tuple[AlarmEvent, ...]
@@ -84,6 +86,7 @@ class Replay:
     watches: Mapping[str, Watch]
     foreign: int
     mismatch: str | None = None
+    outside: Mapping[str, tuple[float, str]] = field(default_factory=dict)
 
     def unwatched(self, end_ns: int) -> list[tuple[str, float]]:
         """Return what of the flight was not watched, and for how long, seconds; the recording ends at ``end_ns``."""
@@ -194,6 +197,7 @@ def play_batches(
         watches=watches,
         foreign=pipeline.foreign,
         mismatch=pipeline.mismatch,
+        outside=pipeline.furthest,
     )
 
 

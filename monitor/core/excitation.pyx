@@ -4,7 +4,7 @@
 :mod:`monitor.estimation.excitation` tells what it is for, in the same symbols.
 """
 
-from libc.math cimport fabs, sqrt
+from libc.math cimport acos, cos, fabs, sqrt
 from libc.stdint cimport uint8_t
 
 import numpy as np
@@ -63,4 +63,91 @@ cdef class Excitation:
             square = level[k] * (c[0] + c[1] * rate * rate + c[2] * moved * moved)
             square += c[3] * max(0.0, rate * rate - c[5] * c[5]) + c[4] * max(0.0, moved * moved - c[6] * c[6])
             columns[k, 2] = sqrt(max(1.0, square))
+        return result
+
+
+cdef class Beyond:
+    """How far raw signals lie beyond what they reached in the flights that were fitted, and did lately.
+
+    Parameters
+    ----------
+    fitted : ndarray
+        Largest tilt (rad), body rate (rad/s) and speed (m/s) of those flights (3,); 0: not known.
+    columns : ndarray
+        Of roll, pitch, three body rates and the speed among the signals (6,); -1: not there.
+    keep : float
+        Share of the excess that is left a row later.
+    outside : float
+        Share of what was fitted from which a row counts as outside.
+
+    Attributes
+    ----------
+    factor : float
+        How many times further than ever before; of tilt and rates alone.
+    reached : tuple
+        Largest tilt, rate and speed lately, each faded as the factor is.
+    rows : int
+        How many rows were outside.
+    furthest : tuple
+        Largest tilt, rate and speed of all rows.
+    """
+
+    cdef double[3] fitted, most, far
+    cdef Py_ssize_t[::1] columns
+    cdef double keep, outside
+    cdef readonly double factor
+    cdef readonly Py_ssize_t rows
+
+    def __init__(self, fitted, columns, keep, outside):
+        self.fitted, self.columns, self.keep, self.outside = fitted, np.asarray(columns, np.intp), keep, outside
+        self.far[0] = self.far[1] = self.far[2] = 0.0
+        self.rows = 0
+        self.clear()
+
+    cdef void clear(self) noexcept:
+        self.factor = 1.0
+        self.most[0] = self.most[1] = self.most[2] = 0.0
+
+    @property
+    def reached(self):
+        return tuple(self.most)
+
+    @property
+    def furthest(self):
+        return tuple(self.far)
+
+    def run(self, const double[:, :] signals, const uint8_t[:] restart, const Py_ssize_t[:] ends):
+        """Return the factor after some of n rows, whose indices ascend (m,); at a restart all is forgotten."""
+        cdef Py_ssize_t k, i, done = 0
+        cdef double excess
+        cdef double[3] now
+        cdef bint out
+        result = np.empty(ends.shape[0])
+        cdef double[:] factors = result
+        for k in range(signals.shape[0]):
+            if restart[k]:
+                self.clear()
+            now[0] = now[1] = now[2] = 0.0
+            if self.columns[0] >= 0 and self.columns[1] >= 0:
+                now[0] = acos(cos(signals[k, self.columns[0]]) * cos(signals[k, self.columns[1]]))
+            for i in range(2, 5):
+                if self.columns[i] >= 0:
+                    now[1] = max(now[1], fabs(signals[k, self.columns[i]]))
+            if self.columns[5] >= 0:
+                now[2] = signals[k, self.columns[5]]
+            excess, out = 0.0, False
+            for i in range(3):
+                # What is no number counts for nothing.
+                now[i] = now[i] if now[i] > 0.0 else 0.0
+                self.far[i] = max(now[i], self.far[i])
+                out |= self.fitted[i] > 0.0 and now[i] > self.outside * self.fitted[i]
+                self.most[i] = max(now[i], self.keep * self.most[i])
+                # A speed is the GPS's own word, which shall not decide how far it is believed.
+                if i < 2 and self.fitted[i] > 0.0:
+                    excess = max(excess, now[i] / self.fitted[i] - 1.0)
+            self.rows += out
+            self.factor = 1.0 + max(excess, self.keep * (self.factor - 1.0))
+            if done < ends.shape[0] and ends[done] == k:
+                factors[done] = self.factor
+                done += 1
         return result

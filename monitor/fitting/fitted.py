@@ -19,6 +19,7 @@ from monitor.alarms.alarm import AlarmRule
 from monitor.alarms.excuse import ExcuseRule
 from monitor.estimation.changes import ChangeRule
 from monitor.estimation.effectiveness import EffectivenessRule
+from monitor.estimation.envelope import Envelope
 from monitor.estimation.excitation import ExcitationRule
 from monitor.estimation.isolation_rule import BankRule, IsolationRule, gains_file_names
 from monitor.fitting.agreement import Agreement
@@ -126,6 +127,7 @@ class Fitted:
     effectiveness: Mapping[str, EffectivenessRule] = field(default_factory=dict)
     changes: ChangeRule | None = None  # how sudden changes are told from noise
     excitation: ExcitationRule | None = None  # how its errors grow with what excites them
+    envelope: Envelope | None = None  # what its raw signals reached in healthy flight
     flight_s: float = 0.0  # healthy flight it was fitted on, seconds
     findings: Mapping[str, Any] = field(default_factory=dict)  # what the identification found, for ``fit.json``
     lines: tuple[str, ...] = ()  # the same for people
@@ -160,6 +162,7 @@ class Fitted:
             effectiveness=self.effectiveness,
             changes=self.changes,
             excitation=self.excitation,
+            envelope=self.envelope,
         )
 
     def table(self) -> dict[str, Any]:
@@ -174,6 +177,7 @@ class Fitted:
             effectiveness=self.effectiveness,
             changes=self.changes,
             excitation=self.excitation,
+            envelope=self.envelope,
             sees=sees,
         )
 

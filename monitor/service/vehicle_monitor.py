@@ -268,6 +268,7 @@ class VehicleMonitor:
             state = "blind"
         elif self.samples or self.pipeline.refused:
             state = "degraded" if reasons else "monitoring"
+            reasons += self.pipeline.outside
         active = self.pipeline.desk.active
         status = {
             "state": state,

@@ -16,6 +16,7 @@ from gains.synthesis.gains_file import Gains
 from monitor.alarms.excuse import ExcuseRule
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.changes import WINDOW_S, ChangeRule
+from monitor.estimation.envelope import reached
 from monitor.fitting.calibrate import LEVEL_SHARE, SETTLE_S, bank_rule
 from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
@@ -248,6 +249,7 @@ def _designed(
         designed,
         alarms=tuple(alarms),
         changes=changes,
+        envelope=reached(transform.signals, [flight.samples.u[flight.armed] for flight in raw], signal_hz),
         flight_s=fit.seconds,
         findings=_findings(fit, parameters),
         lines=_lines(parameters, alarms, channels.imu),

@@ -1,0 +1,99 @@
+"""What an observer was fitted on, and how its sizes grow outside of that.
+
+Where sensors are compared through the vehicle's attitude, errors of scale and of timing grow in proportion to the tilt
+and to the rates that they act on. Sizes were calibrated on flights that reached some tilt and some rate; at f times as
+much they are f times as large, and as what is integrated remembers its errors, so is f. Inside, f is 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from math import degrees, exp
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.sample import Samples
+from adapters.toml_tables import Table
+from monitor.core.excitation import Beyond
+
+_MEMORY_S = 30.0
+"""Time constant with which the excess fades, seconds: that of the washed-out positions and angles, in which errors
+stay as long."""
+_WORTH_SAYING = 1.25
+"""Excess from which people are told. Chosen: a quarter beyond is another kind of flying, and no gust."""
+_SIGNALS = ("roll", "pitch", "xgyro", "ygyro", "zgyro", "gps_speed")
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope:
+    """Largest tilt (rad), body rate (rad/s) and speed (m/s) of the flights that were fitted; 0: not measured."""
+
+    tilt: float = 0.0
+    rate: float = 0.0
+    speed: float = 0.0
+
+
+def read_envelope(table: Table) -> Envelope:
+    """Return the envelope of an observer's table ``envelope``; mistakes are recorded in its file."""
+    found = Envelope(**{key.name: table.number(key.name, 0.0, at_least=0.0) for key in fields(Envelope)})
+    table.done()
+    return found
+
+
+def envelope_table(envelope: Envelope) -> dict[str, Any]:
+    """Return the table that :func:`read_envelope` reads back."""
+    return {key.name: getattr(envelope, key.name) for key in fields(Envelope)}
+
+
+def reached(signals: Sequence[str], rows: Sequence[NDArray[np.float64]], rate_hz: float) -> Envelope:
+    """Return the envelope of raw signals by name, in stretches (n, number of signals) of healthy flight."""
+    largest, begins = np.zeros(3), np.ones(1, np.bool_)
+    core = _core(Envelope(), signals, rate_hz)
+    for stretch in rows:
+        for row in stretch:
+            core.run(row[None], begins, np.array([0]))
+            largest = np.fmax(largest, core.reached)
+    return Envelope(*(float(f"{size:.3g}") for size in largest))
+
+
+def _core(envelope: Envelope, signals: Sequence[str], rate_hz: float) -> Beyond:
+    columns = [signals.index(name) if name in signals else -1 for name in _SIGNALS]
+    return Beyond(
+        [envelope.tilt, envelope.rate, envelope.speed], columns, exp(-1.0 / (_MEMORY_S * rate_hz)), _WORTH_SAYING
+    )
+
+
+class EnvelopeStage:
+    """How far a flight is outside of the envelope, sample by sample."""
+
+    def __init__(self, envelope: Envelope, signals: Sequence[str], rate_hz: float) -> None:
+        self._envelope, self._rate_hz = envelope, rate_hz
+        self._core = _core(envelope, signals, rate_hz)
+
+    def run(self, raw: Samples, ends: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return how many times larger sizes are at some of n rows of raw signals (m,)."""
+        return self._core.run(raw.u, raw.restart, ends)
+
+    @property
+    def outside(self) -> str | None:
+        """What lately lay outside of the fitted flights, for people; None where nothing did."""
+        text = self._text(self._core.reached)
+        return text and f"outside the fitted flights ({text}): seen from {self._core.factor:.2g} times the sizes on"
+
+    @property
+    def furthest(self) -> tuple[float, str] | None:
+        """For how long, seconds, and how far a run lay outside of the fitted flights; None where it did not."""
+        text = self._text(self._core.furthest)
+        return None if text is None else (self._core.rows / self._rate_hz, f"outside the fitted flights: {text}")
+
+    def _text(self, sizes: Sequence[float]) -> str | None:
+        units = (("tilt", "degrees", degrees(1.0)), ("rate", "rad/s", 1.0), ("speed", "m/s", 1.0))
+        parts = [
+            f"{name} {scale * now:.2g} {unit}, fitted to {scale * fitted:.2g}"
+            for (name, unit, scale), now, key in zip(units, sizes, fields(Envelope), strict=True)
+            if (fitted := getattr(self._envelope, key.name)) > 0.0 and now > _WORTH_SAYING * fitted
+        ]
+        return "; ".join(parts) or None
