@@ -226,10 +226,11 @@ def test_a_lasting_alarm_of_what_was_learned_is_a_finding(name: str) -> None:
         replace(LEARNED["motor_effect"], channel="unexplained"),
         replace(LEARNED["motor_effect"], start_s=51.0, end_s=60.0),
         replace(LEARNED["sensor_effect"], channel="gps_east", share=1.9),
+        replace(LEARNED["sensor_effect"], channel="gps_east", share=4.0, size=0.8),
         replace(LEARNED["sensor_effect"], channel="compass", share=9.0),
         replace(LEARNED["sensor_effect"], observer="motors"),
     ],
-    ids=["short", "unexplained", "at landing", "wind", "heading", "command against motion"],
+    ids=["short", "unexplained", "at landing", "wind", "strong wind", "heading", "command against motion"],
 )
 def test_an_alarm_of_what_was_learned_may_be_the_flight_itself(alarm: LearnedAlarm) -> None:
     assert names(watched(alarm)) == []
@@ -269,14 +270,18 @@ def test_a_log_without_a_flight_is_not_judged(tmp_path: Path) -> None:
     assert not review.watched
 
 
-@pytest.mark.parametrize(
-    "name", ["landing_detected_in_air", "motor_at_limit", "battery_low", "gps_lost", "turned_over"]
-)
+@pytest.mark.parametrize("name", ["landing_detected_in_air", "motor_at_limit", "gps_lost", "turned_over"])
 def test_logs_of_ardupilot_are_judged_alike(name: str, tmp_path: Path) -> None:
     review = rules_on(ardupilot_log(tmp_path / "flight.bin", CASES[name]))
     assert review.facts.autopilot == "ArduPilot"
     assert review.first is not None
     assert review.first.rule.name == name
+
+
+def test_a_guessed_number_of_cells_is_no_finding(tmp_path: Path) -> None:
+    review = rules_on(px4_log(tmp_path / "flight.ulg", replace(CASES["battery_low"], parameters={})))
+    assert [one.rule.name for one in review.findings] == ["battery_low"]
+    assert not review.wrong
 
 
 def test_an_error_of_ardupilot_is_a_reaction(tmp_path: Path) -> None:

@@ -88,6 +88,7 @@ def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[Learned
             channel=span.channel,
             share=peak / threshold,
             text=_typical(span),
+            size=peak,
         )
 
 

@@ -86,7 +86,7 @@ class CommandSent:
 
 @dataclass(frozen=True, slots=True)
 class LearnedAlarm:
-    """An alarm of a profile that was learned from the flight itself; ``share`` is its peak over its threshold."""
+    """An alarm of a profile learned from the flight itself: ``size`` is its peak, ``share`` that over its threshold."""
 
     start_s: float
     end_s: float
@@ -94,6 +94,7 @@ class LearnedAlarm:
     channel: str
     share: float
     text: str
+    size: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from replay.review.findings.rule import Judgement, Rule
 _CELL_V = 3.3
 """Volts of a cell of lithium polymer under load below which its voltage collapses (PX4's docs: empty at 3.5 under load,
 damage below 3.3)."""
-_FULL_CELL_V = 4.25
-"""Volts of a full cell and a little more: the fewest cells that can give the highest voltage seen."""
+_FULL_CELL_V = 4.2
+"""Volts of a full cell, by which the number of cells is guessed where nothing says it: then it stays information."""
 _LEAST_S = 3.0
 """Chosen: longer than a full command of the motors, which lets voltage sag and come back."""
 _CELLS = ("BAT1_N_CELLS", "BAT_N_CELLS")
@@ -27,7 +27,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
     if not judged.any():
         return
     said = next((facts.parameters[name] for name in _CELLS if facts.parameters.get(name, 0) > 0), 0.0)
-    cells = int(said) or max(1, int(np.ceil(np.nanmax(volts) / _FULL_CELL_V)))
+    cells = int(said) or max(1, round(float(np.nanmax(volts)) / _FULL_CELL_V))
     source = "as its parameters say" if said else "from the highest voltage"
     for start, end in spans_where(times, judged & (volts < _CELL_V * cells), _LEAST_S)[:1]:
         least = float(np.min(volts[(times >= start) & (times <= end)]))
@@ -41,7 +41,7 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
             ),
             counter=("the log says that a battery is connected and shows volts, not zero",),
             confidence="likely" if said else "possible",
-            weight="warning",
+            weight="warning" if said else "information",
             plots=("battery", "motors"),
         )
 
@@ -53,7 +53,8 @@ RULE = Rule(
     physics="Below 3.3 V a cell's voltage collapses under load: motors get less than their commands ask for, and in "
     "the end the autopilot no power.",
     evidence="less than 3.3 V for each cell over 3 s of flight",
-    counter="no battery connected to the sensor; a short dip under full command",
+    counter="no battery connected to the sensor; a short dip under full command; information alone where the number of "
+    "cells is a guess",
     needs=("battery",),
     judge=_judge,
 )

@@ -11,6 +11,10 @@ from replay.review.findings.rule import Judgement
 _LEAST_S = 5.0
 """Measured on fifteen healthy flights learned from their first 40 s: alarms of motors end within 3.6 s (hard turns
 that the begin did not have), those of faults last as long as the fault."""
+_POSITIONS = ("gps_north", "gps_east", "gps_down")
+_ACCURACY_M = 2.5
+"""Metres by which half of a receiver's fixes are off (data sheet of u-blox's M8): less is no fault of it. Measured: in
+8 m/s of gusty wind after a calm begin a healthy flight's came to 0.75 m."""
 _LANDING_S = 3.0
 """Seconds ahead of touch-down that are left out: the air that rotors throw at the ground comes back."""
 
@@ -33,7 +37,7 @@ def alarms_of(
     for channel in dict.fromkeys(one.channel for one in lasting):
         own = [one for one in lasting if one.channel == channel]
         largest = max(own, key=lambda one: one.share)
-        enough = largest.share >= least_share
+        enough = largest.share >= least_share and not _within_accuracy(largest)
         yield Judgement(
             start_s=own[0].start_s,
             end_s=own[-1].end_s,
@@ -48,6 +52,10 @@ def alarms_of(
             weight="warning" if enough else "information",
             plots=(f"estimate_{channel}", *plots),
         )
+
+
+def _within_accuracy(alarm: LearnedAlarm) -> bool:
+    return alarm.channel in _POSITIONS and alarm.size < _ACCURACY_M
 
 
 def _own(alarm: LearnedAlarm) -> bool:

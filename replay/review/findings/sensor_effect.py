@@ -42,7 +42,8 @@ RULE = Rule(
     "is estimated, with the noise of the flight's own first 40 s.",
     evidence="the observer raises an alarm of one sensor for 5 s or longer; of GPS and barometer at 3 times its "
     "threshold",
-    counter="wind that the begin did not have moves estimates of GPS; what was so from the begin",
+    counter="wind that the begin did not have moves estimates of GPS: up to 2.5 m, its own accuracy, is no finding; "
+    "what was so from the begin",
     needs=("watch",),
     judge=_judge,
     multirotor=True,

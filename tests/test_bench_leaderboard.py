@@ -1,0 +1,59 @@
+"""The leaderboard counts what detectors find, late and falsely, and reads flights as they are."""
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "bench/leaderboard"))
+import alfa
+
+
+def write_flight(path: Path, seed: int, onset: int | None, count: int = 1200) -> None:
+    """Write a flight of noise whose pitch rate shifts at an index; the first rows lack what comes later."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    values = np.random.default_rng(seed).normal(size=(count, len(alfa.SIGNALS)))
+    if onset is not None:
+        values[onset:, alfa.SIGNALS.index("field.twist.angular.y")] += 9.0
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["%time", *alfa.SIGNALS, "field.data"])
+        for row, sample in enumerate(values):
+            known = ["" if row < 5 and column else f"{value:.4f}" for column, value in enumerate(sample)]
+            writer.writerow([row, *known, float(onset is not None and row >= onset)])
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> list[alfa.Flight]:
+    folder = tmp_path_factory.mktemp("alfa")
+    for day in range(1, 5):
+        write_flight(folder / f"engine/carbonZ_2018-07-0{day}-15-53-31_1_engine_failure.csv", day, 800)
+        write_flight(folder / f"no_failure/carbonZ_2018-07-0{day}-15-53-31_2_no_failure.csv", 10 + day, None)
+    return [alfa.read_flight(path) for path in sorted(folder.rglob("*.csv"))]
+
+
+def test_a_flight_begins_where_all_signals_are_known(flights: list[alfa.Flight]) -> None:
+    failed, healthy = flights[0], flights[-1]
+    assert (len(failed.values), failed.onset) == (1195, 795)
+    assert (len(healthy.values), healthy.onset) == (1195, 1195)
+    assert failed.log == "2018-07-01-15-53-31"
+
+
+@pytest.mark.parametrize("name", alfa.DETECTORS)
+def test_a_plain_shift_is_found_at_once_by_all(name: str, flights: list[alfa.Flight]) -> None:
+    found = alfa.summary(alfa.leave_one_out(flights, alfa.DETECTORS[name], 1.0))
+    assert (found["found"], found["failures"], found["flights"]) == (4, 4, 8)
+    assert 0.0 <= float(found["mean_delay_s"] or 0.0) < 1.0
+
+
+def test_alarms_close_together_are_one() -> None:
+    score = np.zeros(2000)
+    score[[400, 500, 900, 1500]] = 2.0
+    assert alfa.alarms(score, 1.0) == [(400, 500), (900, 900), (1500, 1500)]
+
+
+def test_the_bound_of_nothing_seen_is_the_rule_of_three() -> None:
+    assert alfa._bound(0) == pytest.approx(3.0, abs=0.01)
+    assert alfa._bound(3) == pytest.approx(7.75, abs=0.01)
