@@ -211,7 +211,7 @@ def _signatures(training: Sequence[tuple[Flight, Floats]]) -> list[Floats]:
             word = re.search(_KINDS, flight.name)
             shift = left[flight.onset + begin : flight.onset + end].mean(axis=0) - before
             parts.setdefault(word[0] if word else "", []).append(shift)
-    return [np.mean(shifts, axis=0) for shifts in parts.values()]
+    return [np.asarray(np.mean(shifts, axis=0), np.float64) for shifts in parts.values()]
 
 
 def _test(shape: Floats, direction: Floats | None) -> Callable[[Floats], Floats]:
