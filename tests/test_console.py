@@ -206,6 +206,24 @@ def test_the_page_comes_back_after_monitor_and_server_were_restarted(
     monitor.close()
 
 
+def test_a_token_is_asked_for_and_again_when_it_is_another(
+    browser: webdriver.Chrome, serve: Callable[..., ConsoleServer], monitor: SimulatedMonitor
+) -> None:
+    port = free_port()
+    server = serve(port, token="a" * 16)
+    browser.get(server.url)
+    shows(browser, "h1", "fauio")
+    browser.find_element(By.ID, "token").send_keys("b" * 16, Keys.ENTER)
+    shows(browser, "#said", "not the token")
+    browser.find_element(By.ID, "token").clear()
+    browser.find_element(By.ID, "token").send_keys("a" * 16, Keys.ENTER)
+    shows(browser, ".cards", "quad-1")
+    server.close()
+    serve(port, token="c" * 16)
+    WebDriverWait(browser, 20).until(lambda driver: driver.current_url.endswith("/login"))
+    browser.delete_all_cookies()
+
+
 def test_keys_lead_through_the_pages(
     browser: webdriver.Chrome, serve: Callable[..., ConsoleServer], monitor: SimulatedMonitor
 ) -> None:

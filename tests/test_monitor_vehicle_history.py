@@ -52,7 +52,7 @@ def test_whatever_comes_is_kept_or_passed_over(first: Any, second: Any) -> None:
             beat = facts.get("heartbeat") if isinstance(facts, dict) else None
             mode = flight_mode(beat if isinstance(beat, dict) else {})
             history.take_status(payload, mode)
-            json.loads(to_json(vehicle_card(VehicleStatus("quad"), payload, mode)))
+            json.loads(to_json(vehicle_card(VehicleStatus("quad"), payload, mode, 1)))
     json.loads(to_json(history.since({})))
 
 

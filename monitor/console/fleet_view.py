@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from adapters.errors import printable
 from monitor.bus.keys import ANY, vehicle_of, vehicle_root
 from monitor.bus.payload import decode_payload
-from monitor.bus.status_watch import StatusWatch, VehicleStatus
+from monitor.bus.status_watch import MAX_VEHICLES, StatusWatch, VehicleStatus
 from monitor.bus.subscriber import AlarmSubscriber
 from monitor.console.alarm_table import AlarmTable
 from monitor.console.flight_mode import flight_mode
@@ -30,6 +30,8 @@ _WAIT_S: Final = 0.25
 """Seconds until a wait for events looks whether to end."""
 _REFRESH_NS: Final = 1_000_000_000
 """Chosen: how late a page may show other sizes of alarms, and that shelving has ended."""
+_GONE_NS: Final = 3600 * 1_000_000_000
+"""Chosen: a vehicle whose monitor is gone is shown until one has noticed, and not for days."""
 _UNKNOWN: Final[tuple[int, dict[str, Any]]] = (0, {"state": "starting"})
 """Card of a vehicle whose monitor has said nothing yet."""
 
@@ -68,7 +70,10 @@ class FleetView:
         live = self.subscriber.live
         news: dict[str, Any] = {}
         with self._lock:
-            names = sorted(live | set(self._cards))
+            for name, (_, card) in list(self._cards.items()):
+                if name not in live and now_ns - card["heard_ns"] > _GONE_NS:
+                    del self._cards[name]
+            names = sorted(live | set(self._cards))[:MAX_VEHICLES]
             present = hash(tuple((name, name in live) for name in names))
             cards = [
                 card | {"name": name, "live": name in live}
@@ -116,7 +121,7 @@ class FleetView:
         mode = flight_mode(mapping(mapping(payload.get("facts")).get("heartbeat")))
         with self._lock:
             count = self._cards.get(status.vehicle, _UNKNOWN)[0]
-            self._cards[status.vehicle] = count + 1, vehicle_card(status, payload, mode)
+            self._cards[status.vehicle] = count + 1, vehicle_card(status, payload, mode, time.time_ns())
             history = self._history(status.vehicle)
             if history is not None:
                 history.take_status(payload, mode)
@@ -155,8 +160,8 @@ def _shown_unit(unit: object) -> tuple[str, float]:
     return printable(name[:60]), factor
 
 
-def vehicle_card(status: VehicleStatus, payload: Mapping[str, Any], mode: str) -> dict[str, Any]:
-    """Return what is shown of a vehicle; all of it is checked, as it comes from the network."""
+def vehicle_card(status: VehicleStatus, payload: Mapping[str, Any], mode: str, heard_ns: int) -> dict[str, Any]:
+    """Return what is shown of a vehicle, heard at a Unix time; all of it is checked, as it comes from the network."""
     links = mapping(payload.get("links"))
     watching = {
         printable(name): {
@@ -183,7 +188,7 @@ def vehicle_card(status: VehicleStatus, payload: Mapping[str, Any], mode: str) -
         "messages_per_s": number(payload.get("messages_per_s")),
         "latency_ms": number(payload.get("latency_ms")),
         "lost_share": shares[0] if shares else None,
-        "time_ns": number(payload.get("time_ns")),
+        "heard_ns": heard_ns,
         "watching": watching,
         "channels": channels,
     }

@@ -43,8 +43,15 @@ export class Stream {
       if (source !== this.source) return;
       this.on.lost(true);
       // a browser does not try again after an answer that was an error
-      if (source.readyState === EventSource.CLOSED) setTimeout(() => source === this.source && this.open(), AGAIN_MS);
+      if (source.readyState === EventSource.CLOSED) setTimeout(() => source === this.source && this.#again(), AGAIN_MS);
     });
+  }
+
+  /** Try again, or ask for the token where it is another one now. */
+  async #again() {
+    const answer = await fetch("/clips").catch(() => null);
+    if (answer?.status === 401) location.replace("/login");
+    else this.open();
   }
 
   /** A page that nobody sees gives its connection to others: a browser has six for a host. */
