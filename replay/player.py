@@ -21,7 +21,7 @@ from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
 from monitor.profile import Profile
 from monitor.sampling.sampler import SamplerStatistics
-from monitor.trace import Trace, TraceBuilder, alarm_spans
+from monitor.trace import MAX_ROWS, Trace, TraceBuilder, alarm_spans
 
 if TYPE_CHECKING:
     from monitor.recording.archive import Archive
@@ -109,6 +109,7 @@ def play_batches(
     vehicle: str | None = None,
     record: Path | None = None,
     keep_traces: bool = False,
+    trace_rows: int = MAX_ROWS,
     on_event: Callable[[AlarmEvent], None] | None = None,
     force: bool = False,
 ) -> Replay:
@@ -126,6 +127,8 @@ def play_batches(
         MCAP file for telemetry, samples, estimates and alarms.
     keep_traces : bool
         Whether to keep the estimates for plots.
+    trace_rows : int
+        How many of each observer are kept at most; more are thinned.
     on_event : Callable[[AlarmEvent], None] | None
         Called with each event as it arises.
     force : bool
@@ -137,7 +140,7 @@ def play_batches(
         It says so, and nothing forces it; no file is left of ``record``.
     """
     pipeline = Pipeline(profile, vehicle, force=force)
-    builders = {layout.observer: TraceBuilder(layout) for layout in pipeline.layouts} if keep_traces else {}
+    builders = {layout.observer: TraceBuilder(layout, trace_rows) for layout in pipeline.layouts} if keep_traces else {}
     events: list[AlarmEvent] = []
     count = 0
     seen: set[str] = set()

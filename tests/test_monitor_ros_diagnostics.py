@@ -15,7 +15,14 @@ from mcap_ros2._dynamic import generate_dynamic
 from zenoh import ext
 
 from monitor.service.health import ChannelHealth, Health, ObserverHealth, ProcessHealth, VehicleHealth
-from monitor.service.ros_diagnostics import TYPE, TYPE_HASH, Diagnostic, RosDiagnostics, diagnostics, encoded
+from monitor.service.ros_diagnostics import (
+    TYPE,
+    TYPE_HASH,
+    Diagnostic,
+    RosDiagnostics,
+    diagnostics,
+    diagnostics_payload,
+)
 
 NOW_NS = 1_795_404_602_641_000_007
 DEFINITION = """std_msgs/Header header
@@ -56,7 +63,7 @@ def decoded(payload: bytes) -> Any:
 
 
 def test_each_vehicle_and_each_observer_has_a_status() -> None:
-    array = decoded(encoded(diagnostics(HEALTH), NOW_NS))
+    array = decoded(diagnostics_payload(diagnostics(HEALTH), NOW_NS))
     assert (array.header.stamp.sec, array.header.stamp.nanosec) == divmod(NOW_NS, 10**9)
     assert [(one.level, one.name, one.message, one.hardware_id) for one in array.status] == [
         (0, "fauio: copter-1", "monitoring", "copter-1"),
@@ -72,7 +79,7 @@ def test_each_vehicle_and_each_observer_has_a_status() -> None:
 
 @pytest.mark.parametrize("name", ["", "a", "abc", "motör", "\ud800", "nul\0inside"])
 def test_any_text_is_encoded(name: str) -> None:
-    array = decoded(encoded(iter([Diagnostic(1, name, name, "x", [(name, name)])] * 2), NOW_NS))
+    array = decoded(diagnostics_payload(iter([Diagnostic(1, name, name, "x", [(name, name)])] * 2), NOW_NS))
     shown = name.replace("\0", "").replace("\ud800", "\\ud800")
     assert [one.name for one in array.status] == [shown] * 2
     assert array.status[1].values[0].value == shown

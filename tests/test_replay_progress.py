@@ -1,4 +1,4 @@
-"""Progress: a bar with the time left on a terminal, nothing in a pipe, and every item in either."""
+"""Progress: a bar with the time left on a terminal, a line now and then in a pipe, and every item in either."""
 
 from __future__ import annotations
 
@@ -32,6 +32,14 @@ def test_nothing_is_said_in_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stderr", pipe)
     assert list(track(range(5000), "log", total_bytes=100)) == list(range(5000))
     assert pipe.getvalue() == ""
+
+
+def test_a_line_now_and_then_says_in_a_pipe_how_far_a_long_command_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    pipe = StringIO()
+    monkeypatch.setattr("sys.stderr", pipe)
+    monkeypatch.setattr("monitor.fitting.progress._LINE_S", 0.0)
+    assert len(list(track("abcd", "replaying", "logs", total=4))) == 4
+    assert pipe.getvalue().splitlines()[1] == "fauio: replaying: 50 %, 2 logs after 0 s"
 
 
 def test_the_share_of_the_file_that_was_read_is_shown_with_the_time_left(

@@ -6,6 +6,7 @@ import contextlib
 import csv
 import json
 import os
+import re
 import subprocess
 import threading
 from pathlib import Path
@@ -116,7 +117,7 @@ def test_results_go_to_a_pipe_while_progress_goes_to_the_terminal(flight: str, c
     os.close(terminal)
     assert done.returncode == 0
     lines = done.stdout.splitlines()
-    assert "motors/motor3  raised" in lines[0]
+    assert "motors/motor3  warning  motor3 delivers 10 % less than commanded" in lines[0]
     assert "1 alarm in 13 s" in lines[-1]
     assert (b"of 2 logs" if count == 2 else b"messages") in b"".join(shown)
 
@@ -126,3 +127,16 @@ def read_all(terminal: int, shown: list[bytes]) -> None:
     with contextlib.suppress(OSError):
         while piece := os.read(terminal, 4096):
             shown.append(piece)
+
+
+def test_an_alarm_is_one_line_and_its_events_are_there_for_who_asks(
+    flight: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fauio.main(["replay", QUAD, flight]) == 0
+    line, verdict = capsys.readouterr().out.splitlines()
+    assert re.search(r"^\S+Z to the end  quad  motors/motor3 .* \(± [\d.]+ %, peak -\d+ % of thrust\)$", line)
+    assert "1 alarm in 13 s" in verdict
+    assert fauio.main(["replay", QUAD, flight, "--verbose"]) == 0
+    first, *_, last_but_one, last = capsys.readouterr().out.splitlines()
+    assert "motors/motor3  raised" in first
+    assert (last_but_one, last) == (line, verdict)

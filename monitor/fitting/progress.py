@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,6 +20,10 @@ _SHOW_EVERY = 2000
 
 _PATIENCE_S = 5.0
 """Chosen: what is refused within five seconds is refused in a single line."""
+
+
+_LINE_S = 10.0
+"""Chosen: who reads a log of a job sees that it goes on, and not much of it."""
 
 
 class Stages:
@@ -56,17 +62,20 @@ def track(
 ) -> Iterator[T]:
     """Yield the items; on a terminal say on stderr how far they have come, and wipe the line at the end.
 
+    In a pipe a line says so every ten seconds, and none where it takes less.
+
     ``what`` is in front of the bar, ``unit`` is counted, ``weigh`` says how many of it an item holds (None: one). Where
     the items are read from a recording of ``total_bytes`` (:func:`recording_bytes`) the share of it that was read gives
     per cent and the time that is left; ``total`` is how many of the unit there will be, where that is known.
     """
-    if not sys.stderr.isatty():
-        yield from items
-        return
     from adapters.logs.compressed import ON_BYTES
 
-    with _bar(unit, total, known=bool(total_bytes or total)) as progress:
-        task = progress.add_task(what, total=total_bytes or total, count=0)
+    with ExitStack() as stack:
+        show: Callable[..., None] = _Lines(what, unit, total_bytes or total).show
+        if sys.stderr.isatty():
+            progress = stack.enter_context(_bar(unit, total, known=bool(total_bytes or total)))
+            task = progress.add_task(what, total=total_bytes or total, count=0)
+            show = functools.partial(progress.update, task)
         read = count = shown = 0
 
         def note(more: int) -> None:
@@ -80,9 +89,28 @@ def track(
                 count += 1 if weigh is None else weigh(item)
                 if unit != "messages" or count - shown >= _SHOW_EVERY:
                     shown = count
-                    progress.update(task, completed=min(read, total_bytes) if total_bytes else count, count=count)
+                    show(completed=min(read, total_bytes) if total_bytes else count, count=count)
         finally:
             ON_BYTES.set(None)
+
+
+class _Lines:
+    """Says how far something has come, a line now and then."""
+
+    def __init__(self, what: str, unit: str, total: int | None) -> None:
+        self._what, self._unit, self._total = what, unit, total
+        self._started_s = self._said_s = time.monotonic()
+
+    def show(self, *, completed: int, count: int) -> None:
+        """Say it where the last line is old enough."""
+        now_s = time.monotonic()
+        if now_s - self._said_s < _LINE_S:
+            return
+        self._said_s = now_s
+        share = f"{100 * completed / self._total:.0f} %, " if self._total else ""
+        words = f"fauio: {self._what}: {share}{count:,} {self._unit} after {now_s - self._started_s:.0f} s"
+        sys.stderr.write(printable(words) + "\n")
+        sys.stderr.flush()
 
 
 def recording_bytes(path: Path) -> int:

@@ -59,7 +59,7 @@ class RosDiagnostics:
         self._count += 1
         head: tuple[Any, ...] = ("sequence_number", ext.Int64(self._count), "source_timestamp", ext.Int64(now_ns))
         attachment = ext.z_serialize((*head, "source_gid", self._gid))
-        self._publisher.put(encoded(diagnostics(health), now_ns), attachment=attachment)
+        self._publisher.put(diagnostics_payload(diagnostics(health), now_ns), attachment=attachment)
 
     def close(self) -> None:
         """Withdraw everything declared."""
@@ -99,7 +99,7 @@ def _size(channel: ChannelHealth) -> str:
     return fault_text(channel.name, channel.estimate, None, channel.unit)
 
 
-def encoded(statuses: Iterator[Diagnostic], now_ns: int) -> bytes:
+def diagnostics_payload(statuses: Iterator[Diagnostic], now_ns: int) -> bytes:
     """Return a DiagnosticArray in plain CDR, little-endian (XTypes 1.3, 7.4), stamped with a Unix time."""
     cdr = _Cdr()
     cdr.number("i", now_ns // 1_000_000_000)

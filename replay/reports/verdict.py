@@ -7,6 +7,7 @@ from pathlib import Path
 
 from adapters.errors import FauioError
 from monitor.bus.alarm_text import utc
+from monitor.display import display_unit, fault_text, number_text
 from replay.reports.findings import Finding
 from replay.review.facts.log_facts import LogFacts, Statement
 from replay.review.facts.reading import read_facts
@@ -37,6 +38,23 @@ def run_sentence(results: Sequence[Finding], facts: LogFacts | None) -> str:
     others = len(results) - 1
     more = f"; {others} other alarm{'s' if others > 1 else ''}" if others else ""
     return f"{main.message} {_when(main)}{_autopilot(main, facts)}{more}"
+
+
+def alarm_summary(one: Finding) -> str:
+    """Return a line about one alarm: from when to when, where, how grave, what, the size's doubt and its peak."""
+    alarm, event = one.alarm, one.largest
+    end = "to the end" if alarm.end_ns is None else f"to {utc(alarm.end_ns)[11:19]}"
+    share = one.relative / one.size if one.relative is not None and one.size else None
+    peak = max((event.peak for event in alarm.history if event.peak is not None), key=abs, default=None)
+    doubt = []
+    if one.size is not None and one.deviation is not None:
+        factor, name = display_unit(event.unit) if share is None else (100.0 * share, "%")
+        doubt.append(f"± {number_text(abs(factor) * one.deviation, 2)} {name}".rstrip())
+    if peak is not None:
+        doubt.append(f"peak {fault_text(alarm.channel, peak, None if share is None else peak * share, event.unit)}")
+    channel = f"{alarm.observer}/{alarm.channel}"
+    parts = (f"{utc(alarm.start_ns)[:19]}Z {end}", event.vehicle, channel, alarm.severity, one.message)
+    return "  ".join(parts) + (f" ({', '.join(doubt)})" if doubt else "")
 
 
 def _when(one: Finding) -> str:

@@ -16,16 +16,22 @@ from monitor.event import AlarmEvent
 from monitor.fitting.progress import recording_bytes, track
 from monitor.profile import Profile
 from monitor.sampling.slow_telemetry import seldom_text
+from monitor.trace import MAX_ROWS
 from monitor.views.panels import RunView, TrueSizes
 from replay.attacks.inject import known_truth
 from replay.inspection.log_info import first_raised
 from replay.player import Replay, interests, play_batches
 from replay.reports.findings import effects, findings
 from replay.reports.recording_facts import RecordingFacts, RecordingMeter
-from replay.reports.verdict import run_sentence, stated_facts
+from replay.reports.verdict import alarm_summary, run_sentence, stated_facts
 
 if TYPE_CHECKING:
     from replay.runs.live_replay import LiveReplay
+
+
+_FEW_ROWS = 200_000
+"""Estimates of each observer that are kept for the sizes of alarms. Chosen: 33 min at 100 Hz whole, in 100 MB; medians
+of longer flights come from every second, every fourth and so on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +66,7 @@ class LogOutcome:
     error: str | None = None  # why the log could not be replayed, one line that names it; None where it could
     verdict: str = ""  # how many alarms there were, and what was not watched, as a sentence
     sentence: str = ""  # what happened, as a sentence; empty where nothing was found
+    alarms: tuple[str, ...] = ()  # a line for each alarm: from when to when, what, how much
     events: tuple[AlarmEvent, ...] = ()  # alarm events in order
     # Unix times of the first and the last message that mattered, nanoseconds
     start_ns: int = 0
@@ -140,7 +147,8 @@ def _replay(
         meter.watch(batches),
         vehicle=vehicle,
         record=task.record,
-        keep_traces=bool(task.plot or task.rrd or task.report),
+        keep_traces=True,
+        trace_rows=MAX_ROWS if task.plot or task.rrd or task.report else _FEW_ROWS,
         on_event=on_event,
         force=task.force,
     )
@@ -174,6 +182,7 @@ def _replay(
         error=None if found.samples else verdict,
         verdict=verdict,
         sentence=sentence,
+        alarms=tuple(map(alarm_summary, results)),
         events=found.events,
         start_ns=facts.first_ns or 0,
         end_ns=facts.last_ns or 0,

@@ -36,9 +36,9 @@ def add_replay(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "replay",
         help="run recordings through a profile's monitor",
-        description="Run recordings through the very pipeline that runs live, and list the alarms. Exit status: 0; 2 "
-        "where a log could not be replayed, the others are nevertheless; with --fail-on-alarm 4 where an alarm was "
-        "raised, whatever became of other logs; 130 interrupted.",
+        description="Run recordings through the very pipeline that runs live, and list the alarms, a line each. Exit "
+        "status: 0; 2 where a log could not be replayed, the others are nevertheless; with --fail-on-alarm 4 where an "
+        "alarm was raised, whatever became of other logs; 130 interrupted.",
         epilog="example: fauio replay quad/ flight.tlog --report flight.html\n"
         "example: fauio replay quad/ flights/ --jobs 4 --table summary.csv",
     )
@@ -82,6 +82,7 @@ def add_replay(subparsers: Any) -> None:
         "--force", action="store_true", help="go on where a log says it is of another vehicle than the profile's"
     )
     parser.add_argument("--fail-on-alarm", action="store_true", help="exit with 4 where an alarm was raised")
+    parser.add_argument("--verbose", action="store_true", help="print every event too: raised, updated, cleared")
     parser.add_argument("--json", action="store_true", help="print one JSON object per log")
     live = parser.add_argument_group("as if live")
     live.add_argument(
@@ -126,7 +127,7 @@ def run_replay(args: argparse.Namespace) -> int:
         for outcome in track(outcomes, "replaying", "logs", total=len(logs)) if many else outcomes:
             failed += outcome.error is not None
             raised += len(outcome.raised)
-            _tell(outcome, as_json=args.json, with_events=many)
+            _tell(outcome, as_json=args.json, with_events=many and args.verbose)
             if alarms is not None:
                 origin = {"log": outcome.log} if many else {}
                 alarms.add(json.dumps(event.to_json() | origin) for event in outcome.events)
@@ -226,7 +227,8 @@ def _outcomes(
         from replay.runs.one_log import replay_log
 
         alone = len(tasks) == 1
-        on_event = (lambda event: _say(alarm_line(event))) if alone and not args.json else None
+        shown = alone and args.verbose and not args.json
+        on_event = (lambda event: _say(alarm_line(event))) if shown else None
         for task in tasks:
             yield replay_log(profile, task, on_event, live=live, progress=alone)
 
@@ -266,6 +268,8 @@ def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:
     elif outcome.error is None:
         for event in outcome.events if with_events else ():
             _say(alarm_line(event))
+        for line in outcome.alarms:
+            _say(printable(line))
         _say(printable(outcome.verdict))
 
 
