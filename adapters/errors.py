@@ -73,6 +73,10 @@ class ModelError(FauioError):
     """A plant model or gains file that cannot be used, or recordings that do not determine a model."""
 
 
+class UntoldError(ModelError):
+    """Recordings that do not determine a vehicle's own model; what watches its sensors may do without it."""
+
+
 class InfeasibleError(FauioError):
     """No design of the asked kind exists (or the solver could not prove one); the message says why."""
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from adapters.batch import Batch
-from adapters.errors import InfeasibleError, ModelError, OtherVehicleError, TelemetryError, UsageError
+from adapters.errors import InfeasibleError, ModelError, OtherVehicleError, TelemetryError, UntoldError, UsageError
 from adapters.output_file import write_file
 from adapters.toml_tables import toml_text
 from monitor.fitting.fit_report import draw_comparison
@@ -36,7 +36,7 @@ from monitor.sampling.identity import Identity, Reports, common_identity
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.slow_telemetry import slow_messages, slow_text
 from monitor.vehicles.base import VehicleKind, likely_kinds, load
-from monitor.vehicles.inertial.fit import OBSERVER, fit_inertial
+from monitor.vehicles.inertial.fit import OBSERVER, fit_alone, fit_inertial
 from monitor.vehicles.kinds import KINDS, kind_named
 from replay.sensitivity.capability import measure_capability
 
@@ -167,18 +167,28 @@ def fit_profile(
         sources = [partial(_of_one_vehicle, log) for log in sources]
     surveys = tuple(one.survey for one in surveyed)
     request = FitRequest(name, sources, surveys, model, [Path(one).name for one in names], rate_hz)
-    fitted, gate = load(vehicle.fit)(request)
+    notes: list[str] = []
+    try:
+        fitted, gate = load(vehicle.fit)(request)
+    except UntoldError as error:
+        if any(_is_another(vehicle, one.identity.vehicle_type) for one in surveyed):
+            raise
+        # what the recordings tell of the sensors is no worse for it
+        notes.append(f"{vehicle.watches}: {error}")
+        try:
+            fitted, gate = fit_alone(replace(request, rate_hz=None))
+        except (TelemetryError, ModelError, InfeasibleError):
+            raise error from None
     if fitted.agreement is not None and (apart := fitted.agreement.left_out):
         request = request.without(apart)
         again, gate = load(vehicle.fit)(request)
         fitted = replace(again, agreement=fitted.agreement)
     observers: list[Fitted] = [fitted]
     stage(f"identified, designed and calibrated {fitted.name}")
-    notes: list[str] = []
     further = {reference.partition(":fit_")[2]: load(reference) for reference in vehicle.further}
     if vehicle.inertial_too:
         further[OBSERVER] = fit_inertial
-    for observer, fit in further.items():
+    for observer, fit in () if notes else further.items():
         try:
             if (one := fit(request, gate)) is not None:
                 observers.append(one)
@@ -269,6 +279,11 @@ def survey_log(name: str, log: BatchSource, known: Identity | None = None) -> Su
     return SurveyedLog(name, found, identity)
 
 
+def _is_another(kind: VehicleKind, says: str) -> bool:
+    """Return whether a vehicle that says what it is, is of another kind."""
+    return bool(says and kind.type_words) and kind not in likely_kinds(KINDS, says)
+
+
 def check_vehicle(kind: VehicleKind, surveyed: Sequence[SurveyedLog]) -> None:
     """Make sure that the last of some recordings is of a kind of vehicle, and of the same vehicle as the others.
 
@@ -279,9 +294,8 @@ def check_vehicle(kind: VehicleKind, surveyed: Sequence[SurveyedLog]) -> None:
     """
     last = surveyed[-1]
     says = last.identity.vehicle_type
-    kinds = [one.name for one in likely_kinds(KINDS, says)]
-    if says and kind.type_words and kind.name not in kinds:
-        mend = "".join(f"fit it with --vehicle {name}, " for name in kinds)
+    if _is_another(kind, says):
+        mend = "".join(f"fit it with --vehicle {one.name}, " for one in likely_kinds(KINDS, says))
         raise OtherVehicleError(
             f"{last.name}: says it is a {says}, which is no {kind.name}; {mend}or go on with --force"
         )

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 
 import pytest
 
 import fauio
+from adapters.logs.recordings import packed, read_recording
 from monitor.profile import read_profile
-from replay.fit import replace_kept
+from monitor.vehicles.kinds import fit_messages
+from replay.fit import fit_profile, replace_kept
 
 
 @pytest.mark.long
@@ -32,3 +35,19 @@ def test_a_profile_that_is_fitted_to_the_same_is_not_set_aside(tmp_path: Path) -
     assert replace_kept(path, "a = 1\n") is None
     assert replace_kept(path, "a = 2\n") == tmp_path / "profile.toml.before"
     assert [one.read_text() for one in sorted(tmp_path.iterdir())] == ["a = 2\n", "a = 1\n"]
+
+
+def test_where_nothing_tells_what_the_motors_do_the_sensors_are_watched(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commands = count()
+    slow = [
+        message
+        for message in read_recording(data / "copter_healthy_vel_gusty.tlog.xz", fit_messages())
+        if message.name != "SERVO_OUTPUT_RAW" or next(commands) % 50 == 0
+    ]
+    monkeypatch.setattr("monitor.vehicles.multirotor.fit.choose_frame", lambda *_: None)
+    report = fit_profile("multirotor", [lambda: packed(slow)], tmp_path / "quad", "quad")
+    assert [one.name for one in read_profile(tmp_path / "quad").observers] == ["inertial"]
+    (line,) = (line for line in report.text() if line.startswith("not fitted: "))
+    assert line.startswith("not fitted: each motor, three gyros: which way its 4 motors turn the vehicle is not known")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.channels import Channel
-from adapters.errors import ModelError
+from adapters.errors import ModelError, UntoldError
 from gains.identification.segment import Segment
 from gains.identification.shooting import split_segments
 from gains.plants.plant import Plant
@@ -409,7 +409,7 @@ def _frame(request: FitRequest, gate: GateRule, drive: _Drive, rates: Sequence[C
 
     Raises
     ------
-    ModelError
+    UntoldError
         Neither does.
     """
     if (frame := _frame_of(request, drive)) is not None:
@@ -419,7 +419,7 @@ def _frame(request: FitRequest, gate: GateRule, drive: _Drive, rates: Sequence[C
     segments = [segment for log in request.logs for segment in flight_samples(log(), source, rate_hz, gate).segments()]
     frame = choose_frame(segments, rate_hz)
     if frame is None:
-        raise ModelError(
+        raise UntoldError(
             f"which way its {len(drive.inputs)} motors turn the vehicle is not known: no parameters in the logs "
             "(CA_ROTOR* of PX4, FRAME_CLASS of ArduPilot), and no standard frame goes with the motion; fit on a log of "
             "the autopilot itself, or on a flight with brisk roll, pitch and yaw"
