@@ -15,6 +15,9 @@ from monitor.event import AlarmEvent
 AFTERMATH_S = 5.0
 """An alarm raised this soon after a fault's end belongs to the fault: its end is a jump as well."""
 
+ONSET_MS = 20
+"""The onset is known so well: an alarm that is sooner by less belongs to the fault."""
+
 SETTLING_S = 1.0
 FIRST_S = 10.0
 
@@ -143,7 +146,7 @@ def verdict(fault: Fault, flight: Flight, found: Sequence[Spell], *, names: bool
         Whether the detector names channels at all; if not, any alarm will do.
     """
     end = fault.off_ms + AFTERMATH_S * 1000
-    during = [spell for spell in found if fault.on_ms <= spell.raised_ms <= end]
+    during = [spell for spell in found if fault.on_ms - ONSET_MS <= spell.raised_ms <= end]
     while_on = [spell for spell in during if spell.raised_ms <= fault.off_ms]
     known = names and bool(fault.channels)
     right = [spell for spell in while_on if not known or spell.channel in fault.channels]
@@ -206,5 +209,5 @@ def reading(
 def _in_a_fault(flight: Flight, time_ms: NDArray[np.int64]) -> NDArray[np.bool_]:
     inside = np.zeros(len(time_ms), dtype=np.bool_)
     for fault in flight.faults:
-        inside |= (time_ms >= fault.on_ms) & (time_ms <= fault.off_ms + AFTERMATH_S * 1000)
+        inside |= (time_ms >= fault.on_ms - ONSET_MS) & (time_ms <= fault.off_ms + AFTERMATH_S * 1000)
     return inside

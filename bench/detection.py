@@ -1,12 +1,13 @@
 """What is detected on a folder of recorded flights, how fast and how well, beside what else could have been used.
 
-    python bench/detection.py FLIGHTS            print the page
-    python bench/detection.py FLIGHTS --write    write docs/detection.md and docs/images/detection.png
+    python bench/detection.py FLIGHTS...            print the page
+    python bench/detection.py FLIGHTS... --write    write docs/detection.md and docs/images/detection.png
 
-FLIGHTS holds recordings with their truth (:mod:`flights`). Per vehicle, frame and noise level a profile is fitted on
-the healthy flights, never on one with a fault or a disturbance; where there are two healthy flights or more, each is
-also left out once and only watched. Beside it: the autopilot's own announcements, Kalman filters and windowed residual
-energy with the same models, calibrated on the same flights (:mod:`detectors`).
+FLIGHTS are folders with recordings and their truth (:mod:`flights`). Per folder, vehicle, frame and noise level a
+profile is fitted on the healthy flights, never on one with a fault or a disturbance; where there are two healthy
+flights or more, each is also left out once and only watched. Beside it: the autopilot's own announcements, Kalman
+filters, GLR and CUSUM banks and windowed residual energy with the same models, calibrated on the same flights
+(:mod:`detectors`).
 """
 
 from __future__ import annotations
@@ -17,11 +18,12 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from accounting import (
+    ONSET_MS,
     Found,
     Reading,
     Result,
@@ -128,7 +130,8 @@ def estimated(fault: Fault, run: Run, *, first: bool) -> Reading | None:
     channel = fault.truth.channel
     traces = {trace.layout.observer: trace for trace in run.traces if channel in trace.layout.faults}
     events = [event for event in run.events if event.channel == channel and event.observer in traces]
-    named = [event for event in events if event.vehicle_time_ms >= fault.on_ms and event.state == "raised"]
+    since_ms = fault.on_ms - ONSET_MS
+    named = [event for event in events if event.vehicle_time_ms >= since_ms and event.state == "raised"]
     if not traces or (first and not named):
         return None
     trace = traces[named[0].observer] if named else next(iter(traces.values()))
@@ -179,14 +182,19 @@ def measure(flights: Sequence[Flight], jobs: int) -> tuple[list[Result], list[st
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Measure what is detected on a folder of recorded flights.")
-    parser.add_argument("flights", type=Path, metavar="FLIGHTS", help="folder with recordings and their JSON files")
+    parser.add_argument("flights", type=Path, nargs="+", metavar="FLIGHTS", help="recordings with their JSON files")
     parser.add_argument("--write", action="store_true", help="write docs/detection.md and docs/images/detection.png")
     parser.add_argument("--png", type=Path, help="draw the picture into this file")
     parser.add_argument("--jobs", type=int, default=2, help="processes (2)")
     args = parser.parse_args()
-    results, notes = measure(read_flights(args.flights), args.jobs)
+    flights = [
+        replace(flight, group=f"{flight.group} ({folder.name})" if len(args.flights) > 1 else flight.group)
+        for folder in args.flights
+        for flight in read_flights(folder)
+    ]
+    results, notes = measure(flights, args.jobs)
     if not results:
-        sys.exit("\n".join([f"{args.flights}: nothing could be measured", *notes]))
+        sys.exit("\n".join([*map(str, args.flights), "nothing could be measured", *notes]))
     picture = ROOT / "docs/images/detection.png" if args.write else args.png
     if picture is not None:
         from detection_plot import draw

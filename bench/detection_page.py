@@ -7,7 +7,7 @@ from math import inf, isfinite
 from statistics import median
 
 from accounting import AFTERMATH_S, FIRST_S, SETTLING_S, Found, Reading, Result, Verdict
-from detectors import FAUIO, WINDOW_S
+from detectors import FAUIO, GLR_ROWS, WINDOW_S
 from flights import Fault
 
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR
@@ -215,11 +215,11 @@ def _rule(columns: int) -> str:
 
 INTRODUCTION = f"""# Detection on recorded flights
 
-    python bench/detection.py FLIGHTS --write
+    python bench/detection.py FLIGHTS... --write
 
-makes this page: flights of a simulated autopilot with injected faults, their onset known to 20 ms. Profiles are fitted
-on the healthy flights of the same vehicle, frame and noise level, never on a flight with a fault or a disturbance. One
-simulator and one flight or two to fit on: what is said here about rates of false alarms rests on minutes.
+makes this page: flights of simulated autopilots with injected faults, their onset known to 20 ms. Profiles are fitted
+on the healthy flights of the same folder, vehicle, frame and noise level, never on a flight with a fault or a
+disturbance. One flight to four to fit on: what is said here about rates of false alarms rests on minutes.
 
 Beside fauio, with the same models, samples and gate, calibrated on the same healthy flights for the same number of
 false alarms ({FALSE_ALARMS_PER_HOUR:g} per hour and observer, extreme-value fit) with the same debounce:
@@ -230,6 +230,9 @@ false alarms ({FALSE_ALARMS_PER_HOUR:g} per hour and observer, extreme-value fit
 - **Kalman bank**: such a filter for each hypothesis of the profile, chosen among as the profile chooses among its own:
   where it does as well as fauio, the hypotheses do the work and not the gains. Baselines have no smallest size worth an
   alarm, the profile has;
+- **GLR bank** and **CUSUM bank**: on the one-step prediction residual of the model without faults, whitened by its
+  healthy covariance; the GLR with each fault's response to a step over windows of 1 to {GLR_ROWS} samples, the CUSUM
+  along its mean direction. No debounce;
 - **residual energy**: mean square of the whitened one-step prediction residual over {WINDOW_S:g} s, in the manner of
   control invariants. It sees and cannot name.
 

@@ -15,6 +15,11 @@ Faults that a bank only watches for jumps are left out of both: a sensor bias th
 
 Residual energy, in the manner of control invariants: r = y - y^ of one-step prediction (the innovation of the Kalman
 filter of the model without faults), the mean of r' S^-1 r over a window, S its healthy covariance. It names nothing.
+
+GLR bank and CUSUM bank, as textbooks have them: the same r, whitened by S alone, z. The response of z to a fault that
+begins as a unit step is its signature s. The GLR is the largest (sum s'z)^2 / (2 sum s's) over windows of 1 to
+``GLR_ROWS`` samples, the CUSUM sums 1/2 above noise along the mean direction of s, of either sign. The channel with the
+largest statistic answers, as soon as it exceeds its level.
 """
 
 from __future__ import annotations
@@ -34,7 +39,7 @@ from adapters.sample import Samples
 from gains.analysis.estimability import problem_of, restricted
 from gains.plants.model_file import read_model
 from gains.plants.plant import Plant
-from gains.published.kalman import design_ekf
+from gains.published.kalman import design_ekf, filter_model
 from gains.synthesis.gains_file import Gains
 from monitor.alarms.alarm import Alarm, AlarmRule
 from monitor.alarms.excuse import Excuses
@@ -54,8 +59,10 @@ from monitor.trace import Trace, TraceBuilder
 from replay.player import interests, play
 
 FAUIO, KALMAN, KALMAN_BANK, ENERGY = "fauio", "Kalman filter", "Kalman bank", "residual energy"
-DETECTORS = (FAUIO, KALMAN, KALMAN_BANK, ENERGY)
+GLR, CUSUM = "GLR bank", "CUSUM bank"
+DETECTORS = (FAUIO, KALMAN, KALMAN_BANK, GLR, CUSUM, ENERGY)
 WINDOW_S = 0.5
+GLR_ROWS = 256
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +88,32 @@ class EnergyDetector:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TextbookBank:
+    """A statistic for each fault, of the white part of one observer's one-step prediction residual.
+
+    Parameters
+    ----------
+    name, observer : str
+        Which of both it is, and whose model and samples it takes.
+    gains : Gains
+        Kalman filter of the model without faults.
+    W : NDArray[np.float64]
+        W' W = S^-1 (p, p).
+    signatures : NDArray[np.float64]
+        What a step of each fault makes of W r (m, rows, p).
+    rules : tuple[AlarmRule, ...]
+        Their alarms.
+    """
+
+    name: str
+    observer: str
+    gains: Gains
+    W: NDArray[np.float64]
+    signatures: NDArray[np.float64]
+    rules: tuple[AlarmRule, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Suite:
     """Detectors fitted and calibrated on the same healthy flights.
 
@@ -92,6 +125,8 @@ class Suite:
         Kalman filters in place of its observers.
     energy : tuple[EnergyDetector, ...]
         One for each observer.
+    banks : tuple[TextbookBank, ...]
+        Two for each observer.
     notes : tuple[str, ...]
         Baselines that could not be made, and why.
     """
@@ -100,6 +135,7 @@ class Suite:
     kalman: tuple[ObserverProfile, ...]
     kalman_bank: tuple[ObserverProfile, ...]
     energy: tuple[EnergyDetector, ...]
+    banks: tuple[TextbookBank, ...]
     notes: tuple[str, ...]
 
 
@@ -120,7 +156,7 @@ def make_suite(folder: Path, logs: Sequence[Log]) -> Suite:
     only = interests(profile)
     filters: list[tuple[ObserverProfile, list[Flight]]] = []
     banks: list[tuple[ObserverProfile, list[Flight]]] = []
-    energy, notes = [], []
+    energy, notes, textbook = [], [], []
     for observer in profile.observers:
         gate = replace(profile.gate, settle_s=max(profile.gate.settle_s, observer.settle_s))
         flights = [flight_samples(packed(log(only)), observer.source, observer.rate_hz, gate) for log in logs]
@@ -132,10 +168,17 @@ def make_suite(folder: Path, logs: Sequence[Log]) -> Suite:
             notes.append(f"{KALMAN}: {error}")
         try:
             energy.append(_energy(observer, plant, flights, FALSE_ALARMS_PER_HOUR / len(profile.observers)))
+            for name in (GLR, CUSUM):
+                textbook.append(_textbook(name, observer, plant, flights, FALSE_ALARMS_PER_HOUR))
         except InfeasibleError as error:
             notes.append(f"{ENERGY}: {error}")
     return Suite(
-        profile, _with_alarms(filters, profile.gate), _with_alarms(banks, profile.gate), tuple(energy), tuple(notes)
+        profile,
+        _with_alarms(filters, profile.gate),
+        _with_alarms(banks, profile.gate),
+        tuple(energy),
+        tuple(textbook),
+        tuple(notes),
     )
 
 
@@ -148,6 +191,18 @@ def run_suite(suite: Suite, messages: Iterable[Message]) -> dict[str, Run]:
         FAUIO: Run(found.events, found.traces),
         KALMAN: _run_chains(suite.kalman, suite.profile.gate, samples),
         KALMAN_BANK: _run_chains(suite.kalman_bank, suite.profile.gate, samples),
+        **{
+            name: Run(
+                tuple(
+                    event
+                    for one in suite.banks
+                    if one.name == name
+                    for event in _run_textbook(one, samples[one.observer])
+                ),
+                (),
+            )
+            for name in (GLR, CUSUM)
+        },
         ENERGY: Run(tuple(event for one in suite.energy for event in _run_energy(one, samples[one.observer])), ()),
     }
 
@@ -187,7 +242,14 @@ def _one_filter(observer: ObserverProfile, plant: Plant) -> ObserverProfile:
     gains = (design_ekf(restricted(plant, together), observer.rate_hz),)
     isolation = IndependentRule(observer.isolation.smoothing_s)
     return replace(
-        observer, gains=gains, faults=fault_channels(gains), isolation=isolation, alarms=(), effectiveness={}
+        observer,
+        gains=gains,
+        faults=fault_channels(gains),
+        isolation=isolation,
+        alarms=(),
+        effectiveness={},
+        changes=None,
+        excitation=None,
     )
 
 
@@ -199,7 +261,14 @@ def _filter_bank(observer: ObserverProfile, plant: Plant, flights: Sequence[Flig
     gains = tuple(design_ekf(restricted(plant, one.faults), observer.rate_hz) for one in compared)
     isolation = bank_rule(gains, [segment for flight in flights for segment in flight.segments()])
     return replace(
-        observer, gains=gains, faults=fault_channels(gains), isolation=isolation, alarms=(), effectiveness={}
+        observer,
+        gains=gains,
+        faults=fault_channels(gains),
+        isolation=isolation,
+        alarms=(),
+        effectiveness={},
+        changes=None,
+        excitation=None,
     )
 
 
@@ -260,6 +329,87 @@ def _run_energy(detector: EnergyDetector, flight: Flight) -> list[AlarmEvent]:
     times_ns, index = samples.vehicle_time_ns, np.arange(len(flight))
     rows = ChainRows([alarm.state], index, times_ns, samples.restart, np.where(known, energy, 0.0), known)
     walk([rows], lambda _, row, __, code: events.append(alarm.event(code, samples, row, None, None)))
+    return events
+
+
+def _textbook(
+    name: str, observer: ObserverProfile, plant: Plant, flights: Sequence[Flight], share: float
+) -> TextbookBank:
+    gains = design_ekf(restricted(plant, ()), observer.rate_hz)
+    residuals = [_residuals(gains, flight) for flight in flights]
+    healthy = np.concatenate([r[flight.armed] for r, flight in zip(residuals, flights, strict=True)])
+    W = np.linalg.cholesky(np.linalg.inv(healthy.T @ healthy / len(healthy))).T
+    faults = list(dict.fromkeys(fault for one in _compared(observer) for fault in one.faults))
+    signatures = np.stack([_signature(plant, fault, gains, W, observer.rate_hz) for fault in faults])
+    bank = TextbookBank(name, observer.name, gains, W, signatures, ())
+    series = [
+        stretch
+        for flight in flights
+        for stretch in _finite_stretches(_statistics(bank, flight).max(axis=1, initial=-inf))
+    ]
+    level = return_level(series, observer.rate_hz, share).level
+    rules = tuple(
+        AlarmRule(observer.name, fault, "sensor", "nats", level, level / 2, inf, 0.0, 0.5) for fault in faults
+    )
+    return replace(bank, rules=rules)
+
+
+def _signature(plant: Plant, fault: str, gains: Gains, W: NDArray[np.float64], rate_hz: float) -> NDArray[np.float64]:
+    """Return what a unit step of a fault makes of the white residual (rows, p)."""
+    model = filter_model(restricted(plant, (fault,)), rate_hz)
+    state, y = np.zeros(len(model.A)), []
+    state[-1] = 1.0
+    for _ in range(GLR_ROWS):
+        y.append(model.C @ state)
+        state = model.A @ state
+    none = np.zeros((GLR_ROWS, len(gains.inputs)))
+    shown, nothing = (
+        AffineObserver([gains]).run(none, one, restart=np.arange(GLR_ROWS) == 0).residual[:, 0]
+        for one in (np.array(y), np.zeros((GLR_ROWS, len(model.C))))
+    )
+    return np.asarray((shown - nothing) @ W.T, np.float64)
+
+
+def _statistics(bank: TextbookBank, flight: Flight) -> NDArray[np.float64]:
+    """Return each fault's statistic at each sample (N, m), nan where there is no evidence."""
+    from scipy.signal import fftconvolve
+
+    z = _residuals(bank.gains, flight) @ bank.W.T
+    found = np.full((len(z), len(bank.signatures)), np.nan)
+    for rows in flight.stretches(at_restart=True):
+        part = z[rows]
+        for j, s in enumerate(bank.signatures):
+            if bank.name == CUSUM:
+                direction = s.sum(axis=0) / max(float(np.linalg.norm(s.sum(axis=0))), 1e-300)
+                sums = [np.cumsum(sign * part @ direction - 0.5) for sign in (1.0, -1.0)]
+                found[rows, j] = np.max([one - np.minimum(np.minimum.accumulate(one), 0.0) for one in sums], axis=0)
+                continue
+            best, length = np.zeros(len(part)), 1
+            while length <= min(GLR_ROWS, len(part)):
+                shape = s[length - 1 :: -1] if length < len(s) else s[::-1]
+                energy = float((s[:length] ** 2).sum())
+                along = sum(fftconvolve(part[:, i], shape[:, i])[: len(part)] for i in range(part.shape[1]))
+                if energy > 0.0:
+                    best = np.maximum(best, along**2 / (2.0 * energy))
+                length *= 2
+            found[rows, j] = best
+    return found
+
+
+def _run_textbook(bank: TextbookBank, flight: Flight) -> list[AlarmEvent]:
+    alarms = [Alarm(rule, bank.name) for rule in bank.rules]
+    statistics = _statistics(bank, flight)
+    known = np.isfinite(statistics)
+    largest = np.where(known, statistics, -inf)
+    named = largest.argmax(axis=1)[:, None] == np.arange(len(alarms))
+    # A sum that has grown for a minute would take as long to fall: what is beyond three levels counts as three.
+    evidence = np.where(named & known, np.minimum(statistics, 3.0 * bank.rules[0].threshold), 0.0)
+    events: list[AlarmEvent] = []
+    samples, index = flight.samples, np.arange(len(flight))
+    rows = ChainRows(
+        [alarm.state for alarm in alarms], index, samples.vehicle_time_ns, samples.restart, evidence, known
+    )
+    walk([rows], lambda _, row, at, code: events.append(alarms[at].event(code, samples, row, None, None)))
     return events
 
 

@@ -25,7 +25,7 @@ LOUD = 4
 
 KIND_OF_VEHICLE = {"copter": "multirotor", "plane": "plane", "rover": "rover"}
 
-_RECORDINGS = (".tlog.xz", ".tlog.gz", ".tlog", ".mcap")
+_RECORDINGS = (".tlog.xz", ".tlog.gz", ".tlog", ".mcap", ".100hz.tlog.xz")
 _ACTUATORS = {
     "plane": {1: "aileron", 2: "elevator", 3: "throttle", 4: "rudder"},
     "rover": {1: "steering", 3: "throttle"},
