@@ -390,7 +390,7 @@ def test_a_battery_is_a_message_of_either_kind(name: str) -> None:
 def test_vibration_is_a_message_with_what_was_clipped() -> None:
     metrics = {"accel_vibration_metric": 2.5, "gyro_vibration_metric": 0.25, "accel_clipping": [1, 2, 3]}
     [px4] = made([record("vehicle_imu_status", 1000.0, **metrics)], "VIBRATION")
-    assert (px4.fields["vibration_z"], px4.fields["clipping_2"]) == (2.5, 3)
+    assert (px4.fields["vibration_x"], px4.fields["vibration_z"], px4.fields["clipping_2"]) == (0.0, 2.5, 3)
     vibe = dataflash("VIBE", 1000.0, VibeX=1.5, VibeY=2.0, VibeZ=2.5, Clip=4)
     [ours] = [m for m in run([vibe], builtin_mapping("dataflash"), ["VIBRATION"]) if m.source == MAVLINK]
     assert (ours.fields["vibration_x"], ours.fields["vibration_z"], ours.fields["clipping_0"]) == (1.5, 2.5, 4)

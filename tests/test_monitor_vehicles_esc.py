@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 from simulated_chain import Fault, flight
 
-from adapters.errors import TelemetryError
+from adapters.errors import ModelError, TelemetryError
 from adapters.logs.recordings import packed
 from adapters.sample import Given, Samples, joined_samples
 from monitor.event import AlarmEvent
+from monitor.fitting.fitted import FitRequest
 from monitor.fitting.survey import survey
 from monitor.profile import Profile, read_profile
+from monitor.sampling.gate import GateRule
+from monitor.vehicles.multirotor.esc import fit_esc
 from monitor.vehicles.multirotor.speeds import esc_signals
 from monitor.vehicles.multirotor.transform import EscInputs
 from replay.fit import FitReport, fit_profile
@@ -103,6 +106,26 @@ def test_speeds_at_3_hz_say_within_seconds_why_a_motor_delivers_less(
     assert 0.0 < seconds_after(first, fault) < 1.0
     assert 0.0 < seconds_after(second, fault) < 5.0
     assert second.relative is not None and -0.25 < second.relative < -0.05
+
+
+def test_currents_that_say_nothing_are_left_out_and_speeds_that_follow_nothing_refused() -> None:
+    rng = np.random.default_rng(1)
+
+    def disturbed(field: str, spread: float) -> FitRequest:
+        log = [
+            replace(one, fields={**one.fields, field: (one.fields[field] * np.exp(rng.normal(0, spread, 4))).tolist()})
+            if one.name == "ESC_STATUS"
+            else one
+            for one in flight(1, 40.0, esc_hz=10.0)
+        ]
+        return FitRequest("quad", [lambda: packed(log)], (survey(packed(log)),))
+
+    found = fit_esc(disturbed("current", 1.0), GateRule())
+    assert found is not None
+    assert [channel.name for channel in found.profile().faults] == ["esc1", "esc2", "esc3", "esc4"]
+    assert found.lines[-1].startswith("currents are not watched: they follow speeds within ")
+    with pytest.raises(ModelError, match="speeds of motors do not follow their commands"):
+        fit_esc(disturbed("rpm", 1.0), GateRule())
 
 
 def test_speeds_that_no_controller_measured_are_not_believed() -> None:

@@ -104,6 +104,11 @@ class _Identified:
         kinds = ("rpm", "amps")[: len(self.hover) // len(self.numbers)]
         return tuple(f"{kind}{n}" for kind in kinds for n in self.numbers)
 
+    def speeds_only(self) -> _Identified:
+        """Return the same without currents."""
+        s = len(self.numbers)
+        return replace(self, hover=self.hover[:s], curves=_Curves(*(part[:s] for part in self.curves)))
+
     def parameters(self) -> dict[str, float]:
         """Return the parameters of the transform."""
         return {
@@ -125,6 +130,8 @@ def fit_esc(request: FitRequest, gate: GateRule) -> Fitted | None:
 
     None where no speed controller reports its speed.
 
+    Currents that follow speeds too loosely to show twice the usual one are left out.
+
     Raises
     ------
     ModelError
@@ -139,21 +146,48 @@ def fit_esc(request: FitRequest, gate: GateRule) -> Fitted | None:
     channels = (*commands, *signals.speed, *signals.current, *signals.voltage)
     raw = [flight_samples(log(), SampleSource(inputs=channels), signal_hz, gate) for log in request.logs]
     found = _identified(raw, commands, signal_hz, rate_hz)
-    kept = [*commands, *signals.speed]
-    kept += signals.current if len(found.names) > len(found.numbers) else ()
-    kept += signals.voltage if found.volts else ()
-    source = SampleSource(transform=TransformRule(OBSERVER, signal_hz, found.parameters()), signals=tuple(kept))
-    columns = [channels.index(channel) for channel in kept]
-    flights = [
-        transformed(_chosen(flight, columns), EscInputs(found.parameters(), signal_hz, rate_hz)) for flight in raw
-    ]
-    plant = esc_plant(found, request.name, rate_hz)
+    fitted = _designed(request.name, gate, raw, channels, found, signals, signal_hz, rate_hz)
+    worst = {kind: max(_thresholds(fitted, kind), default=0.0) for kind in ("esc", "motor")}
+    if worst["esc"] >= 1.0:
+        raise ModelError(
+            "speeds of motors do not follow their commands: only losses above "
+            f"{100 * worst['esc']:.0f} % would stand out"
+        )
+    if worst["motor"] >= _CRITICAL_CURRENT:
+        left = 100.0 * float(found.curves.left[len(commands) :].mean())
+        fitted = _designed(request.name, gate, raw, channels, found.speeds_only(), signals, signal_hz, rate_hz)
+        unsteady = f"currents are not watched: they follow speeds within {left:.0f} % only"
+        fitted = replace(fitted, lines=(*fitted.lines, unsteady))
+    return fitted
+
+
+def _thresholds(fitted: Fitted, kind: str) -> list[float]:
+    return [one.rule.threshold for one in fitted.alarms if one.rule.channel.startswith(kind)]
+
+
+def _designed(
+    name: str,
+    gate: GateRule,
+    raw: Sequence[Flight],
+    channels: Sequence[Channel],
+    found: _Identified,
+    signals: EscSignals,
+    signal_hz: float,
+    rate_hz: float,
+) -> Fitted:
+    """Return the designed observer with its alarms; ``channels`` are those of the raw flights."""
+    s = len(found.numbers)
+    kept = [*range(2 * s), *(range(2 * s, 3 * s) if len(found.names) > s else ())]
+    kept += range(3 * s, 4 * s) if found.volts else ()
+    rule = TransformRule(OBSERVER, signal_hz, found.parameters())
+    flights = [transformed(_chosen(one, kept), EscInputs(rule.parameters, signal_hz, rate_hz)) for one in raw]
+    plant = esc_plant(found, name, rate_hz)
     design = design_blocks(plant)
+    source = SampleSource(transform=rule, signals=tuple(channels[at] for at in kept))
     gains = compile_gains(plant, design, certify(plant, design))
     bare = Fitted(OBSERVER, plant, (gains,), source, IndependentRule(1.0 / rate_hz))
-    times = _times(rate_hz)
     evidence = healthy_evidence(bare.profile(), gate, flights)
-    alarms = _alarms(bare.profile().faults, evidence, rate_hz, times)
+    alarms = _alarms(bare.profile().faults, evidence, rate_hz, _times(rate_hz))
     return replace(
         bare,
         alarms=tuple(alarms),
