@@ -49,6 +49,7 @@ cdef class Navigation:
     cdef void propagate(self) noexcept
     cdef void update(self, const double* innovation, const double* variance) noexcept
     cdef void judge(self) noexcept
+    cdef void end(self, Signature* signature, int which) noexcept
     cdef void jump(self, Signature* signature, int which, double size, double spread) noexcept
     cdef void correct(self, const double* x) noexcept
     cdef int onsets(self) noexcept
