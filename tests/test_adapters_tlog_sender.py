@@ -32,6 +32,19 @@ def contents(messages: list[Message]) -> list[tuple[str, int, str]]:
     return [(message.name, message.system, repr(dict(message.fields))) for message in messages]
 
 
+def test_renumbered_packets_lack_none(port: int) -> None:
+    expected = contents(list(read_tlog(FLIGHT)))
+    with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:
+        sender = threading.Thread(target=send_tlog, args=(FLIGHT, "127.0.0.1", port, 10.0), kwargs={"renumber": True})
+        sender.start()
+        received: list[Message] = []
+        while len(received) < len(expected):
+            received += each(link.receive(0.2))
+        sender.join()
+        assert contents(received) == expected
+        assert sum(link.statistics().lost_by_system.values()) == 0
+
+
 def test_a_link_receives_what_the_log_holds(port: int) -> None:
     expected = contents(list(read_tlog(FLIGHT)))
     with MavlinkLink(f"udpin:127.0.0.1:{port}") as link:

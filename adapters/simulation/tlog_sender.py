@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from adapters.errors import FauioError, TelemetryError
 from adapters.logs.tlog import TlogReader
 from adapters.mavlink.byte_link import resolve
+from adapters.mavlink.mavlink_message import MAGIC_2, mavlink_types, message_number, packet_sender, packet_signed
 from adapters.simulation.pacing import paced
 
 
@@ -22,10 +23,12 @@ def send_tlog(
     *,
     start_s: float = 0.0,
     stop_s: float | None = None,
+    renumber: bool = False,
 ) -> int:
     """Send a log's packets, byte for byte, one per datagram, at so many times real time; return their number.
 
-    ``start_s`` and ``stop_s`` name the part of the log to send, seconds after its first packet.
+    ``start_s`` and ``stop_s`` name the part of the log to send, seconds after its first packet. With ``renumber``
+    packets count on from each other: what was left out of the log on purpose is not lost on the link.
 
     Raises
     ------
@@ -35,7 +38,8 @@ def send_tlog(
     family, address = resolve(f"udp:{host}:{port}", f"{host}:{port}")
     count = 0
     with socket.socket(family, socket.SOCK_DGRAM) as out:
-        for packet in paced(_part(path, start_s, stop_s), speed):
+        packets = _part(path, start_s, stop_s)
+        for packet in paced(_renumbered(packets) if renumber else packets, speed):
             out.sendto(packet, address)
             count += 1
     return count
@@ -52,6 +56,21 @@ def _part(path: str | os.PathLike[str], start_s: float, stop_s: float | None) ->
             yield received_ns, packet
 
 
+def _renumbered(packets: Iterator[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
+    """Yield packets under consecutive sequence numbers of their senders; signed and unknown ones as they are."""
+    counts: dict[tuple[int, int], int] = {}
+    for received_ns, packet in packets:
+        kind = mavlink_types().get(message_number(packet))
+        if kind is None or packet_signed(packet):
+            yield received_ns, packet
+            continue
+        sender = packet_sender(packet)
+        counts[sender] = (counts.get(sender, -1) + 1) % 256
+        place, head = (4, 10) if packet[0] == MAGIC_2 else (2, 6)
+        body = packet[:place] + bytes([counts[sender]]) + packet[place + 1 : head + packet[1]]
+        yield received_ns, body + kind.checksum(body).to_bytes(2, "little")
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run from the command line; return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m adapters.simulation.tlog_sender", description=__doc__)
@@ -60,13 +79,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--speed", type=float, default=1.0, help="times real time (default 1)")
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="seconds to leave out")
     parser.add_argument("--stop", type=float, metavar="S", help="second to stop at")
+    parser.add_argument("--renumber", action="store_true", help="give packets consecutive sequence numbers")
     args = parser.parse_args(argv)
     kind, _, where = args.to.partition(":")
     host, _, port = where.rpartition(":")
     try:
         if kind not in ("udp", "udpout") or not port.isdecimal():
             raise TelemetryError(f"{args.to}: use udp:HOST:PORT")
-        count = send_tlog(args.log, host, int(port), args.speed, start_s=args.start, stop_s=args.stop)
+        count = send_tlog(
+            args.log, host, int(port), args.speed, start_s=args.start, stop_s=args.stop, renumber=args.renumber
+        )
     except FauioError as error:
         print(f"tlog_sender: {error}", file=sys.stderr)  # noqa: T201 - the command line speaks here
         return error.exit_status

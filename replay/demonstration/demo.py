@@ -128,7 +128,7 @@ def _copter_scene() -> Iterator[DemoScene]:
         profile=_DATA / "quad",
         sender=lambda address, pace: [
             *(sys.executable, "-m", "adapters.simulation.tlog_sender", str(_DATA / "copter_motor1.tlog.xz")),
-            *(f"udp:{address}", "--speed", str(pace)),
+            *(f"udp:{address}", "--speed", str(pace), "--renumber"),
         ],
         truth=(Truth("motor1", 112.594, 162.594, lambda _: -0.05, relative=True),),
     )
