@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
+import os
+import signal
 import socket
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +28,8 @@ from replay.player import play
 VEHICLE = "copter-1"
 CHANNEL = "motors/motor2"
 TAKEN_OVER_S = 2.0
+HUNG_S = 2.0
+"""After how long without a status the other one takes over."""
 ONSET_S = 6.7
 """When motor 2 begins to fail in the flight, seconds after its first packet."""
 OTHER = {"a": "b", "b": "a"}
@@ -96,6 +102,11 @@ class Pair:
         until(lambda: self.voice not in (None, former) and bool(self.watcher.live("/live")))
         until(lambda: len(self.watcher.ask(f"fauio/{VEHICLE}/alarms")) == 1)
         assert time.monotonic() - since < TAKEN_OVER_S
+
+    def takes_over_from_hung(self, since: float, former: str | None) -> None:
+        """Wait until another than the one that hangs is active and answers; see that it was in time."""
+        until(lambda: self.voice not in (None, former))
+        assert time.monotonic() - since < HUNG_S + TAKEN_OVER_S
 
     def voices(self, since: float, before: float) -> set[str]:
         """Return which sessions said anything below the vehicle's keys but that they resign."""
@@ -224,3 +235,46 @@ def test_a_fault_that_begins_before_the_other_takes_over_is_raised_once_and_stan
     assert_one_history(pair)
     assert len(pair.voices(0.0, time.monotonic())) == 2
     assert {event["channel"] for event in watcher.events() if event["kind"] != "stale"} == {"motor2"}
+
+
+@contextmanager
+def stopped_process(pid: int) -> Iterator[None]:
+    """Stop a process for a while, all its threads."""
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+@contextmanager
+def stopped_main_thread(pid: int) -> Iterator[None]:
+    """Stop the main thread of a child for a while, as a debugger does; the others go on, and so do Zenoh's."""
+    ptrace = ctypes.CDLL(None, use_errno=True).ptrace
+    attach, detach, all_threads = 16, 17, 0x40000000
+    assert ptrace(attach, pid, None, None) == 0, os.strerror(ctypes.get_errno())
+    os.waitpid(pid, all_threads)
+    try:
+        yield
+    finally:
+        ptrace(detach, pid, None, None)
+
+
+@pytest.mark.parametrize("stopped", [stopped_process, stopped_main_thread])
+def test_the_other_takes_over_from_one_that_hangs_which_yields_when_it_goes_on(
+    pair: Pair, data: Path, stopped: Callable[[int], AbstractContextManager[None]]
+) -> None:
+    watcher, first = pair.watcher, pair.leader
+    flight = Flight(data / "copter_motor2_080.tlog.xz", pair.udp, start_s=1.0)
+    until(lambda: flight.at_s > 1.5)
+    voice = pair.voice
+    with stopped(pair.running[first].process.pid):
+        hung = time.monotonic()
+        pair.takes_over_from_hung(hung, voice)
+        until(lambda: bool(watcher.events(CHANNEL)))
+    gone_on = time.monotonic()
+    until(lambda: time.monotonic() > gone_on + 3.0)
+    assert len(pair.voices(gone_on + 1.0, time.monotonic())) == 1
+    assert voice not in pair.voices(gone_on + 1.0, time.monotonic())
+    flight.join()
+    assert_one_history(pair)
