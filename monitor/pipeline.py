@@ -248,15 +248,15 @@ class Pipeline:
         """Process the messages before the one that tells the system to monitor; return the others."""
         senders: list[tuple[int, Message | Columns]] = list(batch.others.items())
         senders += [(int(columns.position[0]), columns) for columns in batch.columns]
-        identifying = [(index, sender) for index, sender in senders if self._identifies(sender)]
+        identifying = [(index, sender) for index, sender in senders if self.identifies(sender)]
         first, sender = min(identifying, key=itemgetter(0), default=(batch.count, None))
         self._run_accepted(cut(batch, 0, first), outputs)
         if sender is not None:
             self.accepts(sender)
         return cut(batch, first, batch.count)
 
-    def _identifies(self, sender: Message | Columns) -> bool:
-        """Return whether the vehicle to monitor is the one that sent this."""
+    def identifies(self, sender: Message | Columns) -> bool:
+        """Return whether the vehicle to monitor may be the one that sent this: one of the profile's messages."""
         ours = sender.source.has_ids and sender.source.is_telemetry and self._component in (0, sender.component)
         return ours and sender.name in self._wanted and sender.system != 0
 

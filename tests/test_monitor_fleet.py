@@ -1,5 +1,7 @@
 """Which vehicle a message belongs to: its own link, its system id, one that is new, or none."""
 
+from itertools import pairwise
+
 import pytest
 
 from adapters.batch import messages, pack
@@ -10,6 +12,8 @@ from monitor.profile import Profile
 from monitor.service.fleet import Fleet
 from monitor.service.inbox import Arrival
 from monitor.service.vehicle_monitor import VehicleMonitor
+
+T0 = 1_795_251_917_000_000_000
 
 
 @pytest.fixture
@@ -32,13 +36,15 @@ def route(fleet: Fleet, arrived: Arrival) -> VehicleMonitor | None:
     return routed[0][0] if routed else None
 
 
-def heartbeat(system: int, component: int = 1, **fields: int) -> Arrival:
-    return arrival(Message(MAVLINK, "HEARTBEAT", 0, {"type": 2, "autopilot": 3} | fields, system, component))
+def heartbeat(system: int, component: int = 1, at_s: float = 0.0, **fields: int) -> Arrival:
+    return arrival(
+        Message(MAVLINK, "HEARTBEAT", T0 + round(at_s * 1e9), {"type": 2, "autopilot": 3} | fields, system, component)
+    )
 
 
-def channel(profile: Profile, system: int) -> Arrival:
+def channel(profile: Profile, system: int, at_s: float = 0.0) -> Arrival:
     name = min(min(names) for names in Pipeline(profile).needs.values())
-    return arrival(Message(MAVLINK, name, 0, {"a": 1.0}, system, 1))
+    return arrival(Message(MAVLINK, name, T0 + round(at_s * 1e9), {"a": at_s}, system, 1))
 
 
 def test_vehicles_are_told_apart_by_system_id_and_by_their_own_links(profile: Profile) -> None:
@@ -55,24 +61,48 @@ def test_vehicles_are_told_apart_by_system_id_and_by_their_own_links(profile: Pr
     assert (list(fleet), len(fleet), fleet.get("two")) == ([one, two], 2, two)
 
 
-def test_a_vehicle_without_a_system_id_takes_the_first_that_sends_its_channels(profile: Profile) -> None:
+def test_a_vehicle_without_a_system_id_takes_the_first_that_goes_on_sending_its_channels(profile: Profile) -> None:
     one = monitor(profile, "one", 0)
     fleet = Fleet([one])
     assert route(fleet, heartbeat(255, type=6, autopilot=8)) is None
-    assert route(fleet, channel(profile, 7)) is one
+    sent = [channel(profile, 7, 0.03 * k) for k in range(6)]
+    assert fleet.routed(sent) == []
+    assert fleet.routed([channel(profile, 66, 0.1), channel(profile, 66, 0.11), channel(profile, 66, 0.12)]) == []
+    [(vehicle, batch)] = fleet.routed([channel(profile, 7, 0.25)])
+    assert vehicle is one
+    assert [message.fields["a"] for message in messages(batch)] == [0.03 * k for k in range(6)] + [0.25]
     assert route(fleet, heartbeat(7)) is one
-    assert route(fleet, channel(profile, 8)) is None
+    assert [route(fleet, channel(profile, 66, 0.1 * k)) for k in range(10)] == [None] * 10
+    assert one.pipeline.system == 7
+
+
+def test_what_a_link_held_back_comes_at_once_and_is_a_vehicle(profile: Profile) -> None:
+    one = monitor(profile, "one", 0)
+    [(vehicle, batch)] = Fleet([one]).routed([channel(profile, 7, 1e-5 * k) for k in range(60)])
+    assert (vehicle, batch.count, one.pipeline.system) == (one, 60, 7)
+
+
+def test_one_forged_packet_now_and_then_takes_no_vehicle(profile: Profile) -> None:
+    one = monitor(profile, "one", 0)
+    fleet = Fleet([one])
+    assert [route(fleet, channel(profile, 66, 3.0 * k)) for k in range(20)] == [None] * 20
+    assert one.pipeline.system == 0
+    routed = [found for k in range(4) for found in fleet.routed([channel(profile, 7, 60.0 + 0.1 * k)])]
+    assert {vehicle.name for vehicle, _ in routed} == {"one"}
+    assert sum(batch.count for _, batch in routed) == 4
     assert one.pipeline.system == 7
 
 
 def test_a_channel_in_a_message_with_text_tells_the_system_too(arm_profile: Profile) -> None:
     arm = monitor(arm_profile, "arm", 0)
     fields = {"time_usec": 1, "name": "arm", "array_id": 0, "data": [0.0] * 4}
-    assert route(Fleet([arm]), arrival(Message(MAVLINK, "DEBUG_FLOAT_ARRAY", 0, fields, 5, 1))) is arm
+    sent = [Message(MAVLINK, "DEBUG_FLOAT_ARRAY", T0 + k * 10**8, fields, 5, 1) for k in range(3)]
+    [(vehicle, batch)] = Fleet([arm]).routed([arrival(message) for message in sent])
+    assert (vehicle, batch.count) == (arm, 3)
     assert arm.pipeline.system == 5
 
 
-def test_an_unknown_autopilot_is_asked_about_once_and_nobody_else_is(profile: Profile) -> None:
+def test_an_autopilot_that_sends_telemetry_is_asked_about_once_and_nobody_else_is(profile: Profile) -> None:
     asked: list[int] = []
 
     def new(system: int) -> VehicleMonitor | None:
@@ -80,18 +110,52 @@ def test_an_unknown_autopilot_is_asked_about_once_and_nobody_else_is(profile: Pr
         return monitor(profile, f"copter-{system}", system) if system == 5 else None
 
     fleet = Fleet([], new)
-    for arrived in (
-        heartbeat(255, type=6),
-        heartbeat(4, component=154),
-        heartbeat(4, autopilot=8),
-        channel(profile, 4),
-    ):
-        assert route(fleet, arrived) is None
+    for k in range(50):
+        for arrived in (
+            heartbeat(255, type=6, at_s=0.1 * k),
+            heartbeat(4, component=154, at_s=0.1 * k),
+            heartbeat(4, autopilot=8, at_s=0.1 * k),
+            channel(profile, 4, 0.1 * k),
+            heartbeat(77, at_s=0.1 * k),
+        ):
+            assert route(fleet, arrived) is None
     assert asked == []
-    assert [route(fleet, heartbeat(6)) for _ in range(3)] == [None] * 3
-    found = {route(fleet, heartbeat(5)) for _ in range(3)}
-    assert {vehicle.name for vehicle in found if vehicle} == {"copter-5"}
+    assert route(fleet, heartbeat(6, at_s=5.0)) is None
+    assert [route(fleet, channel(profile, 6, 5.0 + 0.1 * k)) for k in range(20)] == [None] * 20
+    fleet.routed([heartbeat(5, at_s=7.0)])
+    routed = [found for k in range(20) for found in fleet.routed([channel(profile, 5, 7.0 + 0.1 * k)])]
+    assert {vehicle.name for vehicle, _ in routed} == {"copter-5"}
+    assert sum(batch.count for _, batch in routed) == 21
     assert asked == [6, 5]
+
+
+def test_forged_vehicles_come_one_by_one_and_after_those_with_more_telemetry(profile: Profile) -> None:
+    asked: list[tuple[float, int]] = []
+    now_s = 0.0
+
+    def new(system: int) -> VehicleMonitor | None:
+        asked.append((now_s, system))
+        return monitor(profile, f"copter-{system}", system)
+
+    fleet = Fleet([], new)
+    for k in range(100):
+        now_s = 0.02 * k
+        for system in range(100, 120):
+            if k % 20 == 0:
+                fleet.routed([heartbeat(system, at_s=now_s), channel(profile, system, now_s)])
+        if now_s >= 0.5:
+            fleet.routed([heartbeat(1, at_s=now_s), channel(profile, 1, now_s)])
+    times = [time_s for time_s, _ in asked]
+    assert all(later - sooner >= 0.25 for sooner, later in pairwise(times))
+    assert 1 in {system for _, system in asked[:2]}
+
+
+def test_what_is_kept_of_nobody_is_bounded(profile: Profile) -> None:
+    fleet = Fleet([monitor(profile, "one", 0)])
+    burst = [Message(MAVLINK, "STATUSTEXT", T0 + k, {"text": "x"}, 9, 1) for k in range(1000)]
+    for _ in range(30):
+        assert fleet.routed([Arrival(None, pack(burst))]) == []
+    assert fleet.foreign >= 20_000
 
 
 def test_a_single_vehicle_takes_what_has_no_system_id(profile: Profile) -> None:

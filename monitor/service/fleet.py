@@ -1,14 +1,39 @@
-"""Which vehicle a message belongs to: by its own link, by MAVLink system id, or a vehicle nobody has seen before."""
+"""Which vehicle a message belongs to: by its own link, by MAVLink system id, or a vehicle nobody has seen before.
+
+A system id that belongs to nobody becomes a vehicle when its telemetry has come for a while: a forged packet or two
+take no vehicle, and heartbeats alone none of the places for new ones. What came meanwhile is kept and handed on.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
 
 from adapters.batch import Batch, Columns, gathered, joined
 from adapters.mavlink.heartbeat import AUTOPILOT, autopilot_heartbeats
 from adapters.message import Message
+from monitor.pipeline import Pipeline
 from monitor.service.inbox import Arrival
 from monitor.service.vehicle_monitor import VehicleMonitor
+
+_SLOT_NS = 100_000_000
+"""Messages of less time are one burst. Chosen: no link that does not bunch holds back for a tenth of a second."""
+_LEAST_SLOTS = 3
+"""Tenths of a second with telemetry that make a vehicle. Chosen: over a link of ten messages a second it is one after
+0.3 s, and a burst of forged packets is none."""
+_LEAST_MESSAGES = 50
+"""Messages of telemetry at once that make one, too: what a link held back. Chosen: a forged packet or two are fewer."""
+_MOST_SLOTS = 50
+"""As many as there are in the time for which messages are kept."""
+_KEPT_NS = 5_000_000_000
+"""How long messages of nobody are kept. Chosen: three of a radio at 1 Hz, and heartbeats beside them."""
+_KEPT_MESSAGES = 10_000
+"""Messages of nobody that are kept at most, of all systems: 20 MB. Those of the one that has most give way."""
+_LEAST_APART_NS = 250_000_000
+"""Time from one new vehicle to the next. Chosen: 16 that are switched on together are there after 4 s, and whoever
+forges as many has to be seen doing it; of those that wait the one with most telemetry is first."""
 
 NewVehicle = Callable[[int], VehicleMonitor | None]
 
@@ -16,10 +41,10 @@ NewVehicle = Callable[[int], VehicleMonitor | None]
 class Fleet:
     """The vehicles of one monitor.
 
-    A vehicle whose pipeline has no system id yet takes the first that fits. ``new_vehicle`` makes the monitor of a
-    system id that belongs to none of them, or returns None where there shall be none; it is asked once for each.
-    ``foreign`` counts messages that belong to no vehicle: of ground stations, other components and systems nobody asked
-    for.
+    A vehicle whose pipeline has no system id yet takes the first that sends its channels for a while. ``new_vehicle``
+    makes the monitor of a system id that belongs to none of them, once an autopilot has sent heartbeats and other
+    telemetry, or returns None where there shall be none; it is asked once for each. ``foreign`` counts messages that
+    belong to no vehicle: of ground stations, other components and systems nobody asked for.
     """
 
     def __init__(self, vehicles: Sequence[VehicleMonitor], new_vehicle: NewVehicle | None = None) -> None:
@@ -27,6 +52,8 @@ class Fleet:
         self._by_system = {vehicle.pipeline.system: vehicle for vehicle in vehicles if vehicle.pipeline.system}
         self._new_vehicle = new_vehicle
         self._refused: set[int] = set()
+        self._strangers: dict[int, _Stranger] = {}
+        self._made_ns = 0
         self.foreign = 0
 
     def __iter__(self) -> Iterator[VehicleMonitor]:
@@ -62,47 +89,122 @@ class Fleet:
         entries: list[Columns | Message] = [*batch.columns, *batch.others.values()]
         systems = {entry.system if entry.source.has_ids else None for entry in entries}
         if len(systems) == 1:
-            vehicle = self._vehicle_of(systems.pop(), batch)
-            return [(vehicle, batch)] if vehicle is not None else self._discard(batch.count)
+            return self._parts_of(systems.pop(), batch)
         parts = []
         for system in systems:
             part = gathered(
                 [columns for columns in batch.columns if _is_of(columns, system)],
                 {index: message for index, message in batch.others.items() if _is_of(message, system)},
             )
-            vehicle = self._vehicle_of(system, part)
-            parts += [(vehicle, part)] if vehicle is not None else self._discard(part.count)
+            parts += self._parts_of(system, part)
         return parts
 
     def _discard(self, count: int) -> list[tuple[VehicleMonitor, Batch]]:
         self.foreign += count
         return []
 
-    def _vehicle_of(self, system: int | None, batch: Batch) -> VehicleMonitor | None:
-        """Return the vehicle of a batch of one system; None for the system stands for messages without ids."""
-        if system is None:
-            return next(iter(self._vehicles.values())) if len(self._vehicles) == 1 else None
-        return self._by_system.get(system) or self._first_seen(system, batch)
+    def _parts_of(self, system: int | None, batch: Batch) -> list[tuple[VehicleMonitor, Batch]]:
+        """Return the vehicle of a batch of one system, with it; None for the system stands for messages without ids."""
+        if system is not None and system not in self._by_system:
+            return self._strange(system, batch)
+        known = self._by_system.get(system) if system is not None else None
+        if system is None and len(self._vehicles) == 1:
+            known = next(iter(self._vehicles.values()))
+        return [(known, batch)] if known is not None else self._discard(batch.count)
 
-    def _first_seen(self, system: int, batch: Batch) -> VehicleMonitor | None:
-        """Return the vehicle that a new system id belongs to from now on."""
-        if system in self._refused:
-            return None
-        for vehicle in self._vehicles.values():
-            entries: list[Columns | Message] = [*batch.columns, *batch.others.values()]
-            if vehicle.pipeline.system == 0 and any(vehicle.pipeline.accepts(entry) for entry in entries):
-                self._by_system[system] = vehicle
-                return vehicle
-        if self._new_vehicle is None or not any(
-            columns.component == AUTOPILOT and autopilot_heartbeats(columns).any() for columns in batch.columns
-        ):
-            return None
-        made = self._new_vehicle(system)
+    def _strange(self, system: int, batch: Batch) -> list[tuple[VehicleMonitor, Batch]]:
+        """Keep what belongs to nobody yet; return it with the vehicle that it belongs to from now on."""
+        free = next((vehicle for vehicle in self._vehicles.values() if vehicle.pipeline.system == 0), None)
+        if system in self._refused or (free is None and self._new_vehicle is None):
+            return self._discard(batch.count)
+        stranger = self._strangers.setdefault(system, _Stranger())
+        self.foreign += stranger.add(batch, None if free is None else free.pipeline)
+        self._bound()
+        if not stranger.sends:
+            return []
+        if free is not None:
+            free.pipeline.watch(system)
+            self._by_system[system] = free
+            return [(free, self._taken(system))]
+        ready = {one: seen.slots for one, seen in self._strangers.items() if seen.is_vehicle}
+        if not ready or 0 <= stranger.newest_ns - self._made_ns < _LEAST_APART_NS:
+            return []
+        self._made_ns = stranger.newest_ns
+        first = max(ready, key=lambda one: ready[one])
+        made = None if self._new_vehicle is None else self._new_vehicle(first)
+        kept = self._taken(first)
         if made is None:
-            self._refused.add(system)
-            return None
+            self._refused.add(first)
+            return self._discard(kept.count)
         self.add(made)
-        return made
+        return [(made, kept)]
+
+    def _taken(self, system: int) -> Batch:
+        return joined([batch for _, batch, _ in self._strangers.pop(system).kept])
+
+    def _bound(self) -> None:
+        """Forget messages of nobody where there are too many, of the system that has most."""
+        while sum(seen.count for seen in self._strangers.values()) > _KEPT_MESSAGES:
+            most = max(self._strangers.values(), key=lambda seen: seen.count)
+            self.foreign += most.forget(1)
+
+
+class _Stranger:
+    """What came lately from a system id that belongs to nobody."""
+
+    def __init__(self) -> None:
+        # Time, messages, and how many of them are telemetry.
+        self.kept: deque[tuple[int, Batch, int]] = deque()
+        self._slots: deque[int] = deque()
+        self._heartbeat = False
+        self.newest_ns = 0
+
+    @property
+    def slots(self) -> int:
+        """In how many tenths of a second its telemetry came."""
+        return len(self._slots)
+
+    @property
+    def count(self) -> int:
+        """How many messages are kept."""
+        return sum(batch.count for _, batch, _ in self.kept)
+
+    @property
+    def sends(self) -> bool:
+        """Whether its telemetry comes."""
+        return self.slots >= _LEAST_SLOTS or sum(count for _, _, count in self.kept) >= _LEAST_MESSAGES
+
+    @property
+    def is_vehicle(self) -> bool:
+        """Whether it is an autopilot whose telemetry comes."""
+        return self._heartbeat and self.sends
+
+    def add(self, batch: Batch, pipeline: Pipeline | None) -> int:
+        """Keep a batch; return how many messages were forgotten. A pipeline says what telemetry it waits for."""
+        telemetry = 0
+        entries: list[Columns | Message] = [*batch.columns, *batch.others.values()]
+        for entry in entries:
+            times = entry.received_ns if isinstance(entry, Columns) else np.array([entry.received_ns])
+            self.newest_ns = int(times[-1])
+            if isinstance(entry, Columns) and entry.component == AUTOPILOT and autopilot_heartbeats(entry).any():
+                self._heartbeat = True
+            elif self._counts(entry, pipeline):
+                telemetry += len(times)
+                new = sorted({int(slot) for slot in times // _SLOT_NS} - set(self._slots))
+                self._slots.extend(new[-_MOST_SLOTS:])
+        self.kept.append((self.newest_ns, batch, telemetry))
+        oldest = (self.newest_ns - _KEPT_NS) // _SLOT_NS
+        self._slots = deque((slot for slot in self._slots if slot > oldest), _MOST_SLOTS)
+        return self.forget(sum(self.newest_ns - time_ns >= _KEPT_NS for time_ns, _, _ in self.kept))
+
+    def forget(self, batches: int) -> int:
+        """Forget the oldest batches; return how many messages were in them."""
+        return sum(self.kept.popleft()[1].count for _ in range(min(batches, len(self.kept))))
+
+    def _counts(self, entry: Columns | Message, pipeline: Pipeline | None) -> bool:
+        if pipeline is not None:
+            return pipeline.identifies(entry)
+        return entry.source.is_telemetry and entry.component == AUTOPILOT and entry.name != "HEARTBEAT"
 
 
 def _is_of(entry: Columns | Message, system: int | None) -> bool:
