@@ -104,6 +104,9 @@ LOOK_ALIKES: dict[str, Flight] = {
     "a saturated mixer": Flight(motors=one_motor(1, 0.0, 30.0, 30.5)),
     "a hard climb": Flight(motors=lambda at: [1.0 if 30.0 <= at < 33.0 else share for share in usual_motors(at)]),
     "no battery connected": Flight(volts=lambda _: 0.05, connected=False),
+    "cells of lithium ion": Flight(
+        volts=lambda at: 15.4 - 0.05 * at, parameters={"BAT1_N_CELLS": 4, "BAT1_V_EMPTY": 2.8}
+    ),
     "a dip of voltage at full thrust": Flight(volts=between(30.0, 31.5, 12.9, 15.4)),
     "a receiver that nobody uses": Flight(fix=lambda _: 0, gps_used=False),
     "the ground station's own commands": Flight(commands=[(1.0, 190, 400, 1.0), (30.0, 190, 176, 1.0)]),

@@ -17,7 +17,7 @@ _FULL_CELL_V = 4.2
 """Volts of a full cell, by which the number of cells is guessed where nothing says it: then it stays information."""
 _LEAST_S = 3.0
 """Chosen: longer than a full command of the motors, which lets voltage sag and come back."""
-_CELLS = ("BAT1_N_CELLS", "BAT_N_CELLS")
+_CELLS, _EMPTY = ("BAT1_N_CELLS", "BAT_N_CELLS"), ("BAT1_V_EMPTY", "BAT_V_EMPTY")
 
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
@@ -29,14 +29,16 @@ def _judge(facts: LogFacts) -> Iterator[Judgement]:
     said = next((facts.parameters[name] for name in _CELLS if facts.parameters.get(name, 0) > 0), 0.0)
     cells = int(said) or max(1, round(float(np.nanmax(volts)) / _FULL_CELL_V))
     source = "as its parameters say" if said else "from the highest voltage"
-    for start, end in spans_where(times, judged & (volts < _CELL_V * cells), _LEAST_S)[:1]:
+    # cells of lithium ion may be taken further down, which their owner then says
+    limit = min([_CELL_V, *(facts.parameters[name] for name in _EMPTY if facts.parameters.get(name, 0.0) > 1.0)])
+    for start, end in spans_where(times, judged & (volts < limit * cells), _LEAST_S)[:1]:
         least = float(np.min(volts[(times >= start) & (times <= end)]))
         yield Judgement(
             start_s=start,
             end_s=end,
             text=f"the battery was down to {least:.1f} V, {least / cells:.2f} V for each of {cells} cells",
             evidence=(
-                f"{battery.origin}: below {_CELL_V * cells:.1f} V from {start:.1f} to {end:.1f} s",
+                f"{battery.origin}: below {limit * cells:.1f} V from {start:.1f} to {end:.1f} s",
                 f"{cells} cells, {source}",
             ),
             counter=("the log says that a battery is connected and shows volts, not zero",),
@@ -52,7 +54,7 @@ RULE = Rule(
     stage="supply",
     physics="Below 3.3 V a cell's voltage collapses under load: motors get less than their commands ask for, and in "
     "the end the autopilot no power.",
-    evidence="less than 3.3 V for each cell over 3 s of flight",
+    evidence="less than 3.3 V for each cell, or what the parameters call empty where that is less, over 3 s of flight",
     counter="no battery connected to the sensor; a short dip under full command; information alone where the number of "
     "cells is a guess",
     needs=("battery",),

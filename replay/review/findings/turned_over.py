@@ -10,7 +10,7 @@ from replay.review.facts.log_facts import LogFacts
 from replay.review.findings.loss_of_control import stops, tumbles
 from replay.review.findings.rule import Judgement, Rule
 
-_ON_PURPOSE = ("Acro", "ACRO", "FLIP", "Stabilized", "RATTITUDE")
+_ON_PURPOSE = ("Acro", "ACRO", "FLIP", "RATTITUDE")
 
 
 def _judge(facts: LogFacts) -> Iterator[Judgement]:
