@@ -30,9 +30,9 @@ cdef double WASHOUT_OVER = 0.1
 # Share of a fault that was let go by which its end may differ from it. Chosen: halfway to what another fault would be
 # told by, as for edges; a fault that creeps while it is held changes by as much.
 cdef double WASHOUT_RETURNED = 0.5
-# Largest J of the hypothesis believed, as a multiple of what healthy flight has, with which a row counts in the level:
-# what nothing explains begins with larger ones, and must not hide itself. Chosen: six deviations. Measured: a windy
-# flight watched with the profile of a calm one has 11 on average and 36 over ten seconds.
+# Largest J of the hypothesis believed, as a multiple of what healthy flight has, with which a row counts in the level.
+# Chosen: six deviations. Measured: a windy flight watched with the profile of a calm one has 11 on average and 36 over
+# ten seconds.
 cdef double LEVEL_CLIP = 36.0
 # Least weight of a channel beside the suspects, relative to its own: below it the channel is a combination of theirs
 # and the difference that remains is rounding (some 1e-16 times the condition of Sigma).
@@ -142,10 +142,10 @@ cdef class Choice:
             level[k] = max(1.0, self.level)
             if measured[k] or restart[k]:
                 self.update(fault, residual, k, complete[k] and not self.coasted)
-                if armed[k] and self.usual > 0.0:
+                # What no hypothesis explains is no weather: it must not hide itself.
+                if armed[k] and self.usual > 0.0 and self.unexplained == 0.0:
                     brought = level[k] * self.J[self.believed] / self.usual
-                    # What is no number counts as the largest.
-                    self.level += self.follow * ((brought if brought < LEVEL_CLIP else LEVEL_CLIP) - self.level)
+                    self.level += self.follow * (min(brought, LEVEL_CLIP) - self.level)
             self.coasted = not (measured[k] or restart[k])
             for i in range(states):
                 shown_x[k, i] = x[k, self.believed, i]
