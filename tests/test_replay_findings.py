@@ -44,14 +44,23 @@ def run() -> Trace:
     return found
 
 
-def test_an_alarm_is_told_by_what_it_said_when_it_was_largest(profile: Profile) -> None:
+def test_an_alarm_has_one_size_the_median_while_it_was_active(profile: Profile) -> None:
     [found] = findings(profile, EVENTS, [run()])
-    assert (found.largest.message, found.largest.relative) == ("largest", -0.1)
-    assert (found.alarm.severity, found.peak) == ("critical", -0.07)
+    assert (found.largest.message, found.alarm.severity) == ("largest", "critical")
     assert (found.alarm.start_vehicle_ns, found.alarm.end_vehicle_ns) == (10_200_000_000, 13_000_000_000)
-    assert found.typical == pytest.approx(-0.05)
+    assert (found.size, found.grew) == (pytest.approx(-0.05), False)
     assert found.deviation == pytest.approx(0.002)
     assert found.rival == ("motor2", pytest.approx(0.5))
+
+
+def test_an_alarm_that_grew_has_the_size_that_it_came_to(profile: Profile) -> None:
+    growing = run()
+    growing.isolated[:, 0] = -0.08 * np.clip((growing.vehicle_ns / 1e9 - 10.2) / 2.8, 0.0, 1.0)
+    with_share = [replace(one, relative=(one.estimate or 0.0) / 0.5) for one in EVENTS]
+    [found] = findings(profile, with_share, [growing])
+    assert (found.size, found.grew) == (pytest.approx(-0.075, abs=0.001), True)
+    assert found.relative == pytest.approx(2.0 * (found.size or 0.0))
+    assert found.message == "motor1 delivers 15 % less than commanded"
 
 
 def test_an_alarm_that_stands_at_the_end_has_none(profile: Profile) -> None:
@@ -62,19 +71,16 @@ def test_an_alarm_that_stands_at_the_end_has_none(profile: Profile) -> None:
 @pytest.mark.parametrize("events", [[event(5, "cleared")], [event(5, "raised", estimate=None, peak=None)]])
 def test_an_alarm_without_sizes_or_estimates_is_a_finding_too(profile: Profile, events: list[AlarmEvent]) -> None:
     [found] = findings(profile, events, [])
-    assert (found.typical, found.deviation, found.rival) == (None, None, None)
+    assert (found.size, found.deviation, found.rival) == (None, None, None)
+    assert found.message == found.largest.message
 
 
-def test_what_answers_for_an_effect_has_no_standard_deviation_and_no_share_of_a_threshold(
-    profile: Profile, tmp_path: Path
-) -> None:
+def test_what_answers_for_an_effect_has_no_standard_deviation(profile: Profile) -> None:
     [observer] = profile.observers
     judged = replace(profile, observers=(replace(observer, effectiveness={"motor1": EFFECT}),))
     assert effects(judged) == {("motors", "motor1"): EFFECT}
     [found] = findings(judged, EVENTS, [run()])
     assert (found.deviation, found.effect) == (None, EFFECT)
-    first, second = watched_channels(judged, tmp_path, [run()], {}, [found])
-    assert (first.share, second.share) == (None, pytest.approx(0.5))
 
 
 def test_every_channel_says_how_quiet_it_was_and_what_its_threshold_rests_on(profile: Profile, tmp_path: Path) -> None:
