@@ -191,6 +191,7 @@ class ObserverChain:
         self._estimator = make_estimator(observer, profile.isolation, names, thresholds)
         self._shown_in = shown_in(profile.model, self.layout)
         self._uncertainty = Uncertainty(observer, profile.model, names)
+        self._spread = np.array([profile.spread.get(name, 1.0) for name in names])
         self._since_measured = SinceMeasured()
         self._command = CommandUnits(profile)
         self._effectiveness = EffectivenessStage(profile.effectiveness, profile.faults, gains.inputs, gains.rate_hz)
@@ -330,7 +331,7 @@ class ObserverChain:
         if position is None:
             position = np.arange(len(samples))
         found = self._estimator.run(samples, armed)
-        sd = self._uncertainty.run(samples.measured, samples.restart)
+        sd = self._spread * self._uncertainty.run(samples.measured, samples.restart)
         effects = self._effectiveness.run(samples, found.fault, armed)
         shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, sd)
         for index, effect in effects.items():

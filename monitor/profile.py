@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -125,6 +125,9 @@ class ObserverProfile:
         How the sizes that raise alarms of actuators grow with what excites the model's errors; None: not at all.
     envelope : Envelope | None
         What the raw signals of its transform reached in the flights that were fitted; None: not known.
+    spread : Mapping[str, float]
+        How many times the standard deviation of the design the estimates of faults have in healthy flight, by name;
+        once where it is left out.
     model : Plant | None
         The model the gains were designed for; without one the uncertainty of the estimates is not known.
     """
@@ -140,6 +143,7 @@ class ObserverProfile:
     changes: ChangeRule | None = None
     excitation: ExcitationRule | None = None
     envelope: Envelope | None = None
+    spread: Mapping[str, float] = field(default_factory=dict)
     model: Plant | None = None
 
     @property
@@ -240,6 +244,15 @@ def _part_of_topic(name: str) -> None:
         raise ValueError(f"is '{name}'; it becomes part of a topic: no / * $ # ? or blanks")
 
 
+def _spread(table: Table, faults: Collection[str]) -> dict[str, float]:
+    for name in table:
+        if name not in faults:
+            table.mistake(name, f"is no fault of the observer; they are {', '.join(sorted(faults))}")
+    found = {name: table.number(name, above=0.0) for name in table}
+    table.done()
+    return found
+
+
 def observer_table(
     *,
     source: SampleSource,
@@ -250,6 +263,7 @@ def observer_table(
     changes: ChangeRule | None = None,
     excitation: ExcitationRule | None = None,
     envelope: Envelope | None = None,
+    spread: Mapping[str, float] | None = None,
     sees: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Return an observer's part of profile.toml, as :func:`read_profile` reads it back.
@@ -269,6 +283,8 @@ def observer_table(
         table["excitation"] = excitation_table(excitation)
     if envelope is not None:
         table["envelope"] = envelope_table(envelope)
+    if spread:
+        table["spread"] = dict(spread)
     if effectiveness:
         table["effectiveness"] = {name: effectiveness_table(rule) for name, rule in effectiveness.items()}
     return table
@@ -349,6 +365,7 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
         changes=read_changes(table.table("changes"), shared.outputs) if table.has("changes") else None,
         excitation=read_excitation(table.table("excitation"), shared.outputs) if table.has("excitation") else None,
         envelope=read_envelope(table.table("envelope")) if table.has("envelope") else None,
+        spread=_spread(table.table("spread"), {channel.name for channel in faults}),
         model=read_model(model),
     )
     table.done()

@@ -128,6 +128,8 @@ class Fitted:
     changes: ChangeRule | None = None  # how sudden changes are told from noise
     excitation: ExcitationRule | None = None  # how its errors grow with what excites them
     envelope: Envelope | None = None  # what its raw signals reached in healthy flight
+    # how many times the deviation of the design its estimates have in healthy flight, by fault
+    spread: Mapping[str, float] = field(default_factory=dict)
     flight_s: float = 0.0  # healthy flight it was fitted on, seconds
     findings: Mapping[str, Any] = field(default_factory=dict)  # what the identification found, for ``fit.json``
     lines: tuple[str, ...] = ()  # the same for people
@@ -163,6 +165,7 @@ class Fitted:
             changes=self.changes,
             excitation=self.excitation,
             envelope=self.envelope,
+            spread=self.spread,
         )
 
     def table(self) -> dict[str, Any]:
@@ -178,6 +181,7 @@ class Fitted:
             changes=self.changes,
             excitation=self.excitation,
             envelope=self.envelope,
+            spread=self.spread,
             sees=sees,
         )
 

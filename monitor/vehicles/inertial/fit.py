@@ -21,6 +21,7 @@ from monitor.fitting.calibrate import LEVEL_SHARE, SETTLE_S, bank_rule
 from monitor.fitting.changes import fit_changes, healthy_nats
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.spread import fit_spread
 from monitor.fitting.survey import Survey
 from monitor.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
@@ -247,6 +248,7 @@ def _designed(
     changes, alarms = _sudden(raw, signal_hz, channels, designed, alarms, flights)
     return replace(
         designed,
+        spread=fit_spread(designed.profile(), plant, gate, flights),
         alarms=tuple(alarms),
         changes=changes,
         envelope=reached(transform.signals, [flight.samples.u[flight.armed] for flight in raw], signal_hz),

@@ -27,6 +27,7 @@ from monitor.fitting.fit_report import Comparison, comparison_json, comparison_l
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule, unexplained_alarm
 from monitor.fitting.flights import Flight, flight_samples
 from monitor.fitting.predictions import HORIZON_S, compared, horizon_samples
+from monitor.fitting.spread import fit_spread
 from monitor.fitting.survey import MOTOR_MESSAGE, Survey, common_rate_hz
 from monitor.fitting.thresholds import (
     FALSE_ALARMS_PER_HOUR,
@@ -252,6 +253,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
         alarms=tuple(alarms),
         changes=changes,
         excitation=bare.excitation,
+        spread=fit_spread(bare.profile(), plant, gate, identified.flights),
         flight_s=sum(len(segment.u) for segment in segments) / model.rate_hz,
         findings={
             "rate_hz": model.rate_hz,

@@ -1,0 +1,32 @@
+"""Published standard deviations hold what healthy flight shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adapters.logs.recordings import read_batches
+from monitor.chain import ObserverChain
+from monitor.core.sampling import VehicleClock
+from monitor.fitting.flights import flight_samples
+from monitor.fitting.spread import fit_spread
+from monitor.profile import Profile
+
+
+def test_two_standard_deviations_hold_healthy_errors_19_times_of_20(quad_profile: Profile, data: Path) -> None:
+    observer = replace(next(one for one in quad_profile.observers if one.name == "motors"), spread={})
+    assert observer.model is not None
+    flight = flight_samples(
+        read_batches(data / "copter_wind_step.tlog.xz"), observer.source, observer.rate_hz, quad_profile.gate
+    )
+    spread = fit_spread(observer, observer.model, quad_profile.gate, [flight])
+    assert set(spread) == {channel.name for channel in observer.faults}
+    measured = replace(observer, spread=spread)
+    run = ObserverChain(measured, "quad", quad_profile.gate, VehicleClock()).estimate(flight.samples, flight.armed)
+    inside = np.abs(run.estimates.fault) <= 2.0 * run.estimates.sd
+    assert inside[flight.armed].mean(axis=0) == pytest.approx(0.95, abs=0.02)
+    again = fit_spread(measured, observer.model, quad_profile.gate, [flight])
+    assert list(again.values()) == pytest.approx([1.0] * len(again), rel=0.02)
