@@ -103,7 +103,7 @@ def flight(
             measured = {"rpm": rpm, "voltage": [volts + rng.normal(0.0, 0.02) for _ in order], "current": amps}
             yield _message("ESC_STATUS", arrival_ns, {"index": 0, "time_usec": stamp_ms * 1000, **measured})
         if k % 10 == 0:
-            level = 3.0 * float((working["balance"] * speed**2).max()) * np.exp(rng.normal(0.0, 0.2, 3))
+            level = 9.0 * float((working["balance"] * speed**2).max()) * np.exp(rng.normal(0.0, 0.2, 3))
             shaken = dict(zip(("vibration_x", "vibration_y", "vibration_z"), level.tolist(), strict=True))
             clipped = dict.fromkeys(("clipping_0", "clipping_1", "clipping_2"), 0)
             yield _message("VIBRATION", arrival_ns, {"time_usec": stamp_ms * 1000, **shaken, **clipped})
