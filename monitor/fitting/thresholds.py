@@ -37,6 +37,8 @@ _USUAL = 0.9
 the time, and 0.5 s of quiet are counted in 0.63 s. Half of a threshold near the noise is met half of the time."""
 _LEAD_S = 30.0
 """Longer than any observer takes to settle before a sample is evidence."""
+_LEAST_PER_100H = 0.01
+"""False alarms in 100 hours below which a tail says nothing: one in a year, from minutes of flight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +93,8 @@ class Calibrated:
         if self.sudden is not None:
             per_hour += self.sudden.per_hour(rule.nats) / self.sharing
         excluded = 100.0 * -math.log(1.0 - CONFIDENCE) / (flight_s / 3600.0)
-        return replace(
-            rule, false_per_100h=float(f"{100.0 * per_hour:.2g}"), excluded_per_100h=float(f"{excluded:.2g}")
-        )
+        expected = max(100.0 * per_hour, _LEAST_PER_100H)
+        return replace(rule, false_per_100h=float(f"{expected:.2g}"), excluded_per_100h=float(f"{excluded:.2g}"))
 
 
 def healthy_evidence(
