@@ -377,7 +377,8 @@ class ObserverChain:
         if self._excitation is not None:
             scale[:, self._excited] = self._excitation.run(samples, found.level)[:, 2:]
         if beyond is not None:
-            scale = scale * beyond[:, None]
+            # an edge is judged by what is flat before and after it
+            scale = np.where(self._healthy > 0.0, scale * beyond[:, None], scale)
         changes = self._changes_of(estimates)
         rows = ChainRows(
             self._states,

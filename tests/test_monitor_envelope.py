@@ -15,7 +15,7 @@ from monitor.estimation.envelope import Envelope, EnvelopeStage, reached
 
 SIGNALS = ("xgyro", "ygyro", "zgyro", "roll", "pitch", "gps_speed")
 RATE_HZ = 100.0
-CALM = Envelope(tilt=math.radians(25.0), rate=1.0, speed=8.0)
+CALM = Envelope(tilt=math.radians(40.0), rate=1.0, speed=8.0)
 
 
 def flight(seconds: float, *, roll: float = 0.1, rate: float = 0.2, speed: float = 3.0) -> NDArray[np.float64]:
@@ -30,7 +30,7 @@ def factors(stage: EnvelopeStage, rows: NDArray[np.float64]) -> NDArray[np.float
 
 def test_inside_of_the_fitted_flights_sizes_are_as_fitted() -> None:
     stage = EnvelopeStage(CALM, SIGNALS, RATE_HZ)
-    assert np.all(factors(stage, flight(5.0, roll=math.radians(24.0), rate=0.9, speed=8.0)) == 1.0)
+    assert np.all(factors(stage, flight(5.0, roll=math.radians(39.0), rate=0.9, speed=8.0)) == 1.0)
     assert stage.outside is None
     assert stage.furthest is None
 
@@ -39,16 +39,16 @@ def test_sizes_grow_with_the_tilt_and_shrink_back_with_the_washout() -> None:
     stage = EnvelopeStage(CALM, SIGNALS, RATE_HZ)
     rows = np.concatenate([flight(2.0), flight(1.0, roll=math.radians(62.0)), flight(90.0)])
     found = factors(stage, rows)
-    assert found[250] == pytest.approx(62.0 / 25.0)
-    assert found[300 + 3000] == pytest.approx(1.0 + 37.0 / 25.0 / math.e, rel=0.01)
+    assert found[250] == pytest.approx(62.0 / 40.0)
+    assert found[300 + 3000] == pytest.approx(1.0 + 22.0 / 40.0 / math.e, rel=0.01)
     assert found[-1] < 1.1
-    assert stage.furthest == (1.0, "outside the fitted flights: tilt 62 degrees, fitted to 25")
+    assert stage.furthest == (1.0, "outside the fitted flights: tilt 62 degrees, fitted to 40")
 
 
 def test_the_status_says_by_how_much_while_it_matters() -> None:
     stage = EnvelopeStage(CALM, SIGNALS, RATE_HZ)
     factors(stage, flight(1.0, roll=math.radians(62.0)))
-    text = "outside the fitted flights (tilt 62 degrees, fitted to 25): seen from 2.5 times the sizes on"
+    text = "outside the fitted flights (tilt 62 degrees, fitted to 40): seen from 1.6 times the sizes on"
     assert stage.outside == text
     factors(stage, np.concatenate([flight(90.0)] * 2))
     assert stage.outside is None
@@ -85,3 +85,9 @@ def test_cuts_do_not_change_a_bit(parts: list[slice]) -> None:
     samples = raw_samples(rows)
     pieces = [cut.run(one, np.arange(len(one))) for one in (samples.part(part.start, part.stop) for part in parts)]
     assert same_bits(np.concatenate(pieces), whole.run(samples, np.arange(len(rows))))
+
+
+def test_what_any_flight_does_is_inside_of_a_profile_of_a_hover() -> None:
+    hover = EnvelopeStage(Envelope(tilt=math.radians(2.0), rate=0.1, speed=0.2), SIGNALS, RATE_HZ)
+    assert np.all(factors(hover, flight(2.0, roll=math.radians(29.0), rate=1.0)) == 1.0)
+    assert factors(hover, flight(2.0, roll=math.radians(60.0)))[-1] == pytest.approx(2.0)

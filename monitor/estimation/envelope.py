@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from math import degrees, exp
+from math import degrees, exp, radians
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,9 @@ _MEMORY_S = 30.0
 stay as long."""
 _WORTH_SAYING = 1.25
 """Excess from which people are told. Chosen: a quarter beyond is another kind of flying, and no gust."""
+_ORDINARY = (radians(30.0), radians(60.0), 0.0)
+"""Tilt and rate of ordinary flight, by ArduPilot's defaults (ANGLE_MAX, ATC_SLEW_YAW): errors of a hover are noise, and
+do not grow in proportion to its tilt of a degree or two. Without it a jump of GPS by 5 m was missed over a radio."""
 _SIGNALS = ("roll", "pitch", "xgyro", "ygyro", "zgyro", "gps_speed")
 
 
@@ -61,8 +64,12 @@ def reached(signals: Sequence[str], rows: Sequence[NDArray[np.float64]], rate_hz
 
 def _core(envelope: Envelope, signals: Sequence[str], rate_hz: float) -> Beyond:
     columns = [signals.index(name) if name in signals else -1 for name in _SIGNALS]
+    fitted = [envelope.tilt, envelope.rate, envelope.speed]
     return Beyond(
-        [envelope.tilt, envelope.rate, envelope.speed], columns, exp(-1.0 / (_MEMORY_S * rate_hz)), _WORTH_SAYING
+        [max(size, least) if size > 0.0 else 0.0 for size, least in zip(fitted, _ORDINARY, strict=True)],
+        columns,
+        exp(-1.0 / (_MEMORY_S * rate_hz)),
+        _WORTH_SAYING,
     )
 
 
