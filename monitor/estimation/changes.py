@@ -40,7 +40,6 @@ from adapters.toml_tables import Table
 from gains.plants.plant import FloatArray, Plant
 from gains.synthesis.compilation import input_curves
 from monitor.core.changes import ChangeTest
-from monitor.core.observers import CommandScale, effects
 from monitor.estimation.excitation import HOLD_S
 
 WINDOW_S = 2.0
@@ -133,7 +132,7 @@ class ChangeStage:
         sources = [] if rule.lasts_s else [inputs[name] for name in named]
         self._inputs = np.array([source for source in sources if source is not None], np.intp)
         self._step_ns = 1e9 / rate_hz
-        self._depth, self._curves = 1, input_curves(plant)
+        self._depth = 1
         judged = [plant.outputs.index(name) for name in rule.outputs]
         n = len(plant.outputs)
         common: dict[str, Any] = {
@@ -153,7 +152,7 @@ class ChangeStage:
             jumps = np.repeat(units[None], len(rule.whitening) + 2, axis=0)
             self._test = ChangeTest(
                 dynamics=dynamics,
-                curves=self._curves,
+                curves=input_curves(plant),
                 taps=np.array(plant.taps),
                 additions=_whitened(_unpredicted(jumps, dynamics[:, :n], judged), rule.whitening),
                 grown=np.ones((len(jumps), len(judged))),
@@ -209,19 +208,10 @@ class ChangeStage:
             *self._given(samples), armed, believed[:, self._faults] if len(self._inputs) else believed[:, :0]
         )
         if len(self._inputs):
-            size = self._in_command(samples.u, named, size)
+            size = -size * samples.u[np.arange(len(named)), self._inputs[named]]
         onset_ns = samples.vehicle_time_ns - np.round(age * self._step_ns).astype(np.int64)
         fault = np.where(named < 0, -1, self._faults[named])
         return ChangeRun(fault, nats, size, onset_ns)
-
-    def _in_command(self, u: FloatArray, named: NDArray[np.intp], share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what a lost share of each row's effect takes off the command (n,)."""
-        rows = np.arange(len(named))
-        lost = np.zeros((len(named), len(self._inputs)))
-        lost[rows, named] = -share * effects(self._curves, u)[rows, self._inputs[named]]
-        restart = np.ones(len(named), np.bool_)
-        scale = CommandScale(self._curves, self._inputs, np.arange(len(self._inputs)), 0.0)
-        return scale.run(u, restart, lost, lost, np.zeros_like(lost))[0][rows, named]
 
     def _given(self, samples: Samples) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """Return u and y with those of the sample before beside them, as far as the prediction asks for them."""
