@@ -468,7 +468,8 @@ cdef class Washout:
             self.peak = size
         over = size <= max(self.threshold, WASHOUT_OVER * self.peak)
         if not moves and not over and self.still >= self.longest:
-            self.gone = fault
+            # Held, the integral is what it was; the row itself may be the first of the fault's end.
+            self.gone = self.integral
             self.integral = self.peak = 0.0
             return washed
         self.ended = self.ended + 1 if over and not moves else 0
@@ -482,11 +483,13 @@ cdef class Washout:
         cdef double left = fabs(fault + self.gone), size = fabs(self.gone)
         if fault * self.gone >= 0.0:
             return False
+        if self.moving <= self.settle:
+            return left < size
         if left <= max(self.threshold, WASHOUT_RETURNED * size):
             # All is as before it: zero, until the washed-out estimate has settled.
             self.integral, self.peak, self.gone = self.integral - fault, size, 0.0
             return True
-        return left < size and self.moving <= self.settle
+        return False
 
 
 cdef class IndependentIsolation:
