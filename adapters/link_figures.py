@@ -27,7 +27,7 @@ _BROKEN_NS = 10_000_000_000
 _LOST = 1.75
 """Step, in usual ones, from which measurements are missing: as the sampler has it."""
 _STEPS = 31
-"""Steps of which the middle one is the usual; the same number as the sampler's."""
+"""Steps of which the middle one is the usual, at least; the same number as the sampler's."""
 
 
 class LinkFigures(NamedTuple):
@@ -83,9 +83,10 @@ class _Stream:
         ordered = np.unique(np.concatenate([[self._stamp_ns], stamps]) if known else stamps)
         steps = np.diff(ordered)
         steps = steps[steps < _BROKEN_NS]
-        self._steps = np.concatenate([self._steps, steps])[-_STEPS:]
+        known_steps = np.concatenate([self._steps, steps])
+        self._steps = known_steps[-_STEPS:]
         self._stamp_ns, self._transit_ns = int(ordered[-1]), int(transit[-1])
-        usual = float(np.median(self._steps)) if len(self._steps) >= _STEPS else np.inf
+        usual = float(np.median(known_steps)) if len(known_steps) >= _STEPS else np.inf
         late = steps[steps > _LOST * usual]
         return _Sums(
             float(delays.sum()),
