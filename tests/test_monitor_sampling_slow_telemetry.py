@@ -62,7 +62,8 @@ def test_a_fit_on_slow_telemetry_says_in_one_line_what_is_needed(
         "fauio: slow telemetry: ATTITUDE 10 Hz, HIGHRES_IMU 10 Hz, SERVO_OUTPUT_RAW 10 Hz; 50 Hz or more show faults"
     )
     assert line.removeprefix("fauio: ") in (folder / "fit.txt").read_text()
-    assert json.loads((folder / "fit.json").read_text())["warnings"] == [line.removeprefix("fauio: ")]
+    warnings = json.loads((folder / "fit.json").read_text())["warnings"]
+    assert [one for one in warnings if "slow telemetry" in one] == [line.removeprefix("fauio: ")]
     assert "slow telemetry" not in captured.out
 
 
