@@ -152,7 +152,7 @@ def test_a_closed_pipe_ends_a_command_without_a_word(command: str, desk: Path) -
 
 def test_an_interrupt_ends_a_command_with_130_without_a_traceback(desk: Path) -> None:
     process = subprocess.Popen(
-        [*FAUIO, "replay", "quad/", "flight.tlog", "--speed", "4"],
+        [*FAUIO, "replay", "quad/", "flight.tlog", "--speed", "4", "--verbose"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         env=ENVIRONMENT | {"PYTHONUNBUFFERED": "1"},
