@@ -29,6 +29,23 @@ class Scaled(NamedTuple):
     evidence: NDArray[np.bool_]
 
 
+def raw_per_sample(transform: str, signal_rate_hz: float, rate_hz: float) -> int:
+    """Return how many raw samples make one given sample; ``transform`` is the name for the complaint.
+
+    Raises
+    ------
+    TelemetryError
+        The first rate is no whole multiple of the second.
+    """
+    size = round(signal_rate_hz / rate_hz) if rate_hz > 0 else 0
+    if size < 1 or abs(size * rate_hz - signal_rate_hz) > 1e-6 * signal_rate_hz:
+        raise TelemetryError(
+            f"transform '{transform}': signals at {signal_rate_hz:g} Hz cannot be grouped to samples at "
+            f"{rate_hz:g} Hz; choose a rate that divides the signals' rate"
+        )
+    return size
+
+
 class ScaledInputs(ABC):
     """A transform whose inputs are effects of actuators at the present speed; a kind implements :meth:`scale`.
 
@@ -56,12 +73,7 @@ class ScaledInputs(ABC):
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
         self._check(parameters)
         self.reference, self.minimum = parameters["reference_speed"], parameters["minimum_speed"]
-        size = round(signal_rate_hz / rate_hz) if rate_hz > 0 else 0
-        if size < 1 or abs(size * rate_hz - signal_rate_hz) > 1e-6 * signal_rate_hz:
-            raise TelemetryError(
-                f"transform '{self.kind}': signals at {signal_rate_hz:g} Hz cannot be grouped to samples at "
-                f"{rate_hz:g} Hz; choose a rate that divides the signals' rate"
-            )
+        size = raw_per_sample(self.kind, signal_rate_hz, rate_hz)
         timing = [
             (parameters.get(f"{name}_delay_s", 0.0), parameters.get(f"{name}_lag_s", 0.0)) for name in self.actuators
         ]

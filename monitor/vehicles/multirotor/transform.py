@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from adapters.errors import TelemetryError
 from adapters.sample import Given, Samples
 from monitor.core.lagged import LaggedMeans
+from monitor.sampling.scaled import raw_per_sample
 
 Array = NDArray[np.float64]
 
@@ -140,11 +141,7 @@ class EscInputs:
                 raise TelemetryError(f"transform 'esc': '{key}' is {parameters[key]:g}; from 0 to {most:g}")
         if bad := next((name for name in curves if not 0.0 < parameters[name] < 1e9), None):
             raise TelemetryError(f"transform 'esc': '{bad}' is {parameters[bad]:g}; that of hovering is above 0")
-        size = round(signal_rate_hz / rate_hz) if rate_hz > 0 else 0
-        if size < 1 or abs(size * rate_hz - signal_rate_hz) > 1e-6 * signal_rate_hz:
-            raise TelemetryError(
-                f"transform 'esc': signals at {signal_rate_hz:g} Hz cannot be grouped to samples at {rate_hz:g} Hz"
-            )
+        size = raw_per_sample("esc", signal_rate_hz, rate_hz)
         volts = parameters["volts"] > 0.0
         raw = ("motor", "rpm", *(["amps"] if currents else []), *(["volts"] if volts else []))
         self.signals = tuple(f"{kind}{n}" for kind in raw for n in numbers)

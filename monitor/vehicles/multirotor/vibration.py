@@ -31,6 +31,7 @@ from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
 from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
 from monitor.sampling.gate import GateRule
+from monitor.sampling.scaled import raw_per_sample
 from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.multirotor.identify import RATE_AXES
 from monitor.vehicles.multirotor.signals import multirotor_channels
@@ -92,11 +93,7 @@ class VibrationInputs:
             raise TelemetryError(f"transform 'vibration': '{wrong[0]}' {verb}; fit the profile again")
         if not (1.0 <= parameters["motors"] <= 16.0 and parameters["least"] > 0.0):
             raise TelemetryError("transform 'vibration': 'motors' is none of 1 to 16, or 'least' not above 0")
-        size = round(signal_rate_hz / rate_hz) if rate_hz > 0 else 0
-        if size < 1 or abs(size * rate_hz - signal_rate_hz) > 1e-6 * signal_rate_hz:
-            raise TelemetryError(
-                f"transform 'vibration': signals at {signal_rate_hz:g} Hz cannot be grouped to {rate_hz:g} Hz"
-            )
+        size = raw_per_sample("vibration", signal_rate_hz, rate_hz)
         self._motors, self._least = int(parameters["motors"]), parameters["least"]
         self.signals = signal_names(self._motors)
         self._c = [parameters[f"c{term}"] for term in range(4)]
