@@ -241,6 +241,13 @@ def _one_filter(observer: ObserverProfile, plant: Plant) -> ObserverProfile:
             together = (*together, name)
     gains = (design_ekf(restricted(plant, together), observer.rate_hz),)
     isolation = IndependentRule(observer.isolation.smoothing_s)
+    return _with_filters(observer, gains, isolation)
+
+
+def _with_filters(
+    observer: ObserverProfile, gains: tuple[Gains, ...], isolation: BankRule | IndependentRule
+) -> ObserverProfile:
+    """Return an observer with Kalman filters in place of its gains, and none of what was fitted to those."""
     return replace(
         observer,
         gains=gains,
@@ -260,16 +267,7 @@ def _filter_bank(observer: ObserverProfile, plant: Plant, flights: Sequence[Flig
         return None
     gains = tuple(design_ekf(restricted(plant, one.faults), observer.rate_hz) for one in compared)
     isolation = bank_rule(gains, [segment for flight in flights for segment in flight.segments()])
-    return replace(
-        observer,
-        gains=gains,
-        faults=fault_channels(gains),
-        isolation=isolation,
-        alarms=(),
-        effectiveness={},
-        changes=None,
-        excitation=None,
-    )
+    return _with_filters(observer, gains, isolation)
 
 
 def _with_alarms(
