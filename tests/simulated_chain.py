@@ -6,7 +6,7 @@ A command c sets a share d of the battery's voltage V, after the link's delay. T
 
 and its propeller gives the thrust (w/W)^2 and takes the current 18 A (w/W)^3 Vf/V. Faults act from a moment on: ``esc``
 applies less of the voltage; ``prop`` gives less thrust at its speed, and takes as much less current; ``motor`` takes
-more current at its speed; ``balance`` shakes the vehicle by so many times the usual 3 m/s^2 at full speed more.
+more current at its speed; ``balance`` shakes the vehicle by so many times the usual 9 m/s^2 an axis at full speed more.
 """
 
 from __future__ import annotations

@@ -128,6 +128,16 @@ def test_currents_that_say_nothing_are_left_out_and_speeds_that_follow_nothing_r
         fit_esc(disturbed("rpm", 1.0), GateRule())
 
 
+def test_currents_that_never_change_are_no_measurements() -> None:
+    log = [
+        replace(one, fields={**one.fields, "current": [0.8] * 4}) if one.name == "ESC_STATUS" else one
+        for one in flight(1, 40.0, esc_hz=10.0)
+    ]
+    found = fit_esc(FitRequest("quad", [lambda: packed(log)], (survey(packed(log)),)), GateRule())
+    assert found is not None
+    assert [channel.name for channel in found.profile().faults] == ["esc1", "esc2", "esc3", "esc4"]
+
+
 def test_speeds_that_no_controller_measured_are_not_believed() -> None:
     log = list(flight(1, 20.0))
     assert esc_signals([survey(packed(log))], 4) is not None
@@ -177,6 +187,18 @@ def test_a_measurement_stands_beside_what_was_expected_when_it_was_made() -> Non
     assert len(given) == 3
     assert given.u == pytest.approx(0.5 + u[[0, 10, 20], :2] * (1.0 + 0.5 * (15.2 / 16.0 - 1.0)))
     assert given.y[1:] == pytest.approx(u[[0, 10], 2:4] / 5000.0)
+
+
+def test_nothing_given_has_the_shape_of_samples() -> None:
+    raw = raw_samples(36)
+    transform = EscInputs(PARAMETERS, 100.0, 50.0)
+    nothing, given = transform.run(raw.part(0, 0)).samples, transform.run(raw).samples
+    assert len(nothing) == 0
+    assert (nothing.u.shape[1], nothing.y.shape[1], nothing.lost.shape[1]) == (
+        given.u.shape[1],
+        given.y.shape[1],
+        given.lost.shape[1],
+    )
 
 
 def test_samples_do_not_depend_on_cuts() -> None:

@@ -258,7 +258,8 @@ def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: f
     volts = float(np.median(voltage.mean(axis=1)))
     volts = float(f"{volts:.4g}") if volts > 0.0 and (voltage.mean(axis=0) > 0.0).all() else 0.0
     amps = np.median(current, axis=0)
-    measured = np.append(hover, amps) if (amps > 0.0).all() else hover
+    # what never changes is no measurement: ArduPilot's simulator reports 0.8 A for each motor at any speed
+    measured = np.append(hover, amps) if (amps > 0.0).all() and np.ptp(current, axis=0).all() else hover
     prior_u = np.median(u, axis=0)
     candidates = []
     for timing in product(_DELAYS_S, _LAGS_S):

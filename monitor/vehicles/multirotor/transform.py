@@ -60,9 +60,9 @@ class HeldMeans:
 
         ``columns`` are u and behind it y, one each (n,); speeds (s, n) are measured where one of them changes.
         """
-        if not len(samples):
-            return Given(samples, slice(None))
         everywhere = np.ones(len(samples), np.bool_)
+        if not len(samples):
+            return self._means.run(samples, columns, everywhere)
         lagged = self._lagged.run(samples, columns, everywhere).samples
         before = speed[:, :1] if self._speed is None else self._speed
         news = samples.restart | (np.diff(speed, prepend=before) != 0.0).any(axis=0)
