@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-_PX4: Final = 12
-"""MAV_AUTOPILOT_PX4"""
-_ARDUPILOT: Final = 3
-"""MAV_AUTOPILOT_ARDUPILOTMEGA"""
+from adapters.mavlink.flight_modes import mode_name
+
 _ARMED: Final = 128
 """MAV_MODE_FLAG_SAFETY_ARMED"""
 
@@ -18,12 +16,5 @@ def flight_mode(beat: Mapping[str, Any]) -> str:
     kind, autopilot, base, custom = (beat.get(key) for key in ("type", "autopilot", "base_mode", "custom_mode"))
     if not (type(kind) is int and type(base) is int and type(custom) is int and 0 <= custom < 1 << 32):
         return ""
-    from pymavlink import mavutil
-
-    if autopilot == _PX4:
-        name = str(mavutil.interpret_px4_mode(base, custom))
-    elif autopilot == _ARDUPILOT:
-        name = str((mavutil.mode_mapping_bynumber(kind) or {}).get(custom, f"mode {custom}"))
-    else:
-        name = f"mode {custom}"
+    name = mode_name(autopilot if type(autopilot) is int else 0, kind, base, custom) or f"mode {custom}"
     return name if base & _ARMED else f"{name}, disarmed"

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from adapters.mavlink.flight_modes import ARDUPILOT, mode_name
 from replay.review.facts.log_facts import (
+    UNKNOWN_LEVEL,
     CommandSent,
     LogFacts,
     LogRecords,
@@ -41,6 +43,8 @@ _NO_FAILSAFE = frozenset({10, 13, 20, 22, 23})
 """Of a mode that was refused, a flip, other aircraft, navigation and terrain: nothing of the vehicle's health."""
 _MOTOR_FUNCTIONS = (*range(33, 41), *range(82, 86))
 """Values of SERVOn_FUNCTION that are motors 1 to 12 (SRV_Channel.h)."""
+_VEHICLES = {"Copter": ("multirotor", 2), "Plane": ("plane", 1), "Rover": ("rover", 10)}
+"""By a word of what the log begins with: the vehicle, and a MAV_TYPE that has its modes."""
 _PWM_FROM, _PWM_TO = 1000.0, 2000.0
 """MOT_PWM_MIN and MOT_PWM_MAX where the log does not say: their defaults."""
 _OUTPUTS = 14
@@ -96,9 +100,8 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
         )
     signals["clipping"] = get("VIBE", ["Clip"], ["clipped"], "samples")
     texts = [(at, str(row.get("Message", ""))) for at, row in records.listed("MSG")]
-    vehicle = next(("multirotor" for _, text in texts if "Copter" in text), "")
-    vehicle = vehicle or next(("plane" for _, text in texts if "Plane" in text), "")
-    statements = [*_statements(records, texts, event, arming), *_landings(landing)]
+    vehicle, kind = next((known for _, text in texts for word, known in _VEHICLES.items() if word in text), ("", 0))
+    statements = [*_statements(records, texts, kind, event, arming), *_landings(landing)]
     return LogFacts(
         autopilot="ArduPilot",
         vehicle=vehicle,
@@ -150,15 +153,16 @@ def _landings(landing: Sequence[tuple[float, float]]) -> Iterator[Statement]:
 def _statements(
     records: LogRecords,
     texts: Sequence[tuple[float, str]],
+    kind: int,
     event: Sequence[tuple[float, int]],
     arming: Sequence[tuple[float, float]],
 ) -> Iterator[Statement]:
     for at, text in texts:
-        yield Statement(at, "text", text, 6)
+        yield Statement(at, "text", text, UNKNOWN_LEVEL)
     for at, value in arming:
         yield Statement(at, "arming", "armed" if value else "disarmed", int(value))
     for at, value in changes(records.signal("MODE", ["ModeNum"], ["mode"], "")):
-        yield Statement(at, "mode", f"mode {_mode(int(value))}")
+        yield Statement(at, "mode", f"mode {mode_name(ARDUPILOT, kind, 0, int(value)) or int(value)}")
     errors = records.signal("ERR", ["Subsys", "ECode"], ["subsystem", "code"], "")
     if errors is not None:
         for at, (subsystem, code) in zip(errors.time_s.tolist(), errors.values.astype(int).tolist(), strict=True):
@@ -166,12 +170,6 @@ def _statements(
                 yield Statement(
                     at, "failsafe", f"{_SUBSYSTEMS.get(subsystem, f'subsystem {subsystem}')} (code {code})", 1
                 )
-
-
-def _mode(number: int) -> str:
-    from pymavlink.mavutil import mode_mapping_acm
-
-    return str(mode_mapping_acm.get(number, number))
 
 
 def _commands(records: LogRecords) -> Iterator[CommandSent]:

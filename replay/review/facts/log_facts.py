@@ -62,6 +62,10 @@ class LogSignal:
         return np.asarray(self.values[:, 0], np.float64)
 
 
+UNKNOWN_LEVEL = 8
+"""Of a text in a log that does not say how severe it is; MAVLink's severities end with 7."""
+
+
 @dataclass(frozen=True, slots=True)
 class Statement:
     """What the log says happened at a time: a text, a mode, a failsafe."""
@@ -69,7 +73,7 @@ class Statement:
     time_s: float
     kind: str  # text, mode, arming, landing, failsafe, command
     text: str
-    # of a text: MAVLink's severity; of a state: 1 where it begins, 0 where it ends
+    # of a text: MAVLink's severity, or UNKNOWN_LEVEL; of a state: 1 where it begins, 0 where it ends
     level: int = 0
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from adapters.mavlink.flight_modes import ARDUPILOT, PX4, mode_name
 from replay.review.facts.log_facts import (
     CommandSent,
     LogFacts,
@@ -33,7 +34,8 @@ TOPICS = frozenset(
 
 # MAV_TYPE, MAV_AUTOPILOT, MAV_MODE_FLAG and MAV_LANDED_STATE of MAVLink's common definitions
 _ROTORS = {2: 4, 13: 6, 14: 8, 29: 12}
-_PLANE, _ARDUPILOT, _PX4, _NO_AUTOPILOT, _ARMED, _ON_GROUND = 1, 3, 12, 8, 128, 1
+_PLANE, _NO_AUTOPILOT, _ARMED, _ON_GROUND = 1, 8, 128, 1
+_AUTOPILOTS = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
 _PWM_FROM, _PWM_SPAN = 1000.0, 1000.0
 """Pulses of motors: 1000 to 2000 us unless configured otherwise, which telemetry does not say."""
 _LIFTED = 1.0
@@ -104,13 +106,13 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
         get("EKF_STATUS_REPORT", variances, names, ""), get("ESTIMATOR_STATUS", ratios, names, "")
     )
     vibration = get("VIBRATION", [f"vibration_{axis}" for axis in "xyz"], list("xyz"), "m/s2")
-    if vibration is not None and autopilot == "ArduPilot":
+    if vibration is not None and autopilot == ARDUPILOT:
         signals["vibration"] = replace(
             vibration, values=vibration.values.max(axis=1, keepdims=True), names=("vibration",)
         )
     signals["clipping"] = get("VIBRATION", ["clipping_0"], ["clipped"], "samples")
     return LogFacts(
-        autopilot=autopilot,
+        autopilot=_AUTOPILOTS.get(autopilot, ""),
         vehicle="multirotor" if rotors else "plane" if kind == _PLANE else "",
         start_ns=records.first_ns,
         duration_s=records.duration_s,
@@ -126,7 +128,7 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
     )
 
 
-def _vehicle(records: LogRecords) -> tuple[int, int, str]:
+def _vehicle(records: LogRecords) -> tuple[int, int, int]:
     """Return system, kind and autopilot of the first that has one."""
     for name, system in sorted(records.names(), key=lambda entry: entry[1]):
         if name != "HEARTBEAT":
@@ -136,25 +138,15 @@ def _vehicle(records: LogRecords) -> tuple[int, int, str]:
             continue
         own = beats.values[beats.values[:, 1] != _NO_AUTOPILOT]
         if len(own):
-            said = {_ARDUPILOT: "ArduPilot", _PX4: "PX4"}.get(int(own[0, 1]), "")
-            return system, int(own[0, 0]), said
-    return 0, 0, ""
-
-
-def _mode(number: int, kind: int, autopilot: str) -> str:
-    from pymavlink.mavutil import interpret_px4_mode, mode_mapping_bynumber
-
-    if autopilot == "PX4":
-        return str(interpret_px4_mode(_ARMED, number))
-    names = mode_mapping_bynumber(kind) if autopilot == "ArduPilot" else None
-    return str((names or {}).get(number, f"{number:#x}"))
+            return system, int(own[0, 0]), int(own[0, 1])
+    return 0, 0, 0
 
 
 def _statements(
     records: LogRecords,
     system: int,
     kind: int,
-    autopilot: str,
+    autopilot: int,
     arming: Sequence[tuple[float, float]],
     landing: Sequence[tuple[float, float]],
     modes: LogSignal | None,
@@ -167,7 +159,7 @@ def _statements(
         yield Statement(at, "landing", "landed" if value else "in the air", int(value))
     if modes is not None:
         for at, value in changes(replace(modes, values=modes.values[:, 1:2])):
-            yield Statement(at, "mode", f"mode {_mode(int(value), kind, autopilot)}")
+            yield Statement(at, "mode", f"mode {mode_name(autopilot, kind, _ARMED, int(value)) or int(value)}")
 
 
 def _commands(records: LogRecords, vehicle: int) -> Iterator[CommandSent]:
