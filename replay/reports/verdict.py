@@ -9,7 +9,7 @@ from adapters.errors import FauioError
 from monitor.bus.alarm_text import utc
 from monitor.display import display_unit, fault_text, number_text
 from replay.reports.findings import Finding
-from replay.review.facts.log_facts import LogFacts, Statement
+from replay.review.facts.log_facts import UNKNOWN_LEVEL, LogFacts, Statement
 from replay.review.facts.reading import read_facts
 
 WARNING_LEVEL = 4
@@ -65,20 +65,24 @@ def _when(one: Finding) -> str:
 
 
 def _autopilot(one: Finding, facts: LogFacts | None) -> str:
-    if facts is None or not any(said.kind == "text" for said in facts.statements):
+    if facts is None:
         return ""
-    said = said_about(one, facts)
-    return f"; the autopilot said “{said[0].text}”" if said else "; the autopilot said nothing"
+    if said := said_about(one, facts):
+        return f"; the autopilot said “{said[0].text}”"
+    # silence is told only of a log that says how severe its texts are
+    severe = any(text.kind == "text" and text.level < UNKNOWN_LEVEL for text in facts.statements)
+    return "; the autopilot said nothing" if severe else ""
 
 
 def said_about(one: Finding, facts: LogFacts) -> list[Statement]:
-    """Return the autopilot's warnings during an alarm, and shortly after it."""
+    """Return the autopilot's warnings and failsafes during an alarm, and shortly after it."""
     start_s = (one.alarm.start_ns - facts.start_ns) / 1e9
     end_s = facts.duration_s if one.alarm.end_ns is None else (one.alarm.end_ns - facts.start_ns) / 1e9 + AFTER_S
     return [
         said
         for said in facts.statements
-        if said.kind == "text" and said.level <= WARNING_LEVEL and start_s <= said.time_s <= end_s
+        if (said.kind == "failsafe" and said.level) or (said.kind == "text" and said.level <= WARNING_LEVEL)
+        if start_s <= said.time_s <= end_s
     ]
 
 
