@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 from fleet_publisher import SimulatedMonitor
-from loopback import Endpoint, free_port, until
+from loopback import Endpoint, free_port, matched, until
 
 from adapters.errors import UsageError
 from monitor.console.web_server import ConsoleOptions, ConsoleServer
@@ -123,11 +123,14 @@ def test_what_is_active_comes_at_once_and_changes_follow(site: Any, monitor: Sim
     assert [alarm["channel"] for alarm in second["alarms"]] == ["baro", "motor1"]
 
 
-def test_a_vehicles_past_comes_whole_and_then_what_is_new(site: Any, monitor: SimulatedMonitor) -> None:
+def test_a_vehicles_past_comes_whole_and_then_what_is_new(
+    endpoint: Endpoint, site: Any, monitor: SimulatedMonitor
+) -> None:
     console = site()
     start = time.time()
     fleet = console.server.fleet
-    until(lambda: bool(fleet.subscriber.live))
+    # the subscription that is declared last, so the monitor knows of all of them
+    until(lambda: matched(endpoint, "fauio/quad-1/estimate/motors"))
     monitor.text(start, "hello <b>")
     for k in range(3):
         monitor.estimates(start + k)
