@@ -131,8 +131,8 @@ def test_names_follow_the_conventions_of_prometheus() -> None:
         assert row.name.endswith(UNITS) or row.name in FLAGS
 
 
-def test_the_operations_page_has_the_table_of_metrics() -> None:
-    assert metrics_table() in (ROOT / "docs/operations.md").read_text()
+def test_the_page_of_metrics_has_their_table() -> None:
+    assert metrics_table() in (ROOT / "docs/metrics.md").read_text()
 
 
 @given(st.text())

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from command_page import commands_page, exit_status_page
 from file_pages import gains_page, model_page, profile_page
 from findings_page import findings_page
-from topic_pages import metrics_page, topics_page
+from topic_pages import topics_page
 
 PAGES: Mapping[str, Callable[[], str]] = {
     "reference/commands.md": commands_page,
@@ -17,5 +17,4 @@ PAGES: Mapping[str, Callable[[], str]] = {
     "reference/gains.md": gains_page,
     "reference/findings.md": findings_page,
     "reference/topics.md": topics_page,
-    "reference/metrics.md": metrics_page,
 }

@@ -1,4 +1,4 @@
-"""The reference of what is published: topics, the fields of each payload from its JSON Schema, metrics."""
+"""The reference of what is published: topics, the fields of each payload from its JSON Schema."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from markup import code, prose, table
 
 from monitor.bus.keys import alarm_key, estimate_key, vehicle_root
 from monitor.bus.schemas import SCHEMAS
-from monitor.service.metrics import metrics_table
 
 _ROOT = vehicle_root("PREFIX", "VEHICLE")
 _TOPICS = (
@@ -31,11 +30,6 @@ JSON in UTF-8; a number that JSON lacks (NaN, infinity) is `null`. Readers have 
 `PREFIX` is `fauio` unless the configuration says otherwise. How to read them, with code: [Zenoh](../zenoh.md).
 `fauio schema NAME` prints a schema.
 """
-_METRICS_HEAD = """# Metrics
-
-What `/metrics` serves, in the text format of Prometheus or in OpenMetrics. How to switch it on, and alerts worth
-having: [operations](../operations.md#metrics).
-"""
 
 
 def topics_page() -> str:
@@ -55,11 +49,6 @@ def topics_page() -> str:
             choices = " or ".join(code(", ".join(one["required"])) for one in schema["oneOf"])
             parts.append(f"\nExactly one of {choices} is required.")
     return "\n".join(parts) + "\n"
-
-
-def metrics_page() -> str:
-    """Return the page of metrics."""
-    return f"{_METRICS_HEAD}\n{metrics_table()}\n"
 
 
 def _fields(schema: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, str, str, str]]:
