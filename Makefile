@@ -55,10 +55,13 @@ dist: $(VENV)/.dev
 	$(BIN)/python -m build
 
 $(BIN)/python:
+	@echo "fauio: making an environment of its own for Python in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.app: $(BIN)/python pyproject.toml $(CORE)
-	$(BIN)/python -m pip install --quiet --editable .
+	@echo "fauio: installing into $(VENV), 1.4 GB with all that it needs; a few minutes, the first time only"
+	$(BIN)/python -m pip install --disable-pip-version-check --editable .
+	@echo "fauio: installed"
 	touch $@
 
 $(VENV)/.dev: $(BIN)/python pyproject.toml $(CORE)

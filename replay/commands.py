@@ -197,7 +197,7 @@ def run_fit(args: argparse.Namespace) -> int:
     _say(f"{out}: profile of '{name}' {more} {len(args.logs)} logs")
     for line in report.text():
         _say(line)
-    _say("Thresholds stand in profile.toml and may be edited; fit.txt and fit.png tell what the fit is worth.")
+    _say("The thresholds are in profile.toml and may be edited; fit.txt and fit.png say how good the fit is.")
     return 0
 
 
