@@ -40,8 +40,9 @@ class Tried:
 
     part: str
     share: float
-    named: tuple[str, ...]  # parts of the right motor, without the motors observer's motorN where speeds come slowly
+    named: tuple[str, ...]  # parts of the right motor, by an alarm or in the one of the motors observer's motorN
     wrong: tuple[str, ...]  # all other channels
+    alarms: int  # how many were raised
     delay_s: float | None  # until the right name
 
 
@@ -56,18 +57,17 @@ def tried(profile: Profile, rate_hz: float, part: str, share: float, motor: int,
     """Fly with a fault."""
     fault = Fault(part, motor, share, ONSET_S)
     events = play(profile, flight(seed, LENGTH_S, fault, esc_hz=rate_hz, sag_v=1.0)).events
-    raised = [
-        event for event in events if event.state == "raised" and (event.observer, event.channel) != _by_command(motor)
-    ]
-    named = [event.channel.removesuffix(str(motor)) for event in raised]
-    right = [event for event in raised if event.channel == f"{part}{motor}"]
+    raised = [event for event in events if event.state == "raised"]
+    parts = [event for event in events if event.part == f"{part}{motor}"]
+    general = [event for event in raised if (event.observer, event.channel) == ("motors", f"motor{motor}")]
+    own = [event for event in raised if event not in general]
+    named = [event.channel.removesuffix(str(motor)) for event in own]
+    named += [(event.part or "").removesuffix(str(motor)) for event in events if event.part]
+    right = [event for event in own if event.channel == f"{part}{motor}"] + parts
     delay_s = right[0].vehicle_time_ms / 1000 - BOOT_S - ONSET_S if right else None
     ours = tuple(dict.fromkeys(name for name in named if name in SHARES))
-    return Tried(part, share, ours, tuple(name for name in named if name not in SHARES), delay_s)
-
-
-def _by_command(motor: int) -> tuple[str, str]:
-    return "motors", f"motor{motor}"
+    wrong = tuple(dict.fromkeys(name for name in named if name not in SHARES))
+    return Tried(part, share, ours, wrong, len(raised), delay_s)
 
 
 def healthy_alarms(profile: Profile, rate_hz: float) -> list[str]:
@@ -85,15 +85,17 @@ def page(results: dict[float, tuple[list[str], list[Tried]]]) -> Iterator[str]:
     for rate_hz, (healthy, all_tried) in results.items():
         yield f"\n## Speeds {rate_hz:g} times a second\n"
         yield f"Healthy, five minutes, battery from 16.6 V to 14.1 V: {', '.join(healthy) or 'no alarm'}.\n"
-        yield "| fault | share | named esc | prop | motor | nothing | also | seconds, each |"
-        yield "|---|---|---|---|---|---|---|---|"
+        yield "| fault | share | named esc | prop | motor | nothing | also | alarms, each | seconds, each |"
+        yield "|---|---|---|---|---|---|---|---|---|"
         for part, share in ((part, share) for part, shares in SHARES.items() for share in shares):
             cases = [one for one in all_tried if (one.part, one.share) == (part, share)]
             counts = [sum(name in one.named for one in cases) for name in SHARES]
             nothing = sum(not one.named for one in cases)
             also = ", ".join(sorted({name for one in cases for name in one.wrong})) or "-"
             delays = ", ".join("-" if one.delay_s is None else f"{one.delay_s:.2f}" for one in cases)
-            yield f"| {part} | {100 * share:.0f} % | {' | '.join(map(str, counts))} | {nothing} | {also} | {delays} |"
+            alarms = ", ".join(str(one.alarms) for one in cases)
+            columns = (part, f"{100 * share:.0f} %", *map(str, counts), str(nothing), also, alarms, delays)
+            yield f"| {' | '.join(columns)} |"
 
 
 INTRODUCTION = """# From command to thrust
@@ -108,8 +110,16 @@ hand: of real ones it was only seen that a fit goes through. Of two logs of PX4 
 left of speeds over commands in one, and 8 % in an acrobatic one, which is too much to watch; currents as those
 controllers report them leave 30 % and more, so that no motor could be watched by its current.
 
-Each row counts flights of which a fault was given this name; "also" is what else was raised. At 3 Hz the motors
-observer, which goes by commands, raises `motorN` before. That is not counted: what is counted says where the loss is.
+**One cause, one alarm.** Where speeds come slowly the motors observer, which goes by commands, raises `motorN` first.
+What a motor's controller or propeller shows then says where between command and thrust that loss is: `escN` where the
+speed does not follow the command, `propN` where the thrust does not follow the speed. It is said in the active alarm,
+in its sentence and its field `part`, and is none of its own; the alarm is active until both are gone. Where the
+controller or the propeller is seen first, its alarm explains the motor's, which is not raised. An excuse with
+`same_cause` says so in a profile ([profiles](profiles.md)); the alarm desk is the one place that acts on it. A motor
+that ArduPilot's simulator weakens turns slower than commanded: its alarm `motorN` names `escN`.
+
+Each row counts flights in which a fault was given this name, by an alarm or in the motor's; "also" is what else was
+raised.
 """
 
 

@@ -26,7 +26,7 @@ from monitor import blind
 from monitor.alarms import link_alarms
 from monitor.alarms.alarm import TUNABLE
 from monitor.alarms.desk import AlarmDesk, DeskRule, desk_rule, rule_fields
-from monitor.alarms.excuse import Excuses
+from monitor.alarms.excuse import Excuses, general_of
 from monitor.alarms.link_alarms import HEARTBEAT_NS, SET_BACK_NS, LinkAlarms, StaleAlarm
 from monitor.blind import BlindAlarm, Watching
 from monitor.chain import ChainRun, ObserverChain, alarm_events
@@ -105,7 +105,7 @@ class Pipeline:
         self._stale = StaleAlarm(self.vehicle, profile.stale_s)
         self._link = LinkAlarms(self.vehicle)
         self._blind = BlindAlarm(self.vehicle, self._chains)
-        self._desk = AlarmDesk(self.vehicle, DeskRule())
+        self._desk = AlarmDesk(self.vehicle, DeskRule(), general_of(profile.excuses))
         self._system = profile.system if system is None else system
         self._component = component
         self._interests = self.interests
@@ -422,9 +422,10 @@ class Pipeline:
         if message.name == RULES:
             return self._retune(fields, now_ns)
         if message.name == RESET and (key := self._desk.key(fields)) is not None:
-            for chain in self._chains:
-                if chain.layout.observer == key[0]:
-                    chain.restart(key[1], now_ns, self._clock.newest_ns, "reset")
+            for observer, channel in (key, *self._desk.findings(key)):
+                for chain in self._chains:
+                    if chain.layout.observer == observer:
+                        chain.restart(channel, now_ns, self._clock.newest_ns, "reset")
         return self._desk.operate(message.name, fields, now_ns)
 
     @property

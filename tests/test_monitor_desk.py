@@ -369,3 +369,73 @@ def test_a_channel_whose_alarm_was_unshelved_last_is_not_shelved_by_an_older_not
     desk = AlarmDesk("copter-1", DeskRule())
     desk.adopt([raw("motor1", "raised")], WATCHED, at(1), {"motors/motor1": at(60)})
     assert desk.shelved == {}
+
+
+FINER = {"esc1": ("motor1",), "prop1": ("motor1",)}
+
+
+def finding(state: str, seconds: float, channel: str = "esc1", **changes: Any) -> AlarmEvent:
+    made = raw(channel, state, seconds, **{"message": f"{channel} is slow"} | changes)
+    return replace(made, observer="esc")
+
+
+def test_what_names_an_active_alarms_cause_is_said_in_it_and_is_no_alarm_of_its_own() -> None:
+    desk = AlarmDesk("copter-1", DeskRule(), FINER)
+    own = raw("motor1", "raised").message
+    told = [
+        *desk.process(raw("motor1", "raised")),
+        *desk.process(finding("raised", 1.0)),
+        *desk.process(finding("updated", 2.0, message="esc1 is slower")),
+        *desk.process(raw("motor1", "updated", 3.0)),
+        *desk.process(raw("motor1", "cleared", 4.0)),
+        *desk.process(finding("updated", 5.0)),
+        *desk.process(finding("cleared", 6.0)),
+    ]
+    assert [one.message for one in told[:-1]] == [
+        own,
+        f"{own}; esc1 is slow",
+        f"{own}; esc1 is slower",
+        "esc1 is slower",
+        "esc1 is slow",
+    ]
+    assert states(told) == ["raised", "updated", "updated", "updated", "updated", "cleared"]
+    assert [one.part for one in told] == [None, *["esc1"] * 5]
+    assert {(one.channel, one.id) for one in told} == {("motor1", told[0].id)}
+    assert told[-1].time_ns == at(6.0)
+    assert desk.active == ()
+
+
+def test_a_finding_that_is_over_first_leaves_the_alarm_and_what_it_named() -> None:
+    desk = AlarmDesk("copter-1", DeskRule(), FINER)
+    own = raw("motor1", "raised").message
+    desk.process(raw("motor1", "raised"))
+    (critical,) = desk.process(finding("raised", 1.0, severity="critical"))
+    assert critical.severity == "critical"
+    (alone,) = desk.process(finding("cleared", 2.0))
+    assert (alone.message, alone.part) == (own, "esc1")
+    assert states(desk.process(raw("motor1", "cleared", 3.0))) == ["cleared"]
+
+
+def test_an_alarm_that_is_back_while_its_cause_is_still_named_goes_on() -> None:
+    desk = AlarmDesk("copter-1", DeskRule(), FINER)
+    desk.process(raw("motor1", "raised"))
+    desk.process(finding("raised", 1.0))
+    desk.process(raw("motor1", "cleared", 2.0))
+    (again,) = desk.process(raw("motor1", "raised", 3.0, id="another"))
+    assert (again.state, again.id) == ("updated", raw("motor1", "raised").id)
+    assert desk.findings(("motors", "motor1")) == (("esc", "esc1"),)
+
+
+def test_a_finding_about_another_motor_or_none_is_an_alarm() -> None:
+    desk = AlarmDesk("copter-1", DeskRule(), FINER)
+    desk.process(raw("motor2", "raised"))
+    assert states(desk.process(finding("raised", 1.0))) == ["raised"]
+    assert len(desk.active) == 2
+
+
+def test_a_finding_is_raised_when_its_alarm_is_taken_out_of_service() -> None:
+    desk = AlarmDesk("copter-1", DeskRule(), FINER)
+    desk.process(raw("motor1", "raised"))
+    desk.process(finding("raised", 1.0))
+    told = desk.set_rule(DeskRule(out_of_service=frozenset({"motors/motor1"})), at(2.0))
+    assert [(one.channel, one.state) for one in told] == [("motor1", "cleared"), ("esc1", "raised")]

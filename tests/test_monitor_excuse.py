@@ -9,7 +9,7 @@ import pytest
 from adapters.errors import ProfileError
 from adapters.toml_tables import TomlFile
 from monitor.alarms.alarm import AlarmRule
-from monitor.alarms.excuse import ExcuseRule, Excuses, excuse_tables, read_excuses
+from monitor.alarms.excuse import ExcuseRule, Excuses, excuse_tables, general_of, read_excuses
 from monitor.core.alarms import CLEARED, AlarmState, ChainRows, walk
 from monitor.event import AlarmEvent, State
 
@@ -74,8 +74,10 @@ def test_two_alarms_of_one_channel_both_have_to_clear() -> None:
 
 
 def test_rules_read_back_as_written(tmp_path: Path) -> None:
-    file = TomlFile("profile.toml", {"excuses": excuse_tables([RULE])}, ProfileError)
-    assert read_excuses(file.root.tables("excuses"), KNOWN) == (RULE,)
+    rules = RULE, ExcuseRule(("gyro_x",), ("gyro_y",), 2.0, same_cause=True)
+    file = TomlFile("profile.toml", {"excuses": excuse_tables(rules)}, ProfileError)
+    assert read_excuses(file.root.tables("excuses"), KNOWN) == rules
+    assert general_of(rules) == {"gyro_y": ("gyro_x",)}
     file.check()
 
 

@@ -101,11 +101,12 @@ def test_speeds_at_3_hz_say_within_seconds_why_a_motor_delivers_less(
         fit_profile("multirotor", [partial(packed, log) for log in logs], tmp_path / "quad", "quad")
     fault = Fault(part, 3, share, onset_s=30.0)
     events = play(read_profile(tmp_path / "quad"), flight(9, 45.0, fault, esc_hz=3.0)).events
-    first, second = (event for event in events if event.state == "raised")
-    assert (first.observer, first.channel, second.channel) == ("motors", "motor3", named)
+    [first] = (event for event in events if event.state == "raised")
+    refined = next(event for event in events if event.part)
+    assert (first.observer, first.channel, refined.channel, refined.part) == ("motors", "motor3", "motor3", named)
     assert 0.0 < seconds_after(first, fault) < 1.0
-    assert 0.0 < seconds_after(second, fault) < 5.0
-    assert second.relative is not None and -0.25 < second.relative < -0.05
+    assert 0.0 < seconds_after(refined, fault) < 5.0
+    assert f"; {named} " in refined.message
 
 
 def test_currents_that_say_nothing_are_left_out_and_speeds_that_follow_nothing_refused() -> None:

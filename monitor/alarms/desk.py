@@ -10,7 +10,9 @@ The alarms themselves are raised, updated and cleared by the evidence. The desk 
 - out of service: a channel publishes nothing; its active alarm clears, and is a new alarm if its cause is still there
   afterwards;
 - flood: when too many alarms come at once, further warnings are shelved until the flood is over, and one alarm reports
-  it. Critical alarms are never held back.
+  it. Critical alarms are never held back;
+- one cause, one alarm: a finding that names an active alarm's cause more exactly (a speed controller that turns its
+  motor too slowly, of a motor that delivers less) is said in that alarm, which is active until both are gone.
 
 The desk numbers the events and sees time only in messages, so a recording replays it.
 """
@@ -19,7 +21,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -84,13 +86,25 @@ class _Active:
     event: AlarmEvent
     silent: bool = False
     """Whether nothing was published since it was shelved."""
+    text: str = ""
+    """Its own sentence, without those of the findings."""
+    findings: dict[ChannelKey, AlarmEvent] = field(default_factory=dict)
+    """Last events of those that name its cause more exactly."""
+    over: AlarmEvent | None = None
+    """What clears it as soon as they are gone, too."""
 
 
 class AlarmDesk:
-    """State of one vehicle's alarms as operators see them."""
+    """State of one vehicle's alarms as operators see them.
 
-    def __init__(self, vehicle: str, rule: DeskRule) -> None:
+    ``general`` names, by channel, those whose alarms it says more of.
+    """
+
+    def __init__(
+        self, vehicle: str, rule: DeskRule, general: Mapping[str, Collection[str]] = MappingProxyType({})
+    ) -> None:
         self.rule = rule
+        self._general = general
         self.seq = 0
         self._vehicle = vehicle
         self._active: dict[ChannelKey, _Active] = {}
@@ -125,6 +139,8 @@ class AlarmDesk:
             if not entry.event.latched and key != FLOOD_KEY:
                 self._unserved[key] = entry.event
             published.append(self._numbered(_cleared(entry.event, now_ns, "taken out of service")))
+            for finer, event in entry.findings.items():
+                published.extend(self._take_raised(finer, replace(event, state="raised", time_ns=now_ns)))
         for key in [key for key in self._unserved if _text(key) not in rule.out_of_service]:
             event = replace(self._unserved.pop(key), state="raised", time_ns=now_ns, since_ns=now_ns)
             plain = replace(event, acknowledged=False, shelved_until_ns=None)
@@ -140,6 +156,8 @@ class AlarmDesk:
             else:
                 self._unserved[key] = event
             return []
+        if (refined := self._refined(key, event)) is not None:
+            return self._refine(refined, key, event)
         if event.state == "raised":
             return self._take_raised(key, event)
         entry = self._active.get(key)
@@ -147,14 +165,54 @@ class AlarmDesk:
             return []
         # An alarm that returned while it was latched goes on under the id it had.
         event = replace(event, id=entry.event.id, since_ns=entry.event.since_ns)
+        if event.state == "cleared" and entry.findings:
+            entry.over = event
+            return self._keep_joined(entry, replace(event, state="updated"))
         if event.state == "cleared":
             if _text(key) in self.rule.latched:
                 text = f"{event.message}; latched until reset"
                 return self._keep(entry, replace(event, state="updated", message=text), latched=True)
             del self._active[key]
             return [self._numbered(self._carry(entry, event))]
-        worse = event.severity == "critical" and entry.event.severity != "critical"
-        return self._keep(entry, event, acknowledged=entry.event.acknowledged and not worse)
+        entry.text = event.message
+        return self._keep_joined(entry, event)
+
+    def findings(self, key: ChannelKey) -> tuple[ChannelKey, ...]:
+        """Return the channels that name the cause of a channel's active alarm more exactly."""
+        entry = self._active.get(key)
+        return () if entry is None else tuple(entry.findings)
+
+    def _refined(self, key: ChannelKey, event: AlarmEvent) -> _Active | None:
+        """Return the active alarm that an event says more of, None where it is one of its own."""
+        known = next((entry for entry in self._active.values() if key in entry.findings), None)
+        if known is not None or event.state != "raised" or key in self._active or key in self._shelved:
+            return known
+        general = self._general.get(key[1], ())
+        active = (entry for other, entry in self._active.items() if other[1] in general and not entry.event.latched)
+        return next(active, None)
+
+    def _refine(self, entry: _Active, key: ChannelKey, event: AlarmEvent) -> list[AlarmEvent]:
+        """Say a finding in the alarm whose cause it names; its mere updates wait for the alarm's own."""
+        was = entry.findings.get(key)
+        if event.state == "cleared":
+            del entry.findings[key]
+            if entry.over is not None and not entry.findings:
+                ended = replace(entry.over, time_ns=event.time_ns, vehicle_time_ms=event.vehicle_time_ms)
+                entry.over = None
+                return self.process(ended)
+        else:
+            entry.findings[key] = event
+            worse = was is None or (event.severity, was.severity) == ("critical", "warning")
+            if not worse and entry.over is None:
+                return []
+        now = replace(entry.event, time_ns=event.time_ns, vehicle_time_ms=event.vehicle_time_ms)
+        return self._keep_joined(entry, replace(now, state="updated"))
+
+    def _keep_joined(self, entry: _Active, event: AlarmEvent) -> list[AlarmEvent]:
+        """Store an update with what the findings say; one that is worse is to be acknowledged anew."""
+        joined = _joined(entry, event)
+        worse = joined.severity == "critical" and entry.event.severity != "critical"
+        return self._keep(entry, joined, acknowledged=entry.event.acknowledged and not worse)
 
     def tick(self, now_ns: int) -> list[AlarmEvent]:
         """Let Unix time come to ``now_ns``; return the events that the ends of shelving and of a flood cause."""
@@ -261,7 +319,7 @@ class AlarmDesk:
             if key not in known and until > now_ns:
                 self._shelved.setdefault(key, min(until, now_ns + MAX_SHELVE_NS))
         for key, event in known.items():
-            self._active[key] = entry = _Active(event, silent=event.shelved_until_ns is not None)
+            self._active[key] = entry = _Active(event, event.shelved_until_ns is not None, event.message)
             if event.shelved_until_ns is not None:
                 self._shelved[key] = event.shelved_until_ns
             if key == FLOOD_KEY:
@@ -285,6 +343,10 @@ class AlarmDesk:
     def _take_raised(self, key: ChannelKey, event: AlarmEvent) -> list[AlarmEvent]:
         before = self._active.get(key)
         if before is not None:
+            if before.over is not None:
+                before.over, before.text = None, event.message
+                again = replace(event, id=before.event.id, since_ns=before.event.since_ns, state="updated")
+                return self._keep_joined(before, again)
             text = f"{event.message}; it is back before it was reset"
             again = replace(event, id=before.event.id, since_ns=before.event.since_ns, state="updated", message=text)
             return self._keep(before, again, latched=False, acknowledged=False)
@@ -300,7 +362,7 @@ class AlarmDesk:
         """Activate an alarm; return its event, shelved or not."""
         if (until := self._shelved.get(key)) is not None:
             event = replace(event, state="shelved", shelved_until_ns=until)
-        entry = self._active[key] = _Active(self._numbered(event), silent=until is not None)
+        entry = self._active[key] = _Active(self._numbered(event), until is not None, event.message)
         return entry.event
 
     def _unshelve(self, key: ChannelKey) -> None:
@@ -352,7 +414,8 @@ class AlarmDesk:
     def _carry(self, entry: _Active, event: AlarmEvent) -> AlarmEvent:
         """Return an event with the flags of the one before it."""
         was = entry.event
-        return replace(event, acknowledged=was.acknowledged, latched=was.latched, shelved_until_ns=was.shelved_until_ns)
+        kept = {name: getattr(was, name) for name in ("acknowledged", "latched", "shelved_until_ns")}
+        return replace(event, **kept, part=event.part or was.part)
 
     def _raise_again(self, key: ChannelKey, now_ns: int, why: str) -> list[AlarmEvent]:
         entry = self._active.get(key)
@@ -393,6 +456,18 @@ class AlarmDesk:
 
 def _cleared(event: AlarmEvent, now_ns: int, text: str) -> AlarmEvent:
     return replace(event, state="cleared", time_ns=now_ns, message=text)
+
+
+def _joined(entry: _Active, event: AlarmEvent) -> AlarmEvent:
+    """Return an event of an alarm with the sentences of the findings, as severe as the worst of them."""
+    findings = list(entry.findings.values())
+    own = [entry.text] if entry.over is None else []
+    return replace(
+        event,
+        message="; ".join([*own, *(finding.message for finding in findings)]),
+        severity="critical" if any(one.severity == "critical" for one in (event, *findings)) else event.severity,
+        part=findings[-1].channel if findings else event.part,
+    )
 
 
 def _with(entry: _Active, what: str) -> str:

@@ -32,11 +32,15 @@ class ExcuseRule:
         Channels whose alarms excuse them.
     for_s : float
         How long after such an alarm has cleared, seconds.
+    same_cause : bool
+        Whether those alarms name the same cause more exactly: raised while one of the channels has an active alarm,
+        they say more of that one and are none of their own (:mod:`monitor.alarms.desk`).
     """
 
     channels: tuple[str, ...]
     by: tuple[str, ...]
     for_s: float
+    same_cause: bool = False
 
 
 class Excuses:
@@ -84,11 +88,25 @@ class Excuses:
         return False, np.array(spans, np.int64).reshape(-1, 2)
 
 
+def general_of(rules: Sequence[ExcuseRule]) -> dict[str, tuple[str, ...]]:
+    """Return, by channel, those whose causes it names more exactly."""
+    finer = {cause for rule in rules if rule.same_cause for cause in rule.by}
+    return {
+        cause: tuple(channel for rule in rules if rule.same_cause and cause in rule.by for channel in rule.channels)
+        for cause in sorted(finer)
+    }
+
+
 def read_excuses(tables: Iterable[Table], known: Sequence[str]) -> tuple[ExcuseRule, ...]:
     """Return the rules of a profile whose alarm channels are ``known``; mistakes are recorded in its file."""
     rules = []
     for table in tables:
-        rule = ExcuseRule(table.texts("channels"), table.texts("by"), table.number("for_s", 0.0, at_least=0.0))
+        rule = ExcuseRule(
+            table.texts("channels"),
+            table.texts("by"),
+            table.number("for_s", 0.0, at_least=0.0),
+            table.boolean("same_cause", False),
+        )
         table.done()
         for key, names in (("channels", rule.channels), ("by", rule.by)):
             if table.good(key) and (not names or (strange := [name for name in names if name not in known])):
@@ -102,4 +120,8 @@ def read_excuses(tables: Iterable[Table], known: Sequence[str]) -> tuple[ExcuseR
 
 def excuse_tables(rules: Sequence[ExcuseRule]) -> list[dict[str, Any]]:
     """Return the tables that :func:`read_excuses` reads back as the same rules."""
-    return [{"channels": list(rule.channels), "by": list(rule.by), "for_s": rule.for_s} for rule in rules]
+    return [
+        {"channels": list(rule.channels), "by": list(rule.by), "for_s": rule.for_s}
+        | ({"same_cause": True} if rule.same_cause else {})
+        for rule in rules
+    ]

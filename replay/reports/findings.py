@@ -135,6 +135,7 @@ def _finding(
         if near.relative is not None and near.estimate:
             relative = near.relative * size / near.estimate
         message = alarm_message(alarm.observer, alarm.channel, near.kind, near.unit, near.state, size, relative)
+        message += next((f"; the cause is in {event.part}" for event in reversed(alarm.history) if event.part), "")
     rival = _rival(trace, inside, alarm.channel, thresholds)
     return Finding(alarm, largest, size, deviation, grew, rival, relative, message, effect)
 

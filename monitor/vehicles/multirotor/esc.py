@@ -201,7 +201,9 @@ def _designed(
         },
         lines=_lines(found, signals, alarms, rate_hz),
         excuses=tuple(
-            ExcuseRule((f"motor{n}",), (f"{part}{n}",), _EXCUSED_S) for n in found.numbers for part in ("esc", "prop")
+            ExcuseRule((f"motor{n}",), (f"{part}{n}",), _EXCUSED_S, same_cause=True)
+            for n in found.numbers
+            for part in ("esc", "prop")
         ),
     )
 
