@@ -154,7 +154,7 @@ first steps:
 """
 _GROUPS = {
     "your vehicle": ("record", "fit", "replay", "watch", "run", "alarms", "console", "notify"),
-    "recordings": ("review", "info", "convert", "recover", "inject", "detectability"),
+    "recordings": ("review", "trend", "info", "convert", "recover", "inject", "detectability"),
     "models and observers": ("check", "design", "simulate"),
     "this machine": ("demo", "doctor", "schema", "completion"),
 }

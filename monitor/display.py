@@ -35,6 +35,11 @@ def display_unit(unit: str) -> tuple[float, str]:
     return _UNITS.get(unit, (1.0, unit))
 
 
+def share_unit(unit: str) -> str:
+    """Return what people say for per cent of what is commanded, of an actuator whose size has this unit."""
+    return _SHARES.get(unit, "% of the command")
+
+
 def size_text(size: float, unit: str, *, signed: bool = False) -> str:
     """Return a size in one of the monitor's units as people say it: ``5.73 degrees``; per cent have two digits."""
     factor, name = display_unit(unit)
@@ -46,7 +51,7 @@ def fault_text(channel: str, estimate: float | None, relative: float | None, uni
     if not isinstance(unit, str):  # from a network, not yet checked
         return ""
     if _is_size(relative):
-        return f"{percent_text(float(relative or 0.0), signed=True)} {_SHARES.get(unit, '% of the command')}"
+        return f"{percent_text(float(relative or 0.0), signed=True)} {share_unit(unit)}"
     if not _is_size(estimate):
         return ""
     size = float(estimate or 0.0)

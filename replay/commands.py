@@ -15,6 +15,7 @@ from replay import attack_commands
 from replay.review.review_command import add_review
 from replay.runs.replay_command import LOG_HELP, MAPPING_HELP, add_replay
 from replay.watch.watch_command import add_watch
+from replay.wear.trend_command import add_trend
 
 if TYPE_CHECKING:
     from adapters.batch import Batch
@@ -32,6 +33,7 @@ def add_parsers(subparsers: Any) -> None:
     add_replay(subparsers)
     add_review(subparsers)
     add_watch(subparsers)
+    add_trend(subparsers)
     _add_convert(subparsers)
     _add_info(subparsers)
     attack_commands.add_parsers(subparsers)

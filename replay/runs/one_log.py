@@ -22,6 +22,7 @@ from replay.attacks.inject import known_truth
 from replay.inspection.log_info import first_raised
 from replay.player import Replay, interests, play_batches
 from replay.reports.findings import effects, findings
+from replay.reports.levels import WearLevel, flight_levels
 from replay.reports.recording_facts import RecordingFacts, RecordingMeter
 from replay.reports.verdict import alarm_summary, run_sentence, stated_facts
 
@@ -80,6 +81,7 @@ class LogOutcome:
     lacking: Mapping[str, tuple[str, ...]] | None = None
     mismatch: str | None = None  # what says that it is of another vehicle than the profile's
     damage: tuple[Damage, ...] = ()  # what of it could not be read
+    levels: tuple[WearLevel, ...] = ()  # what the flight says of wear
     processor_s: float = 0.0  # processor time of the replay with all of its outputs, seconds
 
     @property
@@ -193,6 +195,7 @@ def _replay(
         lacking=dict(found.lacking),
         mismatch=found.mismatch,
         damage=recording.damage(),
+        levels=tuple(flight_levels(profile, found.events, found.traces)),
         processor_s=time.thread_time() - started_s,
     )
 

@@ -108,6 +108,7 @@ def run_replay(args: argparse.Namespace) -> int:
     """Run ``fauio replay``."""
     from monitor.fitting.progress import track
     from monitor.profile import read_profile
+    from replay.reports.levels import worn_channels
     from replay.runs.log_list import find_logs
     from replay.runs.summary_table import SummaryTable
 
@@ -120,7 +121,7 @@ def run_replay(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         # what cannot be written shall be known before the first log
         alarms = stack.enter_context(_Lines(args.alarms)) if args.alarms else None
-        table = stack.enter_context(SummaryTable(args.table)) if args.table else None
+        table = stack.enter_context(SummaryTable(args.table, worn_channels(profile))) if args.table else None
         live = stack.enter_context(_live(args)) if args.publish or args.udp or args.speed is not None else None
         outcomes = _outcomes(args, profile, tasks, live)
         stack.callback(outcomes.close)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Self
 
 from adapters.errors import UsageError
 from adapters.output_file import naming
 from monitor.bus.alarm_text import utc
+from replay.reports.levels import WornChannel, level_columns
 from replay.runs.one_log import LogOutcome
 
 COLUMNS: Mapping[str, type] = {
@@ -51,6 +52,11 @@ def summary_row(outcome: LogOutcome) -> dict[str, Any]:
     duration_s = max(0, outcome.end_ns - outcome.start_ns) / 1e9
     status = "failed" if outcome.error is not None else "ok" if outcome.evidence else "unwatched"
     lacking = [f"{name}: {', '.join(lacks)}" for name, lacks in (outcome.lacking or {}).items()]
+    worn = {
+        name: float(f"{value:.6g}")
+        for level in outcome.levels
+        for name, value in zip(level_columns(level.of), (level.value, level.sd, level.limit), strict=True)
+    }
     return {
         "log": outcome.log,
         "status": status,
@@ -74,22 +80,29 @@ def summary_row(outcome: LogOutcome) -> dict[str, Any]:
         "damage": "; ".join(one.line() for one in outcome.damage) or None,
         "processor_s": round(outcome.processor_s, 3),
         "times_real_time": round(duration_s / outcome.processor_s, 1) if duration_s and outcome.processor_s else None,
+        **worn,
     }
 
 
 class SummaryTable:
     """Writes the table, ``.csv`` or ``.parquet``; rows are in the file after :meth:`close`, in a CSV file at once.
 
+    Behind :data:`COLUMNS` there are three for each channel that shows wear.
+
     Raises UsageError for another suffix, or for Parquet without pyarrow; any method OSError where it cannot be written.
     """
 
-    def __init__(self, path: Path) -> None:
-        kinds: Mapping[str, Callable[[Path], _Csv | _Parquet]] = {".csv": _Csv, ".parquet": _Parquet}
+    def __init__(self, path: Path, worn: Iterable[WornChannel] = ()) -> None:
+        kinds: Mapping[str, Callable[[Path, Mapping[str, type]], _Csv | _Parquet]] = {
+            ".csv": _Csv,
+            ".parquet": _Parquet,
+        }
         if path.suffix.lower() not in kinds:
             raise UsageError(f"--table {path}: unknown kind of table; use .csv or .parquet")
         self._path = path
+        columns = {**COLUMNS, **{name: float for of in worn for name in level_columns(of)}}
         with naming(path):
-            self._rows = kinds[path.suffix.lower()](path)
+            self._rows = kinds[path.suffix.lower()](path, columns)
 
     def add(self, outcome: LogOutcome) -> None:
         """Add a log's row."""
@@ -109,9 +122,9 @@ class SummaryTable:
 
 
 class _Csv:
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, columns: Mapping[str, type]) -> None:
         self._file = path.open("w", newline="", encoding="utf-8", errors="backslashreplace")
-        self._writer = csv.DictWriter(self._file, list(COLUMNS))
+        self._writer = csv.DictWriter(self._file, list(columns))
         self._writer.writeheader()
 
     def add(self, row: Mapping[str, Any]) -> None:
@@ -123,7 +136,7 @@ class _Csv:
 
 
 class _Parquet:
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, columns: Mapping[str, type]) -> None:
         try:
             import pyarrow
             import pyarrow.parquet
@@ -132,7 +145,7 @@ class _Parquet:
                 f"--table {path}: pyarrow is not installed; run: pip install 'fauio[parquet]', or write .csv"
             ) from error
         types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64()}
-        self._schema = pyarrow.schema([(name, types[kind]) for name, kind in COLUMNS.items()])
+        self._schema = pyarrow.schema([(name, types[kind]) for name, kind in columns.items()])
         self._table = pyarrow.Table
         self._writer = pyarrow.parquet.ParquetWriter(path, self._schema)
         self._pending: list[Mapping[str, Any]] = []

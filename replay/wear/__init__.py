@@ -1,0 +1,1 @@
+"""`fauio trend`: wear across flights."""

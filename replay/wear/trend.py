@@ -1,0 +1,266 @@
+"""Wear across flights: each channel's trend over hours of flight, and what of it will need service when.
+
+A trend is claimed where its slope is towards wear with such a certainty that of all channels together, without any
+wear, one is claimed in 40 cases at most (Bonferroni). An actuator's loss shows in its neighbours' estimates, too: of
+those of one observer the most certain trend is named, others are said to be possibly part of it. A line is followed no
+further than as long again as it was seen: how wear goes on beyond, nobody knows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime
+from typing import Any, Literal
+
+import numpy as np
+
+from monitor.alarms.alarm import LOG_TIMES
+from monitor.display import number_text
+from replay.reports.levels import WearLevel, WornChannel
+from replay.wear.line import COVERED, LEAST_FLIGHTS, Line, fit_line
+
+_FALSE_CLAIMS = 0.5 * (1.0 - COVERED)
+"""Share of vehicles without wear of which any is claimed: the end of an interval that holds :data:`COVERED`."""
+AHEAD = 1.0
+"""How far a line is followed beyond the last flight, in times of what was flown. Chosen: as long again."""
+_LEAST_ERROR = 1e-3
+"""Least standard deviation of a flight's level, as a share of the level that raises an alarm: a thousandth decides
+nothing, and keeps weights finite."""
+
+_CLOCK_SET = 2000
+"""First year in which a clock that was set may say that a log began."""
+
+Judged = Literal["due", "worn", "part", "unclear", "few"]
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedFlight:
+    """One flight of a vehicle: what it says of its channels."""
+
+    log: str
+    start_utc: str  # empty where it is not known
+    duration_s: float
+    watched_s: float
+    levels: tuple[WearLevel, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class TrendPoint:
+    """A flight's level."""
+
+    log: str
+    hours: float  # of flight, up to its middle
+    value: float
+    sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """What all flights say of one channel, in its unit and hours of flight."""
+
+    of: WornChannel
+    limit: float  # the level at which the monitor raises an alarm, the median over the flights
+    points: tuple[TrendPoint, ...]
+    # due: at the limit already; worn: a certain trend towards it; part: one that may be another channel's
+    state: Judged
+    line: Line | None = None  # None of too few flights
+    due_h: tuple[float, float, float] | None = None  # from the last flight: at the earliest, at best, at the latest
+    beyond: bool = False  # whether the earliest lies further ahead than the line is followed
+    part_of: str = ""  # the channel whose wear it may be
+
+    @property
+    def certainty(self) -> float:
+        """The slope towards wear in its standard errors."""
+        if self.line is None:
+            return -math.inf
+        return math.copysign(1.0, self.limit) * self.line.slope / max(self.line.slope_error, 1e-300)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``--json`` prints."""
+        said: dict[str, Any] = {**self.of._asdict(), "limit": self.limit, "state": self.state}
+        if self.line is not None:
+            half = self.line.quantile() * self.line.slope_error
+            last = max(point.hours for point in self.points)
+            (level,), (error,) = self.line.at(np.array([last]))
+            said |= {
+                "slope_per_hour": [self.line.slope - half, self.line.slope, self.line.slope + half],
+                "level": [level - self.line.quantile() * error, float(level), level + self.line.quantile() * error],
+                "between_flights_sd": self.line.between,
+            }
+        said["due_in_hours"] = None if self.due_h is None or self.beyond else list(self.due_h)
+        said["part_of"] = self.part_of or None
+        return said | {"points": [asdict(point) for point in self.points]}
+
+
+@dataclass(frozen=True, slots=True)
+class Wear:
+    """What a vehicle's flights say together."""
+
+    flights: tuple[LoggedFlight, ...]  # in their order
+    doubled: tuple[str, ...]  # logs of a time that another one covers
+    trends: tuple[Trend, ...]
+
+    @property
+    def hours(self) -> float:
+        """Hours of watched flight."""
+        return sum(flight.watched_s for flight in self.flights) / 3600.0
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what ``--json`` prints."""
+        return {
+            "verdict": " ".join(wear_sentences(self)),
+            "flights": len(self.flights),
+            "hours": self.hours,
+            "left_out": list(self.doubled),
+            "trends": [trend.to_json() for trend in self.trends],
+        }
+
+
+def find_wear(flights: Sequence[LoggedFlight]) -> Wear:
+    """Return the trends of all channels; flights are put in order where all say when they were."""
+    kept, doubled = _in_order(flights)
+    series: dict[WornChannel, list[tuple[TrendPoint, float]]] = defaultdict(list)
+    hours = 0.0
+    for flight in kept:
+        middle = hours + 0.5 * flight.watched_s / 3600.0
+        hours += flight.watched_s / 3600.0
+        for level in flight.levels:
+            series[level.of].append((TrendPoint(flight.log, middle, level.value, level.sd), level.limit))
+    told = sum(len(points) >= LEAST_FLIGHTS for points in series.values())
+    trends = [_trend(of, points, hours, told) for of, points in series.items()]
+    return Wear(tuple(kept), tuple(doubled), tuple(_with_parts(trends)))
+
+
+def _in_order(flights: Sequence[LoggedFlight]) -> tuple[list[LoggedFlight], list[str]]:
+    """Return flights by their beginnings, and the logs that tell of a flight again."""
+    starts = [_start_s(flight.start_utc) for flight in flights]
+    if None in starts:
+        return list(flights), []
+    kept: list[LoggedFlight] = []
+    doubled: list[str] = []
+    end = -math.inf
+    for flight, start in sorted(zip(flights, starts, strict=True), key=lambda one: one[1] or 0.0):
+        if start is None or start < end:
+            doubled.append(flight.log)
+            continue
+        kept.append(flight)
+        end = start + flight.duration_s
+    return kept, doubled
+
+
+def _start_s(start_utc: str) -> float | None:
+    """Return a Unix time; None of a vehicle that did not know the date and counted from its own start."""
+    try:
+        start = datetime.fromisoformat(start_utc)
+    except ValueError:
+        return None
+    return start.timestamp() if start.year >= _CLOCK_SET else None
+
+
+def _trend(of: WornChannel, points: Sequence[tuple[TrendPoint, float]], hours: float, told: int) -> Trend:
+    """Return a channel's trend; ``told`` channels have enough flights to have one."""
+    shown = tuple(point for point, _ in points)
+    limit = float(np.median([limit for _, limit in points]))
+    bare = Trend(of, limit, shown, "few")
+    if len(points) < LEAST_FLIGHTS:
+        return bare
+    x, y, sd = (np.array([getattr(point, name) for point in shown]) for name in ("hours", "value", "sd"))
+    line = fit_line(x, y, np.maximum(sd, _LEAST_ERROR * abs(limit)))
+    certain = line.quantile(1.0 - 2.0 * _FALSE_CLAIMS / told)
+    sign = math.copysign(1.0, limit)
+    (level,), (error,) = line.at(np.array([hours]))
+    if sign * (level - limit) > certain * error:
+        return Trend(of, limit, shown, "due", line)
+    if not sign * line.slope > certain * line.slope_error:
+        return Trend(of, limit, shown, "unclear", line)
+    crossing = line.crossing(limit)
+    assert crossing is not None  # noqa: S101 - the slope is more certain than that
+    first, best, last = (max(0.0, at - hours) for at in crossing)
+    return Trend(of, limit, shown, "worn", line, (first, best, last), first > AHEAD * hours)
+
+
+def _with_parts(trends: Iterable[Trend]) -> list[Trend]:
+    """Return the trends, the most certain ones first; of one observer's only the first is named."""
+    named: dict[str, str] = {}
+    ordered = []
+    for trend in sorted(trends, key=lambda one: (one.state not in ("due", "worn"), -one.certainty)):
+        state, of = trend.state, trend.of
+        if state in ("due", "worn") and named.setdefault(of.observer, of.channel) != of.channel:
+            ordered.append(replace(trend, state="part", part_of=named[of.observer], due_h=None))
+        else:
+            ordered.append(trend)
+    return ordered
+
+
+def wear_sentences(wear: Wear) -> list[str]:
+    """Return what will need service when, a sentence for each channel; or that no trend can be told."""
+    flown = f"{len(wear.flights)} flights, {hours_text(wear.hours)}"
+    said = [
+        f"{trend.of.channel} {_service(trend, wear.hours)}." for trend in wear.trends if trend.state in ("due", "worn")
+    ]
+    if said:
+        return said
+    if all(trend.state == "few" for trend in wear.trends):
+        return [f"No trend can be told from these flights ({flown}): {LEAST_FLIGHTS} are needed that show a channel."]
+    return [f"No trend can be told from these flights ({flown}): none is more than what differs from flight to flight."]
+
+
+def _service(trend: Trend, hours: float) -> str:
+    assert trend.line is not None  # noqa: S101 - of a channel that is named
+    half = trend.line.quantile() * trend.line.slope_error
+    limit = level_text(trend.limit, trend.of.unit)
+    if trend.state == "due":
+        level = level_text(float(trend.line.at(np.array([hours]))[0][0]), trend.of.unit)
+        return f"needs service now: it is at {level}, and {limit} raises an alarm"
+    slope = slope_text(trend.line.slope, half, trend.of.unit)
+    assert trend.due_h is not None  # noqa: S101 - of a channel that wears
+    first, best, last = trend.due_h
+    if trend.beyond:
+        return f"wears, {slope}, but needs no service within the next {hours_text(AHEAD * hours)} of flight"
+    when = f"in {hours_text(best)} of flight ({hours_text(first)} to {hours_text(last)})"
+    when = when if first > 0.0 else f"within {hours_text(last)} of flight"
+    return f"will need service {when}: {slope}, and {limit} raises an alarm"
+
+
+def trend_lines(wear: Wear) -> list[str]:
+    """Return a line for each channel: its slope, what it is now, what differs between flights, and how it is judged."""
+    return [_trend_line(trend) for trend in wear.trends]
+
+
+def _trend_line(trend: Trend) -> str:
+    name = f"{trend.of.observer}/{trend.of.channel}"
+    if trend.line is None:
+        return f"{name}: no trend told, as {len(trend.points)} of the {LEAST_FLIGHTS} flights needed show it"
+    half = trend.line.quantile() * trend.line.slope_error
+    judged: Mapping[Judged, str] = {
+        "due": "needs service",
+        "worn": "wears",
+        "part": f"may be part of {trend.part_of}'s",
+        "unclear": f"no trend told, where one of {number_text(half, 2)} would be",
+    }
+    return (
+        f"{name}: {slope_text(trend.line.slope, half, trend.of.unit)}; differs by {number_text(trend.line.between, 2)} "
+        f"between flights; {judged[trend.state]}"
+    )
+
+
+def slope_text(slope: float, half: float, unit: str) -> str:
+    """Return a slope and half of its interval for people."""
+    said = "log times" if unit == LOG_TIMES else unit
+    low, high = number_text(slope - half, 2, signed=True), number_text(slope + half, 2, signed=True)
+    return f"{number_text(slope, 2, signed=True)} {said} each hour ({low} to {high})"
+
+
+def level_text(level: float, unit: str) -> str:
+    """Return a level for people."""
+    if unit == LOG_TIMES:
+        return f"{number_text(math.exp(min(level, 50.0)), 2)} times"
+    return f"{number_text(level, 2, signed=True)} {unit}"
+
+
+def hours_text(hours: float) -> str:
+    """Return a time of flight for people."""
+    return f"{number_text(60.0 * hours, 2)} min" if hours < 1.0 else f"{number_text(hours, 2)} h"

@@ -1,0 +1,107 @@
+"""``fauio trend``: its options, where its flights come from, and what it prints."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from replay.wear.trend import LoggedFlight
+
+
+def add_trend(subparsers: Any) -> None:
+    """Add the command to the command line."""
+    parser = subparsers.add_parser(
+        "trend",
+        help="wear across flights: what will need service when",
+        description="Fit a line to what each flight says of each actuator, over hours of flight: effectiveness, speed "
+        "and current of motors, vibration, as far as the profile watches them. Says what will need service when, with "
+        "an interval that holds it 95 times of 100, or that no trend can be told from these flights. Service is due "
+        "where the monitor would raise an alarm.",
+        epilog="example: fauio trend flights/ --profile quad/ --plot wear.png",
+    )
+    parser.add_argument(
+        "flights",
+        nargs="+",
+        type=Path,
+        metavar="FOLDER|TABLE",
+        help="tables that fauio replay --table wrote (.csv, .parquet), or logs and folders of them, with --profile",
+    )
+    parser.add_argument("--profile", type=Path, metavar="PROFILE", help="profile folder by which logs are replayed")
+    parser.add_argument(
+        "--since", metavar="UTC", help="leave out flights before, as 2026-11-23 or 2026-11-23T08:00: after a service"
+    )
+    parser.add_argument("--plot", type=Path, metavar="OUT.png", help="draw the trends")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(handler=run_trend)
+
+
+def run_trend(args: argparse.Namespace) -> int:
+    """Run ``fauio trend``."""
+    from adapters.errors import TelemetryError, UsageError, printable
+    from replay.runs.log_list import check_output
+    from replay.wear.flight_table import SUFFIXES, read_table
+    from replay.wear.trend import find_wear, trend_lines, wear_sentences
+
+    tables = [path for path in args.flights if path.suffix.lower() in SUFFIXES]
+    logs = [path for path in args.flights if path not in tables]
+    if logs and args.profile is None:
+        raise UsageError(f"{logs[0]}: logs are replayed by a profile; add --profile PROFILE, or give a table")
+    _check_since(args.since)
+    if args.plot is not None:
+        if args.plot in tables:
+            raise UsageError(f"--plot {args.plot}: is one of the tables")
+        check_output(args.plot)
+    flights = [flight for path in tables for flight in read_table(path)]
+    flights += _replayed(args.profile, logs) if logs else []
+    flights = [flight for flight in flights if not args.since or flight.start_utc >= args.since]
+    if not flights:
+        since = f" since {args.since}" if args.since else ""
+        raise TelemetryError(f"{args.flights[0]}: no flight that was watched{since}")
+    wear = find_wear(flights)
+    if args.plot is not None:
+        from replay.wear.trend_plot import plot_trends
+
+        plot_trends(args.plot, wear)
+    for log in wear.doubled:
+        sys.stderr.write(printable(f"fauio: {log}: left out; another log tells of the same time") + "\n")
+    if args.json:
+        sys.stdout.write(json.dumps(wear.to_json(), allow_nan=False) + "\n")
+    else:
+        sys.stdout.writelines(printable(line) + "\n" for line in (*wear_sentences(wear), *trend_lines(wear)))
+    return 0
+
+
+def _check_since(since: str | None) -> None:
+    from datetime import datetime
+
+    from adapters.errors import UsageError
+
+    try:
+        datetime.fromisoformat(since or "2000-01-01")
+    except ValueError:
+        raise UsageError(f"--since {since}: is no date; write it as 2026-11-23 or 2026-11-23T08:00") from None
+
+
+def _replayed(folder: Path, arguments: Sequence[Path]) -> Iterator[LoggedFlight]:
+    """Yield what logs say of wear; one that cannot be replayed is told on stderr and left out."""
+    from adapters.errors import printable
+    from monitor.bus.alarm_text import utc
+    from monitor.fitting.progress import track
+    from monitor.profile import read_profile
+    from replay.runs.log_list import find_logs
+    from replay.runs.one_log import LogTask, replay_log
+    from replay.wear.trend import LoggedFlight
+
+    profile, logs = read_profile(folder), find_logs(arguments)
+    for log in track(logs, "replaying", "logs", total=len(logs)):
+        outcome = replay_log(profile, LogTask(log=str(log.path), path=log.path, folder=folder))
+        if outcome.error is not None or not outcome.evidence:
+            sys.stderr.write(printable(f"fauio: {outcome.error or outcome.verdict}; left out") + "\n")
+            continue
+        duration_s = (outcome.end_ns - outcome.start_ns) / 1e9
+        yield LoggedFlight(outcome.log, utc(outcome.start_ns), duration_s, outcome.watched_s, outcome.levels)
