@@ -87,3 +87,8 @@ def matched(endpoint: Endpoint, key: str) -> bool:
     """Return whether somebody's subscription has reached the monitor's session."""
     with endpoint.session.declare_publisher(key) as probe:
         return bool(probe.matching_status.matching)
+
+
+def shown_from_now_on(endpoint: Endpoint) -> None:
+    """Wait until a display has subscribed to statuses and estimates: what was published before, it never gets."""
+    until(lambda: all(matched(endpoint, f"fauio/copter-1/{key}") for key in ("status", "estimate/motors")))

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from fleet_publisher import SimulatedMonitor
-from loopback import Endpoint, free_port
+from loopback import Endpoint, free_port, shown_from_now_on
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
@@ -60,6 +60,7 @@ def serve(endpoint: Endpoint, browser: webdriver.Chrome) -> Iterator[Callable[..
 
     def make(port: int = 0, **options: Any) -> ConsoleServer:
         made.append(ConsoleServer(endpoint.client(), ConsoleOptions(listen=f"127.0.0.1:{port}", **options)))
+        shown_from_now_on(endpoint)
         return made[-1]
 
     browser.get_log("browser")

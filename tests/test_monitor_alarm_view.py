@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from loopback import START_NS, Endpoint, event
+from loopback import START_NS, Endpoint, event, shown_from_now_on
 from rich.console import Console
 
 from monitor.bus.operators import Operators
@@ -162,6 +162,7 @@ def test_what_and_in_which_state_is_never_cut_while_there_is_room_for_it(width: 
 def test_a_vehicle_that_is_not_watched_stands_above_the_alarms(endpoint: Endpoint, screen: Screen) -> None:
     publisher = Publisher(endpoint.session, "copter-1", [])
     screen.until("monitored: copter-1")
+    shown_from_now_on(endpoint)
     publisher.status({"state": "degraded", "reasons": ["motors watches nothing: no HIGHRES_IMU\x1b[2J"]})
     screen.until(r"copter-1 is degraded: motors watches nothing: no HIGHRES_IMU\?\[2J\s+no alarm is active")
     publisher.status({"state": "monitoring", "reasons": []})
@@ -196,6 +197,7 @@ def test_sizes_and_rates_are_of_now(endpoint: Endpoint, screen: Screen) -> None:
     publisher = Publisher(endpoint.session, "copter-1", [])
     publisher.event(event(1, estimate=-0.02, relative=-0.05, unit="fraction of full command"))
     screen.until("monitored: copter-1")
+    shown_from_now_on(endpoint)
     publisher.status({"state": "monitoring", "reasons": [], "messages_per_s": 230.4})
     screen.until(r"copter-1 \(230 messages/s\)[\s\S]*-5 % of thrust")
     endpoint.session.put("fauio/copter-1/estimate/motors", json.dumps({"isolated": {"motor1": -0.04, "motor2": 0.0}}))

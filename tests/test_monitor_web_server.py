@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 from fleet_publisher import SimulatedMonitor
-from loopback import Endpoint, free_port, matched, until
+from loopback import Endpoint, free_port, shown_from_now_on, until
 
 from adapters.errors import UsageError
 from monitor.console.web_server import ConsoleOptions, ConsoleServer
@@ -129,8 +129,7 @@ def test_a_vehicles_past_comes_whole_and_then_what_is_new(
     console = site()
     start = time.time()
     fleet = console.server.fleet
-    # the subscription that is declared last, so the monitor knows of all of them
-    until(lambda: matched(endpoint, "fauio/quad-1/estimate/motors"))
+    shown_from_now_on(endpoint)
     monitor.text(start, "hello <b>")
     for k in range(3):
         monitor.estimates(start + k)
