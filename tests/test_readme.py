@@ -22,7 +22,7 @@ import fauio
 
 README = (ROOT / "README.md").read_text()
 FOR_EVER = ("record", "run", "alarms", "console", "watch")
-SLOW = ("demo", "detectability", "fit")
+SLOW = ("demo", "detectability", "fit", "review")
 RUN_ELSEWHERE = {tuple(shlex.split(example)[1:]) for example in EXAMPLES}
 """Examples of the command line's own help, which tests/test_fauio.py runs in each run of the suite."""
 

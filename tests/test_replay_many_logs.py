@@ -44,16 +44,22 @@ def replayed(flights: Path, folder: Path, *options: str) -> tuple[int, list[dict
     return status, [json.loads(line) for line in alarms.read_text().splitlines()]
 
 
+def without_progress(said: str) -> str:
+    """Leave out the lines of a slow machine: how far it is after ten seconds."""
+    return "".join(line for line in said.splitlines(keepends=True) if "fauio: replaying: " not in line)
+
+
 def test_two_processes_find_what_one_finds(flights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     one_status, one = replayed(flights, tmp_path / "one")
     one_said = capsys.readouterr()
     two_status, two = replayed(flights, tmp_path / "two", "--jobs", "2")
     two_said = capsys.readouterr()
     assert one == two
-    assert one_said == two_said
+    assert one_said.out == two_said.out
+    assert without_progress(one_said.err) == without_progress(two_said.err)
     assert one_status == two_status == 2
     assert "copter_garbage.tlog: holds no MAVLink packet" in one_said.err
-    assert one_said.err.count("\n") == 1
+    assert without_progress(one_said.err).count("\n") == 1
     logs = [f"{flights}/{name}.tlog.xz" for name in FLIGHTS]
     assert list(dict.fromkeys(event["log"] for event in one)) == logs
     assert [event["channel"] for event in one if event["state"] == "raised"] == ["gps_north", "motor2", "motor3"]

@@ -74,6 +74,7 @@ def fleet(quad_folder: Path, arm_profile: Profile, tmp_path: Path) -> Iterator[F
     one.close()
 
 
+@pytest.mark.long
 def test_the_alarms_of_both_shards_are_seen_at_the_router_and_each_keeps_its_own(fleet: Fleet, data: Path) -> None:
     command = [*FAUIO, "alarms", "--json", "--connect", fleet.router]
     simulate = [*FAUIO, "simulate", "arm", "--zenoh", TELEMETRY, "--connect", fleet.router, "--speed", "8"]

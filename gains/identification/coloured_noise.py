@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from gains.plants.plant import FloatArray
 
@@ -72,6 +71,8 @@ def whitened(columns: FloatArray, own: NDArray[np.bool_], noise: Autoregression)
     noise : Autoregression
         The errors' colour.
     """
+    from scipy.signal import lfilter
+
     before = known_before(own)
     order = len(noise.variances) - 1
     filtered = lfilter(np.append(1.0, -noise.coefficients[order]), [1.0], columns, axis=-1)

@@ -32,7 +32,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from adapters.errors import ModelError
 from gains.identification.coloured_noise import (
@@ -370,6 +369,8 @@ class _Descent:
 
     def _columns(self, o: int, *, slopes: bool) -> Iterator[tuple[FloatArray, NDArray[np.bool_]]]:
         """Yield by stretch the residual of an axis and what its coefficients put into x (c, N), and rows that count."""
+        from scipy.signal import lfilter
+
         q = float(self.shared[_CURVES[o]])
         taps = lag_taps(self.shared[:3], self.rate_hz)
         moved = self._moved_taps(len(taps)) if slopes else []
@@ -549,6 +550,8 @@ class _Descent:
 
 def _lagged(taps: FloatArray, v: FloatArray) -> FloatArray:
     """Return sum_d h_d v(k-d) along the last axis, v being constant before its start."""
+    from scipy.signal import lfilter
+
     first = v[..., :1]
     return np.asarray(lfilter(taps, [1.0], v - first, axis=-1) + first * taps.sum())
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from adapters.channels import Channel
 from monitor.core.lagged import exponential_mean
@@ -145,6 +144,8 @@ def motor_speeds(request: FitRequest, gate: GateRule, commands: Sequence[Channel
 
 def _order(commands: NDArray[np.float64], speeds: NDArray[np.float64]) -> list[int] | None:
     """Return the column of speeds (N, m) that follows each of the commands (N, s); None where one is still."""
+    from scipy.optimize import linear_sum_assignment
+
     turning = np.flatnonzero(speeds.std(axis=0) > 0.0)
     if len(turning) < commands.shape[1] or not (commands.std(axis=0) > 0.0).all():
         return None
