@@ -1,10 +1,11 @@
-"""MkDocs events: adds the pages that are generated from the code, and mends links that leave ``docs``."""
+"""MkDocs events: adds the pages that are generated from the code, mends links that leave ``docs``, sets equations."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+from equations import typeset
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -29,6 +30,11 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, **_: An
     if page.file.src_uri.startswith(f"{PREFIX}/"):
         return markdown
     return rewritten(_root(config), f"docs/{page.file.src_uri}", markdown)
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Set the equations of a page."""
+    return typeset(content)
 
 
 def _root(config: MkDocsConfig) -> Path:
