@@ -114,8 +114,8 @@ class Choices:
 
     FAULTS = (("left",), ("right",), ("left", "right"))
 
-    def __init__(self, penalty: float = 25.0, usual: float = 0.0) -> None:
-        # One output and no smoothing: J is the square of the residual.
+    def __init__(self, penalty: float = 25.0, usual: float = 0.0, keep: float = 0.0) -> None:
+        # One output, without smoothing: J is the square of the residual.
         self._choice = Choice(
             whitening=np.ones((3, 1, 1)),
             spans=[0, 1, 2, 4],
@@ -126,7 +126,7 @@ class Choices:
             own=np.array([[True, False], [False, True], [True, True]]),
             edges=[],
             washouts=[],
-            keep=0.0,
+            keep=keep,
             floor=9.0,
             share=0.04,
             penalty=penalty,
@@ -164,6 +164,24 @@ def test_the_hypothesis_believed(J: list[list[float]], believed: int) -> None:
 def test_an_actuator_that_would_deliver_more_is_believed_only_where_it_explains_far_more() -> None:
     assert Choices().run([[1.0, 4.0, 1.0]], (1.0, -2.0, 0.0, 0.0)).x[-1, 0] == 1.0
     assert Choices(penalty=0.0).run([[1.0, 4.0, 1.0]], (1.0, -2.0, 0.0, 0.0)).x[-1, 0] == 0.0
+
+
+def test_a_loss_and_a_gain_of_opposite_effect_are_told_apart_by_what_lasts() -> None:
+    signs = (-1.0, 2.0, 0.0, 0.0)
+    more = Choices().run([[60.0, 20.0, 2000.0]], signs)
+    assert more.x[-1, 0] == 1.0
+    assert more.counted.all()
+    assert more.evidence[-1].tolist() == [0.0, 2.0]
+    either = Choices().run([[30.0, 20.0, 2000.0]], signs)
+    assert either.x[-1, 0] == 0.0
+    assert not either.counted.any()
+    for less in ([20.0, 30.0, 2000.0], [23.0, 20.0, 2000.0]):
+        run = Choices().run([less], signs)
+        assert run.x[-1, 0] == 0.0
+        assert run.counted.all()
+    # a gust of the weak axis does not change the name
+    gust = [[1.0, 40.0, 2000.0]] * 100 + [[60.0, 20.0, 2000.0]] * 10
+    assert (Choices(keep=0.8).run(gust, signs).x[:, 0] == 0.0).all()
 
 
 def test_the_score_of_what_is_not_explained_is_the_root_of_the_smallest_J() -> None:

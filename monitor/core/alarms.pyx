@@ -321,6 +321,13 @@ cdef class ChainRows:
         self.scale = scale
         self.changed, self.nats, self.size, self.onset_ns = changed, nats, size, onset_ns
 
+    cdef void supersede(self, Py_ssize_t alarm) noexcept:
+        """Wait no longer for the estimate to show sudden changes of other channels: it shows this one."""
+        cdef Py_ssize_t i
+        for i in range(len(self.alarms)):
+            if i != alarm:
+                (<AlarmState>self.alarms[i]).unseen_ns = 0
+
     cdef Change change_of(self, Py_ssize_t row, Py_ssize_t alarm) noexcept:
         cdef Change change = Change(0.0, 0.0, 0)
         cdef Py_ssize_t i
@@ -410,6 +417,8 @@ def walk(chains, on_event):
             event = alarm.step(
                 chain.times_ns[row], chain.restart[row], chain.evidence[row, i], chain.speaking[row, i],
                 chain.scale[row, i] if chain.scale is not None and i < chain.scale.shape[1] else 1.0, &change)
+            if event == C_RAISED:
+                chain.supersede(i)
             if event:
                 on_event(best, row, i, event)
         rows[best] = row + 1

@@ -13,6 +13,14 @@ import numpy as np
 # quadrotor flights: 1, 1.5, 2 and 4 change the hypothesis in 28, 16, 13 and 8 % of the rows; the alarms are the same,
 # and from 2 on the sizes of their events too.
 cdef double LOYALTY = 2.0
+# Between two hypotheses of opposite effect, one actuator that delivers less and one that delivers more, J decides as
+# its mean over so many times the smoothing. Both leave the same of what the model does not know; they differ in one
+# weak axis (yaw, of a multirotor), by (2 y)^2 with y the effect there: disturbances of that axis average out, the
+# effect stays. Chosen: .3 s at 100 Hz, as long as a gust of the body's rates.
+cdef double RIVALS_MEAN = 6.0
+# Share of gain_penalty by which the mean has to speak for an actuator that delivers more until neither of the two is
+# held responsible. Chosen: 5 nats of J are 2.5 of likelihood, odds of 12; a loss is not delayed by noise.
+cdef double RIVALS_OPEN = 0.2
 # A level is flat where it moves by less than this share of the step. A ramp through the window moves a level by
 # flat / (gap + mean), 1.7 steps; chosen: far below that, and enough for noise of an eighth of the step.
 cdef double EDGE_SHARE = 0.25
@@ -69,7 +77,7 @@ cdef class Choice:
     floor, share, penalty : float
         score_floor^2, tolerance^2 and gain_penalty of the rule.
     usual, follow : float
-        Mean J of the hypothesis believed in healthy flight, 0 where its level is not followed, and the share of the
+        Mean of the smallest J in healthy flight, 0 where its level is not followed, and the share of the
         level that a row brings.
     """
 
@@ -79,11 +87,11 @@ cdef class Choice:
     cdef unsigned char[:, ::1] own
     cdef list detectors, washouts
     cdef Py_ssize_t[::1] watched, watched_column, washed
-    cdef double keep, floor, share, penalty, unexplained, usual, follow, level
+    cdef double keep, floor, share, penalty, unexplained, usual, follow, level, keep_mean, least
     cdef double[:, ::1] residual
-    cdef double[::1] fault, J, cost, evidence
+    cdef double[::1] fault, J, mean_J, evidence
     cdef Py_ssize_t believed
-    cdef bint coasted
+    cdef bint coasted, open
 
     def __init__(self, whitening, spans, channel, shown, scaling, groups, own, edges, washouts, keep, floor, share,
                  penalty, usual=0.0, follow=0.0):
@@ -102,7 +110,8 @@ cdef class Choice:
         self.keep, self.floor, self.share, self.penalty = keep, floor, share, penalty
         self.usual, self.follow, self.level = usual, follow, 1.0
         self.residual, self.fault = np.zeros((K, p)), np.zeros(len(channel))
-        self.J, self.cost, self.evidence = np.zeros(K), np.zeros(K), np.zeros(a)
+        self.J, self.mean_J, self.evidence = np.zeros(K), np.zeros(K), np.zeros(a)
+        self.keep_mean, self.least, self.open = keep ** (1.0 / RIVALS_MEAN), 0.0, False
         self.is_compared, self.counted = np.ones(a, np.uint8), np.ones(a, np.uint8)
         for column in self.watched_column:
             self.is_compared[self.channel[column]] = False
@@ -144,7 +153,7 @@ cdef class Choice:
                 self.update(fault, residual, k, complete[k] and not self.coasted)
                 # What no hypothesis explains is no weather: it must not hide itself.
                 if armed[k] and self.usual > 0.0 and self.unexplained == 0.0:
-                    brought = level[k] * self.J[self.believed] / self.usual
+                    brought = level[k] * self.least / self.usual
                     self.level += self.follow * (min(brought, LEVEL_CLIP) - self.level)
             self.coasted = not (measured[k] or restart[k])
             for i in range(states):
@@ -163,7 +172,9 @@ cdef class Choice:
         cdef Py_ssize_t i
         self.residual[:] = 0.0
         self.fault[:] = 0.0
+        self.mean_J[:] = 0.0
         self.remembered[:] = 0
+        self.open = False
         for i in range(self.watched.shape[0]):
             (<EdgeDetector> self.detectors[i]).clear()
         for i in range(self.washed.shape[0]):
@@ -185,13 +196,14 @@ cdef class Choice:
                     white += self.whitening[k, i, j] * self.residual[k, j]
                 self.J[k] += white * white
             self.J[k] /= max(1.0, self.level)
+            self.mean_J[k] = self.keep_mean * self.mean_J[k] + (1.0 - self.keep_mean) * self.J[k]
         for i in range(self.fault.shape[0]):
             self.fault[i] = keep * self.fault[i] + (1.0 - keep) * fault[row, i]
         self.choose()
         explained = self.unexplained == 0.0
         for i in range(self.evidence.shape[0]):
             self.evidence[i] = 0.0
-            self.counted[i] = explained or not self.is_compared[i]
+            self.counted[i] = (explained and not self.open) or not self.is_compared[i]
         if explained:
             for i in range(self.spans[self.believed], self.spans[self.believed + 1]):
                 self.evidence[self.channel[i]] = self.fault[i]
@@ -200,10 +212,12 @@ cdef class Choice:
 
     cdef void choose(self) noexcept:
         """Choose the hypothesis to believe from J."""
-        cdef Py_ssize_t i, k, following, count = self.compared.shape[0]
-        cdef double worst = -INFINITY, limit, penalty, least
+        cdef Py_ssize_t i, k, following, more, group = -1, count = self.compared.shape[0]
+        cdef double worst = -INFINITY, limit, apart
+        self.open, self.least = False, INFINITY
         for i in range(count):
             k = self.compared[i]
+            self.least = min(self.least, self.J[k])
             if self.J[k] > worst or isnan(self.J[k]):
                 worst = self.J[k]
                 if isnan(worst):
@@ -213,21 +227,28 @@ cdef class Choice:
         if self.J[self.believed] <= limit and self.is_remembered(self.believed):
             self.unexplained = 0.0
             return
-        penalty = self.share * worst if self.share * worst > self.penalty else self.penalty
-        following = -1
-        least = INFINITY
+        following = more = -1
         for i in range(count):
             k = self.compared[i]
-            if following >= 0 and self.group[i] > self.group[i - 1]:
+            if group >= 0 and self.group[i] > group:
                 # Fewer faults explain the data: those with more need not be looked at.
                 break
             if self.J[k] <= limit:
-                self.cost[k] = self.J[k] + (penalty if self.delivers_more(k) else 0.0)
-                if following < 0 or self.cost[k] < least:
-                    following, least = k, self.cost[k]
+                group = self.group[i]
+                if self.delivers_more(k):
+                    more = k if more < 0 or self.J[k] < self.J[more] else more
+                elif following < 0 or self.J[k] < self.J[following]:
+                    following = k
+        if following >= 0 and more >= 0:
+            apart = self.mean_J[following] - self.mean_J[more]
+            # In health all explain the data, and an estimate's sign is noise.
+            self.open = worst > self.floor and RIVALS_OPEN * self.penalty < apart <= self.penalty
+            following = more if apart > self.penalty else following
+        elif more >= 0:
+            following = more
         if following >= 0:
             self.unexplained = 0.0
-            if not self.stays(following, limit, least):
+            if not self.stays(following, limit):
                 self.believed = following
             return
         following = self.compared[0]
@@ -238,12 +259,14 @@ cdef class Choice:
         self.believed = following
         self.unexplained = sqrt(self.J[following])
 
-    cdef bint stays(self, Py_ssize_t best, double limit, double least) noexcept:
-        """Return whether the hypothesis believed so far stays: as few faults, explains, and is not clearly dearer."""
+    cdef bint stays(self, Py_ssize_t best, double limit) noexcept:
+        """Return whether the hypothesis believed so far stays: as few faults, explains, and is not clearly worse."""
         cdef Py_ssize_t count = self.spans[best + 1] - self.spans[best]
         if self.spans[self.believed + 1] - self.spans[self.believed] != count or not self.J[self.believed] <= limit:
             return False
-        return not self.cost[self.believed] > LOYALTY * least
+        if self.delivers_more(best) != self.delivers_more(self.believed):
+            return False
+        return not self.J[self.believed] > LOYALTY * self.J[best]
 
     cdef bint delivers_more(self, Py_ssize_t k) noexcept:
         """Return whether hypothesis k has an actuator deliver more than commanded."""

@@ -8,14 +8,15 @@ that residual in healthy flight,
 stays about p while the hypothesis is right and grows with what it leaves unexplained (structured residuals). A
 hypothesis explains the data as long as J_k <= max(score_floor^2, tolerance^2 max_i J_i): the level of healthy flight,
 or that of model error for a fault that large. Of those that do, the ones with fewest faults are preferred, and among
-them the smallest J. To J is added gain_penalty, or the level of model error, for an actuator that would have to deliver
-more than commanded: actuators fail towards less, and little else tells two of opposite effect apart. The one believed
-so far stays until another is clearly better (half its J), so noise does not make names flicker. Where none explains the
-data no fault is named, and the score sqrt(min J) is reported as unexplained.
+them the smallest J. Actuators fail towards less: one that would have to deliver more than commanded is believed beside
+one of opposite effect that delivers less where the mean J is smaller by gain_penalty; while the mean speaks for it by
+less, neither is held responsible. The one believed so far stays until another is clearly better (half its J), so noise
+does not make names flicker. Where none explains the data no fault is named, and the score sqrt(min J) is reported as
+unexplained.
 
 Flights have more wind than those that were fitted, and are livelier. What the hypothesis believed leaves unexplained
-shows it, as its own fault is not in its residual: with lambda the mean of J over ``level_s`` relative to that of
-healthy flight, every J is divided by max(1, lambda), and sizes that raise alarms grow with its root
+shows it, as its own fault is not in its residual: with lambda the mean of the smallest J over ``level_s`` relative to
+that of healthy flight, every J is divided by max(1, lambda), and sizes that raise alarms grow with its root
 (:class:`monitor.chain.ObserverChain`).
 
 A hypothesis of a sensor fault that would explain anything (a gyro bias against the motors) may be set apart: it takes

@@ -38,8 +38,8 @@ _TOLERANCE = 0.2
 """Share of the worst hypothesis' score that model error may leave on the right one. Chosen: effects of motors are known
 within one or two per cent, gusts and manoeuvres add more; a larger share names two motors where one failed."""
 _GAIN_PENALTY = 25.0
-"""How much larger J may be before an actuator is believed to deliver more than commanded: a score of five times.
-Motors fail towards less, so only plain evidence says otherwise."""
+"""By how much the mean J of an actuator that delivers more than commanded has to be smaller than that of the opposite
+one that delivers less: a score of five times. Motors fail towards less, so only plain evidence says otherwise."""
 _STARTS = 8
 """Restarts tried in each recording, spread over it. Chosen: some fall into each kind of motion that is flown."""
 _WRONG_START = 0.5
