@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Literal, NamedTuple, get_args
 
@@ -74,6 +74,8 @@ class Attack:
     @property
     def meaning(self) -> str:
         """A sentence for people."""
+        if self.kind == "loss" and self.size is not None and self.size < 0.0:
+            return replace(self, size=-self.size, rate=self.rate and -self.rate).meaning.replace(" less ", " more ")
         growth = f", growing by {self.rate:g} per second" if self.kind == "loss" and self.rate else ""
         bound = f" up to {self.size:g}" if self.kind == "ramp" and self.size is not None else ""
         return _RULES[self.kind].meaning.format(size=self.size, rate=self.rate) + growth + bound
@@ -95,14 +97,14 @@ class Attack:
             raise UsageError("--end is not after --start; nothing would be altered")
         if self.kind in ("noise", "delay") and not (self.size or 0.0) > 0.0:
             raise UsageError(f"--size {self.size:g} is not positive; --kind {self.kind} needs a positive one")
-        if self.kind == "loss" and not 0.0 < (self.size or 0.0) <= 1.0:
-            raise UsageError(f"--size {self.size:g}: a loss is a share of the command, above 0 and at most 1")
+        if self.kind == "loss" and not (self.size and -1.0 <= self.size <= 1.0):
+            raise UsageError(f"--size {self.size:g}: a loss is a share of the command, at most 1; below 0 it is a gain")
         if self.kind == "drop" and self.size is not None and not 0.0 < self.size <= 1.0:
             raise UsageError(f"--size {self.size:g}: the share of messages lost is above 0 and at most 1")
         if self.kind == "ramp" and (self.size or 0.0) * (self.rate or 0.0) < 0.0:
             raise UsageError("--size and --rate of a ramp have different signs; it would never get there")
-        if self.kind == "loss" and self.rate is not None and self.rate <= 0.0:
-            raise UsageError(f"--rate {self.rate:g} is not positive; a loss grows")
+        if self.kind == "loss" and self.rate is not None and self.rate * (self.size or 0.0) <= 0.0:
+            raise UsageError(f"--rate {self.rate:g} does not have the sign of --size; a loss grows")
         if self.acceleration is not None and self.acceleration <= 0.0:
             raise UsageError(f"--accel {self.acceleration:g} is not positive; give the largest acceleration")
         if self.source_ns is not None and self.source_ns >= self.start_ns:

@@ -1,0 +1,364 @@
+"""Which kinds of faults are seen and named rightly, each put exactly into a flight left out of the fit.
+
+    python bench/names.py FLIGHTS... [--only GROUP] [--kinds KIND...] [--write] [--jobs 2]
+
+FLIGHTS are folders of recordings and their truth, as of ``bench/rates.py``. Per vehicle and kind of recording the first
+healthy flight is left out, a profile is fitted on the others, and each fault of :data:`CASES` is put into the one left
+out, a minute after take-off. ``--write`` writes docs/names.md, without it the page is printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from math import radians
+from pathlib import Path
+
+from accounting import AFTERMATH_S, Spell, spells
+from flights import Flight
+from rates import HOVER, recordings
+
+from adapters.batch import messages as messages_of
+from adapters.batch import pack
+from adapters.errors import UsageError
+from adapters.logs.recordings import read_batches
+from adapters.message import Message
+from monitor.event import AlarmEvent
+from monitor.pipeline import Pipeline
+from monitor.profile import Profile, read_profile
+from monitor.vehicles.kinds import fit_messages
+from replay.attacks.attack import Attack
+from replay.attacks.injector import WITHOUT_PAST, Injector, inject, plan, profile_clocks
+from replay.attacks.instruments import INSTRUMENTS
+from replay.fit import fit_profile
+from replay.player import interests
+from replay.sensitivity.healthy import Healthy, play_healthy
+
+ROOT = Path(__file__).parent.parent
+LEAD_S, FAULT_S, TAIL_S = 60.0, 30.0, 35.0
+"""Healthy flight before a fault, its length, and the flight after it: alarms clear within seconds or never."""
+MOTORS = ("motor1", "motor2", "motor3", "motor4", "motor5", "motor6")
+_ALL = (
+    "gps_north",
+    "gps_east",
+    "gps_down",
+    "gps_velocity_north",
+    "gps_velocity_east",
+    "baro",
+    "compass",
+    "gyro_x",
+    "gyro_y",
+    "gyro_z",
+    "accel_x",
+    "accel_y",
+    "accel_z",
+    "attitude_roll",
+    "attitude_pitch",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A kind of fault: what is altered, and the alarm channels that name it, any of them.
+
+    ``sizes`` are the true sizes by channel, in its unit, of motors a share of the command.
+    """
+
+    name: str
+    attacks: Callable[[Profile, frozenset[str]], list[Attack]]
+    channels: frozenset[str]
+    sizes: dict[str, float]
+
+
+def _one(channel: str, size: float, names: Sequence[str] = (), kind: str = "bias", **numbers: float) -> Case:
+    """Return a case of one channel, named by itself or by others."""
+    attack = Attack(channel, kind, 0, 1, size=None if kind in ("ramp", "spoof", "freeze") else size, **numbers)  # type: ignore[arg-type]
+    right = frozenset(names or (channel,))
+    sizes = {channel: size} if kind == "bias" else {}
+    if kind == "loss":
+        sizes = {channel: -size}
+    return Case(f"{channel} {kind} {numbers.get('rate', size):g}", lambda *_: [attack], right, sizes)
+
+
+def _raw(axis: str, size: float) -> Case:
+    """Return a bias of a gyro that the IMU's message alone shows: the autopilot flies by another."""
+
+    def attacks(_: Profile, names: frozenset[str]) -> list[Attack]:
+        imus = [f"{imu}.{axis}gyro" for imu in ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU") if imu in names]
+        return [Attack(name, "bias", 0, 1, size=size * (1.0 if "HIGHRES" in name else 1000.0)) for name in imus]
+
+    return Case(f"gyro_{axis} of one IMU of two {size:g}", attacks, frozenset({f"gyro_{axis}"}), {f"gyro_{axis}": size})
+
+
+def _motors(share: float, count: int | None) -> Case:
+    """Return losses of several motors, opposite ones of a quadrotor in X first; None: of all."""
+
+    def attacks(profile: Profile, _: frozenset[str]) -> list[Attack]:
+        faults = {fault.name for observer in profile.observers for fault in observer.faults}
+        named = [motor for motor in MOTORS if motor in faults][:count]
+        return [Attack(motor, "loss", 0, 1, size=share) for motor in named]
+
+    what = f"{count} motors" if count else "all motors"
+    right = frozenset({"unexplained", "thrust", "motors"} | (set(MOTORS[:count]) if count else set()))
+    return Case(f"{what} loss {share:g}", attacks, right, {})
+
+
+def _whole(kind: str) -> Case:
+    """Return frozen or replayed measurements, all of them."""
+    numbers = {"source_ns": -20} if kind == "replay" else {}
+    attacks = [Attack(channel, kind, 0, 1, **numbers) for channel in _ALL]  # type: ignore[arg-type]
+    return Case(f"all measurements {kind}", lambda *_: attacks, frozenset({"telemetry", "frozen"}), {})
+
+
+CASES: tuple[Case, ...] = (
+    *(_one(f"gyro_{axis}", size) for axis in "xyz" for size in (0.02, 0.08)),
+    _raw("x", 0.05),
+    *(_one(f"accel_{axis}", 0.6) for axis in "xyz"),
+    *(_one("compass", radians(angle)) for angle in (20.0, 60.0)),
+    _one("gps_north", 0.5, kind="ramp", rate=0.5),
+    _one("gps_east", 5.0),
+    _one("gps_down", 5.0),
+    _one("baro", 5.0),
+    _one("baro", 0.0, kind="freeze"),
+    _one(
+        "gps_north",
+        10.0,
+        ("gps_north", "gps_velocity_north", "motion_north"),
+        kind="spoof",
+        rate=10.0,
+        acceleration=0.5,
+    ),
+    _one("motor2", 0.15, kind="loss"),
+    _one("motor2", -0.15, kind="loss"),
+    _one("motor2", 0.05, kind="loss"),
+    _one("motor2", -0.05, kind="loss"),
+    _motors(0.1, 2),
+    _motors(0.1, None),
+    Case(
+        "vibration 25 m/s2",
+        lambda *_: [Attack(f"VIBRATION.vibration_{axis}", "bias", 0, 1, size=25.0) for axis in "xyz"],
+        frozenset({"vibration"}),
+        {},
+    ),
+    Case("GPS silent", lambda *_: [Attack("gps_north", "drop", 0, 1)], frozenset({"blind"}), {}),
+    Case(
+        "GPS without fix",
+        lambda *_: [Attack("GPS_RAW_INT.fix_type", "scale", 0, 1, size=0.0)],
+        frozenset({"blind"}),
+        {},
+    ),
+    Case(
+        "GPS stuck",
+        lambda *_: [Attack(name, "freeze", 0, 1) for name in _ALL if name.startswith("gps")],
+        frozenset({"gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east", "gps_down"}),
+        {},
+    ),
+    _whole("freeze"),
+    _whole("replay"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of a case: delay until the right name, other names, cleared after the end (None: not), sizes."""
+
+    group: str
+    flight: str
+    case: str
+    refused: str = ""
+    delay_s: float | None = None
+    named: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
+    cleared_s: float | None = None
+    size: str = ""
+    texts: tuple[str, ...] = ()
+
+
+def try_case(case: Case, group: str, one: Flight, profile: Profile, healthy: Healthy) -> Outcome:
+    """Put a case's fault into the flight's minutes after take-off; return what the monitor said."""
+    first_ns = (one.takeoff_ms or 0) * 1_000_000
+    start_ns, end_ns = (first_ns + round(seconds * 1e9) for seconds in (LEAD_S, LEAD_S + FAULT_S))
+    stop_ns = min(end_ns + round(TAIL_S * 1e9), (one.touchdown_ms or 1 << 43) * 1_000_000)
+    window = healthy.window(0, start_ns, stop_ns)
+    clocks = profile_clocks(profile)
+    pipeline = Pipeline(profile)
+    outputs = pipeline.run(window.lead)
+    tail: list[Message] = list(window.tail)
+    attacks = case.attacks(profile, window.names)
+    injectors = []
+    try:
+        for attack in attacks:
+            source_ns = attack.source_ns and start_ns + attack.source_ns * 1_000_000_000
+            timed = replace(attack, start_ns=start_ns, end_ns=end_ns, source_ns=source_ns)
+            if timed.channel in INSTRUMENTS and not any(q.message in window.names for q in INSTRUMENTS[timed.channel]):
+                continue
+            made = plan(timed, window.names, profile)
+            if made.messages & window.names:
+                injectors.append(Injector(timed, made, healthy.system, clocks))
+    except UsageError as error:
+        return Outcome(group, one.name, case.name, refused=str(error))
+    past = list(window.newest() if all(attack.kind in WITHOUT_PAST for attack in attacks) else messages_of(window.lead))
+    for injector in injectors:
+        for message in past:
+            injector.feed(message)
+        tail = list(inject(tail, injector))
+    if not sum(injector.altered for injector in injectors):
+        return Outcome(group, one.name, case.name, refused="the recording does not hold it")
+    outputs += pipeline.run(pack(tail))
+    events = [output for output in outputs if isinstance(output, AlarmEvent)]
+    return _judged(case, group, one, events, start_ns // 1_000_000, end_ns // 1_000_000)
+
+
+def _judged(case: Case, group: str, one: Flight, events: Sequence[AlarmEvent], on_ms: int, off_ms: int) -> Outcome:
+    during = [spell for spell in _spells(events) if on_ms <= spell.raised_ms <= off_ms + AFTERMATH_S * 1000]
+    right = [spell for spell in during if spell.channel in case.channels and spell.raised_ms <= off_ms]
+    ends = [spell.cleared_ms for spell in during]
+    cleared = None if None in ends or not ends else (max(e for e in ends if e is not None) - off_ms) / 1e3
+    last = {
+        event.channel: event for event in events if event.state != "cleared" and on_ms < event.vehicle_time_ms <= off_ms
+    }
+    shown = {name: event.estimate if event.relative is None else event.relative for name, event in last.items()}
+    sizes = [f"{name} {shown[name]:.3g} of {truth:.3g}" for name, truth in case.sizes.items() if name in shown]
+    return Outcome(
+        group,
+        one.name,
+        case.name,
+        delay_s=(right[0].raised_ms - on_ms) / 1e3 if right else None,
+        named=tuple(dict.fromkeys(spell.channel for spell in during)),
+        others=tuple(dict.fromkeys(spell.channel for spell in during if spell.channel not in case.channels)),
+        cleared_s=cleared,
+        size=", ".join(sizes),
+        texts=tuple(
+            f"{(e.vehicle_time_ms - on_ms) / 1e3:+.2f} {e.observer}/{e.channel} {e.state}: {e.message}"
+            for e in events
+            if e.state != "updated" and e.vehicle_time_ms >= on_ms
+        ),
+    )
+
+
+def _spells(events: Sequence[AlarmEvent]) -> list[Spell]:
+    """Return the alarms, those of silence among them."""
+    plain = [replace(event, kind="sensor") if event.kind in ("stale", "blind") else event for event in events]
+    return spells(plain)
+
+
+def make(group: str, fit: Sequence[Flight], out: Flight, folder: str, kinds: Sequence[str]) -> list[Outcome]:
+    """Fit a profile and try every case on the flight that was left out."""
+    path = Path(folder)
+    if not (path / "profile.toml").exists():
+        try:
+            fit_profile(out.kind, [partial(read_batches, one.log, fit_messages()) for one in fit], path, "it")
+        except ValueError as error:
+            return [Outcome(group, out.name, "fit", refused=str(error))]
+    profile = read_profile(path)
+    healthy = play_healthy(profile, read_batches(out.log, interests(profile)))
+    cases = [case for case in CASES if not kinds or any(kind in case.name for kind in kinds)]
+    return [try_case(case, group, out, profile, healthy) for case in cases]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "flights", type=Path, nargs="+", metavar="FLIGHTS", help="folders of recordings and their truth"
+    )
+    parser.add_argument("--only", nargs="*", default=[], help="groups with these words alone")
+    parser.add_argument("--kinds", nargs="*", default=[], help="cases with these words alone")
+    parser.add_argument("--profiles", type=Path, help="folder to keep the profiles in, and to take them from")
+    parser.add_argument("--write", action="store_true", help="write docs/names.md")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (2)")
+    args = parser.parse_args()
+    flights = [one for folder in args.flights for one in recordings(folder)]
+    jobs = []
+    for group in dict.fromkeys(one.group for one in flights):
+        healthy = [one for one in flights if one.group == group and one.healthy and not one.name.endswith(HOVER)]
+        if len(healthy) > 1 and (not args.only or any(word in group for word in args.only)):
+            jobs.append((group, healthy[1:], healthy[0]))
+    context = multiprocessing.get_context("spawn")
+    outcomes: list[Outcome] = []
+    with tempfile.TemporaryDirectory() as temporary, ProcessPoolExecutor(args.jobs, mp_context=context) as pool:
+        folder = args.profiles or Path(temporary)
+        made = [
+            pool.submit(make, *job, str(folder / "".join(c if c.isalnum() else "_" for c in job[0])), args.kinds)
+            for job in jobs
+        ]
+        for future in made:
+            outcomes += future.result()
+            for text in (line for outcome in future.result() for line in (outcome.case, *outcome.texts)):
+                print(text, file=sys.stderr)
+    if args.write:
+        (ROOT / "docs/names.md").write_text(page(outcomes), encoding="utf-8")
+    else:
+        sys.stdout.write(page(outcomes))
+
+
+def page(outcomes: Sequence[Outcome]) -> str:
+    """Return the page, misses first."""
+    groups = list(dict.fromkeys(outcome.group for outcome in outcomes))
+    cases = list(dict.fromkeys(outcome.case for outcome in outcomes))
+    found = {(outcome.case, outcome.group): outcome for outcome in outcomes}
+    lines = [INTRODUCTION, *misses(outcomes), "", "## By kind", "", BY_KIND, ""]
+    lines += [f"| fault | {' | '.join(groups)} |", f"|{'---|' * (len(groups) + 1)}"]
+    for case in cases:
+        cells = [_cell(found[case, group]) if (case, group) in found else "" for group in groups]
+        lines.append(f"| {case} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def misses(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return what was not seen, not named, not alone or did not clear."""
+    lines = []
+    for outcome in outcomes:
+        where = f"{outcome.case} ({outcome.group})"
+        if outcome.refused:
+            lines.append(f"- not tried: {where}: {outcome.refused}")
+        elif outcome.delay_s is None:
+            lines.append(f"- {'named wrongly' if outcome.named else 'not seen'}: {where} {', '.join(outcome.named)}")
+        elif outcome.others:
+            lines.append(f"- not alone: {where}, also {', '.join(outcome.others)}")
+        if outcome.named and (outcome.cleared_s is None or outcome.cleared_s > SLOW_TO_CLEAR_S):
+            after = "not" if outcome.cleared_s is None else f"only after {outcome.cleared_s:.1f} s"
+            lines.append(f"- {after} cleared: {where}")
+    return sorted(lines, key=lambda line: ("not seen" not in line, "named wrongly" not in line, "alone" not in line))
+
+
+def _cell(outcome: Outcome) -> str:
+    if outcome.refused:
+        return "not tried"
+    parts = ["MISSED" if outcome.delay_s is None else f"{outcome.delay_s:.2f} s"]
+    if outcome.others:
+        parts.append(f"{'also' if outcome.delay_s is not None else 'but'} {', '.join(outcome.others)}")
+    if outcome.size:
+        parts.append(outcome.size)
+    if outcome.named:
+        parts.append("never cleared" if outcome.cleared_s is None else f"cleared {outcome.cleared_s:.1f} s")
+    return "; ".join(parts)
+
+
+SLOW_TO_CLEAR_S = 5.0
+"""As in bench/detection.py."""
+
+INTRODUCTION = f"""# Kinds of faults and their names
+
+    python bench/names.py FLIGHTS... --write
+
+makes this page. Per vehicle and kind of recording the first healthy flight is left out, a profile is fitted on the
+others, and each fault is put exactly into the one left out, {LEAD_S:g} s after take-off and for {FAULT_S:g} s; what
+comes {TAIL_S:g} s after its end still counts. What is put in alters measurements alone: the vehicle does not fly by
+them, and the autopilot's attitude stays right. A motor that delivers less or more is answered by its command at once
+(`replay/attacks/plant_response.py`); the recorded faults of [detection](detection.md) and [rates](rates.md) have both.
+
+## What is wrong
+"""
+
+BY_KIND = f"""Delay until the right name, other names raised until {AFTERMATH_S:g} s after the end, the last size shown
+while it was on and its truth, and when the last of its alarms had cleared, from its end."""
+
+
+if __name__ == "__main__":
+    main()
