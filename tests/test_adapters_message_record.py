@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from math import inf
 from pathlib import Path
 
+import jsonschema
 import pytest
 
 from adapters.encoding.message_record import decoder, encode
@@ -86,3 +88,24 @@ def test_stamps_of_an_onboard_log_come_back_as_they_were(name: str, stamp: dict[
     decode = decoder(record.topic, record.encoding, record.schema)
     assert decode is not None
     assert repr(decode(record.data, 5)) == repr(message)
+
+
+def test_rules_of_operators_have_a_schema_and_are_json_that_every_reader_takes(tmp_path: Path) -> None:
+    fields = {
+        "latched": ['say "Infinity" twice'],
+        "out_of_service": [],
+        "flood_raised": 10,
+        "flood_s": 60.0,
+        "alarms": {"motors": {"motor1": {"threshold": 0.05, "fast": inf}}},
+    }
+    message = Message(OPERATOR, "rules", 5, fields)
+    record = encode(message)
+    assert record.schema is not None
+    assert record.schema.name == "fauio.Rules"
+    jsonschema.validate(fields, json.loads(record.schema.data))
+    assert set(json.loads(record.schema.data)["properties"]) == set(fields)
+    assert json.loads(record.data, parse_constant=pytest.fail) == fields
+    path = tmp_path / "log.mcap"
+    with MessageLogWriter(path) as log:
+        log.write(message)
+    assert list(MessageLogReader(path)) == [message]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -12,10 +13,40 @@ from adapters.encoding.protobuf_types import class_from_schema
 from adapters.encoding.record import Record, Schema
 from adapters.encoding.typed_record import PACKAGE, TypedRecords, to_protobuf
 from adapters.message import LATEST_NS, Message
-from adapters.source import LINK, MAVLINK, SOURCES, ZENOH
+from adapters.source import LINK, MAVLINK, OPERATOR, SOURCES, ZENOH, Source
 
 # Viewers ask for a schema; a JSON topic may carry any object.
-_JSON_SCHEMA = Schema("fauio.Telemetry", "jsonschema", b'{"type": "object"}')
+_OWN = "fauio."
+_JSON_SCHEMA = Schema(f"{_OWN}Telemetry", "jsonschema", b'{"type": "object"}')
+
+
+def _own_schema(name: str, **properties: Any) -> Schema:
+    return Schema(name, "jsonschema", json.dumps({"type": "object", "properties": properties}).encode())
+
+
+_TEXT = {"type": "string"}
+_TEXTS = {"type": "array", "items": _TEXT}
+_COMMAND = _own_schema("fauio.Command", id=_TEXT, channel=_TEXT, by=_TEXT, reason=_TEXT, until_ns={"type": "integer"})
+# by source and name; what is not here is anything's object
+_OWN_SCHEMAS: Mapping[tuple[Source, str], Schema] = {
+    (OPERATOR, "rules"): _own_schema(
+        "fauio.Rules",
+        latched=_TEXTS,
+        out_of_service=_TEXTS,
+        flood_raised={"type": "integer"},
+        flood_s={"type": "number"},
+        # sizes and times of each rule, by observer and channel
+        alarms={
+            "type": "object",
+            "additionalProperties": {
+                "type": "object",
+                "additionalProperties": {"type": "object", "additionalProperties": {"type": "number"}},
+            },
+        },
+    ),
+    **{(OPERATOR, verb): _COMMAND for verb in ("ack", "shelve", "unshelve", "reset")},
+}
+_INFINITE = re.compile(r'"(?:[^"\\]|\\.)*"|Infinity')
 
 # MAVLink's ids of systems and components have one byte.
 _LARGEST_ID = 255
@@ -28,7 +59,8 @@ def encode(message: Message) -> Record:
     """Return a message as a record.
 
     MAVLink messages are protobuf, as JSON only where the fields are not those of pymavlink's definition.
-    NaN and infinity stay literals in JSON, which JSON proper lacks: a replay has to see the monitor's own input.
+    NaN stays a literal in JSON, which JSON proper lacks: a replay has to see the monitor's own input. Infinity is
+    1e999, which every reader takes for it.
 
     Raises
     ------
@@ -50,7 +82,8 @@ def encode(message: Message) -> Record:
         fields = {**ids, "fields": fields}
     elif message.source is LINK:
         fields = {**fields, **ids}
-    return Record(topic, "json", _JSON_SCHEMA, _to_json(fields), message.received_ns, component)
+    schema = _OWN_SCHEMAS.get((message.source, message.name), _JSON_SCHEMA)
+    return Record(topic, "json", schema, _to_json(fields), message.received_ns, component)
 
 
 def recorded_name(topic: str, encoding: str, schema: Schema | None) -> str | None:
@@ -63,7 +96,7 @@ def recorded_name(topic: str, encoding: str, schema: Schema | None) -> str | Non
         return name if schema is not None and schema.name.startswith(f"{PACKAGE}.") else None
     if source.is_onboard_log and encoding == "protobuf":
         return name
-    ours = source is ZENOH or schema is None or schema.name == _JSON_SCHEMA.name
+    ours = source is ZENOH or schema is None or schema.name.startswith(_OWN)
     return name if encoding == "json" and ours else None
 
 
@@ -115,6 +148,9 @@ def _checked_ids(name: str, ids: tuple[Any, Any]) -> tuple[int, int]:
 
 def _to_json(fields: Any) -> bytes:
     try:
-        return json.dumps(dict(fields), separators=(",", ":")).encode()
+        text = json.dumps(dict(fields), separators=(",", ":"))
     except (TypeError, RecursionError) as error:
         raise ValueError(f"no JSON can hold this: {error}") from error
+    if "Infinity" in text:
+        text = _INFINITE.sub(lambda found: "1e999" if found[0] == "Infinity" else found[0], text)
+    return text.encode()
