@@ -51,7 +51,7 @@ class TomlFile:
     text : str
         Its text, for the lines of mistakes; without it they have none.
     overrides : Mapping[str, Any]
-        Keys of the top level that the command line gave in place of the file's.
+        Keys of the top level that the command line gave in place of the file's; of a table, some of its keys.
     """
 
     def __init__(
@@ -65,6 +65,9 @@ class TomlFile:
         self.name = name
         self._overrides = overrides or {}
         self._content = {**content, **self._overrides}
+        for key, value in self._overrides.items():
+            if isinstance(value, Mapping) and isinstance(content.get(key), Mapping):
+                self._content[key] = {**content[key], **value}
         self._error = error
         self._text = text
         self._mistakes: list[tuple[KeyPath, str]] = []

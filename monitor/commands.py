@@ -82,8 +82,9 @@ def _add_run(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         nargs="?",
         const="spawn",
         choices=["spawn", "serve"],
-        help="show it live in Rerun: start a viewer, or serve one that connects to port 9876 of this machine",
+        help="show it live in Rerun: start a viewer, or serve those that connect to a port of this machine",
     )
+    run.add_argument("--rerun-port", type=int, metavar="PORT", help="port that '--rerun serve' serves (9876)")
     run.add_argument("--json", action="store_true", help="log lines on stderr as JSON, also on a terminal")
     run.set_defaults(handler=run_run)
 
@@ -154,8 +155,9 @@ def run_run(args: argparse.Namespace) -> int:
 
     names = ("profile", "vehicle", "listen", "connect", "prefix", "record")
     given = _given(args, names)
-    if args.rerun is not None:
-        given["rerun"] = {"mode": args.rerun}
+    rerun = {"mode": args.rerun, "port": args.rerun_port}
+    if shown := {key: value for key, value in rerun.items() if value is not None}:
+        given["rerun"] = shown
     if args.force:
         given["force"] = True
     read = functools.partial(read_config, args.config, given)

@@ -60,6 +60,13 @@ def test_the_command_line_overrides_the_file_and_needs_none(tmp_path: Path) -> N
     assert read_config(None, {"mavlink": "tcp:host:5760", "profile": tmp_path}).vehicles == (Vehicle(profile=tmp_path),)
 
 
+def test_keys_of_a_table_from_the_command_line_leave_its_others(tmp_path: Path) -> None:
+    found = read(tmp_path, FINE + '[rerun]\nmode = "serve"\nmemory_mb = 64\n', rerun={"port": 9900})
+    assert (found.rerun.mode, found.rerun.port, found.rerun.memory_mb) == ("serve", 9900, 64)
+    with pytest.raises(ConfigError, match=r"command line: 'rerun\.port' is 0"):
+        read(tmp_path, FINE, rerun={"port": 0})
+
+
 def test_all_mistakes_are_told_at_once_in_the_order_of_the_file(tmp_path: Path) -> None:
     text = """\
 mavlnk = "udpin:127.0.0.1:14550"

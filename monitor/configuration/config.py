@@ -319,6 +319,7 @@ class Rerun:
     mode: Literal["off", "serve", "spawn"] = _one_of(
         "off", ("off", "serve", "spawn"), "serve", "`serve`: viewers connect to the daemon; `spawn`: it starts one."
     )
+    port: int = _key(9876, _whole(1, 65535), "Port of this machine that viewers connect to; Rerun's own default.")
     memory_mb: int = _key(256, _COUNT, "Memory for what a viewer sees when it joins.")
 
 

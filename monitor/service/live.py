@@ -191,7 +191,7 @@ def _open_views(config: Config, log: ServiceLog, stack: ExitStack) -> list[LiveV
     from monitor.views.live_view import LiveView
 
     try:
-        view = LiveView(config.rerun.mode, memory_mb=config.rerun.memory_mb)
+        view = LiveView(config.rerun.mode, port=config.rerun.port, memory_mb=config.rerun.memory_mb)
     except ValueError as error:
         log.say("no live view", level="error", reason=str(error))
         return []

@@ -135,4 +135,6 @@ def require_free(port: int) -> None:
         try:
             probe.bind((LOOPBACK, port))
         except (OSError, OverflowError) as error:
-            raise UsageError(f"--rerun: cannot listen on {LOOPBACK}:{port}: {error}; choose another port") from error
+            raise UsageError(
+                f"Rerun cannot listen on {LOOPBACK}:{port}: {error}; choose another port (--rerun-port)"
+            ) from error
