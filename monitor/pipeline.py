@@ -44,6 +44,8 @@ RULES = "rules"
 RESET = "reset"
 STANDING = "standing"
 """Name of the message with the alarms that were active before; recordings hold it."""
+_OFFSET_LETTERS = 20
+"""Of a whole number of 64 bits with its sign."""
 _LANDED_NS = 3 * SECOND_NS
 """How long a vehicle has to be disarmed before its alarms are closed: three heartbeats, so that a forged one is
 contradicted before (:mod:`monitor.sampling.phase`)."""
@@ -207,12 +209,11 @@ class Pipeline:
         return {chain.layout.observer: chain.statistics() for chain in self._chains}
 
     def metadata(self) -> dict[str, str]:
-        """Return what a recording says about how it was made."""
-        found = {"fauio": version("fauio"), "vehicle": self.vehicle, "profile": self.profile.digest}
+        """Return what a recording says about how it was made; the clock's mapping is blank until it is known."""
         newest_ns = self._clock.newest_ns
-        if newest_ns:
-            found["unix_minus_vehicle_ns"] = str(self._clock.to_unix(newest_ns) - newest_ns)
-        return found
+        offset = str(self._clock.to_unix(newest_ns) - newest_ns) if newest_ns else ""
+        made = {"fauio": version("fauio"), "vehicle": self.vehicle, "profile": self.profile.digest}
+        return made | {"unix_minus_vehicle_ns": offset.rjust(_OFFSET_LETTERS)}
 
     def accepts(self, message: Message | Columns) -> bool:
         """Return whether a message (or columns) comes from the monitored vehicle: the first to send a channel is it."""

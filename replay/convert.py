@@ -31,8 +31,8 @@ def convert(entries: Iterable[Batch | Record], source: str, target: Path, onboar
     remaining = iter(entries)
     first = list(islice(remaining, 1))
     with MessageLogWriter(target) as writer:
-        if onboard is not None:
-            writer.add_metadata("fauio", {ONBOARD_LOG: onboard})
+        kind = {} if onboard is None else {ONBOARD_LOG: onboard}
+        writer.add_metadata("fauio", {"fauio": version("fauio"), "converted_from": source, **kind})
         encoder = RecordEncoder(())
         channels: dict[int, int] = {}
         for entry in chain(first, remaining):
@@ -49,5 +49,4 @@ def convert(entries: Iterable[Batch | Record], source: str, target: Path, onboar
                 [data for _, data, _ in kept],
                 [time_ns for _, _, time_ns in kept],
             )
-        writer.add_metadata("fauio", {"fauio": version("fauio"), "converted_from": source})
         return writer.statistics().records

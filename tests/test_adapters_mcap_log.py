@@ -257,6 +257,23 @@ def test_no_damage_ever_raises_anything_but_the_error_for_the_user(
         assert "\n" not in str(error)
 
 
+def test_metadata_is_amended_in_its_place_and_only_to_the_same_length(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    log = MessageLogWriter(path)
+    log.add_metadata("fauio", {"clock": "  "})
+    log.write(attitude(1))
+    log.flush()
+    log.amend_metadata("fauio", {"clock": "12"})
+    with pytest.raises(ValueError, match="no metadata record 'fauio' of"):
+        log.amend_metadata("fauio", {"clock": "123"})
+    log.write(attitude(2))
+    log.close()
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert [record.metadata for record in reader.iter_metadata()] == [{"clock": "12"}]
+        assert len([*reader.iter_messages()]) == 2
+
+
 def test_metadata_comes_back_also_from_an_unfinished_log(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     log = MessageLogWriter(path)

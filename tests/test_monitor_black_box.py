@@ -17,7 +17,7 @@ from adapters.batch import pack
 from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import MessageLogReader, read_mcap_metadata
-from adapters.logs.recordings import packed, read_recording
+from adapters.logs.recordings import packed, read_recording, recorded_alarms
 from adapters.message import Message
 from adapters.source import MAVLINK, ZENOH
 from monitor.estimate import Estimates
@@ -187,9 +187,25 @@ def test_a_later_clip_names_the_alarms_of_its_seconds_before(tmp_path: Path) -> 
     first, second, third = (a.id for a in alarms)
     assert [read_mcap_metadata(path)["fauio"]["alarm_ids"] for path in clips(tmp_path)] == [
         first,
-        f"{first},{second},{third}",
+        f"{first},{second}",
         f"{second},{third}",
     ]
+
+
+def test_a_clip_has_one_metadata_record_and_the_events_of_alarms_raised_while_it_was_made(tmp_path: Path) -> None:
+    box = black_box(tmp_path)
+    alarms = [raised(10), raised(12)]
+    for second in range(20):
+        feed(box, second, second + 1)
+        for alarm in alarms:
+            if alarm.time_ns == START_NS + second * SECOND:
+                box.record(ENCODER.event(alarm))
+                box.alarm(alarm)
+        box.work(100)
+    path = tmp_path / f"copter-1-{alarms[0].id}.mcap"
+    assert [event["id"] for event in recorded_alarms(path)] == [alarm.id for alarm in alarms]
+    with path.open("rb") as stream:
+        assert [record.name for record in make_reader(stream).iter_metadata()] == ["fauio"]
 
 
 def test_other_states_and_clips_that_exist_already_change_nothing(tmp_path: Path) -> None:

@@ -186,9 +186,16 @@ def test_telemetry_comes_back_in_the_order_of_recording_and_nothing_of_ours_with
 def test_metadata_and_profile_are_inside(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
     files = {"profile.toml": b"x = 1\n", "motors.gains.json": b"{}"}
-    with Log(path, [LAYOUT], {"fauio": "0.1.0", "profile": "abc"}, files) as recorder:
+    with Log(path, [LAYOUT], {"fauio": "0.1.0", "profile": "abc", "clock_offset_ns": " "}, files) as recorder:
+        recorder.estimates(estimates(0))
         recorder.add_metadata({"clock_offset_ns": "5"})
-    assert read_mcap_metadata(path)["fauio"] == {"fauio": "0.1.0", "profile": "abc", "clock_offset_ns": "5"}
+    expected = {"fauio": "0.1.0", "profile": "abc", "clock_offset_ns": "5"}
+    # ahead of the data, where a reader of the name of the vehicle looks
+    assert read_mcap_metadata(path, ahead_only=True)["fauio"] == expected
+    with path.open("rb") as stream:
+        assert [(record.name, record.metadata) for record in make_reader(stream).iter_metadata()] == [
+            ("fauio", expected)
+        ]
     with path.open("rb") as stream:
         attachments = {found.name: found for found in make_reader(stream).iter_attachments()}
     assert {name: found.data for name, found in attachments.items()} == {

@@ -141,6 +141,7 @@ class MessageLogWriter:
         self._chunk_indexes = bytearray()
         self._attachment_indexes = bytearray()
         self._metadata_indexes = bytearray()
+        self._metadata_offsets: dict[tuple[str, int], int] = {}
         self._totals = Statistics(
             attachment_count=0,
             channel_count=0,
@@ -262,9 +263,29 @@ class MessageLogWriter:
         """Write a metadata record."""
         record = encoded(Metadata(name=name, metadata=dict(entries)))
         index = MetadataIndex(offset=self._at, length=len(record), name=name)
+        self._metadata_offsets[name, len(record)] = self._at
         self._write(record)
         self._metadata_indexes += encoded(index)
         self._totals.metadata_count += 1
+
+    def amend_metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        """Write a metadata record again where it stands, as it is there for readers that stop at the first message.
+
+        Its length has to stay: values that are not known at first are blanks. What cannot be rewound stays as it was.
+
+        Raises
+        ------
+        ValueError
+            There is no record of that name and length.
+        """
+        record = encoded(Metadata(name=name, metadata=dict(entries)))
+        offset = self._metadata_offsets.get((name, len(record)))
+        if offset is None:
+            raise ValueError(f"no metadata record '{name}' of {len(record)} bytes")
+        if self._stream.seekable():
+            self._stream.seek(offset)
+            self._stream.write(record)
+            self._stream.seek(self._at)
 
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file; its times are left at zero, which MCAP reads as unknown."""

@@ -15,7 +15,7 @@ from adapters.errors import StorageError
 from adapters.logs.mcap_log import MessageLogWriter
 from monitor.event import AlarmEvent
 from monitor.recording.record_encoder import EncodedRecord, Topic
-from monitor.recording.recorder import METADATA, RETRY_S, start_log
+from monitor.recording.recorder import RETRY_S, start_log
 from monitor.recording.retention import Retention, file_stem, writable_folder
 from monitor.sampling.phase import FlightPhase
 
@@ -73,11 +73,11 @@ class BlackBox:
     """Keeps the last seconds of one vehicle's records and writes ``<folder>/<vehicle>-<alarm id>.mcap``.
 
     A clip is complete in itself: profile, metadata (``alarm_id``, ``alarm_channel``, ``alarm_observer``, and
-    ``alarm_ids`` of all alarms raised in its span), telemetry, estimates and alarms. It begins with the vehicle's last
-    messages about its flight phase before that, so that a replay knows it armed. Time is that of telemetry's arrival. A
-    clip that the disk refuses is begun again from memory, every :data:`~monitor.recording.recorder.RETRY_S` seconds up
-    to :data:`MAX_TRIES` times. Nothing is written but by :meth:`work` and :meth:`close`; no method raises after
-    construction. Not for several threads at once.
+    ``alarm_ids`` of all alarms raised until its file was begun), telemetry, estimates and alarms. It begins with the
+    vehicle's last messages about its flight phase before that, so that a replay knows it armed. Time is that of
+    telemetry's arrival. A clip that the disk refuses is begun again from memory, every
+    :data:`~monitor.recording.recorder.RETRY_S` seconds up to :data:`MAX_TRIES` times. Nothing is written but by
+    :meth:`work` and :meth:`close`; no method raises after construction. Not for several threads at once.
 
     Parameters
     ----------
@@ -285,7 +285,6 @@ class BlackBox:
     def _complete(self, clip: _Clip) -> None:
         """Finish a clip's file and make room for it."""
         if clip.log is not None:
-            clip.log.add_metadata(METADATA, {"alarm_ids": ",".join(clip.alarms)})
             clip.log.close()
         self._clips.remove(clip)
         self._counts.written += 1

@@ -88,7 +88,7 @@ class Recorder:
     topics : Sequence[Topic]
         Topics of the records by their numbers; the encoder adds to them.
     metadata : Mapping[str, str]
-        Entries of the metadata record ``fauio`` of each file.
+        Entries of the metadata record ``fauio`` of each file, ahead of its data.
     profile_files : Mapping[str, bytes]
         The profile's files by name, attached to each file.
     strict : bool
@@ -159,11 +159,11 @@ class Recorder:
             records = records[count:]
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
-        """Add entries to the metadata of this file and of those that follow; a reader takes the latest of each key."""
+        """Fill in entries that were blank so far, in this file's metadata and in those that follow; lengths stay."""
         self._metadata.update(metadata)
         if self._log is not None and not self._log.failed:
             try:
-                self._log.add_metadata(METADATA, metadata)
+                self._log.amend_metadata(METADATA, self._metadata)
             except OSError as error:
                 self._fail(error)
 
@@ -251,8 +251,6 @@ class Recorder:
         elif log is not None:
             log.resume()
             self._given = log.written
-            # metadata may have been lost with the failed write
-            log.add_metadata(METADATA, self._metadata)
         else:
             raise RuntimeError("a recorder of one file has begun it")
         pending = list(self._waiting)
