@@ -6,7 +6,8 @@ A command c sets a share d of the battery's voltage V, after the link's delay. T
 
 and its propeller gives the thrust (w/W)^2 and takes the current 18 A (w/W)^3 Vf/V. Faults act from a moment on: ``esc``
 applies less of the voltage; ``prop`` gives less thrust at its speed, and takes as much less current; ``motor`` takes
-more current at its speed; ``balance`` shakes the vehicle by so many times the usual 9 m/s^2 an axis at full speed more.
+more current at its speed; ``balance`` shakes the vehicle by so many times the usual 9 m/s^2 an axis at full speed more;
+``battery`` has so much more than its usual resistance of 20 milliohms.
 """
 
 from __future__ import annotations
@@ -27,13 +28,14 @@ _MIXER = np.column_stack([-np.sin(_ANGLES), np.cos(_ANGLES), [1.0, 1.0, -1.0, -1
 _EFFECT = np.array([160.0, 160.0, 16.0])
 _DAMPING = np.array([1.5, 1.5, 1.0])
 _SPEED, _LAG_S, _DELAY = 9000.0, 0.04, 4
-_AMPS, _OHM = 18.0, 0.02
+_AMPS, OHM = 18.0, 0.02
+_CAPACITY_AS = 5.0 * 3600.0
 _HOVER = 0.36
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A fault of one motor (1 to 4): ``part`` is esc, prop or motor, ``share`` what it loses, or draws more."""
+    """A fault of one motor (1 to 4), or the battery: ``share`` is what it loses, or has or draws more."""
 
     part: str
     motor: int
@@ -50,10 +52,12 @@ def flight(
     esc_hz: float = 50.0,
     order: tuple[int, ...] = (0, 1, 2, 3),
     sag_v: float = 0.0,
+    felt: bool = False,
 ) -> Iterator[Message]:
     """Yield the telemetry of a flight; ``sag_v`` is what the battery loses of its open voltage over the flight.
 
-    Controller k of the messages is that of motor ``order[k]`` + 1.
+    The vertical force is reported where it is ``felt``. Without ``esc_hz`` no speed controller reports; controller k of
+    the messages is that of motor ``order[k]`` + 1.
     """
     rng = np.random.default_rng(seed)
     dt = 1.0 / (RATE_HZ * STEPS)
@@ -62,7 +66,8 @@ def flight(
     climb, height_sum = 0.0, 0.0
     on_the_way = [np.full(4, 0.35)] * _DELAY
     start_ns = 1_800_000_000_000_000_000
-    next_esc_s = 0.0
+    next_esc_s = 0.0 if esc_hz else float("inf")
+    measuring, used_as = np.random.default_rng([seed, 1]), 0.0
     current = np.zeros(4)
     for k in range(round(duration_s * RATE_HZ)):
         now_s = k / RATE_HZ
@@ -75,7 +80,7 @@ def flight(
         pulses = np.round(1000.0 + 1000.0 * np.clip(_MIXER @ np.append(controls, lift), 0.03, 1.0))
         acts = fault is not None and fault.onset_s <= now_s < fault.end_s
         working = {part: np.ones(4) for part in ("esc", "prop", "motor", "balance")}
-        if acts:
+        if acts and fault is not None and fault.part in working:
             sign = 1.0 if fault.part in ("motor", "balance") else -1.0
             working[fault.part][fault.motor - 1] += sign * fault.share
         on_the_way.append((pulses - 1000.0) / 1000.0)
@@ -89,10 +94,15 @@ def flight(
         lifted = 9.81 * float(thrust.sum()) / (4.0 * _HOVER) + gust[3]
         climb += (lifted - 9.81 - 0.3 * climb) / RATE_HZ
         current = _AMPS * speed**3 * FULL_V / volts * working["motor"] * working["prop"]
-        volts = FULL_V - sag_v * now_s / duration_s - _OHM * float(current.sum())
+        ohm = OHM * (1.0 + (fault.share if acts and fault is not None and fault.part == "battery" else 0.0))
+        used_as += float(current.sum()) / RATE_HZ
+        volts = FULL_V - sag_v * now_s / duration_s - ohm * float(current.sum())
         stamp_ms, arrival_ns = 5_000 + 10 * k, start_ns + 10_000_000 * k
         fields = {f"servo{i}_raw": int(pulse) for i, pulse in enumerate(pulses, start=1)}
         yield _message("SERVO_OUTPUT_RAW", arrival_ns, {"time_usec": stamp_ms * 1000, "port": 0, **fields})
+        if felt:
+            force = {"time_boot_ms": stamp_ms, "zacc": round(-1000.0 * lifted / 9.81)}
+            yield _message("SCALED_IMU", arrival_ns, force)
         noisy = (rate + rng.normal(0.0, 1e-3, 3)).tolist()
         rates = dict(zip(("rollspeed", "pitchspeed", "yawspeed"), noisy, strict=True))
         yield _message("ATTITUDE", arrival_ns, {"time_boot_ms": stamp_ms, **rates})
@@ -107,6 +117,12 @@ def flight(
             shaken = dict(zip(("vibration_x", "vibration_y", "vibration_z"), level.tolist(), strict=True))
             clipped = dict.fromkeys(("clipping_0", "clipping_1", "clipping_2"), 0)
             yield _message("VIBRATION", arrival_ns, {"time_usec": stamp_ms * 1000, **shaken, **clipped})
+            battery = {
+                "voltage_battery": round(1000.0 * volts + measuring.normal(0.0, 15.0)),
+                "current_battery": round(100.0 * float(current.sum()) + measuring.normal(0.0, 20.0)),
+                "battery_remaining": round(100.0 - 100.0 * used_as / _CAPACITY_AS),
+            }
+            yield _message("SYS_STATUS", arrival_ns, battery)
         if k % RATE_HZ == 0:
             yield _message("HEARTBEAT", arrival_ns, {"type": 2, "autopilot": 12, "base_mode": 128})
             yield _message("EXTENDED_SYS_STATE", arrival_ns, {"landed_state": 2})

@@ -394,3 +394,11 @@ def test_vibration_is_a_message_with_what_was_clipped() -> None:
     vibe = dataflash("VIBE", 1000.0, VibeX=1.5, VibeY=2.0, VibeZ=2.5, Clip=4)
     [ours] = [m for m in run([vibe], builtin_mapping("dataflash"), ["VIBRATION"]) if m.source == MAVLINK]
     assert (ours.fields["vibration_x"], ours.fields["vibration_z"], ours.fields["clipping_0"]) == (1.5, 2.5, 4)
+
+
+@pytest.mark.parametrize(("count", "indices"), [(4, [0, 0]), (6, [0, 4, 0, 4])])
+def test_speed_controllers_beyond_the_fourth_make_a_message_of_their_own(count: int, indices: list[int]) -> None:
+    escs = [{"esc_rpm": 1000 + k, "esc_voltage": 16.0, "esc_current": 1.0 + k} for k in range(8)]
+    found = made([record("esc_status", ms, esc_count=count, esc=escs) for ms in (1000.0, 1100.0)], "ESC_STATUS")
+    assert [one.fields["index"] for one in found] == indices
+    assert [one.fields["rpm"][1] for one in found] == [1001 + index for index in indices]

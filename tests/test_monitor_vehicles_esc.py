@@ -12,6 +12,7 @@ from simulated_chain import Fault, flight
 
 from adapters.errors import ModelError, TelemetryError
 from adapters.logs.recordings import packed
+from adapters.message import Message
 from adapters.sample import Given, Samples, joined_samples
 from monitor.event import AlarmEvent
 from monitor.fitting.fitted import FitRequest
@@ -19,6 +20,7 @@ from monitor.fitting.survey import survey
 from monitor.profile import Profile, read_profile
 from monitor.sampling.gate import GateRule
 from monitor.vehicles.multirotor.esc import fit_esc
+from monitor.vehicles.multirotor.fit import fit_props
 from monitor.vehicles.multirotor.speeds import esc_signals
 from monitor.vehicles.multirotor.transform import EscInputs
 from replay.fit import FitReport, fit_profile
@@ -28,15 +30,25 @@ ORDER = (1, 3, 0, 2)
 """Motor, from 0, of each controller."""
 
 
-@pytest.fixture(scope="module")
-def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[FitReport, Profile]:
-    folder = tmp_path_factory.mktemp("chain") / "quad"
-    logs = [list(flight(seed, 60.0, order=ORDER, sag_v=0.8 * seed)) for seed in (1, 2)]
+def fit(logs: list[list[Message]], folder: Path) -> FitReport:
     with pytest.MonkeyPatch.context() as patch:
         # what a profile will detect is measured in other tests
         patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
-        report = fit_profile("multirotor", [partial(packed, log) for log in logs], folder, "quad")
+        return fit_profile("multirotor", [partial(packed, log) for log in logs], folder, "quad")
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[FitReport, Profile]:
+    folder = tmp_path_factory.mktemp("chain") / "quad"
+    report = fit([list(flight(seed, 60.0, order=ORDER, sag_v=0.8 * seed)) for seed in (1, 2)], folder)
     return report, read_profile(folder)
+
+
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory: pytest.TempPathFactory) -> Profile:
+    folder = tmp_path_factory.mktemp("chain") / "quad"
+    fit([list(flight(seed, 90.0, esc_hz=3.0)) for seed in (1, 2)], folder)
+    return read_profile(folder)
 
 
 def raised(profile: Profile, fault: Fault) -> list[AlarmEvent]:
@@ -91,16 +103,10 @@ def test_a_healthy_flight_with_a_sagging_battery_raises_nothing(fitted: tuple[Fi
     assert [event for event in events if event.state == "raised"] == []
 
 
-@pytest.mark.parametrize(("part", "share", "named"), [("esc", 0.2, "esc3"), ("prop", 0.2, "prop3")])
-def test_speeds_at_3_hz_say_within_seconds_why_a_motor_delivers_less(
-    tmp_path: Path, part: str, share: float, named: str
-) -> None:
-    logs = [list(flight(seed, 90.0, esc_hz=3.0)) for seed in (1, 2)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("replay.fit._measured", lambda fitted, *_: fitted)
-        fit_profile("multirotor", [partial(packed, log) for log in logs], tmp_path / "quad", "quad")
-    fault = Fault(part, 3, share, onset_s=30.0)
-    events = play(read_profile(tmp_path / "quad"), flight(9, 45.0, fault, esc_hz=3.0)).events
+@pytest.mark.parametrize(("part", "named"), [("esc", "esc3"), ("prop", "prop3")])
+def test_speeds_at_3_hz_say_within_seconds_why_a_motor_delivers_less(slow: Profile, part: str, named: str) -> None:
+    fault = Fault(part, 3, 0.2, onset_s=30.0)
+    events = play(slow, flight(9, 45.0, fault, esc_hz=3.0)).events
     [first] = (event for event in events if event.state == "raised")
     refined = next(event for event in events if event.part)
     assert (first.observer, first.channel, refined.channel, refined.part) == ("motors", "motor3", "motor3", named)
@@ -139,14 +145,20 @@ def test_currents_that_never_change_are_no_measurements() -> None:
     assert [channel.name for channel in found.profile().faults] == ["esc1", "esc2", "esc3", "esc4"]
 
 
-def test_speeds_that_no_controller_measured_are_not_believed() -> None:
-    log = list(flight(1, 20.0))
-    assert esc_signals([survey(packed(log))], 4) is not None
+def test_speeds_without_a_voltage_do_not_stand_in_for_commands() -> None:
+    log = list(flight(1, 40.0, esc_hz=10.0))
+    known = esc_signals([survey(packed(log))], 4)
+    assert known is not None
+    assert known.measured
     simulated = [
         replace(message, fields={**message.fields, "voltage": [0.0] * 4}) if message.name == "ESC_STATUS" else message
         for message in log
     ]
-    assert esc_signals([survey(packed(simulated))], 4) is None
+    request = FitRequest("quad", [lambda: packed(simulated)], (survey(packed(simulated)),))
+    assert fit_props(request, GateRule()) is None
+    found = fit_esc(request, GateRule())
+    assert found is not None
+    assert found.lines[1].endswith("; no voltage")
 
 
 PARAMETERS = {
@@ -190,6 +202,17 @@ def test_a_measurement_stands_beside_what_was_expected_when_it_was_made() -> Non
     assert given.y[1:] == pytest.approx(u[[0, 10], 2:4] / 5000.0)
 
 
+def test_speeds_follow_command_times_voltage_and_currents_the_power_over_it() -> None:
+    raw = raw_samples(36)
+    u = np.hstack([raw.u[:, :4], np.full((36, 2), 8.0), raw.u[:, 4:]])
+    current = {f"amps{n}_c{term}": value for n in (1, 2) for term, value in enumerate((0.1, 0.0, 0.0, 0.9))}
+    parameters = {**PARAMETERS, **current, "amps1": 10.0, "amps2": 10.0, "curves": 2.0, "rpm1_c2": -0.2}
+    given = EscInputs(parameters, 100.0, 100.0).run(replace(raw, u=u, lost=np.zeros((36, 8), bool))).samples
+    applied = raw.u[:, 0] * 15.2 / 16.0
+    assert given.u[:, 0] == pytest.approx(0.5 + applied - 0.2 * applied**2 + 0.5 * raw.u[:, 0] * (15.2 / 16.0 - 1.0))
+    assert given.u[:, 3] == pytest.approx(0.1 + 0.9 * (raw.u[:, 3] / 5000.0) ** 3 * 16.0 / 15.2)
+
+
 def test_nothing_given_has_the_shape_of_samples() -> None:
     raw = raw_samples(36)
     transform = EscInputs(PARAMETERS, 100.0, 50.0)
@@ -222,6 +245,7 @@ def test_samples_do_not_depend_on_cuts() -> None:
         ({"rpm1_c2": None}, "'rpm1_c2' is missing"),
         ({"amps3": 1.0}, "'amps1' is missing"),
         ({"weight": 1.0}, "'weight' is unknown"),
+        ({"curves": 3.0}, "'curves' is 3; 1 or 2"),
         ({"lag_s": -1.0}, "'lag_s' is -1; from 0 to 2"),
         ({"rpm2": 0.0}, "'rpm2' is 0; that of hovering is above 0"),
     ],

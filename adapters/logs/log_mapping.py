@@ -113,6 +113,8 @@ class MessageRule:
     fields: tuple[FieldRule, ...]
     repeat_ns: int | None
     moves: str | None = None
+    # further messages of the name that the same records make, with what has no room in the first
+    further: tuple[MessageRule, ...] = ()
 
     @property
     def instances(self) -> tuple[str, ...]:
@@ -142,6 +144,7 @@ class MessageRule:
     def topics(self) -> frozenset[str]:
         """Names of all records that fill the message."""
         topics = {*self.instances, *(field.topic for field in self.fields if field.channel is not None)}
+        topics = topics.union(*(one.topics for one in self.further))
         return frozenset(topics if self.before is None else topics | {PARAMETERS})
 
     def text(self) -> str:
@@ -255,9 +258,10 @@ def _rule(message: str, kinds: Mapping[str, tuple[str, int]], table: Table) -> M
             elements = elements[:length]
             rest = [None] * (length - len(elements))
             fields += (_field(f"{name}[{k}]", code, topic, one) for k, one in enumerate([*elements, *rest]))
+    further = tuple(_rule(message, kinds, one) for one in table.tables("further")) if table.has("further") else ()
     table.done()
     repeat_ns = None if isnan(repeat_s) else round(repeat_s * 1e9)
-    return MessageRule(message, topic, tuple(fields), repeat_ns, moves)
+    return MessageRule(message, topic, tuple(fields), repeat_ns, moves, further)
 
 
 def _field(name: str, code: str, topic: str, table: Table | None) -> FieldRule:

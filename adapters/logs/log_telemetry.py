@@ -166,7 +166,9 @@ class _Telemetry:
     def choose(self) -> None:
         """Decide for the messages that what was counted can fill."""
         for name, rule in self._open.guess(self._counts, self._examples).items():
-            self._fillers.append(self._filler(self._moving(rule)))
+            further = (one for one in rule.further if one.fillable(self._examples))
+            for one in (self._moving(rule), *further):
+                self._fillers.append(self._filler(one))
             self._open = LogMapping({key: tried for key, tried in self._open.rules.items() if key != name})
 
     def _moving(self, rule: MessageRule) -> MessageRule:

@@ -5,7 +5,7 @@ squares. What a flight does not show is filled in from what motors have in commo
 
 - Of speed over command the bend lies between none and that of a square root, and speed follows the voltage as it
   follows the command, whose product a speed controller without a governor applies.
-- At the same speed a motor takes the same power whatever the voltage: current goes with its inverse.
+- A propeller takes a power that goes with the cube of its speed: current goes with it over the voltage.
 
 The plant behind has a state for each expectation and no dynamics; every fault shows in a measurement of its own, so
 all are estimated at once.
@@ -46,7 +46,7 @@ from monitor.sampling.gate import GateRule
 from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.multirotor.signals import multirotor_channels
 from monitor.vehicles.multirotor.speeds import EscSignals, motor_speeds
-from monitor.vehicles.multirotor.transform import EscInputs, HeldMeans, deviation, terms
+from monitor.vehicles.multirotor.transform import TERMS, EscInputs, HeldMeans, deviation, terms
 
 FloatArray = NDArray[np.float64]
 
@@ -74,6 +74,10 @@ _EXCUSED_S = 2.0
 """After the alarm of a motor's controller or propeller has cleared, seconds, none of that motor is raised: by then the
 mean over which losses are seen has forgotten it. A chipped propeller takes less current, and has less thrust at its
 command; so has a motor that turns slower."""
+_OTHERWISE = 0.5
+"""Share of the usual current by which each of its terms may differ from a propeller's power alone. Chosen: without load
+motors draw a tenth and less of what they draw in hover; flights that show it decide.
+"""
 _LEAST_LEFT = 1e-4
 """Least deviation that is left: what a speed of 10,000 rpm is rounded to."""
 _FAULT_RATE = 1.0
@@ -113,6 +117,7 @@ class _Identified:
         """Return the parameters of the transform."""
         return {
             **{f"output{at}": float(n) for at, n in enumerate(self.numbers, start=1)},
+            "curves": 2.0,
             "volts": self.volts,
             "delay_s": self.delay_s,
             "lag_s": self.lag_s,
@@ -265,59 +270,64 @@ def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: f
     prior_u = np.median(u, axis=0)
     candidates = []
     for timing in product(_DELAYS_S, _LAGS_S):
-        means = [_means(one, s, volts, timing, signal_hz, rate_hz) for one in raw]
-        X, y = (np.concatenate(part) for part in zip(*means, strict=True))
-        curves = _regressed(X[:, :, :s], y[:, :s] / hover, prior_u, rate_hz, volts > 0.0, speed=True)
+        X, y = _means(raw, s, volts, timing, signal_hz, rate_hz)
+        curves = _regressed(X, y / hover, rate_hz, prior_u)
         candidates.append((float(np.log(curves.left).sum()), timing, curves))
     _, (delay_s, lag_s), curves = min(candidates, key=itemgetter(0))
     if len(measured) > s:
-        means = [_means(one, s, volts, (0.0, 0.0), signal_hz, rate_hz, hover) for one in raw]
-        X, y = (np.concatenate(part) for part in zip(*means, strict=True))
-        drawn = _regressed(X[:, :, s:], y[:, s:] / amps, np.ones(s), rate_hz, volts > 0.0, speed=False)
+        X, y = _means(raw, s, volts, None, signal_hz, rate_hz, hover)
+        drawn = _regressed(X, y / amps, rate_hz)
         curves = _Curves(*(np.concatenate(both) for both in zip(curves, drawn, strict=True)))
     numbers = tuple(int(channel.name.removeprefix("motor")) for channel in commands)
     return _Identified(numbers, volts, delay_s, lag_s, measured, curves)
 
 
 def _means(
-    flight: Flight,
+    flights: Sequence[Flight],
     s: int,
     volts: float,
-    timing: tuple[float, float],
+    timing: tuple[float, float] | None,
     signal_hz: float,
     rate_hz: float,
-    hover: FloatArray | None = None,
+    hover: FloatArray | float = 1.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what the curves' coefficients multiply (N, terms, 2 s) and speeds and currents (N, 2 s) of a flight.
+    """Return what the coefficients of the curves of speeds multiply (N, terms, s), and speeds (N, s), of all flights.
 
-    Causes are the commands after delay and lag, and the speeds in shares of ``hover``.
+    Commands are delayed and lag by ``timing``; without it the same of currents, over speeds in shares of ``hover``.
     """
-    u, speed, current, voltage = np.split(flight.samples.u.T, 4)
-    v = deviation(voltage, volts) if volts else np.zeros(len(flight))
-    causes = np.vstack([u, speed / (1.0 if hover is None else hover[:, None])])
-    columns = np.concatenate([part[:s] for part in terms(causes, v)] + [part[s:] for part in terms(causes, v)])
-    means = HeldMeans([timing] * (len(columns) // 2), signal_hz, round(signal_hz / rate_hz), len(columns), 2 * s)
-    given = means.run(flight.samples, [*columns, *speed, *current], speed)
-    kept = flight.armed[given.rows] & ~given.samples.lost.any(axis=1)
-    X = given.samples.u[kept].reshape(kept.sum(), 2, -1, s)
-    return np.concatenate([X[:, 0], X[:, 1]], axis=2), given.samples.y[kept]
+    half = slice(0, s) if timing is not None else slice(s, 2 * s)
+    every = []
+    for flight in flights:
+        u, speed, current, voltage = np.split(flight.samples.u.T, 4)
+        v = deviation(voltage, volts) if volts else np.zeros(len(flight))
+        columns = np.concatenate([part[half] for part in terms(u, (speed.T / hover).T, v)])
+        lagged = [] if timing is None else [timing] * len(columns)
+        means = HeldMeans(lagged, signal_hz, round(signal_hz / rate_hz), len(columns), s)
+        given = means.run(flight.samples, [*columns, *(current if timing is None else speed)], speed)
+        kept = flight.armed[given.rows] & ~given.samples.lost.any(axis=1)
+        every.append((given.samples.u[kept].reshape(kept.sum(), TERMS, s), given.samples.y[kept]))
+    X, y = (np.concatenate(part) for part in zip(*every, strict=True))
+    return X, y
 
 
-def _regressed(
-    X: FloatArray, y: FloatArray, usual: FloatArray, rate_hz: float, voltage: bool, *, speed: bool
-) -> _Curves:
-    """Return the curves of y (N, s), one at hover, over X (N, terms, s), whose cause is ``usual`` (s,) there."""
+def _regressed(X: FloatArray, y: FloatArray, rate_hz: float, commands: FloatArray | None = None) -> _Curves:
+    """Return the curves of y (N, s), one at hover, over X (N, terms, s).
+
+    They are those of speeds where the ``commands`` of hovering (s,) are given, else of currents.
+    """
     rows, left = [], []
     for at in range(y.shape[1]):
-        A, b = X[:, :, at] * (1.0, 1.0, 1.0, voltage), y[:, at]
-        line = np.polyfit(A[:, 1], b, 1) if A[:, 1].std() > 0.0 else np.array([1.0 / usual[at], 0.0])
-        slope = max(float(line[0]), 0.5 / usual[at])
+        A, b = X[:, :, at], y[:, at]
+        usual = 1.0 if commands is None else float(commands[at])
+        line = np.polyfit(A[:, 1], b, 1) if A[:, 1].std() > 0.0 else np.array([1.0 / usual, 0.0])
+        slope = max(float(line[0]), 0.5 / usual)
         # what a straight line leaves, counted once a second: the errors within one are alike
         noise = max(float((b - np.polyval(line, A[:, 1])).std()), 1e-6) * np.sqrt(rate_hz)
-        widths = np.array([slope / (4.0 * usual[at]) if speed else slope, slope if speed else 1.0])
-        expected = np.array([0.0, (slope if speed else -1.0) * voltage])
-        prior = np.hstack([np.zeros((2, 2)), np.diag(noise / widths)])
-        row = np.linalg.lstsq(np.vstack([A, prior]), np.append(b, noise / widths * expected), rcond=None)[0]
+        if commands is None:
+            weights, expected = noise / np.full(TERMS, _OTHERWISE), np.array([0.0, 0.0, 0.0, 1.0])
+        else:
+            weights, expected = noise * np.array([0.0, 0.0, 4.0 * usual, 1.0]) / slope, np.zeros(TERMS)
+        row = np.linalg.lstsq(np.vstack([A, np.diag(weights)]), np.append(b, weights * expected), rcond=None)[0]
         rows.append(row)
         left.append(max(float((b - A @ row).std()), _LEAST_LEFT))
     return _Curves(np.array(rows), np.array(left))

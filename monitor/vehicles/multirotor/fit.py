@@ -187,7 +187,8 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
 
     Where motor commands come slower than :data:`SLOW_COMMANDS_HZ`, or a slower grid is asked for, the observer compares
     mean command and mean motion. Where speeds of motors come faster, they stand in for the commands: what is lost
-    before them is told by the esc observer, what is lost behind them is the propellers'.
+    before them is told by the esc observer, what is lost behind them is the propellers'. Not so where their controllers
+    measure no voltage: speeds that are made out of commands would hide what motors lose.
 
     Raises
     ------
@@ -197,7 +198,7 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
     gate = multirotor_gate(request.surveys)
     commands, outputs = multirotor_channels(request.surveys)
     drive, speeds = _commanded(request, commands), motor_speeds(request, gate, commands)
-    if speeds is not None and speeds.rate_hz >= SLOW_COMMANDS_HZ:
+    if speeds is not None and speeds.measured and speeds.rate_hz >= SLOW_COMMANDS_HZ:
         drive = _turned(speeds, OBSERVER)
     return _fitted(request, gate, drive, outputs), gate
 
@@ -214,7 +215,7 @@ def fit_props(request: FitRequest, gate: GateRule) -> Fitted | None:
     """
     commands, outputs = multirotor_channels(request.surveys)
     speeds = motor_speeds(request, gate, commands)
-    if speeds is None or speeds.rate_hz >= SLOW_COMMANDS_HZ:
+    if speeds is None or not speeds.measured or speeds.rate_hz >= SLOW_COMMANDS_HZ:
         return None
     return replace(_fitted(request, gate, _turned(speeds, PROPS), outputs), agreement=None)
 

@@ -37,6 +37,8 @@ class EscSignals:
     voltage: tuple[Channel, ...]  # V
     rate_hz: float
     hover: tuple[float, ...] = ()  # usual speeds in flight, rpm
+    # whether the controllers measure voltages: without, speeds may be made out of commands, as PX4's simulator does
+    measured: bool = True
 
     def ordered(self, order: Sequence[int], numbers: Sequence[int], hover: Sequence[float]) -> EscSignals:
         """Return the channels of some controllers, named after the outputs with these numbers; ``hover`` is of all."""
@@ -50,6 +52,7 @@ class EscSignals:
             chosen(self.voltage, "volts"),
             self.rate_hz,
             tuple(float(hover[at]) for at in order),
+            self.measured,
         )
 
     def thrusts(self) -> tuple[Channel, ...]:
@@ -73,17 +76,13 @@ class EscSignals:
 def esc_signals(surveys: Sequence[Survey], motors: int) -> EscSignals | None:
     """Return the channels of all speed controllers that every recording reports; None where they are too few.
 
-    Names are ``rpm1``, ``amps1``, ``volts1`` and so on in the order of the messages. An onboard log of PX4 makes a
-    message of the first four. PX4's simulator makes speeds out of commands, without a voltage: no controller measured
-    them, and they would hide what motors lose.
+    Names are ``rpm1``, ``amps1``, ``volts1`` and so on in the order of the messages.
     """
     common = set.intersection(*(set(survey.rate_hz) for survey in surveys)) if surveys else set[str]()
     places: list[tuple[str, int, tuple[tuple[str, int | str], ...], float]] = []
-    if _STATUS in common and not all(any(survey.examples[_STATUS].get("voltage", ())) for survey in surveys):
-        return None
+    measured = _STATUS not in common or all(any(one.examples[_STATUS].get("voltage", ())) for one in surveys)
     if _STATUS in common:
-        groups = 1 if any(survey.onboard for survey in surveys) or motors <= _OF_A_MESSAGE else 2
-        for slot in range(groups * _OF_A_MESSAGE):
+        for slot in range((1 if motors <= _OF_A_MESSAGE else 2) * _OF_A_MESSAGE):
             where = (("index", slot - slot % _OF_A_MESSAGE),)
             places.append((_STATUS, slot % _OF_A_MESSAGE, where, 1.0))
     else:
@@ -108,7 +107,11 @@ def esc_signals(surveys: Sequence[Survey], motors: int) -> EscSignals | None:
 
     rate_hz = min(survey.rate_hz[message] for survey in surveys for message, *_ in places)
     return EscSignals(
-        channels("rpm", "rpm", False), channels("amps", "current", True), channels("volts", "voltage", True), rate_hz
+        channels("rpm", "rpm", False),
+        channels("amps", "current", True),
+        channels("volts", "voltage", True),
+        rate_hz,
+        measured=measured,
     )
 
 

@@ -3,14 +3,17 @@
 With u a motor's command, w its speed, i its current, and v the relative deviation of the battery's voltage, the mean
 over all controllers, from what it was in the flights that were fitted:
 
-    expected speed    c0 + c1 u + c2 u^2 + c3 u v        after delay and lag
-    expected current  d0 + d1 w + d2 w^2 + d3 w v
+    expected speed    c0 + c1 x + c2 x^2 + c3 u v,  x = u (1 + v)      after delay and lag
+    expected current  d0 + (d1 w + d2 w^2 + d3 w^3) / (1 + v)
 
-in shares of those of hovering. Measurements come some times a second and say nothing of what was in between, so each
-stands beside what was expected when it was made, and both are taken as means over a tick. The plant behind compares a
-tick's expectation with the measurement of the same tick, which therefore comes one tick later here. A current below
-the expected one counts as that: a motor that fails draws more, less says that its propeller is damaged, which shows in
-the thrust.
+in shares of those of hovering. A speed controller without a governor applies a share x of the battery's voltage, one
+with a governor undoes that (c3 = -c1); a propeller takes a power that its speed alone decides, nearly its cube.
+Profiles without ``curves = 2`` have the terms u, u^2 and u v for the first, w, w^2 and w v for the second.
+
+Measurements come some times a second and say nothing of what was in between, so each stands beside what was expected
+when it was made, and both are taken as means over a tick. The plant behind compares a tick's expectation with the
+measurement of the same tick, which therefore comes one tick later here. A current below the expected one counts as
+that: a motor that fails draws more, less says that its propeller is damaged, which shows in the thrust.
 """
 
 from __future__ import annotations
@@ -114,7 +117,7 @@ class EscInputs:
     parameters : Mapping[str, float]
         ``output1`` and so on: numbers of the motors' outputs; ``volts``: usual voltage, 0 where it is not measured;
         ``delay_s``, ``lag_s`` of speed behind command; for each motor n ``rpmN`` (that of hovering) and ``rpmN_c0`` to
-        ``rpmN_c3``; the same of ``ampsN`` for all or none.
+        ``rpmN_c3``; the same of ``ampsN`` for all or none; ``curves``: 2, or left out in profiles of old.
     signal_rate_hz, rate_hz : float
         Raw samples and given samples per second; the first is a whole multiple of the second.
 
@@ -133,9 +136,12 @@ class EscInputs:
         curves = [f"{kind}{n}" for kind in kinds for n in numbers]
         wanted = {"delay_s", "lag_s", "volts", *(f"output{at}" for at in range(1, len(numbers) + 1)), *curves}
         wanted |= {f"{name}_c{term}" for name in curves for term in range(TERMS)}
-        if wrong := sorted(wanted ^ set(parameters)):
+        if wrong := sorted((wanted ^ set(parameters)) - {"curves"}):
             verb = "is unknown" if wrong[0] in parameters else "is missing"
             raise TelemetryError(f"transform 'esc': '{wrong[0]}' {verb}; fit the profile again")
+        if (curves_of := parameters.get("curves", 1.0)) not in (1.0, 2.0):
+            raise TelemetryError(f"transform 'esc': 'curves' is {curves_of:g}; 1 or 2")
+        self._terms = terms if curves_of == 2.0 else _terms_of_old
         for key, most in (("delay_s", 2.0), ("lag_s", 2.0), ("volts", 1e4)):
             if not 0.0 <= parameters[key] <= most:
                 raise TelemetryError(f"transform 'esc': '{key}' is {parameters[key]:g}; from 0 to {most:g}")
@@ -160,8 +166,8 @@ class EscInputs:
             command, speed, *more = np.split(samples.u.T, self._raw)
             v = deviation(more.pop(), self._volts) if self._volts else np.zeros(len(samples))
             measured = np.vstack([speed, *more]) / self._units[:, None]
-            causes = np.vstack([command, measured[: self._motors]])[: len(measured)]
-            expected = sum(c[:, None] * part for c, part in zip(self._curves.T, terms(causes, v), strict=True))
+            parts = self._terms(command, measured[: self._motors], v)
+            expected = sum(c[:, None] * part[: len(c)] for c, part in zip(self._curves.T, parts, strict=True))
         given = self._means.run(samples, [*expected, *measured], speed)
         later = self._later.run(given.samples)
         if len(later):
@@ -174,6 +180,17 @@ def deviation(volts: Array, usual: float) -> Array:
     return np.asarray(sum(volts) / len(volts) / usual - 1.0)  # added one after the other, however many rows there are
 
 
-def terms(causes: Array, v: Array) -> tuple[Array, ...]:
-    """Return what the coefficients of the curves of causes (m, n) multiply, :data:`TERMS` arrays of that shape."""
+def terms(command: Array, speed: Array, v: Array) -> tuple[Array, ...]:
+    """Return what the coefficients of the curves multiply, :data:`TERMS` arrays (2 s, n): of speeds, then of currents.
+
+    Commands and speeds, in shares of that of hovering, are (s, n).
+    """
+    applied, power = command * (1.0 + v), speed / (1.0 + v)
+    of_speed = np.ones_like(command), applied, applied * applied, command * v
+    of_current = np.ones_like(speed), power, power * speed, power * speed * speed
+    return tuple(np.vstack(both) for both in zip(of_speed, of_current, strict=True))
+
+
+def _terms_of_old(command: Array, speed: Array, v: Array) -> tuple[Array, ...]:
+    causes = np.vstack([command, speed])
     return np.ones_like(causes), causes, causes * causes, causes * v
