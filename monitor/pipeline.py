@@ -21,10 +21,11 @@ from adapters.batch import Batch, Columns, cut
 from adapters.mavlink.heartbeat import AUTOPILOT
 from adapters.mavlink.mavlink_columns import SEQUENCE
 from adapters.message import LATEST_NS, SECOND_NS, SILENCE, Message
-from adapters.source import CLOCK, JOURNAL, LINK, OPERATOR
+from adapters.source import CLOCK, JOURNAL, LINK, MAVLINK, OPERATOR
 from monitor import blind
 from monitor.alarms import link_alarms
 from monitor.alarms.alarm import TUNABLE
+from monitor.alarms.command_watch import COMMANDS, CommandWatch, command_sent, commanded_systems
 from monitor.alarms.desk import AlarmDesk, DeskRule, desk_rule, rule_fields
 from monitor.alarms.excuse import Excuses, general_of
 from monitor.alarms.link_alarms import HEARTBEAT_NS, SET_BACK_NS, LinkAlarms, StaleAlarm
@@ -106,6 +107,7 @@ class Pipeline:
         self._wanted = frozenset[str]().union(*(chain.interests for chain in self._chains))
         self._stale = StaleAlarm(self.vehicle, profile.stale_s)
         self._link = LinkAlarms(self.vehicle)
+        self._commands = CommandWatch()
         self._blind = BlindAlarm(self.vehicle, self._chains)
         self._desk = AlarmDesk(self.vehicle, DeskRule(), general_of(profile.excuses))
         self._system = profile.system if system is None else system
@@ -114,6 +116,7 @@ class Pipeline:
         self._down_ns: int | None = None  # since when the vehicle reports that its flight is over
         self._driven_ns: int | None = None  # when to compare commands with the report that it does not fly
         self._numbered_ns = 0  # until when sequence numbers show two senders
+        self._flown_ns = 0  # when it last reported to fly
         self.foreign = 0
         self.contradictions: Sequence[str] = ()
 
@@ -121,7 +124,7 @@ class Pipeline:
     def interests(self) -> frozenset[str]:
         """Names of the messages that matter; all others may be skipped without changing a result."""
         own = {SILENCE, "signing", SEQUENCE, RULES, STANDING, "ack", "shelve", "unshelve", RESET}
-        return self._wanted | FlightPhase.interests | own
+        return self._wanted | FlightPhase.interests | COMMANDS | own
 
     @property
     def needs(self) -> Mapping[str, frozenset[str]]:
@@ -143,7 +146,7 @@ class Pipeline:
     @property
     def channels(self) -> frozenset[tuple[str, str]]:
         """Observer and channel of everything that can be an alarm, the desk's own left out."""
-        link = (link_alarms.SIGNING, link_alarms.HEARTBEAT, link_alarms.IMPOSTOR)
+        link = (link_alarms.SIGNING, link_alarms.HEARTBEAT, link_alarms.IMPOSTOR, link_alarms.COMMAND)
         return frozenset(
             {(chain.layout.observer, channel) for chain in self._chains for channel in chain.channels}
             | {(link_alarms.OBSERVER, link_alarms.TELEMETRY), (blind.OBSERVER, blind.CHANNEL)}
@@ -216,8 +219,13 @@ class Pipeline:
         return made | {"unix_minus_vehicle_ns": offset.rjust(_OFFSET_LETTERS)}
 
     def accepts(self, message: Message | Columns) -> bool:
-        """Return whether a message (or columns) comes from the monitored vehicle: the first to send a channel is it."""
+        """Return whether a message (or columns) comes from the monitored vehicle, or commands it.
+
+        The first to send a channel is the vehicle.
+        """
         if not message.source.has_ids:
+            return True
+        if not {0, self._system}.isdisjoint(commanded_systems(message)):
             return True
         if not message.source.is_telemetry:
             return message.system == self._system
@@ -269,7 +277,7 @@ class Pipeline:
         while index < arrivals.batch.count:
             message = arrivals.message(index)
             outputs.extend(self._desk.tick(message.received_ns))
-            if not message.source.is_telemetry:
+            if not message.source.is_telemetry or _commands(message):
                 outputs.extend(self._run_own(message))
                 index += 1
                 continue
@@ -287,7 +295,17 @@ class Pipeline:
         events += self._contradict(now_ns)
         if message.name in self._wanted:
             events += self._stale.follow(now_ns, vehicle_ns)
+        if self._phase.armed and self._flies():
+            self._flown_ns = now_ns
         return events
+
+    def _command(self, message: Message) -> list[AlarmEvent]:
+        """Follow who commands the vehicle; one forged report that it has landed makes nobody known."""
+        now_ns = message.received_ns
+        sent = command_sent(message.name, message.fields, now_ns / 1e9, message.system, message.component, self._system)
+        flies = self._flies() or 0 <= now_ns - self._flown_ns < _LANDED_NS
+        found = [] if sent is None else self._commands.follow(sent, flies)
+        return [event for one in found for event in self._link.commanded(one, now_ns)]
 
     def _run_segment(self, arrivals: Arrivals, start: int, start_ns: int, outputs: list[Estimates | AlarmEvent]) -> int:
         """Process messages that only bring measurements, after what the first of them changed; return their end."""
@@ -409,6 +427,8 @@ class Pipeline:
     def _run_own(self, message: Message) -> list[AlarmEvent]:
         """Process a message that is no telemetry."""
         now_ns, fields = message.received_ns, message.fields
+        if message.source is MAVLINK:
+            return self._through_desk([*self._link.quiet(now_ns), *self._command(message)])
         if message.source is CLOCK:
             events = [*self._close_at_landing(now_ns), *self._silence(now_ns), *self._link.quiet(now_ns)]
             return self._through_desk(events)
@@ -482,6 +502,10 @@ class Pipeline:
             if isinstance(rules, Mapping):
                 chain.retune({name: rule for name, rule in rules.items() if isinstance(rule, Mapping)})
         return self._desk.set_rule(desk_rule(fields, self._desk.rule), now_ns)
+
+
+def _commands(message: Message) -> bool:
+    return message.source is MAVLINK and message.name in COMMANDS
 
 
 def rules_message(rule: DeskRule, profile: Profile, now_ns: int) -> Message:

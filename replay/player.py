@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adapters.batch import Batch, cut, one_message, pack
+from adapters.batch import Batch, cut, pack
 from adapters.batch import messages as messages_of
 from adapters.errors import OtherVehicleError
 from adapters.logs.recordings import packed
@@ -216,7 +216,7 @@ def _record(recorder: Archive, pipeline: Pipeline, batch: Batch) -> None:
             if pipeline.system:
                 break
     rest = cut(batch, place, batch.count)
-    columns = tuple(one for one in rest.columns if pipeline.accepts(one_message(one, 0)))
+    columns = tuple(one for one in rest.columns if pipeline.accepts(one))
     others = {at: message for at, message in rest.others.items() if pipeline.accepts(message)}
     recorder.batch(Batch(rest.count, columns, others))
     # which vehicle it is the pipeline finds by itself: what came before its first channel is not its own

@@ -337,7 +337,8 @@ def test_channels_that_the_profile_does_not_have_are_told_with_those_it_has(
     )
     latched, out_of_service = complaints(tmp_path, text)
     known = (
-        "arm/encoder, arm/motor, link/impostor, link/link, link/signing, link/telemetry, monitor/blind, monitor/flood"
+        "arm/encoder, arm/motor, link/command, link/impostor, link/link, link/signing, link/telemetry, monitor/blind, "
+        "monitor/flood"
     )
     wrong = f"which is no channel of {tmp_path / 'arm'}; its channels are {known}"
     assert latched == f"7: 'vehicle[0].latched[1]' is 'arm/encoders', {wrong}"

@@ -35,3 +35,8 @@ def command_risk(name: str, values: Sequence[float | str]) -> str | None:
     if name == str(_DISARM) and values and values[0] == 0:
         return "disarms"
     return {str(_TERMINATE): "terminates the flight", str(_REBOOT): "reboots the autopilot"}.get(name)
+
+
+def ends_flight(name: str, values: Sequence[float | str]) -> bool:
+    """Return whether a message brings a flying vehicle down, which nobody does by the way."""
+    return name in (str(_TERMINATE), str(_REBOOT)) or (name == str(_DISARM) and bool(values) and values[0] == 0)

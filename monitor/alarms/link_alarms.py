@@ -11,6 +11,7 @@ from dataclasses import replace
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import LATEST_NS, Message
 from adapters.source import LINK, MAVLINK
+from monitor.alarms.command_watch import CommandFinding
 from monitor.event import UNNUMBERED, AlarmEvent, Kind, Severity, State, fixed_rule_event
 
 OBSERVER = "link"
@@ -18,12 +19,15 @@ SIGNING = "signing"
 HEARTBEAT = "link"
 TELEMETRY = "telemetry"
 IMPOSTOR = "impostor"
+COMMAND = "command"
 
 _QUIET_NS = 10_000_000_000
-"""Time without a wrong signature after which an attack is over; chosen, as long as the heartbeat's."""
+"""Time without a wrong signature, or a command, after which an attack is over; chosen, as long as the heartbeat's."""
 HEARTBEAT_NS = 10_000_000_000
 """Ten heartbeats at MAVLink's rate of one a second. A link that loses 10 % at random misses ten in a row once in 350
 years, one that loses 30 % once in three days."""
+_ENDS = {SIGNING: "no more packets with a wrong signature", COMMAND: "nothing of the kind was commanded any more"}
+"""What ends an alarm of single messages, by channel."""
 _MOST_PACKETS = 1 << 62
 """Counts of a recording are cut off here, so that the sum of three fits into 64 bits."""
 SET_BACK_NS = 10_000_000_000
@@ -39,7 +43,8 @@ class LinkAlarms:
     ``signing`` is raised by the first packet whose signature is forged, replayed or missing where one is required,
     reports once a second how many there were, and clears after 10 s without another. ``link`` is raised where other
     telemetry goes on but the autopilot's heartbeat has not come for 10 s. ``impostor`` is active while messages
-    contradict each other so that two senders must have sent them.
+    contradict each other so that two senders must have sent them. ``command`` tells what somebody new commands in
+    flight, and floods of commands, and clears after 10 s without another.
     """
 
     def __init__(self, vehicle: str) -> None:
@@ -47,7 +52,7 @@ class LinkAlarms:
         self._active: dict[str, AlarmEvent] = {}
         self._counts: dict[str, int] = {}
         self._baseline = 0
-        self._attacked_ns = 0
+        self._last_ns: dict[str, int] = {}  # of a wrong signature, of a command
         self._heartbeat_ns: int | None = None
         self._vehicle_ms = 0
 
@@ -81,7 +86,8 @@ class LinkAlarms:
     @property
     def due_ns(self) -> int:
         """Unix time from which any message may cause an event here."""
-        return self._attacked_ns + _QUIET_NS if SIGNING in self._active else LATEST_NS
+        due = [self._last_ns[channel] + _QUIET_NS for channel in _ENDS if channel in self._active]
+        return min(due, default=LATEST_NS)
 
     def pass_over(self, heartbeat_ns: int, vehicle_ns: int) -> None:
         """Follow messages that cause nothing: the newest heartbeat, the vehicle's time at the last of them."""
@@ -102,10 +108,24 @@ class LinkAlarms:
 
     def quiet(self, now_ns: int) -> list[AlarmEvent]:
         """Let Unix time come to ``now_ns``; return the events that this causes."""
-        if SIGNING not in self._active or now_ns - self._attacked_ns < _QUIET_NS:
-            return []
         # At the end of the 10 s, whenever the next message comes.
-        return [self._clear(SIGNING, self._attacked_ns + _QUIET_NS, "no more packets with a wrong signature")]
+        over = [
+            (self._last_ns[channel] + _QUIET_NS, channel)
+            for channel in _ENDS
+            if channel in self._active and now_ns - self._last_ns[channel] >= _QUIET_NS
+        ]
+        return [self._clear(channel, end_ns, _ENDS[channel]) for end_ns, channel in sorted(over)]
+
+    def commanded(self, finding: CommandFinding, now_ns: int) -> list[AlarmEvent]:
+        """Follow what a command shows; return the events that this causes."""
+        if finding.weight == "information":
+            return []
+        self._last_ns[COMMAND] = now_ns
+        active = self._active.get(COMMAND)
+        if active is None:
+            return [self._raise(COMMAND, "security", finding.weight, now_ns, None, "", finding.text)]
+        severity: Severity = "critical" if "critical" in (active.severity, finding.weight) else "warning"
+        return [self._event(COMMAND, replace(active, severity=severity), "updated", now_ns, None, finding.text)]
 
     def silent(self) -> None:
         """Forget the heartbeat, as all telemetry stopped: its absence is no news until it comes again."""
@@ -117,8 +137,8 @@ class LinkAlarms:
             self._active.pop(event.channel, None)
             return
         self._active[event.channel] = event
-        if event.channel == SIGNING:
-            self._attacked_ns = event.time_ns
+        if event.channel in _ENDS:
+            self._last_ns[event.channel] = event.time_ns
 
     def _attacked(self, message: Message, now_ns: int) -> list[AlarmEvent]:
         counts = {name: _count(message.fields.get(name)) for name in ("forged", "replayed", "unsigned")}
@@ -129,7 +149,7 @@ class LinkAlarms:
         if total < sum(self._counts.values()):
             self._baseline = 0
         self._counts = counts
-        self._attacked_ns = now_ns
+        self._last_ns[SIGNING] = now_ns
         counted = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
         text = f"packets with a wrong signature in the vehicle's name were refused: {counted} so far"
         severity: Severity = "critical" if counts["forged"] or counts["replayed"] else "warning"

@@ -11,6 +11,7 @@ import numpy as np
 from adapters.batch import Batch, Columns, one_message
 from adapters.mavlink.heartbeat import is_autopilot_heartbeat
 from adapters.message import Message
+from monitor.alarms.command_watch import commanded_systems
 from monitor.sampling.phase import FlightPhase
 
 from cpython.buffer cimport PyBUF_STRIDES, Py_buffer, PyBuffer_Release, PyObject_GetBuffer
@@ -71,12 +72,18 @@ cdef class Arrivals:
         for i in range(count):
             self._arrivals[i].owner = -1
         for columns in batch.columns:
-            if not _is_of(columns, system, component):
+            if _commands(columns, system):
+                self._add_columns(columns, 0, BEGINS)
+            elif not _is_of(columns, system, component):
                 self.foreign += len(columns.position)
             elif columns.name in names:
-                self._add_columns(columns, columns.name in wanted)
+                self._add_columns(columns, columns.name in wanted, 0)
         for i, message in batch.others.items():
-            if not _is_of(message, system, component):
+            if _commands(message, system):
+                self._add(i, message.received_ns, 0)
+                self._owners.append(message)
+                self._arrivals[i].marks |= BEGINS
+            elif not _is_of(message, system, component):
                 self.foreign += 1
             elif message.name in names:
                 self._add(i, message.received_ns, message.name in wanted)
@@ -103,10 +110,10 @@ cdef class Arrivals:
         self._arrivals[i] = Arrival(received, <int>len(self._owners), CARRIES if carries else 0)
         return 0
 
-    cdef int _add_columns(self, columns, bint carries) except -1:
+    cdef int _add_columns(self, columns, bint carries, char marks) except -1:
         cdef Py_buffer position, received
         cdef Py_ssize_t row, i
-        cdef bint reports = columns.name in FlightPhase.interests
+        cdef bint reports = marks or columns.name in FlightPhase.interests
         PyObject_GetBuffer(columns.position, &position, PyBUF_STRIDES)
         try:
             PyObject_GetBuffer(columns.received_ns, &received, PyBUF_STRIDES)
@@ -114,6 +121,7 @@ cdef class Arrivals:
                 for row in range(position.shape[0]):
                     i = _whole(&position, row)
                     self._add(i, _whole(&received, row), carries)
+                    self._arrivals[i].marks |= marks
                     if reports:
                         self._reports[i] = one_message(columns, row)
             finally:
@@ -173,7 +181,7 @@ cdef class Arrivals:
         return 0
 
     def message(self, Py_ssize_t i):
-        """Return a message; one of columns without its fields where it says nothing of the flight phase."""
+        """Return a message; one of columns without its fields where it neither says the flight phase nor commands."""
         cdef Arrival* arrival = self._arrivals + i
         owner = self._owners[arrival.owner]
         if isinstance(owner, Message):
@@ -278,6 +286,12 @@ cdef bint _is_of(entry, int system, int component):
     if entry.system != system:
         return False
     return not source.is_telemetry or component in (0, entry.component)
+
+
+cdef bint _commands(entry, int system):
+    """Return whether a message (or one of columns) commands the vehicle."""
+    targets = commanded_systems(entry)
+    return bool(targets) and (0 in targets or system in targets)
 
 
 cdef int64_t _whole(const Py_buffer* column, Py_ssize_t row) except? -1:

@@ -14,6 +14,7 @@ import numpy as np
 from adapters.batch import Batch, Columns, gathered, joined
 from adapters.mavlink.heartbeat import AUTOPILOT, autopilot_heartbeats
 from adapters.message import Message
+from monitor.alarms.command_watch import commanded_systems
 from monitor.pipeline import Pipeline
 from monitor.service.inbox import Arrival
 from monitor.service.vehicle_monitor import VehicleMonitor
@@ -88,16 +89,27 @@ class Fleet:
             return [(own, batch)] if own is not None else self._discard(batch.count)
         entries: list[Columns | Message] = [*batch.columns, *batch.others.values()]
         systems = {entry.system if entry.source.has_ids else None for entry in entries}
+        systems |= {system for entry in entries for system in self._commanded(entry)}
         if len(systems) == 1:
             return self._parts_of(systems.pop(), batch)
         parts = []
         for system in systems:
             part = gathered(
-                [columns for columns in batch.columns if _is_of(columns, system)],
-                {index: message for index, message in batch.others.items() if _is_of(message, system)},
+                [columns for columns in batch.columns if self._is_for(columns, system)],
+                {index: message for index, message in batch.others.items() if self._is_for(message, system)},
             )
             parts += self._parts_of(system, part)
         return parts
+
+    def _commanded(self, entry: Columns | Message) -> set[int]:
+        """Return the systems of vehicles that a message commands."""
+        targets = commanded_systems(entry)
+        return set(self._by_system) if 0 in targets else targets & self._by_system.keys()
+
+    def _is_for(self, entry: Columns | Message, system: int | None) -> bool:
+        if not entry.source.has_ids:
+            return system is None
+        return system is not None and (entry.system == system or system in self._commanded(entry))
 
     def _discard(self, count: int) -> list[tuple[VehicleMonitor, Batch]]:
         self.foreign += count
@@ -205,7 +217,3 @@ class _Stranger:
         if pipeline is not None:
             return pipeline.identifies(entry)
         return entry.source.is_telemetry and entry.component == AUTOPILOT and entry.name != "HEARTBEAT"
-
-
-def _is_of(entry: Columns | Message, system: int | None) -> bool:
-    return not entry.source.has_ids if system is None else entry.source.has_ids and entry.system == system

@@ -26,6 +26,7 @@ _CHECKS: Mapping[str, str] = {
     r"vibration": "propellers for balance, mounts of the autopilot, loose parts",
     r"impostor|signing|heartbeat": "who else sends on this link: a second vehicle of the same id, a ground station, "
     "an attacker; sign the link",
+    r"command": "who sent it: a second ground station, a companion computer, an attacker; sign the link",
     r"telemetry": "the radio, its aerials and range, and whether the autopilot rebooted",
     r"unexplained": "what the other charts show at that time: a gust, a collision, two faults at once, or a vehicle "
     "changed since its profile was fitted",

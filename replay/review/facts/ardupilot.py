@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from adapters.mavlink.flight_modes import ARDUPILOT, mode_name
+from monitor.alarms.command_watch import CommandSent
 from replay.review.facts.log_facts import (
     UNKNOWN_LEVEL,
-    CommandSent,
     LogFacts,
     LogRecords,
     LogSignal,

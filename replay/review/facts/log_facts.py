@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from adapters.batch import Batch
 from adapters.logs.log_parameters import PARAMETER_MESSAGES, parameter
+from monitor.alarms.command_watch import COMMANDS, CommandSent
 
 Floats = NDArray[np.float64]
 
@@ -75,17 +76,6 @@ class Statement:
     text: str
     # of a text: MAVLink's severity, or UNKNOWN_LEVEL; of a state: 1 where it begins, 0 where it ends
     level: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class CommandSent:
-    """A command that somebody sent the vehicle."""
-
-    time_s: float
-    system: int
-    component: int
-    name: str  # of the message, or of the command in it
-    values: tuple[float | str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,9 +275,7 @@ class LogRecords:
         return next((one for one in signals if one is not None and len(one.time_s)), None)
 
 
-ROWS = frozenset(
-    {"COMMAND_LONG", "COMMAND_INT", "SET_MODE", "MISSION_COUNT", "MISSION_CLEAR_ALL", "vehicle_command", "MAVC"}
-)
+ROWS = COMMANDS | {"vehicle_command", "MAVC"}
 """Records that are kept one by one beside their columns."""
 
 

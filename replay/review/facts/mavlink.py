@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from adapters.mavlink.flight_modes import ARDUPILOT, PX4, mode_name
+from monitor.alarms.command_watch import COMMANDS, CommandSent, command_sent
 from replay.review.facts.log_facts import (
-    CommandSent,
     LogFacts,
     LogRecords,
     LogSignal,
@@ -27,10 +27,9 @@ TOPICS = frozenset(
     {
         "HEARTBEAT", "EXTENDED_SYS_STATE", "SERVO_OUTPUT_RAW", "ATTITUDE", "ATTITUDE_TARGET", "SCALED_PRESSURE",
         "LOCAL_POSITION_NED", "HIGHRES_IMU", "RAW_IMU", "SYS_STATUS", "GPS_RAW_INT", "EKF_STATUS_REPORT",
-        "ESTIMATOR_STATUS", "VIBRATION", "STATUSTEXT", "COMMAND_LONG", "COMMAND_INT", "SET_MODE", "PARAM_SET",
-        "PARAM_VALUE", "MISSION_COUNT", "MISSION_CLEAR_ALL",
+        "ESTIMATOR_STATUS", "VIBRATION", "STATUSTEXT", "PARAM_VALUE",
     }
-)  # fmt: skip
+) | COMMANDS  # fmt: skip
 
 # MAV_TYPE, MAV_AUTOPILOT, MAV_MODE_FLAG and MAV_LANDED_STATE of MAVLink's common definitions
 _ROTORS = {2: 4, 13: 6, 14: 8, 29: 12}
@@ -43,7 +42,6 @@ _LIFTED = 1.0
 _MILLI = 1e-3
 _HECTOPASCAL_M = 8.43
 """Metres of height of a hectopascal at sea level: R T / (g M p) at 15 degrees and 1013.25 hPa."""
-_COMMANDS = ("COMMAND_LONG", "COMMAND_INT", "SET_MODE", "PARAM_SET", "MISSION_COUNT", "MISSION_CLEAR_ALL")
 
 
 def mavlink_facts(records: LogRecords) -> LogFacts:
@@ -164,14 +162,7 @@ def _statements(
 
 def _commands(records: LogRecords, vehicle: int) -> Iterator[CommandSent]:
     for name, system in records.names():
-        if name not in _COMMANDS or system == vehicle:
-            continue
-        for at, component, row in ((records.time_s(at), who, row) for at, who, row in records.rows[name, system]):
-            said: tuple[float | str, ...] = tuple(
-                value for key, value in row.items() if isinstance(value, int | float | str) and "target" not in key
-            )
-            if "command" in row:
-                number = str(int(row["command"]))
-                yield CommandSent(at, system, component, number, tuple(row.get(f"param{k}", 0.0) for k in range(1, 5)))
-            else:
-                yield CommandSent(at, system, component, name, said)
+        for at, component, row in records.rows.get((name, system), ()) if name in COMMANDS else ():
+            sent = command_sent(name, row, records.time_s(at), system, component, vehicle)
+            if sent is not None:
+                yield sent

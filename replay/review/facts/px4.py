@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from monitor.alarms.command_watch import CommandSent
 from replay.review.facts.log_facts import (
-    CommandSent,
     Floats,
     LogFacts,
     LogRecords,

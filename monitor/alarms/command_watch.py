@@ -1,0 +1,145 @@
+"""Who commands a vehicle in flight, and how often: the same rule for live telemetry, replays and reviews of logs.
+
+MAVLink without signing obeys everybody. An attacker disarms, reboots, changes the mode, rewrites the mission or takes
+safety parameters away; the vehicle does as it is told, and nothing fails.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from adapters.batch import Columns
+from adapters.mavlink.heartbeat import AUTOPILOT
+from adapters.message import Message
+from adapters.source import MAVLINK
+from monitor.alarms.command_risk import command_risk, ends_flight
+
+COMMANDS: Final = frozenset(
+    {
+        "COMMAND_LONG", "COMMAND_INT", "SET_MODE", "PARAM_SET", "MISSION_COUNT", "MISSION_CLEAR_ALL",
+        "MISSION_WRITE_PARTIAL_LIST",
+    }
+)  # fmt: skip
+"""Names of the messages that command a vehicle, which their ``target_system`` names."""
+FLOOD: Final = 50
+"""Commands within a second. Chosen: a ground station sends missions and parameters with an answer to each, some
+ten a second over a radio, some thirty over a wire."""
+_MOST_SENDERS = 64
+"""Senders that are remembered. Chosen: more than ever command one vehicle; forged ids cost no memory beyond."""
+
+
+@dataclass(frozen=True, slots=True)
+class CommandSent:
+    """A command that somebody sent the vehicle."""
+
+    time_s: float
+    system: int
+    component: int
+    name: str  # of the message, or the number of the MAV_CMD in it
+    values: tuple[float | str, ...] = ()
+
+
+def command_sent(
+    name: str, fields: Mapping[str, Any], time_s: float, system: int, component: int, vehicle: int
+) -> CommandSent | None:
+    """Return the command in a message to a vehicle's autopilot; None where it is none, or meant for another."""
+    meant = fields.get("target_system") in (0, vehicle) and fields.get("target_component", 0) in (0, AUTOPILOT)
+    if name not in COMMANDS or not meant:
+        return None
+    number = fields.get("command")
+    if isinstance(number, int):
+        values = tuple(fields.get(f"param{k}", 0.0) for k in range(1, 5))
+        return CommandSent(time_s, system, component, str(number), values)
+    said = tuple(value for key, value in fields.items() if isinstance(value, int | float | str) and "target" not in key)
+    return CommandSent(time_s, system, component, name, said)
+
+
+def commanded_systems(entry: Message | Columns) -> set[int]:
+    """Return the systems that a message (or columns) commands, 0 for all; none where it is no command."""
+    if entry.name not in COMMANDS or entry.source is not MAVLINK:
+        return set()
+    target = entry.fields.get("target_system")
+    if isinstance(entry, Columns):
+        return set() if target is None else set(target.ravel().tolist())
+    return {target} if isinstance(target, int) else set()
+
+
+@dataclass(frozen=True, slots=True)
+class CommandFinding:
+    """What a command in flight shows.
+
+    Parameters
+    ----------
+    kind : {"sender", "flood"}
+        A risky command of a new sender, or too many commands.
+    weight : {"information", "warning", "critical"}
+        Information alone is no alarm.
+    text : str
+        What happened, without a full stop.
+    """
+
+    kind: Literal["sender", "flood"]
+    weight: Literal["information", "warning", "critical"]
+    text: str
+
+
+class CommandWatch:
+    """Who commanded a vehicle while it did not fly, and what those who did not do in flight.
+
+    A risky command of a new sender is critical where others had commanded before; where nobody had (a vehicle armed by
+    its radio control, a monitor that started in flight) it is a warning if it ends the flight, else information.
+
+    Attributes
+    ----------
+    known : Mapping[tuple[int, int], None]
+        System and component of who commanded it while it did not fly.
+    most : int
+        The most commands of any second in flight.
+    """
+
+    def __init__(self) -> None:
+        self.known: dict[tuple[int, int], None] = {}
+        self.most = 0
+        self._new: dict[tuple[int, int], None] = {}
+        self._times_s: deque[float] = deque()
+        self._flooded_s: float | None = None
+
+    def follow(self, command: CommandSent, flying: bool) -> list[CommandFinding]:
+        """Take the next command; return what it shows."""
+        sender = command.system, command.component
+        if not flying:
+            _remember(self.known, sender)
+            self._new.pop(sender, None)
+            self._times_s.clear()
+            return []
+        found = []
+        risk = command_risk(command.name, command.values)
+        now_s, times_s = command.time_s, self._times_s
+        if times_s and now_s < times_s[-1]:
+            times_s.clear()
+        times_s.append(now_s)
+        while now_s - times_s[0] >= 1.0 or len(times_s) > FLOOD * _MOST_SENDERS:
+            times_s.popleft()
+        self.most = max(self.most, len(times_s))
+        if risk is not None and sender not in self.known and sender not in self._new:
+            _remember(self._new, sender)
+            weight: Literal["information", "warning", "critical"] = "critical" if self.known else "information"
+            if not self.known and ends_flight(command.name, command.values):
+                weight = "warning"
+            text = f"system {command.system}, component {command.component}, which had not commanded before, {risk}"
+            found.append(CommandFinding("sender", weight, f"{text} in flight"))
+        quiet = self._flooded_s is None or not 0 <= now_s - self._flooded_s < 1.0
+        if len(times_s) > FLOOD and quiet:
+            self._flooded_s = now_s
+            text = f"more than {FLOOD} commands a second reached the vehicle in flight"
+            found.append(CommandFinding("flood", "warning", text))
+        return found
+
+
+def _remember(senders: dict[tuple[int, int], None], sender: tuple[int, int]) -> None:
+    senders[sender] = None
+    if len(senders) > _MOST_SENDERS:
+        del senders[next(iter(senders))]

@@ -1,0 +1,162 @@
+"""Commands of somebody new in flight raise ``link/command``, live, in replays and in reviews by one rule."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from test_monitor_impostor import disarmed, events_of
+
+from adapters.batch import pack
+from adapters.logs.recordings import read_recording
+from adapters.logs.tlog import TlogReader
+from adapters.message import Message
+from adapters.source import MAVLINK
+from monitor.alarms.command_watch import FLOOD, CommandSent, CommandWatch, command_sent, commanded_systems
+from monitor.alarms.desk import DeskRule
+from monitor.event import AlarmEvent
+from monitor.pipeline import Pipeline, rules_message
+from monitor.profile import Profile, read_profile
+from replay.player import play
+from replay.review.review import review_log
+
+QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
+GROUND, STRANGER = (255, 190), (66, 1)
+ARM, DISARM, REBOOT, MODE, REQUEST = "400", "400", "246", "176", "512"
+
+
+def sent(sender: tuple[int, int], name: str, *values: float | str, at: float = 0.0) -> CommandSent:
+    return CommandSent(at, *sender, name, values)
+
+
+def long(number: int, first: float, at_ns: int, sender: tuple[int, int] = STRANGER, **more: Any) -> Message:
+    fields = {"target_system": 1, "target_component": 1, "command": number, "confirmation": 0, "param1": first}
+    fields |= {f"param{k}": 0.0 for k in range(2, 8)}
+    return Message(MAVLINK, "COMMAND_LONG", at_ns, fields | more, *sender)
+
+
+@pytest.mark.parametrize(
+    ("before", "command", "weight"),
+    [
+        ([(GROUND, ARM, 1.0)], (STRANGER, DISARM, 0.0), "critical"),
+        ([(GROUND, ARM, 1.0)], (STRANGER, MODE, 1.0, 4.0), "critical"),
+        ([(GROUND, ARM, 1.0)], (STRANGER, "PARAM_SET", "FENCE_ENABLE", 0.0), "critical"),
+        ([(GROUND, ARM, 1.0)], (STRANGER, "MISSION_CLEAR_ALL"), "critical"),
+        ([(GROUND, ARM, 1.0)], (STRANGER, REQUEST, 30.0), None),
+        ([(GROUND, ARM, 1.0)], (GROUND, DISARM, 0.0), None),
+        # nobody had commanded: its radio control armed it, or the monitor came later
+        ([], (STRANGER, REBOOT, 1.0), "warning"),
+        ([], (STRANGER, MODE, 1.0, 4.0), "information"),
+    ],
+)
+def test_who_is_new_and_what_it_does_decides(before: list[Any], command: Any, weight: str | None) -> None:
+    watch = CommandWatch()
+    for one in before:
+        assert watch.follow(sent(*one), False) == []
+    assert [one.weight for one in watch.follow(sent(*command), True)] == ([] if weight is None else [weight])
+    assert watch.follow(sent(*command), True) == []
+
+
+@given(st.lists(st.floats(0.0, 30.0), max_size=300).map(sorted))
+def test_a_flood_is_told_once_a_second_while_it_lasts(times: list[float]) -> None:
+    watch, told = CommandWatch(), []
+    for at in times:
+        told += [at for one in watch.follow(sent(GROUND, REQUEST, at=at), True) if one.kind == "flood"]
+        within = sum(0 <= at - other < 1.0 for other in times if other <= at)
+        assert not told or told[-1] != at or within > FLOOD
+    assert all(b - a >= 1.0 for a, b in pairwise(told))
+    assert bool(told) == (watch.most > FLOOD)
+
+
+def test_commands_to_others_are_none(profile: Profile) -> None:
+    for more in ({"target_system": 2}, {"target_component": 154}):
+        message = long(400, 0.0, 1, **more)
+        assert command_sent(message.name, message.fields, 0.0, *STRANGER, 1) is None
+    mixed = pack([long(400, 0.0, 1), long(400, 0.0, 1, target_system=7)])
+    assert commanded_systems(mixed.columns[0]) == {1, 7}
+    assert Pipeline(profile, system=7).accepts(mixed.columns[0])
+    assert not Pipeline(profile, system=8).accepts(mixed.columns[0])
+
+
+@pytest.fixture(scope="module")
+def profile() -> Profile:
+    return read_profile(QUAD)
+
+
+@pytest.fixture(scope="module")
+def flight(profile: Profile, data: Path) -> list[Message]:
+    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
+    begin_ns = messages[0].received_ns - 1_000_000_000
+    first = next(message for message in messages if Pipeline(profile).identifies(message))
+    untimed = replace(first, received_ns=begin_ns, fields={**first.fields, "time_boot_ms": 0, "time_usec": 0})
+    return [untimed, disarmed([], begin_ns), long(400, 1.0, begin_ns, GROUND), *messages]
+
+
+def with_commands(flight: list[Message], commands: list[Message]) -> list[Message]:
+    return sorted(flight + commands, key=lambda message: message.received_ns)
+
+
+def test_a_strangers_commands_in_flight_are_an_alarm_that_replays(
+    profile: Profile, flight: list[Message], tmp_path: Path
+) -> None:
+    at_ns = flight[-1].received_ns - 30_000_000_000
+    attacked = with_commands(flight, [long(400, 0.0, at_ns), long(176, 1.0, at_ns + 2_000_000_000, (67, 1))])
+    events = events_of(profile, attacked)
+    assert [(event.channel, event.state, event.severity) for event in events] == [
+        ("command", "raised", "critical"),
+        ("command", "updated", "critical"),
+        ("command", "cleared", "critical"),
+    ]
+    assert (events[0].observer, events[0].kind, events[0].time_ns) == ("link", "security", at_ns)
+    assert events[0].message == "system 66, component 1, which had not commanded before, disarms in flight"
+    assert "system 67" in events[1].message
+    assert events[2].time_ns == at_ns + 12_000_000_000
+    # A recording holds the commands, though they come from others.
+    play(profile, attacked, record=tmp_path / "flight.mcap")
+    assert list(play(profile, read_recording(tmp_path / "flight.mcap")).events) == events
+
+
+def test_ordinary_commands_raise_nothing(profile: Profile, flight: list[Message]) -> None:
+    end_ns = flight[-1].received_ns
+    ground = [long(176, 1.0, end_ns - k * 1_000_000_000, GROUND) for k in range(20)]
+    asks = [long(512, 30.0, end_ns - k * 1_000_000_000) for k in range(20)]
+    others = [long(400, 0.0, end_ns - 10_000_000_000, target_system=9)]
+    assert events_of(profile, with_commands(flight, [*ground, *asks, *others])) == []
+
+
+def test_one_forged_report_of_landing_makes_no_stranger_known(profile: Profile, flight: list[Message]) -> None:
+    at_ns = flight[-1].received_ns - 30_000_000_000
+    attack = [disarmed([], at_ns), long(512, 30.0, at_ns + 1_000_000), long(400, 0.0, at_ns + 3_000_000_000)]
+    assert [event.channel for event in events_of(profile, with_commands(flight, attack))][:1] == ["command"]
+
+
+def test_a_line_of_the_configuration_switches_it_off(profile: Profile, flight: list[Message]) -> None:
+    rule = rules_message(DeskRule(out_of_service=frozenset({"link/command"})), profile, flight[0].received_ns)
+    attack = [long(400, 0.0, flight[-1].received_ns - 30_000_000_000)]
+    assert events_of(profile, [rule, *with_commands(flight, attack)]) == []
+
+
+def test_the_review_of_a_log_says_the_same(profile: Profile, data: Path, tmp_path: Path) -> None:
+    packets = list(TlogReader(data / "copter_healthy_square.tlog.xz").packets())
+    sender = mavlink.MAVLink(None, *STRANGER)
+    command = mavlink.MAVLink_command_long_message(1, 1, 246, 0, 1.0, 0, 0, 0, 0, 0, 0)
+    at_ns = packets[-1][0] - 30_000_000_000
+    packets.append((at_ns, bytes(command.pack(sender))))
+    log = tmp_path / "attacked.tlog"
+    log.write_bytes(b"".join(struct.pack(">Q", time_ns // 1000) + packet for time_ns, packet in sorted(packets)))
+    [event, *_] = [
+        event
+        for batch in TlogReader(log, Pipeline(profile).interests)
+        for event in Pipeline(profile).run(batch)
+        if isinstance(event, AlarmEvent)
+    ]
+    said = [one.judgement for one in review_log(log, learn=False).findings if one.rule.name == "commands_from_outside"]
+    assert event.message.startswith("system 66, component 1, which had not commanded before, reboots")
+    assert [one.text for one in said] == [event.message]
