@@ -10,14 +10,15 @@ import contextlib
 import os
 import select
 import socket
-import struct
 import sys
+import threading
 import time
 from collections.abc import Hashable, Iterable
 from pathlib import Path
 from typing import Any, Protocol, cast
 
 from adapters.errors import TelemetryError
+from adapters.mavlink.datagrams import DatagramBox
 
 UDP_BUFFER_BYTES = 1 << 22
 """Kernel memory for packets that came while nobody read. A small packet costs about 1 KiB of it: seconds of several
@@ -26,8 +27,10 @@ vehicles.
 
 _READ_BYTES = 1 << 16
 """The largest datagram, and more than a serial line or TCP gives at once."""
-_DATAGRAMS = 1024
-"""Most datagrams of one read: so a flood cannot keep a reader from what else is due (1024 take about 10 ms)."""
+_MOST_OF_ONE = 256
+"""Datagrams of one sender in one read: a dozen times what a link of 1,000 packets a second brings in a batch of 20 ms.
+Of one that floods no more is looked at, so that it does not take the time of the others.
+"""
 _RETRY_S = 0.5
 """Chosen: a ground station that restarts is back within a second, and trying twice a second costs nothing."""
 _CONNECT_S = 1.0
@@ -40,11 +43,6 @@ _HELP = "use udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT o
 _SO_RCVBUFFORCE = 33
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
-_TIMESPEC = struct.Struct("@ll")
-_COUNT = struct.Struct("=I")
-_ANCILLARY_BYTES = 128
-# A datagram that seems to have waited longer than this came before the clock was set.
-_LONGEST_WAIT_NS = 10_000_000_000
 
 Piece = tuple[Hashable, bytes, int]
 """Who sent it (equal for equal senders), the bytes, and their Unix time of arrival in nanoseconds."""
@@ -58,15 +56,18 @@ class ByteLink(Protocol):
     connections : int
         How often a connection was made, the first time included.
     overruns : int
-        Datagrams that the kernel dropped because they were not read in time; 0 where it does not say.
+        Datagrams dropped because they were not read in time, by the kernel (0 where it does not say) or, where their
+        sender floods, here.
     stamps_arrivals : bool
         Whether the kernel notes when each piece arrives, so that it may wait there without harm. Otherwise the time
         of arrival is that of reading.
     """
 
     connections: int
-    overruns: int
     stamps_arrivals: bool
+
+    @property
+    def overruns(self) -> int: ...  # noqa: D102
 
     def read(self, timeout_s: float) -> list[Piece]:
         """Return what has arrived, each piece with its sender and time; wait at most so long for the first."""
@@ -177,49 +178,27 @@ class _Udp:
 
     def __init__(self, opened: socket.socket, connected: bool) -> None:
         self.connections = 1
-        self.overruns = 0
         self._socket = opened
         self._connected = connected
         # A burst has to fit while the reader is busy; the kernel cuts this down to what it allows, but for root.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, UDP_BUFFER_BYTES)
         with contextlib.suppress(OSError):
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, UDP_BUFFER_BYTES)
-        self._dropped = 0
         self.stamps_arrivals = sys.platform == "linux"
         if self.stamps_arrivals:
             for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):
                 with contextlib.suppress(OSError):
                     self._socket.setsockopt(socket.SOL_SOCKET, option, 1)
+        self._box = DatagramBox(opened.fileno(), _MOST_OF_ONE)
+        self._keeper = threading.Thread(target=self._box.keep, name="datagrams", daemon=True)
+        self._keeper.start()
+
+    @property
+    def overruns(self) -> int:
+        return self._box.dropped
 
     def read(self, timeout_s: float) -> list[Piece]:
-        pieces = self._waiting()
-        if not pieces and timeout_s > 0.0 and _readable(self._socket, timeout_s=timeout_s):
-            pieces = self._waiting()
-        return pieces
-
-    def _waiting(self) -> list[Piece]:
-        """Return what the kernel holds."""
-        datagrams: list[tuple[bytes, list[tuple[int, int, bytes]], int, Any]] = []
-        # It ends with BlockingIOError where nothing waits any more, or with what an earlier answer met on its way.
-        with contextlib.suppress(OSError):
-            while len(datagrams) < _DATAGRAMS:
-                datagrams.append(self._socket.recvmsg(_READ_BYTES, _ANCILLARY_BYTES))
-        now_ns = time.time_ns()
-        return [(sender, data, self._arrival_ns(ancillary, now_ns)) for data, ancillary, _, sender in datagrams]
-
-    def _arrival_ns(self, ancillary: Iterable[tuple[int, int, bytes]], now_ns: int) -> int:
-        received_ns = now_ns
-        for _, kind, content in ancillary:
-            if kind == _SO_TIMESTAMPNS and len(content) == _TIMESPEC.size:
-                seconds, nanoseconds = _TIMESPEC.unpack(content)
-                kernel_ns = seconds * 1_000_000_000 + nanoseconds
-                if 0 <= now_ns - kernel_ns <= _LONGEST_WAIT_NS:
-                    received_ns = kernel_ns
-            elif kind == _SO_RXQ_OVFL and len(content) == _COUNT.size:
-                (dropped,) = _COUNT.unpack(content)
-                self.overruns += (dropped - self._dropped) & 0xFFFFFFFF
-                self._dropped = dropped
-        return received_ns
+        return self._box.read(timeout_s)
 
     def write(self, data: bytes, to: Iterable[Hashable]) -> None:
         for sender in (None,) if self._connected else to:
@@ -227,6 +206,8 @@ class _Udp:
                 self._socket.sendmsg((data,), (), 0, cast("Any", sender))
 
     def close(self) -> None:
+        self._box.close()
+        self._keeper.join()
         self._socket.close()
 
 

@@ -49,7 +49,7 @@ class MavlinkLinkStatistics:
     connections : int
         How often a connection was made.
     overruns : int
-        UDP datagrams that the kernel dropped because they were not read in time.
+        UDP datagrams dropped because they were not read in time, by the kernel or, of senders that flood, by the link.
     signing : SigningStatistics
         Packets refused for their signature; all zero without a key.
     """

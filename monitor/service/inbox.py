@@ -137,10 +137,10 @@ class Inbox:
         """Add a batch; the oldest waiting messages of the sender that has the most make room."""
         if not batch.count:
             return
-        since_s = time.monotonic() - _waited_s(batch)
-        parts = [(key, part, memory_bytes(part)) for key, part in _by_sender(batch)]
+        now_s = time.monotonic()
+        parts = [(key, part, memory_bytes(part), now_s - _waited_s(part)) for key, part in _by_sender(batch)]
         with self._changed:
-            for key, part, size in parts:
+            for key, part, size, since_s in parts:
                 self._arrived += part.count
                 queue = self._queues.get((vehicle, key))
                 if queue is None:
