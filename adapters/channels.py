@@ -55,6 +55,9 @@ class Channel:
     where : tuple[tuple[str, int | str], ...]
         Fields and the values they must have, where several senders share a message name: SERVO_OUTPUT_RAW
         with ``port`` 0 and 1, DEBUG_FLOAT_ARRAY with different ``name``.
+    at_least : tuple[tuple[str, float], ...]
+        Fields and the least values with which the message is a measurement: a receiver without a fix repeats its last
+        one with a lower ``fix_type``.
     clock : str | None
         Field with the measurement's time on the vehicle's clock, a number or seconds and nanoseconds as ROS 2
         writes them (``sec``, ``nanosec``); None takes ``time_boot_ms``, ``time_usec``, ``time_ns``,
@@ -88,10 +91,14 @@ class Channel:
     period: float | None = None
     angle: Angle | None = None
     stopped_as: float | None = None
+    at_least: tuple[tuple[str, float], ...] = ()
 
     def selects(self, fields: Mapping[str, Any]) -> bool:
         """Return whether the message is one of those the channel is taken from."""
-        return all(fields.get(name) == value for name, value in self.where)
+        if not all(fields.get(name) == value for name, value in self.where):
+            return False
+        found = ((fields.get(name), least) for name, least in self.at_least)
+        return all(isinstance(value, int | float) and value >= least for value, least in found)
 
     @property
     def largest(self) -> float:
@@ -194,12 +201,17 @@ def field_steps(field: str) -> tuple[str | int, ...]:
     return tuple(int(index) if index else step or name for step, index, name in _STEP.findall(field))
 
 
+_SELECTING = ("where", "at_least")
+"""Keys of a channel that are tables of fields."""
+
+
 def read_channel(name: str, table: Table) -> Channel:
     """Read one channel from its TOML table; mistakes are recorded in the table's file.
 
     Keys are ``message`` (a leading slash is dropped) and ``field``, both required, ``where``, ``scale``, ``offset``,
-    ``clock``, ``clock_unit_ns``, ``interpolation``, ``period``, ``angle``, ``stopped_as``.
+    ``clock``, ``clock_unit_ns``, ``interpolation``, ``period``, ``angle``, ``stopped_as``, ``at_least``.
     """
+    least = table.table("at_least") if table.has("at_least") else None
     selection = table.raw("where") or {}
     if not isinstance(selection, Mapping) or not all(isinstance(v, (int, str)) for v in selection.values()):
         table.mistake("where", "is not a table of fields and their values, like { port = 0 }")
@@ -217,6 +229,7 @@ def read_channel(name: str, table: Table) -> Channel:
         period=table.number("period", above=0.0) if table.has("period") else None,
         angle=table.choice("angle", _ANGLES) if table.has("angle") else None,
         stopped_as=table.number("stopped_as") if table.has("stopped_as") else None,
+        at_least=() if least is None else tuple((name, least.number(name)) for name in least),
     )
     table.done()
     return channel
@@ -251,10 +264,9 @@ def channel_table(channel: Channel) -> dict[str, Any]:
     """Return the TOML table that :func:`parse_channel` reads back as the same channel."""
     field = "".join(f"[{step}]" if isinstance(step, int) or "." in step else f".{step}" for step in channel.path)
     table: dict[str, Any] = {"message": channel.message, "field": field.lstrip(".")}
-    if channel.where:
-        table["where"] = dict(channel.where)
+    table |= {key: dict(pairs) for key in _SELECTING if (pairs := getattr(channel, key))}
     options = {field.name: field.default for field in fields(Channel) if field.default is not MISSING}
     for option, default in options.items():
-        if option != "where" and getattr(channel, option) != default:
+        if option not in _SELECTING and getattr(channel, option) != default:
             table[option] = getattr(channel, option)
     return table

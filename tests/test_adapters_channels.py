@@ -46,7 +46,7 @@ def test_a_channel_survives_the_way_through_its_table(message: str, path: list[A
     [
         ({"field": "a"}, "'message' is missing"),
         ({"message": "A", "field": ""}, "write it like"),
-        ({"message": "A", "field": "a", "unit": "m"}, "'unit' is not a key of this table; known here: angle, clock"),
+        ({"message": "A", "field": "a", "unit": "m"}, "'unit' is not a key of this table; known here: angle, at_least"),
         ({"message": "A", "field": "a", "scale": "2"}, "which is not a number"),
         ({"message": "A", "field": "a", "where": [1]}, "'where' is not a table"),
         ({"message": "A", "field": "a", "where": {"port": 1.5}}, "'where' is not a table"),
@@ -172,6 +172,17 @@ def test_where_selects_among_messages_of_one_name() -> None:
     assert channel.selects({"port": 0})
     assert not channel.selects({"port": 1})
     assert not channel.selects({})
+
+
+def test_a_message_below_a_least_value_is_no_measurement() -> None:
+    table = {"message": "GPS_RAW_INT", "field": "lat", "at_least": {"fix_type": 2}}
+    channel = parse_channel("lat", table, "profile.toml: signals")
+    assert [channel.selects({"fix_type": fix}) for fix in (0, 1, 2, 3)] == [False, False, True, True]
+    assert not channel.selects({})
+    assert not channel.selects({"fix_type": "3"})
+    assert parse_channel("lat", channel_table(channel), "again") == channel
+    with pytest.raises(TelemetryError, match=r"'at_least\.fix_type' is"):
+        parse_channel("lat", {**table, "at_least": {"fix_type": "3D"}}, "profile.toml: signals")
 
 
 def test_a_period_is_read_and_written_and_has_to_be_positive() -> None:

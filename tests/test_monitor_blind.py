@@ -63,6 +63,29 @@ def test_a_gps_that_stops_is_named_within_seconds_and_clears_when_it_is_back(
     assert 35.0 <= (cleared.time_ns - flight[0].received_ns) / 1e9 <= 42.0
 
 
+def test_a_gps_that_goes_on_without_a_fix_is_lost(quad_profile: Profile, flight: list[Message]) -> None:
+    observers = [
+        replace(
+            one,
+            source=replace(
+                one.source,
+                signals=tuple(
+                    replace(channel, at_least=(("fix_type", 2.0),)) if channel.message == "GPS_RAW_INT" else channel
+                    for channel in one.source.signals
+                ),
+            ),
+        )
+        for one in quad_profile.observers
+    ]
+    profile = replace(quad_profile, observers=tuple(observers))
+    assert blind_of(profile, flight) == []
+    lost = {id(message) for message in flight} - {id(m) for m in without(flight, ["GPS_RAW_INT"], 20.0, 35.0)}
+    unfixed = [replace(m, fields={**m.fields, "fix_type": 1}) if id(m) in lost else m for m in flight]
+    raised, cleared = blind_of(profile, unfixed)
+    assert "inertial: no GPS for 5 s" in raised.message
+    assert cleared.state == "cleared"
+
+
 def test_a_message_that_never_came_is_no_loss(quad_profile: Profile, flight: list[Message]) -> None:
     assert blind_of(quad_profile, without(flight, ["GPS_RAW_INT"], 0.0)) == []
 

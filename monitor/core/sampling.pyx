@@ -870,7 +870,7 @@ cdef class SamplerCore:
         self._grid = Grid(rate_hz)
         groups = {}
         for place, channel in enumerate(channels):
-            key = channel.message, channel.where, channel.clock, channel.clock_unit_ns
+            key = channel.message, channel.where, channel.at_least, channel.clock, channel.clock_unit_ns
             groups.setdefault(key, []).append((place, channel))
         self._streams, self._lanes = {}, []
         for (name, *_), group in groups.items():
@@ -1523,6 +1523,8 @@ cdef _Messages _of_columns(columns, list feeds):
         stream = feed.stream
         for name, value in stream.channel.where:
             _select(fields, name, value, feed.chosen, count)
+        for name, least in stream.channel.at_least:
+            _reach(fields, name, least, feed.chosen, count)
         _read_stamps(stream.channel, fields, feed.stamps, count)
         for i, channel in enumerate(stream.channels):
             _read_values(fields, channel, feed.values + i, stream.width, count)
@@ -1744,4 +1746,18 @@ cdef int _select(fields, name, value, char* chosen, Py_ssize_t count) except -1:
     column = fields.get(name)
     for row in range(count):
         chosen[row] &= column is not None and column[row].tolist() == value
+    return 0
+
+
+cdef int _reach(fields, name, double least, char* chosen, Py_ssize_t count) except -1:
+    """Keep the messages whose field is a number of at least so much."""
+    cdef View view
+    cdef Py_ssize_t row
+    if not _open(fields, (name,), &view, count):
+        for row in range(count):
+            chosen[row] = False
+        return 0
+    for row in range(count):
+        chosen[row] &= _double_at(&view, row) >= least
+    PyBuffer_Release(&view.buffer)
     return 0

@@ -21,6 +21,8 @@ MESSAGES = FlightPhase.interests | frozenset(
 
 _LARGEST = 1.7e308
 """Numbers up to here are floats without overflow."""
+_FIX = ("fix_type", 2.0)
+"""GPS_FIX_TYPE_2D_FIX of MAVLink: below it a receiver has no position, whatever its message repeats."""
 _SELDOM = ("GPS_RAW_INT", "SCALED_PRESSURE")
 """Messages that no autopilot sends as fast as those of its IMU; the transform waits for them."""
 NAVIGATED_HZ = 10.0
@@ -83,8 +85,11 @@ def strapdown_channels(
     gps = _there(examples, "GPS_RAW_INT", ("lat", "lon", "vel", "cog")) and not _unknown(examples["GPS_RAW_INT"])
     if gps:
         fields = (("lat", 1e-7), ("lon", 1e-7), ("alt", 1e-3), ("vel", 1e-2), ("cog", 1e-2))
+        fixed = (_FIX,) if _there(examples, "GPS_RAW_INT", ("fix_type",)) else ()
         channels += [
-            Channel(name, "GPS_RAW_INT", (field,), scale=scale, period=360.0 if field == "cog" else None)
+            Channel(
+                name, "GPS_RAW_INT", (field,), scale=scale, period=360.0 if field == "cog" else None, at_least=fixed
+            )
             for name, (field, scale) in zip(GPS, fields, strict=True)
         ]
     if imu is None and not gps:
