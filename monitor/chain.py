@@ -20,13 +20,13 @@ from adapters.sample import Samples
 from gains.plants.plant import Plant
 from monitor.alarms.alarm import Alarm, retuned
 from monitor.alarms.excuse import Excuses
-from monitor.core.alarms import ChainRows, evidence_of, walk
-from monitor.core.observers import CommandScale, SinceMeasured
+from monitor.core.alarms import RAISED, UPDATED, ChainRows, evidence_of, walk
+from monitor.core.observers import CommandScale, SinceMeasured, shares_in_command
 from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimates, Layout
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.bank import EstimatorRun
-from monitor.estimation.changes import ChangeStage
+from monitor.estimation.changes import ChangeRun, ChangeStage
 from monitor.estimation.effectiveness import EffectivenessEstimator, EffectivenessRule, EffectivenessRun
 from monitor.estimation.envelope import EnvelopeStage
 from monitor.estimation.estimator import make_estimator
@@ -66,6 +66,10 @@ class CommandUnits:
             keep_share(profile.isolation.smoothing_s, gains.rate_hz),
         )
         self._channels = [(fault, entry) for fault, entry in enumerate(channel) if entry >= 0]
+        self._curves = np.ascontiguousarray(gains.input_curves, np.float64)
+        # behind the inputs that faults scale what an index of -1 finds: none
+        scaled = [-1 if fault.input is None else fault.input for fault in profile.faults]
+        self._inputs = np.array([*scaled, -1], np.intp)
 
     def run(
         self,
@@ -81,6 +85,22 @@ class CommandUnits:
         """
         scaled, isolated, deviation, commands = self._scale.run(u, restart, fault, evidence, sd)
         return CommandRun(scaled, isolated, deviation, {index: commands[entry] for index, entry in self._channels})
+
+    def of_change(self, change: ChangeRun, commands: Mapping[int, NDArray[np.float64]]) -> ChangeRun:
+        """Return what is named with size, growth and sd in command units where its fault scales an input.
+
+        ``commands`` are those of :meth:`run`.
+        """
+        inputs, command = self._inputs[change.named], np.zeros(len(change.named))
+        if not (inputs >= 0).any():
+            return change
+        for fault, smoothed in commands.items():
+            command = np.where(change.named == fault, smoothed, command)
+        size, later, upper = (
+            shares_in_command(self._curves, inputs, command, share)
+            for share in (change.size, change.size + change.growth, change.size + change.sd)
+        )
+        return change._replace(size=size, growth=later - size, sd=np.abs(upper - size))
 
 
 class EffectivenessStage:
@@ -143,17 +163,25 @@ class ChainRun:
     # how many times its threshold each fault has to reach (n, a), 1 or more, and the level of the residuals (n,)
     scale: NDArray[np.float64]
     level: NDArray[np.float64]
+    # by alarm: the standard deviation of its size (n,), where it is known; and that of a sudden change's (n,)
+    sd: Mapping[int, NDArray[np.float64]]
+    sudden_sd: NDArray[np.float64] | None
 
     def event(self, row: int, alarm: int, code: int) -> AlarmEvent:
         """Return the event that a row caused in an alarm."""
         command = self.commands.get(alarm)
         relative = self.relative.get(alarm)
+        # The estimate that raises an alarm is on its way yet, the one that clears it has no fault to tell of.
+        sd = self.sd.get(alarm) if code == UPDATED else None
+        if code == RAISED and self.alarms[alarm].state.sudden:
+            sd = self.sudden_sd
         return self.alarms[alarm].event(
             code,
             self.estimates.samples,
             row,
             None if command is None else float(command[row]),
             None if relative is None or np.isnan(relative[row]) else float(relative[row]),
+            None if sd is None else float(sd[row]),
         )
 
 
@@ -379,7 +407,7 @@ class ObserverChain:
         if beyond is not None:
             # an edge is judged by what is flat before and after it
             scale = np.where(self._healthy > 0.0, scale * beyond[:, None], scale)
-        changes = self._changes_of(estimates)
+        changes = self._changes_of(estimates, commands)
         rows = ChainRows(
             self._states,
             position,
@@ -388,7 +416,7 @@ class ObserverChain:
             evidence,
             speaking,
             scale[:, self._fault_of],
-            *changes,
+            *(() if changes is None else self._named(changes)),
         )
         return ChainRun(
             estimates,
@@ -401,14 +429,20 @@ class ObserverChain:
             found.unexplained,
             scale,
             found.level,
+            {alarm: estimates.sd[:, fault] for alarm, fault in enumerate(self._faults) if alarm not in relative},
+            None if changes is None else changes.sd,
         )
 
-    def _changes_of(self, estimates: Estimates) -> tuple[NDArray[Any], ...]:
-        """Return the alarm whose sudden change each row names, its nats, size and onset; nothing without a test."""
+    def _changes_of(self, estimates: Estimates, commands: Mapping[int, NDArray[np.float64]]) -> ChangeRun | None:
+        """Return the sudden change that each row names, None without a test."""
         if self._changes is None:
-            return ()
+            return None
         run = self._changes.run(estimates.samples, estimates.armed, estimates.isolated)
-        return self._alarm_of[run.named], run.nats, run.size, run.onset_ns
+        return self._command.of_change(run, commands)
+
+    def _named(self, run: ChangeRun) -> tuple[NDArray[Any], ...]:
+        """Return the alarm whose sudden change each row names, with its nats, size, growth and onset."""
+        return self._alarm_of[run.named], run.nats, run.size, run.growth, run.onset_ns
 
 
 def shown_in(plant: Plant | None, layout: Layout) -> NDArray[np.bool_]:

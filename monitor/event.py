@@ -52,6 +52,7 @@ class AlarmEvent:
     display: Annotated[str, "the size as people say it, of estimate, relative and unit; empty where there is none"] = ""
     false_per_100h: Annotated[float | None, "false alarms expected of the channel in 100 hours, by its fit"] = None
     part: Annotated[str | None, "channel that says where between command and thrust the cause is: escN, propN"] = None
+    sd: Annotated[float | None, "standard deviation of estimate, in unit; null where it is not known"] = None
 
     def __post_init__(self) -> None:
         """Say the size: whatever was given, so that it follows when the size is replaced."""

@@ -311,7 +311,9 @@ def test_events_do_not_depend_on_where_batches_end(
     assert repr(events) == repr(expected)
 
 
-def sudden(alarm: Alarm, rows: list[tuple[float, float, float]], onset: int = 0, start: int = 0) -> list[AlarmEvent]:
+def sudden(
+    alarm: Alarm, rows: list[tuple[float, float, float]], onset: int = 0, start: int = 0, growth: float = 0.0
+) -> list[AlarmEvent]:
     """Return the events of rows of evidence, nats and size of a change that began at sample ``onset``."""
     evidence, nats, size = np.array(rows).T
     count = len(evidence)
@@ -325,7 +327,7 @@ def sudden(alarm: Alarm, rows: list[tuple[float, float, float]], onset: int = 0,
     found = [alarm.state], np.arange(count), times_ns, ~always, evidence[:, None], always[:, None]
     events: list[AlarmEvent] = []
     walk(
-        [ChainRows(*found, None, changed, nats, size, onset_ns)],
+        [ChainRows(*found, None, changed, nats, size, np.full(count, growth), onset_ns)],
         lambda _observer, row, _alarm, code: events.append(alarm.event(code, samples, row, 0.5)),
     )
     return events
@@ -341,6 +343,13 @@ def test_a_sudden_change_that_is_certain_raises_at_once() -> None:
 
 def test_a_sudden_change_that_is_too_small_for_an_alarm_raises_nothing() -> None:
     assert not sudden(new_alarm(SUDDEN), [(0.0, 1e4, -0.007)] * 5)
+
+
+def test_a_change_that_grows_to_an_alarms_size_raises_before_it_has_it() -> None:
+    rows = [(0.0, 200.0, -0.003)] * 650
+    assert not sudden(new_alarm(SUDDEN), rows, growth=-0.0009)
+    events = sudden(new_alarm(SUDDEN), rows, growth=-0.0011)
+    assert [(event.state, event.estimate) for event in events] == [("raised", -0.003)]
 
 
 def test_a_change_to_more_than_commanded_waits_for_the_estimate() -> None:

@@ -2,15 +2,17 @@
 
 Paths, each with its own size and time, whichever comes first:
 
-- sudden: a change of at least ``least`` that is certain, by a log-likelihood ratio of ``nats`` at once, while no other
-  alarm of the observer is active (:mod:`monitor.estimation.changes`);
+- sudden: a change of at least ``least``, or that grows to it within ``critical_ahead_s``, which is certain by a
+  log-likelihood ratio of ``nats`` at once, while no other alarm of the observer is active
+  (:mod:`monitor.estimation.changes`);
 - fast: evidence beyond ``fast`` for ``fast_s``, for large faults;
 - plain: evidence beyond ``threshold`` for ``raise_s``;
 - slow: the exponentially weighted mean over ``slow_s`` beyond ``slow``, for small and creeping faults; evidence enters
   it with twice ``slow`` at most, so that it forgets a large fault as fast as a small one.
 
 The alarm clears after the evidence was inside ``clear`` for ``clear_s``, and where only the slow path has seen it the
-mean inside half of ``slow``; where only the sudden path has seen it that time begins two seconds later.
+mean inside half of ``slow``; where only the sudden path has seen it that time begins two seconds later, of what grows
+``critical_ahead_s`` after them.
 It is critical from the size ``critical`` on, and already where its growth leads there within ``critical_ahead_s``.
 One that is raised for the third time within ``latch_s`` comes and goes: it clears only after ``latch_s`` of quiet. The
 debounce is a clamped up/down counter of time, so evidence that drops out for a sample delays an alarm instead of losing
@@ -147,7 +149,7 @@ class AlarmRule:
     latch_s : float
         Quiet that an alarm which comes and goes needs before it clears; 0: never latched.
     critical_ahead_s : float
-        How far ahead its growth is looked at for severity, seconds; 0: not at all.
+        How far ahead its growth is looked at, for severity and where it grows from the start, seconds; 0: not at all.
     nats, least : float
         Log-likelihood ratio of a sudden change that raises it at once, and the smallest size it has to have; infinite
         nats: no such path.
@@ -248,12 +250,19 @@ class Alarm:
         )
 
     def event(
-        self, code: int, samples: Samples, row: int, command: float | None = None, relative: float | None = None
+        self,
+        code: int,
+        samples: Samples,
+        row: int,
+        command: float | None = None,
+        relative: float | None = None,
+        sd: float | None = None,
     ) -> AlarmEvent:
         """Return the event that the latest row, one of the observer's samples, caused.
 
         ``code`` (RAISED, UPDATED or CLEARED) is what the rule returned for the row. ``command`` is what the fault takes
-        its share of, where that makes sense; ``relative`` that share, where it is known in another way.
+        its share of, where that makes sense; ``relative`` that share, where it is known in another way; ``sd`` the
+        standard deviation of the size.
         """
         rule, now = self.rule, self.state
         vehicle_ns, time_ns = int(samples.vehicle_time_ns[row]), int(samples.time_ns[row])
@@ -267,15 +276,17 @@ class Alarm:
         message = alarm_message(rule.observer, rule.channel, rule.kind, rule.unit, state, now.shown, relative)
         if now.recurring and code != CLEARED:
             message = f"{message} (it comes and goes)"
-        return self._event(state, time_ns + late_ns, vehicle_ns + late_ns, message, relative)
+        return self._event(state, time_ns + late_ns, vehicle_ns + late_ns, message, relative, sd)
 
     def close(self, time_ns: int, vehicle_ns: int, why: str) -> AlarmEvent:
         """End an active alarm whatever its evidence says, and forget that; return the event."""
-        event = self._event("cleared", time_ns, vehicle_ns, why, None)
+        event = self._event("cleared", time_ns, vehicle_ns, why, None, None)
         self.state.deactivate()
         return event
 
-    def _event(self, state: State, time_ns: int, vehicle_ns: int, message: str, relative: float | None) -> AlarmEvent:
+    def _event(
+        self, state: State, time_ns: int, vehicle_ns: int, message: str, relative: float | None, sd: float | None
+    ) -> AlarmEvent:
         rule, now = self.rule, self.state
         return AlarmEvent(
             id=self._id,
@@ -298,4 +309,5 @@ class Alarm:
             creeping=now.creeping,
             recurring=now.recurring,
             false_per_100h=rule.false_per_100h,
+            sd=sd,
         )

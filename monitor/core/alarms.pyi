@@ -24,6 +24,7 @@ class AlarmState:
     critical: bool
     creeping: bool
     recurring: bool
+    sudden: bool
     shown: float
     peak: float
     size: float
@@ -56,6 +57,7 @@ class ChainRows:
         changed: NDArray[np.intp] | None = None,
         nats: NDArray[np.float64] | None = None,
         size: NDArray[np.float64] | None = None,
+        growth: NDArray[np.float64] | None = None,
         onset_ns: NDArray[np.int64] | None = None,
     ) -> None: ...
 

@@ -46,8 +46,8 @@ cdef enum:
 cdef int64_t LONG_AGO = -(1 << 62)
 
 cdef struct Change:
-    # a sudden change of one channel, with the nats that speak for it: zero for none
-    double nats, size
+    # a sudden change of one channel, with the nats that speak for it: zero for none; its size grows so much a second
+    double nats, size, growth
     int64_t onset_ns
 
 
@@ -91,6 +91,8 @@ cdef class AlarmState:
     ----------
     active, critical, creeping, recurring : bool
         Whether the alarm is active, and what its events say of it.
+    sudden : bool
+        Whether a sudden change raised it: its first size is that change's.
     shown, peak, reported, size : float
         Evidence that the event of the latest row shows, the largest since the alarm was raised, that of the event
         before, and the size that raised it.
@@ -98,7 +100,7 @@ cdef class AlarmState:
 
     cdef double threshold, clear, critical_size, raise_ns, clear_ns, fast, fast_ns, slow, slow_ns, latch_ns, ahead_s
     cdef double nats, least
-    cdef readonly bint active, critical, creeping, recurring
+    cdef readonly bint active, critical, creeping, recurring, sudden
     cdef readonly double shown, peak, size, reported
     cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns, unseen_ns
     cdef bint contiguous, fails_towards_less
@@ -111,7 +113,7 @@ cdef class AlarmState:
 
     def __init__(self):
         self.trend = Trend()
-        self.active = self.contiguous = self.excused_now = False
+        self.active = self.contiguous = self.excused_now = self.sudden = False
         self.counter_ns = self.fast_counter_ns = 0
         self.raised_count = 0
         self.last_ns = self.ended_ns = LONG_AGO
@@ -169,7 +171,9 @@ cdef class AlarmState:
         if not self.active and self.is_certain(change, evidence) and not self.excused(now):
             self.last_ns, self.contiguous = now, True
             self.raise_alarm(now, change.size, self.least, False)
-            self.unseen_ns = UNSEEN_NS
+            self.sudden = True
+            # One that grows is seen when it has grown.
+            self.unseen_ns = UNSEEN_NS + (<int64_t>(self.ahead_s * NANOSECONDS) if change.growth != 0.0 else 0)
             return C_RAISED
         # What explains the evidence keeps an alarm from being raised; one that is active follows its own evidence.
         if not speaking or (not self.active and self.excused(now)):
@@ -186,9 +190,10 @@ cdef class AlarmState:
     cdef bint is_certain(self, const Change* change, double evidence) noexcept:
         """Return whether a sudden change raises the alarm; an actuator that does more needs the estimate's word.
 
-        What began before the alarm ended has been reported.
+        What began before the alarm ended has been reported. One that grows counts with the size to which it is going.
         """
-        if not (change.nats >= self.nats and fabs(change.size) >= self.least and change.onset_ns > self.ended_ns):
+        cdef double size = fabs(change.size) + fabs(change.growth) * self.ahead_s
+        if not (change.nats >= self.nats and size >= self.least and change.onset_ns > self.ended_ns):
             return False
         return change.size < 0.0 or not self.fails_towards_less or evidence >= self.clear
 
@@ -233,7 +238,7 @@ cdef class AlarmState:
         self.raised_ns[self.raised_count] = now
         self.raised_count += 1
         self.recurring = self.raised_count == RECURRENCES and 0 <= now - self.raised_ns[0] <= self.latch_ns
-        self.active, self.creeping = True, creeping
+        self.active, self.creeping, self.sudden = True, creeping, False
         self.critical = fabs(evidence) >= self.critical_size
         self.size, self.shown, self.peak, self.reported, self.reported_ns = size, evidence, evidence, evidence, now
         return C_RAISED
@@ -299,8 +304,8 @@ cdef class ChainRows:
     scale : float64 (n, m), optional
         How many times its sizes evidence of each of the first m alarms has to reach; 1 where it is left out.
     changed : intp (n,), optional
-        The alarm of which a sudden change is named at each row, -1 for none; with its ``nats`` and ``size``, float64,
-        and ``onset_ns``, int64 (n,).
+        The alarm of which a sudden change is named at each row, -1 for none; with its ``nats``, ``size`` and
+        ``growth`` a second, float64, and ``onset_ns``, int64 (n,).
     """
 
     cdef tuple alarms
@@ -310,16 +315,16 @@ cdef class ChainRows:
     cdef const uint8_t[:, :] speaking
     cdef const Py_ssize_t[:] changed
     cdef const double[:, :] scale
-    cdef const double[:] nats, size
+    cdef const double[:] nats, size, growth
     cdef const int64_t[:] onset_ns
 
     def __init__(self, alarms, position, times_ns, restart, evidence, speaking, scale=None, changed=None, nats=None,
-                 size=None, onset_ns=None):
+                 size=None, growth=None, onset_ns=None):
         self.alarms = tuple(alarms)
         self.position, self.times_ns = position, times_ns
         self.restart, self.evidence, self.speaking = restart, evidence, speaking
         self.scale = scale
-        self.changed, self.nats, self.size, self.onset_ns = changed, nats, size, onset_ns
+        self.changed, self.nats, self.size, self.growth, self.onset_ns = changed, nats, size, growth, onset_ns
 
     cdef void supersede(self, Py_ssize_t alarm) noexcept:
         """Wait no longer for the estimate to show sudden changes of other channels: it shows this one."""
@@ -329,7 +334,7 @@ cdef class ChainRows:
                 (<AlarmState>self.alarms[i]).unseen_ns = 0
 
     cdef Change change_of(self, Py_ssize_t row, Py_ssize_t alarm) noexcept:
-        cdef Change change = Change(0.0, 0.0, 0)
+        cdef Change change = Change(0.0, 0.0, 0.0, 0)
         cdef Py_ssize_t i
         cdef AlarmState other
         if self.changed is None or self.changed[row] != alarm:
@@ -339,7 +344,7 @@ cdef class ChainRows:
             other = <AlarmState>self.alarms[i]
             if i != alarm and (other.active or other.ended_ns >= self.onset_ns[row]):
                 return change
-        change.nats, change.size, change.onset_ns = self.nats[row], self.size[row], self.onset_ns[row]
+        change = Change(self.nats[row], self.size[row], self.growth[row], self.onset_ns[row])
         return change
 
 

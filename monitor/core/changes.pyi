@@ -20,6 +20,7 @@ class ChangeTest:
         nameable: int,
         driven: bool,
         largest: float,
+        rate_hz: float,
         whitening: Array,
         variance: Array,
         hold: int,
@@ -30,4 +31,4 @@ class ChangeTest:
     def innovations(self, u: Array, y: Array, usable: Flags, restart: Flags) -> tuple[Array, Array, Flags]: ...
     def run(
         self, u: Array, y: Array, usable: Flags, restart: Flags, armed: Flags, believed: Array
-    ) -> tuple[NDArray[np.intp], Array, Array, NDArray[np.int64]]: ...
+    ) -> tuple[NDArray[np.intp], Array, Array, Array, Array, NDArray[np.int64]]: ...

@@ -24,13 +24,23 @@ cdef double NOISE_OF_AXIS = 1.0
 cdef double LEVEL_CLIP = 9.0
 # Losses that can be one. Chosen: a quarter more than everything, for sizes of the first samples are rough.
 cdef double LARGEST_LOSS = 1.25
+# Smallest determinant of two onsets' information, as a share of the product of its diagonal, with which both are fitted
+# together: below it they are one and the difference is rounding.
+cdef double SMALLEST_DETERMINANT = 1e-9
+
+
+cdef struct Fitted:
+    # how well a hypothesis explains the window at its best onset: nats, size with its variance, and the onset's age
+    double nats, size, variance
+    Py_ssize_t age
 
 
 cdef class ChangeTest:
     """State of the test of one observer.
 
-    An observer of n outputs that are its states, s inputs and p outputs that are judged; H hypotheses, m actuators
-    that lose effectiveness and S additions to what is measured, of sensors that jump or drift.
+    An observer of n outputs that are its states, s inputs and p outputs that are judged; H = 3 m + S hypotheses:
+    m actuators that lose effectiveness at once before their lag, as many behind it (a broken propeller), as many whose
+    loss grows by so much a second, and S additions to what is measured, of sensors that jump or drift.
 
     Parameters
     ----------
@@ -48,13 +58,13 @@ cdef class ChangeTest:
         What each addition, so many rows after its onset, makes of the whitened innovations (D, S, p), and the size that
         it then has (D, S); from row D - 1 on they stay as they are.
     owner : ndarray
-        The fault that each hypothesis stands for (H,): those of actuators come first.
+        The fault that each addition stands for (S,); those of actuators are the first m.
     nameable : int
         Faults below it are named; others only keep a name from being given.
     driven : bool
         Whether r is what the inputs make of each output in a row, instead of the output itself.
-    largest : float
-        Largest input that can be one.
+    largest, rate_hz : float
+        Largest input that can be one, and rows in a second.
     whitening : ndarray
         Phi_1 ... Phi_P (P, p, p).
     variance : ndarray
@@ -68,26 +78,31 @@ cdef class ChangeTest:
     """
 
     cdef double[:, ::1] dynamics, curves, variance
-    cdef double[::1] taps, answered
+    cdef double[::1] taps
     cdef Py_ssize_t[::1] judged, actuators, owner
-    cdef double[:, :, ::1] whitening, impulse, additions
+    cdef double[:, :, ::1] whitening, impulse, direct, additions
     cdef double[:, ::1] grown
     cdef Py_ssize_t n, s, p, m, S, H, L, P, D, depth, length, hold, window, nameable
-    cdef double clip, follow, limit
+    cdef double clip, follow, limit, rate_hz
     cdef bint driven
     # what is kept from row to row: v, innovations, |y| and |B dv|, newest at ``at`` of rings
-    cdef double[:, ::1] v, innovation, excited
+    cdef double[:, ::1] v, acting, innovation, excited
     cdef double[::1] last_y, whitened, sigma, level
-    cdef double[:, ::1] partial
-    # onsets that are tried: sums of s'z and s's by hypothesis, and of |z|^2 / 2; the onset begun last is at ``newest``
-    cdef double[:, ::1] moment, information
+    # of each actuator: what a loss before the lag, behind it, and one before it by its rows makes of e; s one row ago
+    cdef double[:, ::1] partial, behind, delayed
+    cdef double[:, ::1] later
+    # onsets that are tried: sums of s'z and s's by hypothesis, of s's with the onset a row later of sudden losses, and
+    # of |z|^2 / 2; the onset begun last is at ``newest``
+    cdef double[:, ::1] moment, information, mixed
     cdef double[::1] energy
+    # nats of each actuator's sudden loss
+    cdef double[::1] sudden
     cdef Py_ssize_t begun, newest, known, commands
     cdef int64_t row
     cdef bint has_y
 
     def __init__(self, dynamics, curves, taps, judged, actuators, additions, grown, owner, nameable, driven, largest,
-                 whitening, variance, hold, window, clip, level_rows):
+                 rate_hz, whitening, variance, hold, window, clip, level_rows):
         self.dynamics, self.curves = np.ascontiguousarray(dynamics, float), np.ascontiguousarray(curves, float)
         self.taps, self.variance = np.ascontiguousarray(taps, float), np.ascontiguousarray(variance, float)
         self.judged, self.actuators = np.asarray(judged, np.intp), np.asarray(actuators, np.intp)
@@ -97,28 +112,30 @@ cdef class ChangeTest:
         self.n = dynamics.shape[1] - self.s - 1
         self.additions, self.grown = np.ascontiguousarray(additions, float), np.ascontiguousarray(grown, float)
         self.D, self.S = self.grown.shape[0], self.grown.shape[1]
-        self.owner, self.nameable, self.driven, self.limit = np.asarray(owner, np.intp), nameable, driven, largest
-        self.H, self.depth = self.m + self.S, self.P + self.L
+        self.owner = np.concatenate([np.arange(self.m)] * 3 + [np.asarray(owner)]).astype(np.intp)
+        self.nameable, self.driven, self.limit, self.rate_hz = nameable, driven, largest, rate_hz
+        self.H, self.depth = 3 * self.m + self.S, self.P + self.L
         self.hold, self.window, self.clip = max(1, hold), max(2, window), clip
         # The ring of v holds what the deepest lag needs, that of innovations what the whitening needs.
         self.length = max(self.depth + 2, self.P + 1)
-        self.v, self.innovation = np.zeros((self.length, self.s)), np.zeros((self.length, self.p))
+        self.v, self.acting = np.zeros((2, self.length, self.s))
+        self.innovation = np.zeros((self.length, self.p))
         self.excited = np.zeros((self.hold, 2 * self.p))
         self.last_y = np.zeros(self.n)
         self.whitened, self.sigma = np.zeros(self.p), np.ones(self.p)
         self.level, self.follow = np.ones(self.p), 1.0 / level_rows
-        self.partial = np.zeros((self.m, self.p))
-        self.moment, self.information = np.zeros((self.window, self.H)), np.zeros((self.window, self.H))
-        self.energy = np.zeros(self.window)
+        self.partial, self.behind, self.delayed = np.zeros((3, self.m, self.p))
+        self.later, self.sudden = np.zeros((2 * self.m, self.p)), np.zeros(self.m)
+        self.moment, self.information = np.zeros((2, self.window, self.H))
+        self.mixed, self.energy = np.zeros((self.window, 2 * self.m)), np.zeros(self.window)
         self.impulse = self._impulse(np.asarray(dynamics), np.asarray(taps), np.asarray(whitening))
-        # The share of a loss that the lag has let through after so many rows.
-        self.answered = np.clip(np.cumsum(np.asarray(taps, float)), 0.0, 1.0)
+        self.direct = self._impulse(np.asarray(dynamics), np.ones(1), np.asarray(whitening))
         self.row = 0
         self.clear()
 
     def _impulse(self, dynamics, taps, whitening):
-        """Return F (P + L, m, p): what a whole loss makes of v_j, n rows later, of the whitened innovation."""
-        lost = np.zeros((self.P + self.L, self.m, self.p))
+        """Return F (P + taps, m, p): what a whole loss makes of v_j, n rows later, of the whitened innovation."""
+        lost = np.zeros((self.P + len(taps), self.m, self.p))
         columns = -dynamics[:, self.n + np.asarray(self.actuators)].T
         for lag, tap in enumerate(taps):
             lost[lag] += tap * columns
@@ -154,9 +171,9 @@ cdef class ChangeTest:
 
     def run(self, const double[:, :] u, const double[:, :] y, const uint8_t[:] usable, const uint8_t[:] restart,
             const uint8_t[:] armed, const double[:, :] believed):
-        """Return the named fault (N,), -1 for none, with its nats, size and onset in rows ago (N,) each.
+        """Return the named fault (N,), -1 for none, with nats, size, its growth a second and sd, and rows since (N,).
 
-        The size of an actuator's fault is the share that it lost.
+        The size of an actuator's fault is the share of its effect that it lost; that of a sensor is given as it is.
 
         Parameters
         ----------
@@ -168,10 +185,11 @@ cdef class ChangeTest:
             Signed size of each actuator's fault as the observer believes it.
         """
         cdef Py_ssize_t k, count = u.shape[0]
-        results = np.full(count, -1, np.intp), np.zeros(count), np.zeros(count), np.zeros(count, np.int64)
+        results = np.full(count, -1, np.intp), *np.zeros((4, count)), np.zeros(count, np.int64)
         cdef Py_ssize_t[::1] named = results[0]
-        cdef double[::1] nats = results[1], share = results[2]
-        cdef int64_t[::1] age = results[3]
+        cdef double[::1] nats = results[1], size = results[2], growth = results[3], sd = results[4]
+        cdef int64_t[::1] age = results[5]
+        cdef Fitted found
         for k in range(count):
             self.take(u, y, k, usable[k], restart[k])
             if self.known <= self.P or self.commands <= self.depth or not armed[k]:
@@ -179,12 +197,14 @@ cdef class ChangeTest:
                 continue
             self.whiten()
             self.accumulate()
-            named[k] = self.judge(believed[k], &nats[k], &share[k], &age[k])
+            named[k] = self.judge(believed[k], &found, &growth[k])
+            if named[k] >= 0:
+                nats[k], size[k], sd[k], age[k] = found.nats, found.size, sqrt(found.variance), found.age
         return results
 
     cdef void take(self, const double[:, :] u, const double[:, :] y, Py_ssize_t k, bint usable, bint restart) noexcept:
         """Follow one row: v, the innovation nu = y - (A y- + B v- + c), and what excites the model's errors."""
-        cdef Py_ssize_t i, j, d, row, before, past
+        cdef Py_ssize_t i, j, d, row, before
         cdef double value, power, moved, command
         if restart:
             self.clear()
@@ -200,6 +220,10 @@ cdef class ChangeTest:
                 power *= command
                 value += self.curves[j, d] * power
             self.v[row, j] = value
+            # What the lag lets through: it acts on this row.
+            self.acting[row, j] = 0.0
+            for d in range(min(self.L, self.commands)):
+                self.acting[row, j] += self.taps[d] * self.v[(self.row - 1 - d) % self.length, j]
         for i in range(self.p):
             value = y[k, self.judged[i]]
             if not self.has_y or not usable:
@@ -208,10 +232,8 @@ cdef class ChangeTest:
                 moved = self.dynamics[i, self.n + self.s]
                 for j in range(self.n):
                     moved += self.dynamics[i, j] * self.last_y[j]
-                for d in range(min(self.L, self.commands)):
-                    past = (self.row - 1 - d) % self.length
-                    for j in range(self.s):
-                        moved += self.taps[d] * self.dynamics[i, self.n + j] * self.v[past, j]
+                for j in range(self.s):
+                    moved += self.dynamics[i, self.n + j] * self.acting[row, j]
                 self.innovation[row, i] = value - moved
             moved = 0.0
             if self.driven:
@@ -264,15 +286,20 @@ cdef class ChangeTest:
     cdef void accumulate(self) noexcept:
         """Begin an onset at this row, and add s'z, s's and |z|^2 / 2 of the row to every onset in the window."""
         cdef Py_ssize_t age, i, j, h, place, deep
-        cdef double s, along, square, half = 0.0
+        cdef double half = 0.0, value
         self.newest = (self.newest + 1) % self.window
         self.begun = min(self.begun + 1, self.window)
         for h in range(self.H):
             self.moment[self.newest, h] = self.information[self.newest, h] = 0.0
+        for h in range(2 * self.m):
+            self.mixed[self.newest, h] = 0.0
         self.energy[self.newest] = 0.0
         for i in range(self.p):
             half += 0.5 * self.whitened[i] * self.whitened[i]
         self.partial[:, :] = 0.0
+        self.behind[:, :] = 0.0
+        self.delayed[:, :] = 0.0
+        self.later[:, :] = 0.0
         for age in range(self.begun):
             place = (self.newest - age + self.window) % self.window
             self.energy[place] += half
@@ -280,63 +307,111 @@ cdef class ChangeTest:
             if age < self.depth:
                 for j in range(self.m):
                     for i in range(self.p):
-                        self.partial[j, i] += (
-                            self.impulse[age, j, i] * self.v[(self.row - 1 - age) % self.length, self.actuators[j]])
+                        value = self.impulse[age, j, i] * self.v[(self.row - 1 - age) % self.length, self.actuators[j]]
+                        self.partial[j, i] += value
+                        self.delayed[j, i] += age / self.rate_hz * value
+                        if age <= self.P:
+                            self.behind[j, i] += (
+                                self.direct[age, j, i]
+                                * self.acting[(self.row - age) % self.length, self.actuators[j]])
             for j in range(self.m):
-                along = square = 0.0
-                for i in range(self.p):
-                    s = self.partial[j, i] / self.sigma[i]
-                    along += s * self.whitened[i]
-                    square += s * s
-                self.moment[place, j] += along
-                self.information[place, j] += square
+                self.add(place, j, &self.partial[j, 0], 1.0, NULL)
+                self.add(place, self.m + j, &self.behind[j, 0], 1.0, NULL)
+                self.add(place, 2 * self.m + j, &self.partial[j, 0], age / self.rate_hz, &self.delayed[j, 0])
             deep = min(age, self.D - 1)
             for h in range(self.S):
-                along = square = 0.0
-                for i in range(self.p):
-                    s = self.additions[deep, h, i] / self.sigma[i]
-                    along += s * self.whitened[i]
-                    square += s * s
-                self.moment[place, self.m + h] += along
-                self.information[place, self.m + h] += square
+                self.add(place, 3 * self.m + h, &self.additions[deep, h, 0], 1.0, NULL)
 
-    cdef Py_ssize_t judge(self, const double[:] believed, double* nats, double* share, int64_t* age) noexcept:
-        """Return the fault whose change explains the window best, beyond doubt, else -1.
+    cdef void add(self, Py_ssize_t place, Py_ssize_t h, const double* response, double scale,
+                  const double* begun_later) noexcept:
+        """Add a row to an onset's sums: what is measured along s = (scale response - begun_later) / sigma."""
+        cdef Py_ssize_t i
+        cdef double s, along = 0.0, square = 0.0, mixed = 0.0
+        for i in range(self.p):
+            s = scale * response[i]
+            if begun_later != NULL:
+                s -= begun_later[i]
+            s /= self.sigma[i]
+            along += s * self.whitened[i]
+            square += s * s
+            if h < 2 * self.m:
+                mixed += s * self.later[h, i]
+                self.later[h, i] = s
+        self.moment[place, h] += along
+        self.information[place, h] += square
+        if h < 2 * self.m:
+            self.mixed[place, h] += mixed
 
-        g_h = max over onsets of (s'z)^2 / (2 s's), theta_h = s'z / s's there.
+    cdef Fitted fit(self, Py_ssize_t h) noexcept:
+        """Return how well a hypothesis explains the window: g = (s'z)^2 / (2 s's), the largest of all onsets.
+
+        A sudden loss begins between two rows: that is a (1 - f) s of the earlier and f s of the later one, whose shares
+        are fitted together. So the variance of its size has that of its onset in it.
         """
-        cdef Py_ssize_t h, i, place, best = -1, best_age = 0, at
-        cdef double g, most, prior, first = -1e300, second = -1e300, theta, best_theta = 0.0, best_g = 0.0
+        cdef Fitted best = Fitted(0.0, 0.0, 0.0, 0)
+        cdef Py_ssize_t age, place, after = -1
+        cdef double g, along, square, mixed, determinant, early, late
+        for age in range(self.begun):
+            place = (self.newest - age + self.window) % self.window
+            along, square = self.moment[place, h], self.information[place, h]
+            if square > 0.0:
+                g = 0.5 * along * along / square
+                if g > best.nats:
+                    best = Fitted(g, along / square, 1.0 / square, age)
+                if h < 2 * self.m and after >= 0:
+                    mixed = self.mixed[place, h]
+                    determinant = square * self.information[after, h] - mixed * mixed
+                    if determinant > SMALLEST_DETERMINANT * square * self.information[after, h]:
+                        early = (along * self.information[after, h] - mixed * self.moment[after, h]) / determinant
+                        late = (square * self.moment[after, h] - mixed * along) / determinant
+                        g = 0.5 * (early * along + late * self.moment[after, h])
+                        if early * late > 0.0 and g > best.nats:
+                            best = Fitted(
+                                g, early + late, (square + self.information[after, h] - 2.0 * mixed) / determinant, age)
+            after = place
+        return best
+
+    cdef Py_ssize_t judge(self, const double[:] believed, Fitted* chosen, double* growth) noexcept:
+        """Return the fault whose change explains the window best, beyond doubt, else -1."""
+        cdef Py_ssize_t h, owner, best = -1, place
+        cdef double prior, first = -1e300, second = -1e300, unexplained
+        cdef Fitted found
+        cdef double grown = 1.0
+        for owner in range(self.m):
+            self.sudden[owner] = 0.0
         for h in range(self.H):
-            most, at = 0.0, 0
-            for i in range(self.begun):
-                place = (self.newest - i + self.window) % self.window
-                if self.information[place, h] > 0.0:
-                    g = 0.5 * self.moment[place, h] * self.moment[place, h] / self.information[place, h]
-                    if g > most:
-                        most, at = g, i
-            place = (self.newest - at + self.window) % self.window
-            theta = self.moment[place, h] / self.information[place, h] if most > 0.0 else 0.0
+            found, owner = self.fit(h), self.owner[h]
             # A loss that ends is no actuator that delivers more.
-            prior = AGAINST_GAIN if h < self.m and theta < 0.0 and not believed[h] < 0.0 else 0.0
-            if most - prior > first:
-                if best < 0 or self.owner[h] != self.owner[best]:
+            prior = AGAINST_GAIN if h < 3 * self.m and found.size < 0.0 and not believed[owner] < 0.0 else 0.0
+            if h < 2 * self.m:
+                self.sudden[owner] = max(self.sudden[owner], found.nats - prior)
+            elif h < 3 * self.m and (
+                not self.depth <= found.age < self.window - 1 or found.nats - prior < self.sudden[owner] + MARGIN
+            ):
+                # What may as well have come at once, through a lag that is not quite that of the model, does not grow.
+                # What began before the window grows more slowly than from there.
+                continue
+            if found.nats - prior > first:
+                if best < 0 or owner != self.owner[best]:
                     second = first
-                first, best, best_age, best_theta, best_g = most - prior, h, at, theta, most
-            elif most - prior > second and self.owner[h] != self.owner[best]:
-                second = most - prior
+                first, best, chosen[0] = found.nats - prior, h, found
+            elif found.nats - prior > second and owner != self.owner[best]:
+                second = found.nats - prior
         if best < 0 or self.owner[best] >= self.nameable or first - second < MARGIN:
             return -1
-        if best < self.m and best_theta > LARGEST_LOSS:
+        place = (self.newest - chosen.age + self.window) % self.window
+        unexplained = self.energy[place] - chosen.nats
+        if unexplained > UNEXPLAINED_SHARE * chosen.nats + NOISE_OF_AXIS * self.p * (chosen.age + 1):
             return -1
-        place = (self.newest - best_age + self.window) % self.window
-        if self.energy[place] - best_g > UNEXPLAINED_SHARE * best_g + NOISE_OF_AXIS * self.p * (best_age + 1):
+        # What the fit leaves says how well the signature is known: where it is more than noise, so is the size's error.
+        chosen.variance *= max(1.0, 2.0 * unexplained / (self.p * (chosen.age + 1)))
+        growth[0] = 0.0
+        if best >= 3 * self.m:
+            grown = self.grown[min(chosen.age, self.D - 1), best - 3 * self.m]
+        elif best >= 2 * self.m:
+            growth[0], grown = chosen.size, chosen.age / self.rate_hz
+        chosen.size *= grown
+        chosen.variance *= grown * grown
+        if best < 3 * self.m and chosen.size > LARGEST_LOSS:
             return -1
-        nats[0], age[0] = best_g, best_age
-        if best >= self.m:
-            share[0] = best_theta * self.grown[min(best_age, self.D - 1), best - self.m]
-        else:
-            # A loss behind the lag (a broken propeller) looks larger to signatures of one before it, until it has
-            # passed.
-            share[0] = best_theta * self.answered[min(best_age, self.L - 1)]
         return self.owner[best]

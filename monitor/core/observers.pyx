@@ -365,6 +365,21 @@ cdef class CommandScale:
         return fault_in_command(self.curves, self.inputs[channel], fault, self.command[channel])
 
 
+def shares_in_command(const double[:, ::1] curves, const Py_ssize_t[:] inputs, const double[:] command,
+                      const double[:] share):
+    """Return what shares (n,) of the effects of inputs (n,), -1 for none, are of their commands (n,), in its unit."""
+    cdef Py_ssize_t k, count = inputs.shape[0]
+    if not count == command.shape[0] == share.shape[0]:
+        raise ValueError("inputs, command and share differ in length")
+    result = np.array(share)
+    cdef double[:] lost = result
+    for k in range(count):
+        if inputs[k] >= 0:
+            lost[k] = fault_in_command(
+                curves, inputs[k], share[k] * effect(curves, inputs[k], command[k]), command[k])
+    return result
+
+
 def effects(const double[:, ::1] curves, const double[:, :] u):
     """Return v_j = curve_j(u_j) (n, s) of commands (n, s)."""
     cdef Py_ssize_t k, j
