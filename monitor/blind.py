@@ -2,8 +2,8 @@
 
 A vehicle without an alarm is healthy only where it is watched. So where an observer of a flying vehicle, or one of the
 sensors it compares, has had no evidence for 5 s, ``monitor/blind`` is raised and says which and why. It clears when
-evidence has come again, or with the flight. On the ground nothing is expected, and while telemetry is stale its own
-alarm says so. A message that never came is no loss but a link or a log without it: the status and a replay's verdict
+evidence has come again, or with the flight. On the ground, and before any telemetry came, nothing is expected, and
+while telemetry is stale its own alarm says so. A message that never came is no loss but a link or a log without it: the status and a replay's verdict
 name it, and the alarm does where nothing else of the vehicle is watched.
 
 Decided on messages and their times of arrival alone, like everything in the pipeline.
@@ -215,6 +215,7 @@ class BlindAlarm:
         self._active: AlarmEvent | None = None
         self._slot = 0
         self._started = False
+        self._received = False  # whether any telemetry came since the start
 
     @property
     def active(self) -> AlarmEvent | None:
@@ -236,6 +237,9 @@ class BlindAlarm:
         """Follow when messages of each name came."""
         entries = [(columns.name, columns.received_ns[[0, -1]].tolist()) for columns in batch.columns]
         entries += [(message.name, [message.received_ns] * 2) for message in batch.others.values()]
+        if not self._received and entries:
+            self._received = True
+            self.wait_from(min(first_ns for _, (first_ns, _) in entries))
         for flow in self.flows:
             for name, (first_ns, last_ns) in entries:
                 if name in flow.messages:
@@ -265,7 +269,7 @@ class BlindAlarm:
                 if group.since_ns - now_ns >= SET_BACK_NS:
                     group.since_ns = now_ns
         slot, active = now_ns // _SLOT_NS, self._active
-        if active is None and not flying:
+        if active is None and not (flying and self._received):
             return []
         if active is not None:
             if 0 <= self._slot - slot < SET_BACK_NS // _SLOT_NS:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from adapters.logs.recordings import packed, read_recording
-from adapters.message import Message
+from adapters.message import Message, silence
 from monitor.blind import LIMIT_NS
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline, handover_message
@@ -108,6 +108,12 @@ def test_on_the_ground_nothing_is_expected(
     pipeline = Pipeline(quad_profile)
     assert events_of(quad_profile, grounded, pipeline) == []
     assert {one.why_not for one in pipeline.watching(flight[-1].received_ns).values()} == {"on_ground"}
+
+
+def test_before_any_telemetry_nothing_is_expected(quad_profile: Profile, flight: list[Message]) -> None:
+    first_ns = flight[0].received_ns
+    waiting = [silence(first_ns - second * 1_000_000_000) for second in range(60, 0, -1)]
+    assert events_of(quad_profile, [*waiting, *flight]) == []
 
 
 def test_an_adopted_alarm_stays_until_there_is_evidence(quad_profile: Profile, flight: list[Message]) -> None:
