@@ -9,8 +9,16 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+from adapters.errors import UsageError
+
 _IN_PLACE_ONLY = (errno.EACCES, errno.EPERM, errno.EBUSY)
 """A file may be writable where its folder is not, or be mounted by itself."""
+
+
+def check_suffix(path: Path, suffix: str) -> None:
+    """Raise UsageError where a file's name says that it holds something else than what is written to it."""
+    if path.suffix and path.suffix.lower() != suffix and not path.is_dir():
+        raise UsageError(f"{path}: would hold {suffix[1:].upper()}; name it {path.with_suffix(suffix)}")
 
 
 def write_file(path: str | os.PathLike[str], content: str | bytes) -> None:

@@ -410,7 +410,7 @@ def parse_toml(
     """
     text = ""
     try:
-        text = data.decode()
+        text = data.decode().removeprefix("\ufeff")  # some editors begin with this mark
         content = tomllib.loads(text)
     except UnicodeDecodeError as wrong:
         raise error(f"{name}: not valid TOML: byte {wrong.start} is no UTF-8; save it as UTF-8") from wrong

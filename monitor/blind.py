@@ -3,8 +3,8 @@
 A vehicle without an alarm is healthy only where it is watched. So where an observer of a flying vehicle, or one of the
 sensors it compares, has had no evidence for 5 s, ``monitor/blind`` is raised and says which and why. It clears when
 evidence has come again, or with the flight. On the ground, and before any telemetry came, nothing is expected, and
-while telemetry is stale its own alarm says so. A message that never came is no loss but a link or a log without it: the status and a replay's verdict
-name it, and the alarm does where nothing else of the vehicle is watched.
+while telemetry is stale its own alarm says so. A message that never came is no loss but a link or a log without it: the
+status and a replay's verdict name it, and the alarm does where nothing else of the vehicle is watched.
 
 Decided on messages and their times of arrival alone, like everything in the pipeline.
 """

@@ -149,11 +149,13 @@ def run_inject(args: argparse.Namespace) -> int:
 
 def run_detectability(args: argparse.Namespace) -> int:
     """Run ``fauio detectability``."""
+    from adapters.output_file import check_suffix
     from monitor.fitting.progress import track
     from replay.runs.log_list import check_output
     from replay.sensitivity.detectability import Sweep, detectability, result_json, result_lines
 
     if args.plot:
+        check_suffix(args.plot, ".png")
         check_output(args.plot)
     sweep = Sweep(
         channels=tuple(args.channel or ()),

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adapters.errors import StorageError, UsageError
+from adapters.output_file import check_suffix
 from monitor.vehicles.kinds import KINDS
 from replay import attack_commands
 from replay.review.review_command import add_review
@@ -134,6 +135,10 @@ def run_demo(args: argparse.Namespace) -> int:
     """Run ``fauio demo``."""
     from replay.demonstration.demo import demo
 
+    if args.speed is not None and args.speed <= 0.0:
+        raise UsageError(f"--speed {args.speed:g}: has to be positive")
+    if args.out.is_file():
+        raise StorageError(f"--out {args.out}: is a file; name a folder")
     return demo(args.vehicle, args.out, args.speed, args.console)
 
 
@@ -224,6 +229,7 @@ def run_convert(args: argparse.Namespace) -> int:
     recording, onboard = Recording(args.log), onboard_source(args.log)
     if args.out.exists() and args.out.samefile(args.log):
         raise StorageError(f"{args.out}: is the recording itself; give -o another name")
+    check_suffix(args.out, ".mcap")
     size = recording_bytes(args.log)
     entries = track(
         recording.entries(), args.log.name, total_bytes=size, weigh=lambda entry: getattr(entry, "count", 1)

@@ -212,7 +212,7 @@ def test_only_clips_of_the_folder_itself_are_given(site: Any, tmp_path: Path) ->
 
 def test_a_port_that_is_taken_is_said(endpoint: Endpoint, site: Any) -> None:
     console = site()
-    with pytest.raises(UsageError, match="cannot be listened on"):
+    with pytest.raises(UsageError, match="cannot listen there"):
         ConsoleServer(endpoint.session, ConsoleOptions(listen=console.address))
     with pytest.raises(UsageError, match="HOST:PORT"):
         ConsoleServer(endpoint.session, ConsoleOptions(listen="nowhere"))

@@ -63,10 +63,11 @@ def run_console(args: argparse.Namespace) -> int:
     """Serve the page until interrupted."""
     from adapters.zenoh.zenoh_session import endpoints, open_session
     from monitor.bus.keys import ANY, vehicle_root
-    from monitor.console.web_server import ConsoleOptions, ConsoleServer
+    from monitor.console.web_server import ConsoleOptions, ConsoleServer, listen_address
     from monitor.service.caught_signals import caught_signals
 
     token = None if args.token_file is None else _token(args.token_file)
+    listen_address(args.listen)
     if token is None and not _is_loopback(args.listen):
         raise UsageError(
             f"--listen {args.listen}: others could reach it, so it needs --token-file; or listen on 127.0.0.1 behind a "
@@ -93,7 +94,11 @@ def run_console(args: argparse.Namespace) -> int:
 
 
 def _token(path: Path) -> str:
-    token = path.read_text().strip()
+    try:
+        token = path.read_text().strip()
+    except (OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", None) or "no text"
+        raise UsageError(f"--token-file {path}: {why}; make one: (umask 077; openssl rand -hex 16 > {path})") from error
     if len(token) < _SHORTEST or not token.isascii() or not token.isprintable():
         raise UsageError(
             f"{path}: holds no token of {_SHORTEST} letters or more; make one: openssl rand -hex 16 > {path}"

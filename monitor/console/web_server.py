@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import itertools
 import json
+import os
 import socket
 import threading
 from collections.abc import AsyncIterator, Collection
@@ -258,15 +259,20 @@ def _event(name: str, payload: dict[str, Any]) -> bytes:
     return f"event: {name}\ndata: ".encode() + to_json(payload) + b"\n\n"
 
 
-def _listen(options: ConsoleOptions) -> socket.socket:
-    host, _, port = options.listen.rpartition(":")
+def listen_address(listen: str) -> tuple[str, int]:
+    """Return host and port of ``--listen``; raise UsageError where it is none."""
+    host, _, port = listen.rpartition(":")
     host = host.strip("[]")
     if not host or not port.isdecimal() or int(port) > 0xFFFF:
-        raise UsageError(f"--listen {options.listen}: is not HOST:PORT, for example 127.0.0.1:8600")
+        raise UsageError(f"--listen {listen}: is not HOST:PORT, for example 127.0.0.1:8600")
+    return host, int(port)
+
+
+def _listen(options: ConsoleOptions) -> socket.socket:
+    host, port = listen_address(options.listen)
     try:
-        made = socket.create_server((host, int(port)), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+        made = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
-        raise UsageError(
-            f"--listen {options.listen}: cannot be listened on ({error.strerror or error}): take another"
-        ) from error
+        why = os.strerror(error.errno) if error.errno is not None and error.errno > 0 else error
+        raise UsageError(f"--listen {options.listen}: cannot listen there: {why}; take another port") from error
     return made

@@ -14,6 +14,7 @@ from pathlib import Path
 from adapters.batch import Batch, Columns, arrival_times
 from adapters.errors import StorageError, TelemetryError, UsageError
 from adapters.message import SECOND_NS, Message
+from adapters.output_file import check_suffix
 from adapters.zenoh.zenoh_session import open_session
 from monitor.configuration.config import Config
 from monitor.recording.record_encoder import RecordEncoder
@@ -56,6 +57,7 @@ def record_live(config: Config, path: Path, seconds: float | None = None, *, as_
         raise UsageError("no telemetry to listen to: give --mavlink URL or --zenoh KEYEXPR, or set it in --config")
     if path.exists():
         raise StorageError(f"{path}: is there already; name another file, or move it away")
+    check_suffix(path, ".mcap")
     try:
         found = _record(config, path, seconds, as_json)
     except OSError as error:

@@ -17,7 +17,7 @@ from adapters.logs.mcap_log import MessageLogWriter
 from adapters.logs.mcap_reader import read_mcap_metadata
 from adapters.logs.recordings import read_recording, recording_kind
 from adapters.message import SECOND_NS, Message
-from adapters.output_file import write_file
+from adapters.output_file import check_suffix, write_file
 from monitor.profile import read_profile
 from monitor.trace import Trace
 from replay.attacks.attack import Attack, AttackSignal
@@ -59,6 +59,7 @@ def inject_recording(
     kind = recording_kind(log)
     if out.resolve() == log.resolve():
         raise StorageError(f"{out}: is the recording itself; write to another file")
+    check_suffix(out, ".mcap")
     # before everything that is replayed
     draft = replace(order.attack, start_ns=0, end_ns=1 << 63, source_ns=None if order.source_s is None else -1)
     draft.check()

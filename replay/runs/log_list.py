@@ -9,6 +9,7 @@ from pathlib import Path
 
 from adapters.errors import StorageError, TelemetryError, UsageError
 from adapters.logs.recordings import recording_kind, session_files
+from adapters.output_file import check_suffix
 
 PLACE = "{log}"
 
@@ -55,7 +56,7 @@ def target(option: str, given: str | None, log: LogFile, suffix: str, *, many: b
 
     ``given`` is what the user gave to the option: a file; a folder, whose files have this suffix; or a name with
     ``{log}`` in the log's name's place. Among many logs a name without suffix is a folder, too. Raises UsageError where
-    one file was given for several logs, OSError where a folder cannot be made.
+    one file was given for several logs or its name says another kind, OSError where a folder cannot be made.
     """
     if given is None:
         return None
@@ -68,6 +69,8 @@ def target(option: str, given: str | None, log: LogFile, suffix: str, *, many: b
             f"{option} {given}: takes one log at a time; give a folder, or a name with {PLACE} in it, for several"
         )
     else:
+        if Path(given) != log.path:  # which is refused for a better reason
+            check_suffix(Path(given), suffix)
         return Path(given)
     path.parent.mkdir(parents=True, exist_ok=True)
     return path

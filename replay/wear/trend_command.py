@@ -43,6 +43,7 @@ def add_trend(subparsers: Any) -> None:
 def run_trend(args: argparse.Namespace) -> int:
     """Run ``fauio trend``."""
     from adapters.errors import TelemetryError, UsageError, printable
+    from adapters.output_file import check_suffix
     from replay.runs.log_list import check_output
     from replay.wear.flight_table import SUFFIXES, read_table
     from replay.wear.trend import find_wear, trend_lines, wear_sentences
@@ -55,6 +56,7 @@ def run_trend(args: argparse.Namespace) -> int:
     if args.plot is not None:
         if args.plot in tables:
             raise UsageError(f"--plot {args.plot}: is one of the tables")
+        check_suffix(args.plot, ".png")
         check_output(args.plot)
     flights = [flight for path in tables for flight in read_table(path)]
     flights += _replayed(args.profile, logs) if logs else []
