@@ -11,6 +11,7 @@ _UNITS: Mapping[str, tuple[float, str]] = {
     "rad/s": (_TURN, "degrees/s"),
     "rad/s^2": (_TURN, "degrees/s²"),
     "m/s^2": (1.0, "m/s²"),
+    "fraction of full command": (100.0, "% of full thrust"),
     "share of the command": (100.0, "% of the command"),
     "share of messages": (100.0, "% of messages"),
     "share": (100.0, "%"),
@@ -30,9 +31,13 @@ _LARGEST = 1e30
 
 def display_unit(unit: str) -> tuple[float, str]:
     """Return what a size in a unit is multiplied by, and the unit that people say then."""
+    if unit in _UNITS:
+        return _UNITS[unit]
     if unit.startswith(_FRACTION):
         return 100.0, f"% of {unit.removeprefix(_FRACTION)}"
-    return _UNITS.get(unit, (1.0, unit))
+    of, _, time = unit.rpartition("/")
+    factor, name = _UNITS.get(of, (1.0, of))
+    return (factor, f"{name}/{time}") if of else (1.0, unit)
 
 
 def share_unit(unit: str) -> str:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loopback import event
 
-from monitor.display import fault_text, number_text, size_text
+from monitor.display import display_unit, fault_text, number_text, size_text
 
 
 @pytest.mark.parametrize(
@@ -19,7 +19,7 @@ from monitor.display import fault_text, number_text, size_text
         (-0.1745, "rad", "-10 degrees"),
         (0.02, "rad/s", "+1.15 degrees/s"),
         (26.32, "m", "+26.3 m"),
-        (-0.0212, "fraction of full command", "-2.1 % of full command"),
+        (-0.0212, "fraction of full command", "-2.1 % of full thrust"),
         (0.6, "m/s^2", "+0.6 m/s²"),
         (12345.6, "alarms", "+12346 alarms"),
         (7.0, "", "+7"),
@@ -61,3 +61,19 @@ def test_what_came_over_a_network_is_never_in_the_way(estimate: Any, relative: A
 @given(st.floats(min_value=1.0, max_value=1e29))
 def test_no_number_of_one_and_more_has_an_exponent(value: float) -> None:
     assert "e" not in number_text(value)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "said"),
+    [
+        ("rad/s", 57.29577951308232, "degrees/s"),
+        ("fraction of full command/s", 100.0, "% of full thrust/s"),
+        ("share of the command", 100.0, "% of the command"),
+        ("m/s", 1.0, "m/s"),
+        ("m/s/s", 1.0, "m/s/s"),
+        ("times", 1.0, "times"),
+        ("", 1.0, ""),
+    ],
+)
+def test_units_of_rates_are_those_of_what_grows(unit: str, factor: float, said: str) -> None:
+    assert display_unit(unit) == (factor, said)

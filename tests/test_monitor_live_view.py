@@ -158,10 +158,10 @@ def test_values_thresholds_alarms_and_telemetry_of_all_vehicles_are_sent(receive
     found = tables(receiver)
     units = [THRESHOLDS["motors", name] for name in LAYOUT.faults[:3]]
     quiet = found["/a/motors/quiet/estimate"]
-    np.testing.assert_array_equal(quiet["Scalars:scalars"], run.isolated[::5, :3] / units)
+    np.testing.assert_allclose(quiet["Scalars:scalars"], run.isolated[::5, :3] / units, rtol=1e-12)
     assert quiet["vehicle_time"] == run.samples.vehicle_time_ns[::5].tolist()
     assert found["/a/motors/quiet/threshold"]["Scalars:scalars"][0] == [1.0, -1.0]
-    assert found["/b/motors/threshold/motor1"]["Scalars:scalars"][0] == [0.015, -0.015]
+    assert found["/b/motors/threshold/motor1"]["Scalars:scalars"][0] == [1.5, -1.5]
     assert found["/b/alarms/motors/motor1"]["StateChange:state"] == [["warning"], ["critical"], [""]]
     assert found["/a/log"]["TextLog:level"] == [["WARN"], ["CRITICAL"], ["INFO"]]
     raw = found["/a/raw/ATTITUDE"]

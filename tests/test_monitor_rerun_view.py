@@ -60,14 +60,14 @@ def two_observers(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_series_is_there_by_name_on_both_time_lines(written: Path) -> None:
     run = trace()
     fault = columns(written, "/motors/fault")
-    assert fault["SeriesLines:names"] == [[f"{name} (fraction of full command)" for name in LAYOUT.faults]]
-    np.testing.assert_array_equal(fault["Scalars:scalars"], run.fault)
+    assert fault["SeriesLines:names"] == [[f"{name} (% of full thrust)" for name in LAYOUT.faults]]
+    np.testing.assert_array_equal(fault["Scalars:scalars"], 100.0 * run.fault)
     assert fault["vehicle_time"] == run.vehicle_ns.tolist()
     assert fault["unix_time"] == run.unix_ns.tolist()
     for place, name in enumerate(LAYOUT.faults):
         isolated = columns(written, f"/motors/isolated/{rr.escape_entity_path_part(name)}")
-        assert isolated["SeriesLines:names"] == [[f"{name} (fraction of full command)"]]
-        np.testing.assert_array_equal(np.ravel(isolated["Scalars:scalars"]), run.isolated[:, place])
+        assert isolated["SeriesLines:names"] == [[f"{name} (% of full thrust)"]]
+        np.testing.assert_array_equal(np.ravel(isolated["Scalars:scalars"]), 100.0 * run.isolated[:, place])
     for entity, names, values in (
         ("residual", LAYOUT.outputs, run.residual),
         ("state", LAYOUT.states, run.x),
@@ -80,7 +80,7 @@ def test_every_series_is_there_by_name_on_both_time_lines(written: Path) -> None
 
 
 def test_thresholds_are_lines_above_and_below_zero(written: Path) -> None:
-    for name, level in (("motor1", 0.015), ("motor2", 0.015), ("motor3", 0.02)):
+    for name, level in (("motor1", 1.5), ("motor2", 1.5), ("motor3", 2.0)):
         threshold = columns(written, f"/motors/threshold/{name}")
         assert threshold["Scalars:scalars"] == [[level, -level]] * 2
         assert threshold["SeriesLines:names"] == [[f"threshold of {name}"] * 2]
@@ -88,22 +88,22 @@ def test_thresholds_are_lines_above_and_below_zero(written: Path) -> None:
 
 def test_observers_with_channels_of_one_name_keep_their_own_thresholds(two_observers: Path) -> None:
     own, other = (columns(two_observers, f"/{name}/threshold/motor1") for name in ("motors", "standby"))
-    assert own["Scalars:scalars"] == [[0.015, -0.015]] * 2
-    assert other["Scalars:scalars"] == [[0.5, -0.5]] * 2
+    assert own["Scalars:scalars"] == [[1.5, -1.5]] * 2
+    assert other["Scalars:scalars"] == [[50.0, -50.0]] * 2
 
 
 def test_quiet_channels_of_many_stand_in_units_of_their_thresholds(two_observers: Path) -> None:
     run = trace()
     quiet = columns(two_observers, "/motors/quiet/estimate")
     assert quiet["SeriesLines:names"] == [["motor2", "motor3"]]
-    np.testing.assert_array_equal(quiet["Scalars:scalars"], run.isolated[:, 1:3] / [0.015, 0.02])
+    np.testing.assert_allclose(quiet["Scalars:scalars"], run.isolated[:, 1:3] / [0.015, 0.02], rtol=1e-12)
     assert columns(two_observers, "/motors/quiet/threshold")["Scalars:scalars"] == [[1.0, -1.0]] * 2
     assert columns(two_observers, "/standby/quiet/estimate")["SeriesLines:names"] == [list(STANDBY.faults)]
 
 
 def test_a_threshold_is_thick_and_coloured_while_its_alarm_stands(written: Path) -> None:
     span = columns(written, "/motors/span/motor1/critical")
-    assert span["Scalars:scalars"][:2] == [[0.015, -0.015]] * 2
+    assert span["Scalars:scalars"][:2] == [[1.5, -1.5]] * 2
     assert np.isnan(span["Scalars:scalars"][2]).all()
     assert span["vehicle_time"] == [10_200_000_000, 13_000_000_000, 13_000_000_001]
     assert span["SeriesLines:widths"][0][0] > 2.0
@@ -128,7 +128,7 @@ def test_no_colour_is_lost_on_a_dark_or_a_light_ground(written: Path) -> None:
 
 def test_truth_is_there_where_it_is_known(written: Path) -> None:
     truth = np.ravel(columns(written, "/motors/truth/motor1")["Scalars:scalars"])
-    assert set(truth) == {0.0, -0.03}
+    assert set(truth) == {0.0, -3.0}
     assert columns(written, "/motors/truth/motor2") == {}
 
 

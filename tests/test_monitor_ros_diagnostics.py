@@ -67,12 +67,12 @@ def test_each_vehicle_and_each_observer_has_a_status() -> None:
     assert (array.header.stamp.sec, array.header.stamp.nanosec) == divmod(NOW_NS, 10**9)
     assert [(one.level, one.name, one.message, one.hardware_id) for one in array.status] == [
         (0, "fauio: copter-1", "monitoring", "copter-1"),
-        (2, "fauio: copter-1 motors", "motor1 -3 % of full command", "copter-1"),
+        (2, "fauio: copter-1 motors", "motor1 -3 % of full thrust", "copter-1"),
         (0, "fauio: copter-1 link", "no alarm", "copter-1"),
         (2, "fauio: rover", "blind: drive: no GPS for 5 s", "rover"),
     ]
     assert [(one.key, one.value) for one in array.status[1].values] == [
-        ("motor1", "-3 % of full command"),
+        ("motor1", "-3 % of full thrust"),
         ("gyro_x", "+0 degrees/s"),
     ]
 

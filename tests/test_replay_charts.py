@@ -35,7 +35,7 @@ def test_a_fault_s_chart_has_its_estimate_threshold_truth_and_alarms() -> None:
     truth = {"motor1": (run.vehicle_ns / 1e9, np.where(run.vehicle_ns >= 10_000_000_000, -0.06, 0.0))}
     found = content(RunView([run], EVENTS, THRESHOLDS, truth), run, "motor1")
     after = np.array(found["x"]) > 12.0
-    assert found["unit"] == "% of full command"
+    assert found["unit"] == "% of full thrust"
     assert np.nanmedian(series(found, "estimate")[after]) == pytest.approx(-6.0, abs=0.5)
     assert np.nanmax(series(found, "truth")[after]) == pytest.approx(-6.0)
     assert np.nanmedian((series(found, "high") - series(found, "low"))[after]) == pytest.approx(0.8)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from monitor.display import size_text
+
 
 @dataclass(frozen=True, slots=True)
 class Detection:
@@ -45,4 +47,4 @@ def capability_text(one: Capability) -> str:
 
 
 def _size(one: Capability, size: float) -> str:
-    return f"{100 * size:g} %" if one.loss else f"{size:g} {one.unit}".rstrip()
+    return f"{100 * size:g} %" if one.loss else size_text(size, one.unit)

@@ -16,7 +16,7 @@ import rerun.blueprint as rrb
 
 from monitor.estimate import Layout
 from monitor.views.live_buffer import VehicleView
-from monitor.views.panels import Panels, Thresholds, choose_panels
+from monitor.views.panels import Panels, RunView, Thresholds, choose_panels, in_display_units
 from monitor.views.rerun_blueprint import blueprint, observer_tab, raw_tab
 from monitor.views.rerun_process import DEFAULT_PORT, LOOPBACK, RerunProcess, ViewMode, require_free, rerun_binary
 from monitor.views.rerun_scene import APPLICATION, RerunScene
@@ -141,9 +141,9 @@ def _scene(recording: rr.RecordingStream, view: VehicleView) -> tuple[RerunScene
 
 def _send(scene: RerunScene, panels: dict[str, Panels], view: VehicleView) -> None:
     batch = view.drain()
-    thresholds = view.thresholds
-    for trace in batch.traces:
-        scene.trace(trace, panels[trace.layout.observer], thresholds, shown_only=True)
+    run = in_display_units(RunView(batch.traces, batch.events, view.thresholds))
+    for trace in run.traces:
+        scene.trace(trace, panels[trace.layout.observer], run.thresholds, shown_only=True)
     scene.events(batch.events)
     for raw in batch.raw:
         scene.raw(raw.message, raw.fields, raw.unix_ns, raw.values)

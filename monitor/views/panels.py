@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from monitor.display import display_unit
 from monitor.estimate import Layout
 from monitor.event import AlarmEvent
 from monitor.trace import Trace
@@ -27,6 +28,26 @@ class RunView(NamedTuple):
     truth: TrueSizes = MappingProxyType({})  # by fault channel: times on the vehicle's clock (s), true size at them
     # channels, by observer and name, whose evidence is not the estimate that the standard deviation belongs to
     without_sd: Collection[tuple[str, str]] = ()
+
+
+def in_display_units(run: RunView) -> RunView:
+    """Return a run with the sizes of its faults as people say them: per cent, degrees."""
+    factors: dict[tuple[str, str], float] = {}
+    traces = []
+    for trace in run.traces:
+        layout = trace.layout
+        said = [display_unit(unit) for unit in layout.fault_units]
+        factors |= {(layout.observer, name): factor for name, (factor, _) in zip(layout.faults, said, strict=True)}
+        scale = np.array([factor for factor, _ in said])
+        layout = replace(layout, fault_units=tuple(name for _, name in said))
+        sizes = {name: getattr(trace, name) * scale for name in ("fault", "isolated", "sd")}
+        traces.append(replace(trace, layout=layout, **sizes))
+    of_channel = {channel: factor for (_, channel), factor in factors.items()}
+    return run._replace(
+        traces=traces,
+        thresholds={key: factors.get(key, 1.0) * size for key, size in run.thresholds.items()},
+        truth={name: (times, of_channel.get(name, 1.0) * sizes) for name, (times, sizes) in run.truth.items()},
+    )
 
 
 FEW = 6

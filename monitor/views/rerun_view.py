@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import rerun as rr
 
 from monitor.trace import AlarmSpan, Trace, alarm_spans
-from monitor.views.panels import Panels, RunView, choose_panels, fault_limits, same_scale
+from monitor.views.panels import Panels, RunView, choose_panels, fault_limits, in_display_units, same_scale
 from monitor.views.rerun_blueprint import Limits, Stretch, blueprint, observer_tab
 from monitor.views.rerun_scene import APPLICATION, RerunScene
 
@@ -37,6 +37,7 @@ def write_rrd(path: str | os.PathLike[str], run: RunView) -> None:
     OSError
         The file cannot be written.
     """
+    run = in_display_units(run)
     thresholds, truth = run.thresholds, run.truth
     traces = [trace for trace in run.traces if len(trace.vehicle_ns)]
     alarmed = {(event.observer, event.channel) for event in run.events}

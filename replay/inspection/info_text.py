@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from adapters.errors import printable
+from monitor.display import size_text
 
 _FORMATS = {
     "tlog": "MAVLink telemetry log",
@@ -144,7 +145,8 @@ def _profile(content: Mapping[str, Any]) -> Iterator[str]:
         width = max((len(channel) for channel in one["alarms"]), default=0)
         for channel, rule in one["alarms"].items():
             sees = f"; sees {rule['sees']}" if rule["sees"] else ""
-            sizes = f"from {rule['threshold']:.3g} {rule['unit']}, critical {rule['critical']:.3g}"
+            threshold, critical = (size_text(rule[key], rule["unit"]) for key in ("threshold", "critical"))
+            sizes = f"from {threshold}, critical {critical}"
             yield f"    {channel:<{width}}  {sizes}{sees}"
 
 

@@ -15,7 +15,7 @@ from adapters.errors import printable
 from monitor.bus.alarm_text import utc
 from monitor.trace import AlarmSpan, Trace, alarm_spans
 from monitor.views.palette import DARK, LIGHT, Theme
-from monitor.views.panels import Panels, RunView, choose_panels, same_scale
+from monitor.views.panels import Panels, RunView, choose_panels, in_display_units, same_scale
 from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
 from replay.reports.plot_panels import (
     BAND_ALPHA,
@@ -76,7 +76,7 @@ def plot_png(path: str | os.PathLike[str], run: RunView, title: str = "", *, dar
     samples among it, panels are hatched, and what is drawn there sets no scale; an estimate beyond its panel is marked
     at the edge. Long recordings are drawn as the envelope of their smallest and largest values: no peak is lost.
     """
-    theme = DARK if dark else LIGHT
+    theme, run = DARK if dark else LIGHT, in_display_units(run)
     with _drawing(_style(theme)):
         save_small(run_figure(run, title, Look(theme, run)), path)
 

@@ -18,6 +18,7 @@ from adapters.errors import OtherVehicleError, UsageError
 from adapters.logs.recordings import read_batches
 from adapters.message import SECOND_NS
 from monitor.alarms.alarm import AlarmRule
+from monitor.display import size_text
 from monitor.pipeline import Pipeline
 from monitor.profile import ObserverProfile, Profile, read_profile
 from replay.attacks.attack import ATTACK_KINDS, Attack
@@ -367,7 +368,7 @@ def _within(delays: Sequence[float], share: float) -> float | None:
     return None if delay == inf else delay
 
 
-_HEADER = ("channel", "kind", "size", "unit", "missed", "median", "90 %", "only it", "error of estimate", "also raised")
+_HEADER = ("channel", "kind", "size", "missed", "median", "90 %", "only it", "error of estimate", "also raised")
 
 
 def result_json(result: Detectability) -> dict[str, Any]:
@@ -398,13 +399,12 @@ def _cells(row: Row) -> tuple[str, ...]:
     return (
         row.channel,
         row.kind,
-        "" if row.size is None else f"{row.size:g}",
-        row.unit,
+        "" if row.size is None else size_text(row.size, row.unit),
         f"{row.missed} of {row.trials}",
         _seconds(row.delay_median_s),
         _seconds(row.delay_90_s),
         "" if row.isolated is None else f"{100 * row.isolated:.0f} %",
-        "" if row.estimate_error is None else f"{row.estimate_error:.2g}",
+        "" if row.estimate_error is None else size_text(row.estimate_error, row.unit),
         ", ".join(row.others),
     )
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from monitor.display import display_unit
 from monitor.views.palette import BLUE, GREY, PURPLE
 from monitor.views.plot_style import DPI, STYLE, WIDTH_IN, save_small
 from replay.sensitivity.detectability import Detectability, Row
@@ -41,7 +43,7 @@ def plot_detectability(path: str | os.PathLike[str], result: Detectability) -> N
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    lines = list(_lines(result.rows))
+    lines = list(_lines([_in_display_units(row) for row in result.rows]))
     columns = max((len(line) for line in lines), default=1)
     heights = [DELAY_IN, MISSED_IN] * max(len(lines), 1)
     with rc_context(STYLE):
@@ -56,6 +58,11 @@ def plot_detectability(path: str | os.PathLike[str], result: Detectability) -> N
                 grid[row][column].set_axis_off()
         _draw_legend(figure, result)
         save_small(figure, path)
+
+
+def _in_display_units(row: Row) -> Row:
+    factor, unit = display_unit(row.unit)
+    return replace(row, size=None if row.size is None else factor * row.size, unit=unit)
 
 
 def _lines(rows: Sequence[Row]) -> list[list[list[Row]]]:

@@ -1,6 +1,6 @@
 // The table of alarms, and what operators do to them.
 import { el, remembered, say, sync } from "./dom.js";
-import { age, sizeOf, timeOfDay } from "./words.js";
+import { age, timeOfDay } from "./words.js";
 
 const keyOf = (alarm) => `${alarm.vehicle}/${alarm.observer}/${alarm.channel}`;
 
@@ -58,7 +58,7 @@ export class AlarmTable {
     at.badge.className = alarm.group === "active" ? `badge ${alarm.severity}` : "badge";
     say(at.badge, alarm.group === "cleared" ? "cleared" : alarm.severity);
     say(at.channel, `${alarm.observer}/${alarm.channel}`);
-    say(at.size, sizeOf(alarm));
+    say(at.size, alarm.display ?? "");
     say(at.since, age((this.app.now() - alarm.since_ns) / 1e9));
     say(at.state, stateOf(alarm));
     say(at.what, alarm.message);

@@ -1,6 +1,6 @@
 // Past events of all monitors, from their journals.
 import { el } from "./dom.js";
-import { dateAndTime, sizeOf } from "./words.js";
+import { dateAndTime } from "./words.js";
 
 export class HistoryPage {
   constructor(app) {
@@ -46,7 +46,7 @@ function row(event, clips) {
     Channel: `${event.observer}/${event.channel}`,
     Event: event.state,
     Severity: event.severity,
-    Size: sizeOf(event),
+    Size: event.display ?? "",
     What: event.message,
   };
   const clip = `${event.vehicle}-${event.id}.mcap`;

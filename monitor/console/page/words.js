@@ -31,13 +31,6 @@ export function dateAndTime(seconds) {
   return Number.isNaN(date.getTime()) ? "?" : date.toISOString().slice(0, 19).replace("T", " ") + "Z";
 }
 
-export function sizeOf(alarm) {
-  if (alarm.display) return alarm.display;
-  if (alarm.estimate === null) return "";
-  const share = alarm.relative === null ? "" : ` (${signed(100 * alarm.relative)} %)`;
-  return `${signed(alarm.estimate)} ${alarm.unit}${share}`;
-}
-
 /** Words of the status for why an observer has no evidence. */
 export function whyNot(word) {
   const [first, ...rest] = word.split(" ");

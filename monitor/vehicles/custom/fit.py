@@ -26,6 +26,7 @@ from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.gains_file import Gains
+from monitor.display import size_text
 from monitor.estimation.isolation_rule import BankRule, IndependentRule
 from monitor.fitting.calibrate import SETTLE_S, bank_rule, measured_settling_s
 from monitor.fitting.fit_report import Comparison, comparison_json, comparison_lines, parameter_lines
@@ -204,7 +205,7 @@ def _lines(fit: OutputErrorFit, alarms: Sequence[Calibrated]) -> tuple[str, ...]
         f"model {fit.rate_hz:g} Hz, explains {explained} of the changes one step ahead on data kept back",
         f"inputs act {fit.delay / fit.rate_hz:.3g} s late, as {hold}",
         *parameter_lines(fit.verdicts),
-        *(f"{rule.channel} alarm from {rule.threshold:g} {rule.unit}".rstrip() for rule in rules),
+        *(f"{rule.channel} alarm from {size_text(rule.threshold, rule.unit)}" for rule in rules),
     )
 
 

@@ -14,6 +14,7 @@ from adapters.errors import TelemetryError
 from gains.synthesis.bank import compile_bank
 from gains.synthesis.gains_file import Gains
 from monitor.alarms.excuse import ExcuseRule
+from monitor.display import size_text
 from monitor.estimation.affine import AffineObserver
 from monitor.estimation.changes import WINDOW_S, ChangeRule
 from monitor.estimation.envelope import reached
@@ -454,7 +455,7 @@ def _lines(parameters: Mapping[str, float], alarms: Sequence[Calibrated], imu: b
     late = ", ".join(
         f"{key.removesuffix('_delay_s')} {value:.2f} s" for key, value in parameters.items() if "delay" in key
     )
-    sizes = ", ".join(f"{found.rule.channel} {found.rule.threshold:.3g} {found.rule.unit}" for found in alarms)
+    sizes = ", ".join(f"{found.rule.channel} {size_text(found.rule.threshold, found.rule.unit)}" for found in alarms)
     if not imu:
         return ("no message of an IMU: GPS and barometer against each other and the attitude", f"alarms from: {sizes}")
     return (f"late against the IMU: {late}", f"alarms from: {sizes}")

@@ -17,6 +17,7 @@ from gains.identification.shooting import split_segments
 from gains.plants.plant import Plant
 from gains.synthesis.bank import compile_bank, design_bank
 from monitor.alarms.alarm import THRUST
+from monitor.display import size_text
 from monitor.estimation.changes import ChangeRule
 from monitor.estimation.excitation import ExcitationRule
 from monitor.fitting.calibrate import LEVEL_SHARE, SETTLE_S, bank_rule
@@ -104,7 +105,6 @@ class _Drive:
     rate_hz: float
     called: str
     unit: str
-    of_unit: str  # the same in a sentence
 
     @property
     def numbers(self) -> list[int]:
@@ -114,11 +114,11 @@ class _Drive:
 
 def _commanded(request: FitRequest, inputs: tuple[Channel, ...]) -> _Drive:
     rate_hz = min(survey.rate_hz[MOTOR_MESSAGE] for survey in request.surveys)
-    return _Drive(OBSERVER, inputs, rate_hz, "motor commands", "fraction of full command", "full command")
+    return _Drive(OBSERVER, inputs, rate_hz, "motor commands", "fraction of full command")
 
 
 def _turned(speeds: EscSignals, observer: str) -> _Drive:
-    return _Drive(observer, speeds.thrusts(), speeds.rate_hz, "speeds of motors", THRUST, "thrust at hover")
+    return _Drive(observer, speeds.thrusts(), speeds.rate_hz, "speeds of motors", THRUST)
 
 
 _ENOUGH_HZ = 100.0
@@ -532,6 +532,6 @@ def _lines(drive: _Drive, hover: Sequence[float], alarms: Sequence[Calibrated]) 
     motors = (channel.name for channel in drive.inputs)
     return tuple(
         f"{motor} alarm from {100 * rules[motor].threshold / command:.1f} % loss at hover (command {command:.2f}, "
-        f"threshold {rules[motor].threshold:g} of {drive.of_unit})"
+        f"threshold {size_text(rules[motor].threshold, rules[motor].unit)})"
         for motor, command in zip(motors, hover, strict=True)
     )
