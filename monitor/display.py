@@ -24,7 +24,10 @@ _SHARES: Mapping[str, str] = {
     "fraction of speed at hover": "% of speed",
     "fraction of current at hover": "% of current",
     "fraction of thrust at hover": "% of thrust",
+    "fraction of usual resistance": "% of resistance",
 }
+_WHOLE_MINUTES = 5
+"""Chosen: who has more than that does not count seconds."""
 _LARGEST = 1e30
 """Beyond anything that is measured; sizes may come from a network."""
 
@@ -64,6 +67,17 @@ def fault_text(channel: str, estimate: float | None, relative: float | None, uni
         return f"{number_text(math.exp(min(size, 50.0)), 2)} times"
     # a compass' estimate counts turns on; nothing is further off than half of one
     return size_text(math.remainder(size, math.tau) if channel == "compass" else size, unit, signed=True)
+
+
+def battery_text(ohm: float, amps: float, left_s: float) -> str:
+    """Return what a battery's resistance does at the present current, and how long its charge lasts at it."""
+    left = "" if left_s <= 0.0 else f"; {_time_text(left_s)} left at this current"
+    return f"{number_text(1000.0 * ohm)} milliohms, {number_text(ohm * amps, 2)} V at {number_text(amps)} A{left}"
+
+
+def _time_text(seconds: float) -> str:
+    minutes, rest = divmod(round(min(seconds, _LARGEST)), 60)
+    return f"{minutes} min" if minutes >= _WHOLE_MINUTES else f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
 def percent_text(share: float, *, signed: bool = False) -> str:

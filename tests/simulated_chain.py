@@ -53,11 +53,12 @@ def flight(
     order: tuple[int, ...] = (0, 1, 2, 3),
     sag_v: float = 0.0,
     felt: bool = False,
+    climbs: float = 0.3,
 ) -> Iterator[Message]:
     """Yield the telemetry of a flight; ``sag_v`` is what the battery loses of its open voltage over the flight.
 
-    The vertical force is reported where it is ``felt``. Without ``esc_hz`` no speed controller reports; controller k of
-    the messages is that of motor ``order[k]`` + 1.
+    The vertical force is reported where it is ``felt``; climbs are wanted of so many m/s (standard deviation). Without
+    ``esc_hz`` no speed controller reports; controller k of the messages is that of motor ``order[k]`` + 1.
     """
     rng = np.random.default_rng(seed)
     dt = 1.0 / (RATE_HZ * STEPS)
@@ -72,7 +73,7 @@ def flight(
     for k in range(round(duration_s * RATE_HZ)):
         now_s = k / RATE_HZ
         if k % 30 == 0:
-            wanted = rng.normal(0.0, [0.5, 0.5, 0.6, 0.3])
+            wanted = rng.normal(0.0, [0.5, 0.5, 0.6, climbs])
         gust += -gust / RATE_HZ + rng.normal(0.0, [0.015, 0.015, 0.005, 0.03])
         controls = np.clip((wanted[:3] - rate) * [0.05, 0.05, 0.12], -0.12, 0.12)
         height_sum = np.clip(height_sum + (wanted[3] - climb) / RATE_HZ, -20.0, 20.0)
@@ -118,8 +119,8 @@ def flight(
             clipped = dict.fromkeys(("clipping_0", "clipping_1", "clipping_2"), 0)
             yield _message("VIBRATION", arrival_ns, {"time_usec": stamp_ms * 1000, **shaken, **clipped})
             battery = {
-                "voltage_battery": round(1000.0 * volts + measuring.normal(0.0, 15.0)),
-                "current_battery": round(100.0 * float(current.sum()) + measuring.normal(0.0, 20.0)),
+                "voltage_battery": round(1000.0 * volts + measuring.normal(0.0, 8.0)),
+                "current_battery": round(100.0 * float(current.sum()) + measuring.normal(0.0, 10.0)),
                 "battery_remaining": round(100.0 - 100.0 * used_as / _CAPACITY_AS),
             }
             yield _message("SYS_STATUS", arrival_ns, battery)

@@ -31,7 +31,7 @@ from dataclasses import dataclass, fields, replace
 
 from adapters.sample import Samples
 from monitor.core.alarms import CLEARED, RAISED, UPDATED, AlarmState
-from monitor.display import percent_text, size_text
+from monitor.display import battery_text, percent_text, size_text
 from monitor.estimation.input_curve import relative_loss
 from monitor.event import UNNUMBERED, AlarmEvent, Kind, State, alarm_id
 
@@ -40,6 +40,8 @@ DEFLECTION = "fraction of full deflection"
 
 SPEED, CURRENT, THRUST = (f"fraction of {what} at hover" for what in ("speed", "current", "thrust"))
 """Units of what motors turn and draw, and propellers push."""
+RESISTANCE = "fraction of usual resistance"
+"""Unit of how far a battery's voltage gives way to its current."""
 LOG_TIMES = "natural logarithm of times"
 """Unit of what is so many times as large as expected."""
 
@@ -49,6 +51,7 @@ _CHAIN = {
     SPEED: ("turns its motor", "slower", "faster", "commanded"),
     THRUST: ("pushes", "less", "more", "its speed lets expect"),
     CURRENT: ("draws", "less current", "more current", "its speed lets expect"),
+    RESISTANCE: ("has", "less resistance", "more resistance", "is usual"),
 }
 _ACTS = {"steering": ("turns", ""), "throttle": ("pushes", "")}
 _HAS_EFFECT = ("has", " effect")
@@ -274,6 +277,8 @@ class Alarm:
             relative = relative_loss(now.shown, command)
         state = _STATES[code]
         message = alarm_message(rule.observer, rule.channel, rule.kind, rule.unit, state, now.shown, relative)
+        if rule.unit == RESISTANCE and code != CLEARED:
+            message += f": {battery_text(*samples.u[row, 1:])}"
         if now.recurring and code != CLEARED:
             message = f"{message} (it comes and goes)"
         return self._event(state, time_ns + late_ns, vehicle_ns + late_ns, message, relative, sd)

@@ -25,6 +25,8 @@ MOTION_MESSAGES = frozenset({MOTOR_MESSAGE, "ATTITUDE", "ATTITUDE_QUATERNION", "
 
 ESC_MESSAGES = tuple(f"ESC_TELEMETRY_{first}_TO_{first + 3}" for first in (1, 5, 9, 13))
 """What ArduPilot's speed controllers measure, four in a message. They carry no time: that of arrival stands in."""
+BATTERY_MESSAGE = "SYS_STATUS"
+"""Voltage, current and charge of the first battery; without a time, too."""
 _GPS_MESSAGE = "GPS_RAW_INT"
 _HEARTBEAT = "HEARTBEAT"
 _UNKNOWN = 65_535
@@ -55,7 +57,7 @@ class Survey:
 
     counts: dict[str, int]  # messages by name
     # measurements per second of the vehicle's clock within flights, by name, for messages that carry a time; of
-    # those of speed controllers, which do not, as they arrived
+    # those of speed controllers and the battery, which do not, as they arrived
     rate_hz: dict[str, float]
     outputs: dict[int, MotorOutput]  # how servo outputs moved while armed, by number
     # fields of the last message of each name while armed, or at all of a vehicle that never was; of the GPS, the last
@@ -184,7 +186,7 @@ def _is_fix(fields: Mapping[str, Any]) -> bool:
 
 def _stamps(group: _Group) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return indices and time stamps, vehicle nanoseconds, of the messages that have one (k,)."""
-    if group.name in ESC_MESSAGES:
+    if group.name in (*ESC_MESSAGES, BATTERY_MESSAGE):
         return group.position, group.received_ns
     times_ns = np.full(len(group.position), np.nan)
     columns = ((name, group.values[name]) for name in CLOCK_UNITS_NS if name in group.values)

@@ -18,12 +18,14 @@ KINDS = (
         messages="monitor.vehicles.multirotor.signals:MESSAGES",
         transforms={
             "esc": "monitor.vehicles.multirotor.transform:EscInputs",
+            "battery": "monitor.vehicles.multirotor.battery:BatteryInputs",
             "vibration": "monitor.vehicles.multirotor.vibration:VibrationInputs",
         },
         further=(
             "monitor.vehicles.multirotor.esc:fit_esc",
             "monitor.vehicles.multirotor.fit:fit_props",
             "monitor.vehicles.multirotor.vibration:fit_vibration",
+            "monitor.vehicles.multirotor.battery:fit_battery",
         ),
         type_words=("rotor", "copter", "vtol"),
     ),

@@ -10,6 +10,7 @@ from adapters.channels import STANDARD_GRAVITY, Channel
 from adapters.errors import TelemetryError
 from adapters.logs.log_parameters import PARAMETER_MESSAGES
 from monitor.fitting.survey import (
+    BATTERY_MESSAGE,
     ESC_MESSAGES,
     MAX_OUTPUTS,
     MOTION_MESSAGES,
@@ -24,7 +25,12 @@ from monitor.vehicles.multirotor.frames import frame_of
 from monitor.vehicles.multirotor.speeds import esc_signals
 from monitor.vehicles.multirotor.trim import SLOW_COMMANDS_HZ
 
-MESSAGES = MOTION_MESSAGES | FlightPhase.interests | PARAMETER_MESSAGES | {"ESC_STATUS", *ESC_MESSAGES, "VIBRATION"}
+MESSAGES = (
+    MOTION_MESSAGES
+    | FlightPhase.interests
+    | PARAMETER_MESSAGES
+    | {"ESC_STATUS", *ESC_MESSAGES, "VIBRATION", BATTERY_MESSAGE}
+)
 
 _STILL_US = 0.5
 """An output whose standard deviation is less than half a microsecond, the unit of its messages, does not move."""

@@ -1,0 +1,246 @@
+"""The battery observer: how far the voltage gives way to the current, against what was learned.
+
+With V and I the battery's voltage and current, less what they were of late (a low-pass of :data:`_BASE_S`), and
+moments over :data:`_MEMORY_S`,
+
+    resistance = (lambda R - w cov(V, I)) / (lambda + w var(I))
+
+where R is that of healthy flights, lambda what the voltage's noise is worth, and w, from 0 to 1, the part of the memory
+that is filled: while the current hardly changes the resistance is the usual one. What the open voltage does, over
+charge and age, is no evidence. A faulty cell, a corroded connector and an old battery show in a larger resistance
+before they fail under load.
+
+The plant behind compares the resistance with the usual one. Beside them go the current and how long the charge lasts at
+it, for the alarm's sentence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.channels import Channel
+from adapters.errors import ModelError, TelemetryError
+from adapters.sample import Given, Samples
+from gains.plants.plant import Disturbance, Fault, Noise, Plant
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from gains.synthesis.convex import design_convex
+from monitor.alarms.alarm import RESISTANCE
+from monitor.core.lagged import LaggedMeans
+from monitor.estimation.isolation_rule import IndependentRule
+from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
+from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.survey import BATTERY_MESSAGE
+from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
+from monitor.sampling.gate import GateRule
+from monitor.sampling.transform import SampleSource, TransformRule
+from monitor.vehicles.multirotor.signals import multirotor_channels
+
+Array = NDArray[np.float64]
+
+OBSERVER = "battery"
+
+_SLOWEST_HZ, _FASTEST_HZ = 0.5, 10.0
+"""Bounds of the observer's grid. Chosen: slower reports miss the manoeuvres that change the current; faster ones are
+alike, autopilots filter both."""
+_BASE_S, _MEMORY_S = 5.0, 20.0
+"""Time constants of the low-pass and of the moments. Chosen: a manoeuvre lasts some seconds, charge moves the open
+voltage in minutes; a resistance that doubles at once is half seen after 14 s."""
+_LEAST_S = 20.0
+"""Evidence that is needed, seconds, as of the motors observer."""
+_LARGEST_ERROR = 0.25
+"""Standard error of the resistance, as a share, up to which the flights know it, as of the motors' effects."""
+_DOUBT = 0.5
+"""Share by which a resistance may be another before this flight has shown it: chosen, the smallest that is an alarm."""
+_SMALLEST, _CRITICAL = 0.5, 1.5
+"""Shares of resistance more that are worth an alarm, and critical. Chosen: from full to a fifth of the charge, and from
+30 to 10 degrees, it rises by a third; lithium batteries are taken out of service at about twice the one of new."""
+_TIMES = Times(fast_s=2.0, raise_s=5.0, slow_s=20.0, clear_s=5.0)
+"""Chosen: a resistance is known over :data:`_MEMORY_S` only."""
+_FAULT_RATE = 0.1
+"""Shares per second by which it may grow: chosen, a contact fails within ten seconds."""
+_LEAST_LEFT = 0.01
+"""Least deviation of the resistance that is left, as a share: no battery's is steadier than that of its heat."""
+_LEAST_USED = 0.03
+"""Share of the charge that a flight has to use to tell how much there is: it is reported in whole per cent."""
+_LEAST_FILLED = 1e-9
+"""Only at a restart is less of the memory filled."""
+_LEAST_AMPS = 0.05
+"""Amperes below which no time is told: a fifth of what an autopilot draws."""
+
+
+class BatteryInputs:
+    """Samples of a battery: its resistance in shares of the usual one, and what is known beside it.
+
+    Parameters
+    ----------
+    parameters : Mapping[str, float]
+        ``ohm``: usual resistance; ``doubt``: lambda, A^2; ``charge``: that of a full battery, As, 0 where it is not
+        known.
+    signal_rate_hz, rate_hz : float
+        Raw samples and given samples per second, which are the same.
+
+    Raises
+    ------
+    TelemetryError
+        A parameter is missing, unknown or out of range, or the rates differ.
+    """
+
+    # the last one is there for its time stamps: what is said of batteries has none
+    signals = ("volts", "amps", "left", "roll_rate")
+    inputs, outputs = ("battery", "ohm", "current", "left_s"), ("resistance",)
+
+    def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
+        if wrong := sorted({"ohm", "doubt", "charge"} ^ set(parameters)):
+            verb = "is unknown" if wrong[0] in parameters else "is missing"
+            raise TelemetryError(f"transform 'battery': '{wrong[0]}' {verb}; fit the profile again")
+        if not (0.0 < parameters["ohm"] < 1e3 and parameters["doubt"] > 0.0 and 0.0 <= parameters["charge"] < 1e9):
+            raise TelemetryError("transform 'battery': 'ohm' or 'doubt' is not above 0, or 'charge' negative")
+        if signal_rate_hz != rate_hz:
+            raise TelemetryError(f"transform 'battery': signals at {signal_rate_hz:g} Hz, samples at {rate_hz:g} Hz")
+        self._ohm, self._doubt, self._charge = (parameters[name] for name in ("ohm", "doubt", "charge"))
+        self._moments = Moments(rate_hz)
+        self._given = LaggedMeans((), rate_hz, 1, len(self.inputs), len(self.outputs))
+
+    def run(self, samples: Samples) -> Given:
+        """Return the observer's samples that raw samples complete; one marked ``restart`` forgets all moments."""
+        with np.errstate(all="ignore"):  # absurd values may overflow; they are no evidence
+            covariance, variance, amps = self._moments.run(samples)
+            ohm = (self._doubt * self._ohm - covariance) / (self._doubt + variance)
+            left_s = np.where(amps > _LEAST_AMPS, self._charge * samples.u[:, 2] / np.maximum(amps, _LEAST_AMPS), 0.0)
+            # less than usual is no fault
+            share = np.where(ohm < self._ohm, 1.0, ohm / self._ohm)
+        columns = [np.ones(len(samples)), ohm, amps, left_s, share]
+        return self._given.run(samples, columns, np.ones(len(samples), np.bool_))
+
+
+class Moments:
+    """Moments of voltage and current, less what they were of late."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self._base = LaggedMeans([(0.0, _BASE_S)] * 2, rate_hz, 1, 2, 2)
+        self._means = LaggedMeans([(0.0, _MEMORY_S)] * 5, rate_hz, 1, 5, 1)
+
+    def run(self, samples: Samples) -> tuple[Array, Array, Array]:
+        """Return w cov(V, I), w var(I) and the current of late of raw samples (n,)."""
+        if not len(samples):
+            return np.empty(0), np.empty(0), np.empty(0)
+        everywhere = np.ones(len(samples), np.bool_)
+        volts, amps = samples.u[:, 0], samples.u[:, 1]
+        base = self._base.run(samples, [volts, amps, volts, amps], everywhere).samples.u
+        v, i = volts - base[:, 0], amps - base[:, 1]
+        # all begin at zero, so that the last one says how much of the memory is filled
+        columns = [v, i, v * i, i * i, np.where(samples.restart, 0.0, 1.0), i]
+        *mean, weight = self._means.run(samples, columns, everywhere).samples.u.T
+        filled = np.maximum(weight, _LEAST_FILLED)
+        return mean[2] - mean[0] * mean[1] / filled, mean[3] - mean[1] * mean[1] / filled, base[:, 1]
+
+
+def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
+    """Learn the battery's resistance on healthy recordings, design the observer, calibrate its alarm.
+
+    None where voltage and current are not reported, or the flights do not tell how one goes with the other.
+
+    Raises
+    ------
+    ModelError
+        Too little healthy flight.
+    """
+    reported_hz = min(survey.rate_hz.get(BATTERY_MESSAGE, 0.0) for survey in request.surveys)
+    if reported_hz < _SLOWEST_HZ:
+        return None
+    channels = tuple(
+        Channel(name, BATTERY_MESSAGE, (field,), scale=scale, interpolation="previous")
+        for name, field, scale in (
+            ("volts", "voltage_battery", 0.001),
+            ("amps", "current_battery", 0.01),
+            ("left", "battery_remaining", 0.01),
+        )
+    )
+    _, outputs = multirotor_channels(request.surveys)
+    channels = (*channels, outputs[0])
+    rate_hz = float(f"{min(reported_hz, _FASTEST_HZ):.3g}")
+    raw = [flight_samples(log(), SampleSource(inputs=channels), rate_hz, gate) for log in request.logs]
+    parameters = _learned(raw, rate_hz)
+    if parameters is None:
+        return None
+    source = SampleSource(transform=TransformRule(OBSERVER, rate_hz, parameters), signals=channels)
+    flights = [transformed(flight, BatteryInputs(parameters, rate_hz, rate_hz)) for flight in raw]
+    left = max(float(np.concatenate([one.samples.y[one.armed, 0] for one in flights]).std()), _LEAST_LEFT)
+    plant = _plant(request.name, rate_hz, left)
+    design = design_convex(plant)
+    bare = Fitted(
+        OBSERVER, plant, (compile_gains(plant, design, certify(plant, design)),), source, IndependentRule(1.0 / rate_hz)
+    )
+    evidence = [one[:, 0] for one in healthy_evidence(bare.profile(), gate, flights)]
+    times = replace(_TIMES, fast_s=max(_TIMES.fast_s, 2.0 / rate_hz), raise_s=max(_TIMES.raise_s, 3.0 / rate_hz))
+    levels = healthy_levels(evidence, rate_hz, FALSE_ALARMS_PER_HOUR, times)
+    rule = bare_rule(OBSERVER, OBSERVER, "actuator", RESISTANCE)
+    alarm = calibrated(rule, levels, 1.0, floor=_SMALLEST, critical=_CRITICAL, times=times)
+    charge = "" if not parameters["charge"] else f", {parameters['charge'] / 3600.0:.1f} Ah when full"
+    return replace(
+        bare,
+        alarms=(alarm,),
+        flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
+        findings={"rate_hz": rate_hz, "ohm": parameters["ohm"], "charge_as": parameters["charge"]},
+        lines=(
+            f"{1000.0 * parameters['ohm']:.1f} milliohms{charge}; "
+            f"alarm from {100.0 * alarm.rule.threshold:.0f} % more resistance on",
+        ),
+    )
+
+
+def _learned(raw: Sequence[Flight], rate_hz: float) -> dict[str, float] | None:
+    """Return the transform's parameters, None where the flights do not tell the resistance."""
+    products, charge = np.zeros((2, 2)), []
+    seconds = 0.0
+    for flight in raw:
+        volts, amps, left, _ = flight.samples.u[flight.armed].T
+        seconds += len(volts) / rate_hz
+        if not len(volts) or not np.isfinite(flight.samples.u[flight.armed]).all() or not np.median(amps) > _LEAST_AMPS:
+            return None
+        base = LaggedMeans([(0.0, _BASE_S)] * 2, rate_hz, 1, 2, 2)
+        columns = [*flight.samples.u[:, :2].T, *flight.samples.u[:, :2].T]
+        slow = base.run(flight.samples, columns, np.ones(len(flight), np.bool_)).samples.u
+        fast = (flight.samples.u[:, :2] - slow)[flight.armed]
+        fast -= fast.mean(axis=0)
+        products += fast.T @ fast
+        if left[0] - left[-1] >= _LEAST_USED:
+            charge.append(float(amps.sum()) / rate_hz / float(left[0] - left[-1]))
+    if seconds < _LEAST_S:
+        raise ModelError(f"only {seconds:.0f} s of flight with the battery's current; {_LEAST_S:.0f} s are needed")
+    if not products[1, 1] > 0.0:
+        return None
+    ohm = -products[0, 1] / products[1, 1]
+    noise = max(products[0, 0] - ohm * ohm * products[1, 1], 0.0) / (seconds * rate_hz)
+    # errors within a second are alike
+    error = math.sqrt(noise / (products[1, 1] / rate_hz))
+    if not ohm > 0.0 or error > _LARGEST_ERROR * ohm:
+        return None
+    doubt = max(noise / (_MEMORY_S * (_DOUBT * ohm) ** 2), 1e-6 * products[1, 1] / (seconds * rate_hz))
+    values = {"ohm": ohm, "doubt": doubt, "charge": float(np.median(charge)) if charge else 0.0}
+    return {name: float(f"{value:.6g}") for name, value in values.items()}
+
+
+def _plant(name: str, rate_hz: float, left: float) -> Plant:
+    one = np.eye(1)
+    return Plant(
+        name=name,
+        domain="discrete",
+        rate_hz=rate_hz,
+        states=("usual_resistance",),
+        inputs=BatteryInputs.inputs,
+        outputs=BatteryInputs.outputs,
+        A=0.0 * one,
+        B=np.array([[1.0, 0.0, 0.0, 0.0]]),
+        C=one,
+        faults=(Fault(OBSERVER, "actuator", one[:, 0], _FAULT_RATE, _SMALLEST, RESISTANCE, input=OBSERVER),),
+        disturbances=(Disturbance("disturbance_resistance", one[:, 0], left),),
+        noises=(Noise("noise_resistance", one[:, 0], left),),
+        state_errors=np.array([left]),
+    )
