@@ -29,6 +29,8 @@ from simulated_chain import Fault, flight  # noqa: E402
 
 RATES_HZ = (50.0, 3.0)
 SHARES = {"esc": (0.1, 0.2), "prop": (0.1, 0.2), "motor": (0.2, 0.4)}
+BATTERY_SHARES = (0.5, 1.0, 2.0)
+"""More resistance."""
 HEALTHY_S, ONSET_S, LENGTH_S, BOOT_S = 90.0, 20.0, 40.0, 5.0
 CASES = ((2, 11), (3, 12))
 """Motor and seed of each flight with a fault."""
@@ -77,6 +79,26 @@ def healthy_alarms(profile: Profile, rate_hz: float) -> list[str]:
         for event in play(profile, flight(21, 300.0, esc_hz=rate_hz, sag_v=2.5)).events
         if event.state == "raised"
     ]
+
+
+def battery(folder: Path) -> Iterator[str]:
+    """Yield a table of batteries whose resistance rises, on flights that climb and sink by a metre a second."""
+    quad = partial(flight, esc_hz=0.0, climbs=1.0)
+    logs = [list(quad(seed, HEALTHY_S, sag_v=1.5 * (seed - 1))) for seed in (1, 2)]
+    fit_profile("multirotor", [partial(packed, one) for one in logs], folder, "quad")
+    profile = read_profile(folder)
+    healthy = [event.channel for event in play(profile, quad(21, 300.0, sag_v=2.5)).events if event.state == "raised"]
+    yield f"Healthy, five minutes, battery from 16.6 V to 14.1 V: {', '.join(healthy) or 'no alarm'}.\n"
+    yield "| resistance | alarms, each | seconds, each | first said |"
+    yield "|---|---|---|---|"
+    for share in BATTERY_SHARES:
+        fault = Fault("battery", 0, share, ONSET_S)
+        flights = [play(profile, quad(seed, 2.0 * LENGTH_S, fault, sag_v=1.0)).events for _, seed in CASES]
+        raised = [[event for event in events if event.state == "raised"] for events in flights]
+        alarms = "; ".join(", ".join(event.channel for event in events) or "nothing" for events in raised)
+        delays = [event.vehicle_time_ms / 1000 - BOOT_S - ONSET_S for events in raised for event in events[:1]]
+        said = next((event.message for events in raised for event in events), "")
+        yield f"| +{100 * share:.0f} % | {alarms} | {', '.join(f'{one:.1f}' for one in delays)} | {said} |"
 
 
 def page(results: dict[float, tuple[list[str], list[Tried]]]) -> Iterator[str]:
@@ -135,7 +157,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             faults = ((part, share) for part, shares in SHARES.items() for share in shares)
             cases = [tried(profile, rate_hz, *fault, *case) for fault, case in product(faults, CASES)]
             results[rate_hz] = healthy_alarms(profile, rate_hz), cases
-    text = INTRODUCTION + "\n".join(list(page(results))[1:]) + "\n"
+        table = ["\n## Battery\n", *battery(Path(folder) / "battery")]
+    text = INTRODUCTION + "\n".join([*list(page(results))[1:], *table]) + "\n"
     if given.write:
         (ROOT / "docs" / "chain.md").write_text(text)
     else:
