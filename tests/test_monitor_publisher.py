@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -14,7 +15,7 @@ from zenoh import ext
 
 from adapters.errors import UsageError
 from adapters.sample import Samples
-from monitor.bus.publisher import HISTORY_EVENTS, Publisher
+from monitor.bus.publisher import HISTORIES, HISTORY_EVENTS, Publisher
 from monitor.estimate import Estimates, Layout
 from monitor.event import AlarmEvent, event_from_json
 
@@ -258,3 +259,36 @@ def test_a_client_that_stops_reading_stops_neither_the_monitor_nor_other_clients
         return bool(good) and good[-1][1]["seq"] == 1000
 
     until(still_served)
+
+
+def test_a_journal_that_takes_long_delays_no_other_answer_and_too_many_at_once_are_refused(endpoint: Endpoint) -> None:
+    reading, go_on, asked = threading.Event(), threading.Event(), []
+
+    def past(since_ns: int) -> list[AlarmEvent]:
+        asked.append(since_ns)
+        reading.set()
+        assert go_on.wait(30.0)
+        if since_ns == 1:
+            raise OSError("disk gone")
+        return [event(seq) for seq in range(1, 6)]
+
+    publisher = Publisher(endpoint.session, "copter-1", [LAYOUT], journal=past)
+    publisher.event(event(9))
+    client = endpoint.client()
+    first = client.get("fauio/copter-1/alarms?history=true;since=1", timeout=30.0)
+    reading.wait(30.0)
+    waiting = [client.get("fauio/copter-1/alarms?history=true;limit=2", timeout=30.0) for _ in range(HISTORIES)]
+    # Whatever waits for the disk, the active alarms are answered, and the last of the others is refused.
+    assert [one["seq"] for one in ask(client, "fauio/copter-1/alarms")["fauio/copter-1/alarms"]] == [9]
+    refused = waiting[-1].recv()
+    assert refused.err is not None
+    assert b"too many" in refused.err.payload.to_bytes()
+    assert asked == [1]
+    go_on.set()
+    failed = first.recv()
+    assert failed.err is not None
+    assert b"disk gone" in failed.err.payload.to_bytes()
+    for one in waiting[:-1]:
+        answer = one.recv()
+        assert answer.ok is not None
+        assert [row["seq"] for row in json.loads(answer.ok.payload.to_bytes())] == [4, 5]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -20,8 +21,16 @@ HISTORY_EVENTS = 4096
 """Events that late subscribers can ask for. Chosen: one every 3.5 s for four hours; the journal has them all."""
 CACHED_EVENTS = 64
 """Events that Zenoh sends again to a subscriber that missed some. Chosen: more than a failure of seconds causes."""
+HISTORIES = 8
+"""Queries for the past that a process takes at once, one after the other; more are refused. Chosen: the consoles and
+standbys of one vehicle, which ask again."""
+HISTORY_WAIT_S = 5.0
+"""How long a query for the past waits for the others: half of what a client waits for an answer by default."""
 HEARTBEAT_S = 1.0
 """A subscriber learns within this time that the last event was lost."""
+
+_histories = threading.BoundedSemaphore(HISTORIES)
+_reading = threading.Lock()
 
 
 class Publisher:
@@ -29,7 +38,8 @@ class Publisher:
 
     Events go out with :class:`zenoh.ext.AdvancedPublisher`, so that an advanced subscriber gets the current state when
     it joins and recovers what it missed; a plain client gets the same with a ``get`` on the alarm keys. Nothing here
-    waits for a slow client: what does not fit its queue is dropped for it.
+    waits for a slow client: what does not fit its queue is dropped for it. Queries for the past are answered in threads
+    of their own, one at a time, with the newest 4096 events at most.
 
     At most ``estimate_rate_hz`` estimates a second go out per observer, on the samples' own time; 0 publishes none.
     ``journal`` returns all past events from a Unix time in nanoseconds on; without it a bounded number of those that
@@ -146,21 +156,47 @@ class Publisher:
             return [event for event in self._history if event.time_ns >= since_ns]
 
     def _answer_list(self, query: zenoh.Query) -> None:
-        """Answer with the active alarms, or with all kept events from a time on."""
+        """Answer with the active alarms, or with the newest of all kept events from a time on."""
         parameters = query.parameters
-        with query:
-            try:
-                since = int(parameters.get("since", "0") or 0)
-            except ValueError:
-                query.reply_err(to_json({"error": "since is not a whole number of nanoseconds"}))
+        try:
+            since = int(parameters.get("since", "0") or 0)
+            limit = min(max(int(parameters.get("limit") or HISTORY_EVENTS), 0), HISTORY_EVENTS)
+        except ValueError:
+            self._refuse(query, "since is not a whole number of nanoseconds, or limit is none of events")
+            return
+        if parameters.get("history") == "true":
+            if not _histories.acquire(blocking=False):
+                self._refuse(query, "too many ask for the past at once; try again")
                 return
-            if parameters.get("history") == "true":
-                events = self._past(since)
-            else:
-                with self._lock:
-                    events = [event for event in self._latest.values() if event.state != "cleared"]
-            payload = to_json([event.to_json() for event in events])
-            self._reply(query, f"{self._root}/alarms", payload)
+            work = threading.Thread(target=self._answer_past, args=(query, since, limit), name="history", daemon=True)
+            work.start()
+            return
+        with self._lock:
+            events = [event for event in self._latest.values() if event.state != "cleared"]
+        with query:
+            self._reply(query, f"{self._root}/alarms", to_json([event.to_json() for event in events]))
+
+    def _answer_past(self, query: zenoh.Query, since_ns: int, limit: int) -> None:
+        """Answer a query for the past when it is its turn; it may wait for the disk."""
+        # A client or a session that has gone meanwhile needs no answer.
+        with contextlib.ExitStack() as stack, contextlib.suppress(zenoh.ZError):
+            stack.callback(_histories.release)
+            if not _reading.acquire(timeout=HISTORY_WAIT_S):
+                self._refuse(query, "others still ask for the past; try again")
+                return
+            stack.callback(_reading.release)
+            try:
+                events = self._past(since_ns)
+            except OSError as error:
+                self._refuse(query, str(error))
+                return
+            payload = to_json([event.to_json() for event in events[max(len(events) - limit, 0) :]])
+            with query:
+                self._reply(query, f"{self._root}/alarms", payload)
+
+    def _refuse(self, query: zenoh.Query, reason: str) -> None:
+        with query:
+            query.reply_err(to_json({"error": reason}))
 
     def _reply(self, query: zenoh.Query, key: str, payload: bytes) -> None:
         encoding = zenoh.Encoding.APPLICATION_JSON
