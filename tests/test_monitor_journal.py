@@ -388,10 +388,63 @@ def test_events_of_one_moment_are_one_transaction_and_wait_together(path: Path) 
 
 def test_the_write_ahead_log_stays_bounded(path: Path) -> None:
     with opened(path) as journal:
-        for seq in range(1, 1501):
+        for seq in range(1, 601):
             journal.write(event(seq, message="x" * 500), {"y": [0.1] * 50})
         assert Path(f"{path}-wal").stat().st_size < 2 * 1000 * 4200
     assert not Path(f"{path}-wal").exists()
+
+
+def test_beside_a_reader_that_holds_a_transaction_the_log_stays_bounded_and_no_event_is_lost(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("monitor.recording.journal_file.WAL_BYTES", 200_000)
+    with opened(path) as journal:
+        journal.write(event(1))
+        with contextlib.closing(read_connection(path)) as reader:
+            reader.execute("BEGIN")
+            assert reader.execute("SELECT count(*) FROM event").fetchone() == (1,)
+            for seq in range(2, 61):
+                journal.write(event(seq))
+            waiting = journal.statistics()
+            assert 0 < waiting.pending < 59
+            assert "reads it" in str(waiting.last_error)
+            assert Path(f"{path}-wal").stat().st_size < 300_000
+            assert sum(map(bool, Path(f"{path}-later").read_bytes().splitlines())) == waiting.pending
+            # After a kill all are there, though the other still reads.
+            with opened(path) as other:
+                assert seqs(other) == list(range(1, 61))
+        while journal.retry():
+            pass
+        assert seqs(journal) == list(range(1, 61))
+        assert not Path(f"{path}-later").exists()
+        journal.write(event(61))
+        assert journal.statistics().pending == 0
+
+
+def test_what_another_process_locks_out_is_on_the_disk_all_the_same(path: Path) -> None:
+    with opened(path) as journal:
+        journal.write(event(1))
+    with opened(path) as journal, contextlib.closing(sqlite3.connect(path, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        journal.write(event(2), {"y": [1.0]})
+        later = Path(f"{path}-later")
+        kept = later.read_bytes()
+        # What a power cut leaves of the last line costs that line alone.
+        later.write_bytes(kept + kept[:40])
+        other.execute("ROLLBACK")
+        with opened(path) as restarted:
+            assert seqs(restarted) == [1, 2]
+            assert restarted.frame("01J-motor1") == {"y": [1.0]}
+
+
+def test_a_query_that_takes_too_long_is_given_up(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with opened(path) as journal:
+        journal.write_all([(event(seq), None) for seq in range(1, 2001)])
+        monkeypatch.setattr(module, "LONGEST_QUERY_S", -1.0)
+        monkeypatch.setattr(module, "_STEPS", 100)
+        with pytest.raises(OSError, match="interrupted"):
+            journal.events()
+        assert journal.last_seq("copter-1") == 2000
 
 
 def test_an_event_whose_fields_a_failing_disk_has_changed_is_left_out(path: Path) -> None:

@@ -9,19 +9,21 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import math
 import os
 import sqlite3
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
 from adapters.errors import StorageError
 from monitor.bus.payload import to_json
 from monitor.event import AlarmEvent, valid_event
-from monitor.recording.journal_file import DamagedError, open_database, read_connection, set_aside
+from monitor.recording.journal_file import DamagedError, has_room, open_database, read_connection, set_aside
 
 PRUNED_AT_ONCE = 64
 """Events deleted at most with each new one. Any number above 1 brings a journal back to its bound; 64 take
@@ -111,8 +113,17 @@ MAX_FRAME_BYTES = 1 << 15
 channels."""
 MAX_ANSWER = 100_000
 """Events that one query returns at most: some 40 MB of JSON, beyond which a caller should ask for less."""
+LONGEST_QUERY_S = 2.0
+"""After which a query for past events is given up. Chosen: a hundred times what the largest answer takes."""
+_STEPS = 10_000
+"""Steps of SQLite's machine from one look at the clock to the next: about a millisecond."""
+LATER_BYTES = 1 << 26
+"""Largest file of rows that the database does not take now. Chosen: :data:`MAX_PENDING` events with their frames."""
 RETRIED_AT_ONCE = 200
 """Events of one transaction of a retry. Chosen: 200 take 2 to 6 ms (measured), which the monitoring loop can spare."""
+
+_FULL_S = 1.0
+"""After which a log without room is looked at again: as often as pending events are written."""
 
 _ACTIVE = """
 SELECT body FROM alarm JOIN event ON event.number = alarm.latest
@@ -144,10 +155,14 @@ class Journal:
     """Append-only journal of alarm events with one writer in this process and readers in any thread.
 
     No trouble of the disk raises from :meth:`write`, :meth:`retry` or :meth:`close`: events wait in
-    memory, in order, until :meth:`retry` (called once a second) can write them. Queries give the events on disk, each
-    over a connection of its own, so readers and writer do not wait for each other. Beyond ``max_events`` the oldest
-    events are deleted, a few with each new one, but never the latest event of an alarm that is not cleared. A damaged
-    journal is moved to the path ``set_aside`` at the start, and this one begins empty.
+    memory, in order, until :meth:`retry` (called once a second) can write them, and in the file ``<path>-later`` beside
+    the database, which the next start reads. So nothing is lost while another program locks the database, or holds a
+    read transaction, which keeps SQLite from giving back its write-ahead log: beyond 32 MB of it all waits.
+
+    Queries give the events in the database, each over a connection of its own, so readers and writer do not wait for
+    each other. Beyond ``max_events`` the oldest events are deleted, a few with each new one, but never the latest event
+    of an alarm that is not cleared. A damaged journal is moved to the path ``set_aside`` at the start, and this one
+    begins empty.
 
     Raises
     ------
@@ -163,6 +178,8 @@ class Journal:
         self._lock = threading.Lock()
         self._pending: deque[JournalRow] = deque()
         self._shelved: dict[str, Mapping[str, int]] = {}
+        self._later = Path(f"{self._path}-later")
+        self._full_s = -math.inf  # when the write-ahead log last had no room
         self._counts = dict.fromkeys(("written", "duplicates", "conflicts", "rejected", "dropped", "pruned"), 0)
         self._last_error: str | None = None
         self._connection: sqlite3.Connection | None = None
@@ -183,9 +200,10 @@ class Journal:
         with self._lock:
             rows = [row for event, frame in events if (row := self._row(event, frame)) is not None]
             # After those that wait, so that the order is kept.
-            if not rows or (not self._pending and self._commit(rows)):
+            if not rows or (not self._pending and self._has_room() and self._commit(rows)):
                 return
             self._pending.extend(rows)
+            self._keep(rows)
             while len(self._pending) > MAX_PENDING:
                 self._pending.popleft()
                 self._counts["dropped"] += 1
@@ -205,9 +223,11 @@ class Journal:
                 except StorageError as error:
                     self._last_error = str(error)
             batch = [self._pending[index] for index in range(min(RETRIED_AT_ONCE, len(self._pending)))]
-            if batch and self._commit(batch):
+            if batch and self._has_room() and self._commit(batch):
                 for _ in batch:
                     self._pending.popleft()
+                if not self._pending:
+                    self._later.unlink(missing_ok=True)
             self._commit_shelved()
             return len(self._pending)
 
@@ -243,10 +263,13 @@ class Journal:
     def events(self, vehicle: str | None = None, since_ns: int = 0, limit: int = 1000) -> list[AlarmEvent]:
         """Return the newest events of a vehicle, or of all, in the order they were written.
 
-        None is from before the Unix time ``since_ns``, and there are never more than :data:`MAX_ANSWER`.
+        None is from before the Unix time ``since_ns``, and there are never more than :data:`MAX_ANSWER`. A query of
+        more than :data:`LONGEST_QUERY_S` raises OSError.
         """
         whose, values = ("", ()) if vehicle is None else ("vehicle = ? AND", (plain(vehicle),))
-        rows = self._query(_EVENTS.format(whose), (*values, bounded(since_ns), max(0, min(limit, MAX_ANSWER))))
+        rows = self._query(
+            _EVENTS.format(whose), (*values, bounded(since_ns), max(0, min(limit, MAX_ANSWER))), LONGEST_QUERY_S
+        )
         return self._readable(body for _, body in sorted(rows))
 
     def frame(self, alarm_id: str) -> dict[str, Any] | None:
@@ -280,8 +303,52 @@ class Journal:
                 self._last_error = f"{self._path}: damaged ({error}), set aside as {self.set_aside.name}"
                 self._connection = open_database(self._path)
             self._events = self._connection.execute("SELECT count(*) FROM event").fetchone()[0]
+            self._restore()
         except sqlite3.Error as error:
             self._note(error)
+
+    def _has_room(self) -> bool:
+        """Return whether the write-ahead log may grow; where it had no room, look again after a second."""
+        if self._connection is None:
+            return False
+        if time.monotonic() - self._full_s < _FULL_S:
+            return False
+        try:
+            if has_room(self._path, self._connection):
+                self._full_s = -math.inf
+                return True
+        except sqlite3.Error as error:
+            self._note(error)
+            return False
+        self._full_s = time.monotonic()
+        self._last_error = f"{self._path}: another program reads it without an end; events wait in {self._later.name}"
+        return False
+
+    def _keep(self, rows: Sequence[JournalRow]) -> None:
+        """Put rows that the database does not take on the disk, beside it."""
+        # A line that a full disk cut off ends here.
+        lines = b"".join(b"\n" + to_json(astuple(row)) for row in rows) + b"\n"
+        try:
+            with self._later.open("ab") as file:
+                if file.tell() + len(lines) <= LATER_BYTES:
+                    file.write(lines)
+                    file.flush()
+                    os.fsync(file.fileno())
+        except OSError as error:
+            self._last_error = f"{self._later}: {error.strerror}"
+
+    def _restore(self) -> None:
+        """Write the rows that an earlier run kept beside the database; what is damaged of them is left out."""
+        try:
+            lines = self._later.read_bytes().splitlines()
+        except OSError:
+            return
+        rows = [row for line in lines if (row := _row_of(line)) is not None]
+        if self._commit(rows):
+            with contextlib.suppress(OSError):
+                self._later.unlink()
+        else:
+            self._pending.extendleft(reversed(rows))
 
     def _row(self, event: AlarmEvent, frame: Mapping[str, Any] | None) -> JournalRow | None:
         """Return an event as a row; None, counted, where no row can hold it."""
@@ -354,10 +421,12 @@ class Journal:
             return False
         return True
 
-    def _query(self, sql: str, values: Sequence[Any]) -> list[Any]:
+    def _query(self, sql: str, values: Sequence[Any], longest_s: float = math.inf) -> list[Any]:
+        until_s = time.monotonic() + longest_s
         try:
             alone = self._connection is None
             with contextlib.closing(read_connection(self._path, alone)) as connection:
+                connection.set_progress_handler(lambda: time.monotonic() > until_s, _STEPS)
                 return connection.execute(sql, values).fetchall()
         except (sqlite3.Error, UnicodeDecodeError) as error:
             raise OSError(f"{self._path}: journal cannot be read: {error}") from error
@@ -382,3 +451,13 @@ class Journal:
     def _reject(self, what: str) -> None:
         self._counts["rejected"] += 1
         self._last_error = f"{self._path}: cannot hold {what}"
+
+
+def _row_of(line: bytes) -> JournalRow | None:
+    """Return a row from its line; None where a failing disk has damaged it."""
+    try:
+        row = JournalRow(*json.loads(line))
+        kinds = (str, int, str, int, bool, str, str | None)
+        return row if all(map(isinstance, astuple(row), kinds)) else None
+    except (TypeError, ValueError, RecursionError):
+        return None

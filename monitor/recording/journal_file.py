@@ -20,6 +20,9 @@ READ_BUSY_S = 1.0
 """Seconds a reader waits for one; it runs in a thread that may wait, for a person who asked."""
 WAL_PAGES = 1000
 """Pages in the write-ahead log (4 MB) after which SQLite moves them into the database: its own default."""
+WAL_BYTES = 1 << 25
+"""Bytes of the write-ahead log from which nothing more goes into it, as another program's transaction keeps it from
+giving them back. Chosen: 32 MB, eight times where it is moved otherwise, and a thousand events."""
 
 _MAGIC = b"SQLite format 3\0"
 _SIDECARS = ("-wal", "-shm", "-journal")
@@ -112,6 +115,20 @@ def read_connection(path: Path, alone: bool = False) -> sqlite3.Connection:
         # the index of the write-ahead log then lies in memory (sqlite.org/wal.html, "without shared-memory")
         connection.execute("PRAGMA locking_mode = EXCLUSIVE")
     return connection
+
+
+def has_room(path: Path, connection: sqlite3.Connection) -> bool:
+    """Return whether the write-ahead log may grow; move it into the database where it may not."""
+    log = path.with_name(path.name + "-wal")
+    for checkpoint in (False, True):
+        if checkpoint:
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        try:
+            if log.stat().st_size <= WAL_BYTES:
+                return True
+        except OSError:
+            return True
+    return False
 
 
 def set_aside(path: Path) -> Path:
