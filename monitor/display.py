@@ -36,11 +36,11 @@ def display_unit(unit: str) -> tuple[float, str]:
     """Return what a size in a unit is multiplied by, and the unit that people say then."""
     if unit in _UNITS:
         return _UNITS[unit]
-    if unit.startswith(_FRACTION):
-        return 100.0, f"% of {unit.removeprefix(_FRACTION)}"
     of, _, time = unit.rpartition("/")
-    factor, name = _UNITS.get(of, (1.0, of))
-    return (factor, f"{name}/{time}") if of else (1.0, unit)
+    if of in _UNITS:
+        factor, name = _UNITS[of]
+        return factor, f"{name}/{time}"
+    return (100.0, f"% of {unit.removeprefix(_FRACTION)}") if unit.startswith(_FRACTION) else (1.0, unit)
 
 
 def share_unit(unit: str) -> str:
