@@ -144,6 +144,16 @@ def _packets() -> list[bytes]:
     return [(time_ns // 1000).to_bytes(8) + packet for time_ns, packet in TlogReader(FLIGHT).packets()]
 
 
+def test_heartbeats_that_were_written_late_count_no_time_twice(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    heartbeat = next(packet for packet in _packets() if packet[8 + 7 : 8 + 10] == bytes(3))
+    times_s = (0.0, 1.0, 2.0, 0.6, 3.0, 4.0, 2.6, 5.0)
+    stamps = ((START // 1000 + round(1e6 * time_s)).to_bytes(8) for time_s in times_s)
+    (tmp_path / "late.tlog").write_bytes(b"".join(stamp + heartbeat[8:] for stamp in stamps))
+    assert ask(capsys, tmp_path / "late.tlog")["systems"][0]["armed_s"] == pytest.approx(5.0)
+
+
 def test_a_recording_of_nothing_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with MessageLogWriter(tmp_path / "empty.mcap"):
         pass

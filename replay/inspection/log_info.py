@@ -155,8 +155,11 @@ def _note(sender: _Sender, message: Message) -> None:
     if not own or not isinstance(mode, int):
         return
     sender.heartbeats += 1
-    if sender.armed_since_ns is not None and 0 < message.received_ns - sender.armed_since_ns < _SILENCE_NS:
-        sender.armed_ns += message.received_ns - sender.armed_since_ns
+    if sender.armed_since_ns is not None:
+        step_ns = message.received_ns - sender.armed_since_ns
+        if -_SILENCE_NS < step_ns <= 0 and mode & ARMED:
+            return  # written late, as onboard logs do: no time has passed
+        sender.armed_ns += step_ns if 0 < step_ns < _SILENCE_NS else 0
     sender.armed_since_ns = message.received_ns if mode & ARMED else None
 
 
