@@ -20,6 +20,8 @@ FAILED = 2
 
 DoctorVerdict = Literal["ok", "warning", "failed"]
 VERDICTS: tuple[DoctorVerdict, ...] = ("ok", "warning", "failed")
+_OF_DEVELOPERS = ("bench", "dev", "docs", "fuzz")
+"""Extras that no command asks for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +109,7 @@ def version_checks() -> list[DoctorCheck]:
                 f"pip install '{library.name}>={library.least}'" if library.least else f"pip install {library.name}"
             )
             checks.append(DoctorCheck("libraries", "failed", f"{library.name} {what}", advice))
-    extras = dict.fromkeys(library.extra for library in known if library.extra)
+    extras = dict.fromkeys(library.extra for library in known if library.extra not in ("", *_OF_DEVELOPERS))
     for extra in extras:
         missing = [library.name for library in known if library.extra == extra and not library.will_do]
         state = f"without {', '.join(missing)}: pip install 'fauio[{extra}]' where it is wanted" if missing else "there"
