@@ -155,7 +155,7 @@ CASES: tuple[Case, ...] = (
     ),
     Case(
         "GPS stuck",
-        lambda *_: [Attack(name, "freeze", 0, 1) for name in _ALL if name.startswith("gps")],
+        lambda *_: [Attack(f"GPS_RAW_INT.{name}", "freeze", 0, 1) for name in ("lat", "lon", "alt", "vel", "cog")],
         frozenset({"gps_north", "gps_east", "gps_velocity_north", "gps_velocity_east", "gps_down"}),
         {},
     ),

@@ -20,7 +20,7 @@ from adapters.sample import Samples
 from gains.plants.plant import Plant
 from monitor.alarms.alarm import Alarm, retuned
 from monitor.alarms.excuse import Excuses
-from monitor.core.alarms import RAISED, UPDATED, ChainRows, evidence_of, walk
+from monitor.core.alarms import EXPLAINED, RAISED, UPDATED, ChainRows, evidence_of, walk
 from monitor.core.observers import CommandScale, SinceMeasured, shares_in_command
 from monitor.core.sampling import VehicleClock
 from monitor.estimate import Estimates, Layout
@@ -31,7 +31,7 @@ from monitor.estimation.effectiveness import EffectivenessEstimator, Effectivene
 from monitor.estimation.envelope import EnvelopeStage
 from monitor.estimation.estimator import make_estimator
 from monitor.estimation.excitation import ExcitationStage
-from monitor.estimation.isolation_rule import keep_share
+from monitor.estimation.isolation_rule import BankRule, IsolationRule, keep_share
 from monitor.estimation.uncertainty import Uncertainty
 from monitor.event import AlarmEvent
 from monitor.profile import FaultChannel, ObserverProfile
@@ -248,8 +248,10 @@ class ObserverChain:
         # the alarm of each fault, and behind them what an index of -1 finds: no alarm
         self._alarm_of = np.full(len(names) + 1, -1, np.intp)
         self._alarm_of[self._fault_of] = np.arange(len(self._faults))
+        jumping = _jumping(profile.isolation)
         for alarm in self._alarms[: len(self._faults)]:
-            self._excuses.add(alarm.rule.channel, alarm.state)
+            channel = alarm.rule.channel
+            self._excuses.add(channel, alarm.state, profile.name, jumps=channel in jumping, affect=alarm.affect)
 
     @property
     def interests(self) -> frozenset[str]:
@@ -445,6 +447,15 @@ class ObserverChain:
         return self._alarm_of[run.named], run.nats, run.size, run.growth, run.onset_ns
 
 
+def _jumping(rule: IsolationRule) -> frozenset[str]:
+    """Return the faults that are only watched for jumps."""
+    if not isinstance(rule, BankRule):
+        return frozenset()
+    each = list(zip(rule.hypotheses, rule.edges, strict=True))
+    lasting = {fault for faults, edge in each if not edge for fault in faults}
+    return frozenset(fault for faults, edge in each if edge for fault in faults) - lasting
+
+
 def shown_in(plant: Plant | None, layout: Layout) -> NDArray[np.bool_]:
     """Return the outputs in which each fault shows, at once or later (a, p); all where the plant is not known."""
     shown = np.ones((len(layout.faults), len(layout.outputs)), np.bool_)
@@ -472,7 +483,15 @@ def alarm_events(runs: Sequence[ChainRun], excuses: Excuses) -> list[AlarmEvent]
     events = []
 
     def on_event(observer: int, row: int, alarm: int, code: int) -> None:
-        event = runs[observer].event(row, alarm, code)
+        run = runs[observer]
+        if code == EXPLAINED:
+            samples = run.estimates.samples
+            late_ns = max(0, int(samples.known_ns[row] - samples.vehicle_time_ns[row]))
+            times_ns = int(samples.time_ns[row]) + late_ns, int(samples.vehicle_time_ns[row]) + late_ns
+            listed = excuses.explained(run.alarms[alarm].rule.channel, *times_ns)
+            events.extend([] if listed is None else [listed])
+            return
+        event = run.event(row, alarm, code)
         events.append(event)
         excuses.follow(event)
 

@@ -1,6 +1,7 @@
 """Excuses: while one alarm stands, and a while after, what it explains raises no other."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,9 @@ import pytest
 
 from adapters.errors import ProfileError
 from adapters.toml_tables import TomlFile
-from monitor.alarms.alarm import AlarmRule
+from monitor.alarms.alarm import Alarm, AlarmRule
 from monitor.alarms.excuse import ExcuseRule, Excuses, excuse_tables, general_of, read_excuses
-from monitor.core.alarms import CLEARED, AlarmState, ChainRows, walk
+from monitor.core.alarms import CLEARED, EXPLAINED, RAISED, AlarmState, ChainRows, walk
 from monitor.event import AlarmEvent, State
 
 RULE = ExcuseRule(("gps_velocity_north",), ("gyro_x", "gyro_y"), 20.0)
@@ -31,7 +32,7 @@ def excused(alarm: AlarmState, seconds: float) -> bool:
     rows = ChainRows([alarm], np.zeros(1, np.int64), times_ns, np.zeros(1, np.bool_), np.full((1, 1), 9.0), always)
     walk([rows], lambda _observer, _row, _alarm, code: raised.append(code))
     alarm.deactivate()
-    return not raised
+    return RAISED not in raised
 
 
 def watched(excuses: Excuses, channel: str) -> AlarmState:
@@ -62,6 +63,61 @@ def test_evidence_is_excused_while_the_cause_is_active_and_for_its_time_after() 
     excuses.follow(event("gyro_x", "cleared", 10.0))
     assert excused(north, 29)
     assert not excused(north, 31)
+
+
+def test_what_an_active_alarm_explains_is_listed_under_it_once() -> None:
+    told: list[str] = []
+
+    def affect(channel: str, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
+        told.append(channel)
+        return replace(event("gyro_x", "updated", vehicle_ns / 1e9), message=f"gyro x; affected: {channel}")
+
+    excuses = Excuses((RULE,))
+    north = watched(excuses, "gps_velocity_north")
+    excuses.add("gyro_x", AlarmState(), affect=affect)
+    assert excuses.explained("gps_velocity_north", 0, 0) is None
+    excuses.follow(event("gyro_x", "raised", 1.0))
+    codes: list[int] = []
+    times_ns, always = np.arange(2, 6) * 1_000_000_000, np.ones((4, 1), np.bool_)
+    rows = ChainRows([north], np.arange(4), times_ns, np.zeros(4, np.bool_), np.full((4, 1), 9.0), always)
+    walk([rows], lambda _observer, _row, _alarm, code: codes.append(code))
+    assert codes == [EXPLAINED]
+    listed = excuses.explained("gps_velocity_north", 0, 2_000_000_000)
+    assert listed is not None
+    assert listed.message.endswith("affected: gps_velocity_north")
+    assert told == ["gps_velocity_north"]
+
+
+def test_an_alarm_lists_each_channel_it_affects_once_while_it_is_active() -> None:
+    rule = AlarmRule("inertial", "gyro_x", "sensor", "rad/s", 1.0, 0.5, 20.0, raise_s=0.0, clear_s=1.0)
+    alarm = Alarm(rule, "v")
+    assert alarm.affect("compass", 0, 0) is None
+    alarm.adopt(event("gyro_x", "raised", 1.0))
+    first = alarm.affect("compass", 2, 2_000_000)
+    assert first is not None
+    assert (first.state, first.id, first.message) == ("updated", "a", "; affected: compass")
+    assert alarm.affect("compass", 3, 3_000_000) is None
+    second = alarm.affect("accel_z", 3, 3_000_000)
+    assert second is not None
+    assert second.message == "; affected: compass, accel_z"
+    assert alarm.close(4, 4_000_000, "over").message == "over"
+    assert alarm.affect("compass", 5, 5_000_000) is None
+
+
+def test_the_end_of_a_fault_that_another_observer_followed_is_no_jump_the_other_way() -> None:
+    excuses = Excuses(())
+    jumping, lasting = watched(excuses, "gyro_x"), AlarmState()
+    excuses = Excuses(())
+    excuses.add("gyro_x", jumping, "motors", jumps=True)
+    excuses.add("gyro_x", lasting, "inertial")
+    excuses.follow(replace(event("gyro_x", "raised", 1.0), observer="inertial"))
+    assert excused(jumping, 2)
+    excuses.follow(replace(event("gyro_x", "cleared", 3.0), observer="inertial"))
+    assert excused(jumping, 12)
+    assert not excused(jumping, 14)
+    excuses.follow(replace(event("gyro_x", "raised", 20.0), observer="motors"))
+    excuses.follow(replace(event("gyro_x", "cleared", 30.0), observer="motors"))
+    assert not excused(jumping, 31)
 
 
 def test_two_alarms_of_one_channel_both_have_to_clear() -> None:

@@ -126,6 +126,7 @@ LEAST: Mapping[str, float] = {"slow_s": 0.01}
 """A mean over one sample of a 100 Hz observer is none; a time constant of zero would divide by zero."""
 _LARGEST = 1e300
 """Twice as much is still a finite number, as the rule needs it."""
+_AFFECTED = "; affected: "
 _STATES: Mapping[int, State] = {RAISED: "raised", UPDATED: "updated", CLEARED: "cleared"}
 
 
@@ -228,6 +229,8 @@ class Alarm:
         self._vehicle = vehicle
         self._id = ""
         self._since_ns = 0
+        self._last: AlarmEvent | None = None
+        self._affected: list[str] = []
 
     def set_rule(self, rule: AlarmRule) -> None:
         """Apply other sizes and times from the next row on."""
@@ -239,7 +242,7 @@ class Alarm:
         if event.state == "cleared":
             self.state.deactivate()
             return
-        self._id, self._since_ns = event.id, event.since_ns
+        self._id, self._since_ns, self._last = event.id, event.since_ns, event
         estimate = event.estimate or 0.0
         self.state.resume(
             estimate=estimate,
@@ -271,6 +274,7 @@ class Alarm:
         vehicle_ns, time_ns = int(samples.vehicle_time_ns[row]), int(samples.time_ns[row])
         late_ns = max(0, int(samples.known_ns[row]) - vehicle_ns)
         if code == RAISED:
+            self._affected.clear()
             self._id = alarm_id(self._vehicle, rule.observer, rule.channel, time_ns)
             self._since_ns = time_ns + late_ns
         if command is not None:
@@ -281,7 +285,20 @@ class Alarm:
             message += f": {battery_text(*samples.u[row, 1:])}"
         if now.recurring and code != CLEARED:
             message = f"{message} (it comes and goes)"
+        if self._affected and code != CLEARED:
+            message = f"{message}{_AFFECTED}{', '.join(self._affected)}"
         return self._event(state, time_ns + late_ns, vehicle_ns + late_ns, message, relative, sd)
+
+    def affect(self, channel: str, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
+        """Say that this alarm explains what another channel shows; return the event, None where that is known."""
+        last = self._last
+        if not self.state.active or last is None or channel in self._affected:
+            return None
+        self._affected.append(channel)
+        message = f"{last.message.partition(_AFFECTED)[0]}{_AFFECTED}{', '.join(self._affected)}"
+        vehicle_ms = vehicle_ns // 1_000_000
+        self._last = replace(last, state="updated", message=message, time_ns=time_ns, vehicle_time_ms=vehicle_ms)
+        return self._last
 
     def close(self, time_ns: int, vehicle_ns: int, why: str) -> AlarmEvent:
         """End an active alarm whatever its evidence says, and forget that; return the event."""
@@ -293,7 +310,7 @@ class Alarm:
         self, state: State, time_ns: int, vehicle_ns: int, message: str, relative: float | None, sd: float | None
     ) -> AlarmEvent:
         rule, now = self.rule, self.state
-        return AlarmEvent(
+        self._last = AlarmEvent(
             id=self._id,
             vehicle=self._vehicle,
             observer=rule.observer,
@@ -316,3 +333,4 @@ class Alarm:
             false_per_100h=rule.false_per_100h,
             sd=sd,
         )
+        return self._last

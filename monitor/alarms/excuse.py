@@ -7,7 +7,7 @@ the alarm of one is active, the other raises none.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,10 @@ from numpy.typing import NDArray
 from adapters.message import LATEST_NS
 from adapters.toml_tables import Table
 from monitor.core.alarms import AlarmState
+from monitor.estimation.bank import HOLD_S
 from monitor.event import AlarmEvent
+
+Affect = Callable[[str, int, int], AlarmEvent | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +57,32 @@ class Excuses:
         self._active: dict[str, set[str]] = {}
         self._cleared_ns: dict[str, int] = {}
         self._alarms: dict[str, list[AlarmState]] = {}
+        self._lasting_cleared_ns: dict[str, int] = {}
+        self._jumps: dict[str, list[tuple[str, AlarmState]]] = {}
+        self._affect: dict[str, list[Affect]] = {}
 
-    def add(self, channel: str, alarm: AlarmState) -> None:
-        """Excuse an alarm of this channel from now on whenever the rules, or another observer's, say so."""
+    def add(
+        self, channel: str, alarm: AlarmState, observer: str = "", *, jumps: bool = False, affect: Affect | None = None
+    ) -> None:
+        """Excuse an alarm of this channel from now on whenever the rules, or another observer's, say so.
+
+        ``jumps``: its observer sees the fault begin and end, both as jumps, and not that it lasts. ``affect`` is what
+        the alarm is told that it explains.
+        """
         self._alarms.setdefault(channel, []).append(alarm)
+        if jumps:
+            self._jumps.setdefault(channel, []).append((observer, alarm))
+        if affect is not None:
+            self._affect.setdefault(channel, []).append(affect)
+
+    def explained(self, channel: str, time_ns: int, vehicle_ns: int) -> AlarmEvent | None:
+        """Return the event by which an active alarm lists a channel that it explains; None where none does."""
+        rules = [rule for rule in self._rules.get(channel, ()) if not rule.same_cause]
+        for cause in (cause for rule in rules for cause in rule.by if self._active.get(cause)):
+            for affect in self._affect.get(cause, ()):
+                if (event := affect(channel, time_ns, vehicle_ns)) is not None:
+                    return event
+        return None
 
     def follow(self, event: AlarmEvent) -> None:
         """Follow an event of any channel: the rows after it are excused accordingly."""
@@ -73,6 +98,20 @@ class Excuses:
                 now, spans = self._excuse(channel)
                 for alarm in alarms:
                     alarm.set_excuse(now, spans)
+                self._excuse_jumps(channel, event, now, spans)
+
+    def _excuse_jumps(self, channel: str, event: AlarmEvent, now: bool, spans: NDArray[np.int64]) -> None:
+        """Take the jump at the end of a fault that another observer has followed for its end."""
+        jumps = self._jumps.get(channel, ())
+        followed = event.channel == channel and event.observer not in {observer for observer, _ in jumps}
+        if followed and event.state == "cleared":
+            self._lasting_cleared_ns[channel] = self._cleared_ns[channel]
+        if not jumps or channel not in self._lasting_cleared_ns:
+            return
+        cleared_ns = self._lasting_cleared_ns[channel]
+        spans = np.concatenate([spans, np.array([[cleared_ns, cleared_ns + round(HOLD_S * 1e9)]], np.int64)])
+        for _, alarm in jumps:
+            alarm.set_excuse(now, spans)
 
     def _excuse(self, channel: str) -> tuple[bool, NDArray[np.int64]]:
         """Return whether a channel is excused whenever, and the spans of vehicle time in which it is (m, 2), ns."""

@@ -11,6 +11,7 @@ NONE: int
 RAISED: int
 UPDATED: int
 CLEARED: int
+EXPLAINED: int
 
 class Trend:
     def __init__(self) -> None: ...

@@ -34,12 +34,16 @@ cdef double WAIT_S = 1.0
 # (WINDOW_S of monitor.estimation.changes) still holds its onset.
 cdef int64_t UNSEEN_NS = 2_000_000_000
 
-NONE, RAISED, UPDATED, CLEARED = range(4)
+# Rows of evidence that others explain follow each other where they are no further apart: the slowest observer's two.
+cdef int64_t EXPLAINED_APART_NS = 2_000_000_000
+
+NONE, RAISED, UPDATED, CLEARED, EXPLAINED = range(5)
 cdef enum:
     C_NONE = 0
     C_RAISED = 1
     C_UPDATED = 2
     C_CLEARED = 3
+    C_EXPLAINED = 4
 
 
 # Before the first moment of any vehicle's clock.
@@ -103,7 +107,8 @@ cdef class AlarmState:
     cdef readonly bint active, critical, creeping, recurring, sudden
     cdef readonly double shown, peak, size, reported
     cdef int64_t reported_ns, counter_ns, fast_counter_ns, last_ns, ended_ns, unseen_ns
-    cdef bint contiguous, fails_towards_less
+    cdef bint contiguous, fails_towards_less, explained
+    cdef int64_t explained_ns, explained_last_ns
     cdef double mean
     cdef Trend trend
     cdef int64_t raised_ns[3]
@@ -113,7 +118,8 @@ cdef class AlarmState:
 
     def __init__(self):
         self.trend = Trend()
-        self.active = self.contiguous = self.excused_now = self.sudden = False
+        self.active = self.contiguous = self.excused_now = self.sudden = self.explained = False
+        self.explained_ns = self.explained_last_ns = 0
         self.counter_ns = self.fast_counter_ns = 0
         self.raised_count = 0
         self.last_ns = self.ended_ns = LONG_AGO
@@ -176,9 +182,13 @@ cdef class AlarmState:
             self.unseen_ns = UNSEEN_NS + (<int64_t>(self.ahead_s * NANOSECONDS) if change.growth != 0.0 else 0)
             return C_RAISED
         # What explains the evidence keeps an alarm from being raised; one that is active follows its own evidence.
-        if not speaking or (not self.active and self.excused(now)):
+        if not speaking:
             self.contiguous = False
             return C_NONE
+        if not self.active and self.excused(now):
+            self.contiguous = False
+            return self.explain(now, fabs(evidence) / scale)
+        self.explained, self.explained_ns = False, 0
         # The clock of a vehicle that rebooted jumps back.
         elapsed = now - self.last_ns if self.contiguous and now > self.last_ns else 0
         self.last_ns, self.contiguous = now, True
@@ -186,6 +196,17 @@ cdef class AlarmState:
         if self.active:
             return self.follow(now, evidence, elapsed)
         return self.debounce(now, evidence, scale, elapsed)
+
+    cdef int explain(self, int64_t now, double size) noexcept:
+        """Say once of evidence that other alarms explain when it would have raised this one."""
+        cdef int64_t elapsed = now - self.explained_last_ns
+        self.explained_last_ns = now
+        elapsed = elapsed if 0 < elapsed <= EXPLAINED_APART_NS else 0
+        self.explained_ns = counted(self.explained_ns, elapsed, size >= self.threshold)
+        if self.explained or size < self.threshold or self.explained_ns < self.raise_ns:
+            return C_NONE
+        self.explained = True
+        return C_EXPLAINED
 
     cdef bint is_certain(self, const Change* change, double evidence) noexcept:
         """Return whether a sudden change raises the alarm; an actuator that does more needs the estimate's word.
@@ -394,7 +415,7 @@ def walk(chains, on_event):
         The observers, in order.
     on_event : callable
         Called with observer, row and alarm (indices) and ``RAISED``, ``UPDATED`` or ``CLEARED`` at each event, before
-        the next row is processed.
+        the next row is processed; with ``EXPLAINED`` where evidence would have raised an alarm that others excuse.
     """
     cdef tuple every = tuple(chains)
     cdef Py_ssize_t count = len(every), k, best, row, i

@@ -377,7 +377,7 @@ cdef class StrapdownCore:
         cdef double* level
         cdef double* fix = NULL
         cdef double* altitude = NULL
-        cdef double cosine, course
+        cdef double cosine, course, pitching
         cdef bint full, still = lacks[_IMU] or self._still
         cdef int i = 0, k = 0, axis
         values[0], values[1] = cos(signals[6]), sin(signals[6])
@@ -391,7 +391,11 @@ cdef class StrapdownCore:
         if fabs(cosine) < _STEEPEST_COSINE:
             cosine = _STEEPEST_COSINE if cosine >= 0.0 else -_STEEPEST_COSINE
         # The heading's rate of the body's rates: (q sin(roll) + r cos(roll)) / cos(pitch).
-        values[4] = (rate[1] * values[1] + rate[2] * values[0]) / cosine
+        # Of a gyro y that is known to be at fault its bias is left out; that of a gyro z is the observer's to find.
+        pitching = rate[1]
+        if self._navigation is not None and not still:
+            pitching -= self._navigation.fault(1)
+        values[4] = (pitching * values[1] + rate[2] * values[0]) / cosine
         values[5] = still
         level = self._levels.push(values)
         # Acceleration north, east and down: R f + g.
