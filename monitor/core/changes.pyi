@@ -17,6 +17,7 @@ class ChangeTest:
         additions: Array,
         grown: Array,
         owner: Sequence[int] | NDArray[np.intp],
+        sudden: Sequence[bool] | Array,
         nameable: int,
         driven: bool,
         largest: float,

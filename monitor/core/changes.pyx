@@ -59,6 +59,8 @@ cdef class ChangeTest:
         it then has (D, S); from row D - 1 on they stay as they are.
     owner : ndarray
         The fault that each addition stands for (S,); those of actuators are the first m.
+    sudden : ndarray of bool
+        Which additions are there at once: they may begin between two rows (S,).
     nameable : int
         Faults below it are named; others only keep a name from being given.
     driven : bool
@@ -87,12 +89,13 @@ cdef class ChangeTest:
     cdef bint driven
     # what is kept from row to row: v, innovations, |y| and |B dv|, newest at ``at`` of rings
     cdef double[:, ::1] v, acting, innovation, excited
-    cdef double[::1] last_y, whitened, sigma, level
+    cdef double[::1] last_y, whitened, sigma, certainty, level
     # of each actuator: what a loss before the lag, behind it, and one before it by its rows makes of e; s one row ago
-    cdef double[:, ::1] partial, behind, delayed
-    cdef double[:, ::1] later
-    # onsets that are tried: sums of s'z and s's by hypothesis, of s's with the onset a row later of sudden losses, and
-    # of |z|^2 / 2; the onset begun last is at ``newest``
+    cdef double[:, ::1] partial, behind, delayed, later
+    cdef double[::1] growing, along, square, cross
+    cdef uint8_t[::1] is_sudden
+    # onsets that are tried: sums of s'z and s's by hypothesis, of s's with the onset a row later, and of |z|^2 / 2; the
+    # onset begun last is at ``newest``
     cdef double[:, ::1] moment, information, mixed
     cdef double[::1] energy
     # nats of each actuator's sudden loss
@@ -101,8 +104,8 @@ cdef class ChangeTest:
     cdef int64_t row
     cdef bint has_y
 
-    def __init__(self, dynamics, curves, taps, judged, actuators, additions, grown, owner, nameable, driven, largest,
-                 rate_hz, whitening, variance, hold, window, clip, level_rows):
+    def __init__(self, dynamics, curves, taps, judged, actuators, additions, grown, owner, sudden, nameable, driven,
+                 largest, rate_hz, whitening, variance, hold, window, clip, level_rows):
         self.dynamics, self.curves = np.ascontiguousarray(dynamics, float), np.ascontiguousarray(curves, float)
         self.taps, self.variance = np.ascontiguousarray(taps, float), np.ascontiguousarray(variance, float)
         self.judged, self.actuators = np.asarray(judged, np.intp), np.asarray(actuators, np.intp)
@@ -122,12 +125,15 @@ cdef class ChangeTest:
         self.innovation = np.zeros((self.length, self.p))
         self.excited = np.zeros((self.hold, 2 * self.p))
         self.last_y = np.zeros(self.n)
-        self.whitened, self.sigma = np.zeros(self.p), np.ones(self.p)
+        self.whitened, self.sigma, self.certainty = np.zeros(self.p), np.ones(self.p), np.ones(self.p)
         self.level, self.follow = np.ones(self.p), 1.0 / level_rows
         self.partial, self.behind, self.delayed = np.zeros((3, self.m, self.p))
-        self.later, self.sudden = np.zeros((2 * self.m, self.p)), np.zeros(self.m)
-        self.moment, self.information = np.zeros((2, self.window, self.H))
-        self.mixed, self.energy = np.zeros((self.window, 2 * self.m)), np.zeros(self.window)
+        self.later, self.sudden, self.growing = np.zeros((self.H, self.p)), np.zeros(self.m), np.zeros(self.p)
+        self.along, self.square, self.cross = np.zeros((3, self.H))
+        self.is_sudden = np.repeat([1, 0], [2 * self.m, self.m]).astype(np.uint8)
+        self.is_sudden = np.concatenate([self.is_sudden, np.asarray(sudden)]).astype(np.uint8)
+        self.moment, self.information, self.mixed = np.zeros((3, self.window, self.H))
+        self.energy = np.zeros(self.window)
         self.impulse = self._impulse(np.asarray(dynamics), np.asarray(taps), np.asarray(whitening))
         self.direct = self._impulse(np.asarray(dynamics), np.ones(1), np.asarray(whitening))
         self.row = 0
@@ -281,18 +287,16 @@ cdef class ChangeTest:
         weight = min(1.0, self.clip / sqrt(length)) if length > 0.0 else 1.0
         for i in range(self.p):
             self.whitened[i] *= weight
-            self.sigma[i] /= weight
+            self.certainty[i] = weight / self.sigma[i]
 
     cdef void accumulate(self) noexcept:
         """Begin an onset at this row, and add s'z, s's and |z|^2 / 2 of the row to every onset in the window."""
-        cdef Py_ssize_t age, i, j, h, place, deep
-        cdef double half = 0.0, value
+        cdef Py_ssize_t age, i, j, h, place
+        cdef double half = 0.0, value, since
         self.newest = (self.newest + 1) % self.window
         self.begun = min(self.begun + 1, self.window)
         for h in range(self.H):
-            self.moment[self.newest, h] = self.information[self.newest, h] = 0.0
-        for h in range(2 * self.m):
-            self.mixed[self.newest, h] = 0.0
+            self.moment[self.newest, h] = self.information[self.newest, h] = self.mixed[self.newest, h] = 0.0
         self.energy[self.newest] = 0.0
         for i in range(self.p):
             half += 0.5 * self.whitened[i] * self.whitened[i]
@@ -302,72 +306,74 @@ cdef class ChangeTest:
         self.later[:, :] = 0.0
         for age in range(self.begun):
             place = (self.newest - age + self.window) % self.window
+            since = age / self.rate_hz
             self.energy[place] += half
-            # The response to a loss since ``age`` rows: v that came before it is not missing.
-            if age < self.depth:
-                for j in range(self.m):
+            for j in range(self.m):
+                if age < self.depth:
+                    # The response to a loss since ``age`` rows: v that came before it is not missing.
                     for i in range(self.p):
                         value = self.impulse[age, j, i] * self.v[(self.row - 1 - age) % self.length, self.actuators[j]]
                         self.partial[j, i] += value
-                        self.delayed[j, i] += age / self.rate_hz * value
+                        self.delayed[j, i] += since * value
                         if age <= self.P:
                             self.behind[j, i] += (
                                 self.direct[age, j, i]
                                 * self.acting[(self.row - age) % self.length, self.actuators[j]])
-            for j in range(self.m):
-                self.add(place, j, &self.partial[j, 0], 1.0, NULL)
-                self.add(place, self.m + j, &self.behind[j, 0], 1.0, NULL)
-                self.add(place, 2 * self.m + j, &self.partial[j, 0], age / self.rate_hz, &self.delayed[j, 0])
-            deep = min(age, self.D - 1)
-            for h in range(self.S):
-                self.add(place, 3 * self.m + h, &self.additions[deep, h, 0], 1.0, NULL)
+                # Of onsets that lie further back than lag and whitening remember the response is the same.
+                if age <= self.depth:
+                    self.respond(j, &self.partial[j, 0])
+                    self.respond(self.m + j, &self.behind[j, 0])
+                for i in range(self.p):
+                    self.growing[i] = since * self.partial[j, i] - self.delayed[j, i]
+                self.respond(2 * self.m + j, &self.growing[0])
+            if age <= self.D:
+                for h in range(self.S):
+                    self.respond(3 * self.m + h, &self.additions[min(age, self.D - 1), h, 0])
+            for h in range(self.H):
+                self.moment[place, h] += self.along[h]
+                self.information[place, h] += self.square[h]
+                self.mixed[place, h] += self.cross[h]
 
-    cdef void add(self, Py_ssize_t place, Py_ssize_t h, const double* response, double scale,
-                  const double* begun_later) noexcept:
-        """Add a row to an onset's sums: what is measured along s = (scale response - begun_later) / sigma."""
+    cdef void respond(self, Py_ssize_t h, const double* response) noexcept:
+        """Take what a hypothesis makes of a row: along s = response / sigma, its square, and s times that of before."""
         cdef Py_ssize_t i
-        cdef double s, along = 0.0, square = 0.0, mixed = 0.0
+        cdef double s, along = 0.0, square = 0.0, cross = 0.0
         for i in range(self.p):
-            s = scale * response[i]
-            if begun_later != NULL:
-                s -= begun_later[i]
-            s /= self.sigma[i]
+            s = response[i] * self.certainty[i]
             along += s * self.whitened[i]
             square += s * s
-            if h < 2 * self.m:
-                mixed += s * self.later[h, i]
-                self.later[h, i] = s
-        self.moment[place, h] += along
-        self.information[place, h] += square
-        if h < 2 * self.m:
-            self.mixed[place, h] += mixed
+            cross += s * self.later[h, i]
+            self.later[h, i] = s
+        self.along[h], self.square[h], self.cross[h] = along, square, cross
 
     cdef Fitted fit(self, Py_ssize_t h) noexcept:
         """Return how well a hypothesis explains the window: g = (s'z)^2 / (2 s's), the largest of all onsets.
 
-        A sudden loss begins between two rows: that is a (1 - f) s of the earlier and f s of the later one, whose shares
-        are fitted together. So the variance of its size has that of its onset in it.
+        A sudden fault begins between two rows: that is a (1 - f) s of the earlier and f s of the later one, whose
+        shares are fitted together. So the variance of its size has that of its onset in it.
         """
         cdef Fitted best = Fitted(0.0, 0.0, 0.0, 0)
         cdef Py_ssize_t age, place, after = -1
-        cdef double g, along, square, mixed, determinant, early, late
+        cdef double along, square, mixed, determinant, explained, early, late
         for age in range(self.begun):
             place = (self.newest - age + self.window) % self.window
             along, square = self.moment[place, h], self.information[place, h]
-            if square > 0.0:
-                g = 0.5 * along * along / square
-                if g > best.nats:
-                    best = Fitted(g, along / square, 1.0 / square, age)
-                if h < 2 * self.m and after >= 0:
-                    mixed = self.mixed[place, h]
-                    determinant = square * self.information[after, h] - mixed * mixed
-                    if determinant > SMALLEST_DETERMINANT * square * self.information[after, h]:
-                        early = (along * self.information[after, h] - mixed * self.moment[after, h]) / determinant
-                        late = (square * self.moment[after, h] - mixed * along) / determinant
-                        g = 0.5 * (early * along + late * self.moment[after, h])
-                        if early * late > 0.0 and g > best.nats:
-                            best = Fitted(
-                                g, early + late, (square + self.information[after, h] - 2.0 * mixed) / determinant, age)
+            if along * along > 2.0 * best.nats * square:
+                best = Fitted(0.5 * along * along / square, along / square, 1.0 / square, age)
+            if self.is_sudden[h] and after >= 0:
+                mixed = self.mixed[place, h]
+                determinant = square * self.information[after, h] - mixed * mixed
+                early = along * self.information[after, h] - mixed * self.moment[after, h]
+                late = square * self.moment[after, h] - mixed * along
+                explained = early * along + late * self.moment[after, h]
+                if (
+                    explained > 2.0 * best.nats * determinant
+                    and determinant > SMALLEST_DETERMINANT * square * self.information[after, h]
+                    and early * late > 0.0
+                ):
+                    best = Fitted(
+                        0.5 * explained / determinant, (early + late) / determinant,
+                        (square + self.information[after, h] - 2.0 * mixed) / determinant, age)
             after = place
         return best
 

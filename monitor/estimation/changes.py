@@ -158,14 +158,15 @@ class ChangeStage:
         if not rule.lasts_s:
             dynamics = np.column_stack([plant.A, plant.B, plant.c])[judged]
             units = np.eye(n)[judged]
-            jumps = np.repeat(units[None], len(rule.whitening) + 2, axis=0)
+            moved = np.repeat(units[None], len(rule.whitening) + 2, axis=0)
             self._test = ChangeTest(
                 dynamics=dynamics,
                 curves=input_curves(plant),
                 taps=np.array(plant.taps),
-                additions=_whitened(_unpredicted(jumps, dynamics[:, :n], judged), rule.whitening),
-                grown=np.ones((len(jumps), len(judged))),
+                additions=_whitened(_unpredicted(moved, dynamics[:, :n], judged), rule.whitening),
+                grown=np.ones((len(moved), len(judged))),
                 owner=len(self._faults) + np.arange(len(judged)),
+                sudden=np.ones(len(judged)),
                 driven=False,
                 largest=_LARGEST_COMMAND,
                 **common,
@@ -184,15 +185,18 @@ class ChangeStage:
         names = [fault.name for fault in plant.faults]
         order = [*map(names.index, named), *(at for at, name in enumerate(names) if name not in named)]
         rows = np.arange(1.0, round(WINDOW_S * rate_hz) + 1.0)
-        additions, grown, owner = [], [], []
+        additions, grown, owner, sudden = [], [], [], []
         for at, fault in enumerate(order):
             lasts = max(1.0, rate_hz * rule.lasts_s.get(names[fault], 0.0))
-            for course, size in ((np.minimum(rows / lasts, 1.0), np.ones(len(rows))), (rows / rate_hz,) * 2):
+            # a jump on the straight line between two measurements, or from one sample to the next, and a walk
+            jumps = [(np.minimum(rows / line, 1.0), False) for line in sorted({1.0, lasts})]
+            for course, grows in (*jumps, (rows / rate_hz, True)):
                 shown = _unpredicted(_shown(plant, fault, course)[:, None], dynamics[:, : self._depth * n], judged)
                 if shown.any():
                     additions.append(shown[:, 0])
-                    grown.append(size)
+                    grown.append(course if grows else np.ones(len(rows)))
                     owner.append(at)
+                    sudden.append(not grows)
         self._test = ChangeTest(
             dynamics=dynamics,
             curves=np.ones((self._depth * len(plant.inputs), 1)),
@@ -200,6 +204,7 @@ class ChangeStage:
             additions=_whitened(np.stack(additions, axis=1), rule.whitening),
             grown=np.stack(grown, axis=1),
             owner=owner,
+            sudden=sudden,
             driven=True,
             largest=np.inf,
             **common,
