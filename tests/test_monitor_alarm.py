@@ -352,6 +352,14 @@ def test_a_change_that_grows_to_an_alarms_size_raises_before_it_has_it() -> None
     assert [(event.state, event.estimate) for event in events] == [("raised", -0.003)]
 
 
+def test_an_estimate_that_raises_the_alarm_on_its_way_to_a_change_gives_the_changes_size() -> None:
+    rows = [(-0.06, 50.0, -0.2)] * 20
+    (event,) = sudden(new_alarm(SUDDEN), rows)
+    assert (event.state, event.estimate) == ("raised", -0.2)
+    (event,) = sudden(new_alarm(SUDDEN), [(-0.06, 50.0, 0.2)] * 20)
+    assert (event.state, event.estimate) == ("raised", -0.06)
+
+
 def test_a_change_to_more_than_commanded_waits_for_the_estimate() -> None:
     alarm = new_alarm(SUDDEN)
     assert not sudden(alarm, [(0.005, 1e4, 0.05)] * 5)

@@ -316,7 +316,8 @@ def test_a_sensor_that_jumps_or_walks_is_named_alone(
     assert 125 <= rows[0] <= (150 if ramp else 131)
     assert {list(SENSORS)[fault] for fault in run.named[rows]} == {name}
     assert run.size[rows[0]] * sign > 0.0
-    if not ramp:
+    if name == "baro" and not ramp:
+        # a fix that is on its way along its line may as well walk as jump
         assert abs(run.size[rows[0]] - 2.0 * sign) < 3.0 * run.sd[rows[0]]
 
 

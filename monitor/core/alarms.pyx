@@ -96,7 +96,7 @@ cdef class AlarmState:
     active, critical, creeping, recurring : bool
         Whether the alarm is active, and what its events say of it.
     sudden : bool
-        Whether a sudden change raised it: its first size is that change's.
+        Whether its first size is that of a sudden change.
     shown, peak, reported, size : float
         Evidence that the event of the latest row shows, the largest since the alarm was raised, that of the event
         before, and the size that raised it.
@@ -174,6 +174,7 @@ cdef class AlarmState:
                   const Change* change) noexcept:
         """Process one row; return the event it causes."""
         cdef int64_t elapsed
+        cdef int event
         if not self.active and self.is_certain(change, evidence) and not self.excused(now):
             self.last_ns, self.contiguous = now, True
             self.raise_alarm(now, change.size, self.least, False)
@@ -195,7 +196,14 @@ cdef class AlarmState:
         self.average(restart, evidence / scale, elapsed)
         if self.active:
             return self.follow(now, evidence, elapsed)
-        return self.debounce(now, evidence, scale, elapsed)
+        event = self.debounce(now, evidence, scale, elapsed)
+        if event == C_RAISED and not self.creeping and change.nats > 0.0 and change.onset_ns > self.ended_ns:
+            # The estimate is on its way to a sudden change; the test knows its size before it is certain.
+            if change.size * evidence > 0.0:
+                self.shown = self.peak = self.reported = change.size
+                self.critical = fabs(change.size) >= self.critical_size
+                self.sudden = True
+        return event
 
     cdef int explain(self, int64_t now, double size) noexcept:
         """Say once of evidence that other alarms explain when it would have raised this one."""
