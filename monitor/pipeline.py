@@ -31,6 +31,8 @@ from monitor.alarms.excuse import Excuses, general_of
 from monitor.alarms.link_alarms import HEARTBEAT_NS, SET_BACK_NS, LinkAlarms, StaleAlarm
 from monitor.blind import BlindAlarm, Watching
 from monitor.chain import ChainRun, ObserverChain, alarm_events
+from monitor.conditions.condition import FlightCondition
+from monitor.conditions.conditions import make_conditions
 from monitor.core.arrivals import Arrivals
 from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.estimate import Estimates, Layout
@@ -104,6 +106,7 @@ class Pipeline:
             ObserverChain(observer, self.vehicle, profile.gate, self._clock, self._excuses)
             for observer in profile.observers
         ]
+        self._conditions = make_conditions(profile, self._clock)
         self._wanted = frozenset[str]().union(*(chain.interests for chain in self._chains))
         self._stale = StaleAlarm(self.vehicle, profile.stale_s)
         self._link = LinkAlarms(self.vehicle)
@@ -167,6 +170,11 @@ class Pipeline:
     def watching(self, now_ns: int) -> dict[str, Watching]:
         """Return how each observer watches at a Unix time."""
         return self._blind.watching(now_ns, self._clock.newest_ns, *self._flight())
+
+    @property
+    def conditions(self) -> Sequence[FlightCondition]:
+        """What was seen that is no fault, in its order."""
+        return () if self._conditions is None else tuple(self._conditions.found)
 
     @property
     def outside(self) -> list[str]:
@@ -334,8 +342,12 @@ class Pipeline:
         before_ns = self._clock.newest_ns
         for chain in self._chains:
             chain.enter(self._phase)
+        samplers = [chain.sampler for chain in self._chains]
+        if self._conditions is not None:
+            self._conditions.enter(self._phase)
+            samplers.append(self._conditions.sampler)
         batch = cut(arrivals.batch, start, segment.stop)
-        taken = sample_batch(self._clock, [chain.sampler for chain in self._chains], batch, stops=True)
+        taken = sample_batch(self._clock, samplers, batch, stops=True)
         if taken.used < batch.count:
             # The clock is contested from here on, which the next message has to say.
             segment = reach(start + taken.used)
@@ -349,9 +361,12 @@ class Pipeline:
             self._stale.pass_over(segment.carried_ns, int(taken.newest_ns[at - 1]) if at else before_ns)
         last = segment.stop - start - 1
         self._link.pass_over(segment.heartbeat_ns, int(taken.newest_ns[last - 1]) if last else before_ns)
+        if self._conditions is not None:
+            self._conditions.run(taken.samples[-1], self._phase)
         each = [
             chain.run(samples, position, self._phase)
-            for chain, samples, position in zip(self._chains, taken.samples, taken.position, strict=True)
+            # behind those of the observers there are those of the conditions
+            for chain, samples, position in zip(self._chains, taken.samples, taken.position, strict=False)
         ]
         runs = [run for run in each if run is not None]
         self._follow_evidence(batch, each, lambda position: arrivals.received_ns(start + position))

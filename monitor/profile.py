@@ -178,6 +178,8 @@ class Profile:
         SHA-256 over those files.
     identity : Identity
         Which vehicle the fitted recordings are of, as far as they say so.
+    mass_kg : float
+        Its mass in them; 0 where nobody has said it. Loads are told in shares of the weight then.
     """
 
     name: str
@@ -190,6 +192,7 @@ class Profile:
     files: Mapping[str, bytes]
     digest: str
     identity: Identity = field(default_factory=Identity)
+    mass_kg: float = 0.0
 
 
 def read_profile(folder: str | Path) -> Profile:
@@ -233,6 +236,7 @@ def read_profile(folder: str | Path) -> Profile:
             frame=root.text("frame", ""),
             motors=root.integer("motors", 0, at_least=0),
         ),
+        mass_kg=root.number("mass_kg", 0.0, at_least=0.0),
     )
     root.done()
     file.check()

@@ -16,6 +16,7 @@ from adapters.errors import OtherVehicleError
 from adapters.logs.recordings import packed
 from adapters.message import Message
 from monitor.blind import CHANNEL, OBSERVER
+from monitor.conditions.condition import FlightCondition
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent
 from monitor.pipeline import Pipeline
@@ -73,6 +74,8 @@ class Replay:
         What says that the vehicle is another than the profile's; None where nothing does.
     outside : Mapping[str, tuple[float, str]]
         For how long, seconds, and how far the flight lay outside of those that were fitted, by observer.
+    conditions : tuple[FlightCondition, ...]
+        What was seen that is no fault, in its order.
     """
 
     events: tuple[AlarmEvent, ...]
@@ -87,6 +90,7 @@ class Replay:
     foreign: int
     mismatch: str | None = None
     outside: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    conditions: tuple[FlightCondition, ...] = ()
 
     def unwatched(self, end_ns: int) -> list[tuple[str, float]]:
         """Return what of the flight was not watched, and for how long, seconds; the recording ends at ``end_ns``."""
@@ -201,6 +205,7 @@ def play_batches(
         foreign=pipeline.foreign,
         mismatch=pipeline.mismatch,
         outside=pipeline.furthest,
+        conditions=tuple(pipeline.conditions),
     )
 
 

@@ -74,7 +74,12 @@ def profile_page() -> str:
     minimal = _minimal_profile()
     (observer,) = minimal.observers
     rule = observer.alarms[0]
-    top = {**dataclasses.asdict(minimal.identity), "system": minimal.system, "stale_s": minimal.stale_s}
+    top = {
+        **dataclasses.asdict(minimal.identity),
+        "system": minimal.system,
+        "stale_s": minimal.stale_s,
+        "mass_kg": minimal.mass_kg,
+    }
     isolation = {key: getattr(observer.isolation, key) for key in ("smoothing_s", "tolerance", "gain_penalty")}
     single = parameters_of(SingleRule)
     bank = {key: (single[key][0], _BANK.get(key, single[key][1])) for key in single if key in _SHARED}
@@ -87,7 +92,7 @@ def profile_page() -> str:
                 ("format", "integer", "1, the version of this format"),
                 *_named(Profile, ("name", "vehicle")),
                 *_named(Identity),
-                *_named(Profile, ("system", "stale_s")),
+                *_named(Profile, ("system", "stale_s", "mass_kg")),
             ],
             top,
         ),

@@ -131,9 +131,24 @@ _FACTS = {
             },
             "description": "the last messages of the autopilot",
         },
+        "conditions": {
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {
+                    "name": {"enum": ["payload", "wind", "pressure"]},
+                    "kind": {"const": "information"},
+                    "since_ns": _TIME,
+                    "text": {"type": "string"},
+                    "values": {"type": "object", "additionalProperties": _AMOUNT},
+                },
+                "required": ["name", "kind", "since_ns", "text", "values"],
+            },
+            "description": "the last of each kind that was seen and is no fault",
+        },
     },
     "required": ["texts"],
-    "description": "what the vehicle last said about itself",
+    "description": "what the vehicle last said about itself, and what is no fault",
 }
 
 _STATUS = _object(

@@ -21,6 +21,7 @@ from adapters.message import silence
 from adapters.source import JOURNAL, OPERATOR
 from monitor.alarms.desk import FLOOD_KEY
 from monitor.bus.payload import estimate_json
+from monitor.conditions.condition import latest_conditions
 from monitor.estimate import Estimates
 from monitor.event import AlarmEvent, Severity
 from monitor.pipeline import Pipeline, handover_message
@@ -301,7 +302,10 @@ class VehicleMonitor:
             "watching": {name: asdict(watching) for name, watching in self.pipeline.watching(now_ns).items()},
             "observers": {name: asdict(counts) for name, counts in self.pipeline.statistics().items()},
             "channels": self._channels(),
-            "facts": self._facts.status(),
+            "facts": {
+                **self._facts.status(),
+                "conditions": [one.to_json() for one in latest_conditions(self.pipeline.conditions)],
+            },
             "profile": self.pipeline.profile.digest,
             "versions": {"fauio": _VERSION},
         }

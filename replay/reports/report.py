@@ -69,6 +69,7 @@ def recording_report(run: Run) -> str:
         _header(run, results),
         section("What was found", *_found(run, results, charts)),
         *_flight(run, results, charts),
+        *_conditions(run),
         section("What was watched", *_watched(run, results, watched)),
         section("What could not be checked, and why", _unchecked(run, results)),
         folded("All channels, residuals and inputs", *_all_charts(run, charts)),
@@ -224,6 +225,12 @@ def _certain(effect: EffectivenessRule) -> str:
         f"{100 * effect.least_loss:.0f} % of the effect lost or {100 * effect.least_offset:.0f} % of full "
         "deflection off"
     )
+
+
+def _conditions(run: Run) -> Iterator[Html]:
+    if run.replay.conditions:
+        rows = [(utc(one.since_ns)[11:19], one.text) for one in run.replay.conditions]
+        yield section("What is no fault", table(("from", "what"), rows))
 
 
 def _unchecked(run: Run, results: Sequence[Finding]) -> Html:

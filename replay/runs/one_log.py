@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from adapters.errors import FauioError, OtherVehicleError
 from adapters.logs.damage import Damage
 from adapters.logs.recordings import Recording, recorded_vehicle, recording_kind
+from monitor.conditions.condition import FlightCondition
 from monitor.event import AlarmEvent
 from monitor.fitting.progress import recording_bytes, track
 from monitor.profile import Profile
@@ -81,6 +82,7 @@ class LogOutcome:
     lacking: Mapping[str, tuple[str, ...]] | None = None
     mismatch: str | None = None  # what says that it is of another vehicle than the profile's
     damage: tuple[Damage, ...] = ()  # what of it could not be read
+    conditions: tuple[FlightCondition, ...] = ()  # what was seen that is no fault
     levels: tuple[WearLevel, ...] = ()  # what the flight says of wear
     processor_s: float = 0.0  # processor time of the replay with all of its outputs, seconds
 
@@ -100,6 +102,7 @@ class LogOutcome:
         if self.mismatch is not None:
             found["mismatch"] = self.mismatch
         found["verdict"] = self.sentence or self.verdict
+        found["conditions"] = [one.to_json() for one in self.conditions]
         found["damage"] = [one.to_json() for one in self.damage]
         return found | {"alarms": [event.to_json() for event in self.events]}
 
@@ -195,6 +198,7 @@ def _replay(
         lacking=dict(found.lacking),
         mismatch=found.mismatch,
         damage=recording.damage(),
+        conditions=found.conditions,
         levels=tuple(flight_levels(profile, found.events, found.traces)),
         processor_s=time.thread_time() - started_s,
     )

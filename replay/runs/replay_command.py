@@ -257,7 +257,7 @@ class _Lines:
 def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:
     """Say what was found in a log."""
     from adapters.errors import printable
-    from monitor.bus.alarm_text import alarm_line
+    from monitor.bus.alarm_text import alarm_line, utc
 
     damage = [one.line() for one in outcome.damage]
     if outcome.error is not None:
@@ -271,6 +271,8 @@ def _tell(outcome: LogOutcome, *, as_json: bool, with_events: bool) -> None:
             _say(alarm_line(event))
         for line in outcome.alarms:
             _say(printable(line))
+        for one in outcome.conditions:
+            _say(printable(f"{utc(one.since_ns)[:19]}Z no fault: {one.text}"))
         _say(printable(outcome.verdict))
 
 

@@ -1,0 +1,26 @@
+"""Something that is no fault: what it is, since when, and how large."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+
+@dataclass(frozen=True, slots=True)
+class FlightCondition:
+    """A condition of a flight; it raises no alarm."""
+
+    name: Literal["payload", "wind", "pressure"]
+    since_ns: int  # Unix time
+    text: str  # a sentence for a person
+    values: Mapping[str, float]  # sizes by name; their units are in the names
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what status and ``--json`` have."""
+        return {**asdict(self), "kind": "information"}
+
+
+def latest_conditions(found: Iterable[FlightCondition]) -> list[FlightCondition]:
+    """Return the last condition of each name."""
+    return list({one.name: one for one in found}.values())

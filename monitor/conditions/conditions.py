@@ -1,0 +1,118 @@
+"""The conditions of one vehicle's flight, from its telemetry: what is no fault and raises no alarm.
+
+The motors' commands and the raw signals of the inertial observer are sampled together some times a second; means over
+half seconds (:mod:`monitor.conditions.half_seconds`) are looked at one after the other. Like all of the pipeline the
+result does not depend on how the telemetry is cut.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.sample import Samples
+from monitor.conditions.condition import FlightCondition
+from monitor.conditions.half_seconds import SIGNALS, HalfSeconds
+from monitor.conditions.load import Load
+from monitor.conditions.pressure import METRES_PER_HPA, Pressure
+from monitor.conditions.wind import Wind
+from monitor.core.sampling import VehicleClock
+from monitor.profile import ObserverProfile, Profile
+from monitor.sampling.gate import GatedSampler
+from monitor.sampling.phase import FlightPhase
+from monitor.sampling.sampler import Sampler
+from monitor.sampling.transform import SampleSource
+
+_FASTEST_HZ, _SLOWEST_HZ = 10.0, 8.0
+"""Samples per second. Chosen: five in half a second; slower telemetry does not show that a change is sudden."""
+_KEPT = 50
+"""Conditions that are kept. Chosen: a flight has some."""
+_HOVER = 0.5
+"""Command at which the exponent of a learned thrust curve is taken: most multirotors hover near it."""
+_HECTOPASCAL, _METRES = 2.0, -METRES_PER_HPA
+"""Parameter of the strapdown transform whose barometer gives a pressure; height of one more hectopascal."""
+_MOTOR = re.compile(r"motor\d+")
+
+
+class Conditions:
+    """Follows the conditions of a vehicle whose profile has motors and inertial signals."""
+
+    def __init__(
+        self, profile: Profile, motors: ObserverProfile, inertial: ObserverProfile, clock: VehicleClock
+    ) -> None:
+        commands = [one for one in motors.source.signals or motors.source.inputs if _MOTOR.fullmatch(one.name)]
+        signals = {one.name: one for one in inertial.source.signals}
+        source = SampleSource(inputs=(*commands, *(signals[name] for name in SIGNALS)))
+        self._sampler = GatedSampler(source, _FASTEST_HZ, clock, profile.gate)
+        rule = inertial.source.transform
+        pressed = rule is not None and rule.parameters.get("barometer") == _HECTOPASCAL
+        self._half_seconds = HalfSeconds(_arms(motors, [one.name for one in commands]), _METRES if pressed else 1.0)
+        self._load, self._wind, self._pressure = Load(_exponents(motors), profile.mass_kg), Wind(), Pressure()
+        self._motors, self._number = len(commands), -1
+        self.found: deque[FlightCondition] = deque(maxlen=_KEPT)
+
+    @property
+    def sampler(self) -> Sampler:
+        """What turns messages into samples."""
+        return self._sampler.sampler
+
+    def enter(self, phase: FlightPhase) -> None:
+        """Restart at the next sample where the phase has come to allow evidence."""
+        self._sampler.enter(phase)
+
+    def run(self, samples: Samples, phase: FlightPhase) -> None:
+        """Take n samples of :attr:`sampler`; the vehicle's phase is the same for all of them and was entered before."""
+        if not len(samples):
+            return
+        # the gate asks the mean command whether the vehicle flies
+        commanded = replace(samples, u=samples.u[:, : self._motors])
+        for at in np.flatnonzero(self._sampler.gate.admitted(phase, commanded)):
+            mean = self._half_seconds.follow(
+                int(samples.vehicle_time_ns[at]), int(samples.time_ns[at]), samples.u[at].copy()
+            )
+            if mean is None:
+                continue
+            if mean.number != self._number + 1:
+                self._load.clear()
+            self._number = mean.number
+            for stage in (self._load, self._wind, self._pressure):
+                if (condition := stage.follow(mean)) is not None:
+                    self.found.append(condition)
+
+
+def make_conditions(profile: Profile, clock: VehicleClock) -> Conditions | None:
+    """Return what follows the conditions of a profile's vehicle; None where it has not the signals, or too seldom."""
+    motors = next((one for one in profile.observers if one.name == "motors"), None)
+    inertial = next(
+        (one for one in profile.observers if set(SIGNALS) <= {channel.name for channel in one.source.signals}), None
+    )
+    if motors is None or inertial is None or inertial.source.transform is None:
+        return None
+    return Conditions(profile, motors, inertial, clock) if inertial.source.transform.rate_hz >= _SLOWEST_HZ else None
+
+
+def _arms(motors: ObserverProfile, names: list[str]) -> NDArray[np.float64]:
+    """Return where each motor is, by what it does to pitch and roll (motors, 2), in shares of the largest."""
+    model = motors.model
+    if model is None or not {"roll_rate", "pitch_rate"} <= set(model.states) or not set(names) <= set(model.inputs):
+        return np.full((len(names), 2), np.nan)
+    inputs = [model.inputs.index(name) for name in names]
+    pitch, roll = (model.B[model.states.index(f"{axis}_rate"), inputs] for axis in ("pitch", "roll"))
+    # a motor ahead lifts the nose, one to the right lowers the left side
+    arms = np.column_stack([pitch / np.abs(pitch).max(), -roll / np.abs(roll).max()])
+    return np.asarray(arms, np.float64)
+
+
+def _exponents(motors: ObserverProfile) -> tuple[float, float]:
+    """Return between which exponents thrust goes with the command: a learned curve knows, within a tenth."""
+    curve = motors.gains[0].input_curves
+    if curve.shape[1] < 2 or not curve[:, 1:].any():
+        return 1.0, 2.0
+    powers = np.arange(1, curve.shape[1] + 1)
+    terms = curve.mean(axis=0) * _HOVER**powers
+    middle = float(terms @ powers / terms.sum())
+    return 0.9 * middle, 1.1 * middle
