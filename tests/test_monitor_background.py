@@ -140,8 +140,8 @@ def test_a_disk_that_hangs_delays_an_alarm_once_and_by_a_moment_and_loses_rows_n
     until(lambda: wait_for([archive, journal], 1.0))
     assert [one.seq for one in journal.events("copter-1")] == list(range(1, 21))
     until(lambda: archive.statistics().trouble is None)
-    # what began the monitor, heartbeats, and two records of each event
-    assert recorder.records == 1101 + 2 * 20
+    # what began the monitor, heartbeats, and three records of each event
+    assert recorder.records == 1101 + 3 * 20
     archive.close({})
     journal.close()
 

@@ -110,6 +110,7 @@ def test_each_file_is_complete_in_itself(tmp_path: Path) -> None:
             "/fauio/motors/estimate",
             "/fauio/alarm",
             "/fauio/alarm_json",
+            "/fauio/log",
         }
 
 

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parent.parent
 COMPILED = (".so", ".c")
 """What compiling the core leaves beside its sources."""
 PACKAGES = ("adapters", "gains", "monitor", "replay")
-ALONGSIDE = (".ci", "bench", "docs", "examples", "grafana", "systemd", "tests")
+ALONGSIDE = (".ci", "bench", "docs", "examples", "foxglove", "grafana", "systemd", "tests")
 FILES = (
     "fauio.py",
     "setup.py",
@@ -105,6 +105,7 @@ def test_the_wheel_holds_all_files_of_the_packages_the_core_compiled_and_nothing
         "data/share/fauio/config-example.toml",
         "data/share/fauio/fauio-alerts.yml",
         "data/share/fauio/fauio-dashboard.json",
+        "data/share/fauio/fauio-layout.json",
     }
 
 

@@ -9,6 +9,7 @@ from adapters.batch import Batch, joined, memory_bytes
 from monitor.estimate import Estimates, joined_estimates
 from monitor.event import AlarmEvent
 from monitor.recording.black_box import BlackBox
+from monitor.recording.foxglove_records import FoxgloveRecords
 from monitor.recording.record_encoder import EncodedRecord, RecordEncoder
 from monitor.recording.recorder import Recorder
 
@@ -41,6 +42,7 @@ class Archive:
         self, encoder: RecordEncoder, recorder: Recorder | None = None, black_box: BlackBox | None = None
     ) -> None:
         self._encoder = encoder
+        self._shown = FoxgloveRecords(encoder)
         self._recorder = recorder
         self._black_box = black_box
         self._batches: list[Batch] = []
@@ -62,6 +64,7 @@ class Archive:
         """Record an alarm event behind all that came before; a raised alarm begins a clip of the black box."""
         self.encode()
         records = self._encoder.event(event)
+        records += self._shown.event(event) if records else []
         if self._recorder is not None:
             self._recorder.record(records, keep=True)
         if self._black_box is not None:
@@ -78,9 +81,13 @@ class Archive:
         batches, estimates = self._batches, self._estimates
         self._batches, self._estimates, self._rows = [], {}, 0
         if batches:
-            self._record(self._encoder.batch(joined(batches)), telemetry=True)
+            batch = joined(batches)
+            self._record(self._encoder.batch(batch), telemetry=True)
+            self._record(self._shown.batch(batch), telemetry=False)
         for parts in estimates.values():
-            self._record(self._encoder.estimates(joined_estimates(parts)), telemetry=False)
+            part = joined_estimates(parts)
+            self._record(self._encoder.estimates(part), telemetry=False)
+            self._record(self._shown.estimates(part), telemetry=False)
 
     def _record(self, records: Sequence[EncodedRecord], telemetry: bool) -> None:
         if self._recorder is not None:

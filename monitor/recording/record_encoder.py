@@ -119,6 +119,7 @@ class RecordEncoder:
     def __init__(self, layouts: Sequence[Layout]) -> None:
         self.topics: list[Topic] = []
         self.unrecordable = 0
+        self.faults = {layout.observer: layout.faults for layout in layouts}
         self._types = {layout.observer: _types(layout) for layout in layouts}
         self._known: dict[Topic, int] = {}
         self._numbers: dict[tuple[str, Any, int], int] = {}
@@ -167,7 +168,7 @@ class RecordEncoder:
         topic = self._topic(f"{OWN_TOPICS}alarm", type(record))
         return [
             (topic, record.SerializeToString(), time_ns),
-            (self._number(_ALARM_JSON), to_json(event.to_json()), time_ns),
+            (self.number(_ALARM_JSON), to_json(event.to_json()), time_ns),
         ]
 
     def _encoded(self, columns: Columns) -> tuple[int, list[bytes]] | None:
@@ -192,10 +193,10 @@ class RecordEncoder:
             except ValueError:
                 self.unrecordable += 1
                 continue
-            topic = self._number(Topic(record.topic, record.encoding, record.schema, record.component))
+            topic = self.number(Topic(record.topic, record.encoding, record.schema, record.component))
             records[place] = (topic, record.data, record.time_ns)
 
-    def _number(self, topic: Topic) -> int:
+    def number(self, topic: Topic) -> int:
         """Return a topic's number; they count from 0 in the order in which topics are first met."""
         number = self._known.setdefault(topic, len(self.topics))
         if number == len(self.topics):
@@ -208,7 +209,7 @@ class RecordEncoder:
         number = self._numbers.get(key)
         if number is None:
             topic = Topic(name, "protobuf", protobuf_schema(pb_class), component)
-            number = self._numbers[key] = self._number(topic)
+            number = self._numbers[key] = self.number(topic)
         return number
 
 

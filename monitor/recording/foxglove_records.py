@@ -1,0 +1,144 @@
+"""What viewers draw by themselves: lines of a log and places on a map, in the schemas that Foxglove knows.
+
+https://docs.foxglove.dev/docs/sdk/schemas: ``foxglove.Log`` and ``foxglove.LocationFix``, as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import deque
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from adapters.batch import Batch, Columns
+from adapters.encoding.record import Schema
+from adapters.errors import printable
+from adapters.message import LATEST_NS, SECOND_NS
+from monitor.bus.payload import to_json
+from monitor.estimate import Estimates
+from monitor.event import AlarmEvent
+from monitor.recording.record_encoder import OWN_TOPICS, EncodedRecord, RecordEncoder, Topic
+
+_DEBUG, _INFO, _WARNING, _ERROR, _FATAL = range(1, 6)
+"""Levels of ``foxglove.Log``."""
+_LEVELS = (_FATAL, _FATAL, _FATAL, _ERROR, _WARNING, _INFO, _INFO, _DEBUG)
+"""Levels of Foxglove by MAV_SEVERITY, from an emergency to debugging."""
+_PULLED = ("gps_north", "gps_east")
+_MOST_WAITING = 10_000
+"""Places that wait for estimates at most, the oldest go. Chosen: more than a batch of a replay holds."""
+_EARTH_M = 6378137.0
+"""The equator's radius of WGS 84."""
+_TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+_NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
+
+
+def _topic(name: str, schema: str, properties: Mapping[str, Any]) -> Topic:
+    content = {"title": schema, "type": "object", "properties": {"timestamp": _TIME} | dict(properties)}
+    return Topic(f"{OWN_TOPICS}{name}", "json", Schema(schema, "jsonschema", json.dumps(content).encode()))
+
+
+_FIX: Final[Mapping[str, Any]] = {
+    "frame_id": _TEXT,
+    "latitude": _NUMBER,
+    "longitude": _NUMBER,
+    "altitude": _NUMBER,
+    "position_covariance": {"type": "array", "items": _NUMBER, "minItems": 9, "maxItems": 9},
+    "position_covariance_type": {"type": "integer"},
+}
+LOG: Final = _topic(
+    "log",
+    "foxglove.Log",
+    dict.fromkeys(("message", "name", "file"), _TEXT) | {key: {"type": "integer"} for key in ("level", "line")},
+)
+"""What the autopilot says, and every alarm event."""
+GPS: Final = _topic("gps", "foxglove.LocationFix", _FIX)
+"""Where GPS says the vehicle is."""
+TRACK: Final = _topic("track", "foxglove.LocationFix", _FIX)
+"""Where it is by the estimates: the same, less what is attributed to a fault of GPS."""
+
+
+class FoxgloveRecords:
+    """Makes these records of what an archive records anyway; the encoder numbers their topics."""
+
+    def __init__(self, encoder: RecordEncoder) -> None:
+        self._encoder = encoder
+        self._faults = {name: faults for name, faults in encoder.faults.items() if set(_PULLED) <= set(faults)}
+        # places that no estimate has come for yet: time, latitude, longitude, altitude
+        self._waiting: deque[tuple[int, float, float, float]] = deque(maxlen=_MOST_WAITING)
+
+    def batch(self, batch: Batch) -> list[EncodedRecord]:
+        """Return the autopilot's texts, and the places that a batch says."""
+        records = [
+            self._log(message.received_ns, _LEVELS[severity], text, "autopilot")
+            for message in batch.others.values()
+            if message.name == "STATUSTEXT"
+            and isinstance(text := message.fields.get("text"), str)
+            and type(severity := message.fields.get("severity")) is int
+            and 0 <= severity < len(_LEVELS)
+        ]
+        for columns in batch.columns:
+            if columns.source.is_telemetry and (columns.name == "GPS_RAW_INT" or "latitude" in columns.fields):
+                places = [*_places(columns)]
+                records += [self._fix(GPS, *place) for place in places]
+                if self._faults:
+                    self._waiting += places
+        return [record for record in records if 0 <= record[2] < LATEST_NS]
+
+    def estimates(self, estimates: Estimates) -> list[EncodedRecord]:
+        """Return where the vehicle was by the estimates, for the places that waited for them."""
+        faults = self._faults.get(estimates.observer)
+        times_ns = estimates.samples.time_ns
+        if faults is None or not len(times_ns):
+            return []
+        pulls = estimates.isolated[:, [faults.index(name) for name in _PULLED]]
+        records = []
+        while self._waiting and self._waiting[0][0] <= times_ns[-1]:
+            time_ns, latitude, longitude, altitude = self._waiting.popleft()
+            north, east = pulls[max(int(np.searchsorted(times_ns, time_ns, "right")) - 1, 0)].tolist()
+            if time_ns >= 0 and math.isfinite(north + east):
+                latitude -= math.degrees(north / _EARTH_M)
+                longitude -= math.degrees(east / (_EARTH_M * math.cos(math.radians(latitude))))
+                records.append(self._fix(TRACK, time_ns, latitude, longitude, altitude))
+        return records
+
+    def event(self, event: AlarmEvent) -> list[EncodedRecord]:
+        """Return the line of an alarm event."""
+        quiet = event.state in ("acknowledged", "shelved", "cleared")
+        level = _INFO if quiet else _ERROR if event.severity == "critical" else _WARNING
+        size = f" ({event.display})" if event.display else ""
+        line = f"{event.channel} {event.state}: {event.message}{size}"
+        return [self._log(event.time_ns, level, line, event.observer)]
+
+    def _log(self, time_ns: int, level: int, text: str, name: str) -> EncodedRecord:
+        content = {"level": level, "message": printable(text), "name": name, "file": "", "line": 0}
+        return self._record(LOG, time_ns, content)
+
+    def _fix(self, topic: Topic, time_ns: int, latitude: float, longitude: float, altitude: float) -> EncodedRecord:
+        place = {"latitude": latitude, "longitude": longitude, "altitude": altitude}
+        unknown = {"position_covariance": [0.0] * 9, "position_covariance_type": 0}
+        return self._record(topic, time_ns, {"frame_id": "gps"} | place | unknown)
+
+    def _record(self, topic: Topic, time_ns: int, content: Mapping[str, Any]) -> EncodedRecord:
+        seconds, nanoseconds = divmod(time_ns, SECOND_NS)
+        timestamp = {"timestamp": {"sec": seconds, "nsec": nanoseconds}}
+        return self._encoder.number(topic), to_json(timestamp | dict(content)), time_ns
+
+
+def _places(columns: Columns) -> Iterator[tuple[int, float, float, float]]:
+    """Yield times, latitudes, longitudes and altitudes of a receiver's messages."""
+    names, scales = ("latitude", "longitude", "altitude"), (1.0, 1.0, 1.0)
+    if "latitude" not in columns.fields:
+        # MAVLink counts ten millionths of a degree, and millimetres
+        names, scales = ("lat", "lon", "alt"), (1e-7, 1e-7, 1e-3)
+    if not columns.fields.keys() >= set(names):
+        return
+    rows = len(columns.received_ns)
+    numbers = [np.asarray(columns.fields[name], np.float64).reshape(rows, -1)[:, 0] for name in names]
+    for time_ns, place in zip(columns.received_ns.tolist(), np.column_stack(numbers) * scales, strict=True):
+        latitude, longitude, altitude = place.tolist()
+        # a receiver without a fix says zero for both
+        if math.isfinite(sum(place)) and (latitude or longitude) and abs(latitude) < 90.0:
+            yield time_ns, latitude, longitude, altitude
