@@ -190,6 +190,17 @@ def test_a_magnetic_field_that_comes_seldom_is_followed_by_the_gyro_until_it_is_
     assert disagreement(*truth.transformed(raw, {"compass_hold_s": 1.0}))["heading"] > 1.0
 
 
+def test_an_imu_whose_values_all_stay_the_same_is_not_measured() -> None:
+    raw = truth.signals(8.0)
+    raw[300:500, :9] = raw[300, :9]
+    for hold_s, spoiled in ((0.0, False), (0.5, True)):
+        samples = truth.fed(Strapdown({"imu_hold_s": hold_s}, truth.SIGNAL_HZ, truth.RATE_HZ), raw)
+        frozen = [s for s in samples if 360 <= s.index * truth.SIGNAL_HZ / truth.RATE_HZ < 490]
+        assert frozen
+        assert all(s.complete != spoiled for s in frozen)
+        assert samples[-1].complete
+
+
 def test_pressure_becomes_altitude() -> None:
     raw = truth.signals(5.0)
     pressure = raw.copy()

@@ -29,5 +29,6 @@ class StrapdownCore:
         twice: Sequence[bool],
         navigation: Navigation | None = None,
         attitude_share: float = 1.0,
+        imu_hold: int = ...,
     ) -> None: ...
     def run(self, samples: Samples) -> Given: ...

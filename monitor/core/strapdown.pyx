@@ -97,8 +97,9 @@ cdef class StrapdownCore:
         Time between ticks, seconds.
     imu_ticks, gps_ticks, baro_ticks, compass_ticks : int
         Ticks by which to delay acceleration, GPS and barometer, and the attitude that levels the magnetometer.
-    gps_hold, compass_hold : int
-        Ticks for which a fix and a magnetic field may stay the same until the next measurement; 0: for ever.
+    gps_hold, compass_hold, imu_hold : int
+        Ticks for which a fix, a magnetic field, and all of IMU and attitude may stay the same until the next
+        measurement; 0: for ever. An IMU that stays the same for longer is not measured any more.
     count : int
         Ticks of one period, the distance of the samples that are given out.
     inputs : int
@@ -127,7 +128,8 @@ cdef class StrapdownCore:
     cdef readonly object scores
     cdef int _washed
     cdef double _biased_s, _attitude_share
-    cdef int _gps_hold, _compass_hold, _count, _inputs, _outputs
+    cdef int _gps_hold, _compass_hold, _imu_hold, _imu_age, _count, _inputs, _outputs
+    cdef double[9] _imu
     cdef double[_WIDEST] _keep
     cdef double[_WIDEST] _gain
     # How many ticks a lost measurement is in what is given out, and for how many more one of each group will be.
@@ -200,6 +202,7 @@ cdef class StrapdownCore:
         twice,
         navigation=None,
         double attitude_share=1.0,
+        int imu_hold=0,
     ):
         cdef int i
         self._gps, self._baro, self._mag, self._hectopascal, self._dt = gps, baro, mag, hectopascal, dt
@@ -212,7 +215,9 @@ cdef class StrapdownCore:
         self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, 17)
         self._attitude_share = attitude_share
         self._washed = len(washouts) - (2 if navigation is not None else 0)
-        self._gps_hold, self._compass_hold = gps_hold, compass_hold
+        self._gps_hold, self._compass_hold, self._imu_hold = gps_hold, compass_hold, imu_hold
+        self._imu_age = 0
+        memset(self._imu, 0, sizeof(self._imu))
         self._count, self._inputs, self._outputs = count, inputs, len(washouts)
         for i, (keep, gain) in enumerate(washouts):
             self._keep[i], self._gain[i], self._twice[i] = keep, gain, twice[i]
@@ -283,7 +288,7 @@ cdef class StrapdownCore:
         for row in range(index.shape[0]):
             if restart[row] or self._unstuck:
                 self.restart()
-            self.find_lacking(&lost[row, 0], lacks)
+            self.find_lacking(&raw[row, 0], &lost[row, 0], lacks)
             if not self.tick(&raw[row, 0], lacks, now, places, meant):
                 continue
             if self._has_before and self._begun:
@@ -342,7 +347,7 @@ cdef class StrapdownCore:
             ends,
         )
 
-    cdef void find_lacking(self, const unsigned char* lost, bint* lacks) noexcept:
+    cdef void find_lacking(self, const double* signals, const unsigned char* lost, bint* lacks) noexcept:
         """Fill in which groups lack at a tick, and follow for how long that is in what is given out."""
         cdef int[_GROUPS] width
         cdef int group, i
@@ -352,6 +357,11 @@ cdef class StrapdownCore:
             lacks[group] = False
             for i in range(width[group]):
                 lacks[group] |= lost[i]
+            if group == _IMU and self._imu_hold:
+                # Kept over a restart, which a frozen sensor must not escape by.
+                self._imu_age = self._imu_age + 1 if memcmp(signals, self._imu, sizeof(self._imu)) == 0 else 0
+                memcpy(self._imu, signals, sizeof(self._imu))
+                lacks[group] |= self._imu_age > self._imu_hold
             lost += width[group]
             self._doubt[group] = self._longest + 1 if lacks[group] else max(self._doubt[group] - 1, 0)
         # Where the gyro or the attitude lacked for long all begins anew.

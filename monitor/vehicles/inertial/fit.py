@@ -56,7 +56,7 @@ from monitor.vehicles.inertial.sensor_fit import (
     identify_inertial,
 )
 from monitor.vehicles.inertial.signals import NAVIGATED_HZ, StrapdownSource, common_channels, inertial_rate_hz
-from monitor.vehicles.inertial.strapdown import ACCELEROMETERS, BAROMETER, GPS, MAGNETOMETER, Strapdown
+from monitor.vehicles.inertial.strapdown import ACCELEROMETERS, BAROMETER, GPS, IMU, MAGNETOMETER, Strapdown
 from monitor.vehicles.multirotor.identify import GYROS
 
 OBSERVER = "inertial"
@@ -344,6 +344,13 @@ def _bias_angles(gains: Sequence[Gains]) -> dict[str, float]:
     return angles
 
 
+_FROZEN_S = 0.5
+"""Time for which no value of IMU and attitude changes, after which they are frozen. Chosen: two samples over the
+slowest radio (4 Hz); nine values with noise do not repeat once."""
+_REPEATED = 5.0
+"""Times as long as in healthy flight that they have to stay the same. Chosen: simulators without noise repeat them."""
+
+
 def _rates(message_hz: float) -> tuple[float, float]:
     """Return the rate of the raw signals and that of the observer, a whole fraction of it, from the messages' rate."""
     signal_hz = min(message_hz, _FASTEST_HZ)
@@ -353,8 +360,11 @@ def _rates(message_hz: float) -> tuple[float, float]:
 def _holds(
     surveys: Sequence[Survey], channels: Sequence[Channel], raw: Sequence[Flight], signal_hz: float
 ) -> dict[str, float]:
-    """Return how long a fix and a magnetic field may stay the same until the next measurement."""
+    """Return how long a fix, a magnetic field, and all of the IMU may stay the same until the next measurement."""
     holds = {}
+    repeated = [_longest_same(flight.samples.u[flight.evidence, : len(IMU)]) / signal_hz for flight in raw]
+    if repeated and _REPEATED * max(repeated) <= _FROZEN_S:
+        holds["imu_hold_s"] = _FROZEN_S
     for index, channel in enumerate(channels):
         if channel.name == GPS[0]:
             slowest_hz = min(survey.rate_hz[channel.message] for survey in surveys)
@@ -366,6 +376,12 @@ def _holds(
             if len(steps) and np.median(steps) > 1.0:
                 holds["compass_hold_s"] = round(_HELD_PERIODS * float(np.median(steps)) / signal_hz, 3)
     return holds
+
+
+def _longest_same(rows: NDArray[np.float64]) -> int:
+    """Return for how many rows all values stayed the same at most."""
+    changes = np.flatnonzero((np.diff(rows, axis=0) != 0.0).any(axis=1))
+    return int(np.diff(np.concatenate([[-1], changes, [len(rows) - 1]])).max()) - 1 if len(rows) else 0
 
 
 def _delays(

@@ -60,6 +60,7 @@ DEFAULTS = {
     "compass_delay_s": 0.0,
     "gps_hold_s": 0.0,
     "compass_hold_s": 0.0,
+    "imu_hold_s": 0.0,
     "judge_level": 0.0,
     "attitude_share": 1.0,
     "bias_angle_x_s": 0.0,
@@ -84,7 +85,8 @@ class Strapdown:
         tau of positions without a velocity, which are washed out twice; ``gps_delay_s``,
         ``baro_delay_s``, ``compass_delay_s``: by how much they are late against the IMU; ``gps_hold_s``: how long a
         fix may stay the same until the receiver is stuck, 0 for ever; ``compass_hold_s``: how long a magnetic field
-        may, which is followed by the gyro until then; ``judge_level``: logarithm of the likelihood from which a gyro or
+        may, which is followed by the gyro until then; ``imu_hold_s``: how long IMU and attitude together may, after
+        which they are not measured any more; ``judge_level``: logarithm of the likelihood from which a gyro or
         accelerometer is held responsible for what the GPS's velocity shows (:mod:`monitor.core.navigation`), 0: never
         asked; ``attitude_share``: what counts of the difference of attitude and gyros while none is held responsible;
         ``bias_angle_x_s`` (y, z): by what angle for each rad/s the rotation is set back when a gyro's fault begins or
@@ -157,6 +159,7 @@ class Strapdown:
             twice=[name in bare for name in self.outputs],
             navigation=self.navigation,
             attitude_share=values["attitude_share"],
+            imu_hold=round(values["imu_hold_s"] * signal_rate_hz),
         )
 
     def run(self, samples: Samples) -> Given:
