@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.batch import Batch
 from adapters.sample import Samples
 from gains.plants.plant import Plant
 from monitor.alarms.alarm import Alarm, retuned
@@ -214,7 +215,7 @@ class ObserverChain:
         observer = AffineObserver(profile.gains)
         rule = replace(gate, settle_s=max(gate.settle_s, profile.settle_s or observer.settling_s()))
         self.source, self.settle_s = profile.source, rule.settle_s
-        self._sampler = GatedSampler(profile.source, gains.rate_hz, clock, rule)
+        self._sampler = GatedSampler(profile.source, gains.rate_hz, clock, rule, profile.supply)
         thresholds = {rule.channel: rule.threshold for rule in profile.alarms}
         self._estimator = make_estimator(observer, profile.isolation, names, thresholds)
         self._shown_in = shown_in(profile.model, self.layout)
@@ -319,7 +320,7 @@ class ObserverChain:
         """Restart at the next sample where the phase has come to allow evidence."""
         self._sampler.enter(phase)
 
-    def run(self, samples: Samples, position: NDArray[np.int64], phase: FlightPhase) -> ChainRun | None:
+    def run(self, samples: Samples, position: NDArray[np.int64], phase: FlightPhase, batch: Batch) -> ChainRun | None:
         """Process n samples of :attr:`sampler`: estimates, and evidence for :func:`alarm_events` to make events of.
 
         None where they complete no sample of the observer.
@@ -327,7 +328,7 @@ class ObserverChain:
         ``position`` is the place in the batch of the message that completed each (n,); the vehicle's phase is the same
         for all of them and was entered before.
         """
-        raw = samples
+        raw = samples = self._sampler.supplied(samples, batch, position)
         samples, rows = self._sampler.run(raw)
         beyond = None
         if self._envelope is not None:

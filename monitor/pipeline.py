@@ -42,6 +42,7 @@ from monitor.sampling.gate import allows
 from monitor.sampling.identity import Identity
 from monitor.sampling.phase import CONTESTED, FlightPhase
 from monitor.sampling.sampler import SamplerStatistics
+from monitor.sampling.supply import BATTERY_MESSAGE
 
 RULES = "rules"
 RESET = "reset"
@@ -108,6 +109,8 @@ class Pipeline:
         ]
         self._conditions = make_conditions(profile, self._clock)
         self._wanted = frozenset[str]().union(*(chain.interests for chain in self._chains))
+        if any(observer.supply is not None for observer in profile.observers):
+            self._wanted |= {BATTERY_MESSAGE}
         self._stale = StaleAlarm(self.vehicle, profile.stale_s)
         self._link = LinkAlarms(self.vehicle)
         self._commands = CommandWatch()
@@ -364,7 +367,7 @@ class Pipeline:
         if self._conditions is not None:
             self._conditions.run(taken.samples[-1], self._phase)
         each = [
-            chain.run(samples, position, self._phase)
+            chain.run(samples, position, self._phase, batch)
             # behind those of the observers there are those of the conditions
             for chain, samples, position in zip(self._chains, taken.samples, taken.position, strict=False)
         ]

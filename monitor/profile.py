@@ -36,6 +36,7 @@ from monitor.estimation.isolation_rule import (
 )
 from monitor.sampling.gate import GateRule, read_gate
 from monitor.sampling.identity import Identity
+from monitor.sampling.supply import SupplyRule, read_supply, supply_table
 from monitor.sampling.transform import SampleSource, TransformRule, make_transform
 
 
@@ -128,6 +129,8 @@ class ObserverProfile:
     spread : Mapping[str, float]
         How many times the standard deviation of the design the estimates of faults have in healthy flight, by name;
         once where it is left out.
+    supply : SupplyRule | None
+        How commands act with the battery's voltage; None: they do not, or it is not known.
     model : Plant | None
         The model the gains were designed for; without one the uncertainty of the estimates is not known.
     """
@@ -144,6 +147,7 @@ class ObserverProfile:
     excitation: ExcitationRule | None = None
     envelope: Envelope | None = None
     spread: Mapping[str, float] = field(default_factory=dict)
+    supply: SupplyRule | None = None
     model: Plant | None = None
 
     @property
@@ -268,6 +272,7 @@ def observer_table(
     excitation: ExcitationRule | None = None,
     envelope: Envelope | None = None,
     spread: Mapping[str, float] | None = None,
+    supply: SupplyRule | None = None,
     sees: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
     """Return an observer's part of profile.toml, as :func:`read_profile` reads it back.
@@ -287,6 +292,8 @@ def observer_table(
         table["excitation"] = excitation_table(excitation)
     if envelope is not None:
         table["envelope"] = envelope_table(envelope)
+    if supply is not None:
+        table["supply"] = supply_table(supply)
     if spread:
         table["spread"] = dict(spread)
     if effectiveness:
@@ -370,6 +377,7 @@ def _read_observer(folder: Path, name: str, table: Table, files: dict[str, bytes
         excitation=read_excitation(table.table("excitation"), shared.outputs) if table.has("excitation") else None,
         envelope=read_envelope(table.table("envelope")) if table.has("envelope") else None,
         spread=_spread(table.table("spread"), {channel.name for channel in faults}),
+        supply=read_supply(table.table("supply")) if table.has("supply") else None,
         model=read_model(model),
     )
     table.done()

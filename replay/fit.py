@@ -35,6 +35,7 @@ from monitor.sampling.gate import GateRule
 from monitor.sampling.identity import Identity, Reports, common_identity
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.slow_telemetry import slow_messages, slow_text
+from monitor.sampling.supply import BATTERY_MESSAGE
 from monitor.vehicles.base import VehicleKind, likely_kinds, load
 from monitor.vehicles.inertial.fit import OBSERVER, fit_alone, fit_inertial
 from monitor.vehicles.kinds import KINDS, kind_named
@@ -208,6 +209,7 @@ def fit_profile(
     set_aside = write_profile(folder, name, report, merged)
     new = [(*one, log) for one, log in zip(added, sources[len(flights) :], strict=True)]
     wanted = {channel.message for one in observers for channel in one.source.channels} | FlightPhase.interests
+    wanted |= {BATTERY_MESSAGE} if any(one.supply is not None for one in observers) else set()
     left_out = write_kept(folder, content, rate_hz, flights, new, wanted, update)
     if model is not None:
         write_file(folder / FOLDER / MODEL, model.read_bytes())

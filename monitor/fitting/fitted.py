@@ -28,6 +28,7 @@ from monitor.fitting.fit_report import Comparison
 from monitor.fitting.survey import Survey
 from monitor.fitting.thresholds import Calibrated, Times, calibrated, healthy_levels, plain_only
 from monitor.profile import UNEXPLAINED, ObserverProfile, fault_channels, observer_table
+from monitor.sampling.supply import SupplyRule
 from monitor.sampling.transform import SampleSource
 
 BatchSource = Callable[[], Iterable[Batch]]
@@ -130,6 +131,7 @@ class Fitted:
     envelope: Envelope | None = None  # what its raw signals reached in healthy flight
     # how many times the deviation of the design its estimates have in healthy flight, by fault
     spread: Mapping[str, float] = field(default_factory=dict)
+    supply: SupplyRule | None = None  # how commands act with the battery's voltage
     flight_s: float = 0.0  # healthy flight it was fitted on, seconds
     findings: Mapping[str, Any] = field(default_factory=dict)  # what the identification found, for ``fit.json``
     lines: tuple[str, ...] = ()  # the same for people
@@ -166,6 +168,7 @@ class Fitted:
             excitation=self.excitation,
             envelope=self.envelope,
             spread=self.spread,
+            supply=self.supply,
         )
 
     def table(self) -> dict[str, Any]:
@@ -182,6 +185,7 @@ class Fitted:
             excitation=self.excitation,
             envelope=self.envelope,
             spread=self.spread,
+            supply=self.supply,
             sees=sees,
         )
 

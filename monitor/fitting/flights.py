@@ -17,6 +17,7 @@ from gains.identification.segment import Segment
 from monitor.core.sampling import VehicleClock
 from monitor.sampling.gate import GatedSampler, GateRule
 from monitor.sampling.phase import FlightPhase
+from monitor.sampling.supply import SupplyRule
 from monitor.sampling.transform import SampleSource, Transform
 
 
@@ -114,9 +115,11 @@ def _arrived(columns: Columns, start_ns: int, end_ns: int) -> Columns:
     return rows_of(columns, slice(since, int(np.searchsorted(columns.received_ns, end_ns))))
 
 
-def flight_samples(batches: Iterable[Batch], source: SampleSource, rate_hz: float, gate: GateRule) -> Flight:
+def flight_samples(
+    batches: Iterable[Batch], source: SampleSource, rate_hz: float, gate: GateRule, supply: SupplyRule | None = None
+) -> Flight:
     """Return the samples of a recording, ``rate_hz`` of them per second."""
-    sampler = GatedSampler(source, rate_hz, VehicleClock(), gate)
+    sampler = GatedSampler(source, rate_hz, VehicleClock(), gate, supply)
     flights: list[Flight] = []
     for part, phase in _by_phase(batches):
         flights.append(Flight(*sampler.sample(part, phase)))

@@ -16,6 +16,7 @@ from adapters.logs.log_parameters import PARAMETER_MESSAGES, parameter
 from adapters.mavlink.heartbeat import ARMED, NO_AUTOPILOT, PX4, vehicle_type
 from adapters.message import LATEST_NS, Message
 from monitor.fitting.flight_rate import FlightRate
+from monitor.sampling.supply import BATTERY_MESSAGE
 
 MOTOR_MESSAGE = "SERVO_OUTPUT_RAW"
 MAX_OUTPUTS = 16
@@ -25,8 +26,6 @@ MOTION_MESSAGES = frozenset({MOTOR_MESSAGE, "ATTITUDE", "ATTITUDE_QUATERNION", "
 
 ESC_MESSAGES = tuple(f"ESC_TELEMETRY_{first}_TO_{first + 3}" for first in (1, 5, 9, 13))
 """What ArduPilot's speed controllers measure, four in a message. They carry no time: that of arrival stands in."""
-BATTERY_MESSAGE = "SYS_STATUS"
-"""Voltage, current and charge of the first battery; without a time, too."""
 _GPS_MESSAGE = "GPS_RAW_INT"
 _HEARTBEAT = "HEARTBEAT"
 _UNKNOWN = 65_535

@@ -9,7 +9,7 @@ ground, before the first fix of the GPS or while the vehicle was carried about, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from adapters.toml_tables import Table
 from monitor.core.sampling import Settling, VehicleClock, sample_batch
 from monitor.sampling.phase import FlightPhase
 from monitor.sampling.sampler import Sampler, SamplerStatistics
+from monitor.sampling.supply import Supply, SupplyRule
 from monitor.sampling.transform import SampleSource, make_sampler
 
 _DRIVEN_SAMPLES = 3
@@ -128,14 +129,24 @@ class GatedSampler:
         The vehicle's clock.
     rule : GateRule
         When samples count.
+    supply : SupplyRule | None
+        How commands act with the battery's voltage; None: they do not.
     """
 
-    def __init__(self, source: SampleSource, rate_hz: float, clock: VehicleClock, rule: GateRule) -> None:
+    def __init__(
+        self,
+        source: SampleSource,
+        rate_hz: float,
+        clock: VehicleClock,
+        rule: GateRule,
+        supply: SupplyRule | None = None,
+    ) -> None:
         self._sampler = make_sampler(source, rate_hz, clock)
         self._gate = FlightGate(rule)
         self._rule = rule
         self._commands = source.transform is None
         self._allowed = False
+        self._supply = None if supply is None else Supply(supply)
 
     @property
     def interests(self) -> frozenset[str]:
@@ -167,6 +178,15 @@ class GatedSampler:
             self.restart()
         self._allowed = allowed
 
+    def supplied(self, samples: Samples, batch: Batch, position: NDArray[np.int64]) -> Samples:
+        """Return samples of :attr:`sampler` with what the commands are worth at the battery's voltage.
+
+        ``position`` is the place in the batch of the message that completed each (n,).
+        """
+        if self._supply is None:
+            return samples
+        return replace(samples, u=samples.u * self._supply.factors(batch, position)[:, None])
+
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that those of :attr:`sampler` give, and the rows that completed them."""
         if isinstance(self._sampler, Sampler):
@@ -180,7 +200,8 @@ class GatedSampler:
     def sample(self, batch: Batch, phase: FlightPhase) -> GatedSamples:
         """Return the samples that a batch completes and which are evidence, the phase being the same for all of it."""
         self.enter(phase)
-        samples, _ = self.run(sample_batch(self.sampler.clock, [self.sampler], batch).samples[0])
+        taken = sample_batch(self.sampler.clock, [self.sampler], batch)
+        samples, _ = self.run(self.supplied(taken.samples[0], batch, taken.position[0]))
         return GatedSamples(samples, self.admitted(samples, phase))
 
 

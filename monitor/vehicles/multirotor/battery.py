@@ -35,9 +35,16 @@ from monitor.core.lagged import LaggedMeans
 from monitor.estimation.isolation_rule import IndependentRule
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
 from monitor.fitting.flights import Flight, flight_samples, transformed
-from monitor.fitting.survey import BATTERY_MESSAGE
-from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
+from monitor.fitting.thresholds import (
+    FALSE_ALARMS_PER_HOUR,
+    Times,
+    calibrated,
+    healthy_evidence,
+    healthy_levels,
+    plain_only,
+)
 from monitor.sampling.gate import GateRule
+from monitor.sampling.supply import BATTERY_MESSAGE
 from monitor.sampling.transform import SampleSource, TransformRule
 from monitor.vehicles.multirotor.signals import multirotor_channels
 
@@ -181,7 +188,8 @@ def fit_battery(request: FitRequest, gate: GateRule) -> Fitted | None:
     times = replace(_TIMES, fast_s=max(_TIMES.fast_s, 2.0 / rate_hz), raise_s=max(_TIMES.raise_s, 3.0 / rate_hz))
     levels = healthy_levels(evidence, rate_hz, FALSE_ALARMS_PER_HOUR, times)
     rule = bare_rule(OBSERVER, OBSERVER, "actuator", RESISTANCE)
-    alarm = calibrated(rule, levels, 1.0, floor=_SMALLEST, critical=_CRITICAL, times=times)
+    # a resistance is a mean itself: the path of means would name half of what matters
+    alarm = plain_only(calibrated(rule, levels, 1.0, floor=_SMALLEST, critical=_CRITICAL, times=times))
     charge = "" if not parameters["charge"] else f", {parameters['charge'] / 3600.0:.1f} Ah when full"
     return replace(
         bare,

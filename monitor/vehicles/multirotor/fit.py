@@ -42,6 +42,7 @@ from monitor.fitting.thresholds import (
 )
 from monitor.profile import FaultChannel, ObserverProfile
 from monitor.sampling.gate import GateRule
+from monitor.sampling.supply import BATTERY_MESSAGE, SupplyRule, supply_table
 from monitor.sampling.transform import SampleSource
 from monitor.vehicles.multirotor.flight_motors import motor_agreement
 from monitor.vehicles.multirotor.frames import Frame, frame_of
@@ -65,6 +66,7 @@ from monitor.vehicles.multirotor.trim import (
     usable_segments,
 )
 from monitor.vehicles.multirotor.validation import Drift, predict_rates, response_drift
+from monitor.vehicles.multirotor.voltage import fit_supply
 
 SHOWN_S = 10.0
 """Seconds drawn: as many as show single manoeuvres over the width of a page."""
@@ -105,6 +107,7 @@ class _Drive:
     rate_hz: float
     called: str
     unit: str
+    supply: SupplyRule | None = None
 
     @property
     def numbers(self) -> list[int]:
@@ -112,9 +115,10 @@ class _Drive:
         return [int(channel.name.lstrip(ascii_lowercase)) for channel in self.inputs]
 
 
-def _commanded(request: FitRequest, inputs: tuple[Channel, ...]) -> _Drive:
+def _commanded(request: FitRequest, gate: GateRule, inputs: tuple[Channel, ...]) -> _Drive:
     rate_hz = min(survey.rate_hz[MOTOR_MESSAGE] for survey in request.surveys)
-    return _Drive(OBSERVER, inputs, rate_hz, "motor commands", "fraction of full command")
+    supply = fit_supply(request, gate, inputs)
+    return _Drive(OBSERVER, inputs, rate_hz, "motor commands", "fraction of full command", supply)
 
 
 def _turned(speeds: EscSignals, observer: str) -> _Drive:
@@ -197,10 +201,10 @@ def fit_multirotor(request: FitRequest) -> tuple[Fitted, GateRule]:
     """
     gate = multirotor_gate(request.surveys)
     commands, outputs = multirotor_channels(request.surveys)
-    drive, speeds = _commanded(request, commands), motor_speeds(request, gate, commands)
+    speeds = motor_speeds(request, gate, commands)
     if speeds is not None and speeds.measured and speeds.rate_hz >= SLOW_COMMANDS_HZ:
-        drive = _turned(speeds, OBSERVER)
-    return _fitted(request, gate, drive, outputs), gate
+        return _fitted(request, gate, _turned(speeds, OBSERVER), outputs), gate
+    return _fitted(request, gate, _commanded(request, gate, commands), outputs), gate
 
 
 def fit_props(request: FitRequest, gate: GateRule) -> Fitted | None:
@@ -231,7 +235,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
     )
     gains = compile_bank(plant, design_bank(plant, model.rate_hz))
     rule = bank_rule(gains, segments, edges=GYROS, level_s=LEVEL_SHARE * identified.times.slow_s)
-    bare = Fitted(drive.observer, plant, gains, identified.source, rule)
+    bare = Fitted(drive.observer, plant, gains, identified.source, rule, supply=drive.supply)
     channels = bare.profile().faults
     hover = np.median(np.concatenate([segment.u for segment in segments]), axis=0)
     bare = replace(bare, excitation=_excitation(bare.profile(), gate, identified, hover))
@@ -255,6 +259,7 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
         changes=changes,
         excitation=bare.excitation,
         spread=fit_spread(bare.profile(), plant, gate, identified.flights),
+        supply=drive.supply,
         flight_s=sum(len(segment.u) for segment in segments) / model.rate_hz,
         findings={
             "rate_hz": model.rate_hz,
@@ -262,18 +267,27 @@ def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[C
             "hover_command": dict(zip(motors, hover.tolist(), strict=True)),
             "effectiveness": {motor: model.B[:3, i].tolist() for i, motor in enumerate(motors)},
             **identified.findings,
+            **({} if drive.supply is None else {"supply": supply_table(drive.supply)}),
             **ranges,
             "validation": None if identified.comparison is None else comparison_json(identified.comparison),
         },
         lines=(
             *([range_text(commands, surveys)] if ranges else []),
             identified.line,
+            *([] if drive.supply is None else [_supply_text(drive.supply)]),
             *_lines(drive, hover.tolist(), alarms),
         ),
         details=identified.details,
         comparison=identified.comparison,
         measured=True,
         agreement=motor_agreement(model, request.names, [flight.segments() for flight in identified.flights], motors),
+    )
+
+
+def _supply_text(supply: SupplyRule) -> str:
+    return (
+        f"commands lose {supply.share:.2f} % where the battery loses 1 % of {supply.volts:.1f} V: reckoned with, by "
+        f"{BATTERY_MESSAGE}"
     )
 
 
@@ -299,7 +313,7 @@ def _fast(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
     source = SampleSource(drive.inputs, tuple(outputs))
     fastest_hz = common_rate_hz(request.surveys, source.channels)
     rate_hz = request.grid_hz(min(fastest_hz, _ENOUGH_HZ))
-    flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]
+    flights = [flight_samples(log(), source, rate_hz, gate, drive.supply) for log in request.logs]
     stretches = [flight.segments() for flight in flights]
     segments = [segment for flight in stretches for segment in flight]
     records = [flight.segments(round(_BRIDGED_S * rate_hz)) for flight in flights]
@@ -371,13 +385,13 @@ def _slow(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
     rate_hz = request.grid_hz(
         min(float(f"{commands_hz / COMMANDS_PER_TICK:.3g}"), common_rate_hz(request.surveys, rates))
     )
-    flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]
+    flights = [flight_samples(log(), source, rate_hz, gate, drive.supply) for log in request.logs]
     segments = usable_segments([segment for flight in flights for segment in flight.segments()], rate_hz)
     frame, origin = _frame(request, gate, drive, rates)
     model = identify_trim(segments, rate_hz, frame)
     if len(model.a) < len(rates):
         source = replace(source, outputs=rates[: len(model.a)])
-        flights = [flight_samples(log(), source, rate_hz, gate) for log in request.logs]
+        flights = [flight_samples(log(), source, rate_hz, gate, drive.supply) for log in request.logs]
     segments = [segment for flight in flights for segment in flight.segments()]
     return _Identified(
         model=model,
@@ -419,7 +433,11 @@ def _frame(request: FitRequest, gate: GateRule, drive: _Drive, rates: Sequence[C
         return frame, "the vehicle's parameters"
     source = SampleSource(tuple(replace(channel, interpolation="previous") for channel in drive.inputs), tuple(rates))
     rate_hz = min(common_rate_hz(request.surveys, rates), SLOW_COMMANDS_HZ)
-    segments = [segment for log in request.logs for segment in flight_samples(log(), source, rate_hz, gate).segments()]
+    segments = [
+        segment
+        for log in request.logs
+        for segment in flight_samples(log(), source, rate_hz, gate, drive.supply).segments()
+    ]
     frame = choose_frame(segments, rate_hz)
     if frame is None:
         raise UntoldError(

@@ -10,7 +10,6 @@ from adapters.channels import STANDARD_GRAVITY, Channel
 from adapters.errors import TelemetryError
 from adapters.logs.log_parameters import PARAMETER_MESSAGES
 from monitor.fitting.survey import (
-    BATTERY_MESSAGE,
     ESC_MESSAGES,
     MAX_OUTPUTS,
     MOTION_MESSAGES,
@@ -20,6 +19,7 @@ from monitor.fitting.survey import (
     common_rate_hz,
 )
 from monitor.sampling.phase import FlightPhase
+from monitor.sampling.supply import BATTERY_MESSAGE
 from monitor.vehicles.base import Preview
 from monitor.vehicles.multirotor.frames import frame_of
 from monitor.vehicles.multirotor.speeds import esc_signals

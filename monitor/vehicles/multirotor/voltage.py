@@ -1,0 +1,68 @@
+"""How much of a motor's command a sagging battery takes, told by flights in which the same thrust needs more command.
+
+A controller without a governor applies u V, a vehicle flies with the same mean thrust: ln u falls by ``share`` per cent
+where the voltage v rises by one. Climbs and brakes move both at once, for the current pulls the voltage down; so the
+slope is that over the time in the air, in which a battery only empties (instrumental variables; Wooldridge, Econometric
+Analysis, 5.1):
+
+    share = -cov(t, ln u) / cov(t, ln V),     within flights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from adapters.channels import Channel
+from monitor.fitting.fitted import FitRequest
+from monitor.fitting.flights import flight_samples
+from monitor.sampling.gate import GateRule
+from monitor.sampling.supply import BATTERY_MESSAGE, SupplyRule
+from monitor.sampling.transform import SampleSource
+
+_GRID_HZ, _BLOCK = 1.0, 10
+"""Means over ten seconds: manoeuvres and gusts are shorter."""
+_SURE = 5.0
+"""Standard errors. Chosen: modes and wind change thrust in minutes, too, and errors of blocks are not quite
+independent."""
+_LEAST, _MOST = 0.5, 1.5
+"""Shares that are believed. Without a governor it is one, with one nothing; what is far from both has another cause."""
+_ALIKE = 3.0
+"""Standard errors within which a share is one."""
+_LEAST_RANGE = 0.02
+"""Share by which voltages have to differ. Chosen: less changes no size of a fault by more than flights scatter."""
+
+
+def fit_supply(request: FitRequest, gate: GateRule, commands: Sequence[Channel]) -> SupplyRule | None:
+    """Return how commands act with the battery's voltage; None where the flights do not tell."""
+    if not all(survey.rate_hz.get(BATTERY_MESSAGE, 0.0) > 0.0 for survey in request.surveys):
+        return None
+    volts = Channel("volts", BATTERY_MESSAGE, ("voltage_battery",), scale=0.001, interpolation="previous")
+    source = SampleSource(inputs=(*(replace(channel, interpolation="mean") for channel in commands), volts))
+    blocks = []
+    for log in request.logs:
+        flight = flight_samples(log(), source, _GRID_HZ, gate)
+        kept = flight.samples.u[flight.armed & (flight.samples.u > 0.0).all(axis=1)]
+        of_flight = len(kept) // _BLOCK
+        if of_flight < 2:
+            continue
+        mean = kept[: of_flight * _BLOCK].reshape(of_flight, _BLOCK, -1).mean(axis=1)
+        block = np.column_stack([np.arange(of_flight), np.log(mean[:, :-1].mean(axis=1)), np.log(mean[:, -1])])
+        blocks.append(np.column_stack([block - block.mean(axis=0), mean[:, -1]]))
+    if not blocks:
+        return None
+    time, command, voltage, level = np.concatenate(blocks).T
+    free = len(time) - len(blocks) - 1
+    joint = float(time @ voltage)
+    if free < 1 or np.ptp(level) < _LEAST_RANGE * level.mean() or not joint < 0.0:
+        return None
+    share = -float(time @ command) / joint
+    left = float(np.sum((command + share * voltage) ** 2)) / free
+    error = (left * float(time @ time)) ** 0.5 / -joint
+    if not (_LEAST <= share <= _MOST and share > _SURE * error):
+        return None
+    if abs(share - 1.0) < _ALIKE * error:
+        share = 1.0  # that of a controller without a governor, which flights tell less sharply
+    return SupplyRule(float(f"{level.mean():.4g}"), float(f"{share:.3g}"))
