@@ -1,6 +1,6 @@
-"""Four vehicles as live UDP into one daemon for a long time: what is lost, how late it is, what it costs.
+"""Vehicles as live UDP into one daemon for a long time: what is lost, how late it is, what it costs.
 
-    python bench/soak.py [--minutes 30] [--flights FOLDER --profile FOLDER] [--json]
+    python bench/soak.py [--minutes 30] [--vehicles 4] [--flights FOLDER --profile FOLDER] [--json]
 
 Everything is measured from outside the daemon: samples against what an offline pipeline makes of the very packets that
 were sent, alarms by a plain Zenoh client in a process of its own against the time of sending of the packet that caused
@@ -232,7 +232,11 @@ def soak(setup: Setup, minutes: float) -> dict[str, Any]:
     show("replaying offline, to know what to expect")
     profile = read_profile(setup.profile)
     flights: list[SentFlight] = [read_flight(log, system) for system, log in enumerate(setup.logs, 1)]
-    expectations = [expected(profile, flight, seconds) for flight in flights]
+    # What comes of a flight does not depend on its system id.
+    of_log = {
+        log: expected(profile, flight, seconds) for log, flight in dict(zip(setup.logs, flights, strict=True)).items()
+    }
+    expectations = [of_log[log] for log in setup.logs]
     names = [name_of(flight.system) for flight in flights]
     folder = setup.folder
     with (
@@ -362,6 +366,7 @@ def page(report: Mapping[str, Any]) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=30.0, help="how long (default 30)")
+    parser.add_argument("--vehicles", type=int, default=VEHICLES, help=f"how many (default {VEHICLES})")
     parser.add_argument("--flights", type=Path, help="folder of telemetry logs instead of the excerpts kept here")
     parser.add_argument("--profile", type=Path, default=PROFILE, help="profile folder that fits them")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="leave everything there: recordings, journal, logs")
@@ -371,7 +376,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not found:
         print(f"soak: {args.flights}: holds no telemetry log", file=sys.stderr)
         return 2
-    logs = list(islice(cycle(found), VEHICLES))
+    logs = list(islice(cycle(found), args.vehicles))
     with tempfile.TemporaryDirectory() as folder:
         kept = Path(folder) if args.keep is None else args.keep.resolve()
         kept.mkdir(parents=True, exist_ok=True)
