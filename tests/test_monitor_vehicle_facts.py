@@ -35,6 +35,9 @@ def test_what_is_no_autopilot_and_no_fix_changes_nothing() -> None:
     gimbal = {"type": 26, "autopilot": 8, "base_mode": 0, "custom_mode": 0}
     said = facts(("HEARTBEAT", gimbal), ("GPS_RAW_INT", {"lat": 0, "lon": 0, "alt": 0}), ("GPS_RAW_INT", {}))
     assert said == {"texts": []}
+    place = {"lat": 473977418, "lon": 85455939, "alt": 488_000}
+    assert "gps" not in facts(("GPS_RAW_INT", {**place, "fix_type": 1}))
+    assert "gps" in facts(("GPS_RAW_INT", {**place, "fix_type": 3}))
 
 
 def test_a_position_of_ros_is_one_too() -> None:
