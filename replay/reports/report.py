@@ -11,6 +11,7 @@ from pathlib import Path
 
 from adapters.logs.damage import Damage
 from adapters.output_file import write_file
+from monitor.alarms.alarm import AlarmRule
 from monitor.bus.alarm_text import utc
 from monitor.display import fault_text, size_text
 from monitor.estimation.effectiveness import EffectivenessRule
@@ -67,7 +68,7 @@ def recording_report(run: Run) -> str:
         f"{run.vehicle}: {run.log.name}",
         element("h1", f"{run.vehicle}: {run.log.name}"),
         _header(run, results),
-        section("What was found", *_found(run, results, charts)),
+        section("What was found", *_found(run, results, watched, charts)),
         *_flight(run, results, charts),
         *_conditions(run),
         section("What was watched", *_watched(run, results, watched)),
@@ -94,9 +95,9 @@ def _header(run: Run, results: Sequence[Finding]) -> Html:
     )
 
 
-def _found(run: Run, results: Sequence[Finding], charts: Charts) -> Iterator[Html]:
+def _found(run: Run, results: Sequence[Finding], watched: Sequence[WatchedChannel], charts: Charts) -> Iterator[Html]:
     if not results:
-        yield element("p", _nothing_found(run))
+        yield element("p", _nothing_found(run, watched))
     traces = {trace.layout.observer: trace for trace in run.replay.traces if len(trace.vehicle_ns)}
     for one in results:
         trace = traces.get(one.alarm.observer)
@@ -110,11 +111,28 @@ def _found(run: Run, results: Sequence[Finding], charts: Charts) -> Iterator[Htm
         )
 
 
-def _nothing_found(run: Run) -> str:
+def _nothing_found(run: Run, watched: Sequence[WatchedChannel]) -> str:
     if not run.replay.evidence:
         return "Nothing: no observer watched for a single sample. This says nothing about the vehicle."
     blind = "".join(f" {name} watched nothing at all." for name in _blind(run.replay))
-    return f"No alarm was raised.{blind} That covers the channels below, from their thresholds on, while watched."
+    least: dict[str, AlarmRule] = {}
+    for one in watched:
+        known = least.get(one.rule.channel, one.rule)
+        if (
+            one.watched_s
+            and one.effect is None
+            and "times" not in one.rule.unit
+            and one.rule.threshold <= known.threshold
+        ):
+            least[one.rule.channel] = one.rule
+    from_size: dict[str, list[str]] = {}
+    for channel, rule in least.items():
+        from_size.setdefault(size_text(rule.threshold, rule.unit), []).append(channel)
+    seen = "; ".join(f"{', '.join(channels)} from {size}" for size, channels in from_size.items())
+    return (
+        f"No alarm was raised.{blind} That covers the channels below, from their thresholds on, while watched."
+        f"{seen and f' It would have shown: {seen}.'}"
+    )
 
 
 def _blind(replay: Replay) -> list[str]:
