@@ -47,6 +47,26 @@ def test_a_propeller_out_of_balance_is_an_alarm_within_seconds(profile: Profile)
     assert raised.display.endswith(" times")
 
 
+def test_clipped_samples_are_an_alarm_and_a_counter_that_begins_anew_is_none(profile: Profile) -> None:
+    def clipped(seconds: float) -> int:
+        return round(50.0 * min(max(seconds - 20.0, 0.0), 10.0)) if seconds < 45.0 else 0
+
+    messages = (
+        replace(message, fields={**message.fields, "clipping_1": clipped(message.fields["time_usec"] / 1e6 - 5.0)})
+        if message.name == "VIBRATION"
+        else message
+        for message in flight(9, 60.0, esc_hz=1.0)
+    )
+    raised, *_, cleared = play(profile, messages).events
+    assert (raised.observer, raised.channel, raised.state) == ("vibration", "clipping", "raised")
+    assert (cleared.channel, cleared.state) == ("clipping", "cleared")
+    assert 0.0 < raised.vehicle_time_ms / 1000 - 25.0 < 5.0
+    assert raised.estimate == pytest.approx(50.0, rel=0.1)
+    assert raised.message.startswith("accelerometers are at their end ")
+    assert raised.message.endswith(" samples/s: what is beyond is lost")
+    assert cleared.vehicle_time_ms < 42_000
+
+
 def test_a_healthy_flight_raises_nothing(profile: Profile, fitted: Fitted) -> None:
     assert not play(profile, flight(11, 90.0, esc_hz=1.0)).events
     assert fitted.findings["left"] == pytest.approx(0.12, abs=0.08)

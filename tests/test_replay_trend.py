@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import fauio
-from monitor.profile import read_profile
-from replay.reports.levels import WearLevel, WornChannel, worn_channels
+from monitor.alarms.alarm import CURRENT, LOG_TIMES, RESISTANCE, SPEED
+from monitor.profile import FaultChannel, read_profile
+from replay.reports.levels import WearLevel, WornChannel, wear_sign, worn_channels
 from replay.runs.one_log import LogOutcome, LogTask, replay_log
 from replay.runs.summary_table import SummaryTable
 from replay.wear.flight_table import read_table
@@ -166,6 +167,22 @@ def test_a_table_keeps_what_flights_say(tmp_path: Path, outcome: LogOutcome) -> 
         assert [level.of for level in flight.levels] == [level.of for level in outcome.levels]
         for kept, level in zip(flight.levels, outcome.levels, strict=True):
             assert (kept.value, kept.sd, kept.limit) == pytest.approx((level.value, level.sd, level.limit), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("fault", "sign"),
+    [
+        (FaultChannel("motor1", "actuator", "fraction of full command", 0), -1),
+        (FaultChannel("esc1", "actuator", SPEED, 0), -1),
+        (FaultChannel("motor1", "actuator", CURRENT, 0), 1),
+        (FaultChannel("battery", "actuator", RESISTANCE, 0), 1),
+        (FaultChannel("vibration", "actuator", LOG_TIMES, None), 1),
+        (FaultChannel("friction", "actuator", "N m", None), 0),
+        (FaultChannel("gyro_x", "sensor", "rad/s", None), 0),
+    ],
+)
+def test_wear_is_less_effect_more_current_resistance_and_vibration(fault: FaultChannel, sign: int) -> None:
+    assert wear_sign(fault) == sign
 
 
 def written(path: Path, flights: list[LoggedFlight]) -> Path:

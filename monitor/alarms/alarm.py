@@ -44,6 +44,8 @@ RESISTANCE = "fraction of usual resistance"
 """Unit of how far a battery's voltage gives way to its current."""
 LOG_TIMES = "natural logarithm of times"
 """Unit of what is so many times as large as expected."""
+CLIPS = "samples/s"
+"""Unit of how often a sensor is at its end."""
 
 _LARGEST_LOG = 50.0
 """Beyond it nothing is measured; the exponential of more is no number that people read."""
@@ -78,6 +80,8 @@ def alarm_message(
         return f"{channel} delivers {_percent(relative)} than commanded"
     if unit == LOG_TIMES:
         return f"{channel} is {math.exp(min(size, _LARGEST_LOG)):.2g} times what is expected of this flight"
+    if unit == CLIPS:
+        return f"accelerometers are at their end {size_text(size, unit)}: what is beyond is lost"
     if channel.startswith("disturbance_"):
         return f"{channel.removeprefix('disturbance_')} is disturbed by {size_text(size, unit, signed=True)}: no fault"
     sentence = _sensor(channel, unit, size)

@@ -140,7 +140,7 @@ _FACTS = {
                     "kind": {"const": "information"},
                     "since_ns": _TIME,
                     "text": {"type": "string"},
-                    "values": {"type": "object", "additionalProperties": _AMOUNT},
+                    "values": {"type": "object", "additionalProperties": {"type": "number"}},
                 },
                 "required": ["name", "kind", "since_ns", "text", "values"],
             },

@@ -23,7 +23,7 @@ _CHECKS: Mapping[str, str] = {
     r"steering": "the steering servo and linkage, wheels and tyres",
     r"airspeed": "the pitot tube: blocked, iced, or its hose leaking",
     r"battery": "the battery's cells, age and temperature, and its connectors",
-    r"vibration": "propellers for balance, mounts of the autopilot, loose parts",
+    r"vibration|clipping": "propellers for balance, mounts of the autopilot, loose parts",
     r"impostor|signing|heartbeat": "who else sends on this link: a second vehicle of the same id, a ground station, "
     "an attacker; sign the link",
     r"command": "who sent it: a second ground station, a companion computer, an attacker; sign the link",

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gains.identification.regression import coloured_inflation
-from monitor.alarms.alarm import CURRENT, LOG_TIMES
+from monitor.alarms.alarm import CURRENT, LOG_TIMES, RESISTANCE
 from monitor.display import share_unit
 from monitor.event import AlarmEvent
 from monitor.profile import FaultChannel, ObserverProfile, Profile
@@ -57,7 +57,7 @@ def worn_channels(profile: Profile) -> list[WornChannel]:
         WornChannel(observer.name, fault.name, _unit(fault))
         for observer in profile.observers
         for fault in observer.faults
-        if _sign(fault)
+        if wear_sign(fault)
     ]
 
 
@@ -74,19 +74,20 @@ def flight_levels(profile: Profile, events: Sequence[AlarmEvent], traces: Sequen
     for observer in profile.observers:
         trace = by_name.get(observer.name)
         if trace is not None:
-            found = (_level(observer, fault, trace, events) for fault in observer.faults if _sign(fault))
+            found = (_level(observer, fault, trace, events) for fault in observer.faults if wear_sign(fault))
             levels += [level for level in found if level is not None]
     return levels
 
 
-def _sign(fault: FaultChannel) -> int:
+def wear_sign(fault: FaultChannel) -> int:
     """Return the sign of wear in a channel's estimates; 0 where it shows none.
 
-    Worn actuators deliver less, worn motors draw more current, and worn bearings and propellers shake more.
+    Worn actuators deliver less, worn motors draw more current, worn bearings and propellers shake more, and the
+    resistance of worn batteries is larger.
     """
     if fault.kind != "actuator":
         return 0
-    if fault.unit in (LOG_TIMES, CURRENT):
+    if fault.unit in (LOG_TIMES, CURRENT, RESISTANCE):
         return 1
     return 0 if fault.input is None else -1
 
@@ -119,7 +120,7 @@ def _level(
     limit = threshold / usual if by_effect is None else by_effect.least_loss
     factor = 1.0 if fault.input is None else 100.0
     of = WornChannel(observer.name, fault.name, _unit(fault))
-    return WearLevel(of, factor * value, factor * sd, _sign(fault) * factor * limit)
+    return WearLevel(of, factor * value, factor * sd, wear_sign(fault) * factor * limit)
 
 
 def _share(

@@ -19,9 +19,9 @@ def add_trend(subparsers: Any) -> None:
         "trend",
         help="wear across flights: what will need service when",
         description="Fit a line to what each flight says of each actuator, over hours of flight: effectiveness, speed "
-        "and current of motors, vibration, as far as the profile watches them. Says what will need service when, with "
-        "an interval that holds it 95 times of 100, or that no trend can be told from these flights. Service is due "
-        "where the monitor would raise an alarm.",
+        "and current of motors, the battery's resistance, vibration, as far as the profile watches them. Says what "
+        "will need service when, with an interval that holds it 95 times of 100, or that no trend can be told from "
+        "these flights. Service is due where the monitor would raise an alarm.",
         epilog="example: fauio trend flights/ --profile quad/ --plot wear.png",
     )
     parser.add_argument(

@@ -5,7 +5,8 @@ The logarithm of the level, which autopilots report some times a second, is comp
     c0 + c1 m + c2 d + c3 r      m: mean command, d: how far commands are apart, r: size of the body rates
 
 as they were of late, identified from healthy flights by least squares: a level that is twice the expected one is as
-remarkable in hover as in a climb.
+remarkable in hover as in a climb. Beside it stands how many samples a second an accelerometer was at its end, by the
+counters of the autopilot: what is cut off there is missing in every speed and position.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from gains.plants.plant import Disturbance, Fault, Noise, Plant
 from gains.synthesis.certificate import certify
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
-from monitor.alarms.alarm import LOG_TIMES
+from monitor.alarms.alarm import CLIPS, LOG_TIMES
 from monitor.core.lagged import LaggedMeans
 from monitor.estimation.isolation_rule import IndependentRule
 from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
@@ -41,7 +42,10 @@ Array = NDArray[np.float64]
 
 OBSERVER = "vibration"
 
+CLIPPING = "clipping"
 _MESSAGE, _AXES = "VIBRATION", "xyz"
+_COUNTERS = tuple(f"clipping_{at}" for at in range(3))
+"""Counters of the three IMUs."""
 _SIGNAL_HZ, _FASTEST_HZ, _SLOWEST_HZ = 25.0, 5.0, 0.3
 """Grid of commands and rates, and bounds of the observer's own. Chosen: levels are means over half a second and more,
 and one that comes every three seconds still shows what a flight of minutes does."""
@@ -62,6 +66,10 @@ factor of seven; where flights show less of it, it counts."""
 _SMALLEST, _CRITICAL = math.log(3.0), math.log(10.0)
 """Three times the expected level is worth an alarm, ten times is critical. Chosen: flights leave a factor of two
 unexplained; from the 3 m/s^2 of a good vehicle ten times is what ArduPilot's guide accepts at most."""
+_CLIPPED, _CRITICALLY = 10.0, 100.0
+"""Samples a second at an accelerometer's end that are worth an alarm, and critical. Chosen: of the thousand that IMUs
+take a hundredth and a tenth, each a piece of 16 g and more that is lost; healthy flights have none, a stone or a hard
+landing some at once."""
 _TIMES = Times(fast_s=1.0, raise_s=2.0, slow_s=10.0, clear_s=2.0)
 """Chosen: touching down, or a gust, is over within a second."""
 _FAULT_RATE = 0.5
@@ -69,7 +77,7 @@ _FAULT_RATE = 0.5
 
 
 class VibrationInputs:
-    """Samples of vibration: the expected logarithm of its level, and the measured one.
+    """Samples of vibration: the expected logarithm of its level, the measured one, and clipped samples per second.
 
     Parameters
     ----------
@@ -84,7 +92,7 @@ class VibrationInputs:
         A parameter is missing, unknown or out of range, or the rates do not fit.
     """
 
-    inputs, outputs = ("expected",), ("level",)
+    inputs, outputs = ("expected",), ("level", "clips")
 
     def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
         wanted = {"motors", "least", "c0", "c1", "c2", "c3"}
@@ -97,32 +105,50 @@ class VibrationInputs:
         self._motors, self._least = int(parameters["motors"]), parameters["least"]
         self.signals = signal_names(self._motors)
         self._c = [parameters[f"c{term}"] for term in range(4)]
-        self._means = LaggedMeans([(0.0, _LAG_S)], signal_rate_hz, size, 1, 1)
+        self._means = LaggedMeans([(0.0, _LAG_S)], signal_rate_hz, size, 1, 2)
+        self._rate_hz, self._counted = rate_hz, math.nan
         self._later = OneTickLater()
 
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that raw samples complete; one marked ``restart`` forgets lag and tick."""
         with np.errstate(all="ignore"):  # absurd values may overflow; they are no evidence
             level, causes = explained(samples.u.T, self._motors)
+            counted = samples.u[:, -len(_COUNTERS) :].sum(axis=1)
             expected = self._c[0] + self._c[1] * causes[0] + self._c[2] * causes[1] + self._c[3] * causes[2]
             measured = np.log(np.maximum(level, self._least))
-        given = self._means.run(samples, [expected, measured], np.ones(len(samples), np.bool_))
-        later = self._later.run(given.samples)
+        given = self._means.run(samples, [expected, measured, counted], np.ones(len(samples), np.bool_))
+        later = self._later.run(self._clipped(given.samples))
         if len(later):
             # less than expected is no fault
-            np.maximum(later.y, self._later.u, out=later.y)
+            later.y[:, 0] = np.maximum(later.y[:, 0], self._later.u[:, 0])
         return Given(later, given.rows)
+
+    def _clipped(self, samples: Samples) -> Samples:
+        """Return samples with clips per second in place of their counter; a counter that begins anew counts nothing."""
+        if not len(samples):
+            return samples
+        counter = samples.y[:, 1]
+        before = np.append(self._counted, counter[:-1])
+        known = np.isfinite(before) & ~samples.restart
+        self._counted = float(counter[-1])
+        clips = np.where(known, np.maximum(counter - before, 0.0), 0.0) * self._rate_hz
+        return replace(samples, y=np.column_stack([samples.y[:, 0], clips]))
 
 
 def signal_names(motors: int) -> tuple[str, ...]:
     """Return the names of the raw signals."""
-    return (*(f"vibration_{axis}" for axis in _AXES), *(f"motor{n}" for n in range(1, motors + 1)), *RATE_AXES)
+    return (
+        *(f"vibration_{axis}" for axis in _AXES),
+        *(f"motor{n}" for n in range(1, motors + 1)),
+        *RATE_AXES,
+        *_COUNTERS,
+    )
 
 
 def explained(signals: Array, motors: int) -> tuple[Array, tuple[Array, ...]]:
     """Return the level (n,) and what explains it, of raw signals (number of signals, n)."""
     x, y, z, *more = signals
-    commands, rates = more[:motors], more[motors:]
+    commands, rates = more[:motors], more[motors : motors + len(RATE_AXES)]
     apart = np.maximum.reduce(commands) - np.minimum.reduce(commands)
     roll, pitch, yaw = rates
     mean = np.asarray(sum(commands) / motors)  # added one after the other, however many rows there are
@@ -147,7 +173,8 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
         Channel(f"vibration_{axis}", _MESSAGE, (f"vibration_{axis}",), interpolation="previous") for axis in _AXES
     )
     named = [replace(channel, name=f"motor{n}") for n, channel in enumerate(commands, start=1)]
-    channels = (*levels, *named, *outputs[: len(RATE_AXES)])
+    counters = (Channel(name, _MESSAGE, (name,), interpolation="previous") for name in _COUNTERS)
+    channels = (*levels, *named, *outputs[: len(RATE_AXES)], *counters)
     rate_hz = float(f"{min(reported_hz, _FASTEST_HZ):.3g}")
     signal_hz = rate_hz * max(1, round(_SIGNAL_HZ / rate_hz))
     raw = [flight_samples(log(), SampleSource(inputs=channels), signal_hz, gate) for log in request.logs]
@@ -159,14 +186,19 @@ def fit_vibration(request: FitRequest, gate: GateRule) -> Fitted | None:
     bare = Fitted(
         OBSERVER, plant, (compile_gains(plant, design, certify(plant, design)),), source, IndependentRule(1.0 / rate_hz)
     )
-    evidence = [one[:, 0] for one in healthy_evidence(bare.profile(), gate, flights)]
+    healthy = healthy_evidence(bare.profile(), gate, flights)
+    evidence = [one[:, 0] for one in healthy]
     rule = bare_rule(OBSERVER, OBSERVER, "actuator", LOG_TIMES)
     times = replace(_TIMES, raise_s=max(_TIMES.raise_s, 3.0 / rate_hz), fast_s=max(_TIMES.fast_s, 2.0 / rate_hz))
     found = healthy_levels(evidence, rate_hz, FALSE_ALARMS_PER_HOUR, times)
     alarm = calibrated(rule, found, 1.0, floor=_SMALLEST, critical=_CRITICAL, times=times)
+    clips = [one[:, 1] for one in healthy]
+    rule = bare_rule(OBSERVER, CLIPPING, "actuator", CLIPS)
+    found = healthy_levels(clips, rate_hz, FALSE_ALARMS_PER_HOUR, times)
+    clipping = calibrated(rule, found, 1.0, floor=_CLIPPED, critical=_CRITICALLY, times=times)
     return replace(
         bare,
-        alarms=(alarm,),
+        alarms=(alarm, clipping),
         flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
         findings={"rate_hz": rate_hz, "left": left},
         lines=(
@@ -204,19 +236,22 @@ def _learned(raw: Sequence[Flight], motors: int, signal_hz: float, rate_hz: floa
 
 
 def _plant(name: str, rate_hz: float, left: float) -> Plant:
-    one = np.eye(1)
+    level, clips = np.eye(2)
     return Plant(
         name=name,
         domain="discrete",
         rate_hz=rate_hz,
-        states=("expected_level",),
+        states=("expected_level", "expected_clips"),
         inputs=VibrationInputs.inputs,
         outputs=VibrationInputs.outputs,
-        A=0.0 * one,
-        B=one,
-        C=one,
-        faults=(Fault(OBSERVER, "actuator", one[:, 0], _FAULT_RATE, _SMALLEST, LOG_TIMES),),
-        disturbances=(Disturbance("disturbance_level", one[:, 0], left),),
-        noises=(Noise("noise_level", one[:, 0], left),),
-        state_errors=np.array([left]),
+        A=np.zeros((2, 2)),
+        B=level[:, None],
+        C=np.eye(2),
+        faults=(
+            Fault(OBSERVER, "actuator", level, _FAULT_RATE, _SMALLEST, LOG_TIMES),
+            Fault(CLIPPING, "actuator", clips, _CLIPPED, _CLIPPED, CLIPS),
+        ),
+        disturbances=(Disturbance("disturbance_level", level, left), Disturbance("disturbance_clips", clips, 1.0)),
+        noises=(Noise("noise_level", level, left), Noise("noise_clips", clips, 1.0)),
+        state_errors=np.array([left, 1.0]),
     )
