@@ -18,6 +18,7 @@ from synthetic_run import BOTH_THRESHOLDS, LAYOUT, STANDBY, THRESHOLDS, event, t
 from monitor.trace import TraceBuilder
 from monitor.views.panels import RunView
 from monitor.views.rerun_view import write_rrd
+from monitor.views.way import Way
 
 EVENTS = [event(1020, "raised"), event(1100, "updated", severity="critical"), event(1300, "cleared")]
 
@@ -199,8 +200,23 @@ sys.path.insert(0, sys.argv[2])
 from synthetic_run import THRESHOLDS, event, trace
 from monitor.views.panels import RunView
 from monitor.views.rerun_view import write_rrd
+from monitor.views.way import Way
 write_rrd(sys.argv[1], RunView([trace(50)], [event(10, "raised")], THRESHOLDS))
 """
     command = [sys.executable, "-W", "error", "-c", program, tmp_path / "run.rrd", Path(__file__).parent]
     subprocess.run(command, check=True, timeout=60)
     assert columns(tmp_path / "run.rrd", "/motors/fault")
+
+
+def test_a_way_is_a_map_and_a_pose_on_the_vehicles_time(tmp_path: Path) -> None:
+    run = trace()
+    places = np.column_stack([np.linspace(47.0, 47.001, 20), np.full(20, 8.0), np.full(20, 400.0)])
+    times = np.linspace(run.unix_ns[0], run.unix_ns[-1], 20).astype(np.int64)
+    way = Way(times, places, times, np.zeros((20, 3)))
+    write_rrd(tmp_path / "run.rrd", RunView([run], EVENTS, THRESHOLDS, way=way))
+    now = columns(tmp_path / "run.rrd", "/map/gps/now")
+    np.testing.assert_allclose(np.squeeze(now["GeoPoints:positions"]), places[:, :2])
+    assert now["vehicle_time"][0] == run.vehicle_ns[0]
+    pose = columns(tmp_path / "run.rrd", "/space/vehicle")
+    assert pose["Transform3D:translation"][-1][0][1] == pytest.approx(111.3, abs=0.1)
+    assert "Map" in blueprint_text(tmp_path / "run.rrd")

@@ -26,10 +26,11 @@ _DEBUG, _INFO, _WARNING, _ERROR, _FATAL = range(1, 6)
 """Levels of ``foxglove.Log``."""
 _LEVELS = (_FATAL, _FATAL, _FATAL, _ERROR, _WARNING, _INFO, _INFO, _DEBUG)
 """Levels of Foxglove by MAV_SEVERITY, from an emergency to debugging."""
-_PULLED = ("gps_north", "gps_east")
+PULLED = ("gps_north", "gps_east")
+"""Fault channels that say by how much GPS is wrong."""
 _MOST_WAITING = 10_000
 """Places that wait for estimates at most, the oldest go. Chosen: more than a batch of a replay holds."""
-_EARTH_M = 6378137.0
+EARTH_M = 6378137.0
 """The equator's radius of WGS 84."""
 _TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
@@ -65,7 +66,7 @@ class FoxgloveRecords:
 
     def __init__(self, encoder: RecordEncoder) -> None:
         self._encoder = encoder
-        self._faults = {name: faults for name, faults in encoder.faults.items() if set(_PULLED) <= set(faults)}
+        self._faults = {name: faults for name, faults in encoder.faults.items() if set(PULLED) <= set(faults)}
         # places that no estimate has come for yet: time, latitude, longitude, altitude
         self._waiting: deque[tuple[int, float, float, float]] = deque(maxlen=_MOST_WAITING)
 
@@ -81,10 +82,10 @@ class FoxgloveRecords:
         ]
         for columns in batch.columns:
             if columns.source.is_telemetry and (columns.name == "GPS_RAW_INT" or "latitude" in columns.fields):
-                places = [*_places(columns)]
-                records += [self._fix(GPS, *place) for place in places]
+                fixes = [*places(columns)]
+                records += [self._fix(GPS, *place) for place in fixes]
                 if self._faults:
-                    self._waiting += places
+                    self._waiting += fixes
         return [record for record in records if 0 <= record[2] < LATEST_NS]
 
     def estimates(self, estimates: Estimates) -> list[EncodedRecord]:
@@ -93,14 +94,14 @@ class FoxgloveRecords:
         times_ns = estimates.samples.time_ns
         if faults is None or not len(times_ns):
             return []
-        pulls = estimates.isolated[:, [faults.index(name) for name in _PULLED]]
+        pulls = estimates.isolated[:, [faults.index(name) for name in PULLED]]
         records = []
         while self._waiting and self._waiting[0][0] <= times_ns[-1]:
             time_ns, latitude, longitude, altitude = self._waiting.popleft()
             north, east = pulls[max(int(np.searchsorted(times_ns, time_ns, "right")) - 1, 0)].tolist()
             if time_ns >= 0 and math.isfinite(north + east):
-                latitude -= math.degrees(north / _EARTH_M)
-                longitude -= math.degrees(east / (_EARTH_M * math.cos(math.radians(latitude))))
+                latitude -= math.degrees(north / EARTH_M)
+                longitude -= math.degrees(east / (EARTH_M * math.cos(math.radians(latitude))))
                 records.append(self._fix(TRACK, time_ns, latitude, longitude, altitude))
         return records
 
@@ -127,7 +128,7 @@ class FoxgloveRecords:
         return self._encoder.number(topic), to_json(timestamp | dict(content)), time_ns
 
 
-def _places(columns: Columns) -> Iterator[tuple[int, float, float, float]]:
+def places(columns: Columns) -> Iterator[tuple[int, float, float, float]]:
     """Yield times, latitudes, longitudes and altitudes of a receiver's messages."""
     names, scales = ("latitude", "longitude", "altitude"), (1.0, 1.0, 1.0)
     if "latitude" not in columns.fields:

@@ -14,6 +14,7 @@ from monitor.display import display_unit
 from monitor.estimate import Layout
 from monitor.event import AlarmEvent
 from monitor.trace import Trace
+from monitor.views.way import Way
 
 Thresholds = Mapping[tuple[str, str], float]
 TrueSizes = Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
@@ -28,6 +29,7 @@ class RunView(NamedTuple):
     truth: TrueSizes = MappingProxyType({})  # by fault channel: times on the vehicle's clock (s), true size at them
     # channels, by observer and name, whose evidence is not the estimate that the standard deviation belongs to
     without_sd: Collection[tuple[str, str]] = ()
+    way: Way | None = None  # where it was, if that is known
 
 
 def in_display_units(run: RunView) -> RunView:

@@ -2,26 +2,39 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.components import AbsoluteTimeRange
 from rerun.encodings import TimeRange, TimeRangeBoundary
 
 from monitor.estimate import Layout
+from monitor.recording.foxglove_records import EARTH_M
 from monitor.views.panels import Panels
 from monitor.views.rerun_scene import entity_path
+from monitor.views.way import Way
 
 Limits = tuple[float, float]
 Root = tuple[str, ...]
 Stretch = tuple[int, int]
 """From when to when, nanoseconds on the vehicle's clock."""
 
+_TILE_PX = 256.0
+"""A tile of a map shows the world at zoom 0 (https://wiki.openstreetmap.org/wiki/Zoom_levels)."""
+_MAP_PX = 250.0
+"""Of the map for the way. Chosen: on a laptop's screen the view is some 400 wide and 300 high."""
+_MOST_ZOOM = 19.0
+"""As far as tiles of OpenStreetMap go."""
+_LEAST_M = 20.0
+"""Chosen: a hover drawn larger would show the receiver's noise as a way."""
 FAULTS_BELOW = 4
 """Panels of faults one below the other; more get a second column. Chosen for a laptop's screen."""
 LEAST_SHARE = 3
-"""Height of the faults' views, of which residuals have 1.5: they are what is looked at."""
+"""Height of the faults' views, of which all else has 2: they are what is looked at."""
 
 
 def blueprint(
@@ -31,8 +44,9 @@ def blueprint(
     follow: bool = False,
     active: int = 0,
     stretch: Stretch | None = None,
+    way: Way | None = None,
 ) -> rrb.Blueprint:
-    """Return the layout of the viewer: tabs above the states and texts of all alarms.
+    """Return the layout of the viewer: tabs, beside them the ``way`` if there is one, above states and texts of alarms.
 
     ``roots`` are the beginnings of each vehicle's entity paths. The viewer follows the newest Unix time, or shows the
     vehicle's time; ``active`` says which tab is open, ``stretch`` what of the
@@ -50,7 +64,10 @@ def blueprint(
         ),
         column_shares=[3, 2],
     )
-    rows: list[Any] = [rrb.Tabs(*tabs, active_tab=active), alarms] if tabs else [alarms]
+    views: Any = rrb.Tabs(*tabs, active_tab=active)
+    if way is not None:
+        views = rrb.Horizontal(views, _way_views(way), column_shares=[2, 1])
+    rows: list[Any] = [views, alarms] if tabs else [alarms]
     time_panel = (
         rrb.TimePanel(timeline="unix_time", play_state="following", state="collapsed")
         if follow
@@ -58,6 +75,8 @@ def blueprint(
             timeline="vehicle_time",
             state="collapsed",
             time_selection=None if stretch is None else AbsoluteTimeRange(*stretch),
+            # a cursor cannot be given (rerun-sdk 0.41); what is selected is what plays
+            loop_mode=None if stretch is None else "selection",
         )
     )
     return rrb.Blueprint(
@@ -65,6 +84,17 @@ def blueprint(
         time_panel,
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
+    )
+
+
+def _way_views(way: Way) -> rrb.Vertical:
+    """Return the map, and the way in space with the vehicle's pose."""
+    extent_m = max(float(np.ptp(way.metres(way.places)[:, :2], axis=0).max()), _LEAST_M)
+    around_m = 2.0 * math.pi * EARTH_M * math.cos(math.radians(way.places[0, 0]))
+    zoom = math.log2(_MAP_PX / _TILE_PX * around_m / extent_m)
+    return rrb.Vertical(
+        rrb.MapView(origin="/map", zoom=min(zoom, _MOST_ZOOM), name="map: GPS red, by the estimates blue"),
+        rrb.Spatial3DView(origin="/space", name="attitude and way, east, north, up (m)"),
     )
 
 
@@ -93,6 +123,21 @@ def observer_tab(
             axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
         )
 
+    def each(name: str, part: str, columns: Sequence[str]) -> rrb.Grid:
+        """Return a view for each series of an entity: their units differ."""
+        path = f"{base}/{part}"
+        views = [
+            rrb.TimeSeriesView(
+                origin=base,
+                contents=[f"+ {path}"],
+                name=column,
+                axis_x=_axis(stretch),
+                overrides={path: rr.SeriesLines.from_fields(visible_series=[other is column for other in columns])},
+            )
+            for column in columns
+        ]
+        return rrb.Grid(*views, name=f"{layout.observer} / {name}")
+
     faults = []
     for place in panels.alone:
         parts = (entity_path(group, layout.faults[place]) for group in ("isolated", "threshold", "span", "truth"))
@@ -100,12 +145,16 @@ def observer_tab(
     rows: list[Any] = []
     if faults:
         rows.append(rrb.Grid(*faults, grid_columns=-(-len(faults) // FAULTS_BELOW), name="faults"))
+    below: list[Any] = []
     if panels.together:
-        rows.append(view("quiet channels, in units of their thresholds", "quiet", limits=quiet_limits))
-    rows.append(view("residuals", "residual"))
-    rows.append(rrb.Horizontal(view("inputs", "input"), view("outputs", "output")))
-    shares = [max(LEAST_SHARE, min(len(faults), FAULTS_BELOW))] * bool(faults) + [1.5] * (len(rows) - bool(faults))
-    return rrb.Vertical(*rows, row_shares=shares, name=layout.observer)
+        below.append(view("quiet channels, in units of their thresholds", "quiet", limits=quiet_limits))
+    below += [
+        each("residuals", "residual", layout.outputs),
+        each("inputs", "input", layout.inputs),
+        each("outputs", "output", layout.outputs),
+    ]
+    rows.append(rrb.Tabs(*below))
+    return rrb.Vertical(*rows, row_shares=[LEAST_SHARE, 2][-len(rows) :], name=layout.observer)
 
 
 def raw_tab(messages: Iterable[str], root: Root = ()) -> rrb.Grid:

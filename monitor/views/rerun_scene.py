@@ -11,14 +11,19 @@ from numpy.typing import NDArray
 
 from monitor.event import AlarmEvent
 from monitor.trace import AlarmSpan, Trace
-from monitor.views.palette import BLUE, GREEN, GREY, SEVERITY, any_ground_colour, rgba
+from monitor.views.palette import BLUE, GREEN, GREY, SEVERITY, VERMILION, any_ground_colour, rgba
 from monitor.views.panels import Panels, Thresholds, TrueSizes
+from monitor.views.way import Way
 
 APPLICATION = "fauio"
 BATCH_ROWS = 1 << 16
 """Rows sent at once. Chosen: 11 min at 100 Hz; a viewer draws a recording while it reads it, batch by batch."""
 SPAN_WIDTH = 6.0
 """Width of a threshold's line while its alarm is active, in points; other lines have 1."""
+
+_BODY = [[3.0, 0.0, 0.0], [0.0, 1.5, 0.0], [0.0, 0.0, -1.5]]
+"""Arrows ahead, to the right and up, metres. Chosen: they are seen beside a flight of some tens of metres."""
+_AXES = (VERMILION, GREEN, BLUE)
 
 _LEVELS = {"warning": rr.TextLogLevel.WARN, "critical": rr.TextLogLevel.CRITICAL}
 _QUIET_STATES = ("acknowledged", "shelved", "cleared")
@@ -37,7 +42,8 @@ class RerunScene:
     ``root``: ``<observer>/fault``, ``/residual``, ``/state``, ``/input`` and ``/output`` with one series per channel,
     ``/isolated/<channel>``, ``/threshold/<channel>``, ``/span/<channel>``, ``/truth/<channel>``, and ``/quiet`` for the
     channels that share a view; alarms are states in ``alarms/<observer>/<channel>`` and lines of text in ``log``;
-    telemetry is in ``raw/<message>``, on ``unix_time`` only.
+    ``map`` and ``space`` hold the way, ``space/vehicle`` the pose; telemetry is in ``raw/<message>``, on ``unix_time``
+    only.
     """
 
     def __init__(self, recording: rr.RecordingStream, root: tuple[str, ...] = ()) -> None:
@@ -125,6 +131,27 @@ class RerunScene:
         path = self._describe(("raw", message), rr.SeriesLines(names=list(fields), colors=colours))
         self._send(path, [_unix(unix_ns)], rr.Scalars.columns(scalars=values))
 
+    def way(self, way: Way, traces: Sequence[Trace]) -> None:
+        """Send where the vehicle was, as GPS says and by the estimates, for a map, and in space with its attitude."""
+        base = max(traces, key=lambda trace: len(trace.unix_ns))
+        real = way.real(traces)
+        for name, places, colour in (("gps", way.places, VERMILION), ("track", real, BLUE)):
+            colours = [rgba(colour)]
+            path = self._path(("map", name))
+            lines = rr.GeoLineStrings(lat_lon=[places[:, :2]], radii=rr.Radius.ui_points(2.0), colors=colours)
+            self._recording.log(path, lines, static=True)
+            line = rr.LineStrips3D([way.metres(places)], colors=colours, radii=rr.Radius.ui_points(1.5))
+            self._recording.log(self._path(("space", name)), line, static=True)
+            times = _of_vehicle(base, way.unix_ns)
+            dot = rr.GeoPoints.from_fields(radii=rr.Radius.ui_points(6.0), colors=colours)
+            self._send(self._describe(("map", name, "now"), dot), times, rr.GeoPoints.columns(positions=places[:, :2]))
+        if not len(way.attitude_ns):
+            return
+        vehicle = self._describe(("space", "vehicle"), rr.Arrows3D(vectors=_BODY, colors=[rgba(c) for c in _AXES]))
+        at = np.column_stack([np.interp(way.attitude_ns, way.unix_ns, column) for column in way.metres(real).T])
+        poses = rr.Transform3D.columns(translation=at, mat3x3=way.rotations().transpose(0, 2, 1).reshape(-1, 9))
+        self._send(vehicle, _of_vehicle(base, way.attitude_ns), poses)
+
     def _quiet(self, trace: Trace, places: Sequence[int], thresholds: Thresholds) -> None:
         """Send the channels that share a view, each in units of its own threshold, and the band they should stay in."""
         if not places:
@@ -204,6 +231,13 @@ def _state(event: AlarmEvent) -> str:
     if event.state == "cleared":
         return ""
     return "shelved" if event.shelved_until_ns is not None else event.severity
+
+
+def _of_vehicle(trace: Trace, unix_ns: NDArray[np.int64]) -> list[rr.TimeColumn]:
+    """Return times of arrival with the vehicle's own times, as the samples of a trace have both."""
+    first = int(trace.unix_ns[0])
+    offsets = np.interp(unix_ns - first, trace.unix_ns - first, trace.vehicle_ns - trace.unix_ns)
+    return _times(unix_ns + offsets.round().astype(np.int64), unix_ns)
 
 
 def _event_times(events: Sequence[AlarmEvent]) -> list[rr.TimeColumn]:

@@ -50,15 +50,19 @@ def write_rrd(path: str | os.PathLike[str], run: RunView) -> None:
     ]
     names = [trace.layout.observer for trace in traces]
     active = next((names.index(event.observer) for event in run.events if event.observer in names), 0)
+    way = run.way if traces else None
+    layout = blueprint(tabs, active=active, stretch=stretch, way=way)
     recording = rr.RecordingStream(APPLICATION)
     try:
-        recording.save(os.fspath(path), default_blueprint=blueprint(tabs, active=active, stretch=stretch))
+        recording.save(os.fspath(path), default_blueprint=layout)
         scene = RerunScene(recording)
         for trace, panels in zip(traces, chosen, strict=True):
             scene.trace(trace, panels, thresholds)
             scene.spans(trace, spans, thresholds)
             scene.truth(trace, truth)
         scene.events(run.events)
+        if way is not None:
+            scene.way(way, traces)
         recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
     except RuntimeError as error:
         # Rerun's own kind of error for a full disk

@@ -213,8 +213,9 @@ def _write(profile: Profile, task: LogTask, found: Replay, truth: TrueSizes, tit
         plot_png(task.plot, shown, title, dark=task.dark)
     if task.rrd:
         from monitor.views.rerun_view import write_rrd
+        from monitor.views.way import WAY_MESSAGES, way_of
 
-        write_rrd(task.rrd, shown)
+        write_rrd(task.rrd, shown._replace(way=way_of(Recording(task.path, WAY_MESSAGES, task.mapping).batches())))
 
 
 def _verdict(found: Replay, profile: Profile, facts: RecordingFacts) -> str:
