@@ -40,7 +40,7 @@ def test_the_right_motor_and_only_it_is_named_within_half_a_second(
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_the_loss_is_within_two_points_of_the_truth(name: str, quad_profile: Profile, data: Path) -> None:
     motor, loss = FLIGHTS[name]
-    trace, _ = replayed(quad_profile, data / f"{name}.tlog.xz").traces
+    trace = replayed(quad_profile, data / f"{name}.tlog.xz").traces[0]
     index = trace.layout.faults.index(motor)
     during = trace.vehicle_ns / 1e9 > ONSET_S + 0.5
     relative = trace.isolated[during, index] / trace.u[during, index]

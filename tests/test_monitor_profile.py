@@ -29,7 +29,8 @@ def edit(path: Path, pattern: str, replacement: str) -> None:
 
 def test_a_profile_holds_what_the_fit_wrote(folder: Path) -> None:
     profile = read_profile(folder)
-    observer, inertial = profile.observers
+    observer, trim, inertial = profile.observers
+    assert (trim.name, trim.rate_hz) == ("trim", 1.0)
     assert inertial.name == "inertial"
     assert inertial.source.transform is not None
     assert (profile.name, profile.vehicle, observer.name) == ("quad", "multirotor", "motors")
@@ -42,7 +43,9 @@ def test_a_profile_holds_what_the_fit_wrote(folder: Path) -> None:
     motion, speed = "motion_north+motion_east", "gps_velocity_north+gps_velocity_east"
     culprits = (f"accel_z+{motion}", f"{motion}+baro", f"{motion}+gps_down", f"{speed}+baro")
     gains += [f"inertial.{name}.gains.json" for name in culprits]
-    assert set(profile.files) == {"profile.toml", "motors.model.toml", "inertial.model.toml", *gains}
+    gains += [f"trim.{name}.gains.json" for name in channels[:4]]
+    models = [f"{name}.model.toml" for name in ("motors", "trim", "inertial")]
+    assert set(profile.files) == {"profile.toml", *models, *gains}
 
 
 def test_the_digest_follows_every_edit(folder: Path) -> None:

@@ -22,6 +22,7 @@ KINDS = (
             "vibration": "monitor.vehicles.multirotor.vibration:VibrationInputs",
         },
         further=(
+            "monitor.vehicles.multirotor.fit:fit_trim",
             "monitor.vehicles.multirotor.esc:fit_esc",
             "monitor.vehicles.multirotor.fit:fit_props",
             "monitor.vehicles.multirotor.vibration:fit_vibration",

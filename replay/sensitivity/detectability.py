@@ -229,13 +229,12 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lam
 
 
 def _chosen(profile: Profile, channels: Sequence[str]) -> list[tuple[ObserverProfile, AlarmRule]]:
-    """Return the alarms to test."""
-    chosen = [
-        (observer, rule)
-        for observer in profile.observers
-        for rule in observer.alarms
-        if rule.channel in {fault.name for fault in observer.faults}
-    ]
+    """Return the alarms to test: of an actuator that two observers watch, the first's."""
+    chosen: list[tuple[ObserverProfile, AlarmRule]] = []
+    for observer in profile.observers:
+        actuators = {rule.channel for _, rule in chosen if rule.kind == "actuator"}
+        own = {fault.name for fault in observer.faults} - actuators
+        chosen += [(observer, rule) for rule in observer.alarms if rule.channel in own]
     known = [rule.channel for _, rule in chosen]
     for channel in channels:
         if channel not in known:

@@ -59,6 +59,7 @@ from monitor.vehicles.multirotor.speeds import EscSignals, motor_speeds
 from monitor.vehicles.multirotor.trim import (
     COMMANDS_PER_TICK,
     SLOW_COMMANDS_HZ,
+    TRIM_HZ,
     choose_frame,
     identify_trim,
     slow_times,
@@ -95,7 +96,7 @@ def compare_kept_back(flights: Sequence[Sequence[Segment]], rate_hz: float) -> C
     return compared(RATE_AXES, "body rates (rad/s)", one_step, ahead, rate_hz, SHOWN_S)
 
 
-OBSERVER, PROPS = "motors", "props"
+OBSERVER, PROPS, TRIM = "motors", "props", "trim"
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,6 +223,24 @@ def fit_props(request: FitRequest, gate: GateRule) -> Fitted | None:
     if speeds is None or not speeds.measured or speeds.rate_hz >= SLOW_COMMANDS_HZ:
         return None
     return replace(_fitted(request, gate, _turned(speeds, PROPS), outputs), agreement=None)
+
+
+def fit_trim(request: FitRequest, gate: GateRule) -> Fitted | None:
+    """Fit an observer of the mean command of each second beside a faster one; None where commands come that slowly.
+
+    It sees what manoeuvres and noise hide from the fast one: a propeller that is cut, or dirty, for a whole flight.
+
+    Raises
+    ------
+    TelemetryError, ModelError, InfeasibleError
+        As :func:`fit_multirotor`.
+    """
+    commands, outputs = multirotor_channels(request.surveys)
+    drive = replace(_commanded(request, commands), observer=TRIM)
+    if min(drive.rate_hz / COMMANDS_PER_TICK, request.rate_hz or math.inf) <= TRIM_HZ:
+        return None
+    fitted = _fitted(replace(request, rate_hz=TRIM_HZ), gate, drive, outputs)
+    return replace(fitted, measured=False, agreement=None)
 
 
 def _fitted(request: FitRequest, gate: GateRule, drive: _Drive, outputs: tuple[Channel, ...]) -> Fitted:
@@ -379,6 +398,7 @@ def _slow(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
     commands_hz = drive.rate_hz
     calm = commands_hz >= SLOW_COMMANDS_HZ and request.rate_hz is None
     why = "the flights hold no manoeuvres" if calm else f"{drive.called} come at {commands_hz:.3g} Hz"
+    why = "beside the faster observer" if drive.observer == TRIM else why
     commands_hz = min(commands_hz, _CALM_HZ) if calm else commands_hz
     rates = tuple(outputs[: len(RATE_AXES)])
     source = SampleSource(tuple(replace(channel, interpolation="mean") for channel in drive.inputs), rates)
@@ -401,7 +421,7 @@ def _slow(request: FitRequest, gate: GateRule, drive: _Drive, outputs: Sequence[
         doubt=np.zeros(len(model.a)),
         gyros=False,
         times=slow_times(rate_hz),
-        smallest_loss=smallest_loss(segments, rate_hz),
+        smallest_loss=smallest_loss(segments, commands_hz),
         findings={
             "frame": frame.name,
             "frame_from": origin,
