@@ -1,6 +1,7 @@
 """The leaderboard counts what detectors find, late and falsely, and reads flights as they are."""
 
 import csv
+import struct
 import sys
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench/leaderboard"))
 import alfa
+import crazypad
 
 
 def write_flight(path: Path, seed: int, onset: int | None, count: int = 1200) -> None:
@@ -57,3 +59,20 @@ def test_alarms_close_together_are_one() -> None:
 def test_the_bound_of_nothing_seen_is_the_rule_of_three() -> None:
     assert alfa._bound(0) == pytest.approx(3.0, abs=0.01)
     assert alfa._bound(3) == pytest.approx(7.75, abs=0.01)
+
+
+def test_a_flight_of_crazypad_is_read_from_its_log_and_says_what_is_cut(tmp_path: Path) -> None:
+    fields = [*(f"controller.{name}" for names in crazypad.COLUMNS.values() for name in names)]
+    fields += ["controller.accelz", "stateEstimate.z"]
+    folder = tmp_path / "cut_M2_1.5мм_1мм_44.5мм_M1_1мм_45мм"
+    folder.mkdir()
+    head = struct.pack("<BHHH", 0xBC, 2, 1, 0) + b"fixedFrequency\0" + struct.pack("<H", len(fields))
+    head += b"".join(f"{name}(f)".encode() + b"\0" for name in fields)
+    rows = [[0.5 * crazypad.FULL, 0.1 * crazypad.FULL, 0.0, 0.0, 0.1, 0.2, 0.3, 1.0, 0.5]] * 3
+    body = b"".join(struct.pack(f"<HQ{len(row)}f", 0, 10_000 * k, *row) for k, row in enumerate(rows))
+    (folder / "E9_log00").write_bytes(head + body + b"\0" * 4)
+    flight = crazypad.read_flight(folder / "E9_log00")
+    assert flight.cut == {"motor2": 2.5, "motor1": 1.0}
+    assert flight.hover() == pytest.approx([0.45, 0.45, 0.55, 0.55])
+    assert flight.rates[0] == pytest.approx([0.1, 0.2, -0.3])
+    assert {message.name for message in crazypad.messages(flight)} > {"SERVO_OUTPUT_RAW", "ATTITUDE", "PARAM_VALUE"}

@@ -1,0 +1,235 @@
+"""The CrazyPAD flights (a quadcopter of 30 g with cut or taped propellers, or weights), each a whole flight of 15 s.
+
+    python bench/leaderboard/crazypad.py FOLDER [--json]
+
+FOLDER is ``data/controller_data`` of https://github.com/AerialRoboticsUUST/CrazyPAD: logs of the vehicle's memory card
+at 100 Hz with commanded thrust and torques, body rates and vertical acceleration. Nothing of it is in this repository.
+Two vehicles flew, E8 and E9. A flight becomes the MAVLink messages that its numbers stand for; the autopilot's own
+mixer makes motor commands of thrust and torques.
+
+A profile is fitted on the normal flights of a vehicle and watches its others; each normal flight is watched with a
+profile of the other normal ones. The rival needs no model: how far the mean command of a motor is above its mean in the
+normal flights, the threshold the largest that a normal flight left out reaches, so that it has no false alarm. A cut
+propeller is found if an alarm names its motor, alone if no other is named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import struct
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import fauio
+
+Floats = NDArray[np.float64]
+FULL = 65535.0
+"""Full command."""
+FLYING_M = 0.3
+"""Height from which on it flies; the flights hover at half a metre."""
+PLACES = ((0.032, 0.032, -0.05), (-0.032, 0.032, 0.05), (-0.032, -0.032, -0.05), (0.032, -0.032, 0.05))
+"""Metres to the front and right, and torque for thrust, of motors 1 to 4, as PX4's parameters place rotors."""
+MIXER = np.array([[1.0, -0.5, 0.5, 1.0], [1.0, -0.5, -0.5, -1.0], [1.0, 0.5, -0.5, 1.0], [1.0, 0.5, 0.5, -1.0]])
+"""Motor commands (4) of thrust, roll, pitch and yaw commands, as the firmware mixes them."""
+COLUMNS = {
+    "controls": ("cmd_thrust", "cmd_roll", "cmd_pitch", "cmd_yaw"),
+    "rates": ("r_roll", "r_pitch", "r_yaw"),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flight:
+    """A flight: motor commands (n, 4) as shares of full command, body rates (n, 3), acceleration up in g (n,)."""
+
+    name: str
+    vehicle: str
+    times_ns: NDArray[np.int64]
+    commands: Floats
+    rates: Floats
+    up: Floats
+    flying: NDArray[np.bool_]
+
+    @property
+    def cut(self) -> dict[str, float]:
+        """Return what the propellers of motors lack, by the folder's name: millimetres of both blades together."""
+        found: dict[str, float] = {}
+        if "cut" in self.name:
+            for motor, sizes in re.findall(r"[Mm](\d)((?:_[\d.]+(?:мм|mm))+)", self.name):
+                found[f"motor{motor}"] = sum(size for size in map(float, re.findall(r"[\d.]+", sizes)) if size < 10.0)
+        return found
+
+    def hover(self) -> Floats:
+        """Return the mean command of each motor in flight (4,)."""
+        return self.commands[self.flying].mean(axis=0)
+
+
+def read_flight(path: Path) -> Flight:
+    """Read a log: names and types of events, then the events."""
+    data = path.read_bytes()
+    version, kinds = struct.unpack_from("<HH", data, 1)
+    at = 5
+    layouts: dict[int, tuple[str, list[str], struct.Struct]] = {}
+    for _ in range(kinds):
+        (kind,) = struct.unpack_from("<H", data, at)
+        name, at = _text(data, at + 2)
+        (count,) = struct.unpack_from("<H", data, at)
+        at += 2
+        fields = []
+        for _ in range(count):
+            field, at = _text(data, at)
+            fields.append(field)
+        layouts[kind] = name, [field[:-3] for field in fields], struct.Struct("<" + "".join(f[-2] for f in fields))
+    head = struct.Struct("<HI" if version == 1 else "<HQ")
+    unit_ns = 1_000_000 if version == 1 else 1_000
+    times, rows = [], []
+    names: list[str] = []
+    while at + head.size <= len(data) - 4:
+        kind, stamp = head.unpack_from(data, at)
+        name, fields, body = layouts[kind]
+        at += head.size
+        if name == "fixedFrequency":
+            names = fields
+            times.append(stamp * unit_ns)
+            rows.append(body.unpack_from(data, at))
+        at += body.size
+    column = dict(zip(names, np.array(rows).T, strict=True))
+    controls = np.stack([column[f"controller.{name}"] for name in COLUMNS["controls"]], axis=1)
+    return Flight(
+        name=path.parent.name,
+        vehicle=path.name[:2],
+        times_ns=np.array(times, np.int64),
+        commands=np.clip(controls @ MIXER.T / FULL, 0.0, 1.0),
+        rates=np.stack([column[f"controller.{name}"] for name in COLUMNS["rates"]], axis=1) * [1.0, 1.0, -1.0],
+        up=column["controller.accelz"],
+        flying=column["stateEstimate.z"] > FLYING_M,
+    )
+
+
+def _text(data: bytes, at: int) -> tuple[str, int]:
+    end = data.index(0, at)
+    return data[at:end].decode(), end + 1
+
+
+def messages(flight: Flight) -> Iterator[fauio.Message]:
+    """Yield what an autopilot with these numbers would send."""
+    start_ns = 1_700_000_000_000_000_000
+    geometry = [("CA_ROTOR_COUNT", 4.0)]
+    for number, place in enumerate(PLACES):
+        geometry += [(f"CA_ROTOR{number}_{key}", value) for key, value in zip(("PX", "PY", "KM"), place, strict=True)]
+
+    def message(name: str, at_ns: int, **fields: object) -> fauio.Message:
+        return fauio.Message(fauio.MAVLINK, name, start_ns + at_ns, fields, 1, 1)
+
+    pulses = np.round(1000.0 + 1000.0 * flight.commands).astype(int)
+    for k, time_ns in enumerate((flight.times_ns - flight.times_ns[0] + 5_000_000_000).tolist()):
+        servos = {f"servo{number}_raw": int(pulse) for number, pulse in enumerate(pulses[k], start=1)}
+        rates = dict(zip(("rollspeed", "pitchspeed", "yawspeed"), flight.rates[k].tolist(), strict=True))
+        yield message("SERVO_OUTPUT_RAW", time_ns, time_usec=time_ns // 1000, port=0, **servos)
+        yield message("ATTITUDE", time_ns, time_boot_ms=time_ns // 1_000_000, roll=0.0, pitch=0.0, yaw=0.0, **rates)
+        yield message("HIGHRES_IMU", time_ns, time_usec=time_ns // 1000, zacc=-9.81 * float(flight.up[k]))
+        if k < len(geometry):
+            yield message("PARAM_VALUE", time_ns, param_id=geometry[k][0], param_value=geometry[k][1], param_type=9)
+        if k % 50 == 0:
+            armed = 128 if flight.commands[k].any() else 0
+            yield message("HEARTBEAT", time_ns, type=2, autopilot=12, base_mode=armed)
+            yield message("EXTENDED_SYS_STATE", time_ns, landed_state=2 if flight.flying[k] else 1)
+
+
+def named_by_profile(normal: Sequence[Flight], watched: Sequence[Flight]) -> list[set[str]]:
+    """Return the motors that alarms name in each flight, with a profile of normal ones."""
+    from adapters.batch import pack
+    from replay.fit import fit_profile
+    from replay.player import play
+
+    def batches(flight: Flight) -> Iterator[fauio.Batch]:
+        yield pack(list(messages(flight)))
+
+    with tempfile.TemporaryDirectory() as folder:
+        logs = [lambda flight=flight: batches(flight) for flight in normal]
+        fit_profile("multirotor", logs, Path(folder) / "profile", normal[0].vehicle)  # type: ignore[arg-type]
+        profile = fauio.read_profile(Path(folder) / "profile")
+    return [
+        {event.channel for event in play(profile, messages(flight)).events if event.state == "raised"}
+        for flight in watched
+    ]
+
+
+def named_by_means(normal: Sequence[Flight], watched: Sequence[Flight]) -> list[set[str]]:
+    """Return the motor whose mean command is furthest above that of normal flights, where none of these is as far."""
+    furthest = [_furthest([other for other in normal if other is not flight], flight)[1] for flight in normal]
+    found = [_furthest(normal, flight) for flight in watched]
+    return [{motor} if size > max(furthest) else set() for motor, size in found]
+
+
+def _furthest(normal: Sequence[Flight], flight: Flight) -> tuple[str, float]:
+    excess = flight.hover() - np.mean([other.hover() for other in normal], axis=0)
+    return f"motor{1 + int(excess.argmax())}", float(excess.max())
+
+
+def scored(flights: Sequence[Flight], named: Sequence[set[str]], least_mm: float, most_mm: float) -> dict[str, int]:
+    """Count flights whose largest cut lies between two lengths: found, alone, wrong."""
+    rows = [
+        (flight.cut, motors)
+        for flight, motors in zip(flights, named, strict=True)
+        if flight.cut and least_mm <= max(flight.cut.values()) < most_mm
+    ]
+    return {
+        "flights": len(rows),
+        "found": sum(bool(motors & set(cut)) for cut, motors in rows),
+        "alone": sum(bool(motors) and motors <= set(cut) for cut, motors in rows),
+        "others": sum(bool(motors - set(cut)) for cut, motors in rows),
+    }
+
+
+def _counted(named: Sequence[set[str]]) -> str:
+    return f"{sum(map(bool, named))} of {len(named)}"
+
+
+def main() -> int:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="data/controller_data of the set")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    options = parser.parse_args()
+    paths = sorted(path for path in options.folder.glob("*/E[89]_log*") if not path.suffix)
+    if not paths:
+        print(f"crazypad: {options.folder} holds no E8_log00 and so on; give data/controller_data", file=sys.stderr)
+        return 2
+    flights = [read_flight(path) for path in paths]
+    detectors = {"fauio": named_by_profile, "mean command": named_by_means}
+    result: dict[str, object] = {}
+    for detector, named_by in detectors.items():
+        of_all: list[tuple[Flight, set[str]]] = []
+        false: list[set[str]] = []
+        for vehicle in ("E8", "E9"):
+            normal = [one for one in flights if one.vehicle == vehicle and one.name == "normal_flight"]
+            others = [one for one in flights if one.vehicle == vehicle and one.name != "normal_flight"]
+            of_all += zip(others, named_by(normal, others), strict=True)
+            if named_by is named_by_profile:
+                false += [named_by([one for one in normal if one is not flight], [flight])[0] for flight in normal]
+        watched, named = zip(*of_all, strict=True)
+        result[detector] = {
+            "cut, mm": {
+                f"{least:g} to {most:g}": scored(watched, named, least, most)
+                for least, most in ((0.0, 2.0), (2.0, 4.0), (4.0, 6.0), (6.0, 9.0))
+            },
+            "normal flights left out with an alarm": _counted(false),
+            **{
+                f"{what} flights with an alarm": _counted([motors for flight, motors in of_all if what in flight.name])
+                for what in ("tape", "weight")
+            },
+        }
+    print(json.dumps(result) if options.json else json.dumps(result, indent=2, ensure_ascii=False))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
