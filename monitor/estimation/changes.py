@@ -158,15 +158,20 @@ class ChangeStage:
         if not rule.lasts_s:
             dynamics = np.column_stack([plant.A, plant.B, plant.c])[judged]
             units = np.eye(n)[judged]
-            moved = np.repeat(units[None], len(rule.whitening) + 2, axis=0)
+            # A jump that a filter lets through as slowly as the motors' lag, or two of them, must not pass for a motor.
+            lags = [np.ones(1), taps := np.array(plant.taps), np.convolve(taps, taps)]
+            depth = len(rule.whitening) + 1 + len(lags[-1])
+            courses = [np.clip(np.cumsum(np.pad(lag, (0, depth - len(lag)))), 0.0, 1.0) for lag in lags]
+            moved = np.concatenate([course[:, None, None] * units for course in courses], axis=1)
+            jumps = moved.shape[1]
             self._test = ChangeTest(
                 dynamics=dynamics,
                 curves=input_curves(plant),
-                taps=np.array(plant.taps),
+                taps=taps,
                 additions=_whitened(_unpredicted(moved, dynamics[:, :n], judged), rule.whitening),
-                grown=np.ones((len(moved), len(judged))),
-                owner=len(self._faults) + np.arange(len(judged)),
-                sudden=np.ones(len(judged)),
+                grown=np.ones((depth, jumps)),
+                owner=len(self._faults) + np.arange(jumps) % len(judged),
+                sudden=np.ones(jumps),
                 driven=False,
                 largest=_LARGEST_COMMAND,
                 **common,
