@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
@@ -81,12 +81,15 @@ class Found:
         How well each fault was estimated, in the first seconds after its alarm and over all its time.
     false : tuple[Spell, ...]
         False alarms.
+    rarer : tuple[Found, ...]
+        The same with so many times its sizes, by rising factor.
     """
 
     verdicts: tuple[Verdict, ...]
     first: tuple[Reading | None, ...]
     whole: tuple[Reading | None, ...]
     false: tuple[Spell, ...]
+    rarer: tuple[Found, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +108,8 @@ class Result:
         Evidence outside faults, seconds.
     found : dict[str, Found]
         By detector, the autopilot among them.
+    limits_s : tuple[float | None, ...]
+        The information limit of each fault's delay, where a model says it.
     """
 
     flight: Flight
@@ -112,6 +117,7 @@ class Result:
     channels: frozenset[str]
     watched_s: float
     found: dict[str, Found]
+    limits_s: tuple[float | None, ...]
 
 
 def spells(events: Iterable[AlarmEvent]) -> list[Spell]:
@@ -204,6 +210,33 @@ def reading(
     truth = fault.truth.after((time_ms[during] - fault.on_ms) / 1000.0)
     error = estimate[during] - truth
     return Reading(float(estimate[during].mean()), float(truth.mean()), float(np.sqrt(np.mean(error**2))))
+
+
+def at_equal_rate(results: Sequence[Result], reference: str) -> list[Result]:
+    """Return results of detectors with sizes so large that they have no more false alarms than the reference.
+
+    Of all flights of a group that their fit has not seen; of a detector that never gets there those of its largest.
+    """
+    chosen: dict[tuple[str, str], int] = {}
+    for group in {result.flight.group for result in results}:
+        unseen = [r for r in results if r.flight.group == group and r.flight.name not in r.fitted_on]
+        granted = sum(len(result.found[reference].false) for result in unseen)
+        for name in {name for result in unseen for name in result.found}:
+            counts = [
+                sum(len((result.found[name], *result.found[name].rarer)[at].false) for result in unseen)
+                for at in range(1 + min(len(result.found[name].rarer) for result in unseen))
+            ]
+            chosen[group, name] = next((at for at, count in enumerate(counts) if count <= granted), len(counts) - 1)
+    return [
+        replace(
+            result,
+            found={
+                name: (found, *found.rarer)[chosen.get((result.flight.group, name), 0)]
+                for name, found in result.found.items()
+            },
+        )
+        for result in results
+    ]
 
 
 def _in_a_fault(flight: Flight, time_ms: NDArray[np.int64]) -> NDArray[np.bool_]:

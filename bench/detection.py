@@ -16,7 +16,7 @@ import argparse
 import multiprocessing
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,6 +38,7 @@ from accounting import (
 from detection_page import page
 from detectors import DETECTORS, ENERGY, FAUIO, Run, Suite, make_suite, run_suite
 from flights import Fault, Flight, read_flights
+from limit import information_limit
 from numpy.typing import NDArray
 
 from adapters.logs.recordings import packed
@@ -95,6 +96,8 @@ def make(task: Fit) -> Suite | str:
 def try_on(suite: Suite, flight: Flight, fitted_on: tuple[str, ...]) -> Result:
     """Run all detectors on a flight."""
     runs = run_suite(suite, flight.messages(interests(suite.profile)))
+    traces = {trace.layout.observer: trace for trace in runs[FAUIO].traces}
+    limits = tuple(limit(suite, traces, fault) for fault in flight.faults)
     longest = max(runs[FAUIO].traces, key=lambda trace: int(trace.armed.sum()) / trace.layout.rate_hz)
     found = {name: judged(flight, runs[name], names=name != ENERGY) for name in DETECTORS}
     said = announced(flight.said)
@@ -106,7 +109,19 @@ def try_on(suite: Suite, flight: Flight, fitted_on: tuple[str, ...]) -> Result:
     )
     watched = watched_s(flight, longest.vehicle_ns // 1_000_000, longest.armed, longest.layout.rate_hz)
     channels = frozenset(rule.channel for observer in suite.profile.observers for rule in observer.alarms)
-    return Result(flight, fitted_on, channels, watched, found)
+    return Result(flight, fitted_on, channels, watched, found, limits)
+
+
+def limit(suite: Suite, traces: Mapping[str, Trace], fault: Fault) -> float | None:
+    """Return the information limit of a fault's delay by the observer that could see it first."""
+    found = []
+    for observer in suite.profile.observers:
+        trace = traces.get(observer.name)
+        before = None if trace is None else (trace.vehicle_ns <= fault.on_ms * 1_000_000) & trace.armed
+        if trace is not None and before is not None and before.any():
+            hover = np.median(trace.u[before][-round(trace.layout.rate_hz) :], axis=0)
+            found.append(information_limit(observer, fault, hover))
+    return min((one for one in found if one is not None), default=None)
 
 
 def judged(flight: Flight, run: Run, *, names: bool) -> Found:
@@ -117,6 +132,7 @@ def judged(flight: Flight, run: Run, *, names: bool) -> Found:
         tuple(estimated(fault, run, first=True) for fault in flight.faults),
         tuple(estimated(fault, run, first=False) for fault in flight.faults),
         tuple(false_alarms(flight, raised)),
+        tuple(judged(flight, Run(events, run.traces), names=names) for events in run.rarer),
     )
 
 

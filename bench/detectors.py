@@ -35,7 +35,6 @@ from numpy.typing import NDArray
 from adapters.errors import InfeasibleError
 from adapters.logs.recordings import packed
 from adapters.message import Message
-from adapters.sample import Samples
 from gains.analysis.estimability import problem_of, restricted
 from gains.plants.model_file import read_model
 from gains.plants.plant import Plant
@@ -63,6 +62,8 @@ GLR, CUSUM = "GLR bank", "CUSUM bank"
 DETECTORS = (FAUIO, KALMAN, KALMAN_BANK, GLR, CUSUM, ENERGY)
 WINDOW_S = 0.5
 GLR_ROWS = 256
+FACTORS = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+"""Sizes by which baselines are asked for more, to have no more false alarms than fauio."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,10 +142,14 @@ class Suite:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """What a detector gave on a flight: events, and estimates where it has any."""
+    """What a detector gave on a flight: events, and estimates where it has any.
+
+    ``rarer`` are the events with all its sizes so many times as large, by :data:`FACTORS`.
+    """
 
     events: tuple[AlarmEvent, ...]
     traces: tuple[Trace, ...]
+    rarer: tuple[tuple[AlarmEvent, ...], ...] = ()
 
 
 Log = Callable[[frozenset[str]], Iterable[Message]]
@@ -184,45 +189,34 @@ def make_suite(folder: Path, logs: Sequence[Log]) -> Suite:
 
 def run_suite(suite: Suite, messages: Iterable[Message]) -> dict[str, Run]:
     """Return what each detector gives on a flight; the baselines take the samples that the profile's observers took."""
-    found = play(suite.profile, messages, keep_traces=True)
-    traces = {trace.layout.observer: trace for trace in found.traces}
-    samples = {name: gated(trace) for name, trace in traces.items()}
+    held = list(messages)
+    found = play(suite.profile, held, keep_traces=True)
+    samples = {}
+    for observer in suite.profile.observers:
+        gate = replace(suite.profile.gate, settle_s=max(suite.profile.gate.settle_s, observer.settle_s))
+        samples[observer.name] = flight_samples(packed(held), observer.source, observer.rate_hz, gate)
     return {
         FAUIO: Run(found.events, found.traces),
         KALMAN: _run_chains(suite.kalman, suite.profile.gate, samples),
         KALMAN_BANK: _run_chains(suite.kalman_bank, suite.profile.gate, samples),
         **{
-            name: Run(
-                tuple(
-                    event
-                    for one in suite.banks
-                    if one.name == name
-                    for event in _run_textbook(one, samples[one.observer])
-                ),
-                (),
-            )
+            name: _together([_run_textbook(one, samples[one.observer]) for one in suite.banks if one.name == name])
             for name in (GLR, CUSUM)
         },
-        ENERGY: Run(tuple(event for one in suite.energy for event in _run_energy(one, samples[one.observer])), ()),
+        ENERGY: _together([_run_energy(one, samples[one.observer]) for one in suite.energy]),
     }
 
 
-def gated(trace: Trace) -> Flight:
-    """Return the samples that an observer processed."""
-    count = len(trace.armed)
-    always, times = np.ones(count, np.bool_), (trace.vehicle_ns, trace.unix_ns)
-    samples = Samples(
-        np.arange(count),
-        *times,
-        trace.u,
-        trace.y,
-        trace.restart,
-        always,
-        np.zeros(count, np.int64),
-        always,
-        np.zeros((count, trace.u.shape[1] + trace.y.shape[1]), np.bool_),
-    )
-    return Flight(samples, trace.armed)
+def _together(runs: Sequence[Sequence[tuple[AlarmEvent, ...]]]) -> Run:
+    """Return the runs of a detector's parts as one; each has its events at all factors, as they are first."""
+    events, *rarer = (tuple(event for part in at for event in part) for at in zip(*runs, strict=True))
+    return Run(events, (), tuple(rarer))
+
+
+def asking_for_more(rule: AlarmRule, factor: float) -> AlarmRule:
+    """Return a rule with so many times its sizes."""
+    sizes = {key: factor * getattr(rule, key) for key in ("threshold", "clear", "critical", "fast", "slow")}
+    return replace(rule, **sizes)
 
 
 def _compared(observer: ObserverProfile) -> list[Gains]:
@@ -294,15 +288,20 @@ def _with_alarms(
 
 def _run_chains(observers: Sequence[ObserverProfile], gate: GateRule, samples: Mapping[str, Flight]) -> Run:
     traces: list[Trace] = []
-    events: list[AlarmEvent] = []
-    for observer in observers:
-        chain = ObserverChain(observer, KALMAN, gate, VehicleClock())
-        builder = TraceBuilder(chain.layout)
-        run = chain.estimate(samples[observer.name].samples, samples[observer.name].armed)
-        builder.extend(run.estimates)
-        events += alarm_events([run], Excuses(()))
-        traces.append(builder.build())
-    return Run(tuple(sorted(events, key=lambda event: event.vehicle_time_ms)), tuple(traces))
+    events: list[list[AlarmEvent]] = []
+    for factor in (1.0, *FACTORS):
+        events.append([])
+        for observer in observers:
+            rules = tuple(asking_for_more(rule, factor) for rule in observer.alarms)
+            chain = ObserverChain(replace(observer, alarms=rules), KALMAN, gate, VehicleClock())
+            run = chain.estimate(samples[observer.name].samples, samples[observer.name].armed)
+            events[-1] += alarm_events([run], Excuses(()))
+            if len(events) == 1:
+                builder = TraceBuilder(chain.layout)
+                builder.extend(run.estimates)
+                traces.append(builder.build())
+    first, *rarer = (tuple(sorted(at, key=lambda event: event.vehicle_time_ms)) for at in events)
+    return Run(first, tuple(traces), tuple(rarer))
 
 
 def _energy(observer: ObserverProfile, plant: Plant, flights: Sequence[Flight], share: float) -> EnergyDetector:
@@ -319,15 +318,22 @@ def _energy(observer: ObserverProfile, plant: Plant, flights: Sequence[Flight], 
     return EnergyDetector(observer.name, gains, W, rule)
 
 
-def _run_energy(detector: EnergyDetector, flight: Flight) -> list[AlarmEvent]:
-    alarm = Alarm(detector.rule, ENERGY)
+def _run_energy(detector: EnergyDetector, flight: Flight) -> list[tuple[AlarmEvent, ...]]:
     energy = _windowed(_residuals(detector.gains, flight), detector.W, flight, detector.gains.rate_hz)[:, None]
-    events: list[AlarmEvent] = []
-    samples, known = flight.samples, np.isfinite(energy)
-    times_ns, index = samples.vehicle_time_ns, np.arange(len(flight))
-    rows = ChainRows([alarm.state], index, times_ns, samples.restart, np.where(known, energy, 0.0), known)
-    walk([rows], lambda _, row, __, code: events.append(alarm.event(code, samples, row, None, None)))
-    return events
+    known = np.isfinite(energy)
+    rules = [[asking_for_more(detector.rule, factor)] for factor in (1.0, *FACTORS)]
+    return [_walked(ENERGY, at, flight, np.where(known, energy, 0.0), known) for at in rules]
+
+
+def _walked(
+    name: str, rules: Sequence[AlarmRule], flight: Flight, evidence: NDArray[np.float64], known: NDArray[np.bool_]
+) -> tuple[AlarmEvent, ...]:
+    """Return the events of evidence (N, m) for some alarms."""
+    alarms, samples, events = [Alarm(rule, name) for rule in rules], flight.samples, list[AlarmEvent]()
+    states, index = [alarm.state for alarm in alarms], np.arange(len(flight))
+    rows = ChainRows(states, index, samples.vehicle_time_ns, samples.restart, evidence, known)
+    walk([rows], lambda _, row, at, code: events.append(alarms[at].event(code, samples, row, None, None)))
+    return tuple(events)
 
 
 def _textbook(
@@ -394,21 +400,18 @@ def _statistics(bank: TextbookBank, flight: Flight) -> NDArray[np.float64]:
     return found
 
 
-def _run_textbook(bank: TextbookBank, flight: Flight) -> list[AlarmEvent]:
-    alarms = [Alarm(rule, bank.name) for rule in bank.rules]
+def _run_textbook(bank: TextbookBank, flight: Flight) -> list[tuple[AlarmEvent, ...]]:
     statistics = _statistics(bank, flight)
     known = np.isfinite(statistics)
     largest = np.where(known, statistics, -inf)
-    named = largest.argmax(axis=1)[:, None] == np.arange(len(alarms))
-    # A sum that has grown for a minute would take as long to fall: what is beyond three levels counts as three.
-    evidence = np.where(named & known, np.minimum(statistics, 3.0 * bank.rules[0].threshold), 0.0)
-    events: list[AlarmEvent] = []
-    samples, index = flight.samples, np.arange(len(flight))
-    rows = ChainRows(
-        [alarm.state for alarm in alarms], index, samples.vehicle_time_ns, samples.restart, evidence, known
-    )
-    walk([rows], lambda _, row, at, code: events.append(alarms[at].event(code, samples, row, None, None)))
-    return events
+    named = largest.argmax(axis=1)[:, None] == np.arange(len(bank.rules))
+    found = []
+    for factor in (1.0, *FACTORS):
+        rules = [asking_for_more(rule, factor) for rule in bank.rules]
+        # A sum that has grown for a minute would take as long to fall: what is beyond three levels counts as three.
+        evidence = np.where(named & known, np.minimum(statistics, 3.0 * rules[0].threshold), 0.0)
+        found.append(_walked(bank.name, rules, flight, evidence, known))
+    return found
 
 
 def _residuals(gains: Gains, flight: Flight) -> NDArray[np.float64]:

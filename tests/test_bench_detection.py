@@ -9,7 +9,18 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
-from accounting import Spell, announced, before_any_fault, false_alarms, reading, verdict, watched_s
+from accounting import (
+    Found,
+    Result,
+    Spell,
+    announced,
+    at_equal_rate,
+    before_any_fault,
+    false_alarms,
+    reading,
+    verdict,
+    watched_s,
+)
 from detection import fits_of, try_on
 from detection_page import page
 from detection_plot import draw
@@ -80,6 +91,17 @@ def test_sizes_are_read_where_they_can_be_compared(fault: dict[str, Any], truth:
         assert found.truth is None
     else:
         assert found.truth == replace(truth, size=pytest.approx(truth.size))
+
+
+def test_baselines_are_asked_for_more_until_they_raise_no_more_false_alarms_than_the_reference() -> None:
+    def found(false: int, rarer: tuple[Found, ...] = ()) -> Found:
+        return Found((), (), (), tuple(Spell("motor1", at, None) for at in range(false)), rarer)
+
+    seen = {"ours": found(1), "theirs": found(9, (found(4), found(1), found(0)))}
+    unseen = Result(described("a"), ("b",), frozenset(), 60.0, seen, ())
+    (result,) = at_equal_rate([unseen], "ours")
+    assert len(result.found["theirs"].false) == 1
+    assert result.found["ours"] == seen["ours"]
 
 
 def test_a_fading_motor_loses_in_proportion_to_time() -> None:
@@ -200,7 +222,11 @@ def test_all_detectors_are_measured_on_a_flight_and_make_a_page(quad_folder: Pat
     columns = ("autopilot", *DETECTORS)
     text = page([result], columns, ["a note"])
     assert "- a note" in text
-    assert "| copter_motor3_090 | actuator_effectiveness_loss motor/servo [3] 0.9 | motor3 | MISSED | 0." in text
+    (limit,) = result.limits_s
+    assert limit is not None
+    assert 0.0 < limit < 0.1
+    lost = "| copter_motor3_090 | actuator_effectiveness_loss motor/servo [3] 0.9 | motor3"
+    assert f"{lost} | {limit:.2f} s | MISSED | 0." in text
     draw([result], columns, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 10_000
 
