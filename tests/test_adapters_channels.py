@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adapters.channels import Channel, channel_table, parse_channel
-from adapters.errors import TelemetryError
+from adapters.channels import Channel, channel_table, parse_channel, read_channel
+from adapters.errors import ProfileError, TelemetryError
+from adapters.toml_tables import parse_toml
 
 NAMES = st.text("abcdefgh_0123", min_size=1, max_size=8).filter(lambda name: not name[0].isdigit())
 
@@ -207,3 +209,28 @@ def test_a_time_inside_a_time_is_none() -> None:
     for _ in range(2000):
         stamp = {"sec": stamp, "nanosec": 2}
     assert Channel("c", "M", ("x",)).stamp_ns({"header": {"stamp": stamp}}) is None
+
+
+def test_the_documented_mapping_of_px4_topics_reads_their_messages() -> None:
+    page = (Path(__file__).parent.parent / "docs/how-to/own-channels.md").read_text()
+    example = page.partition("## Example: speeds, battery and vibration from PX4's topics")[2]
+    tables = parse_toml("profile.toml", example.split("```")[1].removeprefix("toml").encode(), ProfileError)
+    observers = tables.root.table("observers")
+    found: dict[str, Channel] = {}
+    for observer in observers:
+        signals = observers.table(observer).table("signals")
+        found |= {name: read_channel(name, signals.table(name)) for name in signals}
+    tables.check()
+    reports = [{"esc_rpm": 4000 + at, "esc_current": 1.5 + at} for at in range(4)]
+    fields = {
+        "timestamp": 7,
+        "esc": reports,
+        "voltage_v": 15.2,
+        "accel_vibration_metric": 3.0,
+        "accel_clipping": [0, 5, 0],
+    }
+    values = {name: channel.value(fields) for name, channel in found.items()}
+    assert values == pytest.approx(
+        {"rpm2": 4001.0, "amps2": 2.5, "volts": 15.2, "vibration_x": 3.0 / 3**0.5, "clipping_1": 5.0}, rel=1e-5
+    )
+    assert {channel.stamp_ns(fields) for channel in found.values()} == {7000}
