@@ -60,14 +60,15 @@ def test_a_recording_in_one_file_goes_on_when_the_disk_has_room_with_the_alarms_
     command = [sys.executable, "-c", FULL, path, Path(__file__).parent]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     stopped = f"recording stopped: [Errno 27] File too large: '{path}'"
-    # eight taken, of which telemetry, sample and estimate are lost and the alarms wait
-    assert json.loads(done.stdout) == [[8, 3, stopped], [10, 5, stopped], [10, 5, None], [15, 5, None]]
+    # ten taken, of which telemetry, sample and estimate are lost and the alarms wait
+    assert json.loads(done.stdout) == [[10, 3, stopped], [12, 5, stopped], [12, 5, None], [18, 5, None]]
     assert numbers(path) == [0, 3]
     records = own_records([path])
     assert [json.loads(data)["seq"] for data in records["/fauio/alarm_json"]] == [1, 2, 3]
     assert {topic: len(found) for topic, found in records.items()} == {
         "/fauio/alarm": 3,
         "/fauio/alarm_json": 3,
+        "/fauio/log": 3,
         "/fauio/motors/sample": 1,
         "/fauio/motors/estimate": 1,
     }
