@@ -236,7 +236,7 @@ def fit_trim(request: FitRequest, gate: GateRule) -> Fitted | None:
         As :func:`fit_multirotor`.
     """
     commands, outputs = multirotor_channels(request.surveys)
-    drive = replace(_commanded(request, commands), observer=TRIM)
+    drive = replace(_commanded(request, gate, commands), observer=TRIM)
     if min(drive.rate_hz / COMMANDS_PER_TICK, request.rate_hz or math.inf) <= TRIM_HZ:
         return None
     fitted = _fitted(replace(request, rate_hz=TRIM_HZ), gate, drive, outputs)
