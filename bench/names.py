@@ -49,11 +49,7 @@ SETTLED_NS = 5_000_000_000
 """Time for estimates to settle before their uncertainty is judged."""
 MOTORS = ("motor1", "motor2", "motor3", "motor4", "motor5", "motor6")
 _ALL = (
-    "gps_north",
-    "gps_east",
-    "gps_down",
-    "gps_velocity_north",
-    "gps_velocity_east",
+    *(f"GPS_RAW_INT.{name}" for name in ("lat", "lon", "alt", "vel", "cog")),
     "baro",
     "compass",
     "gyro_x",
@@ -80,10 +76,15 @@ class Case:
     sizes: dict[str, float]
 
 
+def _parts(motor: str) -> list[str]:
+    """Return what a motor's loss is where speeds are known, which stay as recorded: a speed controller's."""
+    return [motor.replace("motor", part) for part in ("esc", "prop")] if motor.startswith("motor") else []
+
+
 def _one(channel: str, size: float, names: Sequence[str] = (), kind: str = "bias", **numbers: float) -> Case:
     """Return a case of one channel, named by itself or by others."""
     attack = Attack(channel, kind, 0, 1, size=None if kind in ("ramp", "spoof", "freeze") else size, **numbers)  # type: ignore[arg-type]
-    right = frozenset(names or (channel,))
+    right = frozenset(names or (channel, *_parts(channel)))
     sizes = {channel: size} if kind == "bias" else {}
     if kind == "loss":
         sizes = {channel: -size}
@@ -109,15 +110,18 @@ def _motors(share: float, *numbers: int) -> Case:
         return [Attack(motor, "loss", 0, 1, size=share) for motor in named]
 
     what = " and ".join(f"motor{n}" for n in numbers) or "all motors"
-    right = frozenset({"unexplained", "thrust", "motors"} | {f"motor{n}" for n in numbers})
+    right = frozenset(
+        {"unexplained", "thrust", "motors"}
+        | {f"{part}{n}" for n in numbers or range(1, 7) for part in ("motor", "esc", "prop")}
+    )
     return Case(f"{what} loss {share:g}", attacks, right, {})
 
 
 def _whole(kind: str) -> Case:
     """Return frozen or replayed measurements, all of them."""
     numbers = {"source_ns": -20} if kind == "replay" else {}
-    attacks = [Attack(channel, kind, 0, 1, **numbers) for channel in _ALL]  # type: ignore[arg-type]
-    return Case(f"all measurements {kind}", lambda *_: attacks, frozenset({"telemetry", "frozen"}), {})
+    attacks = [Attack(channel, kind, 0, 1, **numbers) for channel in (*_ALL, "ATTITUDE.yaw")]  # type: ignore[arg-type]
+    return Case(f"all measurements {kind}", lambda *_: attacks, frozenset({"telemetry", "frozen", "blind"}), {})
 
 
 CASES: tuple[Case, ...] = (
