@@ -14,15 +14,16 @@ import pytest
 from loopback import START_NS
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from own_records import own_records
 
 from adapters.batch import pack
-from adapters.logs.recordings import read_recording
+from adapters.logs.recordings import packed, read_recording
 from adapters.message import Message
 from adapters.source import MAVLINK, ZENOH
 from monitor.profile import read_profile
-from monitor.recording.foxglove_records import GPS, LOG, FoxgloveRecords
+from monitor.recording.foxglove_records import GPS, TEXTS, FoxgloveRecords
 from monitor.recording.record_encoder import RecordEncoder
-from replay.player import play
+from replay.player import play, play_batches
 
 ROOT = Path(__file__).parent.parent
 
@@ -32,7 +33,9 @@ def topics(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
     """Return what a plain reader finds in the recording of a flight with a drifting GPS, by topic."""
     path = tmp_path_factory.mktemp("foxglove") / "flight.mcap"
     profile = read_profile(ROOT / "replay" / "data" / "quad")
-    play(profile, read_recording(ROOT / "tests" / "data" / "copter_gps_drift05.tlog.xz"), record=path)
+    flight = list(read_recording(ROOT / "tests" / "data" / "copter_gps_drift05.tlog.xz"))
+    text = Message(MAVLINK, "STATUSTEXT", flight[500].received_ns, {"severity": 6, "text": "Mission"}, 1, 1)
+    play(profile, [*flight[:500], text, *flight[500:]], record=path)
     content = defaultdict(list)
     with path.open("rb") as stream:
         decoders = DecoderFactory()
@@ -77,7 +80,7 @@ def test_texts_of_the_autopilot_are_lines_and_a_receiver_without_a_fix_has_no_pl
         ]
     )
     log, place = FoxgloveRecords(encoder).batch(batch)
-    assert (encoder.topics[log[0]], encoder.topics[place[0]]) == (LOG, GPS)
+    assert (encoder.topics[log[0]], encoder.topics[place[0]]) == (TEXTS, GPS)
     assert json.loads(log[1]) | {"timestamp": None} == {
         "timestamp": None,
         "level": 5,
@@ -115,3 +118,12 @@ def test_the_layout_asks_for_channels_and_fields_that_exist(topics: dict[str, li
             message = message[field] if isinstance(message, dict) else getattr(message, field)
     panels = set(layout["configById"])
     assert {name for name in json.dumps(layout["layout"]).split('"') if "!" in name} == panels
+
+
+def test_what_is_drawn_does_not_depend_on_how_a_flight_is_cut(tmp_path: Path) -> None:
+    profile = read_profile(ROOT / "replay" / "data" / "quad")
+    flight = list(read_recording(ROOT / "tests" / "data" / "copter_gps_drift05.tlog.xz"))
+    for name, size in (("few", len(flight)), ("many", 100)):
+        play_batches(profile, packed(flight, size), record=tmp_path / f"{name}.mcap")
+    few, many = (own_records([tmp_path / f"{name}.mcap"]) for name in ("few", "many"))
+    assert few == many

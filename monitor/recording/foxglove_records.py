@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adapters.batch import Batch, Columns
 from adapters.encoding.record import Schema
@@ -49,12 +50,13 @@ _FIX: Final[Mapping[str, Any]] = {
     "position_covariance": {"type": "array", "items": _NUMBER, "minItems": 9, "maxItems": 9},
     "position_covariance_type": {"type": "integer"},
 }
-LOG: Final = _topic(
-    "log",
-    "foxglove.Log",
-    dict.fromkeys(("message", "name", "file"), _TEXT) | {key: {"type": "integer"} for key in ("level", "line")},
-)
-"""What the autopilot says, and every alarm event."""
+_LINE: Final[Mapping[str, Any]] = dict.fromkeys(("message", "name", "file"), _TEXT) | {
+    key: {"type": "integer"} for key in ("level", "line")
+}
+LOG: Final = _topic("log", "foxglove.Log", _LINE)
+"""Every alarm event."""
+TEXTS: Final = _topic("texts", "foxglove.Log", _LINE)
+"""What the autopilot says: apart, so that the order of either does not depend on how the stream is cut."""
 GPS: Final = _topic("gps", "foxglove.LocationFix", _FIX)
 """Where GPS says the vehicle is."""
 TRACK: Final = _topic("track", "foxglove.LocationFix", _FIX)
@@ -68,12 +70,13 @@ class FoxgloveRecords:
         self._encoder = encoder
         self._faults = {name: faults for name, faults in encoder.faults.items() if set(PULLED) <= set(faults)}
         # places that no estimate has come for yet: time, latitude, longitude, altitude
+        self._last: tuple[int, NDArray[np.float64]] = (0, np.zeros(len(PULLED)))
         self._waiting: deque[tuple[int, float, float, float]] = deque(maxlen=_MOST_WAITING)
 
     def batch(self, batch: Batch) -> list[EncodedRecord]:
         """Return the autopilot's texts, and the places that a batch says."""
         records = [
-            self._log(message.received_ns, _LEVELS[severity], text, "autopilot")
+            self._line(TEXTS, message.received_ns, _LEVELS[severity], text, "autopilot")
             for message in batch.others.values()
             if message.name == "STATUSTEXT"
             and isinstance(text := message.fields.get("text"), str)
@@ -94,7 +97,11 @@ class FoxgloveRecords:
         times_ns = estimates.samples.time_ns
         if faults is None or not len(times_ns):
             return []
-        pulls = estimates.isolated[:, [faults.index(name) for name in PULLED]]
+        # the row before, too: what a place gets does not depend on how the stream is cut
+        before_ns, before = self._last
+        pulls = np.vstack((before, estimates.isolated[:, [faults.index(name) for name in PULLED]]))
+        times_ns = np.concatenate(([before_ns], times_ns))
+        self._last = int(times_ns[-1]), pulls[-1]
         records = []
         while self._waiting and self._waiting[0][0] <= times_ns[-1]:
             time_ns, latitude, longitude, altitude = self._waiting.popleft()
@@ -111,11 +118,11 @@ class FoxgloveRecords:
         level = _INFO if quiet else _ERROR if event.severity == "critical" else _WARNING
         size = f" ({event.display})" if event.display else ""
         line = f"{event.channel} {event.state}: {event.message}{size}"
-        return [self._log(event.time_ns, level, line, event.observer)]
+        return [self._line(LOG, event.time_ns, level, line, event.observer)]
 
-    def _log(self, time_ns: int, level: int, text: str, name: str) -> EncodedRecord:
+    def _line(self, topic: Topic, time_ns: int, level: int, text: str, name: str) -> EncodedRecord:
         content = {"level": level, "message": printable(text), "name": name, "file": "", "line": 0}
-        return self._record(LOG, time_ns, content)
+        return self._record(topic, time_ns, content)
 
     def _fix(self, topic: Topic, time_ns: int, latitude: float, longitude: float, altitude: float) -> EncodedRecord:
         place = {"latitude": latitude, "longitude": longitude, "altitude": altitude}
