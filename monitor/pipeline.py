@@ -325,7 +325,8 @@ class Pipeline:
         shelved_ns = self._desk.due_ns
         blind_ns = self._blind.due_ns(self._flies(), start_ns)
         contested_ns = min(
-            (ns for ns in (self._clock.contested_ns, self._numbered_ns) if start_ns < ns), default=flood_ns
+            (ns for ns in (self._clock.contested_ns, self._clock.split_ns, self._numbered_ns) if start_ns < ns),
+            default=flood_ns,
         )
         if self._driven_ns is not None:
             contested_ns = min(contested_ns, self._driven_ns)
@@ -429,6 +430,8 @@ class Pipeline:
         if now_ns < self._clock.contested_ns:
             apart_s = abs(self._clock.rival_ns) / 1e9
             found.append(f"its messages were stamped by two clocks, {apart_s:.1f} s apart")
+        if now_ns < self._clock.split_ns:
+            found.append(f"its {self._clock.split} came more often than before, with values of two senders by turns")
         return found
 
     def _flight(self) -> tuple[bool, bool]:

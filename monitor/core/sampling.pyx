@@ -59,6 +59,8 @@ from libc.math cimport fmod, isfinite, rint
 from libc.stdlib cimport qsort
 from libc.string cimport memcpy, memmove
 
+from monitor.core.interleaved cimport Interleaved
+
 cdef extern from *:
     """
     /* Products of two times need 126 bits; GCC and Clang have such integers on every 64-bit processor. */
@@ -217,12 +219,17 @@ cdef class VehicleClock:
         Unix time until which the clock is contested; 0: it never was.
     rival_ns : int
         By how much the other sender's stamps were ahead when the contest began.
+    split_ns : int
+        Unix time until which a stream is taken to have two senders by its values; 0: none ever was.
+    split : str | None
+        The stream's message.
     """
 
     cdef readonly int boot
     cdef readonly nanoseconds newest_ns
     cdef readonly bint running
-    cdef readonly nanoseconds contested_ns, rival_ns
+    cdef readonly nanoseconds contested_ns, rival_ns, split_ns
+    cdef readonly object split
     cdef bint _has_candidate, _has_doubtful
     # A stamp of another clock and its arrival, and how many of them came since when; whether near ones came after it,
     # also of the channel that the next one is of; when the last near one arrived.
@@ -310,6 +317,10 @@ cdef class VehicleClock:
         """Learn a stamp far from the newest one; return whether it is a rival's, while the clock is contested."""
         cdef wide apart = <wide>received - stamp - self._rival.delay
         cdef nanoseconds gone = received - self._rival.delay - self._rival.stamp
+        cdef wide foreign = self._delay_at(stamp) - (<wide>received - stamp)
+        if self._count and -_EARLY <= foreign <= _EARLY:
+            # The vehicle's own, after a silence of the link.
+            return False
         if self._has_rival and not (self._rival.stamp == stamp and gone == 0):
             if self._interleaved and self._shared and 0 <= gone <= _CONTEST and -_TOLERANCE <= apart <= _TOLERANCE:
                 self._contest(stamp - self.newest_ns, received)
@@ -327,6 +338,12 @@ cdef class VehicleClock:
             if received >= self.contested_ns:
                 self._began, self.rival_ns = True, ahead
             self.contested_ns = received + _CONTEST
+
+    cdef void part(self, name, nanoseconds received):
+        """Learn that a message has two senders."""
+        if received >= self.split_ns:
+            self._began, self.split = True, name
+        self.split_ns = received + _CONTEST
 
     cdef bint _confirmed(self, nanoseconds stamp) noexcept:
         """Return whether the stamp before, which was far from the newest one too, is near this one."""
@@ -756,6 +773,7 @@ cdef class Stream:
 
     cdef object channel
     cdef list channels, lanes
+    cdef Interleaved senders
     cdef int width
     # When a stamp of it was believed last, Unix time.
     cdef nanoseconds agreed
@@ -780,6 +798,7 @@ cdef class Stream:
             elif channel.period is not None:
                 column.kind = _WRAPPING
         self.lanes = [lane]
+        self.senders = Interleaved([channel.period or 0.0 for channel in self.channels])
 
     cdef bint knows(self, nanoseconds stamp) noexcept:
         """Return whether all channels have a newest measurement of this time."""
@@ -936,8 +955,12 @@ cdef class SamplerCore:
         if stream.knows(stamp):
             for lane in stream.lanes:
                 self._duplicates += lane.width
+            if not clockless and stream.senders.take(stamp, received, row):
+                clock.part(stream.channel.message, received)
         elif clockless or self.believe(stream, stamp, received, row):
             self.follow_clock()
+            if not clockless and stream.senders.take(stamp, received, row):
+                clock.part(stream.channel.message, received)
             self.store(stream, stamp, row)
             self.give_out()
         return 0

@@ -1,0 +1,29 @@
+# cython: language_level=3
+"""What sampling uses of the watch for two senders of one stream."""
+
+cdef enum:
+    # Findings that are an attack where they come close together.
+    FINDINGS = 8
+
+
+cdef class Interleaved:
+    cdef int _width, _count
+    cdef bint _plural
+    cdef double _usual
+    cdef long long _taken
+    cdef long long[FINDINGS] _found
+    cdef long long[FINDINGS] _found_at
+    cdef long long* _stamps
+    cdef double* _rows
+    cdef double* _periods
+    cdef double* _typical
+
+    cdef bint take(self, long long stamp, long long received, const double* row) noexcept
+    cdef void clear(self) noexcept
+    cdef void follow(self, int at) noexcept
+    cdef bint find(self, long long received) noexcept
+    cdef bint lately(self, int which, long long received) noexcept
+    cdef bint contradicts(self, int at) noexcept
+    cdef double usual(self, int column, int lag) noexcept
+    cdef double off(self, int at, int lag, int column) noexcept
+    cdef double step(self, int first, int second, int column) noexcept

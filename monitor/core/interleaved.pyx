@@ -1,0 +1,189 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+"""Two senders of one stream of messages, by values that come more often than before and contradict each other.
+
+A value between two others that agree, far from both, is noise, a jolt, or another sender's. Noise and jolts keep the
+stream's period: the values around them are two periods apart. Where another sender's comes in between they are one. So
+a row is another sender's where its neighbours are at most one and a half usual periods apart, and it differs from
+both by more than they from each other, and by much more than rows usually differ from the line between those around
+them: over the last seconds, and now, where senders take turns of the second, third or fourth on either side. Two
+different rows of one time are another sender's, too.
+
+What is usual is followed slowly, and not while there are findings: the period by a median, differences by a mean of
+those that are not zero, as values may be held or counted in steps. A link that changes its rate, or two radios that
+bring the same vehicle's values, duplicates or not, bring no values that contradict each other.
+"""
+
+from cpython.mem cimport PyMem_Calloc, PyMem_Free
+from libc.math cimport fabs, fmod
+from libc.string cimport memcpy, memmove
+
+cdef enum:
+    # Rows that are remembered. Chosen: of 16, six may be jumps to another sender's before the median is one.
+    ROWS = 16
+    # The row that is judged, two before the newest: as late as a row may come and still have its place.
+    JUDGED = 13
+    # Senders who take turns: one forged value beside one to three true ones.
+    LAGS = 4
+
+# Times the usual difference from the line between two others: of white noise the median is 0.83 standard deviations, so
+# 6.6 of them, where that difference has 1.22.
+cdef double FAR = 8.0
+# Neighbours agree where they differ by less than this share of what the row is off. Where a value jumps and stays they
+# differ by twice that; chosen: four times less, so that a quick vehicle's still agree.
+cdef double AGREE = 0.5
+# Longest way between the neighbours, periods: one is what an attack leaves, two what a single sender has.
+cdef double EXTRA = 1.5
+# Time in which what is usual follows a change, nanoseconds. Chosen: as long as the window of findings.
+cdef double FOLLOW = 1e10
+# Times the usual difference, as which a larger one is followed: chosen, so that few forged ones move it little.
+cdef double MOST = 4.0
+cdef long long WINDOW = 10_000_000_000
+# Rows within which as many findings are an attack: an eighth of all. Measured on links that become up to twenty times
+# as fast, lose or hold back (tests/test_monitor_interleaved.py): noise made four within 10 s, never eight in 64
+# rows.
+cdef long long SHARE = 64
+# A row so much older than the newest is of another time of the clock: its tolerance (core/sampling.pyx).
+cdef long long AWAY = 1_000_000_000
+
+
+cdef class Interleaved:
+    """The last rows of a stream.
+
+    Parameters
+    ----------
+    periods : Sequence[float]
+        Of each value the range after which it begins anew, 0 where it does not.
+    """
+
+    def __cinit__(self, periods):
+        cdef int i
+        self._width = len(periods)
+        self._stamps = <long long*>PyMem_Calloc(ROWS, sizeof(long long))
+        self._rows = <double*>PyMem_Calloc((ROWS + 2) * self._width + 1, sizeof(double))
+        if self._stamps == NULL or self._rows == NULL:
+            raise MemoryError
+        self._periods = self._rows + ROWS * self._width
+        self._typical = self._periods + self._width
+        for i, period in enumerate(periods):
+            self._periods[i] = period
+
+    def __dealloc__(self):
+        PyMem_Free(self._stamps)
+        PyMem_Free(self._rows)
+
+    cdef void clear(self) noexcept:
+        self._count = 0
+
+    cdef bint take(self, long long stamp, long long received, const double* row) noexcept:
+        """Take a row, values that are not there NaN; return whether it shows two senders."""
+        cdef int place = self._count, i
+        cdef bint other = False
+        if self._plural:
+            return False
+        if self._count and stamp < self._stamps[self._count - 1] - AWAY:
+            self.clear()
+            place = 0
+        while place and self._stamps[place - 1] > stamp:
+            place -= 1
+        if place and self._stamps[place - 1] == stamp:
+            for i in range(self._width):
+                other |= fabs(row[i] - self._rows[(place - 1) * self._width + i]) > 0.0
+            if other and self._usual == 0.0:
+                # It always brings several of one time: what of several devices came under one name.
+                self._plural = True
+            return other and not self._plural and self.find(received)
+        if place == 0 and self._count == ROWS:
+            return False
+        self._taken += 1
+        if self._count == ROWS:
+            place -= 1
+            memmove(self._stamps, self._stamps + 1, place * sizeof(long long))
+            memmove(self._rows, self._rows + self._width, place * self._width * sizeof(double))
+        else:
+            memmove(self._stamps + place + 1, self._stamps + place, (self._count - place) * sizeof(long long))
+            memmove(
+                self._rows + (place + 1) * self._width,
+                self._rows + place * self._width,
+                (self._count - place) * self._width * sizeof(double),
+            )
+            self._count += 1
+        self._stamps[place] = stamp
+        memcpy(self._rows + place * self._width, row, self._width * sizeof(double))
+        if self._count < ROWS:
+            return False
+        if self._usual == 0.0:
+            self._usual = <double>(self._stamps[ROWS - 1] - self._stamps[0]) / (ROWS - 1)
+        if self.contradicts(JUDGED):
+            return self.find(received)
+        if not self.lately(FINDINGS // 2, received):
+            self.follow(JUDGED)
+        return False
+
+    cdef void follow(self, int at) noexcept:
+        """Follow what is usual."""
+        cdef double share = min(self._usual / FOLLOW, 0.5), off
+        cdef int i
+        self._usual *= 1.0 + (share if <double>(self._stamps[at] - self._stamps[at - 1]) > self._usual else -share)
+        for i in range(self._width):
+            off = self.off(at, 1, i)
+            if self._typical[i] == 0.0 and off > 0.0:
+                self._typical[i] = off
+            elif off > 0.0:
+                self._typical[i] += share * (min(off, MOST * self._typical[i]) - self._typical[i])
+
+    cdef bint find(self, long long received) noexcept:
+        """Count a finding; return whether they are an attack."""
+        memmove(self._found, self._found + 1, (FINDINGS - 1) * sizeof(long long))
+        memmove(self._found_at, self._found_at + 1, (FINDINGS - 1) * sizeof(long long))
+        self._found[FINDINGS - 1], self._found_at[FINDINGS - 1] = received, self._taken
+        return self.lately(0, received)
+
+    cdef bint lately(self, int which, long long received) noexcept:
+        """Return whether one of the last findings is not long ago."""
+        cdef long long gone = received - self._found[which]
+        return self._found[which] != 0 and self._taken - self._found_at[which] < SHARE and 0 <= gone < WINDOW
+
+    cdef bint contradicts(self, int at) noexcept:
+        """Return whether a row that comes on top of the others contradicts its neighbours."""
+        cdef double apart, off
+        cdef int i, lag
+        if <double>(self._stamps[at + 1] - self._stamps[at - 1]) > EXTRA * self._usual:
+            return False
+        for i in range(self._width):
+            apart = fabs(self.step(at - 1, at + 1, i))
+            off = self.off(at, 1, i)
+            if not (off > FAR * self._typical[i] > 0.0 and apart <= AGREE * off):
+                continue
+            for lag in range(1, LAGS + 1):
+                if off > FAR * self.usual(i, lag):
+                    return True
+        return False
+
+    cdef double usual(self, int column, int lag) noexcept:
+        """Return the median of :meth:`off` over the rows."""
+        cdef double[ROWS] sizes
+        cdef double size
+        cdef int count = ROWS - 2 * lag, i, k
+        for i in range(count):
+            size = self.off(i + lag, lag, column)
+            k = i
+            while k and sizes[k - 1] > size:
+                sizes[k] = sizes[k - 1]
+                k -= 1
+            sizes[k] = size
+        return sizes[count // 2]
+
+    cdef double off(self, int at, int lag, int column) noexcept:
+        """Return how far a value is from the line between those so far before and behind it."""
+        cdef double gone = <double>(self._stamps[at] - self._stamps[at - lag])
+        cdef double span = <double>(self._stamps[at + lag] - self._stamps[at - lag])
+        return fabs(self.step(at - lag, at, column) - gone / span * self.step(at - lag, at + lag, column))
+
+    cdef double step(self, int first, int second, int column) noexcept:
+        """Return the step from one row to another, of a value that wraps the shorter way round."""
+        cdef double step = self._rows[second * self._width + column] - self._rows[first * self._width + column]
+        cdef double period = self._periods[column]
+        if period == 0.0:
+            return step
+        step = fmod(step + 0.5 * period, period)
+        return step + (0.5 * period if step < 0.0 else -0.5 * period)

@@ -1,0 +1,115 @@
+"""Forged values beside true ones are told from noise: they come on top, and contradict those around them."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from test_monitor_impostor import events_of
+
+from adapters.logs.recordings import read_recording
+from adapters.message import Message
+from monitor.event import AlarmEvent
+from monitor.profile import Profile, read_profile
+
+QUAD = Path(__file__).parent.parent / "replay" / "data" / "quad"
+UNITS = {"time_boot_ms": 1e3, "time_usec": 1e6}
+START_S = 10.0
+
+
+@pytest.fixture(scope="module")
+def profile() -> Profile:
+    return read_profile(QUAD)
+
+
+@pytest.fixture(scope="module")
+def flight(data: Path) -> list[Message]:
+    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
+    return [message for message in messages if message.received_ns - messages[0].received_ns < 40_000_000_000]
+
+
+def forged(message: Message, behind_s: float, changes: Mapping[str, float]) -> Message:
+    fields = dict(message.fields)
+    for name, per_s in UNITS.items():
+        if fields.get(name):
+            fields[name] += round(behind_s * per_s)
+    for name, change in changes.items():
+        fields[name] += type(fields[name])(change)
+    return replace(message, received_ns=message.received_ns + round(behind_s * 1e9), fields=fields)
+
+
+def attacked(flight: list[Message], name: str, changes: Mapping[str, float], every: int, share: float) -> list[Message]:
+    """Return messages with a forged one behind each ``every``-th of a kind, by a share of its period."""
+    own = [message for message in flight if message.name == name]
+    period_s = (own[-1].received_ns - own[0].received_ns) / 1e9 / len(own)
+    late = [message for message in own if message.received_ns - flight[0].received_ns > START_S * 1e9][::every]
+    return in_order([*flight, *(forged(message, share * period_s, changes) for message in late)])
+
+
+def in_order(messages: list[Message]) -> list[Message]:
+    return sorted(messages, key=lambda message: message.received_ns)
+
+
+def impostors(profile: Profile, messages: list[Message]) -> list[AlarmEvent]:
+    return [event for event in events_of(profile, messages) if event.channel == "impostor"]
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "every", "share"),
+    [
+        ("ATTITUDE", {"roll": 0.2}, 1, 0.45),
+        ("HIGHRES_IMU", {"xgyro": 0.3}, 1, 0.0),
+        ("HIGHRES_IMU", {"xgyro": 0.3}, 1, 0.01),
+        ("GPS_RAW_INT", {"lat": 500}, 1, 0.45),
+        ("SERVO_OUTPUT_RAW", {"servo1_raw": 150}, 5, 0.45),
+    ],
+)
+def test_values_of_two_senders_by_turns_are_an_impostor(
+    profile: Profile, flight: list[Message], name: str, changes: Mapping[str, float], every: int, share: float
+) -> None:
+    first = impostors(profile, attacked(flight, name, changes, every, share))[0]
+    assert (first.state, first.severity) == ("raised", "critical")
+    assert f"{name} came more often than before" in first.message
+    assert first.time_ns - flight[0].received_ns < (START_S + 2.0) * 1e9
+
+
+def thinned(flight: list[Message], keep: Callable[[int, float], bool]) -> list[Message]:
+    seen: Counter[str] = Counter()
+    kept = []
+    for message in flight:
+        seen[message.name] += 1
+        at_s = (message.received_ns - flight[0].received_ns) / 1e9
+        if message.name in ("HEARTBEAT", "EXTENDED_SYS_STATE") or keep(seen[message.name], at_s):
+            kept.append(message)
+    return kept
+
+
+def delayed(messages: list[Message], most_s: float, rng: random.Random | None = None) -> list[Message]:
+    return [
+        replace(one, received_ns=one.received_ns + round((rng.random() if rng else 1.0) * most_s * 1e9))
+        for one in messages
+    ]
+
+
+CLEAN: Mapping[str, Callable[[list[Message]], list[Message]]] = {
+    "a rate that grows five times": lambda flight: thinned(flight, lambda k, at: at > 15 or k % 5 == 0),
+    "a rate that changes": lambda flight: thinned(flight, lambda k, at: int(at / 10) % 2 == 1 or k % 2 == 0),
+    "two radios, duplicates": lambda flight: in_order([*flight, *delayed(flight, 0.15)]),
+    "two radios, each its own": lambda flight: in_order(
+        [*thinned(flight, lambda k, _: k % 2 == 0), *delayed(thinned(flight, lambda k, at: k % 2 > 0 and at > 15), 0.1)]
+    ),
+    "jitter": lambda flight: in_order(delayed(flight, 0.2, random.Random(1))),
+    "loss": lambda flight: [one for rng in [random.Random(2)] for one in flight if rng.random() > 0.5],
+    "bursts of a second": lambda flight: [
+        one for one in flight if random.Random(one.received_ns // 1_000_000_000).random() > 0.2
+    ],
+}
+
+
+@pytest.mark.parametrize("link", CLEAN)
+def test_links_that_change_lose_or_bring_twice_are_none(profile: Profile, flight: list[Message], link: str) -> None:
+    assert impostors(profile, CLEAN[link](flight)) == []
