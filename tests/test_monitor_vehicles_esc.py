@@ -213,6 +213,18 @@ def test_speeds_follow_command_times_voltage_and_currents_the_power_over_it() ->
     assert given.u[:, 3] == pytest.approx(0.1 + 0.9 * (raw.u[:, 3] / 5000.0) ** 3 * 16.0 / 15.2)
 
 
+def test_below_the_least_command_that_was_flown_and_until_its_lag_has_passed_nothing_is_known() -> None:
+    raw = raw_samples(36)
+    u = raw.u.copy()
+    u[9, 1] = 0.1
+    parameters = {**PARAMETERS, "least": 0.2, "lag_s": 0.02}
+    given = EscInputs(parameters, 100.0, 50.0).run(replace(raw, u=u, measured=np.ones(36, bool))).samples
+    # a hundredth of a second at 0.09 s is 39 % of what is expected after it, and 1 % after 3.7 lags: until 0.17 s
+    assert np.flatnonzero(given.lost.any(axis=1)).tolist() == [4, 5, 6, 7, 8]
+    whole = EscInputs({**parameters, "least": 0.0}, 100.0, 50.0).run(replace(raw, u=u, measured=np.ones(36, bool)))
+    assert not whole.samples.lost.any()
+
+
 def test_nothing_given_has_the_shape_of_samples() -> None:
     raw = raw_samples(36)
     transform = EscInputs(PARAMETERS, 100.0, 50.0)

@@ -74,6 +74,8 @@ _EXCUSED_S = 2.0
 """After the alarm of a motor's controller or propeller has cleared, seconds, none of that motor is raised: by then the
 mean over which losses are seen has forgotten it. A chipped propeller takes less current, and has less thrust at its
 command; so has a motor that turns slower."""
+_LEAST_SHARE = 1e-3
+"""Share of the commands flown that lies below the least one that is judged. Chosen: a flight of minutes has some."""
 _OTHERWISE = 0.5
 """Share of the usual current by which each of its terms may differ from a propeller's power alone. Chosen: without load
 motors draw a tenth and less of what they draw in hover; flights that show it decide.
@@ -101,6 +103,7 @@ class _Identified:
     lag_s: float
     hover: FloatArray  # speeds, then currents, of hovering (m,), rpm and A
     curves: _Curves
+    least: float  # smallest command that was flown, the lowest thousandth aside
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -118,6 +121,7 @@ class _Identified:
         return {
             **{f"output{at}": float(n) for at, n in enumerate(self.numbers, start=1)},
             "curves": 2.0,
+            "least": _rounded(self.least),
             "volts": self.volts,
             "delay_s": self.delay_s,
             "lag_s": self.lag_s,
@@ -279,7 +283,8 @@ def _identified(raw: Sequence[Flight], commands: Sequence[Channel], signal_hz: f
         drawn = _regressed(X, y / amps, rate_hz)
         curves = _Curves(*(np.concatenate(both) for both in zip(curves, drawn, strict=True)))
     numbers = tuple(int(channel.name.removeprefix("motor")) for channel in commands)
-    return _Identified(numbers, volts, delay_s, lag_s, measured, curves)
+    least = max(float(np.quantile(u, _LEAST_SHARE)), 0.0)
+    return _Identified(numbers, volts, delay_s, lag_s, measured, curves, least)
 
 
 def _means(

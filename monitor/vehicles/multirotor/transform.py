@@ -33,6 +33,9 @@ Array = NDArray[np.float64]
 
 TERMS = 4
 """Coefficients of a motor's curve."""
+_KNOWN = 0.99
+"""Share of what was expected that has to come from commands as they were flown: what is left is below the smallest
+deviation worth an alarm."""
 
 
 class HeldMeans:
@@ -117,7 +120,8 @@ class EscInputs:
     parameters : Mapping[str, float]
         ``output1`` and so on: numbers of the motors' outputs; ``volts``: usual voltage, 0 where it is not measured;
         ``delay_s``, ``lag_s`` of speed behind command; for each motor n ``rpmN`` (that of hovering) and ``rpmN_c0`` to
-        ``rpmN_c3``; the same of ``ampsN`` for all or none; ``curves``: 2, or left out in profiles of old.
+        ``rpmN_c3``; the same of ``ampsN`` for all or none; ``curves``: 2, or left out in profiles of old; ``least``:
+        smallest command that was flown, 0 where it is left out. Below it the curves were never seen: no evidence.
     signal_rate_hz, rate_hz : float
         Raw samples and given samples per second; the first is a whole multiple of the second.
 
@@ -136,17 +140,18 @@ class EscInputs:
         curves = [f"{kind}{n}" for kind in kinds for n in numbers]
         wanted = {"delay_s", "lag_s", "volts", *(f"output{at}" for at in range(1, len(numbers) + 1)), *curves}
         wanted |= {f"{name}_c{term}" for name in curves for term in range(TERMS)}
-        if wrong := sorted((wanted ^ set(parameters)) - {"curves"}):
+        if wrong := sorted((wanted ^ set(parameters)) - {"curves", "least"}):
             verb = "is unknown" if wrong[0] in parameters else "is missing"
             raise TelemetryError(f"transform 'esc': '{wrong[0]}' {verb}; fit the profile again")
         if (curves_of := parameters.get("curves", 1.0)) not in (1.0, 2.0):
             raise TelemetryError(f"transform 'esc': 'curves' is {curves_of:g}; 1 or 2")
         self._terms = terms if curves_of == 2.0 else _terms_of_old
-        for key, most in (("delay_s", 2.0), ("lag_s", 2.0), ("volts", 1e4)):
-            if not 0.0 <= parameters[key] <= most:
+        for key, most in (("delay_s", 2.0), ("lag_s", 2.0), ("volts", 1e4), ("least", 1.0)):
+            if not 0.0 <= parameters.get(key, 0.0) <= most:
                 raise TelemetryError(f"transform 'esc': '{key}' is {parameters[key]:g}; from 0 to {most:g}")
         if bad := next((name for name in curves if not 0.0 < parameters[name] < 1e9), None):
             raise TelemetryError(f"transform 'esc': '{bad}' is {parameters[bad]:g}; that of hovering is above 0")
+        self._least = parameters.get("least", 0.0)
         size = raw_per_sample("esc", signal_rate_hz, rate_hz)
         volts = parameters["volts"] > 0.0
         raw = ("motor", "rpm", *(["amps"] if currents else []), *(["volts"] if volts else []))
@@ -156,8 +161,8 @@ class EscInputs:
         self._units = np.array([parameters[name] for name in curves])
         self._curves = np.array([[parameters[f"{name}_c{term}"] for term in range(TERMS)] for name in curves])
         self._volts, self._motors, self._raw = parameters["volts"], len(numbers), len(raw)
-        timing = [(parameters["delay_s"], parameters["lag_s"])] * len(numbers)
-        self._means = HeldMeans(timing, signal_rate_hz, size, len(curves), len(curves))
+        timing = [(parameters["delay_s"], parameters["lag_s"])] * (1 + len(numbers))
+        self._means = HeldMeans(timing, signal_rate_hz, size, 1 + len(curves), len(curves))
         self._later = OneTickLater()
 
     def run(self, samples: Samples) -> Given:
@@ -168,8 +173,12 @@ class EscInputs:
             measured = np.vstack([speed, *more]) / self._units[:, None]
             parts = self._terms(command, measured[: self._motors], v)
             expected = sum(c[:, None] * part[: len(c)] for c, part in zip(self._curves.T, parts, strict=True))
-        given = self._means.run(samples, [*expected, *measured], speed)
-        later = self._later.run(given.samples)
+        # what a command below the least does to speeds passes as slowly as that command itself
+        known = (command >= self._least).all(axis=0).astype(np.float64)
+        given = self._means.run(samples, [known, *expected, *measured], speed)
+        means = given.samples
+        lost = means.lost[:, 1:] | (means.u[:, :1] < _KNOWN)
+        later = self._later.run(replace(means, u=means.u[:, 1:], lost=lost))
         if len(later):
             later.y[:, self._motors :] = np.maximum(later.y[:, self._motors :], self._later.u[:, self._motors :])
         return Given(later, given.rows)
