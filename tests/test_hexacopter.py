@@ -70,7 +70,8 @@ def seconds_after(event: AlarmEvent, moment_s: float) -> float:
 
 
 def test_the_profile_holds_one_observer_for_each_motor(profile: Profile) -> None:
-    (observer,) = profile.observers
+    observer, trim = profile.observers
+    assert trim.name == "trim"
     motors, gyros = [f"motor{i}" for i in range(1, 7)], ["gyro_x", "gyro_y", "gyro_z"]
     assert [gains.faults for gains in observer.gains] == [(name,) for name in (*motors, *gyros)]
     assert {f"motors.motor{i}.gains.json" for i in range(1, 7)} < set(profile.files)

@@ -21,6 +21,7 @@ from adapters.logs.recordings import packed
 from adapters.simulation.arm import SCENARIOS, ArmFault, ArmRun, ArmScenario, simulate_arm
 from adapters.simulation.arm_source import arm_messages
 from gains.plants.model_file import read_model
+from monitor.display import display_unit
 from monitor.estimation.isolation_rule import BankRule
 from monitor.fitting.fitted import FitRequest
 from monitor.profile import UNEXPLAINED, read_profile
@@ -123,7 +124,8 @@ def test_what_will_be_detected_stands_beside_the_alarms(folder: Path, arm: dict[
     assert set(arm["capability"]) == set(alarms) == {"motor", "encoder"}
     for channel, one in arm["capability"].items():
         within, size = [(within, size) for within, size in one["smallest"] if size is not None][-1]
-        said = f"{100 * size:g} %" if one["loss"] else f"{size:g} {one['unit']}"
+        factor, unit = display_unit(one["unit"])
+        said = f"{100 * size:g} %" if one["loss"] else f"{factor * size:.3g} {unit}"
         assert alarms[channel]["sees"].endswith(f"{said} within {within:g} s")
 
 
