@@ -174,7 +174,7 @@ class EscInputs:
             parts = self._terms(command, measured[: self._motors], v)
             expected = sum(c[:, None] * part[: len(c)] for c, part in zip(self._curves.T, parts, strict=True))
         # what a command below the least does to speeds passes as slowly as that command itself
-        known = (command >= self._least).all(axis=0).astype(np.float64)
+        known = np.asarray((command >= self._least).all(axis=0), np.float64)
         given = self._means.run(samples, [known, *expected, *measured], speed)
         means = given.samples
         lost = means.lost[:, 1:] | (means.u[:, :1] < _KNOWN)
