@@ -12,7 +12,7 @@ Decided on messages and their times of arrival alone, like everything in the pip
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -206,12 +206,25 @@ class EvidenceFlow:
         return next((group.label for group in self.groups if group.label and message in group.messages), message)
 
 
+def first_to_watch(faults: Iterable[Collection[str]]) -> list[bool]:
+    """Return of each observer whether it watches a fault that none before it does, by the names of their faults."""
+    seen: set[str] = set()
+    first = []
+    for names in faults:
+        first.append(not seen.issuperset(names))
+        seen.update(names)
+    return first
+
+
 class BlindAlarm:
     """State of the alarm of a vehicle that flies without being watched."""
 
     def __init__(self, vehicle: str, chains: Sequence[ObserverChain]) -> None:
         self._vehicle = vehicle
         self.flows = [EvidenceFlow(chain) for chain in chains]
+        first = first_to_watch(chain.layout.faults for chain in chains)
+        # what an observer beside a faster one of the same faults lacks blinds nobody
+        self._needed = [flow for flow, needed in zip(self.flows, first, strict=True) if needed]
         self._active: AlarmEvent | None = None
         self._slot = 0
         self._started = False
@@ -229,7 +242,7 @@ class BlindAlarm:
         if not flying:
             # Should it take off among the messages to come, evidence would be overdue this much later at the earliest.
             return now_ns + LIMIT_NS
-        due = [group.since_ns + group.granted_ns for flow in self.flows for group in flow.groups]
+        due = [group.since_ns + group.granted_ns for flow in self._needed for group in flow.groups]
         # What is overdue already is so for good, or until a message comes for the first time: that is waited for anew.
         return min([now_ns + LIMIT_NS, *(due_ns for due_ns in due if due_ns > now_ns)])
 
@@ -275,16 +288,17 @@ class BlindAlarm:
             if 0 <= self._slot - slot < SET_BACK_NS // _SLOT_NS:
                 return []
             self._slot = slot
-        lacks = {flow.name: flow.lacks(now_ns, contested, any_message=False) for flow in self.flows} if flying else {}
-        nothing = flying and all(flow.overdue for flow in self.flows)
+        needed = self._needed
+        lacks = {flow.name: flow.lacks(now_ns, contested, any_message=False) for flow in needed} if flying else {}
+        nothing = flying and all(flow.overdue for flow in needed)
         if nothing:
-            lacks = {flow.name: flow.lacks(now_ns, contested, any_message=True) for flow in self.flows}
+            lacks = {flow.name: flow.lacks(now_ns, contested, any_message=True) for flow in needed}
         if not any(lacks.values()):
-            if active is None or (flying and any(flow.awaits(now_ns) for flow in self.flows)):
+            if active is None or (flying and any(flow.awaits(now_ns) for flow in needed)):
                 return []
             return [self._clear(active, now_ns, vehicle_ns, flying)]
         texts = [
-            f"{flow.name}: {why} for {flow.limit_ns / 1e9:.2g} s" for flow in self.flows for why, _ in lacks[flow.name]
+            f"{flow.name}: {why} for {flow.limit_ns / 1e9:.2g} s" for flow in needed for why, _ in lacks[flow.name]
         ]
         text = "the vehicle flies and is not watched: " + "; ".join(texts)
         severity: Severity = "critical" if nothing else "warning"

@@ -81,7 +81,7 @@ def test_info_names_the_messages_that_come_too_seldom(slow_log: Path, data: Path
 
 
 def test_an_observer_names_messages_between_which_it_takes_many_samples(quad_profile: Profile) -> None:
-    motors, inertial = (observer.source for observer in quad_profile.observers)
+    motors, _, inertial = (observer.source for observer in quad_profile.observers)
     rates = dict.fromkeys((*FAST, *SELDOM), 4.0)
     assert spanned(motors, 100.0, rates) == dict.fromkeys(FAST, 25.0)
     assert set(spanned(inertial, 25.0, rates)) == {"ATTITUDE", "HIGHRES_IMU"}

@@ -202,6 +202,7 @@ def test_a_watched_vehicle_says_how_much_it_was_watched(quad_profile: Profile, d
     assert (status["state"], status["reasons"]) == ("monitoring", [])
     assert {observer: one["why_not"] for observer, one in status["watching"].items()} == {
         "motors": None,
+        "trim": None,
         "inertial": None,
     }
     assert problems(Health(ProcessHealth(), (monitor.health("monitoring", None, now_ns),))) == []

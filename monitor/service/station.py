@@ -17,6 +17,7 @@ from adapters.errors import UsageError
 from adapters.message import SECOND_NS
 from adapters.zenoh.zenoh_session import endpoints
 from monitor.alarms.desk import DeskRule
+from monitor.blind import first_to_watch
 from monitor.bus.status_watch import VehicleStatus
 from monitor.configuration.config import Config, Vehicle
 from monitor.event import AlarmEvent
@@ -280,8 +281,10 @@ class Station:
             zenoh=", ".join(self._listens) or "no listener",
             topics=f"{config.prefix}/{name}/**",
         )
-        for observer in self._profiles[vehicle.profile].observers if vehicle.profile else ():
-            if any(channel.interpolation == "mean" for channel in observer.source.inputs):
+        observers = self._profiles[vehicle.profile].observers if vehicle.profile else ()
+        first = first_to_watch([fault.name for fault in observer.faults] for observer in observers)
+        for observer, needed in zip(observers, first, strict=True):
+            if needed and any(channel.interpolation == "mean" for channel in observer.source.inputs):
                 gain = motor_gain(COMMANDS_PER_TICK * observer.rate_hz)
                 advice = f"{gain}; ask for it with [send] rates, record, fit again"
                 self._log.say("slow profile", vehicle=name, observer=observer.name, advice=advice)
