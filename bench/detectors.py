@@ -179,8 +179,8 @@ def make_suite(folder: Path, logs: Sequence[Log]) -> Suite:
             notes.append(f"{ENERGY}: {error}")
     return Suite(
         profile,
-        _with_alarms(filters, profile.gate),
-        _with_alarms(banks, profile.gate),
+        _with_alarms(filters, profile),
+        _with_alarms(banks, profile),
         tuple(energy),
         tuple(textbook),
         tuple(notes),
@@ -264,14 +264,22 @@ def _filter_bank(observer: ObserverProfile, plant: Plant, flights: Sequence[Flig
     return _with_filters(observer, gains, isolation)
 
 
+_UNMOVED = 1e-6
+"""Share of a threshold below which what a filter makes of nothing is rounding."""
+
+
 def _with_alarms(
-    observers: Sequence[tuple[ObserverProfile, Sequence[Flight]]], gate: GateRule
+    observers: Sequence[tuple[ObserverProfile, Sequence[Flight]]], profile: Profile
 ) -> tuple[ObserverProfile, ...]:
-    """Return observers with alarms calibrated on healthy flights; channels that differ in their number are pooled."""
+    """Return observers with alarms calibrated on healthy flights; channels that differ in their number are pooled.
+
+    What never moved there, as clips, keeps the profile's threshold: no level can be learned.
+    """
     share = FALSE_ALARMS_PER_HOUR / max(1, sum(len(observer.faults) for observer, _ in observers))
     times, found = Times(), []
+    thresholds = {(one.name, rule.channel): rule.threshold for one in profile.observers for rule in one.alarms}
     for observer, flights in observers:
-        evidence = healthy_evidence(observer, gate, flights)
+        evidence = healthy_evidence(observer, profile.gate, flights)
         families: dict[str, list[int]] = {}
         for at, channel in enumerate(observer.faults):
             families.setdefault(channel.name.rstrip("0123456789"), []).append(at)
@@ -279,9 +287,12 @@ def _with_alarms(
         for places in families.values():
             series = [stretch[:, at] for at in places for stretch in evidence]
             levels = healthy_levels(series, observer.rate_hz, share, times)
+            largest = max((float(np.abs(one).max()) for one in series if len(one)), default=0.0)
             for channel in (observer.faults[at] for at in places):
+                own = thresholds.get((observer.name, channel.name), 0.0)
+                floor = own if largest < _UNMOVED * own else 0.0
                 bare = AlarmRule(observer.name, channel.name, channel.kind, channel.unit, 0.0, 0.0, 0.0, 0.0, 0.0)
-                rules.append(calibrated(bare, levels, 1.0, floor=0.0, critical=inf, times=times).rule)
+                rules.append(calibrated(bare, levels, 1.0, floor=floor, critical=inf, times=times).rule)
         found.append(replace(observer, alarms=tuple(rules)))
     return tuple(found)
 
