@@ -12,7 +12,7 @@ Decided on messages and their times of arrival alone, like everything in the pip
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -24,6 +24,7 @@ from adapters.message import SECOND_NS
 from monitor.alarms.desk import OBSERVER as MONITOR
 from monitor.alarms.link_alarms import SET_BACK_NS
 from monitor.event import UNNUMBERED, AlarmEvent, Severity, State, fixed_rule_event
+from monitor.profile import newly_watched
 
 if TYPE_CHECKING:
     from monitor.chain import ChainRun, ObserverChain
@@ -206,25 +207,15 @@ class EvidenceFlow:
         return next((group.label for group in self.groups if group.label and message in group.messages), message)
 
 
-def first_to_watch(faults: Iterable[Collection[str]]) -> list[bool]:
-    """Return of each observer whether it watches a fault that none before it does, by the names of their faults."""
-    seen: set[str] = set()
-    first = []
-    for names in faults:
-        first.append(not seen.issuperset(names))
-        seen.update(names)
-    return first
-
-
 class BlindAlarm:
     """State of the alarm of a vehicle that flies without being watched."""
 
     def __init__(self, vehicle: str, chains: Sequence[ObserverChain]) -> None:
         self._vehicle = vehicle
         self.flows = [EvidenceFlow(chain) for chain in chains]
-        first = first_to_watch(chain.layout.faults for chain in chains)
+        new = newly_watched(chain.layout.faults for chain in chains)
         # what an observer beside a faster one of the same faults lacks blinds nobody
-        self._needed = [flow for flow, needed in zip(self.flows, first, strict=True) if needed]
+        self._needed = [flow for flow, faults in zip(self.flows, new, strict=True) if faults]
         self._active: AlarmEvent | None = None
         self._slot = 0
         self._started = False

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -417,6 +417,16 @@ def fault_channels(gains: Sequence[Gains]) -> tuple[FaultChannel, ...]:
         ):
             found.setdefault(name, FaultChannel(name, "actuator" if kind == "actuator" else "sensor", unit, source))
     return tuple(sorted(found.values(), key=lambda channel: channel.kind != "actuator"))
+
+
+def newly_watched(faults: Iterable[Iterable[str]]) -> list[frozenset[str]]:
+    """Return of each observer, by the names of the faults that each watches, those that none before it watches."""
+    watched: frozenset[str] = frozenset()
+    new = []
+    for names in faults:
+        new.append(frozenset(names) - watched)
+        watched |= new[-1]
+    return new
 
 
 def _alarms(table: Table, observer: str, faults: Sequence[FaultChannel]) -> tuple[AlarmRule, ...]:

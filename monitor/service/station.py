@@ -17,14 +17,13 @@ from adapters.errors import UsageError
 from adapters.message import SECOND_NS
 from adapters.zenoh.zenoh_session import endpoints
 from monitor.alarms.desk import DeskRule
-from monitor.blind import first_to_watch
 from monitor.bus.status_watch import VehicleStatus
 from monitor.configuration.config import Config, Vehicle
 from monitor.event import AlarmEvent
 from monitor.notify.ground_station import Beat, GroundSender
 from monitor.notify.messenger import Messenger
 from monitor.pipeline import Pipeline
-from monitor.profile import PROFILE_FILE, Profile, read_profile
+from monitor.profile import PROFILE_FILE, Profile, newly_watched, read_profile
 from monitor.recording.archive import Archive
 from monitor.recording.background import BackgroundArchive, BackgroundJournal, wait_for
 from monitor.recording.black_box import BlackBox
@@ -282,9 +281,9 @@ class Station:
             topics=f"{config.prefix}/{name}/**",
         )
         observers = self._profiles[vehicle.profile].observers if vehicle.profile else ()
-        first = first_to_watch([fault.name for fault in observer.faults] for observer in observers)
-        for observer, needed in zip(observers, first, strict=True):
-            if needed and any(channel.interpolation == "mean" for channel in observer.source.inputs):
+        new = newly_watched([fault.name for fault in observer.faults] for observer in observers)
+        for observer, faults in zip(observers, new, strict=True):
+            if faults and any(channel.interpolation == "mean" for channel in observer.source.inputs):
                 gain = motor_gain(COMMANDS_PER_TICK * observer.rate_hz)
                 advice = f"{gain}; ask for it with [send] rates, record, fit again"
                 self._log.say("slow profile", vehicle=name, observer=observer.name, advice=advice)

@@ -20,7 +20,7 @@ from adapters.message import SECOND_NS
 from monitor.alarms.alarm import AlarmRule
 from monitor.display import size_text
 from monitor.pipeline import Pipeline
-from monitor.profile import ObserverProfile, Profile, read_profile
+from monitor.profile import ObserverProfile, Profile, newly_watched, read_profile
 from replay.attacks.attack import ATTACK_KINDS, Attack
 from replay.attacks.injector import plan
 from replay.sensitivity.healthy import Healthy, free_spans, onsets, play_healthy
@@ -230,11 +230,15 @@ def detectability(folder: Path, log: Path, sweep: Sweep, track: TrialTrack = lam
 
 def _chosen(profile: Profile, channels: Sequence[str]) -> list[tuple[ObserverProfile, AlarmRule]]:
     """Return the alarms to test: of an actuator that two observers watch, the first's."""
-    chosen: list[tuple[ObserverProfile, AlarmRule]] = []
-    for observer in profile.observers:
-        actuators = {rule.channel for _, rule in chosen if rule.kind == "actuator"}
-        own = {fault.name for fault in observer.faults} - actuators
-        chosen += [(observer, rule) for rule in observer.alarms if rule.channel in own]
+    actuators = newly_watched(
+        [f.name for f in observer.faults if f.kind == "actuator"] for observer in profile.observers
+    )
+    chosen = [
+        (observer, rule)
+        for observer, new in zip(profile.observers, actuators, strict=True)
+        for rule in observer.alarms
+        if rule.channel in new or rule.channel in {fault.name for fault in observer.faults if fault.kind == "sensor"}
+    ]
     known = [rule.channel for _, rule in chosen]
     for channel in channels:
         if channel not in known:
