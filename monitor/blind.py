@@ -271,7 +271,7 @@ class BlindAlarm:
             for group in flow.groups:
                 # Of a clock that was set back.
                 if group.since_ns - now_ns >= SET_BACK_NS:
-                    group.since_ns = now_ns
+                    group.since_ns, group.evidence_ns = now_ns, min(group.evidence_ns, now_ns)
         slot, active = now_ns // _SLOT_NS, self._active
         if active is None and not (flying and self._received):
             return []

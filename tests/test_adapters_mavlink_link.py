@@ -391,7 +391,7 @@ def test_a_vehicle_behind_udpout_is_asked_for_rates_and_answers() -> None:
             f"udpout:127.0.0.1:{vehicle.getsockname()[1]}", guard=SigningGuard(KEY), may_send=True
         ) as link:
             requests = RateRequests(KEY)
-            link.send(requests.requests(time.time_ns()))
+            link.send(requests.requests(time.monotonic_ns(), time.time_ns()))
             heartbeat, monitor = vehicle.recvfrom(1000)
             parser = ardupilotmega.MAVLink(None)
             parser.signing.secret_key = KEY.secret

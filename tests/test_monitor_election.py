@@ -93,6 +93,22 @@ def test_the_oldest_leads_the_next_follows_and_one_that_returns_waits(router: st
         candidate.close()
 
 
+def test_one_whose_clock_was_set_back_waits_like_any_other(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    leader = Candidate(router)
+    until(lambda: leader.leads)
+    with monkeypatch.context() as clock:
+        clock.setattr(time, "time_ns", lambda: 0)
+        other = Candidate(router)
+    until(lambda: know_each_other([leader, other]))
+    end = time.monotonic() + 0.5
+    while time.monotonic() < end:
+        assert leaders([leader, other]) == [True, False]
+    leader.election.close()
+    until(lambda: other.leads)
+    leader.close()
+    other.close()
+
+
 def test_the_next_leads_within_two_seconds_after_the_leader_was_killed(router: str) -> None:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     arguments = [sys.executable, "-c", CANDIDATE, router, ROOT]

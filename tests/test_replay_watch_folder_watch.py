@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -67,6 +69,15 @@ def test_a_log_that_is_still_being_written_waits(profile_folder: Path, tmp_path:
     write_log(tmp_path / "logs" / "a.mcap")
     assert watched(profile_folder, tmp_path, settled_s=3600.0).look() == []
     assert "No log has come yet" in (tmp_path / "reports" / INDEX_FILE).read_text()
+
+
+def test_a_log_that_was_written_before_the_clock_was_set_back_does_not_wait_for_it(
+    profile_folder: Path, tmp_path: Path
+) -> None:
+    write_log(tmp_path / "logs" / "a.mcap")
+    ahead_s = time.time() + 1800.0
+    os.utime(tmp_path / "logs" / "a.mcap", (ahead_s, ahead_s))
+    assert [one.log for one in watched(profile_folder, tmp_path, settled_s=3600.0).look()] == ["a.mcap"]
 
 
 def test_a_log_that_cannot_be_read_is_listed_with_the_reason(profile_folder: Path, tmp_path: Path) -> None:

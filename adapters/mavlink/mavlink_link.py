@@ -143,9 +143,10 @@ class MavlinkLink:
         batch = self._sequences.decoded(packets, self._wanted)
         self._messages += batch.count
         if self._requests is not None:
+            steady_ns = time.monotonic_ns()
             for columns in batch.columns:
-                self._requests.count(columns)
-            self.send(self._requests.requests(time.time_ns()))
+                self._requests.count(columns, steady_ns)
+            self.send(self._requests.requests(steady_ns, time.time_ns()))
         if self._guard is not None:
             findings = self._guard.findings(self._received_ns if packets else self._arrival(time.time_ns()))
             if findings:
@@ -164,8 +165,8 @@ class MavlinkLink:
         """
         if not self._may_send:
             raise TelemetryError(f"{self._url}: this link was opened only to listen")
-        now_ns = time.time_ns()
-        senders = [sender for sender, last_ns in list(self._telemetry_ns.items()) if now_ns - last_ns < _ANSWER_NS]
+        steady_ns = time.monotonic_ns()
+        senders = [sender for sender, last_ns in list(self._telemetry_ns.items()) if steady_ns - last_ns < _ANSWER_NS]
         for packet in packets:
             self._link.write(packet, senders)
 
@@ -184,7 +185,7 @@ class MavlinkLink:
             self._refused.update(verdict.name.lower() for verdict in refusals if verdict is not None)
             packets.keep(before, [verdict is None for verdict in refusals])
         if self._may_send and len(packets) > before:
-            self._telemetry_ns[sender] = arrived_ns
+            self._telemetry_ns[sender] = time.monotonic_ns()
             self._telemetry_ns.move_to_end(sender)
             if len(self._telemetry_ns) > _SENDERS:
                 self._telemetry_ns.popitem(last=False)

@@ -1,8 +1,9 @@
 """Message rates asked of vehicles: what to send, where sending is allowed, and what came of it.
 
-Logic without clock and socket: the times are given, the packets are returned. The monitor presents itself as an onboard
-computer with a system id of its own and not as the ground station, whose loss the vehicle has to notice: PX4 takes any
-heartbeat of a ground station for that, ArduPilot any of system 255.
+Logic without clock and socket: the times are given, the packets are returned. What is waited for goes by the steady
+time (nanoseconds of the monotonic clock), which nobody sets; Unix time only stamps signatures. The monitor presents
+itself as an onboard computer with a system id of its own and not as the ground station, whose loss the vehicle has to
+notice: PX4 takes any heartbeat of a ground station for that, ArduPilot any of system 255.
 """
 
 from __future__ import annotations
@@ -115,7 +116,6 @@ class RateRequests:
             self._packer.signing.sign_outgoing = True
         self._vehicles: dict[int, _Vehicle] = {}
         self._everybody: tuple[Mapping[str, float], int] | None = None
-        self._now_ns = 0
         self._heartbeat_ns: int | None = None
 
     def ask(self, system: int, rates: Mapping[str, float], component: int = AUTOPILOT) -> None:
@@ -141,8 +141,8 @@ class RateRequests:
         """Ask every vehicle whose autopilot is heard, as :meth:`ask` does."""
         self._everybody = rates, component
 
-    def count(self, columns: Columns) -> None:
-        """Count messages that arrived; only those of the vehicles asked matter."""
+    def count(self, columns: Columns, steady_ns: int) -> None:
+        """Count messages that have arrived by a steady time; only those of the vehicles asked matter."""
         if self._everybody is not None and columns.system not in self._vehicles:
             rates, component = self._everybody
             if columns.component == component and autopilot_heartbeats(columns).any():
@@ -150,11 +150,10 @@ class RateRequests:
         vehicle = self._vehicles.get(columns.system)
         if vehicle is None or columns.source is not MAVLINK or columns.component != vehicle.component:
             return
-        first_ns, last_ns = int(columns.received_ns[0]), int(columns.received_ns[-1])
-        if vehicle.last_ns is None or first_ns - vehicle.last_ns > _SILENT_NS:
+        if vehicle.last_ns is None or steady_ns - vehicle.last_ns > _SILENT_NS:
             for request in vehicle.requests.values():
-                request.restart(first_ns)
-        vehicle.last_ns, vehicle.arrived = last_ns, True
+                request.restart(steady_ns)
+        vehicle.last_ns, vehicle.arrived = steady_ns, True
         if (counted := vehicle.requests.get(columns.name)) is not None:
             counted.arrivals += len(columns.position)
         if columns.name == "COMMAND_ACK":
@@ -173,28 +172,17 @@ class RateRequests:
         to_us = all(address in (0, own) for address, own in zip(addressed, self._ids, strict=True))
         return to_us and fields.get("command") == self._dialect.MAV_CMD_SET_MESSAGE_INTERVAL
 
-    def requests(self, now_ns: int) -> list[bytes]:
-        """Return the packets to send at this Unix time; to be called several times a second."""
-        if now_ns < self._now_ns:
-            self._start_anew()
-        self._now_ns = now_ns
+    def requests(self, steady_ns: int, now_ns: int) -> list[bytes]:
+        """Return the packets to send at this steady and this Unix time; to be called several times a second."""
         packets = []
-        if self._heartbeat_ns is None or now_ns - self._heartbeat_ns >= SECOND_NS:
-            self._heartbeat_ns = now_ns
+        if self._heartbeat_ns is None or steady_ns - self._heartbeat_ns >= SECOND_NS:
+            self._heartbeat_ns = steady_ns
             packets.append(self._heartbeat(now_ns))
         for vehicle in self._vehicles.values():
-            request = _next_request(vehicle, now_ns)
+            request = _next_request(vehicle, steady_ns)
             if request is not None:
                 packets.append(self._set_interval(request, now_ns))
         return packets
-
-    def _start_anew(self) -> None:
-        """Forget all times: the clock was set back."""
-        self._heartbeat_ns = None
-        for vehicle in self._vehicles.values():
-            vehicle.last_ns = vehicle.waiting = None
-            for request in vehicle.requests.values():
-                request.not_before_ns = 0
 
     def _heartbeat(self, now_ns: int) -> bytes:
         names = self._dialect

@@ -72,7 +72,8 @@ class Election:
     at once.
 
     While none is active the oldest leads, in a term of its own. The active one gives way only to one that is active in
-    a later term: who was taken for dead and comes back yields.
+    a later term: who was taken for dead and comes back yields. Who is the oldest goes by Unix time, which only puts the
+    names in order: where a clock was set, another one leads, and nobody waits longer.
 
     Attributes
     ----------

@@ -70,7 +70,8 @@ class FolderWatch:
             known = self._flights.get(name)
             if known is not None and (known.size, known.changed_ns) == (size, changed_ns):
                 continue
-            if time.time_ns() - changed_ns < self._settled_ns:
+            # One from the future was written before the clock was set back, or elsewhere.
+            if 0 <= time.time_ns() - changed_ns < self._settled_ns:
                 continue
             flight = self._read(path, name, size, changed_ns)
             self._flights[name] = flight
