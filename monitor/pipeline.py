@@ -398,7 +398,8 @@ class Pipeline:
         Asked a second after the report, by when they have stopped where it is true, and every second from then on.
         """
         phase, gates = self._phase, [chain.gate for chain in self._chains]
-        if not phase.grounded:
+        # What turns motors of the profile's vehicle may move surfaces of another.
+        if not phase.grounded or self.mismatch is not None:
             phase.driven, self._driven_ns = False, None
             return
         if self._driven_ns is None and was_grounded:

@@ -191,6 +191,18 @@ def test_one_report_that_it_does_not_fly_is_contradicted_by_motors_that_run(
     assert motor.time_ns - plain.time_ns < 200_000_000
 
 
+def test_commands_of_another_vehicle_than_the_profiles_contradict_nothing(quad_profile: Profile, data: Path) -> None:
+    messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
+    forged = on_ground([], messages[len(messages) // 2].received_ns)
+    other = [
+        replace(m, fields={**m.fields, "type": 22}) if m.name == "HEARTBEAT" and m.system == 1 else m for m in messages
+    ]
+    before = [m for m in other if m.received_ns < forged.received_ns]
+    after = [m for m in other[len(before) :] if m.name != "EXTENDED_SYS_STATE"]
+    events = events_of(quad_profile, [*before, forged, *after], Pipeline(quad_profile, force=True))
+    assert [event for event in events if event.channel == "impostor"] == []
+
+
 def test_motors_that_stop_with_the_report_contradict_nothing(quad_profile: Profile, data: Path) -> None:
     messages = list(read_recording(data / "copter_healthy_square.tlog.xz"))
     landed_ns = messages[-1].received_ns - 5_000_000_000
