@@ -1,6 +1,6 @@
 """What bad links cost: recorded flights distorted, and what is still seen, how fast, and what is not true.
 
-    python bench/gaps.py PROFILES FLIGHTS [--recordings ENDING] [--seeds N] [--only NAME ...] [--jobs N]
+    python bench/gaps.py PROFILES FLIGHTS [--recordings ENDING] [--seeds N] [--only NAME ...] [--links NAME ...]
 
 FLIGHTS is a folder of recordings with their truth (:mod:`flights`); ENDING chooses between several of one flight.
 PROFILES has a profile for each group of them, in a folder named after the group (``copter-quad``,
@@ -101,8 +101,8 @@ def run(profile: Profile, batch: Batch, onsets_ns: Sequence[int]) -> tuple[list[
     return events, armed / max(samples + skipped, 1)
 
 
-def outcomes(flight: Flight, profile: Profile, seeds: int) -> list[Outcome]:
-    """Return what was made of a flight on each link."""
+def outcomes(flight: Flight, profile: Profile, seeds: int, links: Sequence[str]) -> list[Outcome]:
+    """Return what was made of a flight on each of these links."""
     from adapters.logs.recordings import read_batches
 
     whole = joined(list(read_batches(flight.log, interests(profile))))
@@ -111,7 +111,8 @@ def outcomes(flight: Flight, profile: Profile, seeds: int) -> list[Outcome]:
         whole = cut(whole, 0, int(np.searchsorted(arrivals(whole), end_ns)))
     onsets = [arrival_of(whole, fault.on_ms) for fault in flight.faults]
     found = []
-    for name, distortion in DISTORTIONS.items():
+    for name in links:
+        distortion = DISTORTIONS[name]
         for seed in range(seeds if name != "none" else 1):
             lossy = distorted(whole, distortion, zlib.crc32(flight.name.encode()) + seed)
             events, share = run(profile, lossy, onsets)
@@ -141,7 +142,7 @@ def table(found: Sequence[Outcome]) -> list[str]:
     kinds = sorted({one.fault for one in found if one.fault})
     head = ["link", *kinds, "others named", "false", "standing", "watched"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for name in DISTORTIONS:
+    for name in dict.fromkeys(one.distortion for one in found):
         here = [one for one in found if one.distortion == name]
         cells = []
         for kind in kinds:
@@ -166,13 +167,15 @@ def main() -> None:
     parser.add_argument("--recordings", metavar="ENDING", help="what follows the names of the flights that are read")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--only", nargs="*", default=[""], metavar="NAME", help="flights whose name holds one of these")
+    parser.add_argument("--links", nargs="*", default=[*DISTORTIONS], choices=DISTORTIONS, metavar="NAME", help="(all)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (2)")
     arguments = parser.parse_args()
     flights = read_flights(arguments.flights, *([[arguments.recordings]] if arguments.recordings else []))
     chosen = [one for one in flights if any(word in one.name for word in arguments.only)]
     profiles = [profile_of(one, flights, arguments.profiles) for one in chosen]
     with ProcessPoolExecutor(arguments.jobs) as pool:
-        results = pool.map(outcomes, chosen, profiles, [arguments.seeds] * len(chosen))
+        count = len(chosen)
+        results = pool.map(outcomes, chosen, profiles, [arguments.seeds] * count, [arguments.links] * count)
         found = [one for result in results for one in result]
     sys.stdout.write("\n".join(table(found)) + "\n")
     for one in found:
