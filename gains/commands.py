@@ -163,6 +163,12 @@ def add_parsers(subparsers: Any) -> None:
         help="keep the pseudo-inverse of the paper for L1 and F, in place of finding them with the gains",
     )
     parser.add_argument(
+        "--noise-once",
+        action="store_true",
+        help="bound the error against disturbances and noise alone, in place of these and their next (continuous: "
+        "their derivative) too, which counts noise twice",
+    )
+    parser.add_argument(
         "--common-p",
         type=Path,
         metavar="GAINS.json",
@@ -355,6 +361,7 @@ def _design_discrete(plant: Plant, args: argparse.Namespace) -> tuple[dict[str, 
         P=P,
         inverse=inverse,
         free_inverse=not args.published_inverse,
+        noise_once=args.noise_once,
     )
     certificate = certify(plant, design)
     return design_report(plant, design, certificate), compile_gains(plant, design, certificate)
@@ -374,9 +381,10 @@ def _design_continuous(plant: Plant, args: argparse.Namespace) -> tuple[dict[str
         if scalars:
             raise UsageError(f"{plant.name}: --{next(iter(scalars))} belongs to theorem1 and theorem2")
         low, high = args.decay_rates or (0.0, math.inf)
-        design = design_continuous(plant, decay=(low, high))
-    elif args.decay_rates is not None:
-        raise UsageError(f"{plant.name}: --decay-rates belongs to the convex synthesis")
+        design = design_continuous(plant, decay=(low, high), noise_once=args.noise_once)
+    elif args.decay_rates is not None or args.noise_once:
+        option = "--noise-once" if args.noise_once else "--decay-rates"
+        raise UsageError(f"{plant.name}: {option} belongs to the convex synthesis")
     else:
         design = design_theorem(plant, args.method, **scalars)
     report = design_report(plant, design, certify(plant, design), args.rate)
@@ -398,6 +406,7 @@ def _failure(plant: Plant, args: argparse.Namespace, error: ValueError) -> dict[
         known["error_bounds"] = None
         known["certificate"] = {"holds": False, "margin": None, "proof": None, "slopes": 0}
     if args.method not in _BASELINES:
+        known["noise_once"] = args.noise_once
         known["fault_rate"] = {fault.name: fault.rate for fault in plant.actuator_faults}
         known["faults"] = [fault.name for fault in (*plant.actuator_faults, *plant.sensor_faults)]
     elif continuous:
@@ -412,7 +421,8 @@ def _floor(plant: Plant, report: dict[str, Any]) -> float | None:
     from gains.analysis.floor import floor_sqrt_mu
 
     rate_hz = report["rate_hz"] if report["domain"] == "discrete" else None
-    floor = floor_sqrt_mu(plant, rate_hz, report.get("integrator_order", 1))
+    order, once = report.get("integrator_order", 1), report.get("noise_once", False)
+    floor = floor_sqrt_mu(plant, rate_hz, order, noise_once=once)
     return floor.value if math.isfinite(floor.value) else None
 
 

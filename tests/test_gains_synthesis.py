@@ -18,7 +18,7 @@ from gains.analysis.floor import floor_sqrt_mu
 from gains.plants.discretise import discretise
 from gains.plants.model_file import builtin_model
 from gains.plants.plant import Disturbance, Fault, FloatArray, Plant
-from gains.synthesis.certificate import Certificate, certify, design_report
+from gains.synthesis.certificate import Certificate, certify, closed_error_system, design_report
 from gains.synthesis.compilation import compile_gains
 from gains.synthesis.convex import design_convex
 from gains.synthesis.design import Design
@@ -282,6 +282,47 @@ def test_a_free_left_inverse_lowers_the_bound_of_the_disturbed_arm(rate: float, 
     assert_proven(plant, free)
     assert free.sqrt_mu < least
     assert free.gains.gain_max_abs < published.gains.gain_max_abs
+
+
+def norm_against_noise_once(plant: Plant, design: Design) -> float:
+    """Return the largest gain from [w; df_a] that the error system of [w; w+; df_a] has, w+ being z w, on a grid."""
+    gains = design.gains
+    system = closed_error_system(error_model(plant, gains.inverse(augment(plant))), gains)
+    q = len(plant.disturbances) + len(plant.noises)
+    points = np.exp(1j * np.linspace(0.0, np.pi, 500))[:, None, None]
+    worst = 0.0
+    for A in system.A:
+        response = system.C @ np.linalg.solve(points * np.eye(len(A)) - A, system.B.astype(complex)) + system.D
+        once = np.concatenate([response[..., :q] + points * response[..., q : 2 * q], response[..., 2 * q :]], axis=-1)
+        worst = max(worst, float(np.max(np.linalg.norm(once, 2, axis=(1, 2)))))
+    return worst
+
+
+@pytest.mark.parametrize("vertices", some([None, False], None))
+def test_a_bound_that_counts_noise_once_is_the_gain_from_the_noise_itself(vertices: bool | None) -> None:
+    plant = discretise(builtin_model("arm-disturbed"), 100.0)
+    once = design_convex(plant, noise_once=True, vertices=vertices)
+    certificate = assert_proven(plant, once)
+    assert certificate.norm == pytest.approx(norm_against_noise_once(plant, once), rel=1e-4)
+    assert floor_sqrt_mu(plant, noise_once=True).value <= once.sqrt_mu < 0.147
+    # what counts noise twice is smaller, and says less
+    twice = design_convex(plant)
+    assert twice.sqrt_mu < once.sqrt_mu < norm_against_noise_once(plant, twice)
+
+
+@settings(deadline=None, derandomize=True, max_examples=12)
+@given(st.integers(0, 10_000), st.sampled_from([(1, 0), (0, 1), (1, 1), (2, 1)]), st.integers(0, 1))
+def test_noise_that_counts_once_is_bounded_by_what_it_makes_of_any_plant(
+    seed: int, faults: tuple[int, int], nonlinear: int
+) -> None:
+    plant = random_plant(seed, *faults, nonlinear=nonlinear)
+    try:
+        once = design_convex(plant, noise_once=True)
+    except InfeasibleError:
+        return
+    assert_proven(plant, once)
+    assert norm_against_noise_once(plant, once) <= once.sqrt_mu
+    assert floor_sqrt_mu(plant, noise_once=True).value * (1.0 - 1e-9) <= once.sqrt_mu
 
 
 @settings(deadline=None, derandomize=True, max_examples=12)

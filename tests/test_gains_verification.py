@@ -38,6 +38,8 @@ def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         ["arm-disturbed", "--rate", "10", "--integrator-order", "2"],
         ["arm-disturbed", "--rate", "100", "--vertex-free"],
         ["arm-disturbed", "--rate", "100", "--continuous"],
+        ["arm-disturbed", "--rate", "10", "--noise-once"],
+        ["arm-disturbed", "--rate", "100", "--continuous", "--noise-once"],
         ["arm", "--rate", "100", "--method", "theorem1"],
     ],
 )
@@ -108,6 +110,7 @@ def steeper(document: dict[str, Any]) -> None:
         (scaled("report", "certificate", "floor", factor=1.2), "it reports a floor of"),
         (scaled("report", "sqrt_mu", factor=0.9), "reports sqrt"),
         (steeper, "it reports a floor of"),
+        (lambda document: document["report"]["certificate"].update(noise_once=True), "it reports a floor of"),
         (lambda document: document["report"]["certificate"].pop("P"), "has no 'P'"),
         (lambda document: document["report"]["certificate"].pop("plant"), "has no 'plant'"),
         (lambda document: document["report"]["certificate"].pop("mu"), "is damaged"),

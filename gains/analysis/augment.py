@@ -26,6 +26,13 @@ so that A_a has [I, T I; 0, I] for its last I, and r+ - r takes the place of df_
 With the slopes anywhere between their bounds, what holds Delta in A_a is that of their mean plus Gs diag(delta) Hs with
 |delta_i| <= 1: a column of Gs and a row of Hs for each slope that varies.
 
+A noise that passes through F counts twice in [w; w+]. Where F moves f_s^ alone, f_s^ = D_f^+ (y - C x^), it need not
+(``noise_once``): xi = [zeta~ + F D w; z] is moved by w alone,
+
+    xi+ = (as above) xi + ( [L1 E, 0; L_q E, I] - [Kb; L_ib] [D - Cb F D, 0] ) [w; df_a],   zeta~ = xi_zeta - F D w
+
+for neither A_a nor the slopes look at f_s.
+
 Each w is divided by its scale, df_a (or r+ - r) by rate / rate_hz, and each error by the size that matters.
 """
 
@@ -36,7 +43,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adapters.errors import InfeasibleError
+from adapters.errors import InfeasibleError, ModelError
 from gains.plants.plant import FloatArray, Plant, check_independence
 
 LARGEST_VERTEX_COUNT = 1 << 10
@@ -61,6 +68,8 @@ class Augmentation:
         Basis (k, n + p) of the left null space of [T; Cb].
     A_z, C_b : FloatArray
         (n, nz) and (p, nz).
+    noise_once : bool
+        Whether its error system is that of [w; df_a], in which noise counts once.
     """
 
     L1: FloatArray
@@ -71,6 +80,7 @@ class Augmentation:
     W2: FloatArray
     A_z: FloatArray
     C_b: FloatArray
+    noise_once: bool = False
 
     def moved(self, Y: FloatArray) -> Augmentation:
         """Return the left inverse with Y [W1 W2] added, Y (nz + nq, k)."""
@@ -101,7 +111,10 @@ class ErrorModel:
     G, H : FloatArray
         Gs (na, k) and Hs (k, na) of the k slopes that vary.
     B, C, D : FloatArray
-        (na, nw), (p, na) and (p, nw); columns of B and D: [w; w+; df_a], each in units of its scale.
+        (na, nw), (p, na) and (p, nw); columns of B and D: [w; w+; df_a], each in units of its scale, or [w; df_a] where
+        noise counts once.
+    direct : FloatArray
+        What w makes of zeta~ beside the states (nz, nw): -F D where noise counts once, else zero.
     into : FloatArray
         [L1; L_q] E_f (na, a1).
     weights : FloatArray
@@ -121,6 +134,7 @@ class ErrorModel:
     B: FloatArray
     C: FloatArray
     D: FloatArray
+    direct: FloatArray
     into: FloatArray
     weights: FloatArray
     a1: int
@@ -140,6 +154,7 @@ class ErrorModel:
         """Return (C_e, D_e) of the weighted error e for the direct gain L_p (a1, p)."""
         (ne, nz), (na, nw) = (len(self.weights), len(self.weights) - self.a1), self.B.shape
         C_e, D_e = np.eye(ne, na), np.zeros((ne, nw))
+        D_e[:nz] = self.direct
         C_e[nz:] -= L_p @ self.C
         D_e[nz:] -= L_p @ self.D
         return self.weights[:, None] * C_e, self.weights[:, None] * D_e
@@ -157,12 +172,13 @@ class FreeRows:
     into: FloatArray
 
 
-def augment(plant: Plant, integrator_order: int = 1) -> Augmentation:
+def augment(plant: Plant, integrator_order: int = 1, *, noise_once: bool = False) -> Augmentation:
     """Return A_z, Cb and the pseudo-inverse as a left inverse, with what is free in it, of a plant.
 
     [L1 F] is the pseudo-inverse of [T; Cb] with each row in units of the error that matters there, for a state
     its own and for an output the largest that a state's error makes: the result follows a change of units. Where
-    all of those are one it is the plain pseudo-inverse of docs/theory.md.
+    all of those are one it is the plain pseudo-inverse of docs/theory.md. For a bound against [w; df_a]
+    (``noise_once``) F moves f_s^ alone.
 
     Raises
     ------
@@ -179,6 +195,12 @@ def augment(plant: Plant, integrator_order: int = 1) -> Augmentation:
     scaled = rows[:, None] * np.vstack([T, C_b]) * columns
     inverse = columns[:, None] * np.linalg.pinv(scaled) * rows
     free = np.linalg.svd(scaled)[0][:, n + a2 :].T * rows
+    if noise_once:
+        # [I 0; -D_f^+ C, D_f^+], in the same units
+        inverse = np.eye(n + a2, n + len(C_b))
+        inverse[n:, n:] = columns[n:, None] * np.linalg.pinv(scaled[n:, n:]) * rows[n:]
+        inverse[n:, :n] = -inverse[n:, n:] @ plant.C
+        free = free[:0]
     return Augmentation(
         L1=inverse[:, :n],
         F=inverse[:, n:],
@@ -188,6 +210,7 @@ def augment(plant: Plant, integrator_order: int = 1) -> Augmentation:
         W2=free[:, n:],
         A_z=plant.A @ T,
         C_b=C_b,
+        noise_once=noise_once,
     )
 
 
@@ -201,6 +224,8 @@ def error_model(
 
     Raises
     ------
+    ModelError
+        Noise is to count once, but F moves more than f_s^.
     InfeasibleError
         More slopes vary than vertices can be enumerated for, and a sample will not do.
     """
@@ -227,6 +252,14 @@ def error_model(
     # without slopes that are constant or do not reach the states
     varying = (half > 0.0) & np.any(into, axis=0) & np.any(arguments, axis=1)
     W1, W2 = augmentation.W1, augmentation.W2
+    C_a = np.hstack([augmentation.C_b, np.zeros((p, na - nz))])
+    B, D = [L @ plant.E, -F @ plant.D, steps], [plant.D, np.zeros((p, q + a1))]
+    direct, free_B = [np.zeros((nz, 2 * q + a1))], [W1 @ plant.E, -W2 @ plant.D, np.zeros((len(W1), a1))]
+    if augmentation.noise_once:
+        if np.any(F[:n]) or np.any(F[nz:]):
+            raise ModelError(f"{plant.name}: noise counts twice where outputs move more than sensor faults at once")
+        moved, _ = B.pop(1), free_B.pop(1)
+        D, direct = [plant.D + C_a @ moved, np.zeros((p, a1))], [moved[:nz], np.zeros((nz, a1))]
     return ErrorModel(
         name=plant.name,
         slopes=slopes,
@@ -234,16 +267,17 @@ def error_model(
         mean=L @ mean + still,
         G=(L @ into * half)[:, varying],
         H=arguments[varying],
-        B=np.hstack([L @ plant.E, -F @ plant.D, steps]),
-        C=np.hstack([augmentation.C_b, np.zeros((p, na - nz))]),
-        D=np.hstack([plant.D, np.zeros((p, q + a1))]),
+        B=np.hstack(B),
+        C=C_a,
+        D=np.hstack(D),
+        direct=np.hstack(direct),
         into=L @ plant.E_f,
         weights=1.0 / plant.errors,
         a1=a1,
         free=FreeRows(
             A=W1 @ sloped,
             mean=W1 @ mean,
-            B=np.hstack([W1 @ plant.E, -W2 @ plant.D, np.zeros((len(W1), a1))]),
+            B=np.hstack(free_B),
             G=(W1 @ into * half)[:, varying],
             F=W2,
             into=W1 @ plant.E_f,

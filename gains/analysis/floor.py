@@ -8,7 +8,7 @@ At a frequency s = j omega the signals in the null space of
 leave the outputs at zero, and so do the same signals with the opposite sign. An observer answers both with
 the same estimate, so that for one of the two its error is at least [x; f_s; f_a], be it linear or not,
 causal or not. The largest |e-weighted [x; f_s; f_a]| over |scaled [w; s w; s f_a]| (discrete: z = exp(j omega),
-[w; z w; (z - 1) f_a]) in that null space is therefore a floor of sqrt(mu).
+[w; z w; (z - 1) f_a]) in that null space is therefore a floor of sqrt(mu); where noise counts once, without s w.
 
 A certified sqrt(mu) holds for every g within its slopes, hence for the linear g of any constant slopes Delta
 there, even if the observer knew them: the largest floor over some constant slopes is a floor of every
@@ -18,7 +18,9 @@ certificate. For the model's own g alone it is one where g attains these slopes,
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -57,7 +59,9 @@ class Floor:
     slopes: tuple[float, ...] = ()
 
 
-def floor_sqrt_mu(plant: Plant, rate_hz: float | None = None, integrator_order: int = 1) -> Floor:
+def floor_sqrt_mu(
+    plant: Plant, rate_hz: float | None = None, integrator_order: int = 1, *, noise_once: bool = False
+) -> Floor:
     """Return the floor of sqrt(mu) over frequency and over the mean of the slopes and their vertices.
 
     Every number it looks at is a floor, so leaving out frequencies or vertices (a sample of them will do) makes
@@ -74,13 +78,14 @@ def floor_sqrt_mu(plant: Plant, rate_hz: float | None = None, integrator_order: 
     dynamics, slopes = sloped_dynamics(plant, sampled=True)
     best = Floor(0.0, 0.0)
     for A, slope in zip(dynamics, slopes, strict=True):
-        value, omega = _highest(plant, A, sloped_faults(plant, slope), integrator_order)
+        at = partial(_floors, plant, A, sloped_faults(plant, slope), order=integrator_order, noise_once=noise_once)
+        value, omega = _highest(plant, A, at)
         if value > best.value * (1.0 + _TIE):
             best = Floor(value, omega, tuple(slope.tolist()))
     return best
 
 
-def _highest(plant: Plant, A: FloatArray, E_f: FloatArray, order: int) -> tuple[float, float]:
+def _highest(plant: Plant, A: FloatArray, floors_at: Callable[[FloatArray], FloatArray]) -> tuple[float, float]:
     """Return the floor at the highest point of a frequency grid, refined by golden section."""
     if plant.rate_hz is not None:
         grid = math.pi * plant.rate_hz * np.geomspace(10.0**-_DECADES, 1.0, _GRID)
@@ -89,14 +94,14 @@ def _highest(plant: Plant, A: FloatArray, E_f: FloatArray, order: int) -> tuple[
         fastest = max(float(rates.max(initial=0.0)), 1.0)
         grid = fastest * np.geomspace(10.0**-_DECADES, 1e3, _GRID)
     omega = np.concatenate([[0.0], grid])
-    floors = _floors(plant, A, E_f, omega, order)
+    floors = floors_at(omega)
     top = int(np.argmax(floors >= np.max(floors) * (1.0 - _TIE)))
     best, where = float(floors[top]), float(omega[top])
     low, high = float(omega[max(top - 1, 0)]), float(omega[min(top + 1, len(omega) - 1)])
     ratio = (math.sqrt(5.0) - 1.0) / 2.0
     for _ in range(_REFINEMENTS if 0.0 < best < math.inf else 0):
         inner = np.array([high - ratio * (high - low), low + ratio * (high - low)])
-        floors = _floors(plant, A, E_f, inner, order)
+        floors = floors_at(inner)
         better = int(np.argmax(floors))
         if floors[better] > best * (1.0 + _TIE):
             best, where = float(floors[better]), float(inner[better])
@@ -104,7 +109,9 @@ def _highest(plant: Plant, A: FloatArray, E_f: FloatArray, order: int) -> tuple[
     return best, where
 
 
-def _floors(plant: Plant, A: FloatArray, E_f: FloatArray, omega: FloatArray, order: int) -> FloatArray:
+def _floors(
+    plant: Plant, A: FloatArray, E_f: FloatArray, omega: FloatArray, order: int, noise_once: bool
+) -> FloatArray:
     """Return the floor at each frequency."""
     n, p = plant.C.shape[1], len(plant.C)
     a1, a2 = len(plant.actuator_faults), len(plant.sensor_faults)
@@ -130,7 +137,7 @@ def _floors(plant: Plant, A: FloatArray, E_f: FloatArray, omega: FloatArray, ord
         if not hidden.shape[1]:
             continue
         w, f_a = hidden[n + a :], hidden[n + a2 : n + a] * (unit[n + a2 : n + a] / rate)[:, None]
-        cause = np.vstack([w, shift[i] * w, turn[i] ** order * f_a])
+        cause = np.vstack([w, *([] if noise_once else [shift[i] * w]), turn[i] ** order * f_a])
         values[i] = _largest_ratio(hidden[: n + a], cause)
     return values
 

@@ -2,15 +2,16 @@
 
 For the discrete error system of :mod:`gains.analysis.augment`, a full P and R = P [Kb; L_i] make the inequality
 
-    [ P   P (A_a + vertex) - R Ca   P B - R D   0      ]
-    [ *   P - C_x^T C_x             0           C_f^T  ]  >= 0
-    [ *   *                         mu I        D_f^T  ]
-    [ *   *                         *           I      ]
+    [ P   P (A_a + vertex) - R Ca   P B - R D         0      ]
+    [ *   P - C_x^T C_x             -C_x^T D_x        C_f^T  ]  >= 0
+    [ *   *                         mu I - D_x^T D_x  D_f^T  ]
+    [ *   *                         *                 I      ]
 
 jointly linear in (P, R, L_p, mu), with C_f = W_f ([0 I] - L_p Ca) and D_f = -W_f L_p D. A left inverse that is moved
 by Y adds Y times the free rows of :mod:`gains.analysis.augment` to A_a, B and Gs; with Yb = P Y it stays linear, in
-(P, R, L_p, Yb, mu). It is that of the theory with the rows of e that hold no unknown, C_x = W_x [I 0], taken out by a
-Schur complement, and with the columns of [B; D] replaced by as many as their rank, for only [B; D] [B; D]^T enters.
+(P, R, L_p, Yb, mu). It is that of the theory with the rows of e that hold no unknown, C_x = W_x [I 0] and D_x, taken
+out by a Schur complement, and with the columns of X = [B; D; D_x] replaced by as many as their rank, for only X X^T
+enters.
 
 Multipliers Lambda = diag(lambda) >= 0 put one inequality in place of those of all vertices (S-procedure): the vertex
 is the mean, P B gains the columns P Gs, mu I the diagonal Lambda, and P - C_x^T C_x loses Hs^T Lambda Hs. It implies
@@ -22,9 +23,9 @@ trace(W) a bound of the squared H2 norm, in the same unknowns: it can take a sha
 
 In continuous time (x' for x+) a full P > 0 and the same R make it
 
-    [ T + T^T + C_x^T C_x   P B - R D   C_f^T ]
-    [ *                     -mu I       D_f^T ]  <= 0,     T = P (A_a + vertex) - R Ca
-    [ *                     *           -I    ]
+    [ T + T^T + C_x^T C_x   P B - R D + C_x^T D_x   C_f^T ]
+    [ *                     D_x^T D_x - mu I        D_f^T ]  <= 0,     T = P (A_a + vertex) - R Ca
+    [ *                     *                       -I    ]
 
 P > 0 has to be asked for: without it the inequality is that of another problem, of an error system that need not be
 stable. A range of decay rates [low, high] is asked for with the same P: T + T^T + 2 low P <= 0 and T + T^T + 2 high P
@@ -93,6 +94,8 @@ class Inequality:
         A_a at every vertex, or with multipliers at the mean alone (vertices, na, na); the reduced B and D.
     C_x, C_f0 : FloatArray
         The rows of W S / sqrt(mu of the coordinates) for zeta~ and for z.
+    D_x : FloatArray
+        What the reduced columns make of these errors zeta~ at once; zero but where noise counts once.
     G, H : FloatArray
         The slopes' Gs (na, k) and Hs (k, na), each column and its row of one length; k = 0 without multipliers.
     balance : FloatArray
@@ -121,6 +124,7 @@ class Inequality:
     D: FloatArray
     C_x: FloatArray
     C_f0: FloatArray
+    D_x: FloatArray
     G: FloatArray
     H: FloatArray
     balance: FloatArray
@@ -160,17 +164,20 @@ def inequality(
     in continuous time where there is ``omega``. Its left inverse stays unless it is ``free``.
     """
     S, Y = coordinates.S, coordinates.Y
-    na, nz = len(S), len(model.weights) - model.a1
+    nz = len(model.weights) - model.a1
     driven, pace = (with_floor(model, S, Y), 1.0) if omega is None else (model, omega)
     rows = driven.free
     seen = np.hstack([rows.mean @ S, rows.B]) / pace
     left, singular, _ = np.linalg.svd(seen, full_matrices=False)
     kept = singular > _NO_ROW * np.max(singular, initial=0.0) if free else np.zeros(len(singular), dtype=np.bool_)
     basis = (left[:, kept] / singular[kept]).T
-    into = np.vstack([np.linalg.solve(S, driven.B) / pace, np.linalg.solve(Y, driven.D), basis @ rows.B / pace])
-    left, singular, _ = np.linalg.svd(into, full_matrices=False)
-    columns = left * singular
-    errors = (model.weights[:, None] * S[: len(model.weights)]) / np.sqrt(coordinates.mu)
+    weights = model.weights[:, None] / np.sqrt(coordinates.mu)
+    errors = weights * S[: len(model.weights)]
+    at_once = weights[:nz] * driven.direct
+    enters = [np.linalg.solve(S, driven.B) / pace, np.linalg.solve(Y, driven.D), at_once, basis @ rows.B / pace]
+    left, singular, _ = np.linalg.svd(np.vstack(enters), full_matrices=False)
+    columns = (left * singular)[:, singular > np.finfo(np.float64).eps * singular[0]]
+    B, D, D_x, free_B = np.split(columns, np.cumsum([len(block) for block in enters])[:-1])
     used = slice(None) if multipliers else slice(0)
     G = np.asarray(np.linalg.solve(S, model.G[:, used]), dtype=np.float64)
     H = model.H[used] @ S
@@ -192,18 +199,19 @@ def inequality(
         free=FreeRows(
             A=basis @ (rows.mean[None] if multipliers else rows.A) @ S / pace,
             mean=basis @ rows.mean @ S / pace,
-            B=columns[na + len(Y) :],
+            B=free_B,
             G=basis @ rows.G[:, used] * np.sqrt(balance),
             F=basis @ rows.F @ Y * (1.0 if omega is None else _AT_ONCE),
             into=basis @ rows.into,
         ),
         basis=basis,
         A=np.asarray(np.linalg.solve(S, dynamics @ S), dtype=np.float64) / pace,
-        B=columns[:na],
+        B=B,
         C=np.asarray(np.linalg.solve(Y, model.C @ S), dtype=np.float64),
-        D=columns[na : na + len(Y)],
+        D=D,
         C_x=errors[:nz],
         C_f0=errors[nz:],
+        D_x=D_x,
         G=G * np.sqrt(balance),
         H=H / np.sqrt(balance)[:, None],
         balance=balance,
@@ -301,7 +309,8 @@ def solve_continuous(problem: Inequality, low: float, high: float) -> tuple[Solu
     for vertex in range(len(problem.A)):
         PA = _moved(problem, x, vertex)
         inside = -(PA + PA.T)
-        rows = [[inside - problem.C_x.T @ problem.C_x, -x.PB], [-x.PB.T, x.mu * np.eye(problem.B.shape[1])]]
+        across, bounded = -x.PB - problem.C_x.T @ problem.D_x, _bound(problem, x)
+        rows = [[inside - problem.C_x.T @ problem.C_x, across], [across.T, bounded]]
         constraints.append(bordered(rows, [] if x.L_p is None else [x.C_f, x.D_f]) >> 0)
         if low > 0.0:
             constraints.append(inside - 2.0 * low / problem.omega * x.P >> 0)
@@ -355,12 +364,17 @@ def _bounded_real(problem: Inequality, x: _Unknowns, PA: Any, slack: Any) -> Any
     (na, nw), a1, k = problem.B.shape, problem.a1, len(problem.H)
     rows = [
         [x.P, PA, x.PB],
-        [PA.T, x.P - problem.C_x.T @ problem.C_x, np.zeros((na, nw))],
-        [x.PB.T, np.zeros((nw, na)), x.mu * np.eye(nw)],
+        [PA.T, x.P - problem.C_x.T @ problem.C_x, -problem.C_x.T @ problem.D_x],
+        [x.PB.T, -problem.D_x.T @ problem.C_x, _bound(problem, x)],
     ]
     # The rows of e that hold an unknown: no Schur complement takes them out.
     border = [] if x.L_p is None else [np.zeros((a1, na)), x.C_f, x.D_f, *([np.zeros((a1, k))] if k else [])]
     return bordered(_sloped(rows, x.PG, problem.H, x.bound), border) >> slack * np.eye(2 * na + nw + k + a1)
+
+
+def _bound(problem: Inequality, x: _Unknowns) -> Any:
+    """Return mu I - D_x^T D_x."""
+    return x.mu * np.eye(problem.B.shape[1]) - problem.D_x.T @ problem.D_x
 
 
 def _decaying(problem: Inequality, x: _Unknowns, PA: Any, slack: Any) -> Any:
@@ -372,13 +386,13 @@ def _decaying(problem: Inequality, x: _Unknowns, PA: Any, slack: Any) -> Any:
 
 
 def _noise_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:
-    """Return trace(W) and the constraint W >= (P B - R D)^T P^-1 (P B - R D) + D_f^T D_f: the squared H2 norm."""
+    """Return trace(W) and the constraint W >= (P B - R D)^T P^-1 (P B - R D) + D_e^T D_e: the squared H2 norm."""
     import cvxpy as cp
 
     na, nw = problem.B.shape
     W = cp.Variable((nw, nw), symmetric=True)
     border = [] if x.L_p is None else [x.D_f, np.zeros((problem.a1, na))]
-    return cp.trace(W), bordered([[W, x.PB.T], [x.PB, x.P]], border) >> 0
+    return cp.trace(W), bordered([[W - problem.D_x.T @ problem.D_x, x.PB.T], [x.PB, x.P]], border) >> 0
 
 
 def _gain_energy(problem: Inequality, x: _Unknowns) -> tuple[Any, Any]:

@@ -8,8 +8,9 @@ the bounded-real inequality of the theory
     [ *   *       mu I    D_e^T ]
     [ *   *       *       I     ]
 
-implies sum |e|^2 <= mu sum |[w; w+; df_a]|^2 (+ x~' P x~ at the start) for every g within its slopes. So does, without
-any vertex, the one inequality with the multipliers Lambda = diag(lambda) of a design
+implies sum |e|^2 <= mu sum |[w; w+; df_a]|^2 (+ x~' P x~ at the start) for every g within its slopes, or of [w; df_a]
+where noise counts once. So does, without any vertex, the one inequality with the multipliers Lambda = diag(lambda) of
+a design
 
     [ P   P A_e             P B_e   P Gs     0     ]
     [ *   P - Hs^T Lambda Hs  0       0        C_e^T ]
@@ -112,7 +113,7 @@ def certify(plant: Plant, design: Design) -> Certificate:
     if discrete:
         plant = discretise(plant, rate_hz)
     gains = design.gains
-    augmentation = gains.inverse(augment(plant, design.integrator_order))
+    augmentation = gains.inverse(augment(plant, design.integrator_order, noise_once=design.noise_once))
     free = design.multipliers is not None
     model = error_model(plant, augmentation, design.integrator_order, sampled=free)
     system = closed_error_system(model, gains, design.fault_state, with_mean=free)
@@ -207,6 +208,7 @@ def design_report(
         solve_s=design.solve_s,
         total_s=design.total_s,
         notes=[*design.notes, *_sample_note(plant, certificate)],
+        noise_once=design.noise_once,
         fault_rate={fault.name: fault.rate for fault in plant.actuator_faults},
         faults=[fault.name for fault in (*plant.actuator_faults, *plant.sensor_faults)],
         **own,
@@ -252,13 +254,14 @@ def _inequality_margin(
     gain, size = np.abs(injection), np.abs(P)
     direct = model.weights[:, None] * np.vstack([np.zeros_like(gains.K), np.abs(gains.L_p)])
     own = model.weights[:, None] * np.eye(len(direct), na)
+    at_once = model.weights[:, None] * np.pad(np.abs(model.direct), ((0, model.a1), (0, 0)))
     rounding = _layout(
         np.zeros_like(P),
         size + (np.abs(H).T * multipliers) @ np.abs(H) if k else np.zeros_like(P),
         size @ (np.abs(A) + gain @ np.abs(model.C)),
         np.hstack([size @ (np.abs(B) + gain @ np.abs(D)), size @ np.abs(G)]),
         (direct @ np.abs(model.C) + own)[used],
-        np.hstack([(direct @ np.abs(model.D))[used, used], np.zeros((ne, k))]),
+        np.hstack([(direct @ np.abs(model.D) + at_once)[used, used], np.zeros((ne, k))]),
     )
     return _scaled_margin(inequality, rounding, 2 * na + len(model.C) + k + 4)
 

@@ -185,11 +185,12 @@ def provable(summary: dict[str, Any], plant: Plant, design: Design) -> dict[str,
     That are the plant as it was designed for, P, mu and, where it has them, the multipliers of the slopes; beside them
     stands what no observer of the plant can beat.
     """
-    floor = floor_sqrt_mu(plant, integrator_order=design.integrator_order).value
+    floor = floor_sqrt_mu(plant, integrator_order=design.integrator_order, noise_once=design.noise_once).value
     proof = {
         "mu": design.mu,
         "floor": floor if math.isfinite(floor) else None,
         "fault_state": design.fault_state,
+        "noise_once": design.noise_once,
         "P": design.P.tolist(),
         "multipliers": None if design.multipliers is None else design.multipliers.tolist(),
         "plant": json.loads(json.dumps(model_document(plant))),  # lists for tuples, as a file reads back

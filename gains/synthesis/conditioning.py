@@ -107,6 +107,7 @@ def with_floor(model: ErrorModel, S: FloatArray, Y: FloatArray) -> ErrorModel:
         model,
         B=np.hstack([model.B, FLOOR * S, np.zeros((na, p))]),
         D=np.hstack([model.D, np.zeros((p, na)), FLOOR * Y]),
+        direct=np.pad(model.direct, ((0, 0), (0, na + p))),
         free=replace(model.free, B=np.pad(model.free.B, ((0, 0), (0, na + p)))),
     )
 

@@ -50,6 +50,7 @@ def design_continuous(
     *,
     decay: tuple[float, float] = (0.0, math.inf),
     gain_weight: float = GAIN_WEIGHT,
+    noise_once: bool = False,
 ) -> Design:
     """Design a continuous observer for a continuous plant and prove it.
 
@@ -61,6 +62,8 @@ def design_continuous(
         Range of the decay rates of the error system at every slope vertex, rad/s: -high <= Re <= -low.
     gain_weight : float
         rho, the price of the energy that an innovation puts into the error, against mu; positive.
+    noise_once : bool
+        As for :func:`gains.synthesis.convex.design_convex`.
 
     Raises
     ------
@@ -80,7 +83,7 @@ def design_continuous(
         raise ModelError(f"{plant.name}: decay rates from {low:g} to {high:g} per second are no range of positive ones")
     if not gain_weight > 0.0:
         raise ModelError(f"{plant.name}: a gain weight of {gain_weight} is not positive")
-    augmentation = augment(plant)
+    augmentation = augment(plant, noise_once=noise_once)
     model = error_model(plant, augmentation)
     notes = check_existence(plant)
     coordinates, omega = _coordinates(model, low)
@@ -93,7 +96,7 @@ def design_continuous(
     # Then a P that proves these gains, as little above their least mu as passes the certificate
     for P, mu, seconds in proofs(system, coordinates.S):
         solve_s += seconds
-        design = Design("convex", None, gains, P, mu, solve_s=solve_s, notes=notes)
+        design = Design("convex", None, gains, P, mu, noise_once=noise_once, solve_s=solve_s, notes=notes)
         certificate = certify(plant, design)
         kept = certificate.poles_max <= -low and certificate.poles_min >= -high
         if certificate.holds and kept:
@@ -135,8 +138,7 @@ def _coordinates(model: ErrorModel, low: float) -> tuple[Coordinates, float]:
     norm = hinf_norm(
         A - low * np.eye(len(A)) - gain @ C,
         model.B - gain @ model.D,
-        np.diag(model.weights),
-        np.zeros_like(model.B),
+        *model.output(np.zeros((model.a1, len(C)))),
         discrete=False,
     )
     return Coordinates(S_factor, Y_factor, norm.lower**2), omega

@@ -72,7 +72,8 @@ class Design:
     P : FloatArray
         Matrix of the bounded-real inequality (na, na), na = nz + a1 times the order of the integrators.
     mu : float
-        The bound: |e|^2 summed (or integrated) over time is at most mu times that of the scaled [w; w+; df_a].
+        The bound: |e|^2 summed (or integrated) over time is at most mu times that of the scaled [w; w+; df_a], or of
+        [w; df_a] where noise counts once.
     multipliers : FloatArray | None
         Multipliers of the slopes that vary (2, k) where they prove the bound, and the pole radius, in place of the
         vertices.
@@ -82,6 +83,8 @@ class Design:
         The price of the gains that the design was found with.
     fault_state : {"integral", "error"}
         Coordinates of P: [zeta~; z] with z = f_a - q of the convex synthesis, or [zeta~; fa~] of the paper.
+    noise_once : bool
+        Whether the bound is against [w; df_a]: F then moves the sensor faults' estimates alone.
     solve_s, total_s : float
         Time in the solver and in all, seconds.
     notes : tuple[str, ...]
@@ -98,6 +101,7 @@ class Design:
     gain_bound: float = math.inf
     gain_weight: float = 0.0
     fault_state: FaultState = "integral"
+    noise_once: bool = False
     solve_s: float = 0.0
     total_s: float = 0.0
     notes: tuple[str, ...] = ()

@@ -103,6 +103,7 @@ def _claimed(gains: Gains, path: str | Path) -> tuple[Plant, Design, float | Non
             mu=float(claim["mu"]),
             multipliers=None if multipliers is None else np.array(multipliers, dtype=np.float64),
             fault_state="error" if claim["fault_state"] == "error" else "integral",
+            noise_once=claim.get("noise_once") is True,
         )
         floor = None if claim["floor"] is None else float(claim["floor"])
         sqrt_mu = float(gains.report["sqrt_mu"])
@@ -119,7 +120,7 @@ def _claimed(gains: Gains, path: str | Path) -> tuple[Plant, Design, float | Non
         raise ModelError(f"{path}: its certificate is that of another model; make the file again with 'fauio design'")
     if not (0.0 < design.mu < np.inf and design.sqrt_mu <= sqrt_mu * (1.0 + CONSISTENCY)):
         raise ModelError(f"{path}: it reports sqrt(mu) = {sqrt_mu:.6g} and proves {design.sqrt_mu:.6g}")
-    lowest = floor_sqrt_mu(plant, integrator_order=design.integrator_order).value
+    lowest = floor_sqrt_mu(plant, integrator_order=design.integrator_order, noise_once=design.noise_once).value
     if floor is not None and not abs(floor - lowest) <= 1e-6 * max(floor, lowest):
         raise ModelError(f"{path}: it reports a floor of {floor:.6g}, which is {lowest:.6g}")
     return plant, design, floor
@@ -127,7 +128,10 @@ def _claimed(gains: Gains, path: str | Path) -> tuple[Plant, Design, float | Non
 
 def _check_matrices(gains: Gains, plant: Plant, design: Design, path: str | Path) -> None:
     """Refuse matrices that run, or are for people, but are not those that are proven."""
-    certificate = certify(plant, design)
+    try:
+        certificate = certify(plant, design)
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from error
     if not certificate.holds:
         raise ModelError(
             f"{path}: its certificate does not hold for its gains (margin {certificate.margin:.2g}, norm "
@@ -162,6 +166,7 @@ class _ExactSystem:
         n, nz, a1 = len(plant.states), len(design.gains.L1), len(plant.actuator_faults)
         nq, q = len(design.gains.L_i), len(plant.disturbances) + len(plant.noises)
         self.nz, self.a1, self.na = nz, a1, nz + nq
+        driven = q + a1 if design.noise_once else 2 * q + a1
         C_b, D, E = _exact(np.hstack([plant.C, plant.D_f])), _scaled(plant.D_1, plant.noises), None
         E = np.hstack([_scaled(plant.E_1, plant.disturbances), _exact(np.zeros((n, len(plant.noises))))])
         D = np.hstack([_exact(np.zeros((len(plant.outputs), len(plant.disturbances)))), D])
@@ -184,9 +189,12 @@ class _ExactSystem:
         self.K = K
         injection = np.vstack([K, self.L_i]) + L @ E_f @ self.L_p
         self.C = np.hstack([C_b, _exact(np.zeros((len(C_b), nq)))])
-        self.D = np.hstack([D, _exact(np.zeros((len(C_b), q + a1)))])
+        # what w makes of zeta~ beside the states: -F D where noise counts once
+        self.moved = -F @ D if design.noise_once else _exact(np.zeros((self.na, q)))
+        self.D = np.hstack([D + self.C @ self.moved, _exact(np.zeros((len(C_b), driven - q)))])
         self.D_rate = np.hstack([_exact(np.zeros((len(C_b), q))), D, _exact(np.zeros((len(C_b), a1)))])
-        self.open_A, self.open_B = L @ moves + still, np.hstack([L @ E, -F @ D, steps])
+        self.open_A = L @ moves + still
+        self.open_B = np.hstack([L @ E, steps] if design.noise_once else [L @ E, -F @ D, steps])
         self.A, self.B = self.open_A - injection @ self.C, self.open_B - injection @ self.D
         self.errors = _exact(plant.errors)
 
@@ -231,6 +239,7 @@ class _ExactSystem:
         """Return C and D of e, not weighted: the weights stand as squared errors in place of the identity."""
         C_e = _exact(np.eye(self.nz + self.a1, self.na))
         D_e = _exact(np.zeros((self.nz + self.a1, self.B.shape[1])))
+        D_e[: self.nz, : self.moved.shape[1]] = self.moved[: self.nz]
         C_e[self.nz :] -= self.L_p @ self.C
         D_e[self.nz :] -= self.L_p @ self.D
         return C_e, D_e
