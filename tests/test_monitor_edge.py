@@ -59,6 +59,13 @@ def test_an_edge_is_forgotten_after_ten_seconds() -> None:
     assert held[-1] == 0.0
 
 
+def test_the_end_of_a_jump_that_was_forgotten_is_no_jump_of_its_own() -> None:
+    values = np.concatenate([np.zeros(100), np.full(1300, 0.1), np.zeros(200), np.full(200, -0.1)])
+    held = run(values)
+    assert not held[1200:1600].any()
+    assert held[-1] == pytest.approx(-0.1, abs=0.01)
+
+
 def test_without_a_smallest_size_each_edge_shows_and_none_is_held() -> None:
     edges = run(step(0.02), smallest=None)
     assert edges.max() == pytest.approx(0.02, abs=0.01)

@@ -319,9 +319,9 @@ cdef class EdgeDetector:
     the estimate of a gyro bias takes up a failing motor as well. A jump of the sensor makes an edge, which a push on
     the plant cannot make: flat, then another level within a few samples, then flat again, while the hypothesis of this
     sensor leaves no more unexplained than healthy flight does. The size of the edge is held until an opposite one
-    cancels it, at most ``hold_s``: how large the bias is afterwards only another sensor can tell. Lines that bridge
-    lost measurements are flat and have corners: where more than three in five of the samples around an edge are
-    bridged, it does not count.
+    cancels it, at most ``hold_s``: how large the bias is afterwards only another sensor can tell. An opposite edge that
+    comes later is its end, and no fault of its own. Lines that bridge lost measurements are flat and have corners:
+    where more than three in five of the samples around an edge are bridged, it does not count.
 
     Parameters
     ----------
@@ -338,6 +338,7 @@ cdef class EdgeDetector:
     cdef double limit, smallest
     cdef double[::1] estimates, means
     cdef unsigned char[::1] is_bridged
+    cdef double gone
     cdef readonly double edge, held
 
     def __init__(self, mean, gap, flat, longest, limit, smallest):
@@ -352,7 +353,7 @@ cdef class EdgeDetector:
     cdef void clear(self) noexcept:
         self.filled = self.head = self.estimated = 0
         self.loud = self.matched = self.quiet = self.age = self.bridged = 0
-        self.edge = self.held = 0.0
+        self.edge = self.held = self.gone = 0.0
         self.is_bridged[:] = 0
 
     def run(self, const double[:] estimates, const double[:] J, const unsigned char[:] complete):
@@ -374,8 +375,8 @@ cdef class EdgeDetector:
         self.loud = self.size if self.limit < J else max(0, self.loud - 1)
         self.age += 1
         self.quiet = max(0, self.quiet - 1)
-        if self.age > self.longest:
-            self.held = 0.0
+        if self.age > self.longest and self.held != 0.0:
+            self.gone, self.held = self.held, 0.0
         step = self.step()
         self.matched = self.matched + 1 if step != 0.0 else 0
         self.edge = step if self.matched >= self.mean and self.quiet == 0 else 0.0
@@ -384,6 +385,9 @@ cdef class EdgeDetector:
         if self.edge != 0.0 and fabs(self.edge) >= self.smallest:
             self.quiet = self.gap + 2 * self.mean
             self.age = 0
+            if self.held == 0.0 and fabs(self.gone + self.edge) < EDGE_CANCELLED * fabs(self.edge):
+                self.gone = 0.0
+                return 0.0
             self.held += self.edge
             if fabs(self.held) < EDGE_CANCELLED * fabs(self.edge):
                 self.held = 0.0
