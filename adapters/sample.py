@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -84,7 +85,10 @@ class Given(NamedTuple):
         The n samples.
     rows : NDArray[np.intp] | slice
         Row of the sample that completed each (n,); all of them where each is one of those.
+    spread : Mapping[str, NDArray[np.float64]]
+        Standard deviation of faults that y itself holds an estimate of, by name (n,), in their units.
     """
 
     samples: Samples
     rows: NDArray[np.intp] | slice
+    spread: Mapping[str, NDArray[np.float64]] = MappingProxyType({})

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -329,13 +330,13 @@ class ObserverChain:
         for all of them and was entered before.
         """
         raw = samples = self._sampler.supplied(samples, batch, position)
-        samples, rows = self._sampler.run(raw)
+        samples, rows, spread = self._sampler.run(raw)
         beyond = None
         if self._envelope is not None:
             beyond = self._envelope.run(raw, np.arange(len(raw))[rows])
         if not len(samples):
             return None
-        return self.estimate(samples, self._sampler.admitted(samples, phase), position[rows], beyond)
+        return self.estimate(samples, self._sampler.admitted(samples, phase), position[rows], beyond, spread)
 
     @property
     def outside(self) -> str | None:
@@ -353,16 +354,21 @@ class ObserverChain:
         armed: NDArray[np.bool_],
         position: NDArray[np.int64] | None = None,
         beyond: NDArray[np.float64] | None = None,
+        spread: Mapping[str, NDArray[np.float64]] = MappingProxyType({}),
     ) -> ChainRun:
         """Process n samples (u, y) of the observer itself; use :meth:`run` for those of :attr:`sampler`.
 
         ``armed`` says whether each is evidence (n,); ``position`` is as in :meth:`run`, None for their index;
-        ``beyond`` how many times larger all sizes are outside of the fitted flights (n,), None: once.
+        ``beyond`` how many times larger all sizes are outside of the fitted flights (n,), None: once; ``spread`` the
+        standard deviation (n,) of faults that the samples hold an estimate of, which adds to that of the observer.
         """
         if position is None:
             position = np.arange(len(samples))
         found = self._estimator.run(samples, armed)
         sd = self._spread * self._uncertainty.run(samples.measured, samples.restart)
+        for name in spread.keys() & set(self.layout.faults):
+            index = self.layout.faults.index(name)
+            sd[:, index] = np.hypot(sd[:, index], spread[name])
         effects = self._effectiveness.run(samples, found.fault, armed)
         shown = self._command.run(samples.u, samples.restart, found.fault, found.evidence, sd)
         for index, effect in effects.items():

@@ -84,6 +84,22 @@ def test_a_bias_of_all_accelerometers_is_named_in_body_axes(axis: int) -> None:
     assert others(found, name) == 0.0
 
 
+@pytest.mark.parametrize(("name", "size"), [("gyro_x", 0.02), ("gyro_y", 0.1), ("accel_x", 0.6), ("accel_y", 0.6)])
+def test_the_size_of_a_fault_is_within_twice_its_standard_deviation(name: str, size: float) -> None:
+    raw = noisy(30.0, 7)
+    raw[ONSET:, {"gyro_x": 3, "gyro_y": 4, "accel_x": 0, "accel_y": 1}[name]] += size
+    transform = Strapdown({**DEFAULTS, "judge_level": LEVEL}, truth.SIGNAL_HZ, truth.RATE_HZ)
+    assert transform.navigation is not None
+    within = []
+    for first in range(0, len(raw), 100):
+        given = transform.run(part(raw, first, 100))
+        fault = transform.navigation.faults[NAMES.index(name)]
+        within.append(abs(fault - size) <= 2.0 * given.spread[name][-1] < size)
+    assert not any(within[: ONSET // 100])
+    # sizes a second apart hardly differ: all of them but the first are right, or none is
+    assert np.mean(within[ONSET // 100 + 5 :]) >= 0.8
+
+
 def test_a_velocity_of_the_gps_that_jumps_is_no_fault_of_the_imu() -> None:
     raw = noisy(45.0, 4)
     north = raw[:, 12] * np.cos(np.radians(raw[:, 13])) + np.where(np.arange(len(raw)) > ONSET, 1.0, 0.0)

@@ -11,14 +11,14 @@ cdef struct Signature:
     double[HYPOTHESES][STATES] state
     double[HYPOTHESES] matched
     double[HYPOTHESES] energy
-    # biases of gyros and accelerometers at the onset
+    # biases of gyros and accelerometers at the onset, and their variances
     double[5] bias
+    double[5] variance
     int age
 
 
 cdef class Navigation:
     cdef double _dt, _level
-    cdef double[3] _angle_s
     cdef int _every, _ticks, _count, _helpless
     cdef bint _begun
     cdef double[9] _R
@@ -28,9 +28,11 @@ cdef class Navigation:
     cdef double[2] _offset
     cdef double[2] _sharp
     cdef double[3] _missed
-    # Biases: of the gyros x, y, z, of the accelerometers x, y; what each was before a fault, and whether it has one.
+    # Biases: of the gyros x, y, z, of the accelerometers x, y; what each was before a fault, the variance of that, and
+    # whether it has one.
     cdef double[5] _bias
     cdef double[5] _before
+    cdef double[5] _doubt
     cdef bint[5] _faulty
     cdef double[STATES][STATES] _P
     cdef double[STATES][STATES] _F
@@ -44,6 +46,7 @@ cdef class Navigation:
     ) noexcept
     cdef void meet(self, const double* velocity, double yaw) noexcept
     cdef double fault(self, int which) noexcept
+    cdef double spread(self, int which) noexcept
     cdef double missed(self, int axis) noexcept
     cdef void begin(self, const double* R) noexcept
     cdef void propagate(self) noexcept

@@ -16,7 +16,12 @@ GPS's velocity does not. For every hypothesis and onset of the latest seconds
 
 is how much likelier the innovations are with that fault than without (natural logarithm). A hypothesis is believed when
 its largest l is beyond a level and beyond those of all others; its fault is then put into the state, with its
-uncertainty, and is followed there until it is small.
+uncertainty, and is followed there until it is small. Its size f^ = b^(t) - b^(t_0) is the bias less that at the onset:
+what the filter has followed of the fault before it was believed is a part of it, and both biases are uncertain,
+
+    var f^ = P_b(t) + P_b(t_0) - 2 cov <= P_b(t) + P_b(t_0),
+
+as errors of a bias that walks slowly have one sign (cov >= 0); the bound is what is given out.
 
 In hover a tilt and a bias of an accelerometer cannot be told apart; what tells is that no gyro turned.
 """
@@ -86,13 +91,10 @@ cdef class Navigation:
         Ticks between two fixes that are compared: as often as a receiver gives new ones.
     level : float
         Logarithm of the likelihood from which a fault is believed.
-    angles_s : Sequence[float]
-        Angle for each rad/s of a gyro's fault, x, y and z, that :meth:`missed` returns; 0: what it turned since its
-        onset.
     """
 
-    def __init__(self, double dt, int every, double level, angles_s=(0.0, 0.0, 0.0)):
-        self._dt, self._every, self._level, self._angle_s = dt, every, level, angles_s
+    def __init__(self, double dt, int every, double level):
+        self._dt, self._every, self._level = dt, every, level
         self.restart()
 
     @property
@@ -237,6 +239,7 @@ cdef class Navigation:
             for h in range(_JUMP):
                 newest.state[h][_BG + h] = 1.0
                 newest.bias[h] = self._bias[h]
+                newest.variance[h] = self._P[_BG + h][_BG + h]
         for i in range(2):
             innovation[i] = velocity[i] - self._offset[i] - self._velocity[i]
             variance[i] = _SPEED_NOISE * _SPEED_NOISE + (_TIMING_S * self._sharp[i]) ** 2
@@ -426,16 +429,18 @@ cdef class Navigation:
         if which < 5:
             if not self._faulty[which]:
                 self._faulty[which] = True
-                self._before[which] = self._bias[which]
+                # What the filter has followed of it since its onset is a part of it.
+                self._before[which] = signature.bias[which]
+                self._doubt[which] = signature.variance[which]
             if which < 3:
-                self._missed[which] += size * (self._angle_s[which] or signature.age * self._every * self._dt)
+                self._missed[which] += size * signature.age * self._every * self._dt
         else:
             self._offset[which - _JUMP] += size
         self.correct(x)
         self._count = self._helpless = 0
 
     cdef double missed(self, int axis) noexcept:
-        """Return by what angle the rotation has to be set back for faults that began or ended; once."""
+        """Return what a gyro's faults that began or ended turned meanwhile; once."""
         cdef double angle = self._missed[axis]
         self._missed[axis] = 0.0
         return angle
@@ -443,6 +448,12 @@ cdef class Navigation:
     cdef double fault(self, int which) noexcept:
         """Return by how much a gyro (0, 1, 2) or an accelerometer (3, 4) reads too much."""
         return self._bias[which] - self._before[which] if self._begun and self._faulty[which] else 0.0
+
+    cdef double spread(self, int which) noexcept:
+        """Return the standard deviation of :meth:`fault`: the bias is uncertain now, and was before the fault."""
+        if not self._begun:
+            return 0.0
+        return sqrt(self._P[_BG + which][_BG + which] + (self._doubt[which] if self._faulty[which] else 0.0))
 
 
 cdef inline void _turned(const double* R, const double* turn, double* result) noexcept:

@@ -8,6 +8,7 @@ from monitor.core.navigation import Navigation
 
 class StrapdownCore:
     scores: NDArray[np.float64]
+    spreads: NDArray[np.float64]
 
     def __init__(
         self,
@@ -30,5 +31,6 @@ class StrapdownCore:
         navigation: Navigation | None = None,
         attitude_share: float = 1.0,
         imu_hold: int = ...,
+        angles_s: Sequence[float] = ...,
     ) -> None: ...
     def run(self, samples: Samples) -> Given: ...

@@ -113,11 +113,16 @@ cdef class StrapdownCore:
         accelerometers, which are not washed out.
     attitude_share : float
         Share of what the attitude turns otherwise than the gyros that counts while the navigation blames none of them.
+    angles_s : Sequence[float]
+        T of each gyro, x, y and z: the observer behind follows its fault as T f^' = f - f^; 0: not known.
 
     Attributes
     ----------
     scores : ndarray
         How likely the navigation held its likeliest fault in each of the samples given out last.
+    spreads : ndarray
+        Standard deviations of the faults of gyros x, y, z and accelerometers x, y as the navigation judges them in each
+        of these samples (n, 5); 0 where it does not.
     """
 
     cdef bint _gps, _baro, _mag, _hectopascal
@@ -125,7 +130,7 @@ cdef class StrapdownCore:
     cdef double _dt
     cdef _Delay _motion, _fixes, _altitudes, _levels, _sensed
     cdef Navigation _navigation
-    cdef readonly object scores
+    cdef readonly object scores, spreads
     cdef int _washed
     cdef double _biased_s, _attitude_share
     cdef int _gps_hold, _compass_hold, _imu_hold, _imu_age, _count, _inputs, _outputs
@@ -157,6 +162,9 @@ cdef class StrapdownCore:
     cdef double[9] _attitude
     cdef double[3] _turn_rate
     cdef double[3] _turned
+    # T of the observer's estimate of each gyro's fault, and that estimate.
+    cdef double[3] _angle_s
+    cdef double[3] _estimated
     cdef double[4] _origin
     cdef double _heading
     cdef int _resets
@@ -203,6 +211,7 @@ cdef class StrapdownCore:
         navigation=None,
         double attitude_share=1.0,
         int imu_hold=0,
+        angles_s=(0.0, 0.0, 0.0),
     ):
         cdef int i
         self._gps, self._baro, self._mag, self._hectopascal, self._dt = gps, baro, mag, hectopascal, dt
@@ -213,7 +222,7 @@ cdef class StrapdownCore:
         self._altitudes = _Delay.__new__(_Delay, baro_ticks, 2)
         self._levels = _Delay.__new__(_Delay, compass_ticks, 6)
         self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, 17)
-        self._attitude_share = attitude_share
+        self._attitude_share, self._angle_s = attitude_share, angles_s
         self._washed = len(washouts) - (2 if navigation is not None else 0)
         self._gps_hold, self._compass_hold, self._imu_hold = gps_hold, compass_hold, imu_hold
         self._imu_age = 0
@@ -249,6 +258,7 @@ cdef class StrapdownCore:
         memset(self._field, 0, sizeof(self._field))
         memset(self._way, 0, sizeof(self._way))
         memset(self._turned, 0, sizeof(self._turned))
+        memset(self._estimated, 0, sizeof(self._estimated))
         memset(self._y, 0, sizeof(self._y))
         memset(self._once, 0, sizeof(self._once))
 
@@ -285,6 +295,8 @@ cdef class StrapdownCore:
         cdef double[:, ::1] u = inputs, y = outputs
         likeliest = np.zeros(most)
         cdef double[::1] scores = likeliest
+        uncertain = np.zeros((most, 5))
+        cdef double[:, ::1] spreads = uncertain
         for row in range(index.shape[0]):
             if restart[row] or self._unstuck:
                 self.restart()
@@ -319,6 +331,10 @@ cdef class StrapdownCore:
                 # y(k) is what was known at the period's start: y+ = phi y + tau (1 - phi) d / T.
                 if self._navigation is not None:
                     scores[count] = self._navigation.score
+                    for i in range(5):
+                        # of gyros the attitude tells, unless one of them is at fault
+                        if i >= 3 or (i < 2 and self._biased_s > 0.0):
+                            spreads[count, i] = self._navigation.spread(i)
                 for i in range(self._outputs):
                     y[count, i] = self._y[i]
                     if i >= self._washed:
@@ -341,7 +357,7 @@ cdef class StrapdownCore:
         if count < most:
             whole, marks, ends = whole[:, :count], marks[:, :count], ends[:count]
             inputs, outputs, lacking = inputs[:count], outputs[:count], lacking[:count]
-        self.scores = likeliest[:count]
+        self.scores, self.spreads = likeliest[:count], uncertain[:count]
         return Given(
             Samples(whole[0], whole[1], whole[2], inputs, outputs, marks[0], marks[1], whole[3], marks[2], lacking),
             ends,
@@ -696,14 +712,21 @@ cdef class StrapdownCore:
         """Return what the vehicle turned about an axis since the tick before, by its attitude and its navigation.
 
         Where a gyro is at fault the autopilot's attitude follows it, before it learns the bias and after that has gone.
+        The observer behind follows what the rotation then differs from the gyro as T f^' = f - f^. While the navigation
+        knows a fault f, and as it ends, the rotation is set back by T (f - f^), which makes that estimate jump to f.
         """
         # the mean over the tick, as that of u is
         cdef double by_gyro = 0.5 * (self._turn_rate[axis] + rate) * self._dt
+        cdef double fault = self._navigation.fault(axis), missed = self._navigation.missed(axis)
         if self._biased_s:
-            step = by_gyro - self._navigation.fault(axis) * self._dt
+            step = by_gyro - fault * self._dt
         else:
             step = by_gyro + self._attitude_share * (step - by_gyro)
-        return step - self._navigation.missed(axis)
+        if self._angle_s[axis]:
+            if missed != 0.0 or fault != 0.0:
+                missed = self._angle_s[axis] * (fault - self._estimated[axis])
+            self._estimated[axis] += (by_gyro - step + missed - self._estimated[axis] * self._dt) / self._angle_s[axis]
+        return step - missed
 
 
 cdef inline void _rotation(const double* level, double cy, double sy, double* R) noexcept:

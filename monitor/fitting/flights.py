@@ -128,7 +128,7 @@ def flight_samples(
 
 def transformed(flight: Flight, transform: Transform) -> Flight:
     """Return the samples that a transform makes of raw ones."""
-    samples, rows = transform.run(flight.samples)
+    samples, rows, _ = transform.run(flight.samples)
     return Flight(samples, flight.armed[rows] & ~samples.lost.any(axis=1))
 
 

@@ -201,7 +201,7 @@ class GatedSampler:
         """Return the samples that a batch completes and which are evidence, the phase being the same for all of it."""
         self.enter(phase)
         taken = sample_batch(self.sampler.clock, [self.sampler], batch)
-        samples, _ = self.run(self.supplied(taken.samples[0], batch, taken.position[0]))
+        samples = self.run(self.supplied(taken.samples[0], batch, taken.position[0])).samples
         return GatedSamples(samples, self.admitted(samples, phase))
 
 

@@ -45,6 +45,8 @@ MAGNETOMETER = ("xmag", "ymag", "zmag")
 ACCELEROMETERS = ("accel_x", "accel_y")
 """Outputs of the navigation: by how much an accelerometer reads too much while it is held responsible."""
 
+_JUDGED = ("gyro_x", "gyro_y", "gyro_z", *ACCELEROMETERS)
+"""Faults that the navigation judges."""
 _FIX_S = 0.2
 """Seconds between comparisons of the navigation with the GPS. Receivers give 5 to 10 fixes a second."""
 
@@ -89,9 +91,9 @@ class Strapdown:
         which they are not measured any more; ``judge_level``: logarithm of the likelihood from which a gyro or
         accelerometer is held responsible for what the GPS's velocity shows (:mod:`monitor.core.navigation`), 0: never
         asked; ``attitude_share``: what counts of the difference of attitude and gyros while none is held responsible;
-        ``bias_angle_x_s`` (y, z): by what angle for each rad/s the rotation is set back when a gyro's fault begins or
-        ends, as much as makes the estimate of the observer behind jump by the fault, 0: by what the vehicle turned
-        meanwhile.
+        ``bias_angle_x_s`` (y, z): by what angle the rotation is set back for each rad/s by which the observer's
+        estimate of a gyro is off while a fault of it is known, and as that ends, as much as makes the estimate jump
+        there; 0: once, by what the vehicle turned since its onset.
         What is left out is taken from ``DEFAULTS``.
     signal_rate_hz : float
         Samples per second that come in.
@@ -135,7 +137,6 @@ class Strapdown:
                 1.0 / signal_rate_hz,
                 max(1, round(_FIX_S * signal_rate_hz)),
                 values["judge_level"],
-                [values[f"bias_angle_{axis}_s"] for axis in "xyz"],
             )
             if judged
             else None
@@ -160,11 +161,15 @@ class Strapdown:
             navigation=self.navigation,
             attitude_share=values["attitude_share"],
             imu_hold=round(values["imu_hold_s"] * signal_rate_hz),
+            angles_s=[values[f"bias_angle_{axis}_s"] for axis in "xyz"],
         )
 
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that raw signals (``samples.u``) complete, each where its period ends."""
-        return self._core.run(samples)
+        given = self._core.run(samples)
+        if self.navigation is None:
+            return given
+        return given._replace(spread=dict(zip(_JUDGED, self._core.spreads.T, strict=True)))
 
     @property
     def scores(self) -> NDArray[np.float64]:
