@@ -16,12 +16,12 @@ def vehicle_root(prefix: str, vehicle: str) -> str:
 
     Raises UsageError where the prefix or the name cannot be part of a key.
     """
-    chunks = [("prefix", chunk) for chunk in prefix.split("/")]
+    named = [("prefix", prefix, prefix.split("/"))]
     if vehicle != ANY:
-        chunks.append(("vehicle name", vehicle))
-    for what, chunk in chunks:
-        if not chunk or chunk.startswith("@") or _FORBIDDEN.search(chunk):
-            raise UsageError(f"{what} '{chunk}' cannot be part of a Zenoh key; use letters, digits, - and _")
+        named.append(("vehicle name", vehicle, [vehicle]))
+    for what, name, chunks in named:
+        if any(not chunk or chunk.startswith("@") or _FORBIDDEN.search(chunk) for chunk in chunks):
+            raise UsageError(f"{what} '{name}' cannot be part of a Zenoh key; use letters, digits, - and _")
     return f"{prefix}/{vehicle}"
 
 

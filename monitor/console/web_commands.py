@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import ipaddress
+import re
 import sys
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from monitor.console.alarm_commands import DEFAULT_CONNECT
 
 _SHORTEST = 16
 """Letters of a token. Chosen: as many random ones as nobody guesses at one a second."""
+_HOST_NAME = re.compile(r"[A-Za-z0-9.-]+")
 _LOOK_S = 0.5
 """How soon it is seen that the server has ended."""
 
@@ -77,6 +79,9 @@ def run_console(args: argparse.Namespace) -> int:
         raise UsageError(
             f"--clips {args.clips}: is no folder; name the one of [black_box] in the monitor's configuration"
         )
+    for name in args.host:
+        if not _HOST_NAME.fullmatch(name):
+            raise UsageError(f"--host {name}: is no name of a machine; give it as browsers ask for it, without a port")
     vehicle_root(args.prefix, ANY)
     connect = args.connect or [DEFAULT_CONNECT]
     where = endpoints("connect", connect, args.zenoh_config)

@@ -74,12 +74,29 @@ def add_recover(subparsers: Any) -> None:
     parser.set_defaults(handler=run_recover)
 
 
+def _check_is_recording(place: Path) -> None:
+    """Refuse a file that never was a recording, or never held anything."""
+    from mcap.writer import MCAP0_MAGIC
+
+    if place.is_dir():
+        return
+    try:
+        with place.open("rb") as file:
+            begins = file.read(len(MCAP0_MAGIC))
+    except OSError as error:
+        raise UsageError(f"{place}: cannot be read: {error.strerror}") from error
+    if begins != MCAP0_MAGIC:
+        why = "not an MCAP file" if begins else "empty, nothing was recorded"
+        raise UsageError(f"{place}: {why}; name a recording or a folder of recordings")
+
+
 def run_recover(args: argparse.Namespace) -> int:
     """Finish the files; status 2 where some could not be."""
     from adapters.logs.mcap_recovery import finish
 
     if not args.place.exists():
         raise UsageError(f"{args.place}: no such file or folder")
+    _check_is_recording(args.place)
     finished: list[Recovery] = []
     mistakes: list[str] = []
     for path in unfinished(args.place):
