@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 import strapdown_truth as truth
-from sampled import rows
+from hypothesis import given
+from hypothesis import strategies as st
+from sampled import raw_samples, rows
 
 from adapters.batch import pack
 from adapters.errors import TelemetryError
@@ -18,7 +21,7 @@ from monitor.core.sampling import VehicleClock, sample_batch
 from monitor.estimation.bank import washout_inverse
 from monitor.sampling.sampler import Sampler
 from monitor.vehicles.inertial.signals import strapdown_channels
-from monitor.vehicles.inertial.strapdown import GPS, Strapdown
+from monitor.vehicles.inertial.strapdown import GPS, LEARNED, LearnedBias, Strapdown
 
 EXAMPLES: dict[str, dict[str, Any]] = {
     "ATTITUDE": {"roll": 0.0, "pitch": 0.0, "yaw": 0.0},
@@ -285,6 +288,42 @@ def test_without_an_imu_the_vehicle_hovers_at_its_attitude() -> None:
     assert source.parameters == {"gps": 1.0, "barometer": 2.0, "magnetometer": 0.0}
     signals = [channel.value(attitude) for channel in source.channels[:6]]
     assert signals == pytest.approx([0.0, 0.0, -9.80665, 0.1, 0.2, 0.3])
+
+
+def over_a_radio(seconds: float, bias: float, apart: int = 0) -> np.ndarray:
+    """Return signals whose gyros come twice a second, rates of the attitude four times, so many samples later."""
+    raw = truth.signals(seconds)
+    ticks = np.arange(len(raw))
+    gyros, rates = raw[ticks // 50 * 50, 3:6], raw[np.maximum((ticks - apart) // 25 * 25 + apart, 0), 3:6]
+    raw[:, 3:6] = gyros + np.array([0.0, bias, 0.0])
+    return np.hstack([raw, rates])
+
+
+def test_gyros_that_come_seldom_tell_the_bias_that_the_estimator_has_learned() -> None:
+    transform, samples = truth.transformed(over_a_radio(20.0, 0.03), {LEARNED: 10.0})
+    y = np.array([one.y for one in samples])
+    u = np.array([one.u for one in samples])
+    for axis, bias in (("x", 0.0), ("y", 0.03), ("z", 0.0)):
+        turned = y[:, transform.outputs.index(f"rotation_{axis}")]
+        apart = washed(u[:, transform.inputs.index(f"rate_{axis}")], 30.0) - turned
+        assert apart == pytest.approx(washed(np.full(len(samples), bias), 30.0), abs=2e-3)
+
+
+@given(st.integers(0, 1), st.lists(st.integers(1, 599), max_size=5))
+def test_the_learned_bias_is_the_same_however_the_samples_are_cut(apart: int, cuts: list[int]) -> None:
+    samples = raw_samples(over_a_radio(6.0, 0.03, apart), 0)
+    whole, part = LearnedBias(500), LearnedBias(500)
+    edges = [0, *sorted(cuts), len(samples)]
+    parts = [part.run(samples.part(*edge)) for edge in pairwise(edges)]
+    expected = whole.run(samples)
+    assert np.array_equal(np.vstack([one.u for one in parts]), expected.u)
+    assert np.array_equal(np.vstack([one.lost for one in parts]), expected.lost)
+
+
+def test_gyros_and_rates_that_do_not_come_together_are_no_measurement() -> None:
+    lost = LearnedBias(100).run(raw_samples(over_a_radio(4.0, 0.03, apart=10), 0)).lost
+    assert lost[200:, 3:6].all()
+    assert not lost[:, :3].any()
 
 
 def test_a_receiver_that_knows_no_speed_is_not_used() -> None:

@@ -32,5 +32,6 @@ class StrapdownCore:
         attitude_share: float = 1.0,
         imu_hold: int = ...,
         angles_s: Sequence[float] = ...,
+        learned: bool = ...,
     ) -> None: ...
     def run(self, samples: Samples) -> Given: ...

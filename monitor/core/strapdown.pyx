@@ -115,6 +115,8 @@ cdef class StrapdownCore:
         Share of what the attitude turns otherwise than the gyros that counts while the navigation blames none of them.
     angles_s : Sequence[float]
         T of each gyro, x, y and z: the observer behind follows its fault as T f^' = f - f^; 0: not known.
+    learned : bool
+        Whether in place of the gyros' rates there is what the autopilot's estimator has learned to take off them.
 
     Attributes
     ----------
@@ -133,6 +135,7 @@ cdef class StrapdownCore:
     cdef readonly object scores, spreads
     cdef int _washed
     cdef double _biased_s, _attitude_share
+    cdef bint _learned
     cdef int _gps_hold, _compass_hold, _imu_hold, _imu_age, _count, _inputs, _outputs
     cdef double[9] _imu
     cdef double[_WIDEST] _keep
@@ -212,6 +215,7 @@ cdef class StrapdownCore:
         double attitude_share=1.0,
         int imu_hold=0,
         angles_s=(0.0, 0.0, 0.0),
+        bint learned=False,
     ):
         cdef int i
         self._gps, self._baro, self._mag, self._hectopascal, self._dt = gps, baro, mag, hectopascal, dt
@@ -223,6 +227,7 @@ cdef class StrapdownCore:
         self._levels = _Delay.__new__(_Delay, compass_ticks, 6)
         self._navigation, self._sensed = navigation, _Delay.__new__(_Delay, imu_ticks, 17)
         self._attitude_share, self._angle_s = attitude_share, angles_s
+        self._learned = learned
         self._washed = len(washouts) - (2 if navigation is not None else 0)
         self._gps_hold, self._compass_hold, self._imu_hold = gps_hold, compass_hold, imu_hold
         self._imu_age = 0
@@ -409,9 +414,14 @@ cdef class StrapdownCore:
         values[0], values[1] = cos(signals[6]), sin(signals[6])
         values[2], values[3] = cos(signals[7]), sin(signals[7])
         _rotation(values, cos(signals[8]), sin(signals[8]), R)
-        self.turn(R, rate, still, turning)
+        # What an estimator has learned says nothing of resets of its attitude.
+        self.turn(R, rate, still or self._learned, turning)
         self._still = lacks[_IMU]
         if still:
+            rate = turning
+        elif self._learned:
+            for axis in range(3):
+                turning[axis] += rate[axis]
             rate = turning
         cosine = values[2]
         if fabs(cosine) < _STEEPEST_COSINE:
@@ -497,7 +507,7 @@ cdef class StrapdownCore:
         # The mean over a tick, by the trapezoidal rule.
         for k in range(self._inputs):
             meant[k] = 0.5 * (self._before[k] + u[k]) if self._has_before else u[k]
-        if still:
+        if still or self._learned:
             for axis in range(3):
                 meant[i + axis] = rate[axis]
         if self._mag and level[5]:

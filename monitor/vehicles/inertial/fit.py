@@ -55,8 +55,24 @@ from monitor.vehicles.inertial.sensor_fit import (
     delay_costs,
     identify_inertial,
 )
-from monitor.vehicles.inertial.signals import NAVIGATED_HZ, StrapdownSource, common_channels, inertial_rate_hz
-from monitor.vehicles.inertial.strapdown import ACCELEROMETERS, BAROMETER, GPS, IMU, MAGNETOMETER, Strapdown
+from monitor.vehicles.inertial.signals import (
+    LEARNED_HOLD_S,
+    NAVIGATED_HZ,
+    StrapdownSource,
+    common_channels,
+    inertial_rate_hz,
+    with_learned_biases,
+)
+from monitor.vehicles.inertial.strapdown import (
+    ACCELEROMETERS,
+    BAROMETER,
+    GPS,
+    IMU,
+    LEARNED,
+    MAGNETOMETER,
+    LearnedBias,
+    Strapdown,
+)
 from monitor.vehicles.multirotor.identify import GYROS
 
 OBSERVER = "inertial"
@@ -168,15 +184,15 @@ def fit_inertial(request: FitRequest, gate: GateRule, *, alone: bool = False) ->
     TelemetryError, ModelError, InfeasibleError
         Attitude or inertial measurements are missing, or too little healthy motion was recorded.
     """
-    logs, surveys = request.logs, request.surveys
+    surveys = request.surveys
     channels = common_channels(surveys)
     settle_s = BARE_SETTLE_S if channels.parameters["gps"] == BARE_POSITIONS else _SETTLE_S
     gate = replace(gate, settle_s=max(gate.settle_s, settle_s))
-    signal_hz, rate_hz = _rates(inertial_rate_hz(surveys, channels))
+    if (learned := with_learned_biases(surveys, channels)) is not None and _told(*_sampled(request, learned, gate)[:2]):
+        channels = learned
+    raw, signal_hz, rate_hz = _sampled(request, channels, gate)
     if alone:
         rate_hz = request.fraction_hz(signal_hz, rate_hz)
-    raw_source = SampleSource(inputs=channels.channels)
-    raw = [flight_samples(log(), raw_source, signal_hz, replace(gate, airborne_command=0.0)) for log in logs]
     parameters = {
         **channels.parameters,
         "washout_s": _WASHOUT_S,
@@ -245,7 +261,8 @@ def _designed(
     alarms = _alarms(designed.profile().faults, own, jumps, rate_hz, smallest_faults(fit), bare)
     if not channels.imu:
         # what is left of these faults is how far the vehicle is from hovering
-        alarms = [found for found in alarms if found.rule.channel not in (*GYROS, *MOTION, *GPS_VELOCITY, "accel_z")]
+        silent = {*MOTION, *GPS_VELOCITY, "accel_z"} | (set() if LEARNED in parameters else set(GYROS))
+        alarms = [found for found in alarms if found.rule.channel not in silent]
     changes, alarms = _sudden(raw, signal_hz, channels, designed, alarms, flights)
     return replace(
         designed,
@@ -351,10 +368,22 @@ _REPEATED = 5.0
 """Times as long as in healthy flight that they have to stay the same. Chosen: simulators without noise repeat them."""
 
 
-def _rates(message_hz: float) -> tuple[float, float]:
-    """Return the rate of the raw signals and that of the observer, a whole fraction of it, from the messages' rate."""
-    signal_hz = min(message_hz, _FASTEST_HZ)
-    return signal_hz, signal_hz / max(1, round(signal_hz / _RATE_HZ))
+def _sampled(request: FitRequest, source: StrapdownSource, gate: GateRule) -> tuple[list[Flight], float, float]:
+    """Return the flights' raw signals, their rate and that of the observer, a whole fraction of it."""
+    signal_hz = min(inertial_rate_hz(request.surveys, source), _FASTEST_HZ)
+    rate_hz = signal_hz / max(1, round(signal_hz / _RATE_HZ))
+    if LEARNED in source.parameters:
+        # which messages came at the same time
+        signal_hz *= max(1, round(_RATE_HZ / signal_hz))
+    raw, gate = SampleSource(inputs=source.channels), replace(gate, airborne_command=0.0)
+    return [flight_samples(log(), raw, signal_hz, gate) for log in request.logs], signal_hz, rate_hz
+
+
+def _told(raw: Sequence[Flight], signal_hz: float) -> bool:
+    """Return whether every flight tells most of the time what its estimator had learned to take off the gyros."""
+    hold = round(LEARNED_HOLD_S * signal_hz)
+    lost = [LearnedBias(hold).run(flight.samples).lost[flight.evidence, 3] for flight in raw]
+    return all(2 * one.sum() < len(one) for one in lost)
 
 
 def _holds(
@@ -473,5 +502,7 @@ def _lines(parameters: Mapping[str, float], alarms: Sequence[Calibrated], imu: b
     )
     sizes = ", ".join(f"{found.rule.channel} {size_text(found.rule.threshold, found.rule.unit)}" for found in alarms)
     if not imu:
-        return ("no message of an IMU: GPS and barometer against each other and the attitude", f"alarms from: {sizes}")
+        gyros = "; gyros by what the autopilot's estimator learns of their bias, in some 10 to 20 s"
+        compared = "no IMU of 10 Hz or more: GPS and barometer against each other and the attitude"
+        return (compared + gyros * (LEARNED in parameters), f"alarms from: {sizes}")
     return (f"late against the IMU: {late}", f"alarms from: {sizes}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import tau
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ from monitor.fitting.survey import Survey, common_rate_hz
 from monitor.sampling.phase import FlightPhase
 from monitor.vehicles.base import Preview
 from monitor.vehicles.inertial.ros_signals import BARE_POSITIONS, ros_channels
-from monitor.vehicles.inertial.strapdown import BAROMETER, GPS, IMU, MAGNETOMETER
+from monitor.vehicles.inertial.strapdown import BAROMETER, ESTIMATED, GPS, IMU, LEARNED, MAGNETOMETER
 
 MESSAGES = FlightPhase.interests | frozenset(
     {"ATTITUDE", "HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "GPS_RAW_INT", "SCALED_PRESSURE"}
@@ -28,6 +29,11 @@ _SELDOM = ("GPS_RAW_INT", "SCALED_PRESSURE")
 NAVIGATED_HZ = 10.0
 """Least rate of the IMU for its integrals to mean anything: two samples between two fixes. At 2 Hz three of twelve
 flights raised an accelerometer, and a GPS that walked away at 0.7 m/s was seen after 13 s, without it after 5.6."""
+_GYRO_SCALE = 1e-3
+"""SCALED_IMU and RAW_IMU count milliradians per second."""
+LEARNED_HOLD_S = 10.0
+"""For how long what an estimator has learned of a bias holds, seconds: in that time ArduPilot's learned half of one (on
+two flights)."""
 _HOVERING = ("rotor", "copter")
 """Words in the types of vehicles whose thrust carries them."""
 _ENOUGH = 0.5
@@ -78,7 +84,7 @@ def strapdown_channels(
     if imu is None:
         channels = _trim()
     else:
-        force, rate = (1.0, 1.0) if imu == "HIGHRES_IMU" else (STANDARD_GRAVITY / 1000.0, 1e-3)
+        force, rate = (1.0, 1.0) if imu == "HIGHRES_IMU" else (STANDARD_GRAVITY / 1000.0, _GYRO_SCALE)
         channels = [Channel(name, imu, (name,), scale=force if "acc" in name else rate) for name in IMU[:6]]
     channels += [Channel(name, "ATTITUDE", (name,)) for name in ("roll", "pitch")]
     channels.append(Channel("yaw", "ATTITUDE", ("yaw",), period=tau))
@@ -123,8 +129,13 @@ def _trim() -> list[Channel]:
         Channel(name, "ATTITUDE", ("roll",), scale=0.0, offset=offset)
         for name, offset in zip(IMU[:3], (0.0, 0.0, -STANDARD_GRAVITY), strict=True)
     ]
-    rates = ("rollspeed", "pitchspeed", "yawspeed")
-    return force + [Channel(name, "ATTITUDE", (field,)) for name, field in zip(IMU[3:6], rates, strict=True)]
+    return force + _rates(IMU[3:6])
+
+
+def _rates(names: Sequence[str]) -> list[Channel]:
+    """Return the rates that the autopilot estimates as channels of these names."""
+    fields = ("rollspeed", "pitchspeed", "yawspeed")
+    return [Channel(name, "ATTITUDE", (field,)) for name, field in zip(names, fields, strict=True)]
 
 
 def common_channels(surveys: Sequence[Survey]) -> StrapdownSource:
@@ -135,13 +146,37 @@ def common_channels(surveys: Sequence[Survey]) -> StrapdownSource:
     TelemetryError
         As :func:`strapdown_channels`, or :func:`monitor.vehicles.inertial.ros_signals.ros_channels`.
     """
-    common = set.intersection(*(set(survey.examples) for survey in surveys))
-    examples = {message: surveys[0].examples[message] for message in common}
+    examples = _examples(surveys)
     if "ATTITUDE" not in examples:
-        rates = {name: min(found.rate_hz.get(name, 0.0) for found in surveys) for name in common}
+        rates = {name: min(found.rate_hz.get(name, 0.0) for found in surveys) for name in examples}
         if (found := ros_channels(examples, rates)) is not None:
             return StrapdownSource(*found)
     return strapdown_channels(examples, _imus(surveys, "GPS_RAW_INT" in examples))
+
+
+def _examples(surveys: Sequence[Survey]) -> dict[str, Mapping[str, Any]]:
+    common = set.intersection(*(set(survey.examples) for survey in surveys))
+    return {message: surveys[0].examples[message] for message in common}
+
+
+def with_learned_biases(surveys: Sequence[Survey], source: StrapdownSource) -> StrapdownSource | None:
+    """Return a source without an IMU with gyros that come too seldom to be integrated; None where there are none.
+
+    They tell what the autopilot's estimator has learned to take off them.
+    """
+    examples = {} if source.imu else _examples(surveys)
+    slow = next((name for name in ("SCALED_IMU", "RAW_IMU") if name in examples and _tells_biases(surveys, name)), None)
+    if slow is None:
+        return None
+    raw = [Channel(name, slow, (name,), scale=_GYRO_SCALE) for name in IMU[3:6]]
+    gyros, rates = ([replace(one, interpolation="previous") for one in found] for found in (raw, _rates(ESTIMATED)))
+    channels = (*source.channels[:3], *gyros, *source.channels[6:], *rates)
+    return StrapdownSource(channels, {**source.parameters, LEARNED: LEARNED_HOLD_S}, (*source.seldom, slow), imu=False)
+
+
+def _tells_biases(surveys: Sequence[Survey], message: str) -> bool:
+    """Return whether the gyros of a message are raw where the rates of ATTITUDE are less what an estimator learned."""
+    return all(corrected(survey, "ATTITUDE") and not corrected(survey, message) for survey in surveys)
 
 
 def _imus(surveys: Sequence[Survey], gps: bool) -> tuple[str, ...]:
@@ -177,11 +212,12 @@ def preview(survey: Survey) -> Preview:
     """
     source = common_channels([survey])
     gps, barometer, magnetometer = (bool(source.parameters[name]) for name in ("gps", "barometer", "magnetometer"))
-    watches, missing = ["gyro_x", "gyro_y", "gyro_z"] * source.imu, []
+    learned = with_learned_biases([survey], source) is not None
+    watches, missing = ["gyro_x", "gyro_y", "gyro_z"] * (source.imu or learned), []
     if not source.imu:
         missing.append(
-            "gyro_*, accel_*, motion_*, gps_velocity_*, compass: no HIGHRES_IMU, SCALED_IMU or RAW_IMU of "
-            f"{NAVIGATED_HZ:g} Hz or more"
+            "gyro_*, " * (not learned) + "accel_*, motion_*, gps_velocity_*, compass: no HIGHRES_IMU, SCALED_IMU or "
+            f"RAW_IMU of {NAVIGATED_HZ:g} Hz or more"
         )
     if gps:
         watches += ["gps_north", "gps_east"]

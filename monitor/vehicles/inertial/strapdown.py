@@ -27,6 +27,7 @@ the first one.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import exp, isfinite
 
 import numpy as np
@@ -42,6 +43,10 @@ GPS = ("lat", "lon", "gps_alt", "gps_speed", "gps_course")
 BODY_SPEED = ("speed_x", "speed_y", "speed_z")
 BAROMETER = ("baro_alt",)
 MAGNETOMETER = ("xmag", "ymag", "zmag")
+ESTIMATED = ("rate_x", "rate_y", "rate_z")
+"""Rates that the autopilot estimates, which are less the bias that it has learned."""
+LEARNED = "learned_hold_s"
+"""Parameter of a transform whose gyros come too seldom to be integrated."""
 ACCELEROMETERS = ("accel_x", "accel_y")
 """Outputs of the navigation: by how much an accelerometer reads too much while it is held responsible."""
 
@@ -63,6 +68,7 @@ DEFAULTS = {
     "gps_hold_s": 0.0,
     "compass_hold_s": 0.0,
     "imu_hold_s": 0.0,
+    LEARNED: 0.0,
     "judge_level": 0.0,
     "attitude_share": 1.0,
     "bias_angle_x_s": 0.0,
@@ -88,9 +94,11 @@ class Strapdown:
         ``baro_delay_s``, ``compass_delay_s``: by how much they are late against the IMU; ``gps_hold_s``: how long a
         fix may stay the same until the receiver is stuck, 0 for ever; ``compass_hold_s``: how long a magnetic field
         may, which is followed by the gyro until then; ``imu_hold_s``: how long IMU and attitude together may, after
-        which they are not measured any more; ``judge_level``: logarithm of the likelihood from which a gyro or
-        accelerometer is held responsible for what the GPS's velocity shows (:mod:`monitor.core.navigation`), 0: never
-        asked; ``attitude_share``: what counts of the difference of attitude and gyros while none is held responsible;
+        which they are not measured any more; ``learned_hold_s``: how long the bias that the autopilot's estimator
+        has learned may be unknown, where gyros come too seldom to tell more (the signals end with ``ESTIMATED``),
+        0: gyros are integrated; ``judge_level``: logarithm of the likelihood from which a gyro or accelerometer is
+        held responsible for what the GPS's velocity shows (:mod:`monitor.core.navigation`), 0: never asked;
+        ``attitude_share``: what counts of the difference of attitude and gyros while none is held responsible;
         ``bias_angle_x_s`` (y, z): by what angle the rotation is set back for each rad/s by which the observer's
         estimate of a gyro is off while a fault of it is known, and as that ends, as much as makes the estimate jump
         there; 0: once, by what the vehicle turned since its onset.
@@ -127,6 +135,9 @@ class Strapdown:
         speed = (GPS[3:], (), BODY_SPEED)[int(values["gps"]) - 1] if gps else ()
         judged = values["judge_level"] > 0.0 and bool(speed)
         self.signals, self.inputs, self.outputs = _names(gps, speed, baro, mag)
+        hold = round(values[LEARNED] * signal_rate_hz)
+        self._learned = LearnedBias(hold) if hold else None
+        self.signals += ESTIMATED if self._learned else ()
         self.outputs += ACCELEROMETERS * judged
         period = 1.0 / rate_hz
         slow, fast = _washout(values["washout_s"], period), _washout(values["velocity_washout_s"], period)
@@ -162,11 +173,12 @@ class Strapdown:
             attitude_share=values["attitude_share"],
             imu_hold=round(values["imu_hold_s"] * signal_rate_hz),
             angles_s=[values[f"bias_angle_{axis}_s"] for axis in "xyz"],
+            learned=self._learned is not None,
         )
 
     def run(self, samples: Samples) -> Given:
         """Return the observer's samples that raw signals (``samples.u``) complete, each where its period ends."""
-        given = self._core.run(samples)
+        given = self._core.run(self._learned.run(samples) if self._learned else samples)
         if self.navigation is None:
             return given
         return given._replace(spread=dict(zip(_JUDGED, self._core.spreads.T, strict=True)))
@@ -175,6 +187,40 @@ class Strapdown:
     def scores(self) -> NDArray[np.float64]:
         """Logarithm of the likelihood of the likeliest fault of gyros and accelerometers in each sample of the run."""
         return self._core.scores
+
+
+class LearnedBias:
+    """What the autopilot's estimator takes off its gyros: raw ones that come seldom less its rates of the same time.
+
+    Parameters
+    ----------
+    hold : int
+        Samples for which a difference holds; then the gyros are lost.
+    """
+
+    def __init__(self, hold: int) -> None:
+        self._hold, self._age = hold, hold
+        self._before, self._bias = np.zeros((1, 6)), np.zeros((1, 3))
+        self._news = np.zeros((1, 2), np.bool_)
+
+    def run(self, samples: Samples) -> Samples:
+        """Return samples with that in place of the gyros, without the estimated rates."""
+        u, lost = samples.u[:, :-3].copy(), samples.lost[:, :-3].copy()
+        if not len(samples):
+            return replace(samples, u=u, lost=lost)
+        both = np.hstack([u[:, 3:6], samples.u[:, -3:]])
+        changed = both != np.vstack([self._before, both[:-1]])
+        news = np.vstack([self._news, np.column_stack([changed[:, :3].any(axis=1), changed[:, 3:].any(axis=1)])])
+        # Messages of one time come at one sample, or at two. What comes further apart belongs to another motion:
+        # rates on the line between two messages make the least bias that can be seen ten times as large.
+        together = (news[1:] | news[:-1]).all(axis=1) & ~news[:-1].all(axis=1)
+        rows = np.arange(1, len(both) + 1)
+        newest = np.maximum.accumulate(np.where(together, rows, 0))
+        u[:, 3:6] = np.vstack([self._bias, both[:, :3] - both[:, 3:]])[newest]
+        age = np.where(newest > 0, rows - newest, self._age + rows)
+        lost[:, 3:6] |= (age > self._hold)[:, None] | samples.lost[:, -3:]
+        self._before, self._news, self._bias, self._age = both[-1:], news[-1:], u[-1:, 3:6].copy(), int(age[-1])
+        return replace(samples, u=u, lost=lost)
 
 
 def _washout(tau: float, period: float) -> tuple[float, float]:
