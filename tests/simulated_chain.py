@@ -6,8 +6,9 @@ A command c sets a share d of the battery's voltage V, after the link's delay. T
 
 and its propeller gives the thrust (w/W)^2 and takes the current 18 A (w/W)^3 Vf/V. Faults act from a moment on: ``esc``
 applies less of the voltage; ``prop`` gives less thrust at its speed, and takes as much less current; ``motor`` takes
-more current at its speed; ``balance`` shakes the vehicle by so many times the usual 9 m/s^2 an axis at full speed more;
-``battery`` has so much more than its usual resistance of 20 milliohms.
+more current at its speed; ``balance`` shakes the vehicle by so many times the usual 9 m/s^2 an axis at full speed more,
+and so many times more by its propeller's line in raw accelerations; ``battery`` has so much more than its usual
+resistance of 20 milliohms.
 """
 
 from __future__ import annotations
@@ -31,6 +32,11 @@ _SPEED, _LAG_S, _DELAY = 9000.0, 0.04, 4
 _AMPS, OHM = 18.0, 0.02
 _CAPACITY_AS = 5.0 * 3600.0
 _HOVER = 0.36
+_LINES = np.array([0.9, 1.3, 0.7, 1.1])
+"""Amplitude of each propeller's imbalance at full speed, m/s^2."""
+_SHAKE = 0.4
+"""Deviation of an axis of the raw accelerations, m/s^2, that is in no line. Twice a turn blades add 0.8 at full
+speed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +60,13 @@ def flight(
     sag_v: float = 0.0,
     felt: bool = False,
     climbs: float = 0.3,
+    shaken: bool = False,
 ) -> Iterator[Message]:
     """Yield the telemetry of a flight; ``sag_v`` is what the battery loses of its open voltage over the flight.
 
-    The vertical force is reported where it is ``felt``; climbs are wanted of so many m/s (standard deviation). Without
-    ``esc_hz`` no speed controller reports; controller k of the messages is that of motor ``order[k]`` + 1.
+    The vertical force is reported where it is ``felt``, raw accelerations at 400 Hz where they are ``shaken``; climbs
+    are wanted of so many m/s (standard deviation). Without ``esc_hz`` no speed controller reports; controller k of the
+    messages is that of motor ``order[k]`` + 1.
     """
     rng = np.random.default_rng(seed)
     dt = 1.0 / (RATE_HZ * STEPS)
@@ -70,6 +78,7 @@ def flight(
     next_esc_s = 0.0 if esc_hz else float("inf")
     measuring, used_as = np.random.default_rng([seed, 1]), 0.0
     current = np.zeros(4)
+    shaking, angle, felt_m_s2 = np.random.default_rng([seed, 2]), np.array([0.3, 2.0, 4.0, 5.5]), -9.81
     for k in range(round(duration_s * RATE_HZ)):
         now_s = k / RATE_HZ
         if k % 30 == 0:
@@ -86,13 +95,24 @@ def flight(
             working[fault.part][fault.motor - 1] += sign * fault.share
         on_the_way.append((pulses - 1000.0) / 1000.0)
         applied = on_the_way.pop(0) * working["esc"] * volts / FULL_V
-        for _ in range(STEPS):
+        for step in range(STEPS):
             target = 0.25 + 1.1 * applied - 0.35 * applied**2
             speed = speed + (target - speed) * dt / _LAG_S
             thrust = working["prop"] * speed**2
             torque = _EFFECT * (_MIXER[:, :3].T @ thrust) / 4.0
             rate = rate + dt * (torque - _DAMPING * rate + gust[:3])
+            angle = angle + dt * 2.0 * np.pi * _SPEED / 60.0 * speed
+            if shaken:
+                once, twice = _LINES * working["balance"] * speed**2, 0.8 * speed**2
+                force = shaking.normal([0.0, 0.0, felt_m_s2], _SHAKE)
+                force += (once @ np.cos(angle), once @ np.sin(angle), 0.4 * once @ np.cos(angle + 1.0))
+                force[2] += twice @ np.cos(2.0 * angle)
+                number = k * STEPS + step
+                stamp = {"time_usec": 5_000_000 + 2_500 * number}
+                accelerations = dict(zip(("xacc", "yacc", "zacc"), force.tolist(), strict=True))
+                yield _message("HIGHRES_IMU", start_ns + 2_500_000 * number, {**stamp, **accelerations})
         lifted = 9.81 * float(thrust.sum()) / (4.0 * _HOVER) + gust[3]
+        felt_m_s2 = -lifted
         climb += (lifted - 9.81 - 0.3 * climb) / RATE_HZ
         current = _AMPS * speed**3 * FULL_V / volts * working["motor"] * working["prop"]
         ohm = OHM * (1.0 + (fault.share if acts and fault is not None and fault.part == "battery" else 0.0))
@@ -102,8 +122,8 @@ def flight(
         fields = {f"servo{i}_raw": int(pulse) for i, pulse in enumerate(pulses, start=1)}
         yield _message("SERVO_OUTPUT_RAW", arrival_ns, {"time_usec": stamp_ms * 1000, "port": 0, **fields})
         if felt:
-            force = {"time_boot_ms": stamp_ms, "zacc": round(-1000.0 * lifted / 9.81)}
-            yield _message("SCALED_IMU", arrival_ns, force)
+            vertical = {"time_boot_ms": stamp_ms, "zacc": round(-1000.0 * lifted / 9.81)}
+            yield _message("SCALED_IMU", arrival_ns, vertical)
         noisy = (rate + rng.normal(0.0, 1e-3, 3)).tolist()
         rates = dict(zip(("rollspeed", "pitchspeed", "yawspeed"), noisy, strict=True))
         yield _message("ATTITUDE", arrival_ns, {"time_boot_ms": stamp_ms, **rates})
@@ -115,9 +135,9 @@ def flight(
             yield _message("ESC_STATUS", arrival_ns, {"index": 0, "time_usec": stamp_ms * 1000, **measured})
         if k % 10 == 0:
             level = 9.0 * float((working["balance"] * speed**2).max()) * np.exp(rng.normal(0.0, 0.2, 3))
-            shaken = dict(zip(("vibration_x", "vibration_y", "vibration_z"), level.tolist(), strict=True))
+            levels = dict(zip(("vibration_x", "vibration_y", "vibration_z"), level.tolist(), strict=True))
             clipped = dict.fromkeys(("clipping_0", "clipping_1", "clipping_2"), 0)
-            yield _message("VIBRATION", arrival_ns, {"time_usec": stamp_ms * 1000, **shaken, **clipped})
+            yield _message("VIBRATION", arrival_ns, {"time_usec": stamp_ms * 1000, **levels, **clipped})
             battery = {
                 "voltage_battery": round(1000.0 * volts + measuring.normal(0.0, 8.0)),
                 "current_battery": round(100.0 * float(current.sum()) + measuring.normal(0.0, 10.0)),
