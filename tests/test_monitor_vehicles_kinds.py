@@ -44,5 +44,5 @@ def test_the_autopilot_says_which_kind_is_likely(said: str, names: list[str]) ->
 
 
 def test_transforms_and_messages_of_all_kinds_are_known() -> None:
-    assert set(transform_classes()) == {"surfaces", "drive", "strapdown", "esc", "vibration", "battery"}
+    assert set(transform_classes()) == {"surfaces", "drive", "strapdown", "esc", "vibration", "imbalance", "battery"}
     assert {"ATTITUDE", "SERVO_OUTPUT_RAW", "GPS_RAW_INT", "VFR_HUD", "HEARTBEAT"} <= fit_messages()

@@ -1,0 +1,350 @@
+"""The imbalance observer of a multirotor: how much each propeller shakes the vehicle once per turn (order tracking).
+
+A propeller out of balance pulls at its arm with a force that turns with it. With the speed of each motor measured, its
+angle phi_j is the integral of that, and over a tick of :data:`_TICK_S` each axis of the raw accelerometer is
+
+    a = b + sum over motors j of (p_j cos phi_j + q_j sin phi_j) + all else,
+
+solved by least squares for all motors together: of two that turn at different speeds each keeps its own. The square of
+a motor's line is the sum of its p^2 + q^2 over the axes, averaged over :data:`_MEMORY_S` with the weight by which the
+speeds of a tick part that motor from the others. Of motors that turn alike for so long each is given an equal share, so
+that an imbalance raises the alarms of all of them: it is one of that set.
+
+The logarithm of the line's amplitude is compared with ``c0 + c1 ln(w)``, w the speed as a share of that of hovering,
+identified for each motor from healthy flights: an imbalance pulls with the square of the speed, and how an arm and a
+mount answer to it differs. Throttle is no further cause, as the speed is known.
+
+The angle has to be known between two measurements of a speed: where it is not, for speeds come too seldom, the level of
+vibration is all that is told.
+
+What turns faster than half the rate of the accelerometer is folded onto other frequencies, on which other lines lie,
+and autopilots average over the time between samples: from :data:`_HIGHEST` of the rate on nothing is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.channels import STANDARD_GRAVITY, Channel
+from adapters.errors import ModelError, TelemetryError
+from adapters.sample import Given, Samples
+from gains.plants.plant import Disturbance, Fault, Noise, Plant
+from gains.synthesis.blocks import design_blocks
+from gains.synthesis.certificate import certify
+from gains.synthesis.compilation import compile_gains
+from monitor.alarms.alarm import LOG_TIMES
+from monitor.alarms.excuse import ExcuseRule
+from monitor.core.lagged import LaggedMeans, cosines, sines
+from monitor.estimation.isolation_rule import IndependentRule
+from monitor.fitting.fitted import FitRequest, Fitted, bare_rule
+from monitor.fitting.flights import Flight, flight_samples, transformed
+from monitor.fitting.thresholds import FALSE_ALARMS_PER_HOUR, Times, calibrated, healthy_evidence, healthy_levels
+from monitor.sampling.gate import GateRule
+from monitor.sampling.scaled import raw_per_sample
+from monitor.sampling.transform import SampleSource, TransformRule
+from monitor.vehicles.multirotor.signals import multirotor_channels
+from monitor.vehicles.multirotor.speeds import motor_speeds
+from monitor.vehicles.multirotor.transform import OneTickLater
+from monitor.vehicles.multirotor.vibration import OBSERVER as SHAKING
+
+Array = NDArray[np.float64]
+
+OBSERVER = "imbalance"
+
+_AXES = ("xacc", "yacc", "zacc")
+_IMUS = {"HIGHRES_IMU": 1.0, **dict.fromkeys(("RAW_IMU", "SCALED_IMU"), STANDARD_GRAVITY / 1000.0)}
+"""Messages of raw accelerations, those of the same rate in order of preference, and their units in m/s^2."""
+_TICK_S = 0.5
+"""Chosen: lines 2 Hz apart are told apart, a fiftieth of what rotors turn; over a longer tick more of the speeds'
+errors would add up in the angle."""
+_LARGEST_DRIFT = 0.5
+"""Turns (standard deviation) by which a straight line over two intervals of the speeds' telemetry may miss the angle.
+Measured on a simulated quadrotor in gusts, an imbalance of each propeller in turn: at 0.01, 0.07 and 0.39 (50, 20 and
+10 Hz) each is named alone, at 1.6 and 2.7 (5 and 3 Hz) others are named in five of eight."""
+_MEMORY_S = 2.0
+"""Chosen: four ticks; the speeds of motors part within seconds of any manoeuvre."""
+_HIGHEST = 0.45
+"""Share of the accelerometer's rate up to which a line is told: a twentieth below half of it, the width that jitter of
+stamps and the steps of speeds between their measurements take."""
+_LEAST_S = 20.0
+"""Evidence that is needed, seconds, as of the motors observer."""
+_RIDGE = 0.01
+"""Added to the diagonal of the normal equations, as a share of it: chosen, what cannot be parted is shared out, what
+can is off by a hundredth."""
+_LEAST_LEVEL = 0.3
+"""m/s^2: what is below counts as that. Chosen: a tenth of the level of a good vehicle (that of the vibration observer):
+one line of many."""
+_LEAST_LEFT = 0.05
+"""Least deviation of logarithms that is left: chosen, that of the vibration observer."""
+_SQUARE = 2.0
+"""An imbalance pulls with the square of the speed."""
+_WIDTH = 1.0
+"""How far the exponent may be off that: chosen, arms and mounts answer in proportion to it or its cube near their
+resonance; where flights show less, this counts."""
+_SMALLEST, _CRITICAL = math.log(2.5), math.log(6.25)
+"""Times the usual imbalance that are worth an alarm, and critical: one and two grades of balance (ISO 21940-11, whose
+grades are a factor of 2.5 apart)."""
+_EXCUSED_S = 5.0
+"""After the alarm of a propeller has cleared, seconds, the vehicle's level of vibration is explained by it: both levels
+have a memory of seconds."""
+_FAULT_RATE = 0.5
+"""Logarithms per second by which an imbalance may grow: chosen, a chip doubles it at once, seen over two seconds."""
+_TIMES = Times(fast_s=1.0, raise_s=2.0, slow_s=10.0, clear_s=2.0)
+"""Chosen: those of the vibration observer, of which this is a part."""
+
+
+class ImbalanceInputs:
+    """Samples of a multirotor's propellers: expected and measured logarithm of each one's line in the vibration.
+
+    Parameters
+    ----------
+    parameters : Mapping[str, float]
+        ``output1`` and so on: numbers of the motors' outputs; for each motor n ``rpmN`` (that of hovering), ``cN_0``
+        and ``cN_1``; ``least``: the smallest amplitude that counts, m/s^2.
+    signal_rate_hz, rate_hz : float
+        Raw samples and given samples per second; the first is a whole multiple of the second.
+
+    Raises
+    ------
+    TelemetryError
+        A parameter is missing, unknown or out of range, or the rates do not fit.
+    """
+
+    def __init__(self, parameters: Mapping[str, float], signal_rate_hz: float, rate_hz: float) -> None:
+        numbers: list[int] = []
+        while (key := f"output{len(numbers) + 1}") in parameters:
+            numbers.append(int(parameters[key]))
+        wanted = {"least", *(f"output{at}" for at in range(1, len(numbers) + 1))}
+        wanted |= {name for n in numbers for name in (f"rpm{n}", f"c{n}_0", f"c{n}_1")}
+        if wrong := sorted(wanted ^ set(parameters)):
+            verb = "is unknown" if wrong[0] in parameters else "is missing"
+            raise TelemetryError(f"transform 'imbalance': '{wrong[0]}' {verb}; fit the profile again")
+        if not numbers or min(parameters["least"], *(parameters[f"rpm{n}"] for n in numbers)) <= 0.0:
+            raise TelemetryError("transform 'imbalance': no motors, or 'least' or a speed of hovering is not above 0")
+        self.signals = (*_AXES, *(f"rpm{n}" for n in numbers))
+        self.inputs = tuple(f"prop{n}_imbalance" for n in numbers)
+        self.outputs = tuple(f"line{n}" for n in numbers)
+        self._hover = np.array([parameters[f"rpm{n}"] for n in numbers])
+        self._c = np.array([[parameters[f"c{n}_{term}"] for n in numbers] for term in (0, 1)])
+        self._least = parameters["least"]
+        self._lines = Lines(len(numbers), signal_rate_hz, raw_per_sample("imbalance", signal_rate_hz, rate_hz))
+        self._later = OneTickLater()
+
+    def run(self, samples: Samples) -> Given:
+        """Return the observer's samples that raw samples complete; one marked ``restart`` forgets the lines."""
+        given = self._lines.run(samples)
+        found = given.samples
+        with np.errstate(all="ignore"):  # absurd values may overflow; they are no evidence
+            expected = self._c[0] + self._c[1] * np.log(found.u / self._hover)
+            measured = np.log(np.maximum(found.y, self._least))
+            expected = np.maximum(expected, math.log(self._least))
+        wrong = ~(np.isfinite(expected) & np.isfinite(measured)).all(axis=1, keepdims=True)
+        expected, measured = np.where(wrong, 0.0, expected), np.where(wrong, 0.0, measured)
+        later = self._later.run(replace(found, u=expected, y=measured, lost=found.lost | wrong))
+        if len(later):
+            # less than expected is no fault
+            later.y[:] = np.maximum(later.y, self._later.u)
+        return Given(later, given.rows)
+
+
+class Lines:
+    """Amplitudes of the lines of motors in raw accelerations.
+
+    Parameters
+    ----------
+    motors : int
+        How many.
+    signal_rate_hz : float
+        Raw samples per second.
+    size : int
+        Raw samples of a tick.
+    """
+
+    def __init__(self, motors: int, signal_rate_hz: float, size: int) -> None:
+        self._motors, self._rate_hz = motors, signal_rate_hz
+        width = 1 + 2 * motors
+        self._rows, self._columns = np.triu_indices(width)
+        self._products = LaggedMeans((), signal_rate_hz, size, motors, len(self._rows) + len(_AXES) * width)
+        timing = [(0.0, _MEMORY_S)] * (3 * motors)
+        self._memory = LaggedMeans(timing, signal_rate_hz / size, 1, 3 * motors, 1)
+        self._angle = np.zeros((1, motors))
+
+    def run(self, samples: Samples) -> Given:
+        """Return speeds as ``u`` (n, motors), rpm, and amplitudes as ``y`` (n, motors), m/s^2, of ticks that end."""
+        acceleration, rpm = samples.u[:, : len(_AXES)], samples.u[:, len(_AXES) :]
+        with np.errstate(all="ignore"):
+            # more than half a turn from sample to sample is no speed that could be used, and would cost digits for ever
+            steps = np.clip(math.tau / 60.0 / self._rate_hz * rpm, 0.0, math.pi)
+            # never wrapped, so that it does not depend on where the samples are cut: good to 1e-7 after a day
+            angles = np.cumsum(np.vstack([self._angle, steps]), axis=0)
+            self._angle = angles[-1:]
+            waves = [wave(angle) for angle in angles[1:].T for wave in (cosines, sines)]
+            X = np.column_stack([np.ones(len(samples)), *waves])
+            products = np.hstack([X[:, self._rows] * X[:, self._columns], *(X * a[:, None] for a in acceleration.T)])
+        given = self._products.run(samples, [*rpm.T, *products.T], np.ones(len(samples), np.bool_))
+        means = given.samples
+        weight, square = self._solved(means.y)
+        too_fast = (means.u > 60.0 * _HIGHEST * self._rate_hz).any(axis=1, keepdims=True)
+        columns = [*(weight * square).T, *weight.T, *means.u.T, np.zeros(len(means))]
+        smooth = self._memory.run(means, columns, np.ones(len(means), np.bool_)).samples.u
+        power, weights, speed = np.split(smooth, 3, axis=1)
+        amplitude = np.sqrt(np.where(weights > 0.0, power / np.where(weights > 0.0, weights, 1.0), 0.0))
+        lost = np.repeat(means.lost[:, :1] | too_fast, 2 * self._motors, axis=1)
+        return Given(replace(means, u=speed, y=amplitude, lost=lost), given.rows)
+
+    def _solved(self, means: Array) -> tuple[Array, Array]:
+        """Return, of means over ticks, how well each motor's line is told from others, and its square (n, motors)."""
+        width = 1 + 2 * self._motors
+        normal = np.zeros((len(means), width, width))
+        normal[:, self._rows, self._columns] = means[:, : len(self._rows)]
+        normal[:, self._columns, self._rows] = means[:, : len(self._rows)]
+        right = means[:, len(self._rows) :].reshape(len(means), len(_AXES), width).transpose(0, 2, 1)
+        good = np.asarray(np.isfinite(means).all(axis=1))[:, None]
+        ridge = 0.5 * _RIDGE * np.diag([0.0, *np.ones(width - 1)])
+        inverse = np.linalg.inv(np.where(good[:, :, None], normal, np.eye(width)) + ridge)
+        found = (inverse @ np.where(good[:, :, None], right, 0.0))[:, 1:]
+        pairs = (len(means), self._motors, 2)
+        square = (found**2).sum(axis=2).reshape(pairs).sum(axis=2)
+        # alone, cosine and sine have a variance of two over the number of samples
+        alike = np.diagonal(inverse, axis1=1, axis2=2)[:, 1:].reshape(pairs).sum(axis=2)
+        return np.where(good, 4.0 / alike, 0.0), square
+
+
+def fit_imbalance(request: FitRequest, gate: GateRule) -> Fitted | None:
+    """Learn on healthy recordings how much each propeller shakes, design the observer, calibrate its alarms.
+
+    None where raw accelerations or speeds of motors are not reported.
+
+    Raises
+    ------
+    ModelError
+        Too little healthy flight, or accelerations that come too seldom for rotors as fast as these.
+    """
+    commands, _ = multirotor_channels(request.surveys)
+    signals = motor_speeds(request, gate, commands)
+    rates = {name: min(survey.rate_hz.get(name, 0.0) for survey in request.surveys) for name in _IMUS}
+    message = max(rates, key=lambda name: rates[name])
+    if signals is None or not signals.measured or not rates[message]:
+        return None
+    rate_hz = 1.0 / _TICK_S
+    signal_hz = rate_hz * max(1, round(rates[message] / rate_hz))
+    turns = max(signals.hover) / 60.0
+    if turns > _HIGHEST * signal_hz:
+        raise ModelError(
+            f"no imbalance of a propeller can be told: rotors turn {turns:.0f} times a second, accelerations come at "
+            f"{signal_hz:.0f} Hz, on which that is folded onto other frequencies; log them at "
+            f"{turns / _HIGHEST:.0f} Hz or more"
+        )
+    axes = (Channel(axis, message, (axis,), scale=_IMUS[message], interpolation="previous") for axis in _AXES)
+    channels = (*axes, *(replace(channel, interpolation="linear") for channel in signals.speed))
+    raw = [flight_samples(log(), SampleSource(inputs=channels), signal_hz, gate) for log in request.logs]
+    drift = _drift([one.samples.u[one.armed, len(_AXES) :] for one in raw], signal_hz, signals.rate_hz)
+    if drift > _LARGEST_DRIFT:
+        raise ModelError(
+            f"which propeller is out of balance cannot be told: speeds come at {signals.rate_hz:.3g} Hz, and within "
+            f"two intervals a rotor gets {drift:.2g} turns away from a straight line; record them more often"
+        )
+    numbers = [int(channel.name.removeprefix("rpm")) for channel in signals.speed]
+    parameters, left = _learned(raw, numbers, signals.hover, signal_hz, rate_hz)
+    source = SampleSource(transform=TransformRule(OBSERVER, signal_hz, parameters), signals=channels)
+    flights = [transformed(flight, ImbalanceInputs(parameters, signal_hz, rate_hz)) for flight in raw]
+    plant = _plant(request.name, rate_hz, numbers, left)
+    design = design_blocks(plant)
+    bare = Fitted(
+        OBSERVER, plant, (compile_gains(plant, design, certify(plant, design)),), source, IndependentRule(1.0 / rate_hz)
+    )
+    evidence = healthy_evidence(bare.profile(), gate, flights)
+    share = FALSE_ALARMS_PER_HOUR / len(numbers)
+    levels = healthy_levels([one[:, at] for at in range(len(numbers)) for one in evidence], rate_hz, share, _TIMES)
+    alarms = tuple(
+        calibrated(
+            bare_rule(OBSERVER, fault.name, "actuator", LOG_TIMES),
+            levels,
+            1.0,
+            floor=_SMALLEST,
+            critical=_CRITICAL,
+            times=_TIMES,
+        )
+        for fault in plant.faults
+    )
+    usual = ", ".join(f"prop{n} {math.exp(parameters[f'c{n}_0']):.2g} m/s^2" for n in numbers)
+    return replace(
+        bare,
+        alarms=alarms,
+        excuses=(ExcuseRule((SHAKING,), plant.inputs, _EXCUSED_S, same_cause=True),),
+        flight_s=sum(len(flight.evidence) for flight in flights) / rate_hz,
+        findings={"rate_hz": rate_hz, "left": left, "signal_hz": signal_hz},
+        lines=(
+            f"once per turn, by {message} at {signal_hz:g} Hz, in hover: {usual}; within a factor of "
+            f"{math.exp(left):.2f}; alarms from {math.exp(alarms[0].rule.threshold):.1f} times on",
+        ),
+    )
+
+
+def _drift(speeds: Sequence[Array], signal_hz: float, rate_hz: float) -> float:
+    """Return by how many turns a straight line between two measurements of a speed misses (standard deviation).
+
+    Every second measurement is left out and compared with the line through its neighbours, which is twice as long.
+    """
+    every = max(1, round(signal_hz / rate_hz))
+    taken = [one[::every] for one in speeds]
+    missed = np.concatenate([one[1:-1] - 0.5 * (one[:-2] + one[2:]) for one in taken])
+    return float(missed.std()) / 60.0 / rate_hz if len(missed) else math.inf
+
+
+def _learned(
+    raw: Sequence[Flight], numbers: Sequence[int], hover: Sequence[float], signal_hz: float, rate_hz: float
+) -> tuple[dict[str, float], float]:
+    """Return the transform's parameters, and the standard deviation of the logarithms that is left."""
+    speeds, amplitudes = [], []
+    for flight in raw:
+        given = Lines(len(numbers), signal_hz, round(signal_hz / rate_hz)).run(flight.samples)
+        found = given.samples
+        kept = flight.armed[given.rows] & ~found.lost.any(axis=1) & (found.u > 0.0).all(axis=1)
+        speeds.append(np.log(found.u[kept] / hover))
+        amplitudes.append(np.log(np.maximum(found.y[kept], _LEAST_LEVEL)))
+    x, y = np.concatenate(speeds), np.concatenate(amplitudes)
+    if len(x) < _LEAST_S * rate_hz:
+        raise ModelError(
+            f"only {len(x) / rate_hz:.0f} s of flight with speeds and accelerations; {_LEAST_S:.0f} needed"
+        )
+    parameters = {f"output{at}": float(n) for at, n in enumerate(numbers, start=1)} | {"least": _LEAST_LEVEL}
+    left = []
+    for at, n in enumerate(numbers):
+        # ticks within the memory are alike
+        weight = max(float(y[:, at].std()), _LEAST_LEFT) * math.sqrt(_MEMORY_S * rate_hz) / _WIDTH
+        A = np.vstack([np.column_stack([np.ones(len(x)), x[:, at]]), [0.0, weight]])
+        c = np.linalg.lstsq(A, np.append(y[:, at], weight * _SQUARE), rcond=None)[0]
+        left.append(float((y[:, at] - A[:-1] @ c).std()))
+        values = {f"rpm{n}": hover[at], f"c{n}_0": float(c[0]), f"c{n}_1": float(c[1])}
+        parameters |= {name: float(f"{value:.6g}") for name, value in values.items()}
+    return parameters, max(float(np.sqrt(np.mean(np.square(left)))), _LEAST_LEFT)
+
+
+def _plant(name: str, rate_hz: float, numbers: Sequence[int], left: float) -> Plant:
+    identity = np.eye(len(numbers))
+    return Plant(
+        name=name,
+        domain="discrete",
+        rate_hz=rate_hz,
+        states=tuple(f"expected_line{n}" for n in numbers),
+        inputs=tuple(f"prop{n}_imbalance" for n in numbers),
+        outputs=tuple(f"line{n}" for n in numbers),
+        A=0.0 * identity,
+        B=identity,
+        C=identity,
+        faults=tuple(
+            Fault(f"prop{n}_imbalance", "actuator", column, _FAULT_RATE, _SMALLEST, LOG_TIMES)
+            for n, column in zip(numbers, identity, strict=True)
+        ),
+        disturbances=tuple(
+            Disturbance(f"disturbance_line{n}", column, left) for n, column in zip(numbers, identity, strict=True)
+        ),
+        noises=tuple(Noise(f"noise_line{n}", column, left) for n, column in zip(numbers, identity, strict=True)),
+        state_errors=np.full(len(numbers), left),
+    )
