@@ -23,6 +23,7 @@ _CHECKS: Mapping[str, str] = {
     r"steering": "the steering servo and linkage, wheels and tyres",
     r"airspeed": "the pitot tube: blocked, iced, or its hose leaking",
     r"battery": "the battery's cells, age and temperature, and its connectors",
+    r"prop\d+_imbalance": "that propeller's balance: chips, cracks, dirt, a blade that sits askew; the motor's shaft",
     r"vibration|clipping": "propellers for balance, mounts of the autopilot, loose parts",
     r"impostor|signing|heartbeat": "who else sends on this link: a second vehicle of the same id, a ground station, "
     "an attacker; sign the link",
