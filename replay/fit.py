@@ -105,6 +105,7 @@ def fit_profile(
     rate_hz: float | None = None,
     stage: Callable[[str], None] = lambda _: None,
     update: Path | None = None,
+    capability: bool = True,
 ) -> FitReport:
     """Write a profile.
 
@@ -130,6 +131,8 @@ def fit_profile(
         Called with each stage that is done.
     update : Path | None
         Profile whose flights are fitted too, from what it keeps of them, and whose edits are kept.
+    capability : bool
+        Whether to measure what will be detected how fast, for the profile's readers.
 
     Raises
     ------
@@ -197,7 +200,7 @@ def fit_profile(
         except (TelemetryError, ModelError, InfeasibleError) as error:
             notes.append(f"{observer}: {error}")
     warnings = (*_slow(vehicle, surveys, observers), *_hidden(surveys, observers)) if surveys else ()
-    measured = tuple(_measured(one, request, kind, gate) for one in observers)
+    measured = tuple(_measured(one, request, kind, gate) if capability else one for one in observers)
     stage("measured what will be detected")
     report = FitReport(kind, measured, tuple(notes), warnings)
     identity = common_identity(one.identity for one in surveyed)

@@ -191,14 +191,14 @@ def test_a_log_that_ends_in_the_air_is_said_and_no_finding(tmp_path: Path) -> No
     assert not review.wrong
 
 
-def watched(*alarms: LearnedAlarm, lost: bool = False) -> LogReview:
+def watched(*alarms: LearnedAlarm, lost: bool = False, vehicle: str = "multirotor") -> LogReview:
     """Return the verdict on a plain flight of which a learned profile says something."""
     motors = LogSignal(np.arange(600) / 10, np.full((600, 4), 0.5), ("a", "b", "c", "d"), "", "motors")
     attitude = LogSignal(np.arange(600) / 10, np.zeros((600, 3)), ("roll", "pitch", "yaw"), "", "attitude")
     attitude.values[300:320, 0] = 150.0 * lost
     facts = LogFacts(
         autopilot="PX4",
-        vehicle="multirotor",
+        vehicle=vehicle,
         start_ns=0,
         duration_s=60.0,
         armed=((0.0, 60.0),),
@@ -210,7 +210,7 @@ def watched(*alarms: LearnedAlarm, lost: bool = False) -> LogReview:
 
 
 LEARNED = {
-    "motor_effect": LearnedAlarm(25.0, 40.0, "motors", "motor2", 1.2, "motor2 delivers 15 % less than commanded"),
+    "actuator_effect": LearnedAlarm(25.0, 40.0, "motors", "motor2", 1.2, "motor2 delivers 15 % less than commanded"),
     "sensor_effect": LearnedAlarm(25.0, 40.0, "inertial", "gyro_x", 1.2, "gyro x reads 1 degree/s too much"),
 }
 
@@ -222,12 +222,17 @@ def test_a_lasting_alarm_of_what_was_learned_is_a_finding(name: str) -> None:
     assert "compared with the first 19 s of the flight" in review.sentence
 
 
+@pytest.mark.parametrize(("vehicle", "channel"), [("plane", "aileron"), ("plane", "throttle"), ("rover", "steering")])
+def test_actuators_of_planes_and_rovers_are_watched_too(vehicle: str, channel: str) -> None:
+    assert names(watched(replace(LEARNED["actuator_effect"], channel=channel), vehicle=vehicle)) == ["actuator_effect"]
+
+
 @pytest.mark.parametrize(
     "alarm",
     [
-        replace(LEARNED["motor_effect"], end_s=29.0),
-        replace(LEARNED["motor_effect"], channel="unexplained"),
-        replace(LEARNED["motor_effect"], start_s=51.0, end_s=60.0),
+        replace(LEARNED["actuator_effect"], end_s=29.0),
+        replace(LEARNED["actuator_effect"], channel="unexplained"),
+        replace(LEARNED["actuator_effect"], start_s=51.0, end_s=60.0),
         replace(LEARNED["sensor_effect"], channel="gps_east", share=1.9),
         replace(LEARNED["sensor_effect"], channel="gps_east", share=4.0, size=0.8),
         replace(LEARNED["sensor_effect"], channel="compass", share=9.0),
@@ -257,7 +262,15 @@ def test_a_fault_is_told_from_the_flights_own_begin(tmp_path: Path) -> None:
 
 def test_a_short_flight_teaches_nothing() -> None:
     review = review_log(DATA / "copter_motor2_080.tlog.xz")
-    assert "14 s of flight are too few to learn from" in review.unjudged["A motor gives less than it did"]
+    assert "14 s of flight are too few to learn from" in review.unjudged["An actuator does less than it did"]
+
+
+@pytest.mark.parametrize(("log", "vehicle"), [("plane_healthy", "plane"), ("rover_healthy", "rover")])
+def test_planes_and_rovers_are_judged_while_they_move(log: str, vehicle: str) -> None:
+    review = review_log(DATA / f"{log}.tlog.xz", learn=False)
+    assert (review.facts.vehicle, names(review)) == (vehicle, [])
+    assert review.facts.flight_s > 20.0
+    assert "Failsafe announced" in review.watched
 
 
 def test_what_the_log_lacks_is_said(tmp_path: Path) -> None:

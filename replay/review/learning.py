@@ -20,6 +20,7 @@ from replay.fit import fit_profile
 from replay.player import Replay, interests, play_batches
 from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts, LogSignal
 
+_KINDS = ("multirotor", "plane", "rover")
 _LEARNED_S = 40.0
 """Seconds of flight to learn from: motors are identified from 25 s of samples on, and an observer settles within 10.
 Measured on flights whose fault begins after 50 s: at 40 % of the flight in its place three of three were learned with
@@ -34,8 +35,9 @@ _LEAST_FLIGHT_S = 50.0
 def learned(path: Path, facts: LogFacts) -> LogFacts:
     """Return facts with what the pipeline says of the whole log, or why it says nothing."""
     start, end = max(facts.flight, key=lambda span: span[1] - span[0], default=(0.0, 0.0))
-    if facts.vehicle != "multirotor":
-        return _unlearned(facts, "only multirotors are learned from a single flight")
+    if facts.vehicle not in _KINDS:
+        kind = facts.vehicle or "one that the log does not name"
+        return _unlearned(facts, f"of kinds of vehicle {', '.join(_KINDS)} are learned from a flight, not {kind}")
     if end - start < _LEAST_FLIGHT_S:
         return _unlearned(
             facts, f"{end - start:.0f} s of flight are too few to learn from; it takes {_LEAST_FLIGHT_S:g} s"
@@ -52,7 +54,8 @@ def learned(path: Path, facts: LogFacts) -> LogFacts:
 
     with tempfile.TemporaryDirectory(prefix="fauio-review-") as folder:
         try:
-            fit_profile("multirotor", [begin], Path(folder), "review", log_names=[path.name], force=True)
+            names = [path.name]
+            fit_profile(facts.vehicle, [begin], Path(folder), "review", log_names=names, force=True, capability=False)
             profile = read_profile(Path(folder))
             replay = play_batches(profile, Recording(path, interests(profile)).batches(), keep_traces=True, force=True)
         except FauioError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from replay.review.findings import (
+    actuator_effect,
     attitude_not_followed,
     battery_low,
     commands_from_outside,
@@ -18,7 +19,6 @@ from replay.review.findings import (
     log_ends_in_flight,
     motor_at_limit,
     motor_command_stopped,
-    motor_effect,
     motors_stopped_in_air,
     sensor_effect,
     turned_over,
@@ -35,7 +35,7 @@ RULES: Final[tuple[Rule, ...]] = (
     log_ends_in_flight.RULE,
     esc_stopped.RULE,
     motor_at_limit.RULE,
-    motor_effect.RULE,
+    actuator_effect.RULE,
     descent_not_followed.RULE,
     turned_over.RULE,
     attitude_not_followed.RULE,

@@ -18,6 +18,7 @@ from replay.review.facts.log_facts import (
     above_begin,
     changes,
     inside,
+    off_ground,
     overlap,
     state_spans,
     way,
@@ -63,10 +64,11 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
         arming = [(0.0, 1.0), *arming]
     armed = state_spans([(at, bool(value)) for at, value in arming], end_s)
     landing = [(at, float(kind == _LANDED)) for at, kind in event if kind in (_LANDED, _IN_THE_AIR)]
-    flight = overlap(state_spans([(at, not value) for at, value in landing], end_s), armed)
+    texts = [(at, str(row.get("Message", ""))) for at, row in records.listed("MSG")]
+    vehicle, kind = next((known for _, text in texts for word, known in _VEHICLES.items() if word in text), ("", 0))
     signals: dict[str, LogSignal | None] = {}
     lacks: dict[str, str] = {}
-    signals["motors"] = _motors(records, armed)
+    signals["motors"] = _motors(records, armed) if vehicle in ("", "multirotor") else None
     signals["rpm"] = _rpm(records)
     names = ("roll", "pitch", "yaw")
     signals["attitude"] = get("ATT", ["Roll", "Pitch", "Yaw"], names, "deg")
@@ -74,6 +76,9 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
     signals["height"] = above_begin(get("BARO", ["Alt"], ["barometer"], "m"))
     kalman = "XKF" if ("XKF4", 0) in set(records.names()) else "NKF"
     signals["height_estimate"] = above_begin(get(f"{kalman}1", ["PD"], ["estimate"], "m", -1.0))
+    # planes do not log when they take off
+    air = state_spans([(at, not value) for at, value in landing], end_s) if landing else off_ground(signals["height"])
+    flight = overlap(air, armed)
     signals["climb"] = get(f"{kalman}1", ["VD"], ["climb"], "m/s", -1.0)
     signals["climb_wanted"] = get("PSCD", ["TVD"], ["wanted"], "m/s", -1.0)
     signals["acceleration"] = get("IMU", ["AccX", "AccY", "AccZ"], ["x", "y", "z"], "m/s2")
@@ -99,8 +104,6 @@ def ardupilot_facts(records: LogRecords) -> LogFacts:
             vibration, values=vibration.values.max(axis=1, keepdims=True), names=("vibration",)
         )
     signals["clipping"] = get("VIBE", ["Clip"], ["clipped"], "samples")
-    texts = [(at, str(row.get("Message", ""))) for at, row in records.listed("MSG")]
-    vehicle, kind = next((known for _, text in texts for word, known in _VEHICLES.items() if word in text), ("", 0))
     statements = [*_statements(records, texts, kind, event, arming), *_landings(landing)]
     return LogFacts(
         autopilot="ArduPilot",

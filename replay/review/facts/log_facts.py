@@ -191,6 +191,11 @@ def spans_where(time_s: Floats, holds: NDArray[np.bool_], least_s: float = 0.0) 
     return [(start, end) for start, end in spans if end - start >= least_s]
 
 
+def off_ground(height: LogSignal | None) -> list[tuple[float, float]]:
+    """Return when a vehicle flew whose log does not say it, by its height above where the log begins."""
+    return [] if height is None else spans_where(height.time_s, height.only > _LIFTED, 2.0)
+
+
 class LogRecords:
     """The records of a log by name, as columns, on the time since its begin.
 
@@ -354,6 +359,8 @@ def way(place: LogSignal | None) -> LogSignal | None:
     return LogSignal(place.time_s[known], metres, ("north", "east"), "m", place.origin)
 
 
+_LIFTED = 1.0
+"""Metres above where it armed from which a vehicle flies that does not say it. Chosen: twice a barometer's drift."""
 _DEGREE_M = 111_195.0
 """Metres of a degree on a sphere of the Earth's mean radius, 6371 km: 0.3 % off at most, on a map."""
 _FIX_3D = 3

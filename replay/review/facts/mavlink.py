@@ -17,8 +17,8 @@ from replay.review.facts.log_facts import (
     above_begin,
     angles_deg,
     changes,
+    off_ground,
     overlap,
-    spans_where,
     state_spans,
     way,
 )
@@ -33,12 +33,12 @@ TOPICS = frozenset(
 
 # MAV_TYPE, MAV_AUTOPILOT, MAV_MODE_FLAG and MAV_LANDED_STATE of MAVLink's common definitions
 _ROTORS = {2: 4, 13: 6, 14: 8, 29: 12}
-_PLANE, _NO_AUTOPILOT, _ARMED, _ON_GROUND = 1, 8, 128, 1
+_NO_AUTOPILOT, _ARMED, _ON_GROUND = 8, 128, 1
+_KINDS = {1: "plane", 10: "rover", 11: "rover"}
+"""Of MAV_TYPE, beside multirotors: fixed wing, ground rover, boat."""
 _AUTOPILOTS = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
 _PWM_FROM, _PWM_SPAN = 1000.0, 1000.0
 """Pulses of motors: 1000 to 2000 us unless configured otherwise, which telemetry does not say."""
-_LIFTED = 1.0
-"""Metres above where it armed from which a vehicle flies that does not say it. Chosen: twice a barometer's drift."""
 _MILLI = 1e-3
 _HECTOPASCAL_M = 8.43
 """Metres of height of a hectopascal at sea level: R T / (g M p) at 15 degrees and 1013.25 hPa."""
@@ -74,8 +74,7 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
         landing = changes(replace(landed, values=on_ground[:, None]))
         air = state_spans([(at, not value) for at, value in landing], end_s)
     else:
-        height = records.first(signals["height_estimate"], signals["height"])
-        air = [] if height is None else spans_where(height.time_s, height.only > _LIFTED, 2.0)
+        air = off_ground(records.first(signals["height_estimate"], signals["height"]))
     flight = overlap(air, armed)
     rotors = _ROTORS.get(kind, 0)
     if rotors:
@@ -111,7 +110,7 @@ def mavlink_facts(records: LogRecords) -> LogFacts:
     signals["clipping"] = get("VIBRATION", ["clipping_0"], ["clipped"], "samples")
     return LogFacts(
         autopilot=_AUTOPILOTS.get(autopilot, ""),
-        vehicle="multirotor" if rotors else "plane" if kind == _PLANE else "",
+        vehicle="multirotor" if rotors else _KINDS.get(kind, ""),
         start_ns=records.first_ns,
         duration_s=records.duration_s,
         armed=tuple(armed),

@@ -44,7 +44,7 @@ _MODES = {
 _FAILURES = ("roll", "pitch", "altitude", "external", "ESCs at arming", "battery", "propeller imbalance", "motor")
 """Bits of failure_detector_status, from the lowest: the same file."""
 _ARMED = 2
-_MULTIROTOR, _FIXED_WING = 1, 2
+_MULTIROTOR, _FIXED_WING, _ROVER = 1, 2, 3
 """Values of arming_state and vehicle_type: the same file."""
 _UAVCAN_FULL, _DSHOT_FULL, _PWM_LEAST, _PWM_SPAN = 8191.0, 1999.0, 800.0, 1000.0
 """Full command of UAVCAN's ESCs (14 bits), of DShot (11 bits, 48 of them are commands), and PWM's 1000 to 2000 us, of
@@ -100,7 +100,7 @@ def px4_facts(records: LogRecords) -> LogFacts:
         signals["clipping"] = replace(clipping, values=clipping.values.sum(axis=1, keepdims=True), names=("clipped",))
     kinds = get("vehicle_status", ["vehicle_type"], ["type"], "")
     rotary = get("vehicle_status", ["is_rotary_wing"], ["type"], "")
-    values = {_MULTIROTOR: "multirotor", _FIXED_WING: "plane"}
+    values = {_MULTIROTOR: "multirotor", _FIXED_WING: "plane", _ROVER: "rover"}
     vehicle = values.get(int(np.median(kinds.only)), "") if kinds is not None else ""
     if rotary is not None and np.median(rotary.only) == 1:
         vehicle = "multirotor"

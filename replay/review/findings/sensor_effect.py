@@ -46,5 +46,4 @@ RULE = Rule(
     "what was so from the begin",
     needs=("watch",),
     judge=_judge,
-    multirotor=True,
 )
