@@ -227,6 +227,13 @@ def test_actuators_of_planes_and_rovers_are_watched_too(vehicle: str, channel: s
     assert names(watched(replace(LEARNED["actuator_effect"], channel=channel), vehicle=vehicle)) == ["actuator_effect"]
 
 
+def test_a_gyro_beside_a_compass_is_one_of_two() -> None:
+    gyro = replace(LEARNED["sensor_effect"], channel="gyro_z")
+    review = watched(gyro, replace(gyro, channel="compass", start_s=24.0))
+    assert names(review) == ["sensor_effect"]
+    assert "the compass is wrong, or gyro" in review.sentence
+
+
 @pytest.mark.parametrize(
     "alarm",
     [

@@ -12,6 +12,7 @@ import numpy as np
 from adapters.batch import Batch
 from adapters.errors import FauioError
 from adapters.logs.recordings import Recording
+from monitor.event import AlarmEvent
 from monitor.fitting.flights import part_of
 from monitor.profile import read_profile
 from monitor.trace import AlarmSpan, Trace, alarm_spans
@@ -79,10 +80,10 @@ def _unlearned(facts: LogFacts, why: str) -> LogFacts:
 def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[LearnedAlarm]:
     for span in alarm_spans(replay.events):
         start_s = (span.start_ns - facts.start_ns) / 1e9
-        largest = max(span.history, key=lambda event: abs(event.estimate or 0.0))
+        typical = _typical(span)
         peak = max((abs(event.peak) for event in span.history if event.peak is not None), default=0.0)
         threshold = span.history[0].threshold
-        if start_s <= until_s or not threshold or largest.estimate is None:
+        if start_s <= until_s or not threshold or typical.estimate is None:
             continue
         yield LearnedAlarm(
             start_s=start_s,
@@ -90,15 +91,15 @@ def _alarms(replay: Replay, facts: LogFacts, until_s: float) -> Iterator[Learned
             observer=span.observer,
             channel=span.channel,
             share=peak / threshold,
-            text=_typical(span),
-            size=peak,
+            text=typical.message,
+            size=abs(typical.estimate or 0.0),
         )
 
 
-def _typical(span: AlarmSpan) -> str:
-    """Return what an alarm said when its estimate was in the middle of what it was meanwhile."""
-    said = [event for event in span.history if event.state in ("raised", "updated")]
-    return sorted(said, key=lambda event: abs(event.estimate or 0.0))[len(said) // 2].message if said else ""
+def _typical(span: AlarmSpan) -> AlarmEvent:
+    """Return what was said of an alarm when its estimate was in the middle of what it was meanwhile."""
+    said = [event for event in span.history if event.state in ("raised", "updated")] or list(span.history)
+    return sorted(said, key=lambda event: abs(event.estimate or 0.0))[len(said) // 2]
 
 
 def _estimate(traces: Iterable[Trace], alarm: LearnedAlarm, facts: LogFacts) -> LogSignal | None:

@@ -80,7 +80,7 @@ class Statement:
 
 @dataclass(frozen=True, slots=True)
 class LearnedAlarm:
-    """An alarm of a profile learned from the flight itself: ``size`` is its peak, ``share`` that over its threshold."""
+    """An alarm of a profile learned from the flight itself: its typical size, and its peak over its threshold."""
 
     start_s: float
     end_s: float

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from replay.review.facts.log_facts import LearnedAlarm, LogFacts
+from replay.review.facts.log_facts import LearnedAlarm, LearnedWatch, LogFacts
 from replay.review.findings.loss_of_control import lost_s
 from replay.review.findings.rule import Judgement
 
@@ -34,21 +34,24 @@ def alarms_of(
     lasting = [
         one for one in watch.alarms if one.channel.startswith(channels) and _lasts(one, facts, end_s) and _own(one)
     ]
+    learned_s = watch.until_s - facts.flight[0][0]
     for channel in dict.fromkeys(one.channel for one in lasting):
         own = [one for one in lasting if one.channel == channel]
         largest = max(own, key=lambda one: one.share)
         enough = largest.share >= least_share and not _within_accuracy(largest)
+        # a heading off and a turn rate off look alike to the sensors that are left
+        either = "the compass is wrong, or " if channel == "gyro_z" and _overlaps(own, watch, "compass") else ""
         yield Judgement(
             start_s=own[0].start_s,
             end_s=own[-1].end_s,
-            text=f"{largest.text}, compared with the first {watch.until_s - facts.flight[0][0]:.0f} s of the flight",
+            text=f"{either}{largest.text}, compared with the first {learned_s:.0f} s of the flight",
             evidence=(
                 f"observer {largest.observer}, learned from the flight until {watch.until_s:.0f} s: alarm from "
                 f"{own[0].start_s:.1f} to {own[-1].end_s:.1f} s",
                 f"up to {largest.share:.1f} times the threshold",
             ),
             counter=counter,
-            confidence="likely" if enough else "possible",
+            confidence="likely" if enough and not either else "possible",
             weight="warning" if enough else "information",
             plots=(f"estimate_{channel}", *plots),
         )
@@ -56,6 +59,11 @@ def alarms_of(
 
 def _within_accuracy(alarm: LearnedAlarm) -> bool:
     return alarm.channel in _POSITIONS and alarm.size < _ACCURACY_M
+
+
+def _overlaps(alarms: Sequence[LearnedAlarm], watch: LearnedWatch, channel: str) -> bool:
+    others = [one for one in watch.alarms if one.channel == channel]
+    return any(one.start_s < other.end_s and other.start_s < one.end_s for one in alarms for other in others)
 
 
 def _own(alarm: LearnedAlarm) -> bool:
