@@ -28,7 +28,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 from simulated_chain import Fault, flight  # noqa: E402
 
 RATES_HZ = (50.0, 3.0)
-SHARES = {"esc": (0.1, 0.2), "prop": (0.1, 0.2), "motor": (0.2, 0.4)}
+SHARES = {"esc": (0.1, 0.2), "prop": (0.1, 0.2), "motor": (0.1, 0.2, 0.4)}
 BATTERY_SHARES = (0.5, 1.0, 2.0)
 """More resistance."""
 HEALTHY_S, ONSET_S, LENGTH_S, BOOT_S = 90.0, 20.0, 40.0, 5.0
